@@ -67,7 +67,7 @@ class Simulated:
         self.shares, self.left = [], []
 
     def run(self, phases, reports):
-        """Work for the times of phases, with so many reports each; note what is shown ten times a second."""
+        """Work for the times of phases, with so many reports each; note ten times a second what the bar shows."""
         self.work("reading", 0, 1)
         self._pass(0.5)
         self.work.expect(phases)

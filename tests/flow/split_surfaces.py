@@ -58,7 +58,7 @@ def wavy_surface(side, seed=0):
     positions[:, 0] *= np.exp(flat[:, 1] / side)
     colours = 0.5 + 0.5 * (flat[:, :1] > side / 2) + 20 / 255 * random.standard_normal((len(flat), 3))
     last = len(positions)
-    # A fin stands on a row of edges, and a double of some vertices beside them, as at hard edges, is joined by walls.
+    # A fin stands on a row of edges, and a double of some vertices next to them, as at hard edges, is joined by walls.
     foot = faces[:: side // 2]
     fin = np.column_stack([foot[:, 0], foot[:, 1], last + np.arange(len(foot))])
     positions = np.vstack([positions, positions[foot[:, 0]] + [0, 0, 1.0]])
@@ -83,7 +83,7 @@ def smooth_mesh(surface, parameters, progress=None, **others):
 
 
 def outcome(plan):
-    """Smooth a grid; return its colours, those of the gutter, and the samples that a kernel held."""
+    """Smooth a grid; return its colours, the gutter's, and the samples that a kernel held."""
     result = smooth(plan)
     new = result.manifold.new_colours()
     return new.table(), new.beyond, result.samples_per_kernel

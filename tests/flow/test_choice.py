@@ -1,4 +1,4 @@
-"""What is chosen from the data: estimates of the error are right, the choice good and obedient; strength scales it."""
+"""Choices from the data: estimates of the error are right, the choice good and obedient; strength scales it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ noisy = partial(with_noise, sigma=SIGMA, seed=5, cut_off=False)
 
 
 def edges_of(faces):
-    """Return the distinct edges of a closed mesh, each of which two triangles go along in opposite ways."""
+    """Return the distinct edges of a closed mesh; two triangles go along each in opposite ways."""
     return np.unique(np.sort(faces[:, [0, 1]], axis=1), axis=0).astype(np.int32)
 
 

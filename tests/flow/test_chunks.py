@@ -98,7 +98,7 @@ def test_a_mesh_in_chunks_has_the_bits_of_the_whole(name, count, seed):
 @run_with(max_examples=20)
 @given(st.sampled_from([textured_plan, image_plan]), st.sampled_from([*ON_GRIDS]), st.integers(2, 9))
 def test_a_grid_in_chunks_has_the_bits_of_the_whole(make, name, count):
-    """The result and the gutter are those of the whole, and samples are counted exactly."""
+    """The result and the gutter are the same as of the whole, and samples are counted exactly."""
     parameters = KernelParameters(**{**FIXED, **ON_GRIDS[name]})
     whole, runner = outcome(make(parameters)), Sent()
     with in_chunks(count, runner):

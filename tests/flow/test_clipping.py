@@ -42,8 +42,8 @@ def test_the_mean_of_clipped_noise_is_restored(level, on):
         smoothed = partial(smooth, *surfaces.plane(*image.shape[:2]), image.reshape(-1, 1))
     kept, restored = (smoothed(**FIXED, clipping=way).colours for way in ("keep", "restore"))
     bias_kept, bias = abs(kept.mean() - level), abs(restored.mean() - level)
-    # The bias at the limit is sigma phi(0) = 0.4 sigma, and 0.26 sigma at a distance of 0.3 sigma (Tobin 1958). What is
-    # left comes from the scatter of shares of few samples, and from noise that is estimated too low in such an image.
+    # The bias at the limit is sigma phi(0) = 0.4 sigma, and 0.26 sigma at a distance of 0.3 sigma (Tobin 1958). The
+    # rest comes from the scatter of shares of few samples, and from noise that is estimated too low in such an image.
     assert bias_kept > 0.15 * SIGMA
     assert bias < 0.4 * bias_kept
 

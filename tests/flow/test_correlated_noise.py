@@ -128,7 +128,7 @@ def test_the_channel_with_more_of_the_noise_is_known():
 
 @pytest.mark.parametrize("colour", [(0.4, 0.4, 0.4), (0.6, 0.2, 0.3)])
 def test_the_noise_of_a_camera_in_plain_pictures_is_known_to_a_fifth(colour):
-    """In each channel: what is missing is left in them, and what is too much takes detail."""
+    """In each channel: too little leaves some of it, and too much takes detail."""
     plain = np.broadcast_to(np.float32(colour), (256, 256, 3))
     noisy = by_camera(plain)
     ratio = found(noisy).sigma / (noisy - plain).std(axis=(0, 1))

@@ -33,7 +33,7 @@ def write(path, image, stored="uint8"):
 
 
 def grey(seed=0):
-    """Return a grey picture without noise, and one of which the lower half has more."""
+    """Return a grey picture without noise, and one with more in its lower half."""
     clean = photograph(SIZE, contrast=0.05)[..., 0]
     noise = halves(clean.shape)[:, None] * np.random.default_rng(seed).standard_normal(clean.shape)
     return clean.astype(np.float32), np.clip(clean + noise, 0, 1).astype(np.float32)
@@ -64,7 +64,7 @@ def test_variances_are_relative_to_their_mean_and_never_nothing():
 
 @pytest.mark.parametrize(("patches", "tolerance"), [("off", 1e-5), ("on", 1e-3)])
 def test_the_same_number_everywhere_is_that_number(patches, tolerance):
-    """To the rounding of float32, in which deviations are stored; that may also decide which patches are alike."""
+    """To the rounding of float32, in which deviations are stored; that may also decide which patches are similar."""
     noise = 12 / 255 * np.random.default_rng(3).standard_normal((64, 64, 1))
     noisy = np.float32(0.4 + noise)  # which is read as independent
     one = beltrami_cli.smooth_image(noisy, noise="12", patches=patches)

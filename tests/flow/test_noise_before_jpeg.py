@@ -125,7 +125,7 @@ def test_chroma_is_known_although_decoders_interpolate_it(subsampling, tmp_path)
         # Four samples beyond a band of rows are seen, by 0.17 less each, of at most 128.
         np.testing.assert_allclose(np.concatenate([band[number] for band in bands]), plane, atol=0.1)
         found = coefficients_of(plane) / steps
-        # Rounding of pixels to 8 bit, in steps of 1 and 2; of what is no multiple of steps it would be 0.29.
+        # Rounding of pixels to 8 bit, in steps of 1 and 2; of numbers that are no multiples of steps it would be 0.29.
         assert np.sqrt(np.mean((found - np.rint(found)) ** 2)) < 0.22
 
 
@@ -134,9 +134,9 @@ def test_the_noise_that_decoding_leaves_is_foretold(tmp_path):
     result = CLEAN.astype(np.float32)
     decode(own, result, 10 / 255)
     left, before = noise_after([own], [CLEAN.astype(np.float32)], 10 / 255)
-    for told, image in ((left.sigma / PILOT_ERROR, result), (before, own.pixels / 255)):
+    for expected, image in ((left.sigma / PILOT_ERROR, result), (before, own.pixels / 255)):
         true = np.sqrt(np.mean((image - CLEAN) ** 2, axis=(0, 1)))
-        np.testing.assert_allclose(told, true, rtol=0.05)  # of 65,536 pixels, and ringing of paint
+        np.testing.assert_allclose(expected, true, rtol=0.05)  # of 65,536 pixels, and ringing of paint
 
 
 @pytest.mark.slow

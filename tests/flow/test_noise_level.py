@@ -83,7 +83,7 @@ def test_line_art_and_flat_paint_have_no_noise():
 
 @pytest.mark.parametrize("side", [4, 12, 17])
 def test_few_samples_are_paint(side):
-    """An icon has too few to tell noise from what is painted."""
+    """An icon has too few to tell noise from paint."""
     icon = np.random.default_rng(side).choice([0.1, 0.4, 0.9], (side, side, 3)).astype(np.float32)
     assert np.array_equal(beltrami_cli.smooth_image(icon).colours, icon)
     part = icon[:12, :12]  # meshes have enough from some 200 vertices on
@@ -92,7 +92,7 @@ def test_few_samples_are_paint(side):
 
 
 def test_noise_that_is_too_large_for_the_range_of_colours_is_paint():
-    """Four colours without any order, of which each channel has two values."""
+    """Four colours without any order; each channel has two values."""
     colours = np.array([[1, 0, 0], [0, 1, 0], [1, 0, 1], [0, 1, 1]], np.float32)
     random = np.random.default_rng(3)
     assert (on_grid(0.1 + 0.8 * colours[random.integers(0, 4, (48, 48))]) == 0).all()
@@ -101,7 +101,7 @@ def test_noise_that_is_too_large_for_the_range_of_colours_is_paint():
 
 
 def test_the_noise_around_what_lies_on_black_is_read_right():
-    """Half of the noise on black is cut off, and little else is even; what is said is 30 % off at most."""
+    """Half of the noise on black is cut off, and little else is even; the estimate is 30 % off at most."""
     down, across = np.mgrid[:256, :256]
     is_disc = (down % 64 - 32) ** 2 + (across % 64 - 32) ** 2 < 18**2
     clean = gaussian_filter(np.where(is_disc[..., None], photograph(256), 0), (0.6, 0.6, 0))

@@ -42,7 +42,7 @@ def test_a_plain_sky_keeps_few_dots():
     result = beltrami_cli.smooth_image(noisy)
     assert dots(noisy, 0.05) > 40
     assert dots(result.colours, 0.05) < dots(noisy, 0.05) / 3
-    # Noise of 14 of 255 is averaged over thousands of samples; what is left is its mean, which encoding shifts.
+    # Noise of 14 of 255 is averaged over thousands of samples; its mean is left, which encoding shifts.
     assert psnr(result.colours, clean) > psnr(noisy, clean) + 12
 
 

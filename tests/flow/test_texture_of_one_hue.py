@@ -1,4 +1,4 @@
-"""Textures without any even place, as of grass or scratched metal, are no noise: their hue tells them apart."""
+"""Textures without any even place, as of grass or scratched metal, are no noise: their hue shows it."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def texture(hue, deviation=0.17, growth=1.5):
 
 
 def read(image):
-    """Return what is read of noise, of 255."""
+    """Return the noise that is read, of 255."""
     return 255 * float(np.sqrt(np.mean(beltrami_cli.smooth_image(image, iterations=0).noise ** 2)))
 
 

@@ -73,7 +73,7 @@ def test_what_is_not_compared_is_said(options, compared, left_out, tmp_path):
 
 
 def unfit(kind, folder):
-    """Write two files that cannot be compared, or not by what is asked for; return the arguments."""
+    """Write two files that cannot be compared, or not as asked; return the arguments."""
     if kind == "a slot in one file alone":
         return write(folder / "a"), write(folder / "b", without="normal")
     if kind == "a missing image":

@@ -105,7 +105,7 @@ def test_models_whose_files_have_one_name_go_to_one_folder(targets, tmp_path):
     for number, (name, source) in enumerate(sources.items()):
         before = contents(out)
         warnings = smooth(source, out / name).warnings
-        # Models of one name would name their files alike, which is reported.
+        # Models of one name would give their files the same names, which is reported.
         assert any("another model" in warning for warning in warnings) == (number > 0 and name[0] == "m")
         assert contents(out).items() >= before.items()
     after = contents(out)

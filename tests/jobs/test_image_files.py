@@ -1,4 +1,4 @@
-"""Image files through `smooth_file`: what stays, which pixels are holes, and what is refused."""
+"""Image files through `smooth_file`: what stays, which pixels are holes, and what it refuses."""
 
 from __future__ import annotations
 

@@ -104,7 +104,7 @@ def pixel_colour(path, facts):
     return read_pixels(image)[facts.table["y"][0], facts.table["x"][0]]
 
 
-# Of float32 twice: what is stored, and the sums in the kernel; the last file has 8 bits.
+# Of float32 twice: the stored colours, and the sums in the kernel; the last file has 8 bits.
 @pytest.mark.parametrize(
     ("name", "at", "settings", "colour", "tolerance"),
     [

@@ -151,7 +151,7 @@ def test_a_full_disk_is_reported_and_leaves_nothing(tmp_path, monkeypatch, on_di
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="only Linux counts memory of files")
 def test_an_atlas_leaves_memory_as_it_is_made(tmp_path, monkeypatch):
-    """What it holds of its files at a time does not grow with the textures, of which most may only lie around."""
+    """What it holds of its files at a time does not grow with the textures, as most may only lie around."""
     count, side = 8, 2048
     triangle = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], float)
     positions = np.concatenate([triangle + np.array([2 * number, 0, 0]) for number in range(count)])

@@ -50,7 +50,7 @@ def noisy(monkeypatch):
 
 
 def smoothed(model, settings=SETTINGS):
-    """Smooth a model beside itself; return the images, as shares of full scale, and the report."""
+    """Smooth a model into its own folder; return the images, as shares of full scale, and the report."""
     target = model.with_name("smooth.obj")
     report = smooth_file(model, target, settings, job=Job(overwrite=True))
     files = sorted(set(report.written) - {str(target)})
@@ -96,10 +96,10 @@ def test_parts_have_enough_texels(monkeypatch, covered, expected):
 @pytest.mark.slow
 def test_info_says_the_same(tmp_path, noisy):
     model = write_model(tmp_path / "apart", noisy, gap=0.5)
-    told = inspect_file(model, SETTINGS)["textures"]
+    found = inspect_file(model, SETTINGS)["textures"]
     done = smoothed(model)[1].textures
-    assert [each["smooth"]["iterations"] for each in told] == [each.iterations for each in done]
-    assert [each["smooth"]["beta"] for each in told] == [each.beta for each in done]
+    assert [each["smooth"]["iterations"] for each in found] == [each.iterations for each in done]
+    assert [each["smooth"]["beta"] for each in found] == [each.beta for each in done]
     # One of another part says as little of exposures as none.
     whole = inspect_file(model, dataclasses.replace(SETTINGS, kernel=GIVEN.kernel))["textures"]
-    assert [each["exposure"] for each in told] == 2 * [whole[0]["exposure"]]
+    assert [each["exposure"] for each in found] == 2 * [whole[0]["exposure"]]

@@ -51,7 +51,7 @@ class ExposureScene:
         return cls(samples, stored_colours(samples).astype(float))
 
     def as_jpeg(self, colours, quality, subsampling="4:2:0"):
-        """Return the scene of other colours that were stored as JPEG, with those of neighbours in the gutters."""
+        """Return the scene of other colours that were stored as JPEG, with neighbours' colours in the gutters."""
         surface, textures = self.samples.surface, []
         settings = SmoothSettings(textures=TextureSettings(image_suffix=".png"))
         samples = TextureLayer.read(surface, "baseColor", settings)

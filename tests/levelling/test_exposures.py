@@ -147,7 +147,7 @@ def test_painted_edges_along_seams_move_by_less_than_a_step(head):
     after, _ = painted_head.levelled(painted_head.truth)
     assert np.abs(after - painted_head.truth).mean() < 0.5 / 255
     truth, exposed = painted_head.exposed(1)
-    exposed[inside] = np.rint(255 * truth[inside]) / 255  # its own exposure nobody can know
+    exposed[inside] = np.rint(255 * truth[inside]) / 255  # its own exposure cannot be known
     after, _ = painted_head.levelled(exposed)
     assert np.abs(after - exposed)[inside].mean() < 1 / 255
     assert fall(exposed[~inside], after[~inside], truth[~inside]) >= 12
@@ -160,7 +160,7 @@ def steps_of(ends, sides, seams):
 
 
 def seam(paint):
-    """Return a seam of two charts with a gain of 1.1 between them, of which a part is painted over on one side."""
+    """Return a seam of two charts with a gain of 1.1 between them; a part is painted over on one side."""
     random = np.random.default_rng(4)
     colours = random.uniform(0.3, 0.7, (400, 1))
     sides = np.stack([colours, 1.1 * colours + random.normal(0, 0.002, colours.shape)], axis=1)
@@ -245,9 +245,9 @@ def test_a_colour_that_was_cut_off_is_a_bound():
     steps = steps_of(np.tile([0, 1], (5, 1)), sides, np.zeros(5, int))
     high, low = sides >= 1, sides <= 0
     steps = replace(steps, high=high, low=low)
-    # What was brighter than full scale is at least that, and too bright beside 0.9 ...
+    # What was brighter than full scale is at least that, and too bright next to 0.9 ...
     assert known_steps(steps, sides)[:, 0].tolist() == [True, True, True, True, False]
-    # ... but not beside what became as bright.
+    # ... but not next to colours that became as bright.
     after = sides.copy()
     after[:2, 0], after[2:4, 0] = 1.05, -0.05
     assert not known_steps(steps, after).any()

@@ -144,7 +144,7 @@ def test_light_beyond_full_scale_is_read_on_its_own_scale():
 def test_numbers_that_are_no_levels_are_read_as_if_they_were(offset):
     planes = painting(10)
     shifted, model = estimate(planes + offset), estimate(planes)
-    assert shifted.overall == pytest.approx(model.overall, rel=0.2)  # without what clipping tells
+    assert shifted.overall == pytest.approx(model.overall, rel=0.2)  # without the hints of clipping
     assert shifted.stabiliser is None
 
 

@@ -28,7 +28,7 @@ BOARD = Board(8, 6, 4, 32, 2, [(1, 1, 1, False), (0, 0, 2, True), (0, 1, 3, Fals
 
 
 class Scene(NamedTuple):
-    """Colours on a surface, and a way to smooth them; `changed` samples are those that may change."""
+    """Colours on a surface, and a way to smooth them; only `changed` samples may change."""
 
     smooth: Any
     positions: np.ndarray

@@ -41,10 +41,10 @@ def test_nothing_crosses_a_seam_where_colours_jump():
     clean = 0.1 * photograph(side) + 0.2
     clean[:, side // 2 :] += 0.5
     result = on_board(BOARD, with_noise(clean, SIGMA / 2))
-    beside = (result - clean)[:, side // 2 - 3 : side // 2 + 3]
+    near = (result - clean)[:, side // 2 - 3 : side // 2 + 3]
     # The mean of 96 x 3 samples by 3 channels; the kernel alone stays within this, too.
-    assert np.abs(beside.mean(axis=(0, 2))).max() < 0.01
-    assert np.abs(beside).max() < 0.1
+    assert np.abs(near.mean(axis=(0, 2))).max() < 0.01
+    assert np.abs(near).max() < 0.1
 
 
 def plane(side=SIDE, seed=1):
@@ -86,6 +86,6 @@ def test_pixels_of_holes_keep_their_colours_and_lend_none():
     valid[20:30, 10:50] = False
     result = smooth_image(noisy, surface=ImageSurface(valid=valid)).colours
     assert np.array_equal(result[~valid], noisy[~valid])
-    beside = np.zeros_like(valid)
-    beside[18:32, 8:52] = True
-    assert np.abs((result - clean)[beside & valid].mean(axis=0)).max() < 0.02
+    near = np.zeros_like(valid)
+    near[18:32, 8:52] = True
+    assert np.abs((result - clean)[near & valid].mean(axis=0)).max() < 0.02
