@@ -4,7 +4,7 @@ A chunk is a part of a surface with the samples around it that one operation rea
 estimate by patches. Of its result only the samples of the chunk itself are kept. What depends on more than a
 neighbourhood is found on the whole between two operations: noise, parameters, limits that cut noise off, how channels
 are mixed, and the weights of the blend. So the result does not depend on who works on a chunk, and on the cuts only in
-patches of meshes, where the border of a chunk meets a corner of the surface.
+patches of meshes: groups of one chunk also estimate samples of the next, and sums in another order round otherwise.
 """
 
 from __future__ import annotations
@@ -50,6 +50,7 @@ class Work:
 
     operation: Operation
     arguments: tuple[Any, ...]
+    adds: bool = False  # to what other chunks find for the same samples
 
     def on(self, chunk: Chunk, stacks: list[Float32s], threads: int) -> tuple[Float32s, Figures]:
         """Return the results of the samples of a chunk; the stacks may change."""
@@ -103,7 +104,7 @@ class Chunking:
         size: int,
         threads: int,
     ) -> Figures:
-        """Write the results of all chunks to a stack of the whole; `stacks` stay as they are.
+        """Write the results of all chunks to a stack of the whole, or add them; `stacks` stay as they are.
 
         `size`: of the whole, for its progress; `threads`: for a single chunk, which is done here.
         """
@@ -111,10 +112,17 @@ class Chunking:
         def stacks_of(chunk: Chunk) -> list[Float32s]:
             return [stack[chunk.around] for stack in stacks]
 
-        samples, truncated = 0.0, 0
+        samples, truncated, added = 0.0, 0, 0
+        waiting: dict[int, Float32s] = {}  # to be added in the order of the chunks, on which rounding depends
         runner = self.runner if len(chunks) > 1 else InTurn(threads)
         for done, (number, values, figures) in enumerate(runner.run(chunks, work, stacks_of), 1):
-            result[chunks[number].place] = values
+            if work.adds:
+                waiting[number] = values
+                while added in waiting:
+                    result[chunks[added].place] += waiting.pop(added)
+                    added += 1
+            else:
+                result[chunks[number].place] = values
             samples, truncated = samples + figures[0], truncated + figures[1]
             if progress is not None:
                 progress(size * done // len(chunks))
@@ -255,7 +263,7 @@ def chunk_of_run(part_of: Callable[[Int64s], Any], near: Bools, first: int, last
     """Return the chunk of a run of samples, with the samples near it, marked in an array of all."""
     from beltrami_cli._native import PATCH_BLOCK_SIZE
 
-    # Samples from anywhere before, so that the blocks of the part begin where blocks of the whole do.
+    # Samples from anywhere before, so that what the core takes together is the same as in the whole.
     missing = -int(np.count_nonzero(near[:first])) % PATCH_BLOCK_SIZE
     near[np.flatnonzero(~near[:first])[:missing]] = True
     samples = np.flatnonzero(near)

@@ -34,27 +34,35 @@ def collaborate_on_graph(
     stacks, wanted = [noisy, pilot, *([] if relative is None else [relative[:, None]])], chunking()
     # Parameters are chosen by colours without shared noise, which must have the same bits in any number of chunks.
     if wanted is None or is_whole:
-        return _patches_on(graph, stacks, graph.threads, mixing, progress)[0]
-    estimates = np.empty_like(noisy)
-    work, how = Work(_patches_on, (mixing,)), {"size": graph.size, "threads": graph.threads}
-    wanted.apply(graph.chunks, work, stacks, estimates, progress, **how)
-    return estimates
+        sums, _ = _sums_of_patches(graph, stacks, graph.threads, mixing, progress)
+    else:
+        sums = np.zeros((graph.size, 2 * noisy.shape[1]), np.float32)
+        work, how = (
+            Work(_sums_of_patches, (mixing,), adds=True),
+            {"size": graph.size, "threads": graph.threads},
+        )
+        wanted.apply(graph.chunks, work, stacks, sums, progress, **how)
+    estimates, weights = np.split(sums, 2, axis=1)
+    is_known = weights > 0  # not of isolated samples
+    mixed = np.divide(estimates, weights, out=np.zeros_like(pilot), where=is_known)
+    return np.where(is_known, np.einsum("ij,sj->si", mixing.back, mixed), pilot)
 
 
-def _patches_on(
+def _sums_of_patches(
     graph: Graph,
     stacks: Sequence[Stack],
     threads: int,
     mixing: Mixing,
     progress: Callable[[int], None] | None = None,
 ) -> tuple[Float32s, Figures]:
+    """Sum what the groups of patches estimate of mixed channels, and the weights of that, shape (S, 2 N)."""
     noisy, pilot, *relative = stacks
     estimates, weights = np.zeros_like(noisy), np.zeros_like(noisy)
     variances = relative[0][:, 0] if relative else None
     graph.patches.collaborate(
         noisy, pilot, mixing.parts, variances, mixing.has_pilot, estimates, weights, threads, progress
     )
-    return estimates, (0, 0)
+    return np.concatenate([estimates, weights], axis=1), (0, 0)
 
 
 class Clusters(CoarseLevel):

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from beltrami_cli._native import SurfacePatches
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-from beltrami_cli.flow.chunks import Chunk, Neighbours, chunk_of_run, chunking, runs
+from beltrami_cli.flow.chunks import Chunk, Neighbours, chunking, runs
 from beltrami_cli.flow.regularisation import MeshGaussian
 
 # Standard deviation of the Gaussian of one pass over neighbours, in spacings: all count about equally.
@@ -73,22 +73,21 @@ class Graph:
         return [self._chunk(neighbours, *run) for run in runs(self.size, wanted.count)]
 
     def _chunk(self, neighbours: Neighbours, first: int, last: int) -> Chunk:
+        """Return the chunk of a run of samples, whose groups also estimate samples around them."""
         from beltrami_cli._native import PATCH_BLOCK_SIZE
 
-        # A group reads as far as it estimates, and which samples start groups depends on the starts around these.
-        rings = neighbours.distances(first, last, 2 * _RINGS_OF_GROUP + 2)
-
-        def part_of(samples: Int64s) -> Graph:
-            rank = np.full(self.size, -1, np.int32)
-            rank[samples] = np.arange(len(samples))
-            ends = rank[self.edges]
-            blocks = np.where(rings[samples] <= _RINGS_OF_GROUP, samples // PATCH_BLOCK_SIZE, -1)
-            return dataclasses.replace(
-                self, positions=self.positions[samples], edges=ends[all_known(ends)],
-                priorities=self.priorities[samples], blocks=blocks.astype(np.int32),
-            )  # fmt: skip
-
-        return chunk_of_run(part_of, np.isfinite(rings), first, last)
+        # Which samples start groups depends on the patches of the starts around them.
+        rings = neighbours.distances(first, last, _RINGS_OF_GROUP + 2)
+        samples = np.flatnonzero(np.isfinite(rings))
+        rank = np.full(self.size, -1, np.int32)
+        rank[samples] = np.arange(len(samples))
+        ends = rank[self.edges]
+        blocks = np.where(rings[samples] == 0, samples // PATCH_BLOCK_SIZE, -1)
+        part = dataclasses.replace(
+            self, positions=self.positions[samples], edges=ends[all_known(ends)],
+            priorities=self.priorities[samples], blocks=blocks.astype(np.int32),
+        )  # fmt: skip
+        return Chunk(part, around=samples, place=samples, kept=slice(None))
 
     def smoothed(self, rows: Float32s, variance: float) -> Float32s:
         """Smooth rows of samples over their neighbours; `variance` in squared spacings."""

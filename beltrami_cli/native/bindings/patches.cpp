@@ -101,11 +101,9 @@ void collaborate_on_surface(const SurfacePatches& surface, const Matrix<float>& 
     if (pilot.shape(axis) != noisy.shape(axis) || estimates.shape(axis) != noisy.shape(axis) ||
         weights.shape(axis) != noisy.shape(axis))
       throw nb::value_error("all stacks must have one shape");
-  const SurfacePatches::Colours colours{noisy.data(),         pilot.data(),
-                                        channels,             own.forth.data(),
-                                        own.back.data(),      own.variances.data(),
-                                        own.shrinkage.data(), own.least_ratio,
-                                        own.strength,         relative ? relative->data() : nullptr};
+  const SurfacePatches::Colours colours{noisy.data(), pilot.data(), channels, own.forth.data(), own.variances.data(),
+                                        own.shrinkage.data(), own.least_ratio, own.strength,
+                                        relative ? relative->data() : nullptr};
   run_polled(progress, [&](const Poll& poll) {
     surface.collaborate(colours, has_pilot, {estimates.data(), weights.data()}, threads, poll);
   });

@@ -255,16 +255,6 @@ void SurfacePatches::collaborate(const Colours& colours, bool has_pilot, const S
     // In the order of the parts, so that sums do not depend on the threads.
     for (std::size_t i = 0; i < here; ++i) wave[i].add_to(sums, n);
   }
-  std::vector<float> mixed(n);
-  for (std::size_t vertex = 0; vertex < count; ++vertex) {
-    float *estimate = sums.estimates + vertex * n, *weight = sums.weights + vertex * n;
-    for (std::size_t c = 0; c < n; ++c) mixed[c] = weight[c] > 0 ? estimate[c] / weight[c] : 0;
-    for (std::size_t c = 0; c < n; ++c) {
-      float value = weight[c] > 0 ? 0 : colours.pilot[vertex * n + c];
-      for (std::size_t from = 0; weight[c] > 0 && from < n; ++from) value += colours.unmixing[c * n + from] * mixed[from];
-      estimate[c] = value;
-    }
-  }
 }
 
 }  // namespace beltrami::patches

@@ -40,15 +40,14 @@ class SurfacePatches {
   struct Colours {
     const float *noisy, *pilot;  // a row of `channels` a vertex
     std::size_t channels;
-    const float *mixing, *unmixing;  // see Canvas
+    const float* mixing;  // see Canvas
     const float *variances, *shrinkage;
     float least_ratio, strength;
     const float* relative = nullptr;  // what a vertex's variance is multiplied by; nullptr: 1
   };
 
-  // Writes estimates of all vertices, of isolated ones the pilot; both of `sums` have a row of `channels` zeros a vertex,
-  // of which the estimates become the result, and the weights are memory to work with. Throws Cancelled if poll returned
-  // false.
+  // Adds the weighted estimates of mixed channels and their weights to `sums`, which have a row of `channels` a vertex.
+  // Throws Cancelled if poll returned false.
   void collaborate(const Colours& colours, bool has_pilot, const Sums& sums, unsigned threads, const Poll& poll = {}) const;
 
   std::size_t size() const { return patches_.size(); }

@@ -53,9 +53,10 @@ struct Sheets {
 
   std::vector<float> result(const SurfacePatches& own, bool has_pilot, unsigned threads) const {
     std::vector<float> estimates(noisy.size()), weights(noisy.size());
-    const SurfacePatches::Colours colours{noisy.data(),  pilot.data(),     channels,         mixing.data(),
-                                          mixing.data(), variances.data(), shrinkage.data(), 0, 1};
+    const SurfacePatches::Colours colours{noisy.data(),     pilot.data(),     channels, mixing.data(),
+                                          variances.data(), shrinkage.data(), 0,        1};
     own.collaborate(colours, has_pilot, {estimates.data(), weights.data()}, threads);
+    for (std::size_t i = 0; i < estimates.size(); ++i) estimates[i] = weights[i] > 0 ? estimates[i] / weights[i] : pilot[i];
     return estimates;
   }
 };
