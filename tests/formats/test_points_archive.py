@@ -277,8 +277,9 @@ def pcd(path, *, point_format, colours):
     head += f"TYPE {' '.join(kinds)}\nCOUNT {'1 ' * len(fields)}\nWIDTH {COUNT}\nHEIGHT 1\n"
     head += f"VIEWPOINT 0 0 0 1 0 0 0\nPOINTS {COUNT}\nDATA {point_format}\n"
     body = records.tobytes()
-    if point_format == "ascii":
-        body = "".join(" ".join(map(str, row)) + "\n" for row in records).encode()
+    if point_format == "ascii":  # in columns, as PCL has it, with fields as PDAL names them
+        body = "".join("  ".join(map(str, row)) + "\n" for row in records).encode()
+        head = head.replace("FIELDS x y z", "FIELDS X Y Z")
     elif point_format == "binary_compressed":
         columns = b"".join(records[name].tobytes() for name in names)
         runs = b"".join(b"\x1f" + columns[at : at + 32] for at in range(0, len(columns) - 32, 32))
@@ -316,6 +317,24 @@ def test_colours_or_intensities_alone_change(tmp_path, write, suffix, form, colo
     if suffix == "e57":
         parts = open_document(str(tmp_path / "out.e57")).fingerprint().parts
         assert parts["member blobs.npy"].endswith(b"p" * 100)
+
+
+@pytest.mark.slow  # three times a library in a process of its own
+@needs("laspy", "lazrs")
+def test_the_index_of_copc_is_left_out_with_a_notice(tmp_path):
+    import laspy
+
+    las(tmp_path / "in.laz", point_format=7, colours=True)
+    cloud = laspy.read(tmp_path / "in.laz")
+    cloud.vlrs[:] = [laspy.VLR("copc", 1, "info", bytes(160)), laspy.VLR("kept", 2, "", b"own")]
+    cloud.evlrs = laspy.vlrs.vlrlist.VLRList([laspy.VLR("copc", 1000, "hierarchy", bytes(32))])
+    cloud.write(tmp_path / "in.laz")
+    done = beltrami("smooth", "in.laz", "out.laz", cwd=tmp_path, text=True)
+    assert "COPC" in done.stdout + done.stderr
+    made = laspy.read(tmp_path / "out.laz")
+    assert [record.user_id for record in (*made.vlrs, *(made.evlrs or ()))][:1] == ["kept"]
+    assert np.array_equal(made.xyz, cloud.xyz)
+    assert not np.array_equal(made.red, cloud.red)
 
 
 @pytest.mark.slow  # five times a library in a process of its own

@@ -37,6 +37,8 @@ _AT_XML = 24  # bytes: where the place and the length of the description stand i
 _AT_POINT_FORMAT = 104  # byte of the header of LAS
 _AT_RECORDS = 235  # bytes: where the place of the extended records stands in it
 _LAZ = b"\x80"  # the bit of it that LAZ sets
+_COPC = "copc"  # who the records belong to that index a LAZ file; the first of them is about that
+_AT_OWNER = 377  # byte of LAS 1.4: the owner of the first record
 _LITERALS = 32  # bytes that one run of LZF holds at most
 Columns = dict[str, Array]
 
@@ -61,7 +63,9 @@ class SurveyDocument(NpzPointsDocument):
         stored, form = self._recoloured(new.colours), new.form or self.format
         if stored is None and form == self.format:
             return Written([self.data])
-        return Written([self._ask(form, {} if stored is None else {"new": stored})])
+        is_indexed = self.data[_AT_OWNER:].startswith(_COPC.encode())
+        notices = ("The index of COPC is left out: the file becomes plain LAS or LAZ.",) if is_indexed else ()
+        return Written([self._ask(form, {} if stored is None else {"new": stored})], notices=notices)
 
     def _ask(self, form: str | None, arrays: Columns) -> bytes:
         """Return the file in a form with new colours, or, for None, the archive of its arrays."""
@@ -115,7 +119,8 @@ class _Las:
         if self._las.header.version.minor >= 4:
             # They are behind the compressed points, which may differ in length.
             header[_AT_RECORDS : _AT_RECORDS + 8] = bytes(8)
-        header += b"".join(each.record_data_bytes() for each in self._las.evlrs or ())
+            start, end = self._las.header.start_of_first_evlr, len(self._data)
+            header += self._data[start if self._las.evlrs else end :]
         names = [name for name in self._points.dtype.names if name not in "XYZ"]  # which become the positions
         columns = {name: np.ascontiguousarray(self._points[name]) for name in names}
         places = {"positions": np.array(self._las.xyz), "header": np.frombuffer(header, np.uint8)}
@@ -128,34 +133,46 @@ class _Las:
             start: int = self._las.header.offset_to_point_data
             points: bytes = self._points.tobytes()
             return self._data[:start] + points + self._data[start + len(points) :]
+        for records in (self._las.header.vlrs, self._las.evlrs or []):
+            records[:] = [record for record in records if record.user_id != _COPC]
         buffer = io.BytesIO()
         self._las.write(buffer, do_compress=form == "laz")
         return buffer.getvalue()
 
 
 class _Pcd:
-    _RGB = ("r", "g", "b")
+    """Names of fields in capital letters, as PDAL writes them, mean the same."""
+
+    _RGB = ("r", "g", "b"), ("red", "green", "blue")
     _PADDING = "#$%&~~"  # how pypcd4 starts the random names of fields that are called "_"
 
     def __init__(self, data: bytes) -> None:
         import pypcd4
 
-        self._data, cloud = data, pypcd4.PointCloud.from_fileobj(io.BytesIO(data))
+        self._data, self._body = data, data.index(b"\n", data.index(b"\nDATA") + 1) + 1
+        if data[: self._body].split()[-1] == b"ascii":  # pypcd4 reads numbers that are one space apart
+            lines = (b" ".join(line.split()) + b"\n" for line in data[self._body :].splitlines())
+            data = data[: self._body] + b"".join(lines)
+        cloud = pypcd4.PointCloud.from_fileobj(io.BytesIO(data))
         self._points, self._about = cloud.pc_data, cloud.metadata
         self._names = self._points.dtype.names or ()
-        self._packed = next((name for name in ("rgb", "rgba") if name in self._names), "")
-        self._body = data.index(b"\n", data.index(b"\nDATA") + 1) + 1
+        known = {name.lower(): name for name in self._names}
+        self._axes = [known[axis] for axis in "xyz"]
+        self._packed = known.get("rgb", known.get("rgba", ""))
+        self._rgb = next(
+            (tuple(map(known.get, names)) for names in self._RGB if known.keys() >= {*names}), ()
+        )
 
     def arrays(self) -> Columns:
         columns = {name: np.ascontiguousarray(self._points[name]) for name in self._names}
         for number, name in enumerate(self._names):
             if name.startswith(self._PADDING):
                 columns[f"padding {number}"] = columns.pop(name)
-        columns = {"positions": np.column_stack([columns.pop(axis) for axis in "xyz"])} | columns
+        columns = {"positions": np.column_stack([columns.pop(axis) for axis in self._axes])} | columns
         if self._packed:
             octets = columns.pop(self._packed).view(np.uint8).reshape(-1, 4)
             columns |= {"colours": octets[:, 2::-1], "opacity": octets[:, 3]}
-        columns = _with_colours(columns, self._RGB)
+        columns = _with_colours(columns, self._rgb) if self._rgb else columns
         rows, width = self._about.height, self._about.width
         if rows > 1 and rows * width == len(self._points):
             columns = {name: each.reshape(rows, width, *each.shape[1:]) for name, each in columns.items()}
@@ -168,7 +185,7 @@ class _Pcd:
             packed.view(np.uint8).reshape(-1, 4)[:, 2::-1] = new
             points[self._packed] = packed
         elif new is not None:
-            for name, column in _replaced(new, self._RGB).items():
+            for name, column in _replaced(new, self._rgb).items():
                 points[name] = column
         head, body = self._data[: self._body], self._data[self._body :]
         if self._about.data == "binary":
