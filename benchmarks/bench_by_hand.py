@@ -6,8 +6,6 @@ of the kernel with and without patches. ``--kind grain`` takes the kinds of nois
 results should be within 0.5 dB of the best on noise of cameras, and within 1 dB on grain.
 """
 
-from __future__ import annotations
-
 import argparse
 from itertools import product
 from pathlib import Path

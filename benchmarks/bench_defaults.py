@@ -4,8 +4,6 @@
 environment variable BELTRAMI_EXTRA_MESHES names are judged, too. Noise is Gaussian, of 20 of 255.
 """
 
-from __future__ import annotations
-
 import sys
 import tempfile
 from functools import partial

@@ -4,8 +4,6 @@ Shapes have edges of about one unit. Errors are distances from the true surface,
 Plain is the kernel without normals in the metric (``--normal-beta 0``).
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 ``--vertices N`` is how many (default: 1,000,000); ``--json FILE`` writes the rows.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

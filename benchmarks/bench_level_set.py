@@ -3,8 +3,6 @@
 ``python benchmarks/bench_level_set.py``, from the project's root; prints PSNR at the vertices in dB.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -20,8 +20,6 @@ who knows the exposures.
 With --large, the whole command works on a torus in 3,136 charts of one texture of 4096 x 4096.
 """
 
-from __future__ import annotations
-
 import resource
 import subprocess
 import sys

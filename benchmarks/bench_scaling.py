@@ -4,8 +4,6 @@
 ``--plot FILE`` draws them; ``--json FILE`` writes the rows. One thread, five iterations, parameters given.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

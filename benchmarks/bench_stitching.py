@@ -7,8 +7,6 @@ brackets for each group of charts that seams without steps join), of the files t
 processor time of both. The last columns are the same texture as it was: the mean change, in steps of 255.
 """
 
-from __future__ import annotations
-
 import resource
 import subprocess
 import sys

@@ -5,8 +5,6 @@ named images, in windows of 224 x 224: the root mean square change, which must g
 the PSNR against the truth, of which gentle may cost 1.5 dB and strong 1 dB on average.
 """
 
-from __future__ import annotations
-
 import argparse
 from itertools import pairwise
 from pathlib import Path

@@ -4,8 +4,6 @@ Textured models in the folder that the environment variable BELTRAMI_EXTRA_MESHE
 FILE`` writes the rows; ``--quick`` looks at two samples only, to see that everything runs.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -1,7 +1,5 @@
 """Scenes of known exposures, and bounds of the result of levelling them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from unittest.mock import patch
 

@@ -3,8 +3,6 @@
 Noise is what ``beltrami noise`` adds: the same on both sides of seams, rounded to 8 bit and cut off at 0 and 255.
 """
 
-from __future__ import annotations
-
 import os
 import tempfile
 from dataclasses import replace

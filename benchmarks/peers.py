@@ -1,7 +1,5 @@
 """Other programs on the same meshes. Each raises `PeerError` where it is not installed or cannot be loaded."""
 
-from __future__ import annotations
-
 import subprocess
 import tempfile
 from pathlib import Path

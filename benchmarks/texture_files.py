@@ -1,7 +1,5 @@
 """Models with other images: a plain GLB writer, and decoders that are not the package's own."""
 
-from __future__ import annotations
-
 import json
 import struct
 import sys

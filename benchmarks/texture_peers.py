@@ -1,7 +1,5 @@
 """Image filters that know nothing of the surface, each tuned on the truth."""
 
-from __future__ import annotations
-
 import itertools
 import time
 

@@ -1,7 +1,5 @@
 """Time and memory of smoothing textures."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

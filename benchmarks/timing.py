@@ -1,7 +1,5 @@
 """Times that a busy machine does not spoil: medians of differences between neighbouring runs."""
 
-from __future__ import annotations
-
 import math
 import statistics
 import time

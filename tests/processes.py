@@ -1,7 +1,5 @@
 """Processes as Linux lists them, and waiting for what they do."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 

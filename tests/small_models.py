@@ -1,7 +1,5 @@
 """Models of few vertices, written as text by the tests' own hand."""
 
-from __future__ import annotations
-
 from formats.ply_files import Table, build
 
 COLOURED = "float x y z, uchar red green blue"

@@ -1,7 +1,5 @@
 """Running `beltrami batch` and reading its report."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import shutil

@@ -1,7 +1,5 @@
 """Work on chunks, in a module that worker processes can import; tests themselves cannot be."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

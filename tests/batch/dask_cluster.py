@@ -1,7 +1,5 @@
 """A Dask scheduler and two workers: processes of their own on loopback, without dashboards."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """`beltrami batch`: every file as `smooth` makes it, whatever happens to the others, and nothing done twice."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

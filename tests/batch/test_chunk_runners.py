@@ -1,7 +1,5 @@
 """Chunks in worker processes: whichever of them dies, and whatever the work raises."""
 
-from __future__ import annotations
-
 import errno
 import multiprocessing
 import os

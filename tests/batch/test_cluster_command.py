@@ -1,7 +1,5 @@
 """`beltrami batch --scheduler`: the same files from many machines, whichever of them dies; encrypted if asked."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import shutil

@@ -1,7 +1,5 @@
 """What docs/batch.md shows for the shell and for make, run as it stands there."""
 
-from __future__ import annotations
-
 import gzip
 import os
 import re

@@ -1,7 +1,5 @@
 """The command: in this process, which saves starting one, or as a user runs it."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

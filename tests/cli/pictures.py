@@ -1,7 +1,5 @@
 """Small files to draw, and the pixels that are drawn of them."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from beltrami_cli.formats.gltf.writer import write_glb

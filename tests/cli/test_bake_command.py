@@ -1,7 +1,5 @@
 """`beltrami bake` and `beltrami smooth --unwrap`: colours go over to a new file, or nothing happens at all."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The option --columns, for every command that reads points; and which texts a batch takes for points."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

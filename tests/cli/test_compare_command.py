@@ -1,7 +1,5 @@
 """`beltrami compare` as a user and a Makefile run it: its verdicts, its exit codes, what it prints and draws."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex

@@ -1,7 +1,5 @@
 """Completion in shells: what click's scripts ask the command for, which docs/configuration.md has shells load."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

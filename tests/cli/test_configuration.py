@@ -1,7 +1,5 @@
 """Options from files and the environment: flags win, then variables, files, defaults; `beltrami config` shows which."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import tomllib

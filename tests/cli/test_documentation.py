@@ -1,7 +1,5 @@
 """Every command and option is documented, and the commands that the pages show work."""
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

@@ -1,7 +1,5 @@
 """--guide, --guide-beta, --metric-channels, --smooth-geometry and --normal-beta do what their help says."""
 
-from __future__ import annotations
-
 import json
 import shutil
 

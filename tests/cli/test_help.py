@@ -1,7 +1,5 @@
 """--help shows what matters daily and names the rest, --help-all shows every option under its group."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

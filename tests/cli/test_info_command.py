@@ -1,7 +1,5 @@
 """`beltrami info` describes a file and what smoothing would do."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """What has no noise is left as it is, to the last byte, and that is said."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Ctrl-C and SIGTERM end a command soon, whatever it does, and leave neither a file nor a process."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import signal

@@ -1,7 +1,5 @@
 """The command `level`, and `smooth --level`: what they write, say and refuse."""
 
-from __future__ import annotations
-
 import json
 from functools import partial
 from types import SimpleNamespace

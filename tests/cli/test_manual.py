@@ -1,7 +1,5 @@
 """The manual pages say what the commands say, and roff understands them."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """--max-memory: sizes as people write them, and a limit that holds and is lifted again."""
 
-from __future__ import annotations
-
 import os
 import re
 import resource

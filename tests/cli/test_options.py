@@ -1,7 +1,5 @@
 """Options are the fields of the parameter records: the same defaults, ranges and refusals; and the last resort."""
 
-from __future__ import annotations
-
 import math
 import os
 from functools import partial

@@ -1,7 +1,5 @@
 """Results: data on standard output and messages on standard error, through a pipe as to a file, nothing replaced."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

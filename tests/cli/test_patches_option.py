@@ -1,7 +1,5 @@
 """--patches: when patches are estimated, the messages about them, and that an interrupt ends them."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

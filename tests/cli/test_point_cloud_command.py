@@ -1,7 +1,5 @@
 """`beltrami smooth`, `info`, `kernel` and `check` on points without faces, in every format that has them."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

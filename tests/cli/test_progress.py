@@ -1,7 +1,5 @@
 """Commands that take a while say how far they are, on a terminal only, and on the standard error."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

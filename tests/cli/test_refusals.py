@@ -1,7 +1,5 @@
 """What cannot be done is refused in one line that names the cause, with the documented code, and nothing is written."""
 
-from __future__ import annotations
-
 import os
 import shlex
 import shutil

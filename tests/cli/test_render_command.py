@@ -1,7 +1,5 @@
 """`beltrami render`: a picture of every kind of file, the same at every run, or nothing happens at all."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`beltrami report`: the contents of the page; its looks in a browser are tested in tests/view."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

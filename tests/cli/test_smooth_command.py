@@ -1,7 +1,5 @@
 """`beltrami smooth` as a good citizen: streams, exit codes, and files that are whole or not there."""
 
-from __future__ import annotations
-
 import json
 import re
 

@@ -1,7 +1,5 @@
 """`beltrami sweep`: every combination, smoothed and measured as the other commands do it."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re

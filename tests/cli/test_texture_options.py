@@ -1,7 +1,5 @@
 """Every option for textures does what its help says, and sidecar files come whole or not at all."""
 
-from __future__ import annotations
-
 import json
 from typing import get_args
 

@@ -1,7 +1,5 @@
 """Images and meshes with noise, and readings of it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from beltrami_cli.flow.mesh_manifold import mesh_manifold

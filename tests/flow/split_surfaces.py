@@ -1,7 +1,5 @@
 """Surfaces to be smoothed as a whole and in chunks, and parameters that reach all that chunks could get wrong."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

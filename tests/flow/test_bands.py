@@ -1,7 +1,5 @@
 """A canvas that is smoothed row block by row block in place has the bits of one that is smoothed at once."""
 
-from __future__ import annotations
-
 import pytest
 
 from beltrami_cli.flow import grid_manifold

@@ -1,7 +1,5 @@
 """Choices from the data: estimates of the error are right, the choice good and obedient; strength scales it."""
 
-from __future__ import annotations
-
 import dataclasses
 from functools import partial
 

@@ -1,7 +1,5 @@
 """A surface that is smoothed in chunks has the bits of one that is smoothed as a whole."""
 
-from __future__ import annotations
-
 import pickle
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Noise that neighbouring cells have in common: found in what JPEG left, drawn as asked, and errors right with it."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

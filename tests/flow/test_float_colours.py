@@ -1,7 +1,5 @@
 """Colours as floats: below 0 and above 1 they are ordinary values, and the mean light of every region stays."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Noise that is given for each sample, by an array, an image, a table or an attribute."""
 
-from __future__ import annotations
-
 import numpy as np
 import OpenImageIO
 import pytest

@@ -1,7 +1,5 @@
 """Guides: channels that enter the metric and stay as they are; and colours that change without entering it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

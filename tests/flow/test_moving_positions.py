@@ -1,7 +1,5 @@
 """Geometry that is smoothed along with the colours: noise falls, features stay, and nothing else happens."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

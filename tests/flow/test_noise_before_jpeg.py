@@ -1,7 +1,5 @@
 """Pictures that JPEG coded are decoded with the noise before known, which brings them closer to the truth."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Noise that depends on the level of colours, noise that is given, and the numbers that `info` reports of it."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Noise that differs from place to place, as of two photographs, in one image or on vertices."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates

@@ -1,7 +1,5 @@
 """The estimated noise is the noise: on surfaces rich in texture and edges, near the limits, and where there is none."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

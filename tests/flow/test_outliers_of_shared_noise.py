@@ -1,7 +1,5 @@
 """Single samples that noise of cameras makes far too dark: replaced where it is plain, and nowhere else."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.ndimage import maximum_filter, minimum_filter

@@ -1,7 +1,5 @@
 """Patches and their blend with the kernel: cut-off noise, the estimated error, and one result however computed."""
 
-from __future__ import annotations
-
 from statistics import NormalDist
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Noise that neighbouring vertices share, as of baked photographs: found, drawn as it is, and removed."""
 
-from __future__ import annotations
-
 from itertools import islice, pairwise
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Clusters of vertices: what they are, whatever the order of the vertices, and what their means are good for."""
 
-from __future__ import annotations
-
 import pickle
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Folders as they are on the disk, to be made and compared."""
 
-from __future__ import annotations
-
 import stat
 
 

@@ -6,8 +6,6 @@ run again, which must come to the same end as if nothing had happened. Prints wh
 number of steps last.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import gc

@@ -1,7 +1,5 @@
 """Manifests and records of other people: they neither lead `beltrami batch` elsewhere, nor make it replace a file."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Small files that promise huge contents, or images too large for memory, cost no more than a refusal in one line."""
 
-from __future__ import annotations
-
 import base64
 import gzip
 import io

@@ -1,7 +1,5 @@
 """Whichever system call fails, also as a disk is full: all files of a run are new, or old, as the exit code says."""
 
-from __future__ import annotations
-
 import errno
 import itertools
 import logging

@@ -1,7 +1,5 @@
 """Files outside the model's own folder are neither read, unless allowed, nor written; unreadable ones cost one line."""
 
-from __future__ import annotations
-
 import errno
 import io
 import os

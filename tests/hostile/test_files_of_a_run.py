@@ -1,7 +1,5 @@
 """All files of a run are put in place together or not at all; what they may replace, the command line says."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

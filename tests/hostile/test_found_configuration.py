@@ -1,7 +1,5 @@
 """A configuration that merely lies in a folder: it sets parameters of the method, and nothing that could do harm."""
 
-from __future__ import annotations
-
 import json
 import os
 

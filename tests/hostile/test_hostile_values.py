@@ -1,7 +1,5 @@
 """Whatever is given to an option or stands in a text file: a sentence and a documented code, no unexpected error."""
 
-from __future__ import annotations
-
 import json
 import random
 import re

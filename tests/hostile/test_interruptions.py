@@ -1,7 +1,5 @@
 """Whenever the command is ended, by Ctrl-C, by a signal or without warning, files are old or new, and whole."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

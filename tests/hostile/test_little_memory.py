@@ -1,7 +1,5 @@
 """Where memory is short, codecs do not end the process or call a sound file damaged, and fewer threads do the work."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

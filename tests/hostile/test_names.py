@@ -1,7 +1,5 @@
 """Names that mean nothing, or say the wrong thing: a file is what its content is."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

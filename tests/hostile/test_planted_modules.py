@@ -1,7 +1,5 @@
 """Modules in the working folder, as among downloaded scans, are never imported: by no command, in no process."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

@@ -1,7 +1,5 @@
 """Runs in one folder: one of two writes an output, and the next removes what a killed one left, and nothing else."""
 
-from __future__ import annotations
-
 import errno
 import fcntl
 import json

@@ -1,7 +1,5 @@
 """Standard streams that are closed or full, and a working folder that is gone: it works, or ends with a sentence."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 

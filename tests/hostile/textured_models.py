@@ -1,7 +1,5 @@
 """One textured square in each format with sidecar files, with the names to be chosen."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A plane cut in four charts whose texels line up, as an OBJ file with a PNG texture."""
 
-from __future__ import annotations
-
 from formats.image_files import encode
 from properties.textured_planes import Board
 

@@ -1,7 +1,5 @@
 """The file of the Blender extension: complete, the same each time, with the program's own parameters and no network."""
 
-from __future__ import annotations
-
 import ast
 import json
 import sys

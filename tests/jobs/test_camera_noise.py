@@ -1,7 +1,5 @@
 """Noise of cameras, grain and JPEG: as these make it, on the surface or in the flat picture."""
 
-from __future__ import annotations
-
 import io
 
 import numpy as np

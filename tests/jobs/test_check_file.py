@@ -1,7 +1,5 @@
 """Whatever is not a colour is found if it differs, and nothing is found that smoothing may change."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """The figures of a comparison agree with published values, with other programs, and with exact results."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Two models are compared in all that is coloured, and a notice names the rest."""
 
-from __future__ import annotations
-
 import json
 import shutil
 

@@ -1,7 +1,5 @@
 """Sidecar files of an output: named after it, never in the way of other files, and none is written twice."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

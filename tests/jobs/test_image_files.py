@@ -1,7 +1,5 @@
 """Image files through `smooth_file`: what stays, which pixels are holes, and what it refuses."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

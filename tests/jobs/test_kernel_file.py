@@ -1,7 +1,5 @@
 """The kernel that is shown is what smoothing averages by."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Noise is what it is said to be, lies on the surface, and changes nothing but colours."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import kstest

@@ -1,7 +1,5 @@
 """`beltrami_cli.smooth` takes arrays that fit, and refuses all others with one line."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

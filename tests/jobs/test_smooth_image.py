@@ -1,7 +1,5 @@
 """`beltrami_cli.smooth_image` takes arrays that fit, and refuses all others with one line."""
 
-from __future__ import annotations
-
 from unittest.mock import Mock
 
 import numpy as np

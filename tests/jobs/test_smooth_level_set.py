@@ -1,7 +1,5 @@
 """Level sets as documents: the same from every source, facing outwards, and refused with the cause."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 

@@ -1,7 +1,5 @@
 """`beltrami_cli.smooth_textured` changes arrays as files are changed, and refuses all that does not fit."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh

@@ -1,7 +1,5 @@
 """Alpha that is multiplied into the colours of a file makes no difference to what they become."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Texels around charts that faces look up are refilled where they continue the chart; others keep their colours."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Layers are immutable: what one of their methods returns does not depend on what was called before."""
 
-from __future__ import annotations
-
 from dataclasses import FrozenInstanceError, replace
 
 import numpy as np

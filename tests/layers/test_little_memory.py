@@ -1,7 +1,5 @@
 """Textures for which there is too little memory are smoothed in files, with the same result to the last byte."""
 
-from __future__ import annotations
-
 import dataclasses
 import errno
 import os

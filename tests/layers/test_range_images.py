@@ -1,7 +1,5 @@
 """PLY files whose vertices lie on a grid: recognised, smoothed like an image on a surface, patched in place."""
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Surfaces of any size: the same colours, or a refusal in a line; never a warning, never nothing without a word."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Textures that touch each other nowhere are smoothed as if in files of their own."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Messages about models in which nothing can be smoothed."""
 
-from __future__ import annotations
-
 import re
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Known exposures are found and taken out; paint, and models without exposure steps, stay."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

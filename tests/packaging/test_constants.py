@@ -1,7 +1,5 @@
 """The table of constants in docs/method.md lists what the code has."""
 
-from __future__ import annotations
-
 import ast
 from pathlib import Path
 

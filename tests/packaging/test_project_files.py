@@ -1,7 +1,5 @@
 """Files at the root name commands, options and extras that exist, and the versions that are tested."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import tomllib

@@ -1,7 +1,5 @@
 """All files of a release agree; `make release-check` runs this where the package is not installed."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from pathlib import Path

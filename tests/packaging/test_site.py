@@ -1,7 +1,5 @@
 """The pages of the documentation find each other; `make docs` checks more, but needs packages of its own."""
 
-from __future__ import annotations
-
 import ast
 import re
 import tomllib

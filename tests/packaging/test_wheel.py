@@ -1,7 +1,5 @@
 """The wheel that `make wheel` built installs where there is no compiler, and works there."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The core, driven the way that the flow drives it, for tests that look at single distances and kernels."""
 
-from __future__ import annotations
-
 from functools import partial
 from math import log, sqrt
 

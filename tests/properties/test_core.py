@@ -1,7 +1,5 @@
 """The core by itself: kernels on one grid of cells, and the order of vertices in memory."""
 
-from __future__ import annotations
-
 from math import log
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Distances by fast marching and along segments, and kernels along segments, against truths that are not our code."""
 
-from __future__ import annotations
-
 from math import log, sqrt
 
 import numpy as np

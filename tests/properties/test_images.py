@@ -1,7 +1,5 @@
 """Images on the plane and on surfaces against truths that know neither grids nor marching."""
 
-from __future__ import annotations
-
 from math import ceil, log, sqrt
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One iteration of the kernel, and the flow, against the truths of the method."""
 
-from __future__ import annotations
-
 import functools
 from math import log
 

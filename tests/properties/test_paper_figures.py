@@ -1,7 +1,5 @@
 """What the paper says of its figures, as numbers; docs/figures.md shows them."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Patches on whole surfaces: no seam is seen, nothing crosses hard edges or thin sheets, and frames do not matter."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

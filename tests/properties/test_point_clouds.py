@@ -1,7 +1,5 @@
 """Colours of a cloud are smoothed as on the mesh that it was taken from."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Smoothing over an atlas against the truths that do not know of charts; no kernel reaches through a slit."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

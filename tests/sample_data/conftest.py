@@ -1,7 +1,5 @@
 """The script that makes the samples, as a module."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

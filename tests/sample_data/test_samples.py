@@ -1,7 +1,5 @@
 """The files are what the script makes, and what SOURCES.md claims about them is true."""
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np

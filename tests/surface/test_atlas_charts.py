@@ -1,7 +1,5 @@
 """Charts, seams, neighbours beyond seams, and how charts are packed."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

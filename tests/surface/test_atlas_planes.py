@@ -1,7 +1,5 @@
 """A plane cut in charts whose texels align is the uncut plane, exactly; where it is slit, nothing leads across."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings

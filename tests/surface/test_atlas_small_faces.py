@@ -1,7 +1,5 @@
 """Faces that are thin, or without texels, in the image: halos beyond them, and the texels that a renderer looks up."""
 
-from __future__ import annotations
-
 import dataclasses
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Baking and looking up agree with a renderer and with trying every texel; gutters take the nearest covered colour."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

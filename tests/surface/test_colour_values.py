@@ -1,7 +1,5 @@
 """The sRGB transfer function and its inverse agree; numbers are rounded as exact arithmetic says."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 
 import numpy as np

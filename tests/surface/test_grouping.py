@@ -1,7 +1,5 @@
 """What a format splits is one sample, also if copies differ by rounding; hard colour edges keep both colours."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Level sets become even, closed triangles, with holes where nothing is known; colours come from voxels or points."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

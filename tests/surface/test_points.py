@@ -1,7 +1,5 @@
 """Points are joined like the surface that they were taken from, without knowing it."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

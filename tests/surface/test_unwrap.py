@@ -1,7 +1,5 @@
 """New atlases: nothing overlaps, nothing is lost, and the process that makes them can always be ended."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
