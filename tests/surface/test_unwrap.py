@@ -1,5 +1,7 @@
 """New atlases: nothing overlaps, nothing is lost, and the process that makes them can always be ended."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -163,6 +165,25 @@ def test_stopping_ends_the_process_and_leaves_nothing_behind(monkeypatch, tmp_pa
 def test_more_is_sent_than_a_pipe_holds():
     positions, faces = surfaces.plane(60, 60)  # 170 kB; Linux holds 64 KiB
     assert unwrapped(positions, faces).charts == 1
+
+
+def started():
+    """Numbers of all processes that this one has started and not yet waited for."""
+    return {
+        child for each in Path("/proc/self/task").glob("*/children") for child in each.read_text().split()
+    }
+
+
+def test_ctrl_c_leaves_no_zombie(monkeypatch, tmp_path):
+    before = started()
+    (tmp_path / "endless.py").write_text(
+        "import os, signal\nos.kill(os.getppid(), signal.SIGINT)\nwhile True: pass"
+    )
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setattr(unwrapping, "WORKER", "endless")
+    with pytest.raises(KeyboardInterrupt):
+        unwrapped(np.eye(3), [[0, 1, 2]])
+    assert started() == before
 
 
 def test_a_process_that_hangs_is_given_up(monkeypatch, tmp_path):
