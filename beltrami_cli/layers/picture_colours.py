@@ -212,9 +212,9 @@ class PictureColours:
 
 # Bytes per pixel and per sample that a job on images needs in memory at least, besides the decoded images: to paint one
 # at a time, its old and new colours in single precision; to smooth an image without files, the least of the peaks on
-# noise of 1536 x 1536 pixels with one channel and three (40 + 13); to compare two (36 + 1); to read heights or
+# noise of 1536 x 1536 pixels with one channel and three (40 + 13); to compare two (28 + 2); to read heights or
 # positions, as coordinates in double precision, as read and for each pixel.
-_PIXEL_BYTES = {"painted": (0, 2 * 4), "smoothed": (40, 13), "compared": (36, 1), "mapped": (3 * 8, 8)}
+_PIXEL_BYTES = {"painted": (0, 2 * 4), "smoothed": (40, 13), "compared": (28, 2), "mapped": (3 * 8, 8)}
 
 
 def require_memory(images: Iterable[tuple[str, bytes]], access: Access, work: str = "painted") -> None:

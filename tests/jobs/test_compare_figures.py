@@ -1,9 +1,12 @@
 """The figures of a comparison agree with published values, with other programs, and with exact results."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
 from beltrami_cli.jobs.compare.figures import (
+    _BLOCK,
     ComparedColours,
     cie_lab,
     delta_e_2000,
@@ -86,6 +89,29 @@ def test_weights_count_and_the_parts_make_the_whole():
     halves = [measured(reference[:2], test[:2], [1, 3]), measured(reference[2:], test[2:], [1, 1])]
     assert figures(halves)["psnr"] == pytest.approx(whole["psnr"])
     assert figures(halves)["worst"]["vertex"] == 1
+
+
+@pytest.mark.parametrize("error", [1e-30, 1e-6, 1.0])
+def test_the_psnr_of_the_slightest_error_is_exact(error):
+    test = np.full((2, 1), error, np.float32)
+    psnr = figures([measured(np.zeros_like(test), test, [1, 1])])["psnr"]
+    assert psnr == pytest.approx(-20 * np.log10(error), abs=1e-5)
+
+
+def test_figures_keep_three_numbers_in_single_precision_of_a_sample():
+    count = 1 << 19
+    part = ComparedColours(
+        name="p", kind="vertices", index=np.zeros(count, np.int8), space="srgb",
+        read=lambda rows: (np.zeros((len(rows), 1), np.float32), np.full((len(rows), 1), 0.5, np.float32)),
+    )  # fmt: skip
+    tracemalloc.start()
+    try:
+        figures([measure(part)])
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    # Also the copy that the quantile sorts, and two masks; and less than 200 bytes for each sample of a block.
+    assert peak < (3 * 4 + 4 + 2) * count + 200 * _BLOCK
 
 
 def test_texels_stand_for_their_area_on_the_surface():

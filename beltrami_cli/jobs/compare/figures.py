@@ -101,8 +101,8 @@ class Measured:
 
     part: ComparedColours
     errors: Float32s  # (S,): the largest in any channel
-    squares: Float64s  # (S,): squared errors, mean over channels
-    delta_e: Float64s  # (S,): CIEDE2000 differences; NaN where the numbers are no colours
+    rms: Float32s  # (S,): root mean squares over the channels; squares could vanish in single precision
+    delta_e: Float32s  # (S,): CIEDE2000 differences; NaN where the numbers are no colours
     ssim: float | None
     change: float  # mean absolute change of the channels
 
@@ -126,28 +126,27 @@ class Measured:
 def measure(part: ComparedColours, tick: Callable[[float], None] = lambda share: None) -> Measured:
     """Go through the samples of a part, and the windows of a picture; `tick` is called with the share that is done."""
     first, samples = 1.0 if part.size is None else _SAMPLES_SHARE, len(part.index)
-    errors: Float32s = large_arrays.empty(samples, np.float32)
-    squares, delta_e = (large_arrays.empty(samples, np.float64) for _ in range(2))
+    errors, rms, delta_e = (large_arrays.empty(samples, np.float32) for _ in range(3))
     total = 0.0
     for block, reference, test in part.blocks():
         tick(first * block.start / samples)
         changes = np.abs(test - reference)
         errors[block] = changes.max(axis=1)
         total += float(changes.mean(axis=1, dtype=np.float64).sum())
-        squares[block] = np.square(test.astype(np.float64) - reference).mean(axis=1)
+        rms[block] = np.sqrt(np.square(test.astype(np.float64) - reference).mean(axis=1))
         delta_e[block] = colour_differences(reference, test, part.space)
     similarity = None
     if part.size is not None:
         similarity = structural_similarity(
             part.read_rows, part.covered(), lambda share: tick(first + (1 - first) * share)
         )
-    return Measured(part, errors, squares, delta_e, similarity, total / max(1, samples))
+    return Measured(part, errors, rms, delta_e, similarity, total / max(1, samples))
 
 
 def figures(measured: Sequence[Measured]) -> dict[str, Any]:
     """Compute the figures of one or several parts taken together, in JSON types; None where there are none."""
     parts = [each.part for each in measured]
-    squares = _joined([each.squares for each in measured])
+    rms = _joined([each.rms for each in measured])
     delta_e = _joined([each.delta_e for each in measured])
     is_weighted = any(part.weights is not None for part in parts)
     weights = _joined([_weights(part) for part in parts]) if is_weighted else None
@@ -156,13 +155,13 @@ def figures(measured: Sequence[Measured]) -> dict[str, Any]:
     worst = [each.worst() for each in measured if len(each.errors)]
     weights_near = None if weights is None else weights[near]
     return {
-        "samples": len(squares),
-        "psnr": _psnr(squares, weights),
+        "samples": len(rms),
+        "psnr": _psnr(rms, weights),
         "ssim": _mean(*np.array(structured).T) if structured else None,
         "delta_e": _spread(delta_e, weights),
         "worst": max(worst, key=lambda found: float(found["error"]), default=None),
         "near_seams": {
-            "samples": int(near.sum()), "psnr": _psnr(squares[near], weights_near),
+            "samples": int(near.sum()), "psnr": _psnr(rms[near], weights_near),
             "delta_e": _mean(delta_e[near], weights_near),
         } if near.any() else None,
         "seam_jump": _jumps([part.jumps for part in parts if part.jumps is not None]),
@@ -182,25 +181,28 @@ def _weights(part: ComparedColours) -> Float64s:
     return _whole(part, 1.0) if part.weights is None else part.weights
 
 
-def _known(values: Float64s, weights: Float64s | None) -> tuple[Float64s, Float64s | None]:
+def _known(values: Array, weights: Float64s | None) -> tuple[Array, Float64s | None]:
     known = ~np.isnan(values)
     return (values, weights) if known.all() else (values[known], None if weights is None else weights[known])
 
 
-def _mean(values: Float64s, weights: Float64s | None) -> float | None:
-    """Return the mean of the values that are known; None without any."""
+def _mean(values: Array, weights: Float64s | None, power: int = 1) -> float | None:
+    """Return the mean of a power of the values that are known; None without any."""
     values, weights = _known(values, weights)
-    is_weighed = values.size and (weights is None or weights.any())
-    return float(np.average(values, weights=weights)) if is_weighed else None
+    total = len(values) if weights is None else weights.sum()
+    factors = [values] * power + ([] if weights is None else [weights])
+    # einsum makes no array of the products.
+    products = np.einsum(",".join("i" * len(factors)) + "->", *factors, dtype=np.float64)
+    return float(products / total) if total else None
 
 
-def _psnr(squares: Float64s, weights: Float64s | None) -> float | None:
+def _psnr(rms: Array, weights: Float64s | None) -> float | None:
     """Return the peak signal-to-noise ratio in dB for a full scale of 1; None if nothing differs."""
-    mean = _mean(squares, weights)
+    mean = _mean(rms, weights, power=2)
     return -10 * math.log10(mean) if mean else None
 
 
-def _spread(delta_e: Float64s, weights: Float64s | None) -> dict[str, float] | None:
+def _spread(delta_e: Array, weights: Float64s | None) -> dict[str, float] | None:
     """Return mean, weighted 95th percentile, and maximum of the Delta E of all samples."""
     mean, (values, weights) = _mean(delta_e, weights), _known(delta_e, weights)
     if mean is None:
@@ -214,9 +216,9 @@ def _around(pairs: Sequence[Pair]) -> dict[str, object] | None:
     errors = [np.abs(test.astype(np.float64) - reference) for reference, test in pairs if len(reference)]
     if not errors:
         return None
-    squares = np.concatenate([np.square(each).mean(axis=1) for each in errors])
+    rms = np.concatenate([np.sqrt(np.square(each).mean(axis=1)) for each in errors])
     worst = max(float(each.max()) for each in errors)
-    return {"samples": len(squares), "psnr": _psnr(squares, None), "worst": worst}
+    return {"samples": len(rms), "psnr": _psnr(rms, None), "worst": worst}
 
 
 def _jumps(jumps: Sequence[tuple[Float64s, Float64s]]) -> dict[str, object] | None:
