@@ -77,7 +77,7 @@ def _page(
     """Return the page and its notices."""
     short = distinct_labels(names)
     differing = compared.differing()
-    errors = np.concatenate([np.zeros(0), *(each.errors for each in differing)])
+    errors = np.concatenate([np.zeros(0, np.float32), *(each.errors for each in differing)])
     # The change in 255ths that nearly all samples stay within.
     reach = 255 * float(np.quantile(errors, _NEARLY_ALL, method="inverted_cdf")) if len(errors) else 0.0
     values: dict[str, Any] = {

@@ -150,7 +150,9 @@ def figures(measured: Sequence[Measured]) -> dict[str, Any]:
     delta_e = _joined([each.delta_e for each in measured])
     is_weighted = any(part.weights is not None for part in parts)
     weights = _joined([_weights(part) for part in parts]) if is_weighted else None
-    near = _joined([_whole(part, 0) if part.near_seams is None else part.near_seams for part in parts]) > 0
+    near = (
+        _joined([_whole(part, False) if part.near_seams is None else part.near_seams for part in parts]) > 0
+    )
     structured = [(each.ssim, _weights(each.part).sum()) for each in measured if each.ssim is not None]
     worst = [each.worst() for each in measured if len(each.errors)]
     weights_near = None if weights is None else weights[near]
@@ -170,7 +172,7 @@ def figures(measured: Sequence[Measured]) -> dict[str, Any]:
 
 
 def _joined(arrays: Sequence[Array]) -> Array:
-    return arrays[0] if len(arrays) == 1 else np.concatenate([np.zeros(0), *arrays])
+    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays or [np.zeros(0)])
 
 
 def _whole(part: ComparedColours, value: float) -> Array:
