@@ -97,6 +97,7 @@ def ask(
                 tick(gone)
         finally:
             process.kill()
+            process.wait()  # Popen does not after a KeyboardInterrupt, nor the thread if that came as it began
     if process.returncode:
         lines = said.decode(errors="replace").strip().splitlines()
         cause = lines[-1] if lines else f"it ended with code {process.returncode}"

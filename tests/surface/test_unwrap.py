@@ -177,7 +177,7 @@ def started():
 def test_ctrl_c_leaves_no_zombie(monkeypatch, tmp_path):
     before = started()
     (tmp_path / "endless.py").write_text(
-        "import os, signal\nos.kill(os.getppid(), signal.SIGINT)\nwhile True: pass"
+        "import os, signal, time\ntime.sleep(0.2)\nos.kill(os.getppid(), signal.SIGINT)\nwhile True: pass"
     )
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.setattr(unwrapping, "WORKER", "endless")
