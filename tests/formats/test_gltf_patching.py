@@ -1,5 +1,6 @@
 """Patching glTF files changes the asked colours and images; nothing else does or moves, and no bytes are wasted."""
 
+import contextlib
 import json
 import re
 
@@ -8,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from beltrami_cli.errors import OutputError
+from beltrami_cli.errors import InputError, OutputError
 from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.gltf.document import GltfDocument
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.surface.records import ImageFile
+from beltrami_cli.surface.records import ImageFile, MovedVertices
 from formats.gltf_comparison import (
     HEADS,
     SQUARE,
@@ -31,6 +32,7 @@ from formats.gltf_files import (
     ARRANGEMENTS,
     SLOT_PATHS,
     WEBP,
+    Model,
     Textured,
     coloured,
     joined,
@@ -133,6 +135,37 @@ def test_sidecars_never_take_a_name_that_the_source_uses(tmp_path):
     written = document.patch(1 - document.painted().colours, Naming("out"))
     assert list(written.sidecars) == ["out-2.bin"]
     assert json.loads(joined(written))["buffers"][0]["uri"] == "out-2.bin"
+
+
+def test_planned_names_are_those_of_all_files_that_change(tmp_path):
+    triangle = np.eye(3, dtype="<f4")
+    for name in ("places.bin", "colours.bin"):
+        (tmp_path / name).write_bytes(triangle.tobytes())
+    tree = {
+        "asset": {"version": "2.0"},
+        "buffers": [{"uri": f"{name}.bin", "byteLength": 36} for name in ("places", "colours")],
+        "bufferViews": [{"buffer": number, "byteLength": 36} for number in (0, 1)],
+        "accessors": [
+            {"bufferView": number, "componentType": 5126, "count": 3, "type": "VEC3"} for number in (0, 1)
+        ],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0, "COLOR_0": 1}}]}],
+    }
+    document, naming = GltfDocument(json.dumps(tree).encode(), "in.gltf", tmp_path), Naming("out")
+    for places in (None, MovedVertices(2 * triangle.astype(float), None)):
+        written = document.patch(1 - triangle, naming, places=places)
+        planned = document.sidecar_names({}, naming, colours=True, places=places is not None)
+        assert planned == [*written.sidecars]
+        assert len(planned) == (1 if places is None else 2)
+
+
+@pytest.mark.parametrize("is_free", [True, False])
+def test_a_new_view_never_takes_the_number_that_something_unknown_names(is_free):
+    model = Model()
+    places, zeros = model.packed(np.eye(3, dtype="<f4")), model.accessor(np.zeros((3, 3), "<f4"))
+    model.mesh({"attributes": {"POSITION": places, "COLOR_0": zeros}})
+    model.tree["extras"] = {"bufferView": len(model.tree["bufferViews"]) + is_free}
+    with contextlib.nullcontext() if is_free else pytest.raises(InputError, match=r"names bufferViews\[1\]"):
+        model.document().patch(np.full((3, 3), 0.5, np.float32), Naming("x"))
 
 
 @st.composite
@@ -375,6 +408,28 @@ def test_bytes_that_something_else_reads_stay_where_they_are(tmp_path, reader):
         assert tree["images"][0]["bufferView"] != index
     if reader == "lights of the scene":
         assert image_bytes(tree, buffers, {}, 0) == picture(1, size=80)
+
+
+@pytest.mark.parametrize("place", ["at the end", "in front of others"])
+def test_bytes_that_nothing_names_are_kept(tmp_path, place):
+    model = with_images(size=80)
+    model.binary += 20 * b"nameless"
+    if place == "in front of others":
+        model.view(b"tiny")
+    written = repainted(model.written_to(tmp_path), new_image(2, size=100))
+    assert 20 * b"nameless" in joined(written)
+
+
+def test_a_second_buffer_over_one_file_keeps_its_bytes(tmp_path):
+    model = with_images(size=80)
+    model.tree["images"][0]["bufferView"] = model.view(picture(1, size=80))  # the last bytes
+    path = model.written_to(tmp_path, "gltf")
+    tree = json.loads(path.read_text())
+    tree["buffers"] *= 2
+    path.write_text(json.dumps(tree))
+    written = repainted(path, new_image(2, size=20))
+    (data,) = written.sidecars.values()
+    assert all(each["byteLength"] <= len(data) for each in json.loads(joined(written))["buffers"])
 
 
 def test_images_that_share_bytes_are_one_and_all_stay_in_use(tmp_path):
