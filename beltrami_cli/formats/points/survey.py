@@ -159,9 +159,8 @@ class _Pcd:
         known = {name.lower(): name for name in self._names}
         self._axes = [known[axis] for axis in "xyz"]
         self._packed = known.get("rgb", known.get("rgba", ""))
-        self._rgb = next(
-            (tuple(map(known.get, names)) for names in self._RGB if known.keys() >= {*names}), ()
-        )
+        named = (names for names in self._RGB if known.keys() >= {*names})
+        self._rgb = tuple(known[name] for name in next(named, ()))
 
     def arrays(self) -> Columns:
         columns = {name: np.ascontiguousarray(self._points[name]) for name in self._names}
