@@ -21,7 +21,7 @@ help:
 	@echo "make bench     time the kernels, and compare them with other tools"
 	@echo "make wheel     build and check the source distribution and the wheel for this kind of machine, in dist/"
 	@echo "make release-check  the same, check the requirements of a package index, and list the manual steps"
-	@echo "make sanitize  test the core under the address and undefined-behaviour sanitizers"
+	@echo "make sanitize  test the core under the address and undefined-behaviour sanitizers, on Linux"
 	@echo "make fuzz      fuzz every reader and the core, FUZZ_SECONDS=60 each; needs clang++"
 	@echo "make survey    try all models in FOLDERS, and print a table of the results, with MUTATIONS of each"
 	@echo "make samples   make sample_data/ again, bit for bit"
@@ -181,11 +181,23 @@ $(CMAKE):
 	$(PYTHON) -m venv build/cmake
 	build/cmake/bin/python -m pip install --quiet --disable-pip-version-check cmake
 
-sanitize: $(CMAKE)
-	$(CMAKE) -S beltrami_cli/native -B build/sanitize -DCMAKE_CXX_FLAGS="-O1 -g1" \
-	  -DBELTRAMI_PYTHON=OFF -DBELTRAMI_TESTS=ON -DBELTRAMI_SANITIZE=ON -DBELTRAMI_WARNINGS_FAIL=ON
+# The runtime of the sanitizers has to come before all libraries, and that of C++ with it, whose exceptions it watches.
+RUNTIMES  = $(if $(findstring clang,$(CXX)),libclang_rt.asan-$(shell uname -m).so,libasan.so) libstdc++.so
+SANITIZED = tests/properties tests/surface/test_atlas_*.py $(addprefix tests/surface/test_,baking.py colour_values.py points.py) \
+  $(addprefix tests/flow/test_,chunks.py clipping.py core_passes.py high_valence.py moving_positions.py noise_by_level.py patches.py)
+
+# The tests of the core, of which most are in Python, with a copy of the package whose core is instrumented.
+sanitize: $(CMAKE) $(VENV)/.installed-test
+	build/cmake/bin/python -m pip install --quiet --disable-pip-version-check nanobind
+	$(CMAKE) -S beltrami_cli/native -B build/sanitize -DCMAKE_CXX_FLAGS="-O1 -g1" -DBELTRAMI_TESTS=ON \
+	  -DBELTRAMI_SANITIZE=ON -DBELTRAMI_WARNINGS_FAIL=ON -DPython_EXECUTABLE=$(abspath build/cmake/bin/python) \
+	  -Dnanobind_DIR=$$(build/cmake/bin/python -m nanobind --cmake_dir)
 	MAKEFLAGS= $(CMAKE) --build build/sanitize --parallel 2
-	$(dir $(CMAKE))ctest --test-dir build/sanitize --parallel 2 --output-on-failure --no-tests=error
+	$(dir $(CMAKE))ctest --test-dir build/sanitize --output-on-failure --no-tests=error
+	rm -rf build/sanitize/package && mkdir build/sanitize/package && cp -R beltrami_cli build/sanitize/package/
+	rm -f build/sanitize/package/beltrami_cli/_native.*.so && cp build/sanitize/_native.*so build/sanitize/package/beltrami_cli/
+	PYTHONPATH=build/sanitize/package ASAN_OPTIONS=detect_leaks=0 \
+	  LD_PRELOAD="$(foreach name,$(RUNTIMES),$(shell $(CXX) -print-file-name=$(name)))" $(PYTEST) $(SANITIZED)
 
 # The viewer of the pages is three.js, bundled once and kept in the package.
 THREE := three@0.187.0 esbuild@0.28

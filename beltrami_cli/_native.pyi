@@ -113,7 +113,7 @@ def neighbour_means(
 ) -> NDArray[np.float32]: ...
 def vertex_order(positions: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.int32]: ...
 
-class TriangulatedManifold:
+class _Manifold:
     def __init__(self, faces: NDArray[np.int32], vertex_count: int) -> None: ...
     def update_metric(
         self,
@@ -140,32 +140,8 @@ class TriangulatedManifold:
     ) -> tuple[NDArray[np.int32], NDArray[np.float32]]: ...
     def edges(self) -> NDArray[np.int32]: ...
 
-class SegmentManifold:
-    def __init__(self, faces: NDArray[np.int32], vertex_count: int) -> None: ...
-    def update_metric(
-        self,
-        positions: NDArray[np.float64],
-        colours: NDArray[np.float32],
-        beta: float,
-        scales: NDArray[np.float32] | None,
-        threads: int,
-    ) -> None: ...
-    def smooth(
-        self,
-        colours: NDArray[np.float32],
-        weights: NDArray[np.float32] | None,
-        time_step: float,
-        radius: float,
-        max_samples: int,
-        threads: int,
-        progress: Callable[[int], None] | None,
-        first: int = 0,
-        last: int | None = None,
-    ) -> tuple[NDArray[np.float32], int, int]: ...
-    def distances(
-        self, source: int, radius: float, max_samples: int
-    ) -> tuple[NDArray[np.int32], NDArray[np.float32]]: ...
-    def edges(self) -> NDArray[np.int32]: ...
+class TriangulatedManifold(_Manifold): ...
+class SegmentManifold(_Manifold): ...
 
 class LocalTriangulation:
     def __init__(self, positions: NDArray[np.float64]) -> None: ...

@@ -1,11 +1,18 @@
-"""The core by itself: kernels on one grid of cells, and the order of vertices in memory."""
+"""The core by itself: kernels on one grid of cells, patches of a surface, and the order of vertices in memory."""
 
 from math import log
 
 import numpy as np
 import pytest
 
-from beltrami_cli._native import local_scale, morton_order, smooth_grid, vertex_order
+from beltrami_cli._native import (
+    SurfacePatches,
+    grid_distances,
+    local_scale,
+    morton_order,
+    smooth_grid,
+    vertex_order,
+)
 from oracles import surfaces
 from properties.textured_planes import painting
 
@@ -91,6 +98,104 @@ def test_a_cell_that_repeats_a_texel_counts_for_its_share(scheme):
     owned = kind == 1
     assert np.abs(result - parts[:3] / parts[3])[:, owned].max() < 2e-6  # rounding of sums of 49
     assert np.abs(result - smooth_grid(kind, lengths, None, None, colours, colours, *more)[0]).max() > 1e-3
+
+
+@pytest.mark.parametrize("scheme", ["triangles", "metric", "sweep"])
+@pytest.mark.parametrize(("rows", "columns", "radius"), [(1, 1, 1), (1, 90, 4), (37, 1, 2), (40, 70, 7)])
+def test_grids_of_any_shape_with_holes_are_averaged_by_the_distances_of_single_kernels(
+    scheme, rows, columns, radius
+):
+    """Colours of cells that are not owned stay, and the number of threads makes no difference."""
+    random = np.random.default_rng(11)
+    kind = random.choice(np.array([0, 1, 2], np.uint8), (rows, columns), p=(0.12, 0.76, 0.12))
+    lengths = random.uniform(0.1, 3, (4, rows, columns)).astype(np.float32)
+    lengths[random.random(lengths.shape) < 0.1] = np.inf
+    lengths[:, kind == 0] = np.inf
+    colours = random.random((2, rows, columns), np.float32)
+    scale, t, reach, beta = local_scale(lengths[0], lengths[1], 3), 1.5, 5.0, 4.0
+    one, other = (
+        smooth_grid(
+            kind, lengths, scale, None, colours, colours, beta, t, reach, radius, scheme, threads, None
+        )[0]
+        for threads in (1, 3)
+    )
+    assert np.array_equal(one, other)
+    assert np.array_equal(one[:, kind != 1], colours[:, kind != 1])
+    padded = np.pad(colours.astype(float), ((0, 0), (radius, radius), (radius, radius)))
+    for cell in np.flatnonzero(kind == 1)[::97].tolist():
+        distances = grid_distances(kind, lengths, scale, colours, beta, reach, radius, scheme, cell)
+        kernel = np.exp(-np.square(distances, dtype=float) / (4 * t))
+        row, column = divmod(cell, columns)
+        around = padded[:, row : row + 2 * radius + 1, column : column + 2 * radius + 1]
+        mean = (kernel * around).sum(axis=(1, 2)) / kernel.sum()
+        np.testing.assert_allclose(one[:, row, column], mean, atol=1e-5)
+
+
+def sheets(side, count):
+    """Sheets of jittered vertices close above one another, which no edge joins, and a vertex without edges."""
+    random = np.random.default_rng(27)
+    flat, faces = surfaces.plane(side, side)
+    positions = np.concatenate([flat + random.uniform(0, 0.25, flat.shape) * [1, 1, 0] for _ in range(count)])
+    positions[:, 2] = 0.05 * np.repeat(np.arange(count), side * side)
+    faces = np.concatenate([faces + sheet * side * side for sheet in range(count)]).astype(np.int32)
+    edges = np.unique(np.sort(faces[:, [[0, 1], [1, 2], [0, 2]]].reshape(-1, 2)), axis=0)
+    return np.vstack([positions, [0.5, 0.5, 0]]), edges
+
+
+def collaborated(positions, edges, colours, threads=1, progress=None, axes=((1, 0.2, 0), (0, 1, 0))):
+    """Return the estimates without and with a pilot."""
+    priorities = np.random.default_rng(3).integers(0, 1 << 63, len(positions)).astype(np.uint64)
+    patches = SurfacePatches(positions, edges, np.array(axes), priorities, threads)
+    pilot, one = colours + np.float32(0.01), np.full(3, 0.01, np.float32)
+    mixing = np.eye(3, dtype=np.float32), np.eye(3, dtype=np.float32), one, 200 * one, 0.0, 1.0
+    results = []
+    for has_pilot in (False, True):
+        estimates, weights = np.zeros_like(colours), np.zeros_like(colours)
+        patches.collaborate(colours, pilot, mixing, None, has_pilot, estimates, weights, threads, progress)
+        results.append(estimates)
+    assert all(np.array_equal(found[-1], pilot[-1]) for found in results)  # the vertex without edges
+    return np.array(results)
+
+
+@pytest.mark.parametrize(
+    "axes", [((1, 0.2, 0), (0, 1, 0)), ((0.1, 0, 1), (1, 0.3, 0))], ids=["along", "upright"]
+)
+def test_patches_stay_on_their_sheet_whatever_the_order_of_edges_and_the_number_of_threads(axes):
+    side = 40
+    positions, edges = sheets(side, 2)
+    colours = np.full((len(positions), 3), 1000, np.float32)
+    colours[: side * side] = np.random.default_rng(1).normal(0.5, 0.1, (side * side, 3))
+    found = collaborated(positions, edges, colours, axes=axes)
+    assert np.abs(found[:, : side * side] - 0.5).max() < 0.8
+    for threads in (2, 3):
+        assert np.array_equal(collaborated(positions, edges, colours, threads, axes=axes), found)
+    shuffled = np.random.default_rng(2).permutation(edges)
+    # Sums are taken in another order.
+    np.testing.assert_allclose(
+        collaborated(positions, shuffled, colours, axes=axes), found, rtol=1e-5, atol=1e-5
+    )
+
+
+@pytest.mark.parametrize("side", [1, 2, 3, 5])
+@pytest.mark.parametrize("extent", [0.0, 1.0], ids=["at one place", "on a plane"])
+def test_patches_of_small_surfaces_and_of_vertices_at_one_place_have_an_estimate(side, extent):
+    positions, edges = sheets(side, 2)
+    colours = np.random.default_rng(1).random((len(positions), 3), np.float32)
+    assert np.isfinite(collaborated(extent * positions, edges, colours)).all()
+
+
+def test_what_progress_raises_ends_the_work_of_all_threads():
+    def stop(done):
+        raise KeyboardInterrupt
+
+    positions, edges = sheets(20, 1)
+    colours = np.zeros((len(positions), 3), np.float32)
+    kind, lengths = grid(64)
+    planes = np.zeros((1, 64, 64), np.float32)
+    with pytest.raises(KeyboardInterrupt):
+        collaborated(positions, edges, colours, 2, stop)
+    with pytest.raises(KeyboardInterrupt):
+        smooth_grid(kind, lengths, None, None, planes, planes, 1.0, 1.0, 4.0, 3, "sweep", 2, stop)
 
 
 def scattered(side):

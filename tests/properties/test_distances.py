@@ -39,6 +39,13 @@ def test_the_march_stops_at_the_radius_and_loses_nothing_within():
     assert np.array_equal(within[np.isfinite(within)], everything[np.isfinite(within)])
 
 
+@pytest.mark.parametrize("manifold", [image_manifold, segment_manifold])
+@pytest.mark.parametrize("corner", [-1, 3])
+def test_manifolds_of_faces_without_such_a_vertex_are_refused(manifold, corner):
+    with pytest.raises(ValueError, match="not there"):
+        manifold(np.zeros((3, 3)), [[0, 1, corner]], np.zeros((3, 1)), 0.0)
+
+
 def plain_sums(manifold, colours, t, weights=None, max_samples=10**6, threshold=0.01):
     """Eqs. (8, 9) in double precision, kernel by kernel, with the distances of single marches."""
     smoothed, radius = np.empty(colours.shape), sqrt(-4 * t * log(threshold))

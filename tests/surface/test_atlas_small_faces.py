@@ -112,6 +112,10 @@ def test_every_covered_texel_is_owned_once_and_halos_draw_on_owned_cells(soup, m
     outer = np.ones_like(atlas.kind, bool)
     outer[margin:-margin, margin:-margin] = False
     assert not (atlas.kind[outer] == OWNED).any()
+    # No face covers the texels that faces look up, each is listed once, and none is another chart's gutter.
+    listed = np.concatenate([atlas.owned_texels, atlas.border_texels, atlas.lone_texels])
+    assert len(np.unique(listed)) == len(listed)
+    assert not np.isin(atlas.gutter_texels, atlas.lone_texels).any()
 
 
 IMAGE_SIDE = 32

@@ -143,6 +143,26 @@ def test_points_in_one_line_have_no_triangles():
     assert len(triangulate_points(wire)) == 0
 
 
+@pytest.mark.parametrize(
+    "kind", ["in space", "in a plane", "on few places", "in a line", "nearly coincident"]
+)
+@pytest.mark.parametrize("count", [5, 23, 60])
+def test_clouds_of_any_kind_have_each_triangle_once_for_any_number_of_threads(kind, count):
+    random = np.random.default_rng(7)
+    places = {
+        "in space": random.random((count, 3)),
+        "in a plane": random.random((count, 3)) * [1, 1, 0],
+        "on few places": np.unique(random.integers(0, 4, (count, 3)).astype(float), axis=0),
+        "in a line": random.random((count, 3)) * [1, 0, 0],
+        "nearly coincident": 1e6 + random.random((count, 3)) * random.choice([1e-9, 1], (count, 3)),
+    }[kind]
+    faces = triangulate_points(np.unique(places, axis=0))
+    assert np.array_equal(faces, triangulate_points(np.unique(places, axis=0), threads=3))
+    assert (np.diff(faces, axis=1) > 0).all()
+    assert len(as_set(faces)) == len(faces)
+    assert kind != "in a line" or not len(faces)
+
+
 def test_tiny_clouds_have_what_triangles_they_can():
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
     assert [len(triangulate_points(corners[:count])) for count in range(5)] == [0, 0, 0, 1, 4]

@@ -41,20 +41,16 @@ void require_rows(const Numbers& numbers, Index vertex_count) {
   if (numbers) require_rows(numbers->shape(0), vertex_count);
 }
 
-class TriangulatedManifold {
+// Kernels by fast marching, with the interface of SegmentKernel.
+class MarchKernel {
  public:
-  TriangulatedManifold(const Matrix<Index>& faces, Index vertex_count) {
-    const auto corners = corners_of(faces);
-    const nb::gil_scoped_release unlock;
-    topology_ = make_topology(corners, vertex_count);
-    stencils_ = make_stencils(topology_);
-  }
+  MarchKernel(std::span<const Index> face_corners, Index vertex_count)
+      : topology_(make_topology(face_corners, vertex_count)), stencils_(make_stencils(topology_)) {}
 
   Index vertex_count() const { return topology_.vertex_count; }
 
   void update_metric(Rows<double> positions, Rows<float> colours, double beta, const float* scales, unsigned threads) {
-    const auto squared = squared_edge_lengths(topology_, positions, colours, beta, scales, threads);
-    update_stencils(stencils_, topology_, squared, threads);
+    update_stencils(stencils_, topology_, squared_edge_lengths(topology_, positions, colours, beta, scales, threads), threads);
   }
 
   KernelStatistics smooth(Rows<float> colours, const float* weights, const KernelParameters& parameters, float* smoothed,
@@ -75,68 +71,46 @@ class TriangulatedManifold {
   Stencils stencils_;
 };
 
-class SegmentManifold {
- public:
-  SegmentManifold(const Matrix<Index>& faces, Index vertex_count) {
-    const auto corners = corners_of(faces);
-    const nb::gil_scoped_release unlock;
-    kernel_.emplace(corners, vertex_count);
-  }
-
-  Index vertex_count() const { return kernel_->vertex_count(); }
-
-  void update_metric(Rows<double> positions, Rows<float> colours, double beta, const float* scales, unsigned threads) {
-    kernel_->update_metric(positions, colours, beta, scales, threads);
-  }
-
-  KernelStatistics smooth(Rows<float> colours, const float* weights, const KernelParameters& parameters, float* smoothed,
-                          unsigned threads, const Poll& poll) {
-    return kernel_->smooth(colours, weights, parameters, smoothed, threads, poll);
-  }
-
-  std::vector<Reached> distances(Index source, float radius, std::size_t max_samples) const {
-    return kernel_->distances(source, radius, max_samples);
-  }
-
-  const std::vector<std::array<Index, 2>>& edges() const { return kernel_->edges(); }
-
- private:
-  std::optional<SegmentKernel> kernel_;
-};
-
-template <class Manifold>
-void update_metric(Manifold& manifold, const Matrix<double>& positions, const Matrix<float>& colours, double beta,
-                   const Numbers& scales, unsigned threads) {
-  require_rows(positions.shape(0), manifold.vertex_count());
-  require_rows(colours.shape(0), manifold.vertex_count());
-  require_rows(scales, manifold.vertex_count());
+template <class Kernel>
+void make_kernel(Kernel* kernel, const Matrix<Index>& faces, Index vertex_count) {
+  const auto corners = corners_of(faces);
   const nb::gil_scoped_release unlock;
-  manifold.update_metric(rows_of(positions), rows_of(colours), beta, data_of(scales), threads);
+  new (kernel) Kernel(corners, vertex_count);
+}
+
+template <class Kernel>
+void update_metric(Kernel& kernel, const Matrix<double>& positions, const Matrix<float>& colours, double beta,
+                   const Numbers& scales, unsigned threads) {
+  require_rows(positions.shape(0), kernel.vertex_count());
+  require_rows(colours.shape(0), kernel.vertex_count());
+  require_rows(scales, kernel.vertex_count());
+  const nb::gil_scoped_release unlock;
+  kernel.update_metric(rows_of(positions), rows_of(colours), beta, data_of(scales), threads);
 }
 
 // The rows of smoothed colours, the samples that all kernels held, and the kernels cut short; without a meaning the rows
 // of vertices that are not in [first, last).
-template <class Manifold>
-auto smooth_manifold(Manifold& manifold, const Matrix<float>& colours, const Numbers& weights, float time_step,
+template <class Kernel>
+auto smooth_manifold(Kernel& kernel, const Matrix<float>& colours, const Numbers& weights, float time_step,
                      float radius, std::size_t max_samples, unsigned threads, const nb::object& progress, Index first,
                      std::optional<Index> last) {
-  require_rows(colours.shape(0), manifold.vertex_count());
-  require_rows(weights, manifold.vertex_count());
+  require_rows(colours.shape(0), kernel.vertex_count());
+  require_rows(weights, kernel.vertex_count());
   std::unique_ptr<float[]> smoothed(new float[colours.size()]);
-  const KernelParameters parameters{time_step, radius, max_samples, first, last.value_or(manifold.vertex_count())};
+  const KernelParameters parameters{time_step, radius, max_samples, first, last.value_or(kernel.vertex_count())};
   KernelStatistics statistics;
   run_polled(progress, [&](const Poll& poll) {
-    statistics = manifold.smooth(rows_of(colours), data_of(weights), parameters, smoothed.get(), threads, poll);
+    statistics = kernel.smooth(rows_of(colours), data_of(weights), parameters, smoothed.get(), threads, poll);
   });
   return std::make_tuple(give<float, nb::ndim<2>>(std::move(smoothed), {colours.shape(0), colours.shape(1)}),
                          statistics.samples, statistics.truncated);
 }
 
 // Vertices, and their distances.
-template <class Manifold>
-auto manifold_distances(const Manifold& manifold, Index source, float radius, std::size_t max_samples) {
-  if (source < 0 || source >= manifold.vertex_count()) throw nb::index_error("the source is not a vertex");
-  const auto reached = manifold.distances(source, radius, max_samples);
+template <class Kernel>
+auto manifold_distances(const Kernel& kernel, Index source, float radius, std::size_t max_samples) {
+  if (source < 0 || source >= kernel.vertex_count()) throw nb::index_error("the source is not a vertex");
+  const auto reached = kernel.distances(source, radius, max_samples);
   std::vector<Index> vertices;
   std::vector<float> distances;
   for (const auto& [vertex, distance] : reached) {
@@ -173,17 +147,16 @@ auto neighbour_means_of(const Matrix<float>& values, const Matrix<Index>& edges,
   return give<float, nb::ndim<2>>(std::move(means), {count, width});
 }
 
-// What both solvers have in common.
-template <class Manifold>
-void bind_manifold(nb::class_<Manifold> bound) {
+template <class Kernel>
+void bind_manifold(nb::module_& module, const char* name) {
   using namespace nb::literals;
-  bound.def(nb::init<const Matrix<Index>&, Index>(), "faces"_a, "vertex_count"_a)
-      .def("update_metric", &update_metric<Manifold>, "positions"_a, "colours"_a, "beta"_a, "scales"_a.none(),
-           "threads"_a)
-      .def("smooth", &smooth_manifold<Manifold>, "colours"_a, "weights"_a.none(), "time_step"_a, "radius"_a,
+  nb::class_<Kernel>(module, name)
+      .def("__init__", &make_kernel<Kernel>, "faces"_a, "vertex_count"_a)
+      .def("update_metric", &update_metric<Kernel>, "positions"_a, "colours"_a, "beta"_a, "scales"_a.none(), "threads"_a)
+      .def("smooth", &smooth_manifold<Kernel>, "colours"_a, "weights"_a.none(), "time_step"_a, "radius"_a,
            "max_samples"_a, "threads"_a, "progress"_a.none(), "first"_a = 0, "last"_a = nb::none())
-      .def("distances", &manifold_distances<Manifold>, "source"_a, "radius"_a, "max_samples"_a)
-      .def("edges", [](const Manifold& manifold) { return give_rows(manifold.edges()); });
+      .def("distances", &manifold_distances<Kernel>, "source"_a, "radius"_a, "max_samples"_a)
+      .def("edges", [](const Kernel& kernel) { return give_rows(kernel.edges()); });
 }
 
 }  // namespace
@@ -193,8 +166,8 @@ void bind_triangulated(nb::module_& module) {
   module.def("morton_order", &morton_order_of, "positions"_a);
   module.def("neighbour_means", &neighbour_means_of, "values"_a, "edges"_a, "weights"_a, "totals"_a);
   module.def("vertex_order", &vertex_order_of, "positions"_a, "faces"_a);
-  bind_manifold(nb::class_<TriangulatedManifold>(module, "TriangulatedManifold"));
-  bind_manifold(nb::class_<SegmentManifold>(module, "SegmentManifold"));
+  bind_manifold<MarchKernel>(module, "TriangulatedManifold");
+  bind_manifold<SegmentKernel>(module, "SegmentManifold");
 }
 
 }  // namespace beltrami::bindings

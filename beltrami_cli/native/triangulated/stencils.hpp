@@ -61,7 +61,6 @@ void group_splits(Stencils& stencils, const std::vector<std::vector<FoundSplit>>
 Stencils make_stencils(Topology& topology);
 
 // Fills lengths, coefficients and splits for a metric given by its squared edge lengths.
-void update_stencils(Stencils& stencils, const Topology& topology, const std::vector<double>& squared_lengths,
-                     unsigned threads);
+void update_stencils(Stencils& stencils, const Topology& topology, const std::vector<double>& squared_lengths, unsigned threads);
 
 }  // namespace beltrami::triangulated

@@ -1,20 +1,25 @@
-// Tests of collaborative patches without Python, meant to be run under the sanitizers: groups against a solution of their
-// equations in double precision, then whole grids of every shape, with holes.
+// Tests of groups of patches, which Python cannot reach: against a solution of their equations in double precision.
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstdio>
+#include <cstdlib>
 #include <limits>
 #include <random>
 #include <utility>
 #include <vector>
 
-#include "patches/grid_patches.hpp"
 #include "patches/groups.hpp"
-#include "tests/check.hpp"
+
+// Ends a test that is not true, and prints where.
+static void check(bool holds, const char* what, const char* file, int line) {
+  if (holds) return;
+  std::fprintf(stderr, "%s:%d: not true: %s\n", file, line, what);
+  std::exit(1);
+}
+#define CHECK(condition) check((condition), #condition, __FILE__, __LINE__)
 
 using namespace beltrami::patches;
-namespace grid = beltrami::grid;
 
 namespace {
 
@@ -307,117 +312,6 @@ void plain_patches_without_noise_stay() {
   }
 }
 
-// A canvas with holes, which must not be read, and halo.
-struct Grid {
-  std::size_t rows, columns, channels;
-  std::vector<std::uint8_t> kind;
-  std::vector<float> noisy, pilot, relative, mixing, variances, shrinkage;
-
-  Grid(std::size_t height, std::size_t width, Random& random)
-      : rows(height), columns(width), channels(1 + random() % 4), kind(rows * columns), relative(rows * columns, 1),
-        mixing(channels * channels, 0), variances(channels, 0.01F), shrinkage(channels, 2) {
-    const auto holes = 2 + random() % 20;
-    for (auto& cell : kind)
-      cell = static_cast<std::uint8_t>(random() % holes ? grid::owned : random() % 2 ? grid::halo : grid::empty);
-    for (std::size_t c = 0; c < channels; ++c) {
-      mixing[c * channels + c] = 1;
-      for (std::size_t i = 0; i < kind.size(); ++i) {
-        const float colour = 0.5F + 0.3F * std::sin(static_cast<float>(i % columns + c) / 4);
-        pilot.push_back(kind[i] == grid::empty ? nowhere : colour);
-        noisy.push_back(kind[i] == grid::empty ? nowhere : colour + 0.1F * normal(random));
-      }
-    }
-  }
-
-  Canvas canvas(const std::vector<float>& back, const float* of_places = nullptr) const {
-    return {rows,     columns,       kind.data(), noisy.data(),     pilot.data(),
-            channels, mixing.data(), back.data(), variances.data(), shrinkage.data(),
-            0,        1,             of_places};
-  }
-
-  std::vector<float> result(bool has_pilot, unsigned threads, bool varies = false) const {
-    std::vector<float> found(noisy.size());
-    collaborate(canvas(mixing, varies ? relative.data() : nullptr), has_pilot, found.data(), threads);
-    return found;
-  }
-};
-
-void grids_have_an_estimate_in_every_owned_cell_and_the_pilot_elsewhere() {
-  Random random(23);
-  for (int trial = 0; trial < 24; ++trial) {
-    const Grid own(1 + random() % (trial < 12 ? 12 : 140), 1 + random() % (trial < 12 ? 12 : 140), random);
-    const bool has_pilot = trial % 2 == 0;
-    const std::vector<float> found = own.result(has_pilot, 1);
-    CHECK(found.size() == own.noisy.size());
-    for (std::size_t i = 0; i < own.noisy.size(); ++i) {
-      const auto kind = own.kind[i % own.kind.size()];
-      if (kind == grid::owned)
-        CHECK(found[i] > -0.3F && found[i] < 1.3F && found[i] != own.pilot[i]);
-      else if (kind == grid::halo)
-        CHECK(found[i] == own.pilot[i]);
-      else
-        CHECK(std::isnan(found[i]));
-    }
-  }
-}
-
-bool same_bits(const std::vector<float>& one, const std::vector<float>& other) {
-  return std::equal(one.begin(), one.end(), other.begin(), other.end(),
-                    [](float a, float b) { return a == b || (std::isnan(a) && std::isnan(b)); });
-}
-
-void estimates_may_replace_the_pilot() {
-  Random random(27);
-  Grid own(300, 70, random);
-  const std::vector<float> found = own.result(true, 1);
-  collaborate(own.canvas(own.mixing), true, own.pilot.data(), 1);
-  CHECK(same_bits(found, own.pilot));
-}
-
-void grids_do_not_depend_on_threads() {
-  Random random(24);
-  for (int trial = 0; trial < 4; ++trial) {
-    // Up to six rows of tiles, which one thread goes through two at a time
-    const Grid own(60 + random() % 320, 60 + random() % 120, random);
-    const std::vector<float> found = own.result(trial % 2 == 0, 1);
-    CHECK(same_bits(found, own.result(trial % 2 == 0, 2)));
-    CHECK(same_bits(found, own.result(trial % 2 == 0, 3)));
-    // Noise that is the same everywhere is a case of noise that differs from place to place.
-    CHECK(same_bits(found, own.result(trial % 2 == 0, 2, true)));
-  }
-}
-
-void colours_are_mixed_and_mixed_back() {
-  Random random(25);
-  Grid own(40, 50, random);
-  for (std::size_t i = 0; i < own.noisy.size(); ++i) own.noisy[i] = 0.1F + 0.2F * static_cast<float>(i / own.kind.size());
-  std::vector<float> back = own.mixing;
-  for (std::size_t c = 1; c < own.channels; ++c) {
-    own.mixing[c] = 0.5F;  // the first channel becomes a sum
-    back[c] = -0.5F;
-  }
-  std::vector<float> found(own.noisy.size());
-  collaborate(own.canvas(back), true, found.data(), 2);
-  for (std::size_t i = 0; i < found.size(); ++i)
-    if (own.kind[i % own.kind.size()] == grid::owned) CHECK(std::abs(found[i] - own.noisy[i]) < 1e-5F);
-}
-
-void no_owned_cell_and_a_stop_are_handled() {
-  Random random(26);
-  Grid own(130, 70, random);
-  bool stopped = false;
-  std::vector<float> found(own.noisy.size());
-  try {
-    collaborate(own.canvas(own.mixing), true, found.data(), 2, [](std::size_t) { return false; });
-  } catch (const beltrami::Cancelled&) {
-    stopped = true;
-  }
-  CHECK(stopped);
-  for (auto& cell : own.kind)
-    if (cell == grid::owned) cell = grid::halo;
-  CHECK(same_bits(own.result(true, 2), own.pilot));
-}
-
 }  // namespace
 
 int main() {
@@ -427,11 +321,6 @@ int main() {
   equal_patches_with_next_to_no_noise_stay();
   steps_of_a_slope_without_noise_stay();
   plain_patches_without_noise_stay();
-  grids_have_an_estimate_in_every_owned_cell_and_the_pilot_elsewhere();
-  grids_do_not_depend_on_threads();
-  estimates_may_replace_the_pilot();
-  colours_are_mixed_and_mixed_back();
-  no_owned_cell_and_a_stop_are_handled();
-  std::puts("patches tests passed");
+  std::puts("groups tests passed");
   return 0;
 }
