@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from beltrami_cli.arrays import Float32s, Float64s
+from beltrami_cli.arrays import Float32s, Float64s, Uint8s
 from beltrami_cli.flow.canvas import canvas_margin, collaborate_on_canvas
 from beltrami_cli.flow.domain import CoarseLevel, Stack
 from beltrami_cli.flow.noise.haar_noise import mixed_signs
@@ -15,7 +15,7 @@ from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.records import Mixing
 from beltrami_cli.flow.regularisation import gaussian_taps
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import OWNED, Atlas, refresh_halo
+from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED, Atlas, refresh_halo
 
 # Of random means; any is as good.
 _SEED = 21
@@ -35,8 +35,6 @@ class Squares(CoarseLevel):
         relative: Float32s | None,
         tick: Callable[[], None] | None = None,
     ) -> None:
-        from beltrami_cli._native import sort_squares
-
         self._atlas, self._side, self._threads = atlas, side, threads
         self._report = None if tick is None else lambda _: tick()
         kinds, counts = sort_squares(atlas.kind, side)
@@ -126,3 +124,18 @@ def squares_for(
     apart = max(atlas.kind.shape) if one_chart else 2 * canvas_margin(parameters)
     sides = (2**level for level in range(1, most + 1))
     return [Squares(atlas, side, parameters.thread_count, relative, tick) for side in sides if side <= apart]
+
+
+def sort_squares(kind: Uint8s, side: int) -> tuple[Uint8s, Float32s]:
+    """Return the kind of each square, OWNED if a cell is, and how many of its cells are of that kind."""
+    rows, columns = kind.shape
+    kinds = np.full((-(-rows // side), -(-columns // side)), EMPTY, np.uint8)
+    counts = np.zeros(kinds.shape, np.float32)
+    across = np.arange(0, columns, side)
+    for row in range(len(kinds)):
+        cells = kind[row * side : (row + 1) * side]
+        for wanted in (HALO, OWNED):
+            count = np.add.reduceat(np.count_nonzero(cells == wanted, axis=0), across)
+            kinds[row, count > 0] = wanted
+            counts[row, count > 0] = count[count > 0]
+    return kinds, counts

@@ -69,13 +69,12 @@ class ClippedChannels:
         reach = np.float32(_NEAR) * (np.float32(self.sigma[0]) * np.sqrt(relative))
         return channel < reach if self.low[0] else channel > 1 - reach
 
-    def mark(self, channels: Float32s, found: Float32s, threads: int = 1) -> None:
+    def mark(self, channels: Float32s, found: Float32s) -> None:
         """Mark samples at a limit, to be averaged like colours, shape (clipped channels, ...): 1, 0 or -1."""
-        from beltrami_cli._native import mark_cut_off
-
         # Both limits share one plane, because no average holds many samples of either at once.
         for mark, k in enumerate(self.clipped):
-            mark_cut_off(channels[k : k + 1], self._cut_off(k), found[mark : mark + 1], threads)
+            high, low = self.high[k] & (channels[k] >= 1), self.low[k] & (channels[k] <= 0)
+            np.subtract(high, low, out=found[mark], dtype=np.float32)
 
     def restore(self, channels: Float32s, marks: Float32s, relative: Float32s, threads: int = 1) -> None:
         """Turn averages of clipped colours, in place, into estimates of the noise-free colours."""
@@ -105,22 +104,18 @@ def find_clipped(channels: Float32s, sigma: Float64s, empty: int = 0) -> Clipped
 
     Of the samples of each, `empty` are 0 because there is no colour.
     """
-    from beltrami_cli._native import find_limits
-
     count = channels[0].size - empty
     if not count:
         return None
     rows = max(1, large_arrays.BLOCK // channels[0, :1].size)
-    parts = np.array(
-        [
-            [find_limits(channel[block].reshape(-1, 1))[0] for channel in channels]
-            for block in large_arrays.blocks(channels.shape[1], rows)
-        ]
-    )
+    at_0, at_1 = np.zeros((2, len(channels)), int)
+    for block in large_arrays.blocks(channels.shape[1], rows):
+        for k, channel in enumerate(channels):
+            at_0[k] += np.count_nonzero(channel[block] == 0)
+            at_1[k] += np.count_nonzero(channel[block] == 1)
     floor, ceiling = np.transpose([limits_of(channel) for channel in channels])
-    at_0, at_1 = parts[:, :, 2].sum(axis=0) - empty, parts[:, :, 3].sum(axis=0)
     worth, noisy = _WORTH_RESTORING * count, np.asarray(sigma) > 0
-    low = (noisy & (floor == 0) & (at_0 >= worth)).tolist()
+    low = (noisy & (floor == 0) & (at_0 - empty >= worth)).tolist()
     high = (noisy & (ceiling == 1) & (at_1 >= worth)).tolist()
     if not (any(low) or any(high)):
         return None

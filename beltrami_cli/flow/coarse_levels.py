@@ -80,7 +80,7 @@ def _impute_cut_off(manifold: Manifold) -> None:
         for own, variance, (near, level, mark) in in_blocks(0, channel, relative, planes):
             # Samples beyond an edge are not near the limit, and do not count.
             near[:] = clipped.near_limit(own, variance)[0]
-            clipped.mark(own, mark[None], geometry.threads)
+            clipped.mark(own, mark[None])
             level[:] = own[0] * near
             mark *= near
         planes = geometry.spread(planes)

@@ -196,10 +196,8 @@ class GridManifold(Manifold):
         return chunks
 
     def _put(self, stacks: Sequence[Stack], rows: slice, planes: Float32s) -> None:
-        from beltrami_cli._native import copy_planes
-
         for stack, own in zip(stacks, _split(planes, stacks), strict=True):
-            copy_planes(own, stack[:, rows], self.parameters.thread_count)
+            stack[:, rows] = own
 
     def _apply_kernel(
         self, stacks: Sequence[Stack], metric: Metric, progress: Callable[[int], None] | None

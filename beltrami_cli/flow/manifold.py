@@ -213,7 +213,7 @@ def mark_clipped(manifold: Manifold, clipped: ClippedChannels) -> Stack:
     planes = geometry.planes(len(clipped.clipped))
     marks = np.ascontiguousarray(np.moveaxis(planes, 0, geometry.axis))
     for own, mark, kind in in_blocks(geometry.axis, manifold.colours, marks, geometry.kind):
-        clipped.mark(own, mark, geometry.threads)
+        clipped.mark(own, mark)
         np.copyto(mark, 0, where=kind == EMPTY)
     geometry.refresh(marks)
     return marks

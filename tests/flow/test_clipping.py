@@ -4,11 +4,9 @@ from functools import partial
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy import stats
 
-from beltrami_cli import _native, smooth, smooth_image
+from beltrami_cli import smooth, smooth_image
 from beltrami_cli.flow.clipping import ClippedChannels, find_clipped, variance_of_clipped
 from oracles import surfaces
 
@@ -26,10 +24,10 @@ def flat(level, size=64, seed=3):
     return np.clip(level + noise, 0, 1).astype(np.float32)
 
 
-def marks_of(clipped, channels, threads=1):
+def marks_of(clipped, channels):
     """Return the marks of samples at a limit."""
     marks = np.empty((len(clipped.clipped), *channels.shape[1:]), np.float32)
-    clipped.mark(channels, marks, threads)
+    clipped.mark(channels, marks)
     return marks
 
 
@@ -74,7 +72,7 @@ def test_what_was_cut_off_is_told_by_the_formulas_in_any_layout_on_any_number_of
         own, restored = channels[0].copy(order="K"), channels[1].copy(order="K")
         found.impute(own, channels[2], relative, threads)
         found.restore(restored, channels[3], relative, threads)
-        results.append((marks_of(found, channels[0], threads), own, restored))
+        results.append((marks_of(found, channels[0]), own, restored))
     for one, other in zip(*results, strict=True):
         np.testing.assert_array_equal(one, other)
     for k, (marks, imputed, restored) in enumerate(zip(*results[0], strict=True)):
@@ -140,13 +138,3 @@ def test_the_variance_that_a_limit_leaves_follows_from_the_share_there():
     variances = [np.minimum(normal, limit).var() for limit in stats.norm.isf(shares)]
     # The tails of a million samples.
     np.testing.assert_allclose(variance_of_clipped(shares), variances, rtol=2e-3)
-
-
-@given(st.integers(0, 2**32 - 1), st.integers(1, 5), st.integers(1, 300))
-@settings(max_examples=100, deadline=None)
-def test_limits_are_those_of_all_rows(seed, channels, count):
-    values = np.float32([0, 0.25, 1, 1.5, -0.5])
-    colours = np.random.default_rng(seed).choice(values, (count, channels))
-    for channel, (least, most, at_0, at_1) in zip(colours.T, _native.find_limits(colours), strict=True):
-        assert (least, most) == (channel.min(), channel.max())
-        assert (at_0, at_1) == ((channel == 0).sum(), (channel == 1).sum())

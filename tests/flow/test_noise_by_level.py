@@ -8,8 +8,9 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 import beltrami_cli
-from beltrami_cli._native import add_enlarged, means_of_squares, sort_squares
+from beltrami_cli._native import add_enlarged, means_of_squares
 from beltrami_cli.errors import UsageError
+from beltrami_cli.flow.cell_squares import sort_squares
 from beltrami_cli.flow.noise.given import given_noise
 from beltrami_cli.flow.noise.model import VarianceStabiliser
 from beltrami_cli.jobs.inspect import inspect_file

@@ -1,6 +1,5 @@
-// Rows of colours for Python: moved to the planes of a canvas and back, stored among the pixels of an image, and their limits.
+// Rows of colours for Python: moved to the planes of a canvas and back, stored among the pixels of an image, and cut off at limits.
 #include <nanobind/stl/tuple.h>
-#include <nanobind/stl/vector.h>
 
 #include <cstdint>
 #include <tuple>
@@ -87,30 +86,17 @@ auto store_colours(const Pixels<Sample>& table, const Vector<Index>& pixels, con
   return std::make_tuple(moved.total, moved.squares, moved.largest);
 }
 
-// Of every channel: the least and the largest value, and how many are 0 and 1.
-auto find_limits(const Matrix<float>& colours) {
-  std::vector<colours::Limits> found;
-  {
-    const nb::gil_scoped_release unlock;
-    found = colours::find_limits(colours.data(), colours.shape(0), colours.shape(1));
-  }
-  std::vector<std::tuple<float, float, std::size_t, std::size_t>> rows;
-  for (const colours::Limits& channel : found)
-    rows.emplace_back(channel.least, channel.most, channel.at_0, channel.at_1);
-  return rows;
-}
-
 colours::Table table_of(const Vector<double>& at, const Vector<double>& values) {
   if (at.size() < 2 || values.size() != at.size()) throw nb::value_error("a table needs two places, and a value at each");
   return {{at.data(), at.size()}, {values.data(), values.size()}};
 }
 
-// See interpolate; works in place.
+// Replaces places, which must not be NaN, by the values there.
 void interpolate(nb::ndarray<float, nb::ndim<1>, nb::c_contig, nb::device::cpu>& places, const Vector<double>& at,
                  const Vector<double>& table) {
   const colours::Table found = table_of(at, table);
   const nb::gil_scoped_release unlock;
-  colours::interpolate({places.data(), places.size()}, found);
+  for (std::size_t i = 0; i < places.size(); ++i) places.data()[i] = found(places.data()[i]);
 }
 
 // How a channel was cut off: its noise, and whether at 0 and at 1.
@@ -120,17 +106,7 @@ colours::CutOff cut_off_of(const CutOffParts& parts) {
   return {std::get<0>(parts), std::get<1>(parts), std::get<2>(parts)};
 }
 
-// See mark; all arrays hold one channel.
-void mark_cut_off(const Channels<const float>& colours, const CutOffParts& cut, const Channels<float>& marks,
-                  unsigned threads) {
-  const std::size_t count = samples_of(colours);
-  const auto own = layout_of(colours, 1, count);
-  const auto to = layout_of(marks, 1, count);
-  const nb::gil_scoped_release unlock;
-  colours::mark(own, cut_off_of(cut), count, to, threads);
-}
-
-// See restore; `at`: the places of both tables.
+// See restore; all arrays hold one channel, and `at` the places of both tables.
 void restore_cut_off(const Channels<float>& averages, const Channels<const float>& share, const CutOffParts& cut,
                      float trusted, const Vector<double>& at, const Vector<double>& alpha, const Vector<double>& gap,
                      const Channels<const float>& relative, unsigned threads) {
@@ -189,8 +165,6 @@ void bind_colours(nb::module_& module) {
   bind_store<std::uint8_t, std::int64_t>(module);
   bind_store<std::uint16_t, std::int32_t>(module);
   bind_store<std::uint16_t, std::int64_t>(module);
-  module.def("find_limits", &find_limits, "colours"_a);
-  module.def("mark_cut_off", &mark_cut_off, "colours"_a, "cut_off"_a, "marks"_a.noconvert(), "threads"_a);
   module.def("restore_cut_off", &restore_cut_off, "averages"_a.noconvert(), "share"_a, "cut_off"_a, "trusted"_a, "at"_a,
              "alpha"_a, "gap"_a, "relative"_a, "threads"_a);
   module.def("impute_cut_off", &impute_cut_off, "colours"_a.noconvert(), "estimate"_a, "cut_off"_a, "at"_a, "beyond"_a,

@@ -110,16 +110,6 @@ std::vector<Value*> planes_in(const Stack& stack) {
   return planes;
 }
 
-// See copy_planes.
-void copy_bands(const Bands& planes, const OpenBands& copies, unsigned threads) {
-  for (std::size_t axis = 0; axis < 3; ++axis)
-    if (planes.shape(axis) != copies.shape(axis)) throw nb::value_error("both must have one shape");
-  const auto from = planes_in<const float>(planes);
-  const auto to = planes_in<float>(copies);
-  const nb::gil_scoped_release unlock;
-  copy_planes({from.data(), from.size()}, planes.shape(1) * planes.shape(2), to.data(), threads);
-}
-
 // See convolve; `result` gets the rows from `first` on.
 void convolve_to(const Bands& planes, const Vector<float>& taps, std::size_t first, const std::optional<Cells>& kind,
                  const OpenBands& result, unsigned threads) {
@@ -186,20 +176,6 @@ void check_squares(const Squares& squares, const Cells& kinds, const Planes& pla
     throw nb::value_error("planes must have the grid's shape");
 }
 
-// See sort_squares; returns kinds and counts.
-auto sort_squares_of(const Cells& kind, std::size_t side) {
-  const Squares squares = squares_of(kind, side);
-  const std::size_t size = squares.down() * squares.across();
-  std::unique_ptr<std::uint8_t[]> kinds(new std::uint8_t[size]);
-  std::unique_ptr<float[]> counts(new float[size]);
-  {
-    const nb::gil_scoped_release unlock;
-    sort_squares(squares, kinds.get(), counts.get());
-  }
-  return std::make_tuple(give<std::uint8_t, nb::ndim<2>>(std::move(kinds), {squares.down(), squares.across()}),
-                         give<float, nb::ndim<2>>(std::move(counts), {squares.down(), squares.across()}));
-}
-
 auto means_of_squares_of(const Cells& kind, const Cells& kinds, const Stack& planes, std::size_t side, unsigned threads) {
   const Squares squares = squares_of(kind, side);
   check_squares(squares, kinds, planes);
@@ -237,8 +213,6 @@ void bind_grid(nb::module_& module) {
   module.def("local_scale", &local_scale_of, "right"_a, "below"_a, "window_radius"_a);
   module.def("convolve", &convolve_planes, "planes"_a, "taps"_a, "threads"_a);
   module.def("convolve_to", &convolve_to, "planes"_a, "taps"_a, "first"_a, "kind"_a.none(), "result"_a.noconvert(), "threads"_a);
-  module.def("copy_planes", &copy_bands, "planes"_a, "copies"_a.noconvert(), "threads"_a);
-  module.def("sort_squares", &sort_squares_of, "kind"_a, "side"_a);
   module.def("means_of_squares", &means_of_squares_of, "kind"_a, "kinds"_a, "planes"_a, "side"_a, "threads"_a);
   module.def("add_enlarged", &add_enlarged_to, "kind"_a, "kinds"_a, "changes"_a, "planes"_a.noconvert(), "side"_a,
              "threads"_a);

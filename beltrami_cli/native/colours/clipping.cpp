@@ -19,15 +19,6 @@ void each_sample(std::size_t count, unsigned threads, F f) {
 
 }  // namespace
 
-void mark(const Layout<const float>& colours, const CutOff& cut, std::size_t count, const Layout<float>& marks,
-          unsigned threads) {
-  each_sample(count, threads, [&](std::size_t i) {
-    const float colour = colours.at(0, i);
-    const float high = cut.high && colour >= 1 ? 1.0F : 0.0F;
-    marks.at(0, i) = cut.low && colour <= 0 ? -1.0F : high;
-  });
-}
-
 void restore(const Layout<float>& averages, const Layout<const float>& share, const CutOff& cut, float trusted,
              const Table& alpha, const Table& gap, const Samples& samples, unsigned threads) {
   each_sample(samples.count, threads, [&](std::size_t i) {

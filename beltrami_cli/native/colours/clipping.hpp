@@ -1,5 +1,5 @@
-// Samples of one channel whose noise was cut off at 0, at 1 or at both, see flow/clipping.py: marking them, replacing them by
-// what noise is beyond the limit, and correcting averages of them. All arrays hold one value a sample.
+// Samples of one channel whose noise was cut off at 0, at 1 or at both, see flow/clipping.py: replacing them by what noise is
+// beyond the limit, and correcting averages of them. All arrays hold one value a sample.
 #pragma once
 
 #include <cstddef>
@@ -18,10 +18,6 @@ struct Samples {
   Layout<const float> relative;  // what the variance of a sample's noise is multiplied by
   std::size_t count;
 };
-
-// Writes 1 for samples at 1, -1 for those at 0, and 0.
-void mark(const Layout<const float>& colours, const CutOff& cut, std::size_t count, const Layout<float>& marks,
-          unsigned threads);
 
 // Moves averages in whose samples `share` are at a limit, negative for that at 0, towards it. Both tables go over that share:
 // how far the mean lies from the limit before (`alpha`) and after (`gap`) noise with a deviation of 1 was cut off. Local

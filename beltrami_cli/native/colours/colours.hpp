@@ -1,5 +1,5 @@
-// Rows of colours: what stands at their limits, moving them to the planes of a canvas and back, and storing them as integers
-// among the pixels of an image.
+// Rows of colours: moving them to the planes of a canvas and back, and storing them as integers among the pixels of an image;
+// and tables of functions.
 #pragma once
 
 #include <algorithm>
@@ -9,16 +9,6 @@
 #include <vector>
 
 namespace beltrami::colours {
-
-// The range of one channel and how many of its values are 0 and 1, full scale. Without values the range is from infinity to
-// minus infinity.
-struct Limits {
-  float least, most;
-  std::size_t at_0, at_1;
-};
-
-// Looks at `count` rows of `channels` values each.
-std::vector<Limits> find_limits(const float* values, std::size_t count, std::size_t channels);
 
 // Values at places that ascend in nearly even steps, two or more; linear in between, and beyond both ends as there.
 class Table {
@@ -42,9 +32,6 @@ class Table {
   std::span<const double> at_, values_;
   double steps_;
 };
-
-// Replaces places, which must not be NaN, by the values there.
-void interpolate(std::span<float> places, const Table& table);
 
 // Planes of `size` cells each, one a channel.
 template <class Value>

@@ -28,20 +28,6 @@ constexpr std::size_t chunk = 8;
 
 }  // namespace
 
-void sort_squares(const Squares& squares, std::uint8_t* kinds, float* counts) {
-  const std::size_t side = squares.side, across = squares.across();
-  std::fill_n(kinds, squares.down() * across, empty);
-  std::fill_n(counts, squares.down() * across, 0.0F);
-  for (std::size_t row = 0; row < squares.rows; ++row)
-    for (std::size_t column = 0; column < squares.columns; ++column) {
-      const std::uint8_t kind = squares.kind[row * squares.columns + column];
-      const std::size_t square = row / side * across + column / side;
-      if (kind == empty || (kinds[square] == owned && kind == halo)) continue;
-      counts[square] = kind == kinds[square] ? counts[square] + 1 : 1;
-      kinds[square] = kind;
-    }
-}
-
 void means_of_squares(const Squares& squares, const std::uint8_t* kinds, const float* planes, std::size_t count, float* means,
                       unsigned threads) {
   const std::size_t side = squares.side, across = squares.across(), down = squares.down();

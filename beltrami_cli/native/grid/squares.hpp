@@ -15,9 +15,6 @@ struct Squares {
   std::size_t across() const { return (columns + side - 1) / side; }
 };
 
-// The kind of each square, owned if a cell is, and how many of its cells are of that kind.
-void sort_squares(const Squares& squares, std::uint8_t* kinds, float* counts);
-
 // Means of planes over the cells of each square that are of its kind; 0 in empty squares.
 void means_of_squares(const Squares& squares, const std::uint8_t* kinds, const float* planes, std::size_t count, float* means,
                       unsigned threads);
