@@ -38,12 +38,6 @@ def build_atlas(
     allocate: Callable[[int], NDArray[np.uint8]],
     progress: Callable[[int], None] | None,
 ) -> AtlasArrays: ...
-def scatter_colours(
-    planes: NDArray[np.float32], cells: Indices, colours: NDArray[np.float32], threads: int
-) -> None: ...
-def gather_colours(
-    planes: NDArray[np.float32], cells: Indices, colours: NDArray[np.float32], threads: int
-) -> None: ...
 def store_colours(
     table: NDArray[np.uint8] | NDArray[np.uint16],
     pixels: Indices,
@@ -51,9 +45,6 @@ def store_colours(
     channels: NDArray[np.int32],
     threads: int,
 ) -> tuple[int, int, int]: ...
-def copy_cells(
-    planes: NDArray[np.float32] | NDArray[np.int8], cells: Indices, sources: Indices, threads: int
-) -> None: ...
 def interpolate(places: NDArray[np.float32], at: NDArray[np.float64], table: NDArray[np.float64]) -> None: ...
 def restore_cut_off(
     averages: NDArray[np.float32],

@@ -100,7 +100,7 @@ def judge(scene, atlas, quality, subsampling, sigma):
         own = kernel.KernelParameters(**parameters)
 
         def manifold(planes, noise):
-            planes = painted(atlas, stored, threads=1) if planes is None else planes
+            planes = painted(atlas, stored) if planes is None else planes
             return grid_manifold(atlas, planes, own, noise=noise)
 
         plan = plan_on_pictures(manifold, atlas, list(zip(pixels, tables, strict=True)), own)

@@ -45,7 +45,7 @@ class MeasuredScene(ExposureScene):
     def steps(self, colours):
         """Return the steps of colours of all texels over seams."""
         atlas = self.samples.atlas
-        return steps_over_seams(atlas, painted(atlas, colours.astype(np.float32), 1), ChartPlaces.of(atlas))
+        return steps_over_seams(atlas, painted(atlas, colours.astype(np.float32)), ChartPlaces.of(atlas))
 
     def joined(self):
         """Return which texels are of charts that seams without steps join, as numbers of groups."""

@@ -51,7 +51,7 @@ class Texels:
     steps = (2.4, 4.0, 8.0)
 
     def plan(self, noisy, parameters):
-        manifold = grid_manifold(self.atlas, painted(self.atlas, noisy, threads=1), parameters)
+        manifold = grid_manifold(self.atlas, painted(self.atlas, noisy), parameters)
         return choose_parameters(manifold, parameters)
 
     def noisy(self, sigma):
@@ -114,9 +114,7 @@ def textures(scenes, most):
 def blocks_of(atlas, clean, most):
     """Return blocks of an atlas that end at their borders, and the colours of their owned cells."""
     cells, core = choose_blocks(atlas, most, REACH)
-    whole = grid_manifold(
-        atlas, painted(atlas, clean.astype(np.float32), threads=1), KernelParameters(beta=0.0)
-    )
+    whole = grid_manifold(atlas, painted(atlas, clean.astype(np.float32)), KernelParameters(beta=0.0))
     part = cut_blocks(whole, cells, core, REACH).geometry.atlas
     kind = part.kind.copy()
     kept = np.zeros(kind.size, bool)

@@ -28,43 +28,39 @@ ROWS = 64
 FURTHEST_SUPPORT = 10
 
 
-def painted(atlas: Atlas, colours: Float32s, threads: int) -> Float32s:
+def painted(atlas: Atlas, colours: Float32s) -> Float32s:
     """Put the colours of the owned cells, shape (T, N), on the canvas; see `painted_by`."""
-    return painted_by(atlas, colours.shape[1], colours.__getitem__, threads)
+    return painted_by(atlas, colours.shape[1], colours.__getitem__)
 
 
-def painted_by(
-    atlas: Atlas, channels: int, colours_of: Callable[[slice], Float32s], threads: int
-) -> Float32s:
+def painted_by(atlas: Atlas, channels: int, colours_of: Callable[[slice], Float32s]) -> Float32s:
     """Return planes, shape (N, R, C), with the owned cells' colours, halo included, and 0 in empty cells."""
-    from beltrami_cli._native import scatter_colours
-
     planes = large_arrays.zeros((channels, *atlas.kind.shape), np.float32)
     for block in large_arrays.blocks(len(atlas.owned_cells), large_arrays.CACHED):
-        scatter_colours(planes, atlas.owned_cells[block], colours_of(block), threads)
-    refresh_halo(planes, atlas, threads)
+        for plane, colours in zip(planes.reshape(channels, -1), colours_of(block).T, strict=True):
+            plane[atlas.owned_cells[block]] = colours
+    refresh_halo(planes, atlas)
     return planes
 
 
-def colours_at(planes: Float32s, cells: Indices, threads: int) -> Float32s:
-    """Return the colours of K cells (flat indices, each once), shape (K, N), from planes of shape (N, R, C)."""
-    from beltrami_cli._native import gather_colours
-
+def colours_at(planes: Float32s, cells: Indices) -> Float32s:
+    """Return the colours of K cells (flat indices), shape (K, N), from planes of shape (N, R, C)."""
     colours = large_arrays.empty((len(cells), len(planes)), np.float32)
     for block in large_arrays.blocks(len(cells)):
-        gather_colours(planes, cells[block], colours[block], threads)
+        for k, plane in enumerate(planes):
+            colours[block, k] = plane.take(cells[block])
     return colours
 
 
-def canvas_colours(atlas: Atlas, planes: Float32s, threads: int) -> NewColours:
+def canvas_colours(atlas: Atlas, planes: Float32s) -> NewColours:
     """Return the colours of the owned cells, read from the canvas when they are taken, and the gutter's colours."""
-    refresh_halo(planes, atlas, threads, interpolated=True)
+    refresh_halo(planes, atlas, interpolated=True)
     flat, cells, gutter = planes.reshape(len(planes), -1), atlas.owned_cells, atlas.gutter_cells
     beyond = np.zeros((len(gutter), len(flat)), np.float32)
     for block in large_arrays.blocks(len(gutter), large_arrays.SCATTERED):
         beyond[block] = flat[:, gutter[block]].T
     return NewColours(
-        lambda block, inside: colours_at(planes, cells[block][inside], threads),
+        lambda block, inside: colours_at(planes, cells[block][inside]),
         atlas.owned_texels,
         atlas.gutter_texels,
         beyond,

@@ -94,7 +94,7 @@ class Squares(CoarseLevel):
                 part = plane[None, self._cells(around)].copy()
                 add_enlarged(kind, kinds, change[:, around], part, self._side, threads)
                 plane[cells] = part[0, cells.start - first : cells.stop - first]
-        refresh_halo(stack, atlas, threads)
+        refresh_halo(stack, atlas)
 
     def planes(self, count: int) -> Float32s:
         planes: Float32s = large_arrays.zeros((count, *self.kinds.shape), np.float32)

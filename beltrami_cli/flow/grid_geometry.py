@@ -98,7 +98,7 @@ class GridGeometry(Geometry):
 
     def take(self, stack: Stack, samples: Indices) -> Float32s:
         """Return the channels of some cells, by their flat indices, with a row a cell."""
-        return colours_at(stack, samples, self.threads)
+        return colours_at(stack, samples)
 
     def steps(self, stack: Stack) -> Float32s:
         """Return differences between neighbours along rows, in evenly spread rows, shape (K, G)."""
@@ -122,7 +122,7 @@ class GridGeometry(Geometry):
         return GridGaussian.of(atlas.is_filled, scale, stop_at_holes=stops, atlas=atlas, threads=self.threads)
 
     def refresh(self, stack: Stack) -> None:
-        refresh_halo(stack, self.atlas, self.threads)
+        refresh_halo(stack, self.atlas)
 
     def planes(self, count: int) -> Float32s:
         planes: Float32s = large_arrays.zeros((count, *self.atlas.kind.shape), np.float32)

@@ -83,7 +83,7 @@ def grid_manifold(
         known = noise
     elif noise is not None:
         of_samples, sigma = relative_to_mean(noise)
-        relative = painted(atlas, of_samples, parameters.thread_count)
+        relative = painted(atlas, of_samples)
         relative[relative == 0] = 1  # in empty cells
         measured = relative, sigma
     model = estimate_noise(
@@ -110,7 +110,7 @@ def grid_manifold(
 
 
 def _guide_on_canvas(guide: Guide, grid: GridGeometry) -> Stack:
-    planes = painted(grid.atlas, guide.values, grid.threads)
+    planes = painted(grid.atlas, guide.values)
     if guide.in_chart_frame:
         end_at_seams(planes, grid.atlas, grid.threads)
     return planes
@@ -140,7 +140,7 @@ class GridManifold(Manifold):
         after, work = grid.planes(sum(map(len, stacks))), Work(_average_chunk, (metric.step, metric.channels))
         how = {"size": grid.size, "threads": grid.threads}
         samples, _ = wanted.apply(self._kernel_chunks, work, stacks, after, progress, **how)
-        refresh_halo(after, grid.atlas, grid.threads)
+        refresh_halo(after, grid.atlas)
         return Averaged(_split(after, stacks), round(samples))
 
     def _average_rows(
@@ -152,7 +152,7 @@ class GridManifold(Manifold):
         blocks = row_blocks(rows, columns, margin, threads)
         if self.is_in_one_block or len(blocks) < 2:
             after, samples = self._apply_kernel(stacks, metric, progress)
-            refresh_halo(after, grid.atlas, threads)
+            refresh_halo(after, grid.atlas)
             return Averaged(_split(after, stacks), samples)
         samples, finished = 0, None
         for block in blocks:
@@ -179,7 +179,7 @@ class GridManifold(Manifold):
             self._put(stacks, *finished)
         large_arrays.leave_memory()
         for stack in stacks:
-            refresh_halo(stack, grid.atlas, threads)
+            refresh_halo(stack, grid.atlas)
         return Averaged(stacks, samples)
 
     @cached_property
@@ -264,7 +264,7 @@ class GridManifold(Manifold):
         estimates = collaborate_on_canvas(
             atlas.kind, noisy, pilot, mixing, threads, progress, relative=relative, replaces_pilot=replaces_pilot
         )  # fmt: skip
-        refresh_halo(estimates, atlas, threads)
+        refresh_halo(estimates, atlas)
         return estimates
 
     def perturbation(self) -> Array:
@@ -306,8 +306,7 @@ class GridManifold(Manifold):
         )
 
     def new_colours(self) -> NewColours:
-        atlas, threads = self.geometry.atlas, self.geometry.threads
-        return canvas_colours(atlas, self.colours, threads).mapped(self.noise.to_input)
+        return canvas_colours(self.geometry.atlas, self.colours).mapped(self.noise.to_input)
 
 
 def cut_blocks(whole: GridManifold, cells: Int64s, core: Bools, reach: int) -> GridManifold:

@@ -189,7 +189,7 @@ def _repainted(layer: Layer, targets: NoiseTargets, after: Float32s) -> Repainte
     else:
         assert isinstance(layer, TextureLayer)
         atlas = layer.atlas
-        planes = on_canvas(atlas, after, threads=1)
+        planes = on_canvas(atlas, after)
         beyond = np.ascontiguousarray(planes.reshape(len(planes), -1)[:, atlas.gutter_cells].T)
         new = NewColours.of(after, atlas.owned_texels, atlas.gutter_texels, beyond)
         remedy = "--texture-format png keeps all"

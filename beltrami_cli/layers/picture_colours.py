@@ -316,7 +316,7 @@ def maker_of_manifolds(
 
     def make(planes: Float32s | None, found: NoiseModel | None) -> GridManifold:
         if planes is None:
-            planes = painted_by(atlas, channels, colours_of, kernel.thread_count)
+            planes = painted_by(atlas, channels, colours_of)
         return grid_manifold(atlas, planes, kernel, noise=noise if found is None else found, **options)
 
     return make
@@ -352,7 +352,7 @@ def plan_on_pictures(
                 rows[block] = (rows[block] + before[block]) / 2
         before = large_arrays.copy_of(rows)  # decoding overwrites them
         noise, stored = _decode(atlas, pictures, rows, sigma)
-        planes = painted(atlas, rows, kernel.thread_count)
+        planes = painted(atlas, rows)
     del before, rows
     plan = choose_parameters(make(planes, noise), kernel, tick)
     if not plan.parameters.iterations:  # colours without iterations stay as they are

@@ -186,8 +186,7 @@ class TextureLayer(PictureLayer):
             raise UsageError(f"{self.label}: {cause}")
         if not self.is_whole:
             raise UsageError(f"{self.label}: exposures are fitted to all textures of a slot together")
-        threads = self.settings.kernel.thread_count
-        planes = painted_by(self.atlas, len(self.names), self._colours_of, threads)
+        planes = painted_by(self.atlas, len(self.names), self._colours_of)
         textures = self.surface.textures
         is_coloured = self.names == ("red", "green", "blue")
         spans = [max(each.span) if is_coloured and each is not None else 1 for each in self.tables]
@@ -195,7 +194,7 @@ class TextureLayer(PictureLayer):
         made = dataclasses.replace(self, level_report=report)
         if not report.levelled:
             return made
-        levelled = colours_at(planes, self.atlas.owned_cells, threads)
+        levelled = colours_at(planes, self.atlas.owned_cells)
         return dataclasses.replace(made, levelled_colours=levelled, tables=[None] * len(self.tables))
 
     def places(self) -> Cells:

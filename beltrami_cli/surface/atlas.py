@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli._native import build_atlas as build_native_atlas
-from beltrami_cli._native import copy_cells, nearest_marked, store_colours
+from beltrami_cli._native import nearest_marked, store_colours
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int8s, Int32s, Int64s, Uint8s
 from beltrami_cli.errors import ProcessingError
 from beltrami_cli.surface import large_arrays
@@ -128,9 +128,7 @@ def texels_by_texture(offsets: Int64s, texels: Indices) -> Iterator[tuple[int, B
             yield index, inside, texels[inside] - begin
 
 
-def refresh_halo(
-    planes: Float32s | Int8s, atlas: Atlas, threads: int = 1, *, interpolated: bool = False
-) -> None:
+def refresh_halo(planes: Float32s | Int8s, atlas: Atlas, *, interpolated: bool = False) -> None:
     """Give the halo cells of all planes, shape (N, R, C), in place, the values of their owned cells."""
     # The nearest cell is better for colours that are averaged: a mean has less noise than other samples,
     # and at an edge it is a colour that neither side has, over which kernels find their way across.
@@ -138,12 +136,10 @@ def refresh_halo(
     cells, nearest = atlas.halo_cells, atlas.halo_nearest
     at_once = large_arrays.SCATTERED if interpolated or large_arrays.any_in_files() else max(1, len(cells))
     for block in large_arrays.blocks(len(cells), at_once):
-        if not interpolated:
-            copy_cells(planes, cells[block], nearest[block], threads)
-            continue
         taps, weights = atlas.halo_taps[block], atlas.halo_weights[block]
         for plane in planes.reshape(len(planes), -1):
-            plane[cells[block]] = np.einsum("ht,ht->h", plane[taps], weights)
+            shown = np.einsum("ht,ht->h", plane[taps], weights) if interpolated else plane[nearest[block]]
+            plane[cells[block]] = shown
 
 
 def without_halo(atlas: Atlas, dropped: Bools) -> Atlas:

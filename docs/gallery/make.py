@@ -117,7 +117,7 @@ class Exposing(Painter[Any]):
         shape = (atlas.charts, colours.shape[1])
         gain, offset = random.uniform(0.82, 1.12, shape), random.uniform(-10, 10, shape) / 255
         exposed = colours * gain[atlas.chart_of] + offset[atlas.chart_of]
-        new = canvas_colours(atlas, painted(atlas, exposed.astype(np.float32), 1), 1)
+        new = canvas_colours(atlas, painted(atlas, exposed.astype(np.float32)))
         return SimpleNamespace(repainted=layer.repaint(new), warnings=())
 
 

@@ -31,8 +31,8 @@ class Exposing(Painter):
 
     def paint(self, layer, job):
         _, colours = ExposureScene(layer, stored_colours(layer).astype(float)).exposed(1)
-        planes = painted(layer.atlas, colours.astype(np.float32), 1)
-        return SimpleNamespace(repainted=layer.repaint(canvas_colours(layer.atlas, planes, 1)), warnings=())
+        planes = painted(layer.atlas, colours.astype(np.float32))
+        return SimpleNamespace(repainted=layer.repaint(canvas_colours(layer.atlas, planes)), warnings=())
 
 
 @pytest.fixture(scope="module")

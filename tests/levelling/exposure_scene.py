@@ -55,8 +55,8 @@ class ExposureScene:
         surface, textures = self.samples.surface, []
         settings = SmoothSettings(textures=TextureSettings(image_suffix=".png"))
         samples = TextureLayer.read(surface, "baseColor", settings)
-        planes = painted(samples.atlas, colours.astype(np.float32), 1)
-        images = samples.repaint(canvas_colours(samples.atlas, planes, 1)).images
+        planes = painted(samples.atlas, colours.astype(np.float32))
+        images = samples.repaint(canvas_colours(samples.atlas, planes)).images
         for texture in surface.textures:
             png = read_image(images["baseColor", texture.key].data, texture.name)
             new = new_picture(png.pixels, texture.name)
@@ -104,7 +104,7 @@ class ExposureScene:
     def levelled(self, colours, strength=1.0, fixed=None):
         """Return the colours after levelling, and what was found."""
         atlas = self.samples.atlas
-        planes = painted(atlas, colours.astype(np.float32), 1)
+        planes = painted(atlas, colours.astype(np.float32))
         found, _ = level_canvas(atlas, planes, strength, fixed)
         return planes.reshape(len(planes), -1)[:, atlas.owned_cells].T.astype(float), found
 

@@ -81,7 +81,7 @@ def test_mixed_hues_become_those_of_their_chart_and_brightness_stays(head):
     hue = random.uniform(-0.2, 0.2, (atlas.charts, 3))
     hue -= (hue @ LUMA)[:, None]
     grey = random.uniform(0.3, 0.7, (len(head.charts), 1))
-    planes = painted(atlas, (grey + hue[head.charts]).astype(np.float32), 1)
+    planes = painted(atlas, (grey + hue[head.charts]).astype(np.float32))
     cells, flat = mixed_cells(atlas, [2]), planes.reshape(3, -1)
     wanted = flat[:, cells]
     mixed = random.uniform(-0.2, 0.2, (len(cells), 3))
@@ -261,6 +261,6 @@ def test_white_beside_what_was_brighter_than_full_scale_becomes_as_bright():
 def test_steps_are_measured_at_the_seam_without_the_slope_of_the_colours(head):
     # The head's painting is continuous, and slopes on both sides of its seams.
     atlas = head.samples.atlas
-    steps = steps_over_seams(atlas, painted(atlas, head.truth.astype(np.float32), 1), ChartPlaces.of(atlas))
+    steps = steps_over_seams(atlas, painted(atlas, head.truth.astype(np.float32)), ChartPlaces.of(atlas))
     sizes = np.abs(steps.colours[:, 1] - steps.colours[:, 0]).max(axis=1)
     assert weighted_median(sizes, steps.counts) < 1 / 255

@@ -85,7 +85,7 @@ class Board:
 
 def texel_plan(atlas, colours, parameters, **others):
     """Plan the smoothing of texels with some colours, shape (T, N)."""
-    manifold = grid_manifold(atlas, painted(atlas, colours, threads=1), parameters, **others)
+    manifold = grid_manifold(atlas, painted(atlas, colours), parameters, **others)
     return choose_parameters(manifold, parameters)
 
 

@@ -1,4 +1,4 @@
-// Rows of colours for Python: moved to the planes of a canvas and back, stored among the pixels of an image, and cut off at limits.
+// Colours for Python: stored among the pixels of an image, and cut off at limits.
 #include <nanobind/stl/tuple.h>
 
 #include <cstdint>
@@ -12,57 +12,8 @@
 namespace beltrami::bindings {
 namespace {
 
-using OpenStack = nb::ndarray<float, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
-using OpenMatrix = nb::ndarray<float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 template <class Sample>
 using Pixels = nb::ndarray<Sample, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
-
-// Throws if there is not a row a cell, or a cell lies outside.
-template <class Index, class Planes, class Rows>
-void check(const Planes& planes, const Vector<Index>& cells, const Rows& rows) {
-  if (rows.shape(0) != cells.size() || rows.shape(1) != planes.shape(0))
-    throw nb::value_error("a row a cell, and a colour a plane, are needed");
-  const std::size_t size = planes.shape(1) * planes.shape(2);
-  bool outside = false;
-  for (std::size_t i = 0; i < cells.size(); ++i)
-    outside |= cells.data()[i] < 0 || static_cast<std::size_t>(cells.data()[i]) >= size;
-  if (outside) throw nb::index_error("a cell lies outside the canvas");
-}
-
-template <class Value, class Planes>
-colours::Planes<Value> planes_of(const Planes& planes) {
-  return {planes.data(), planes.shape(1) * planes.shape(2), planes.shape(0)};
-}
-
-// No cell may be named twice.
-template <class Index>
-void scatter_colours(const OpenStack& planes, const Vector<Index>& cells, const Matrix<float>& rows, unsigned threads) {
-  check(planes, cells, rows);
-  const nb::gil_scoped_release unlock;
-  colours::scatter<Index>(planes_of<float>(planes), {cells.data(), cells.size()}, rows.data(), threads);
-}
-
-template <class Index>
-void gather_colours(const Stack& planes, const Vector<Index>& cells, const OpenMatrix& rows, unsigned threads) {
-  check(planes, cells, rows);
-  const nb::gil_scoped_release unlock;
-  colours::gather<Index>(planes_of<const float>(planes), {cells.data(), cells.size()}, rows.data(), threads);
-}
-
-// No source may be a cell that is given another's values.
-template <class Value, class Index>
-void copy_cells(const nb::ndarray<Value, nb::ndim<3>, nb::c_contig, nb::device::cpu>& planes, const Vector<Index>& cells,
-                const Vector<Index>& sources, unsigned threads) {
-  const std::size_t size = planes.shape(1) * planes.shape(2);
-  if (sources.size() != cells.size()) throw nb::value_error("one source a cell is needed");
-  for (const auto* named : {&cells, &sources})
-    if (std::any_of(named->data(), named->data() + named->size(),
-                    [&](Index cell) { return cell < 0 || static_cast<std::size_t>(cell) >= size; }))
-      throw nb::index_error("a cell lies outside the canvas");
-  const nb::gil_scoped_release unlock;
-  colours::copy_cells<Value, Index>(planes_of<Value>(planes), {cells.data(), cells.size()},
-                                    {sources.data(), sources.size()}, threads);
-}
 
 template <class Sample, class Index>
 auto store_colours(const Pixels<Sample>& table, const Vector<Index>& pixels, const Matrix<float>& colours,
@@ -130,20 +81,6 @@ void impute_cut_off(const Channels<float>& colours, const Channels<const float>&
   colours::impute(to, own, cut_off_of(cut), table, {variances, count}, threads);
 }
 
-template <class Index>
-void bind_moves(nb::module_& module) {
-  using namespace nb::literals;
-  module.def("scatter_colours", &scatter_colours<Index>, "planes"_a.noconvert(), "cells"_a.noconvert(), "colours"_a, "threads"_a);
-  module.def("gather_colours", &gather_colours<Index>, "planes"_a, "cells"_a.noconvert(), "colours"_a.noconvert(), "threads"_a);
-}
-
-template <class Value, class Index>
-void bind_copy(nb::module_& module) {
-  using namespace nb::literals;
-  module.def("copy_cells", &copy_cells<Value, Index>, "planes"_a.noconvert(), "cells"_a.noconvert(), "sources"_a.noconvert(),
-             "threads"_a);
-}
-
 template <class Sample, class Index>
 void bind_store(nb::module_& module) {
   using namespace nb::literals;
@@ -155,12 +92,6 @@ void bind_store(nb::module_& module) {
 
 void bind_colours(nb::module_& module) {
   using namespace nb::literals;
-  bind_moves<std::int32_t>(module);
-  bind_moves<std::int64_t>(module);
-  bind_copy<float, std::int32_t>(module);
-  bind_copy<float, std::int64_t>(module);
-  bind_copy<std::int8_t, std::int32_t>(module);
-  bind_copy<std::int8_t, std::int64_t>(module);
   bind_store<std::uint8_t, std::int32_t>(module);
   bind_store<std::uint8_t, std::int64_t>(module);
   bind_store<std::uint16_t, std::int32_t>(module);

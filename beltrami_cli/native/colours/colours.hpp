@@ -1,5 +1,4 @@
-// Rows of colours: moving them to the planes of a canvas and back, and storing them as integers among the pixels of an image;
-// and tables of functions.
+// Rows of colours stored as integers among the pixels of an image, and tables of functions.
 #pragma once
 
 #include <algorithm>
@@ -32,23 +31,6 @@ class Table {
   std::span<const double> at_, values_;
   double steps_;
 };
-
-// Planes of `size` cells each, one a channel.
-template <class Value>
-struct Planes {
-  Value* values;
-  std::size_t size, channels;
-};
-
-// Rows are numbered as the cells, which are distinct and lie on the canvas.
-template <class Index>
-void scatter(const Planes<float>& planes, std::span<const Index> cells, const float* rows, unsigned threads);
-template <class Index>
-void gather(const Planes<const float>& planes, std::span<const Index> cells, float* rows, unsigned threads);
-
-// Gives some cells of all planes the values of others, which are not among them.
-template <class Value, class Index>
-void copy_cells(const Planes<Value>& planes, std::span<const Index> cells, std::span<const Index> sources, unsigned threads);
 
 // How far stored numbers moved: sums that are exact, so the same in any order.
 struct Moved {
