@@ -30,6 +30,9 @@ using Matrix = nb::ndarray<const T, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 template <class T>
 using Vector = nb::ndarray<const T, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Stack = nb::ndarray<const float, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
+using OpenStack = nb::ndarray<float, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
+using Cells = Matrix<std::uint8_t>;
+using Plane = Matrix<float>;
 template <class T, class Shape>
 using Result = nb::ndarray<nb::numpy, T, Shape, nb::c_contig>;
 

@@ -6,7 +6,6 @@
 #include <vector>
 
 #include "bindings/bindings.hpp"
-#include "colours/clipping.hpp"
 #include "colours/colours.hpp"
 
 namespace beltrami::bindings {

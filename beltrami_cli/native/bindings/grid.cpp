@@ -17,8 +17,6 @@ namespace beltrami::bindings {
 namespace {
 
 using namespace beltrami::grid;
-using Cells = nb::ndarray<const std::uint8_t, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
-using Plane = nb::ndarray<const float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 
 // The planes of a grid, each by itself: an array of them, or a list.
 class PlanesOfGrid {
@@ -186,8 +184,6 @@ auto means_of_squares_of(const Cells& kind, const Cells& kinds, const Stack& pla
   }
   return give<float, nb::ndim<3>>(std::move(means), {planes.shape(0), squares.down(), squares.across()});
 }
-
-using OpenStack = nb::ndarray<float, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
 
 void add_enlarged_to(const Cells& kind, const Cells& kinds, const Stack& changes, const OpenStack& planes, std::size_t side,
                      unsigned threads) {

@@ -15,39 +15,33 @@ namespace beltrami::bindings {
 namespace {
 
 using namespace beltrami::patches;
-using Cells = nb::ndarray<const std::uint8_t, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
-using Plane = nb::ndarray<const float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
-
-using Output = nb::ndarray<float, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
-
 template <class Stacks>
 void check_shape(const Stack& like, const Stacks& other) {
   for (std::size_t axis = 0; axis < 3; ++axis)
     if (other.shape(axis) != like.shape(axis)) throw nb::value_error("all stacks must have one shape");
 }
 
-// How channels are mixed for the estimate, the variances of their noise, and what these are multiplied by, see groups.hpp.
-struct Mixing {
+// See Mixing, and the arrays that it points to.
+struct MixingArrays {
   Matrix<float> forth, back;
   Vector<float> variances, shrinkage;
-  float least_ratio, strength;
-};
+  Mixing mixing;
 
-Mixing mixing_of(const nb::tuple& parts, std::size_t channels) {
-  Mixing mixing{nb::cast<Matrix<float>>(parts[0]), nb::cast<Matrix<float>>(parts[1]), nb::cast<Vector<float>>(parts[2]),
-                nb::cast<Vector<float>>(parts[3]), nb::cast<float>(parts[4]),
-                nb::cast<float>(parts[5])};
-  for (const auto* matrix : {&mixing.forth, &mixing.back})
-    if (matrix->shape(0) != channels || matrix->shape(1) != channels) throw nb::value_error("mixing must be square");
-  for (const auto* values : {&mixing.variances, &mixing.shrinkage})
-    if (values->size() != channels) throw nb::value_error("one variance and one shrinkage a channel are needed");
-  return mixing;
-}
+  MixingArrays(const nb::tuple& parts, std::size_t channels)
+      : forth(nb::cast<Matrix<float>>(parts[0])), back(nb::cast<Matrix<float>>(parts[1])),
+        variances(nb::cast<Vector<float>>(parts[2])), shrinkage(nb::cast<Vector<float>>(parts[3])),
+        mixing{forth.data(), back.data(), variances.data(), shrinkage.data(), nb::cast<float>(parts[4]), nb::cast<float>(parts[5])} {
+    for (const auto* matrix : {&forth, &back})
+      if (matrix->shape(0) != channels || matrix->shape(1) != channels) throw nb::value_error("mixing must be square");
+    for (const auto* values : {&variances, &shrinkage})
+      if (values->size() != channels) throw nb::value_error("one variance and one shrinkage a channel are needed");
+  }
+};
 
 // See collaborate; without a pilot, patches are compared on `pilot` all the same. The result goes to `estimates`, which may
 // be the pilot.
 void collaborate_on_grid(const Cells& kind, const Stack& noisy, const Stack& pilot, const nb::tuple& mixing,
-                         const std::optional<Plane>& relative, bool has_pilot, Output& estimates, unsigned threads,
+                         const std::optional<Plane>& relative, bool has_pilot, OpenStack& estimates, unsigned threads,
                          const nb::object& progress) {
   const std::size_t channels = noisy.shape(0), rows = kind.shape(0), columns = kind.shape(1);
   check_shape(noisy, pilot);
@@ -55,10 +49,9 @@ void collaborate_on_grid(const Cells& kind, const Stack& noisy, const Stack& pil
   if (noisy.shape(1) != rows || noisy.shape(2) != columns) throw nb::value_error("planes must have the grid's shape");
   if (relative && (relative->shape(0) != rows || relative->shape(1) != columns))
     throw nb::value_error("the relative variance must have the grid's shape");
-  const Mixing own = mixing_of(mixing, channels);
-  const Canvas canvas{rows, columns, kind.data(), noisy.data(), pilot.data(), channels, own.forth.data(), own.back.data(),
-                      own.variances.data(), own.shrinkage.data(), own.least_ratio, own.strength,
-                      relative ? relative->data() : nullptr};
+  const MixingArrays own(mixing, channels);
+  const Canvas canvas{{noisy.data(), pilot.data(), channels, own.mixing, relative ? relative->data() : nullptr},
+                      rows, columns, kind.data()};
   run_polled(progress, [&](const Poll& poll) {
     collaborate(canvas, has_pilot, estimates.data(), threads, poll);
   });
@@ -67,9 +60,9 @@ void collaborate_on_grid(const Cells& kind, const Stack& noisy, const Stack& pil
 using WritableRows = nb::ndarray<float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 
 // See SurfacePatches; edges are pairs of vertices, axes two directions.
-SurfacePatches* make_surface_patches(const Matrix<double>& positions, const Matrix<std::int32_t>& edges,
-                                     const Matrix<double>& axes, const Vector<std::uint64_t>& priorities, unsigned threads,
-                                     const std::optional<Vector<std::int32_t>>& blocks) {
+void make_surface_patches(SurfacePatches* surface, const Matrix<double>& positions, const Matrix<std::int32_t>& edges,
+                          const Matrix<double>& axes, const Vector<std::uint64_t>& priorities, unsigned threads,
+                          const std::optional<Vector<std::int32_t>>& blocks) {
   if (positions.shape(1) != 3 || edges.shape(1) != 2 || axes.shape(0) != 2 || axes.shape(1) != 3)
     throw nb::value_error("positions, edges and axes need rows of 3, 2 and 3");
   if (priorities.size() != positions.shape(0)) throw nb::value_error("one priority a vertex is needed");
@@ -79,14 +72,12 @@ SurfacePatches* make_surface_patches(const Matrix<double>& positions, const Matr
       throw nb::index_error("an edge ends at no vertex");
   const auto* directions = reinterpret_cast<const Position*>(axes.data());
   const nb::object no_progress = nb::none();
-  SurfacePatches* made = nullptr;
   run_polled(no_progress, [&](const Poll& poll) {
-    made = new SurfacePatches({reinterpret_cast<const Position*>(positions.data()), positions.shape(0)},
-                              {reinterpret_cast<const std::array<std::int32_t, 2>*>(edges.data()), edges.shape(0)},
-                              {directions[0], directions[1]}, {priorities.data(), priorities.size()}, threads,
-                              blocks ? blocks->data() : nullptr, poll);
+    new (surface) SurfacePatches({reinterpret_cast<const Position*>(positions.data()), positions.shape(0)},
+                                 {reinterpret_cast<const std::array<std::int32_t, 2>*>(edges.data()), edges.shape(0)},
+                                 {directions[0], directions[1]}, {priorities.data(), priorities.size()}, threads,
+                                 blocks ? blocks->data() : nullptr, poll);
   });
-  return made;
 }
 
 // See SurfacePatches::collaborate; a row a vertex.
@@ -94,16 +85,14 @@ void collaborate_on_surface(const SurfacePatches& surface, const Matrix<float>& 
                             const nb::tuple& mixing, const std::optional<Vector<float>>& relative, bool has_pilot,
                             WritableRows& estimates, WritableRows& weights, unsigned threads, const nb::object& progress) {
   const std::size_t channels = noisy.shape(1);
-  const Mixing own = mixing_of(mixing, channels);
+  const MixingArrays own(mixing, channels);
   if (relative && relative->size() != surface.size()) throw nb::value_error("one relative variance a vertex is needed");
   if (noisy.shape(0) != surface.size()) throw nb::value_error("one row a vertex is needed");
   for (std::size_t axis = 0; axis < 2; ++axis)
     if (pilot.shape(axis) != noisy.shape(axis) || estimates.shape(axis) != noisy.shape(axis) ||
         weights.shape(axis) != noisy.shape(axis))
       throw nb::value_error("all stacks must have one shape");
-  const SurfacePatches::Colours colours{noisy.data(), pilot.data(), channels, own.forth.data(), own.variances.data(),
-                                        own.shrinkage.data(), own.least_ratio, own.strength,
-                                        relative ? relative->data() : nullptr};
+  const Colours colours{noisy.data(), pilot.data(), channels, own.mixing, relative ? relative->data() : nullptr};
   run_polled(progress, [&](const Poll& poll) {
     surface.collaborate(colours, has_pilot, {estimates.data(), weights.data()}, threads, poll);
   });
@@ -203,15 +192,8 @@ void bind_patches(nb::module_& module) {
   module.def("collaborate_on_grid", &collaborate_on_grid, "kind"_a, "noisy"_a, "pilot"_a, "mixing"_a,
              "relative"_a.none(), "has_pilot"_a, "estimates"_a, "threads"_a, "progress"_a.none());
   nb::class_<SurfacePatches>(module, "SurfacePatches")
-      .def("__init__",
-           [](SurfacePatches* self, const Matrix<double>& positions, const Matrix<std::int32_t>& edges,
-              const Matrix<double>& axes, const Vector<std::uint64_t>& priorities, unsigned threads,
-              const std::optional<Vector<std::int32_t>>& blocks) {
-             const std::unique_ptr<SurfacePatches> made(
-                 make_surface_patches(positions, edges, axes, priorities, threads, blocks));
-             new (self) SurfacePatches(std::move(*made));
-           },
-           "positions"_a, "edges"_a, "axes"_a, "priorities"_a, "threads"_a, "blocks"_a = nb::none())
+      .def("__init__", &make_surface_patches, "positions"_a, "edges"_a, "axes"_a, "priorities"_a, "threads"_a,
+           "blocks"_a = nb::none())
       .def("collaborate", &collaborate_on_surface, "noisy"_a, "pilot"_a, "mixing"_a,
            "relative"_a.none(), "has_pilot"_a, "estimates"_a, "weights"_a, "threads"_a, "progress"_a.none());
 }

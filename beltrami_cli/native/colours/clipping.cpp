@@ -1,4 +1,4 @@
-#include "colours/clipping.hpp"
+#include "colours/colours.hpp"
 
 #include <algorithm>
 #include <cmath>

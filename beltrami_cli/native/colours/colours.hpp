@@ -1,11 +1,13 @@
-// Rows of colours stored as integers among the pixels of an image, and tables of functions.
+// Tables of functions; samples whose noise was cut off at 0 or 1: replacing them by what noise is beyond the limit, and
+// correcting averages of them; and colours stored as integers among the pixels of an image.
 #pragma once
 
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <span>
-#include <vector>
+
+#include "layout.hpp"
 
 namespace beltrami::colours {
 
@@ -31,6 +33,28 @@ class Table {
   std::span<const double> at_, values_;
   double steps_;
 };
+
+// How a channel was cut off, see flow/clipping.py. All arrays of these functions hold one value a sample.
+struct CutOff {
+  float sigma;  // of the noise
+  bool low, high;
+};
+
+struct Samples {
+  Layout<const float> relative;  // what the variance of a sample's noise is multiplied by
+  std::size_t count;
+};
+
+// Moves averages in whose samples `share` are at a limit, negative for that at 0, towards it. Both tables go over that share:
+// how far the mean lies from the limit before (`alpha`) and after (`gap`) noise with a deviation of 1 was cut off. Local
+// noise is at most `trusted` times as much as was found.
+void restore(const Layout<float>& averages, const Layout<const float>& share, const CutOff& cut, float trusted,
+             const Table& alpha, const Table& gap, const Samples& samples, unsigned threads);
+
+// Replaces samples at a limit by the mean of the values beyond it, by an estimate of the colour without noise; `beyond`:
+// E[z | z > a] of a normal variable z with a deviation of 1.
+void impute(const Layout<float>& colours, const Layout<const float>& estimate, const CutOff& cut, const Table& beyond,
+            const Samples& samples, unsigned threads);
 
 // How far stored numbers moved: sums that are exact, so the same in any order.
 struct Moved {

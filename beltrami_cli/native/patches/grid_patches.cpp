@@ -69,7 +69,7 @@ void finish(const Canvas& canvas, const Band& band, std::size_t cell, std::size_
   for (std::size_t c = 0; c < n; ++c) {
     Cells values{};
     for (std::size_t from = 0; from < n; ++from)
-      for (std::size_t i = 0; i < count; ++i) values[i] += canvas.unmixing[c * n + from] * mixed[from][i];
+      for (std::size_t i = 0; i < count; ++i) values[i] += canvas.mixing.back[c * n + from] * mixed[from][i];
     const std::size_t at = c * canvas.rows * canvas.columns + cell;
     for (std::size_t i = 0; i < count; ++i)
       estimates[at + i] =

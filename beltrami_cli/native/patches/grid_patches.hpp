@@ -32,15 +32,10 @@ static_assert(tile_side >= 2 * margin && tile_side % spacing == 0);
 // No group starts where all cells of a patch have this many estimates from groups before it.
 constexpr std::uint16_t enough_estimates = 4;
 
-struct Canvas {
+// Colours in planes.
+struct Canvas : Colours {
   std::size_t rows, columns;
   const std::uint8_t* kind;
-  const float *noisy, *pilot;  // `channels` planes
-  std::size_t channels;
-  const float *mixing, *unmixing;  // channels * channels: makes the channels that are estimated one by one, and back
-  const float *variances, *shrinkage;  // of these, see Channels
-  float least_ratio, strength;
-  const float* relative;           // what a cell's variance is multiplied by; nullptr: 1
 };
 
 struct Tile {

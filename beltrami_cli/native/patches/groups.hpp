@@ -40,17 +40,21 @@ constexpr std::size_t few = 16, medium = 32, many = 48;
 // Values in the rows that hold the patches of surfaces and of grids, padding included.
 constexpr std::size_t short_row = 32, long_row = 64;
 
-// Channels of samples, one plane after the other, `stride` values each.
-struct Channels {
-  const float *noisy, *pilot;
-  const float* variances;  // of the noise, one a channel
-  const float* shrinkage;  // see above, one a channel
+// How channels are mixed: `forth`, channels * channels factors, makes those that are estimated one by one; `back` undoes it.
+struct Mixing {
+  const float *forth, *back;
+  const float *variances, *shrinkage;  // of each mixed channel: the variance of its noise, and see above
   float least_ratio, strength;
-  const float* relative;   // what a sample's variance is multiplied by; nullptr: 1
-  std::size_t count, stride;
 };
 
-// Sums of estimates and of their weights, laid out like the channels.
+struct Colours {
+  const float *noisy, *pilot;
+  std::size_t channels;
+  Mixing mixing;
+  const float* relative;  // what a sample's variance is multiplied by; nullptr: 1
+};
+
+// Sums of estimates and of their weights, laid out like the colours.
 struct Sums {
   float *estimates, *weights;
 };

@@ -99,8 +99,8 @@ class SurfacePatches::Worker {
       for (std::size_t to = 0; to < n; ++to) {
         float noisy = 0, pilot = 0;
         for (std::size_t from = 0; from < n; ++from) {
-          noisy += colours.mixing[to * n + from] * colours.noisy[row + from];
-          pilot += colours.mixing[to * n + from] * colours.pilot[row + from];
+          noisy += colours.mixing.forth[to * n + from] * colours.noisy[row + from];
+          pilot += colours.mixing.forth[to * n + from] * colours.pilot[row + from];
         }
         noisy_[i * n + to] = noisy;
         pilot_[i * n + to] = pilot;
@@ -167,15 +167,15 @@ class SurfacePatches::Worker {
   // Adds the estimates of the group to the sums of its patches.
   void estimate(const Colours& colours, bool has_pilot, const Variant& variant, PartSums& to) {
     const auto count = static_cast<float>(group_.count);
-    group_.least_ratio = colours.least_ratio;
-    group_.strength = colours.strength;
+    group_.least_ratio = colours.mixing.least_ratio;
+    group_.strength = colours.mixing.strength;
     for (std::size_t channel = 0; channel < colours.channels; ++channel) {
       const float *noisy = noisy_rows_.data() + channel * nodes, *pilot = pilot_rows_.data() + channel * nodes;
       float mean = 0;
       for (std::size_t p = 0; p < group_.count; ++p) mean += pilot[rows_[0] + group_.used[p]];
       mean /= count;
-      group_.shrinkage = colours.shrinkage[channel];
-      for (std::size_t k = 0; k < group_.found; ++k) group_.energy[k] = energy_of(k) * colours.variances[channel];
+      group_.shrinkage = colours.mixing.shrinkage[channel];
+      for (std::size_t k = 0; k < group_.found; ++k) group_.energy[k] = energy_of(k) * colours.mixing.variances[channel];
       variant.take_rows(noisy, rows_, node_mask_, mean, group_.noisy.data());
       variant.take_rows(pilot, rows_, node_mask_, mean, group_.pilot.data());
       variant.estimate_group(group_, has_pilot);

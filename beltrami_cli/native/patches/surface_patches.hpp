@@ -37,21 +37,11 @@ class SurfacePatches {
                  const std::array<Position, 2>& axes, std::span<const std::uint64_t> priorities, unsigned threads,
                  const std::int32_t* blocks = nullptr, const Poll& poll = {});
 
-  struct Colours {
-    const float *noisy, *pilot;  // a row of `channels` a vertex
-    std::size_t channels;
-    const float* mixing;  // see Canvas
-    const float *variances, *shrinkage;
-    float least_ratio, strength;
-    const float* relative = nullptr;  // what a vertex's variance is multiplied by; nullptr: 1
-  };
-
-  // Adds the weighted estimates of mixed channels and their weights to `sums`, which have a row of `channels` a vertex.
-  // Throws Cancelled if poll returned false.
+  // The colours are a row a vertex. Adds the weighted estimates of mixed channels and their weights to `sums`, which have a
+  // row of `channels` a vertex. Throws Cancelled if poll returned false.
   void collaborate(const Colours& colours, bool has_pilot, const Sums& sums, unsigned threads, const Poll& poll = {}) const;
 
   std::size_t size() const { return patches_.size(); }
-  const Nodes& patch(std::size_t vertex) const { return patches_[vertex]; }
 
  private:
   class VertexRings;

@@ -39,10 +39,10 @@ class TilePlanes {
     each_row([&](Index local, Index cell, Index count) { read(local, cell, count); });
   }
 
-  Channels channels() const {
+  // The mixed channels, one plane of `area` values after the other.
+  Colours channels() const {
     const float* relative = canvas_.relative != nullptr ? own_.relative.data() : nullptr;
-    return {own_.noisy.data(), own_.pilot.data(), canvas_.variances, canvas_.shrinkage, canvas_.least_ratio,
-            canvas_.strength,  relative,          canvas_.channels,  static_cast<std::size_t>(area)};
+    return {own_.noisy.data(), own_.pilot.data(), canvas_.channels, canvas_.mixing, relative};
   }
 
   Sums sums() const { return {own_.estimates.data(), own_.weights.data()}; }
@@ -88,7 +88,7 @@ class TilePlanes {
     const std::size_t cells = canvas_.rows * canvas_.columns, n = canvas_.channels;
     std::array<float, side> sums{};
     for (std::size_t from = 0; from < n; ++from) {
-      const float factor = canvas_.mixing[channel * n + from], *plane = planes + from * cells + cell;
+      const float factor = canvas_.mixing.forth[channel * n + from], *plane = planes + from * cells + cell;
       for (Index i = 0; i < count; ++i) sums[static_cast<std::size_t>(i)] += factor * plane[i];
     }
     const std::uint8_t* kind = own_.kind.data() + local;
@@ -170,11 +170,11 @@ float mean_of(const float* plane, const Shape& shape, Index centre) {
 constexpr float least_difference = 0.08F;
 
 // The energy of the noise in the differences that are summed, of the patch at `centre`.
-float noise_of(const Channels& channels, const Shape& shape, Index centre) {
+float noise_of(const Colours& colours, const Shape& shape, Index centre) {
   float energy = 0;
-  for (std::size_t channel = 0; channel < channels.count; ++channel)
-    energy += channels.variances[channel] * static_cast<float>(channel == 0 ? shape.count : shape.half_count);
-  return channels.relative == nullptr ? energy : energy * mean_of(channels.relative, shape, centre);
+  for (std::size_t channel = 0; channel < colours.channels; ++channel)
+    energy += colours.mixing.variances[channel] * static_cast<float>(channel == 0 ? shape.count : shape.half_count);
+  return colours.relative == nullptr ? energy : energy * mean_of(colours.relative, shape, centre);
 }
 
 // How many candidates have a key, the bits of a positive float, below a bound.
@@ -300,14 +300,14 @@ bool has_enough(Index centre, const std::uint16_t* counts) {
 }
 
 // Estimates the patches that look like the one at `centre`, unless its cells have been estimated with others.
-void add_one(const Channels& channels, Index centre, bool has_pilot, const Sums& sums, TileScratch& scratch) {
+void add_one(const Colours& colours, Index centre, bool has_pilot, const Sums& sums, TileScratch& scratch) {
   if (has_enough(centre, scratch.counts.data())) return;
   const Shape shape(scratch.kind.data(), centre);
-  compare(channels.pilot, channels.count, shape, centre, has_pilot, scratch.distances.data());
+  compare(colours.pilot, colours.channels, shape, centre, has_pilot, scratch.distances.data());
   Group& group = scratch.group;
   group.size = has_pilot ? many : few;
   group.length = long_row;
-  const float near = has_pilot ? least_difference * noise_of(channels, shape, centre) : 0;
+  const float near = has_pilot ? least_difference * noise_of(colours, shape, centre) : 0;
   group.found = choose(scratch.distances, scratch.keys, group.size, near);
   group.count = shape.count;
   group.used = shape.used;
@@ -318,18 +318,18 @@ void add_one(const Channels& channels, Index centre, bool has_pilot, const Sums&
     places[k] = static_cast<std::int32_t>(centre + (number / candidate_columns - rows_beside) * side +
                                           number % candidate_columns - columns_before);
     relative[k] = static_cast<float>(shape.count);
-    if (channels.relative != nullptr) relative[k] *= mean_of(channels.relative, shape, places[k]);
+    if (colours.relative != nullptr) relative[k] *= mean_of(colours.relative, shape, places[k]);
     count_patch(shape, places[k], scratch.counts.data());
   }
-  for (std::size_t channel = 0; channel < channels.count; ++channel) {
-    const std::size_t plane = channel * channels.stride;
-    const float mean = mean_of(channels.pilot + plane, shape, centre);
-    group.shrinkage = channels.shrinkage[channel];
-    group.least_ratio = channels.least_ratio;
-    group.strength = channels.strength;
-    for (std::size_t k = 0; k < many; ++k) group.energy[k] = relative[k] * channels.variances[channel];
-    read_patches(channels.noisy + plane, shape, places.data(), group.found, mean, group.noisy.data());
-    if (has_pilot) read_patches(channels.pilot + plane, shape, places.data(), group.found, mean, group.pilot.data());
+  for (std::size_t channel = 0; channel < colours.channels; ++channel) {
+    const std::size_t plane = channel * static_cast<std::size_t>(area);
+    const float mean = mean_of(colours.pilot + plane, shape, centre);
+    group.shrinkage = colours.mixing.shrinkage[channel];
+    group.least_ratio = colours.mixing.least_ratio;
+    group.strength = colours.mixing.strength;
+    for (std::size_t k = 0; k < many; ++k) group.energy[k] = relative[k] * colours.mixing.variances[channel];
+    read_patches(colours.noisy + plane, shape, places.data(), group.found, mean, group.noisy.data());
+    if (has_pilot) read_patches(colours.pilot + plane, shape, places.data(), group.found, mean, group.pilot.data());
     estimate_group(group, has_pilot);
     for (std::size_t k = 0; k < group.found; ++k)
       add_patch(group, k, shape, places[k], mean, {sums.estimates + plane, sums.weights + plane});
