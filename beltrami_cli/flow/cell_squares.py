@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from beltrami_cli.arrays import Float32s, Float64s, Uint8s
+from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Uint8s
 from beltrami_cli.flow.canvas import canvas_margin, collaborate_on_canvas
 from beltrami_cli.flow.domain import CoarseLevel, Stack
 from beltrami_cli.flow.noise.haar_noise import mixed_signs
@@ -128,14 +128,21 @@ def squares_for(
 
 def sort_squares(kind: Uint8s, side: int) -> tuple[Uint8s, Float32s]:
     """Return the kind of each square, OWNED if a cell is, and how many of its cells are of that kind."""
-    rows, columns = kind.shape
-    kinds = np.full((-(-rows // side), -(-columns // side)), EMPTY, np.uint8)
-    counts = np.zeros(kinds.shape, np.float32)
-    across = np.arange(0, columns, side)
-    for row in range(len(kinds)):
-        cells = kind[row * side : (row + 1) * side]
-        for wanted in (HALO, OWNED):
-            count = np.add.reduceat(np.count_nonzero(cells == wanted, axis=0), across)
-            kinds[row, count > 0] = wanted
-            counts[row, count > 0] = count[count > 0]
+    kinds = np.empty((-(-len(kind) // side), -(-kind.shape[1] // side)), np.uint8)
+    counts = np.empty(kinds.shape, np.float32)
+    for rows in large_arrays.blocks(len(kinds), max(1, large_arrays.BLOCK // (side * kind.shape[1]))):
+        cells = kind[rows.start * side : rows.stop * side]
+        owned, halo = (
+            _sums_of_runs(_sums_of_runs(cells == wanted, side).T, side).T for wanted in (OWNED, HALO)
+        )
+        kinds[rows] = np.where(owned > 0, OWNED, np.where(halo > 0, HALO, EMPTY))
+        counts[rows] = np.where(owned > 0, owned, halo)
     return kinds, counts
+
+
+def _sums_of_runs(rows: Bools | Int32s, length: int) -> Int32s:
+    sums = np.zeros((-(-len(rows) // length), rows.shape[1]), np.int32)
+    for first in range(length):
+        part = rows[first::length]
+        sums[: len(part)] += part
+    return sums
