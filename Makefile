@@ -186,7 +186,7 @@ RUNTIMES  = $(if $(findstring clang,$(CXX)),libclang_rt.asan-$(shell uname -m).s
 SANITIZED = tests/properties tests/surface/test_atlas_*.py $(addprefix tests/surface/test_,baking.py colour_values.py points.py) \
   $(addprefix tests/flow/test_,chunks.py clipping.py core_passes.py high_valence.py moving_positions.py noise_by_level.py patches.py)
 
-# The tests of the core, of which most are in Python, with a copy of the package whose core is instrumented.
+# The tests of the core, most of them in Python, with a copy of the package whose core is instrumented.
 sanitize: $(CMAKE) $(VENV)/.installed-test
 	build/cmake/bin/python -m pip install --quiet --disable-pip-version-check nanobind
 	$(CMAKE) -S beltrami_cli/native -B build/sanitize -DCMAKE_CXX_FLAGS="-O1 -g1" -DBELTRAMI_TESTS=ON \
@@ -196,7 +196,7 @@ sanitize: $(CMAKE) $(VENV)/.installed-test
 	$(dir $(CMAKE))ctest --test-dir build/sanitize --output-on-failure --no-tests=error
 	rm -rf build/sanitize/package && mkdir build/sanitize/package && cp -R beltrami_cli build/sanitize/package/
 	rm -f build/sanitize/package/beltrami_cli/_native.*.so && cp build/sanitize/_native.*so build/sanitize/package/beltrami_cli/
-	PYTHONPATH=build/sanitize/package ASAN_OPTIONS=detect_leaks=0 \
+	PYTHONPATH=$(abspath build/sanitize/package) ASAN_OPTIONS=detect_leaks=0 \
 	  LD_PRELOAD="$(foreach name,$(RUNTIMES),$(shell $(CXX) -print-file-name=$(name)))" $(PYTEST) $(SANITIZED)
 
 # The viewer of the pages is three.js, bundled once and kept in the package.

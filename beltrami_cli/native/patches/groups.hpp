@@ -40,7 +40,7 @@ constexpr std::size_t few = 16, medium = 32, many = 48;
 // Values in the rows that hold the patches of surfaces and of grids, padding included.
 constexpr std::size_t short_row = 32, long_row = 64;
 
-// How channels are mixed: `forth`, channels * channels factors, makes those that are estimated one by one; `back` undoes it.
+// How channels are mixed: `forth`, channels * channels factors, makes the ones to estimate one by one; `back` undoes it.
 struct Mixing {
   const float *forth, *back;
   const float *variances, *shrinkage;  // of each mixed channel: the variance of its noise, and see above
