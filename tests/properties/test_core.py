@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli._native import (
+    PATCH_BLOCK_SIZE,
     SurfacePatches,
     grid_distances,
     local_scale,
@@ -142,10 +143,12 @@ def sheets(side, count):
     return np.vstack([positions, [0.5, 0.5, 0]]), edges
 
 
-def collaborated(positions, edges, colours, threads=1, progress=None, axes=((1, 0.2, 0), (0, 1, 0))):
+def collaborated(
+    positions, edges, colours, threads=1, progress=None, axes=((1, 0.2, 0), (0, 1, 0)), blocks=None
+):
     """Return the estimates without and with a pilot."""
     priorities = np.random.default_rng(3).integers(0, 1 << 63, len(positions)).astype(np.uint64)
-    patches = SurfacePatches(positions, edges, np.array(axes), priorities, threads)
+    patches = SurfacePatches(positions, edges, np.array(axes), priorities, threads, blocks)
     pilot, one = colours + np.float32(0.01), np.full(3, 0.01, np.float32)
     mixing = np.eye(3, dtype=np.float32), np.eye(3, dtype=np.float32), one, 200 * one, 0.0, 1.0
     results = []
@@ -174,6 +177,18 @@ def test_patches_stay_on_their_sheet_whatever_the_order_of_edges_and_the_number_
     np.testing.assert_allclose(
         collaborated(positions, shuffled, colours, axes=axes), found, rtol=1e-5, atol=1e-5
     )
+
+
+def test_blocks_of_vertices_are_summed_as_by_default_and_those_without_a_number_start_no_group():
+    positions, edges = sheets(50, 2)
+    colours = np.random.default_rng(1).random((len(positions), 3), np.float32)
+    blocks = (np.arange(len(positions)) // PATCH_BLOCK_SIZE).astype(np.int32)
+    whole = collaborated(positions, edges, colours)
+    assert np.array_equal(collaborated(positions, edges, colours, blocks=blocks), whole)
+    blocks[2500:] = -1  # of the second sheet, whose vertices get the pilot
+    part = collaborated(positions, edges, colours, blocks=blocks)
+    assert np.array_equal(part[:, :2500], whole[:, :2500])
+    assert np.array_equal(part[:, 2500:], np.stack([colours + np.float32(0.01)] * 2)[:, 2500:])
 
 
 @pytest.mark.parametrize("side", [1, 2, 3, 5])

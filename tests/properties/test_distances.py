@@ -56,6 +56,19 @@ def plain_sums(manifold, colours, t, weights=None, max_samples=10**6, threshold=
     return smoothed
 
 
+@pytest.mark.parametrize("manifold", [image_manifold, segment_manifold])
+def test_kernels_of_some_vertices_are_those_of_all(manifold):
+    positions, faces = surfaces.terrain(30, 30, 0.3, 1)
+    colours = np.random.default_rng(8).random((len(positions), 3)).astype(np.float32)
+    own = manifold(positions, faces, colours, 1.0)
+    whole, part = (
+        own.smooth(colours, None, 1.0, 4.3, 1000, 1, None),
+        own.smooth(colours, None, 1.0, 4.3, 1000, 2, None, 101, 700),
+    )
+    assert np.array_equal(part[0][101:700], whole[0][101:700])
+    assert part[1] <= whole[1]
+
+
 @pytest.mark.slow
 @given(strategies.painted(strategies.meshes(general=True)))
 @settings(max_examples=20, deadline=None)  # each makes a graph of 30 points an edge, which is what takes time
