@@ -8,6 +8,7 @@ import pytest
 from beltrami_cli._native import (
     PATCH_BLOCK_SIZE,
     SurfacePatches,
+    collaborate_on_grid,
     grid_distances,
     local_scale,
     morton_order,
@@ -130,6 +131,36 @@ def test_grids_of_any_shape_with_holes_are_averaged_by_the_distances_of_single_k
         around = padded[:, row : row + 2 * radius + 1, column : column + 2 * radius + 1]
         mean = (kernel * around).sum(axis=(1, 2)) / kernel.sum()
         np.testing.assert_allclose(one[:, row, column], mean, atol=1e-5)
+
+
+@pytest.mark.parametrize("has_pilot", [False, True])
+@pytest.mark.parametrize(("rows", "columns"), [(1, 1), (1, 9), (12, 3), (200, 140)])
+def test_patches_of_grids_with_holes_estimate_owned_cells_and_leave_the_pilot_elsewhere(
+    rows, columns, has_pilot
+):
+    """Empty cells are not read, and neither threads nor estimates in the place of the pilot make a difference."""
+    random = np.random.default_rng(23)
+    kind = random.choice(np.array([0, 1, 2], np.uint8), (rows, columns), p=(0.05, 0.9, 0.05))
+    x = np.arange(columns) * np.ones((rows, 1))
+    pilot = np.float32([0.5 + 0.3 * np.sin(x / 4 + c) for c in range(3)])
+    noisy = pilot + random.normal(0, 0.1, pilot.shape).astype(np.float32)
+    noisy[:, kind == 0] = pilot[:, kind == 0] = np.nan
+    forth = np.float32([[1, 0.5, 0.5], [0, 1, 0], [0, 0, 1]])
+    back, ones = np.linalg.inv(forth).astype(np.float32), np.ones(3, np.float32)
+    mixing, relative = (forth, back, ones / 100, 2 * ones, 0.0, 1.0), np.ones((rows, columns), np.float32)
+    results = []
+    for threads, varies in ((1, False), (2, False), (3, True)):
+        found, before = np.empty_like(pilot), pilot.copy()
+        found = before if threads == 2 else found
+        variances = relative if varies else None
+        collaborate_on_grid(kind, noisy, before, mixing, variances, has_pilot, found, threads, None)
+        results.append(found)
+    for found in results:
+        np.testing.assert_array_equal(found, results[0])
+    owned = kind == 1
+    np.testing.assert_array_equal(found[:, ~owned], pilot[:, ~owned])
+    assert np.abs(found - 0.5)[:, owned].max(initial=0) < 0.8
+    assert (found != pilot)[:, owned].all()
 
 
 def sheets(side, count):
