@@ -186,7 +186,7 @@ def collaborated(
     for has_pilot in (False, True):
         estimates, weights = np.zeros_like(colours), np.zeros_like(colours)
         patches.collaborate(colours, pilot, mixing, None, has_pilot, estimates, weights, threads, progress)
-        results.append(estimates)
+        results.append(np.divide(estimates, weights, where=weights > 0, out=pilot.copy()))
     assert all(np.array_equal(found[-1], pilot[-1]) for found in results)  # the vertex without edges
     return np.array(results)
 
