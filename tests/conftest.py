@@ -48,6 +48,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    os.umask(0o022)  # configuration that others may write to is not read
     config.pluginmanager.register(_ProcessorTime(config.getoption("--cpu"), config.getoption("--cpu-budget")))
 
 

@@ -1,6 +1,5 @@
 """Options from files and the environment: flags win, then variables, files, defaults; `beltrami config` shows which."""
 
-import os
 import shutil
 import tomllib
 
@@ -10,13 +9,6 @@ from cli.commands import SAMPLES, beltrami
 
 NOISY = SAMPLES / "nonmanifold-noisy.ply"
 QUICK = {"iterations": 1, "time-step": 0.5, "beta-growth": 1, "metric-steps": 0}
-
-
-@pytest.fixture(autouse=True)
-def _files_of_ones_own():
-    before = os.umask(0o022)  # what others may write to is not read
-    yield
-    os.umask(before)
 
 
 @pytest.fixture

@@ -88,16 +88,10 @@ NAMED = {
 OPTIONS = {"report": "--report", "preview": "--preview", "map": "--map", "record": "--report"}
 
 
-@pytest.fixture
-def _without_workers():
-    with without_workers():
-        yield
-
-
 # A preview takes 4 s: it is drawn twice at its full size.
 @pytest.mark.slow
-@pytest.mark.usefixtures("_without_workers")
 @pytest.mark.parametrize("kind", NAMED)
+@without_workers()
 def test_a_file_of_others_is_replaced_only_if_the_command_line_names_it(kind, tmp_path):
     arguments, variable, name = NAMED[kind]
     (tmp_path / "out").mkdir()

@@ -21,13 +21,6 @@ NEVER = (
 )  # fmt: skip
 
 
-@pytest.fixture(autouse=True)
-def _files_of_ones_own():
-    before = os.umask(0o022)
-    yield
-    os.umask(before)
-
-
 def run(folder, *arguments, **variables):
     return beltrami(*arguments, cwd=folder, env=variables, text=True)
 

@@ -9,7 +9,7 @@ from scipy.ndimage import maximum_filter
 from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED, build_atlas, grid_atlas, within
 from oracles.textured import cube, quads, shown_texels, strips, textured
 
-RIGHT, BELOW = 0, 1
+RIGHT = 0
 
 
 def square(texels=16, place=(4, 4), image=32):
