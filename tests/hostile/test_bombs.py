@@ -302,8 +302,8 @@ def test_a_large_image_is_smoothed_where_there_is_room(tmp_path):
 SIDE = 16384
 # Decoded, one takes 256 MB, which fits, and for every use at least 2 bytes per pixel more, which do not.
 IMAGE_LIMIT = "512M"
-# Jobs that recolour keep their arrays in files then; other jobs on all pixels take at least 30 bytes per pixel.
-LIMIT_IN_MEMORY = "8G"
+# Jobs that recolour keep their arrays in files then; other jobs on all pixels take at least 28 bytes per pixel.
+LIMIT_IN_MEMORY = "7G"
 
 
 COMMANDS = [
