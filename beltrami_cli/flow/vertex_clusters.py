@@ -37,11 +37,8 @@ def collaborate_on_graph(
         sums, _ = _sums_of_patches(graph, stacks, graph.threads, mixing, progress)
     else:
         sums = np.zeros((graph.size, 2 * noisy.shape[1]), np.float32)
-        work, how = (
-            Work(_sums_of_patches, (mixing,), adds=True),
-            {"size": graph.size, "threads": graph.threads},
-        )
-        wanted.apply(graph.chunks, work, stacks, sums, progress, **how)
+        work = Work(_sums_of_patches, (mixing,), adds=True)
+        wanted.apply(graph.chunks, work, stacks, sums, progress, size=graph.size, threads=graph.threads)
     estimates, weights = np.split(sums, 2, axis=1)
     is_known = weights > 0  # not of isolated samples
     mixed = np.divide(estimates, weights, out=np.zeros_like(pilot), where=is_known)

@@ -298,7 +298,7 @@ SKIN = "\n".join(
     ]
 )
 PLACED = '<instance_geometry url="#g"/>'
-BESIDE = {
+COMPANIONS = {
     "": DAE,
     "materials": DAE.replace("<library_geometries>", f"{MATERIAL}<library_geometries>")
     .replace('<triangles count="2">', '<triangles count="2" material="s">')
@@ -314,13 +314,13 @@ BESIDE = {
 
 @needs_collada
 @pytest.mark.slow
-@pytest.mark.parametrize("left_out", BESIDE)
+@pytest.mark.parametrize("left_out", COMPANIONS)
 @pytest.mark.parametrize("suffix", ["dae", "zae"])
 def test_dae_colours_are_read_in_their_place_and_precision_whatever_is_beside_them(left_out, suffix):
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w") as archive:
-        archive.writestr("model.dae", BESIDE[left_out])
-    data = packed.getvalue() if suffix == "zae" else BESIDE[left_out].encode()
+        archive.writestr("model.dae", COMPANIONS[left_out])
+    data = packed.getvalue() if suffix == "zae" else COMPANIONS[left_out].encode()
     document = opened(data, f"x.{suffix}")
     painted = document.painted()
     # Polygons with a skin are where they were bound.

@@ -37,7 +37,7 @@ _AT_XML = 24  # bytes: where the place and the length of the description stand i
 _AT_POINT_FORMAT = 104  # byte of the header of LAS
 _AT_RECORDS = 235  # bytes: where the place of the extended records stands in it
 _LAZ = b"\x80"  # the bit of it that LAZ sets
-_COPC = "copc"  # who the records belong to that index a LAZ file; the first of them is about that
+_COPC = b"copc"  # who the records belong to that index a LAZ file; the first of them is about that
 _AT_OWNER = 377  # byte of LAS 1.4: the owner of the first record
 _LITERALS = 32  # bytes that one run of LZF holds at most
 Columns = dict[str, Array]
@@ -63,7 +63,7 @@ class SurveyDocument(NpzPointsDocument):
         stored, form = self._recoloured(new.colours), new.form or self.format
         if stored is None and form == self.format:
             return Written([self.data])
-        is_indexed = self.data[_AT_OWNER:].startswith(_COPC.encode())
+        is_indexed = _is_laz(self.data) and self.data.startswith(_COPC, _AT_OWNER)
         notices = ("The index of COPC is left out: the file becomes plain LAS or LAZ.",) if is_indexed else ()
         return Written([self._ask(form, {} if stored is None else {"new": stored})], notices=notices)
 
@@ -134,7 +134,7 @@ class _Las:
             points: bytes = self._points.tobytes()
             return self._data[:start] + points + self._data[start + len(points) :]
         for records in (self._las.header.vlrs, self._las.evlrs or []):
-            records[:] = [record for record in records if record.user_id != _COPC]
+            records[:] = [record for record in records if record.user_id != _COPC.decode()]
         buffer = io.BytesIO()
         self._las.write(buffer, do_compress=form == "laz")
         return buffer.getvalue()

@@ -17,7 +17,7 @@ struct Band {
 };
 
 BELTRAMI_DECLARE_VARIANTS(
-    // Writes sums over taps of tap * value for `count` values; those of the next tap begin `step` values further on.
+    // Writes sums over taps of tap * value for `count` values; the values of the next tap begin `step` places further on.
     void sum_over_taps(const float* values, std::size_t step, std::span<const float> taps, std::size_t count, float* sums))
 
 // Convolves planes of rows * columns cells with the taps (an odd number of them) down columns and along rows, and writes the
