@@ -31,9 +31,8 @@ from beltrami_cli.flow.domain import Stack
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.grid_geometry import Cells, GridGeometry, pick
 from beltrami_cli.flow.manifold import GuideStack, Manifold, Metric, SampleTrial
-from beltrami_cli.flow.noise.given import relative_to_mean
 from beltrami_cli.flow.noise.grid_squares import Grid
-from beltrami_cli.flow.noise.model import NoiseModel
+from beltrami_cli.flow.noise.haar_noise import NoiseModel, relative_to_mean
 from beltrami_cli.flow.noise.reading import estimate_noise
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.records import (

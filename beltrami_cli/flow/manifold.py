@@ -23,7 +23,7 @@ from beltrami_cli.arrays import Float32s, Int64s
 from beltrami_cli.flow.clipping import ClippedChannels
 from beltrami_cli.flow.domain import CoarseLevel, Geometry, Stack, in_blocks
 from beltrami_cli.flow.embedding import Guide, choose_beta, choose_guide_beta, join_channels
-from beltrami_cli.flow.noise.model import NoiseModel
+from beltrami_cli.flow.noise.haar_noise import NoiseModel
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.records import Averaged, Mixing, NewColours, SampledKernel, Step
 from beltrami_cli.flow.regularisation import Gaussian

@@ -23,7 +23,7 @@ import numpy as np
 from beltrami_cli.arrays import Array, Float32s
 from beltrami_cli.flow.domain import Geometry, in_blocks
 from beltrami_cli.flow.embedding import from_space, to_space
-from beltrami_cli.flow.noise.model import COLOURS
+from beltrami_cli.flow.noise.haar_noise import COLOURS
 from beltrami_cli.flow.parameters import Space
 
 if TYPE_CHECKING:

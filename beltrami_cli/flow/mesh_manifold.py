@@ -18,8 +18,7 @@ from beltrami_cli.flow.manifold import GuideStack, Manifold, Metric, SampleTrial
 from beltrami_cli.flow.mesh_geometry import MeshGeometry, coarse, rank_in
 from beltrami_cli.flow.moving_positions import GeometryParameters, MovingPositions
 from beltrami_cli.flow.noise.clusters import VertexClusters
-from beltrami_cli.flow.noise.given import relative_to_mean
-from beltrami_cli.flow.noise.haar_noise import draw_noise_of_clusters
+from beltrami_cli.flow.noise.haar_noise import draw_noise_of_clusters, relative_to_mean
 from beltrami_cli.flow.noise.reading import estimate_noise
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.records import (

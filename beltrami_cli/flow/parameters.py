@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, get_args
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.fields import BYTE_STEP, check, described, parameter
-from beltrami_cli.flow.noise.given import GivenNoise, file_of_noise, given_noise
+from beltrami_cli.fields import BYTE_STEP, check, described, number_in, parameter
 
 Weights = Literal["uniform", "area"]
 Units = Literal["spacing", "world"]
@@ -28,11 +28,9 @@ TUNABLE: tuple[Tunable, ...] = get_args(Tunable)
 STRENGTHS = {"gentle": 0.7, "normal": 1.0, "strong": 1.5}
 _STRENGTH_RANGE = "{}, or a number between {gentle} and {strong}".format(", ".join(STRENGTHS), **STRENGTHS)
 
-
 # The error of distances along segments stays the same on ever finer meshes, that of fast marching shrinks: on level
 # lattices both are 2.5 per cent at this radius, in sample spacings. On noisy colours segments are better at any.
 _SEGMENTS_REACH = 14
-
 
 # A Gaussian of a smaller standard deviation, in sample spacings, has no weight beyond its own sample.
 _SMALLEST_SCALE = 0.05
@@ -41,6 +39,55 @@ _CHOSEN = "chosen from the data, else {default}"
 
 # Logarithm of the growth at which any difference in colour is far beyond the kernel, and numbers do not overflow yet.
 MOST_GROWTH = 25.0
+
+_CAMERA = re.compile(r"shot:([^,]+),read:([^,]+)")
+
+# A file of standard deviations is known by its extension.
+_SOURCE = re.compile(r"(frame|attribute):(.+)|()(.+\.[A-Za-z]\w*)")
+
+
+@dataclass(frozen=True)
+class GivenNoise:
+    """A standard deviation, or the shares of shot and read noise: of full scale 1 and linear light."""
+
+    sigma: float = 0.0
+    shot: float = 0.0
+    read: float = 0.0
+    source: str = ""  # the file, or the attribute of vertices, that has it for each sample
+    kind: str = ""  # of the source: "frame", "attribute", or else standard deviations
+
+    @property
+    def is_by_level(self) -> bool:
+        """Whether it depends on the level of colours."""
+        return self.shot > 0 or self.read > 0
+
+
+def given_noise(text: str) -> GivenNoise:
+    """Read "12" or "12/255" of 255, "0.047" or "4.7%" of full scale, "shot:A,read:B", or a source; or ValueError."""
+    camera, source = _CAMERA.fullmatch(text.strip()), _SOURCE.fullmatch(text)
+    try:
+        if camera:
+            found = GivenNoise(shot=float(camera[1]), read=float(camera[2]))
+        elif source:
+            found = GivenNoise(source=source[2] or source[4], kind=source[1] or "")
+        else:
+            value, is_plain = number_in(text)
+            found = GivenNoise(value / 255 if is_plain and value >= 1 else value)
+    except ValueError:
+        raise ValueError(
+            f"is {text!r}, but must be a number of 255 such as 12, a share of full scale such as 0.047 or 4.7%, "
+            "shot:A,read:B such as shot:0.01,read:0.005, or a file of standard deviations such as sigma.exr, "
+            "frame:FILE or attribute:NAME"
+        ) from None
+    if not (0 <= found.sigma <= 1 and 0 <= found.shot <= 1 and 0 <= found.read <= 1):
+        raise ValueError(f"is {text!r}, but noise is at least 0, and at most 255 or a full scale of 1")
+    return found
+
+
+def file_of_noise(text: str) -> str:
+    """Return the file that a value of `noise` names; empty: none."""
+    source = _SOURCE.fullmatch(text)
+    return "" if source is None or source[1] == "attribute" else source[2] or source[4]
 
 
 def _strength_in(text: str) -> float:

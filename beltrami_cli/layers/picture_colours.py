@@ -16,7 +16,7 @@ from beltrami_cli.flow.canvas import painted, painted_by
 from beltrami_cli.flow.coded_picture import CodedPicture, decode, is_changed, noise_after, sigma_before
 from beltrami_cli.flow.embedding import from_space, to_space
 from beltrami_cli.flow.grid_manifold import GridManifold, grid_manifold
-from beltrami_cli.flow.noise.model import NoiseModel
+from beltrami_cli.flow.noise.haar_noise import NoiseModel
 from beltrami_cli.flow.parameters import KernelParameters, Space
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.image import Picture

@@ -11,8 +11,8 @@ import beltrami_cli
 from beltrami_cli._native import add_enlarged, means_of_squares
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.cell_squares import sort_squares
-from beltrami_cli.flow.noise.given import given_noise
-from beltrami_cli.flow.noise.model import VarianceStabiliser
+from beltrami_cli.flow.noise.haar_noise import VarianceStabiliser
+from beltrami_cli.flow.parameters import given_noise
 from beltrami_cli.jobs.inspect import inspect_file
 from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED
 from beltrami_cli.surface.records import linear_to_srgb, srgb_to_linear
@@ -53,7 +53,7 @@ def test_stabilised_colours_come_back_and_limits_stay():
 @pytest.mark.parametrize("level", [0.1, 0.9])
 def test_the_noise_of_a_camera_is_even_once_it_is_stabilised(level):
     """Of 100,000 samples a standard deviation is known to 0.3 per cent; the curve counts small noise only."""
-    stabiliser = given_noise(f"shot:{SHOT},read:{READ}").stabiliser()
+    stabiliser = VarianceStabiliser.of_camera(SHOT, READ)
     values = shot(np.full((3, 100_000), level))
     own = values.std()
     stabiliser.stabilise(values)
@@ -64,7 +64,7 @@ def test_the_noise_of_a_camera_is_even_once_it_is_stabilised(level):
 def test_noise_by_level_is_found_where_there_is_such_and_only_there():
     """The ratio between levels of 0.2 and 0.7 is no larger than that of the camera, but for a tenth."""
     clean = 0.05 + 1.2 * (scene(256) - 0.15)
-    truth = given_noise(f"shot:{SHOT},read:{READ}").stabiliser()
+    truth = VarianceStabiliser.of_camera(SHOT, READ)
     seen = noise_of_image(shot(clean)).stabiliser
     ratio = seen.sigma_at(0.2, 1) / seen.sigma_at(0.7, 1)
     assert 1.05 < ratio < 1.1 * truth.sigma_at(0.2, 1) / truth.sigma_at(0.7, 1)

@@ -16,10 +16,8 @@ from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.noise import features
 from beltrami_cli.flow.noise.features import COMPONENTS, LEVEL_BINS, SCALES, STEPS, even_covariances
-from beltrami_cli.flow.noise.given import GivenNoise
 from beltrami_cli.flow.noise.grid_squares import quiet_energies
-from beltrami_cli.flow.noise.haar_noise import covariance_of_cells
-from beltrami_cli.flow.noise.model import COLOURS, NoiseModel, VarianceStabiliser
+from beltrami_cli.flow.noise.haar_noise import COLOURS, NoiseModel, VarianceStabiliser, covariance_of_cells
 from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, Samples
 from beltrami_cli.flow.noise.network import (
     OFFSET,
@@ -32,6 +30,7 @@ from beltrami_cli.flow.noise.network import (
     readings,
     weights_of,
 )
+from beltrami_cli.flow.parameters import GivenNoise
 
 # Noise below this deviation, in steps of 8 bits, is invisible: it is less than that of rounding.
 INVISIBLE = 0.29
@@ -89,7 +88,7 @@ def estimate_noise(
     noise of the surface that the samples are a part of.
     """
     if known is None and measured is None and given is not None and given.is_by_level:
-        stabiliser = given.stabiliser()
+        stabiliser = VarianceStabiliser.of_camera(given.shot, given.read)
         stabiliser.stabilise(channels)
         # The noise of stabilised colours is the same at all levels.
         found = read_noise(channels, where, varies=False).scaled_to(stabiliser.scale)

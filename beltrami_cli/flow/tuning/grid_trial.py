@@ -7,8 +7,7 @@ import dataclasses
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Int64s
-from beltrami_cli.flow.noise.haar_noise import draw_haar_noise
-from beltrami_cli.flow.noise.model import NoiseModel
+from beltrami_cli.flow.noise.haar_noise import NoiseModel, draw_haar_noise
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, OWNED, ROWS, Atlas, Indices, refresh_halo
 

@@ -24,7 +24,7 @@ import numpy as np
 from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.flow.clipping import variance_of_clipped
 from beltrami_cli.flow.manifold import SampleTrial
-from beltrami_cli.flow.noise.model import VarianceStabiliser
+from beltrami_cli.flow.noise.haar_noise import VarianceStabiliser
 from beltrami_cli.flow.records import Step
 from beltrami_cli.surface.records import limits_of
 
