@@ -15,10 +15,9 @@ from scene import ROOT
 from beltrami_cli.flow.beltrami_flow import choose_parameters, smooth
 from beltrami_cli.flow.canvas import painted
 from beltrami_cli.flow.grid_manifold import GridManifold, cut_blocks, grid_manifold
-from beltrami_cli.flow.manifold import mark_clipped, restore_clipped
+from beltrami_cli.flow.manifold import Step, mark_clipped, restore_clipped
 from beltrami_cli.flow.mesh_manifold import mesh_manifold
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
-from beltrami_cli.flow.records import Step
 from beltrami_cli.flow.tuning.grid_trial import choose_blocks
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_document

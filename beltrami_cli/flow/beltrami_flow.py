@@ -15,11 +15,10 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.chunks import chunking
 from beltrami_cli.flow.clipping import ClippedChannels
 from beltrami_cli.flow.coarse_levels import denoise_means
-from beltrami_cli.flow.manifold import Manifold, mark_clipped, restore_clipped
+from beltrami_cli.flow.manifold import Averaged, Manifold, Step, mark_clipped, restore_clipped
 from beltrami_cli.flow.mean_light import MeanLight
 from beltrami_cli.flow.parameters import KernelParameters, Space
 from beltrami_cli.flow.patches import PASSES, blend_with_patches
-from beltrami_cli.flow.records import Averaged, Step
 from beltrami_cli.flow.tuning.choice import Choice, is_noisy, tune
 
 AnyManifold = TypeVar("AnyManifold", bound=Manifold)

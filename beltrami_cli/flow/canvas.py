@@ -9,10 +9,10 @@ import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
 from beltrami_cli.flow.chunks import Chunk, Figures, Work, chunk_of, chunking, rectangles
+from beltrami_cli.flow.domain import Mixing, NewColours
 from beltrami_cli.flow.noise.grid_squares import Grid
 from beltrami_cli.flow.noise.reading import read_noise
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.records import Mixing, NewColours
 from beltrami_cli.flow.regularisation import guide_radius
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED, Atlas, Indices, refresh_halo

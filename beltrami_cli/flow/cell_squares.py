@@ -9,10 +9,9 @@ import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Uint8s
 from beltrami_cli.flow.canvas import canvas_margin, collaborate_on_canvas
-from beltrami_cli.flow.domain import CoarseLevel, Stack
+from beltrami_cli.flow.domain import CoarseLevel, Mixing, Stack
 from beltrami_cli.flow.noise.haar_noise import mixed_signs
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.records import Mixing
 from beltrami_cli.flow.regularisation import gaussian_taps
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED, Atlas, refresh_halo

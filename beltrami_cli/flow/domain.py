@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
+import logging
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Uint8s
 from beltrami_cli.flow.clipping import ClippedChannels
-from beltrami_cli.flow.records import KernelWork, Mixing
+from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.regularisation import Gaussian
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Indices
@@ -19,6 +23,9 @@ Stack = Float32s
 
 # The median of this many steps between neighbours is within 0.3 % of that of all.
 ENOUGH_STEPS = 200_000
+
+LOG = logging.getLogger(__name__)
+"""Says how much work is ahead, before it starts."""
 
 
 class Domain(ABC):
@@ -109,6 +116,38 @@ class Geometry(Domain):
         return self
 
 
+class KernelWork:
+    """Work with kernels that a window bounds, as on a grid."""
+
+    def __init__(self, kernels: int, unit: float) -> None:
+        self.kernels = kernels
+        self._unit = unit or 1.0
+
+    @property
+    def is_surface(self) -> bool:
+        """Whether the best parameters of parts are the best ones of the whole."""
+        return True
+
+    def bounded(self, parameters: KernelParameters) -> KernelParameters:
+        """Return parameters with fewer samples a kernel, if the samples need that and the limit is the default."""
+        return parameters
+
+    def samples(self, parameters: KernelParameters) -> float:
+        """Return how many samples all kernels of an iteration hold, at most."""
+        return self.kernels * min(self._on_even_surface(parameters), parameters.window**2)
+
+    def announce(self, parameters: KernelParameters) -> None:
+        LOG.info(
+            "work: %d kernels in each of %d iterations, at most some %.2g million samples",
+            self.kernels, parameters.iterations, parameters.iterations * self.samples(parameters) / 1e6,
+        )  # fmt: skip
+
+    def _on_even_surface(self, parameters: KernelParameters) -> float:
+        """Return how many samples a kernel holds where triangles are equilateral, with an area of sqrt(3) / 4."""
+        circle, of_sample = math.pi * (parameters.radius / self._unit) ** 2, math.sqrt(3) / 2
+        return 1 + circle / of_sample
+
+
 class CoarseLevel(Domain):
     """Means of groups of neighbouring samples, as fewer samples of the same surface."""
 
@@ -135,9 +174,65 @@ class CoarseLevel(Domain):
         """Add changes of means to a stack, in place."""
 
 
+@dataclass(frozen=True)
+class Mixing:
+    """How N channels are mixed so that each can be estimated by itself, shape (N, N), and their noise, shape (N,)."""
+
+    forth: Float32s
+    back: Float32s
+    variances: Float32s
+    shrinkage: Float32s  # what the noise is multiplied by, with a pilot, where there is no detail, shape (N,)
+    least_ratio: float = 0.0  # ... and at least, where there is
+    strength: float = 1.0  # ... and besides, everywhere
+    has_pilot: bool = field(default=False, kw_only=True)  # patches are compared on an estimate
+
+    @property
+    def parts(self) -> tuple[Float32s, Float32s, Float32s, Float32s, float, float]:
+        return self.forth, self.back, self.variances, self.shrinkage, self.least_ratio, self.strength
+
+
 def in_blocks(axis: int, *stacks: Array) -> Iterator[tuple[Array, ...]]:
     """Go through stacks together in blocks, with the channels, which are at `axis`, first."""
     whole = [np.moveaxis(stack, axis, 0) for stack in stacks]
     size = max(1, large_arrays.CACHED // max(1, whole[0][0, :1].size))
     for rows in large_arrays.blocks(whole[0].shape[1], size):
         yield tuple(stack[:, rows] for stack in whole)
+
+
+@dataclass(frozen=True)
+class NewColours:
+    """Colours of S samples, read block by block, and the colours that continue them beyond seams."""
+
+    take: Callable[[slice, Bools | slice], Float32s]  # a block's rows, all or by a mask
+    places: Indices  # texels or pixels of the samples, shape (S,)
+    beyond_places: Indices  # texels or pixels around charts, shape (G,)
+    beyond: Float32s  # their colours, shape (G, N)
+    positions: Float64s | None = None  # of the samples, shape (S, 3), if they moved
+
+    @classmethod
+    def of(
+        cls,
+        rows: Float32s,
+        places: Indices | None = None,
+        beyond_places: Indices | None = None,
+        beyond: Float32s | None = None,
+    ) -> NewColours:
+        """Give the rows of a table, shape (S, N)."""
+        none = np.zeros(0, np.int64)
+        return cls(
+            lambda block, inside: rows[block][inside],
+            np.arange(len(rows)) if places is None else places,
+            none if beyond_places is None else beyond_places,
+            np.zeros((0, rows.shape[1]), np.float32) if beyond is None else beyond,
+        )
+
+    def mapped(self, each: Callable[[Float32s], Float32s]) -> NewColours:
+        """Return what a function makes of rows of colours."""
+        take = self.take
+        return dataclasses.replace(
+            self, take=lambda block, inside: each(take(block, inside)), beyond=each(self.beyond)
+        )
+
+    def table(self) -> Float32s:
+        """Return all rows, shape (S, N)."""
+        return self.take(slice(None), slice(None))

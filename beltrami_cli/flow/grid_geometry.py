@@ -21,9 +21,8 @@ from beltrami_cli.flow.canvas import (
 )
 from beltrami_cli.flow.chunks import Rectangle
 from beltrami_cli.flow.clipping import ClippedChannels, find_clipped
-from beltrami_cli.flow.domain import ENOUGH_STEPS, Geometry, Stack
+from beltrami_cli.flow.domain import ENOUGH_STEPS, Geometry, KernelWork, Stack
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.records import KernelWork
 from beltrami_cli.flow.regularisation import GridGaussian, gaussian_taps
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED, Atlas, Indices, refresh_halo

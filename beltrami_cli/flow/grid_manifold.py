@@ -27,25 +27,27 @@ from beltrami_cli.flow.canvas import (
 )
 from beltrami_cli.flow.cell_squares import Squares, squares_for
 from beltrami_cli.flow.chunks import Chunk, Figures, Work, chunk_of, chunking, rectangles
-from beltrami_cli.flow.domain import Stack
-from beltrami_cli.flow.embedding import Guide
+from beltrami_cli.flow.domain import Mixing, NewColours, Stack
 from beltrami_cli.flow.grid_geometry import Cells, GridGeometry, pick
-from beltrami_cli.flow.manifold import GuideStack, Manifold, Metric, SampleTrial
-from beltrami_cli.flow.noise.grid_squares import Grid
-from beltrami_cli.flow.noise.haar_noise import NoiseModel, relative_to_mean
-from beltrami_cli.flow.noise.reading import estimate_noise
-from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.records import (
+from beltrami_cli.flow.manifold import (
+    ON_GRIDS,
+    RULE_ON_GRIDS,
     Averaged,
-    Mixing,
-    NewColours,
+    Guide,
+    GuideStack,
+    Manifold,
+    Metric,
     SampledKernel,
+    SampleTrial,
     Step,
     at_step,
     kernel_values,
 )
+from beltrami_cli.flow.noise.grid_squares import Grid
+from beltrami_cli.flow.noise.haar_noise import NoiseModel, relative_to_mean
+from beltrami_cli.flow.noise.reading import estimate_noise
+from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.regularisation import Gaussian, GridGaussian, guide_radius
-from beltrami_cli.flow.search_range import ON_GRIDS, RULE_ON_GRIDS
 from beltrami_cli.flow.tuning.grid_trial import choose_blocks, perturbations, tried_cells, with_halo
 from beltrami_cli.flow.tuning.sure import wanted_probes
 from beltrami_cli.surface import large_arrays

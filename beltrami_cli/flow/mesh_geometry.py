@@ -1,4 +1,9 @@
-"""The geometry of a triangulated surface; its samples are kept in a cache-friendly order."""
+"""The geometry of a triangulated surface; its samples are kept in a cache-friendly order.
+
+On an even surface a kernel holds as many samples as its area. It holds far more around a vertex of very many triangles,
+a hub, and in a tangle: triangles that are no surface, such as vertices joined at random, all a few edges apart.
+There the kernels are bounded.
+"""
 
 from __future__ import annotations
 
@@ -12,15 +17,26 @@ import numpy as np
 from beltrami_cli._native import SegmentManifold, TriangulatedManifold, vertex_order
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
 from beltrami_cli.flow.clipping import ClippedChannels, find_clipped
-from beltrami_cli.flow.domain import Geometry, Stack
+from beltrami_cli.flow.domain import Geometry, KernelWork, Stack
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.records import MeshWork
 from beltrami_cli.flow.regularisation import MeshGaussian
 from beltrami_cli.flow.tuning.mesh_trial import fingerprints
 from beltrami_cli.flow.vertex_graph import PASS_SCALE, PASS_VARIANCE, Graph, all_known
 from beltrami_cli.surface.atlas import OWNED, Indices
 from beltrami_cli.surface.geometry import edges_in_space, local_spacing, mean_side, vertex_areas
 from beltrami_cli.surface.records import SampledSurface
+
+# Edges at one vertex. The poles of spheres and the caps of cylinders have fewer.
+_HUB = 512
+
+# Samples that kernels around hubs would hold, from which on it takes seconds.
+_MOST_NEAR_HUBS = 1_000_000
+
+# A small tangle takes no time. On surfaces V - E + F is about 0, whatever their handles and borders are.
+_SMALL, _TANGLED = 1_000, -1 / 4
+
+# Samples of the largest kernels there, as a multiple of what they would hold on an even surface.
+_LARGEST = 2
 
 # Steps of colours, far above their rounding, by which signs and the patches that start groups are chosen.
 _COARSE = np.float32(256)
@@ -213,3 +229,48 @@ def _axes(positions: Float64s, colours: Float32s) -> Float64s:
     level = colours.sum(axis=1, dtype=np.float64)
     level -= level.mean()
     return np.stack([np.einsum("i,ij->j", weights, offsets) for weights in (level, level**2)])
+
+
+def find_hubs(size: int, edges: Int32s) -> Bools:
+    """Return which vertices have very many edges."""
+    return np.asarray(np.bincount(edges.ravel(), minlength=size) > _HUB)
+
+
+def without_hubs(size: int, edges: Int32s) -> Int32s:
+    """Leave out the edges at hubs."""
+    hubs = find_hubs(size, edges)
+    return edges[~hubs[edges].any(axis=1)] if hubs.any() else edges
+
+
+class MeshWork(KernelWork):
+    """Work with the kernels of triangles, where hubs and tangles cost more."""
+
+    def __init__(self, kernels: int, unit: float, edges: Int32s, faces: int) -> None:
+        super().__init__(kernels, unit)
+        degrees = np.bincount(edges.ravel(), minlength=kernels)
+        joined = int(np.count_nonzero(degrees))
+        self._is_tangled = joined >= _SMALL and joined - len(edges) + faces < _TANGLED * joined
+        self._hub_degrees = degrees[degrees > _HUB]
+        self._edges = edges
+
+    @property
+    def is_surface(self) -> bool:
+        """Whether it is no tangle, and most samples are not next to hubs."""
+        near_hubs = np.count_nonzero(find_hubs(self.kernels, self._edges)[self._edges])
+        return not self._is_tangled and bool(near_hubs <= self.kernels / 2)
+
+    def bounded(self, parameters: KernelParameters) -> KernelParameters:
+        """Bound kernels around hubs and in tangles by twice what they would hold on an even surface."""
+        if parameters.max_samples != KernelParameters.max_samples:
+            return parameters
+        near_hubs = np.square(self._hub_degrees.astype(np.float64)).sum()
+        if not self._is_tangled and near_hubs < _MOST_NEAR_HUBS:
+            return parameters
+        most = math.ceil(_LARGEST * self._on_even_surface(parameters))
+        return dataclasses.replace(parameters, max_samples=min(parameters.max_samples, most))
+
+    def samples(self, parameters: KernelParameters) -> float:
+        """Return how many samples all kernels of an iteration hold, at most."""
+        near_hubs = self.kernels if self._is_tangled else min(int(self._hub_degrees.sum()), self.kernels)
+        each = min(self._on_even_surface(parameters), parameters.max_samples)
+        return (self.kernels - near_hubs) * each + near_hubs * min(parameters.max_samples, self.kernels)

@@ -12,27 +12,28 @@ from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Float32s, Int64s
 from beltrami_cli.flow.chunks import Chunk, Figures, Neighbours, Work, chunk_of_run, chunking, runs
-from beltrami_cli.flow.domain import Stack
-from beltrami_cli.flow.embedding import Guide
-from beltrami_cli.flow.manifold import GuideStack, Manifold, Metric, SampleTrial
-from beltrami_cli.flow.mesh_geometry import MeshGeometry, coarse, rank_in
+from beltrami_cli.flow.domain import Mixing, NewColours, Stack
+from beltrami_cli.flow.manifold import (
+    ON_MESHES,
+    RULE_ON_MESHES,
+    Averaged,
+    Guide,
+    GuideStack,
+    Manifold,
+    Metric,
+    SampledKernel,
+    SampleTrial,
+    Step,
+    at_step,
+    kernel_values,
+)
+from beltrami_cli.flow.mesh_geometry import MeshGeometry, coarse, rank_in, without_hubs
 from beltrami_cli.flow.moving_positions import GeometryParameters, MovingPositions
 from beltrami_cli.flow.noise.clusters import VertexClusters
 from beltrami_cli.flow.noise.haar_noise import draw_noise_of_clusters, relative_to_mean
 from beltrami_cli.flow.noise.reading import estimate_noise
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.records import (
-    Averaged,
-    Mixing,
-    NewColours,
-    SampledKernel,
-    Step,
-    at_step,
-    kernel_values,
-    without_hubs,
-)
 from beltrami_cli.flow.regularisation import Gaussian
-from beltrami_cli.flow.search_range import ON_MESHES, RULE_ON_MESHES
 from beltrami_cli.flow.tuning.mesh_trial import choose_patches, fingerprints, random_signs
 from beltrami_cli.flow.tuning.sure import wanted_probes
 from beltrami_cli.flow.vertex_clusters import Clusters, clusters_for, collaborate_on_graph

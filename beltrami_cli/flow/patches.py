@@ -32,10 +32,9 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.flow.clipping import ClippedChannels, normal_tables
-from beltrami_cli.flow.domain import ENOUGH_STEPS, CoarseLevel, Domain, in_blocks
+from beltrami_cli.flow.domain import ENOUGH_STEPS, CoarseLevel, Domain, Mixing, in_blocks
 from beltrami_cli.flow.manifold import Manifold, relative_variance
 from beltrami_cli.flow.noise.features import COMPONENTS
-from beltrami_cli.flow.records import Mixing
 from beltrami_cli.surface import large_arrays
 
 # Differences of channels count half when patches are compared, since they hold little detail and as much noise.

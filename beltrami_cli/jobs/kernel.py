@@ -14,9 +14,8 @@ import numpy as np
 from beltrami_cli.arrays import Array, Float32s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import smooth
-from beltrami_cli.flow.embedding import from_space
 from beltrami_cli.flow.grid_manifold import GridManifold
-from beltrami_cli.flow.records import SampledKernel
+from beltrami_cli.flow.manifold import SampledKernel
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.picture import new_picture
@@ -29,7 +28,7 @@ from beltrami_cli.layers.selection import select
 from beltrami_cli.layers.settings import DEFAULTS, IMAGE_SUFFIXES, SmoothSettings
 from beltrami_cli.surface.atlas import EMPTY
 from beltrami_cli.surface.baking import Cells
-from beltrami_cli.surface.records import as_bytes, colour_by_value
+from beltrami_cli.surface.records import as_bytes, colour_by_value, from_space
 
 _ZOOM, _GAP = 28, 12  # pixels of a cell in a picture, and between its panels
 _SURROUNDINGS = 4  # cells that are shown around the window

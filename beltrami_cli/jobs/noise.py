@@ -21,9 +21,8 @@ from numpy.typing import NDArray
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.canvas import painted as on_canvas
-from beltrami_cli.flow.embedding import from_space, to_space
+from beltrami_cli.flow.domain import NewColours
 from beltrami_cli.flow.parameters import Space
-from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.image.reading import read_image
@@ -39,7 +38,7 @@ from beltrami_cli.layers.vertex_layer import PaintedLayer, coloured_rows
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.baking import Cells, places_of_texels
 from beltrami_cli.surface.grouping import group_places
-from beltrami_cli.surface.records import PaintedVertices, limits_of
+from beltrami_cli.surface.records import PaintedVertices, from_space, limits_of, to_space
 
 _BAYER = np.array([[0, 1], [1, 2]])  # the channel that is measured, by row and column
 _LATTICE = 1 << 16  # random numbers, which points of a lattice share by a hash

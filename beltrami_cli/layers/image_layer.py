@@ -13,10 +13,10 @@ import numpy as np
 
 from beltrami_cli.arrays import Bools
 from beltrami_cli.flow.beltrami_flow import FlowResult, Plan
-from beltrami_cli.flow.embedding import Guide
+from beltrami_cli.flow.domain import NewColours
 from beltrami_cli.flow.grid_manifold import GridManifold
+from beltrami_cli.flow.manifold import Guide
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, is_exact, label_of

@@ -14,8 +14,8 @@ from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.fields import given_options
 from beltrami_cli.flow.beltrami_flow import Plan
 from beltrami_cli.flow.canvas import canvas_margin
-from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.grid_manifold import GridManifold
+from beltrami_cli.flow.manifold import Guide
 from beltrami_cli.flow.parameters import KernelParameters, Space
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.image import Picture

@@ -14,7 +14,6 @@ from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.beltrami_flow import Plan, choose_parameters, smooth
 from beltrami_cli.flow.canvas import painted, painted_by
 from beltrami_cli.flow.coded_picture import CodedPicture, decode, is_changed, noise_after, sigma_before
-from beltrami_cli.flow.embedding import from_space, to_space
 from beltrami_cli.flow.grid_manifold import GridManifold, grid_manifold
 from beltrami_cli.flow.noise.haar_noise import NoiseModel
 from beltrami_cli.flow.parameters import KernelParameters, Space
@@ -37,7 +36,7 @@ from beltrami_cli.layers.layer import choose_channels
 from beltrami_cli.layers.settings import COLOUR_SLOTS, SmoothSettings
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas, Indices, texels_by_texture
-from beltrami_cli.surface.records import Slot
+from beltrami_cli.surface.records import Slot, from_space, to_space
 
 COLOURS = ("red", "green", "blue", "grey")
 # The channels that a data slot uses; others of the same image belong to another slot.

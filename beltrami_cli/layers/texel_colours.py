@@ -13,9 +13,9 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
 from beltrami_cli.flow.beltrami_flow import Plan
+from beltrami_cli.flow.domain import NewColours
 from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.image import Picture, check_writable
 from beltrami_cli.formats.image.metadata import JpegTables
 from beltrami_cli.layers.layer import Change, Layer, store

@@ -14,9 +14,9 @@ from beltrami_cli.arrays import Float32s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import FlowResult, Plan
 from beltrami_cli.flow.canvas import canvas_margin, colours_at, painted_by
+from beltrami_cli.flow.domain import NewColours
 from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, read_texture

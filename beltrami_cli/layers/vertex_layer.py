@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.beltrami_flow import FlowResult, Plan, choose_parameters
-from beltrami_cli.flow.embedding import Guide, from_space, to_space
+from beltrami_cli.flow.domain import NewColours
 from beltrami_cli.flow.grid_manifold import GridManifold
+from beltrami_cli.flow.manifold import Guide
 from beltrami_cli.flow.mesh_manifold import MeshManifold, mesh_manifold, samples_per_kernel
 from beltrami_cli.flow.moving_positions import GeometryParameters
-from beltrami_cli.flow.records import NewColours
 from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image
 from beltrami_cli.layers.layer import (
     Change,
@@ -37,7 +37,7 @@ from beltrami_cli.surface.atlas import Indices
 from beltrami_cli.surface.geometry import bounds, count_topology
 from beltrami_cli.surface.grouping import VertexSampling, sample_vertices
 from beltrami_cli.surface.reconstruction import faces_of_points
-from beltrami_cli.surface.records import PaintedVertices, SampledSurface
+from beltrami_cli.surface.records import PaintedVertices, SampledSurface, from_space, to_space
 
 # Kernels from which the mean number of samples is estimated, within a few per cent, in milliseconds.
 _PROBED_KERNELS = 1000

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from beltrami_cli.flow.beltrami_flow import choose_parameters, smooth
-from beltrami_cli.flow.embedding import Guide
+from beltrami_cli.flow.manifold import Guide
 from beltrami_cli.flow.mesh_manifold import mesh_manifold
 from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image
 from beltrami_cli.surface.atlas import build_atlas

@@ -8,9 +8,8 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 import beltrami_cli
+from beltrami_cli.flow.manifold import RULE_ON_GRIDS, RULE_ON_MESHES, Step
 from beltrami_cli.flow.parameters import STRENGTHS, TUNABLE, KernelParameters
-from beltrami_cli.flow.records import Step
-from beltrami_cli.flow.search_range import RULE_ON_GRIDS, RULE_ON_MESHES
 from beltrami_cli.flow.tuning import mesh_trial, sure
 from beltrami_cli.flow.tuning.choice import Choice, Grid, Search
 from beltrami_cli.flow.tuning.sure import Risk, RiskEstimate

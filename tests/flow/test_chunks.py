@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow import chunks, grid_manifold
 from beltrami_cli.flow.chunks import InTurn, in_chunks
-from beltrami_cli.flow.embedding import Guide
+from beltrami_cli.flow.manifold import Guide
 from beltrami_cli.flow.moving_positions import GeometryParameters
 from beltrami_cli.flow.parameters import KernelParameters, parameters_with
 from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image

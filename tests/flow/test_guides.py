@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import beltrami_cli
-from beltrami_cli.flow.embedding import Guide, choose_guide_beta
+from beltrami_cli.flow.manifold import Guide, choose_guide_beta
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.regularisation import guide_radius
 from beltrami_cli.surface.atlas import build_atlas

@@ -13,11 +13,10 @@ import numpy as np
 
 from beltrami_cli.arrays import Float64s
 from beltrami_cli.fields import BYTE_STEP
-from beltrami_cli.flow.embedding import choose_beta, overall_noise
-from beltrami_cli.flow.manifold import Manifold, SampleTrial
+from beltrami_cli.flow.domain import LOG
+from beltrami_cli.flow.manifold import Manifold, Rule, SampleTrial, SearchRange, Step
+from beltrami_cli.flow.noise.haar_noise import choose_beta, overall_noise
 from beltrami_cli.flow.parameters import MOST_GROWTH, KernelParameters
-from beltrami_cli.flow.records import LOG, Step
-from beltrami_cli.flow.search_range import Rule, SearchRange
 from beltrami_cli.flow.tuning.sure import Risk, RiskEstimate, State
 
 # Improvements by less than this share of the noise's variance are due to chance: some 0.1 dB of a good result.

@@ -23,9 +23,8 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.flow.clipping import variance_of_clipped
-from beltrami_cli.flow.manifold import SampleTrial
+from beltrami_cli.flow.manifold import SampleTrial, Step
 from beltrami_cli.flow.noise.haar_noise import VarianceStabiliser
-from beltrami_cli.flow.records import Step
 from beltrami_cli.surface.records import limits_of
 
 # The perturbation, in units of the noise: far above the rounding of float32. Distances on meshes have kinks where their

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
-from beltrami_cli.flow.embedding import to_space
 from beltrami_cli.flow.parameters import Weights
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
@@ -39,7 +38,7 @@ from beltrami_cli.surface.atlas import (
 )
 from beltrami_cli.surface.geometry import vertex_areas
 from beltrami_cli.surface.grouping import group_places
-from beltrami_cli.surface.records import PaintedVertices, Slot, Texture, TexturedSurface
+from beltrami_cli.surface.records import PaintedVertices, Slot, Texture, TexturedSurface, to_space
 
 Documents = tuple[Document, Document]
 
