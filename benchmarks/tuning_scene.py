@@ -18,7 +18,7 @@ from beltrami_cli.flow.grid_manifold import GridManifold, cut_blocks, grid_manif
 from beltrami_cli.flow.manifold import Step, mark_clipped, restore_clipped
 from beltrami_cli.flow.mesh_manifold import mesh_manifold
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
-from beltrami_cli.flow.tuning.grid_trial import choose_blocks
+from beltrami_cli.flow.risk import choose_blocks
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.surface.atlas import HALO, OWNED, build_atlas

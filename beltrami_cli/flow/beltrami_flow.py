@@ -12,6 +12,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.errors import UsageError
+from beltrami_cli.flow.choice import Choice, is_noisy, tune
 from beltrami_cli.flow.chunks import chunking
 from beltrami_cli.flow.clipping import ClippedChannels
 from beltrami_cli.flow.coarse_levels import denoise_means
@@ -19,7 +20,6 @@ from beltrami_cli.flow.manifold import Averaged, Manifold, Step, mark_clipped, r
 from beltrami_cli.flow.mean_light import MeanLight
 from beltrami_cli.flow.parameters import KernelParameters, Space
 from beltrami_cli.flow.patches import PASSES, blend_with_patches
-from beltrami_cli.flow.tuning.choice import Choice, is_noisy, tune
 
 AnyManifold = TypeVar("AnyManifold", bound=Manifold)
 

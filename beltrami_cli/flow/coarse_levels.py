@@ -138,7 +138,7 @@ def _coarsest(covariances: Float64s) -> int:
 
 
 def _estimate(level: CoarseLevel, manifold: Manifold, noise: Float64s) -> float:
-    """Estimate means, in place; return their mean square error by SURE, see `tuning.sure`."""
+    """Estimate means, in place; return their mean square error by SURE, see `risk`."""
     first = mixing_of(manifold, manifold.colours, noise)
     second, means = with_pilot(first, manifold), level.means(manifold.colours)
     collaborate = partial(level.collaborate, shared=True)

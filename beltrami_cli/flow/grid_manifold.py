@@ -48,8 +48,7 @@ from beltrami_cli.flow.noise.haar_noise import NoiseModel, relative_to_mean
 from beltrami_cli.flow.noise.reading import estimate_noise
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.regularisation import Gaussian, GridGaussian, guide_radius
-from beltrami_cli.flow.tuning.grid_trial import choose_blocks, perturbations, tried_cells, with_halo
-from beltrami_cli.flow.tuning.sure import wanted_probes
+from beltrami_cli.flow.risk import choose_blocks, perturbations, tried_cells, wanted_probes, with_halo
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, OWNED, Atlas, refresh_halo, without_halo
 

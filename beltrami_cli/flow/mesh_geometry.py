@@ -20,7 +20,7 @@ from beltrami_cli.flow.clipping import ClippedChannels, find_clipped
 from beltrami_cli.flow.domain import Geometry, KernelWork, Stack
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.regularisation import MeshGaussian
-from beltrami_cli.flow.tuning.mesh_trial import fingerprints
+from beltrami_cli.flow.risk import fingerprints
 from beltrami_cli.flow.vertex_graph import PASS_SCALE, PASS_VARIANCE, Graph, all_known
 from beltrami_cli.surface.atlas import OWNED, Indices
 from beltrami_cli.surface.geometry import edges_in_space, local_spacing, mean_side, vertex_areas

@@ -34,8 +34,7 @@ from beltrami_cli.flow.noise.haar_noise import draw_noise_of_clusters, relative_
 from beltrami_cli.flow.noise.reading import estimate_noise
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.regularisation import Gaussian
-from beltrami_cli.flow.tuning.mesh_trial import choose_patches, fingerprints, random_signs
-from beltrami_cli.flow.tuning.sure import wanted_probes
+from beltrami_cli.flow.risk import choose_patches, fingerprints, random_signs, wanted_probes
 from beltrami_cli.flow.vertex_clusters import Clusters, clusters_for, collaborate_on_graph
 from beltrami_cli.flow.vertex_graph import levels_of
 from beltrami_cli.surface.records import SampledSurface

@@ -12,7 +12,7 @@ from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.flow.chunks import Figures, Work, chunking
 from beltrami_cli.flow.domain import CoarseLevel, Mixing, Stack
 from beltrami_cli.flow.noise.haar_noise import root_of
-from beltrami_cli.flow.tuning.mesh_trial import random_signs
+from beltrami_cli.flow.risk import random_signs
 from beltrami_cli.flow.vertex_graph import Graph, Level, levels_of
 
 # Fewer clusters hold no patches that could be compared.

@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter
 import beltrami_cli
 from beltrami_cli.flow.manifold import Step
 from beltrami_cli.flow.noise.haar_noise import draw_haar_noise, sigma_of_covariances
-from beltrami_cli.flow.tuning.sure import RiskEstimate
+from beltrami_cli.flow.risk import RiskEstimate
 from flow.noisy_surfaces import by_camera, in_8_bits, noise_of_image
 from flow.test_choice import Blur
 from formats.image_files import encode

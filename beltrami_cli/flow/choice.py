@@ -17,7 +17,7 @@ from beltrami_cli.flow.domain import LOG
 from beltrami_cli.flow.manifold import Manifold, Rule, SampleTrial, SearchRange, Step
 from beltrami_cli.flow.noise.haar_noise import choose_beta, overall_noise
 from beltrami_cli.flow.parameters import MOST_GROWTH, KernelParameters
-from beltrami_cli.flow.tuning.sure import Risk, RiskEstimate, State
+from beltrami_cli.flow.risk import Risk, RiskEstimate, State
 
 # Improvements by less than this share of the noise's variance are due to chance: some 0.1 dB of a good result.
 _WORTH_MOVING = 5e-4

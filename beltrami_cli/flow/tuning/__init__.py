@@ -1,1 +1,0 @@
-"""Parameters that are chosen from the data."""
