@@ -26,7 +26,7 @@ from beltrami_cli.flow.canvas import painted
 from beltrami_cli.flow.grid_manifold import grid_manifold
 from beltrami_cli.formats.image.metadata import read_jpeg_tables
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.layers.picture_colours import plan_on_pictures
+from beltrami_cli.layers.picture_layer import plan_on_pictures
 from beltrami_cli.surface.atlas import build_atlas
 
 SUBSAMPLINGS = {"4:4:4": 0x111111, "4:2:0": 0x221111}

@@ -31,9 +31,9 @@ from beltrami_cli.jobs.job import PLAIN_JOB, Job, NoiseSettings
 from beltrami_cli.jobs.recolour import FileReport, Painted, Painter, recolour
 from beltrami_cli.layers.image_layer import ImageLayer
 from beltrami_cli.layers.layer import Change, Layer, Repainted
+from beltrami_cli.layers.picture_layer import PictureLayer
 from beltrami_cli.layers.settings import DEFAULTS, SLOTS, SmoothSettings
-from beltrami_cli.layers.texel_colours import PictureLayer, all_texel_colours
-from beltrami_cli.layers.texture_layer import TextureLayer
+from beltrami_cli.layers.texture_layer import TextureLayer, all_texel_colours
 from beltrami_cli.layers.vertex_layer import PaintedLayer, coloured_rows
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.baking import Cells, places_of_texels

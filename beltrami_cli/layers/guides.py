@@ -20,8 +20,9 @@ from beltrami_cli.formats.archives import NPY_MAGIC, NpzArchive, is_npz, read_np
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, read_image, read_texture
 from beltrami_cli.formats.image.picture import full_scale_one
+from beltrami_cli.formats.image.reading import require_memory
 from beltrami_cli.formats.registry import document_of
-from beltrami_cli.layers.picture_colours import PictureColours, require_memory
+from beltrami_cli.layers.picture_layer import PictureColours
 from beltrami_cli.layers.settings import SLOTS, SmoothSettings
 from beltrami_cli.surface.atlas import Atlas, texels_by_texture
 from beltrami_cli.surface.baking import look_up

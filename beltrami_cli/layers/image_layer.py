@@ -30,9 +30,8 @@ from beltrami_cli.layers.image_surface import (
     refuse_options_of_meshes,
 )
 from beltrami_cli.layers.layer import ImageReport, Part, Repainted, rewritten
-from beltrami_cli.layers.picture_colours import Make, PictureColours, with_chosen_layer
+from beltrami_cli.layers.picture_layer import Make, PictureColours, PictureLayer, with_chosen_layer
 from beltrami_cli.layers.settings import SmoothSettings
-from beltrami_cli.layers.texel_colours import PictureLayer
 from beltrami_cli.surface.atlas import Atlas
 from beltrami_cli.surface.baking import Cells
 

@@ -21,7 +21,7 @@ from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.image import Picture
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.layers.guides import read_of_size
-from beltrami_cli.layers.picture_colours import Make, maker_of_manifolds, plan_on_pictures
+from beltrami_cli.layers.picture_layer import Make, maker_of_manifolds, plan_on_pictures
 from beltrami_cli.layers.settings import ImageSettings, SmoothSettings
 from beltrami_cli.surface.atlas import Atlas, grid_atlas
 from beltrami_cli.surface.records import check_scale

@@ -21,13 +21,11 @@ from beltrami_cli.errors import InputError, UnpaintedError, UsageError
 from beltrami_cli.fields import given_options
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image.reading import measure_image
+from beltrami_cli.formats.image.reading import measure_image, require_memory, sizes_of, too_large
 from beltrami_cli.formats.model_folder import LEFT_ALONE, remedy_for
 from beltrami_cli.layers.layer import Layer
-from beltrami_cli.layers.picture_colours import measured, require_memory, too_large
 from beltrami_cli.layers.settings import SLOTS, SmoothSettings
-from beltrami_cli.layers.texel_colours import choose_textures, only_textures
-from beltrami_cli.layers.texture_layer import TextureLayer
+from beltrami_cli.layers.texture_layer import TextureLayer, choose_textures, only_textures
 from beltrami_cli.surface.geometry import coarse_rounding
 from beltrami_cli.surface.grouping import group_places
 from beltrami_cli.surface.large_arrays import kept_within
@@ -92,7 +90,7 @@ class Selection:
         left = memory = self.access.memory - len(self.document.data)
         for images in self.images():
             largest = texels = 0
-            for name, size, stored in measured(images):
+            for name, size, stored in sizes_of(images):
                 largest, texels = max(largest, size.decoded + 2 * stored), texels + size.texels
                 left = min(left, memory - largest - _MASKS * texels)
                 if left < 0:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatch
 from functools import partial
 from typing import ClassVar
 
 import numpy as np
 
-from beltrami_cli.arrays import Float32s
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import FlowResult, Plan
 from beltrami_cli.flow.canvas import canvas_margin, colours_at, painted_by
@@ -24,19 +25,22 @@ from beltrami_cli.formats.image.metadata import JpegTables, read_jpeg_tables
 from beltrami_cli.layers import layer
 from beltrami_cli.layers.guides import GuidedTexels, noise_of_pixels
 from beltrami_cli.layers.layer import LevelReport, SlotReport
-from beltrami_cli.layers.picture_colours import Make, PictureColours, maker_of_manifolds
-from beltrami_cli.layers.settings import COLOUR_SLOTS, LevelSettings, SmoothSettings
-from beltrami_cli.layers.texel_colours import (
-    PictureLayer,
-    choose_textures,
-    only_textures,
-    texel_colours,
-    without_transparent,
-)
+from beltrami_cli.layers.picture_layer import Make, PictureColours, PictureLayer, maker_of_manifolds
+from beltrami_cli.layers.settings import COLOUR_SLOTS, LevelSettings, SmoothSettings, TextureSettings
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import Atlas, build_atlas
+from beltrami_cli.surface.atlas import (
+    ROWS,
+    Atlas,
+    Indices,
+    build_atlas,
+    fill_gutter,
+    nearest_covered,
+    texels_by_texture,
+    within,
+    without_owned,
+)
 from beltrami_cli.surface.baking import Cells
-from beltrami_cli.surface.records import ImageFile, Slot, TexturedSurface
+from beltrami_cli.surface.records import ImageFile, Slot, Texture, TexturedSurface
 
 _UNCOVERED = "no texel is covered by the surface, so nothing was changed; `smooth --unwrap` makes a new atlas"
 _UNSEEN = (
@@ -44,6 +48,9 @@ _UNSEEN = (
 )
 # Per cent of texels with several places; fewer are due to rounding at the borders of charts.
 _WORTH_REPORTING = 1.0
+
+# A step between two texels has the noise of both; beyond this many deviations of what smoothing took away it is real.
+_REAL_STEP = 3.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -162,7 +169,9 @@ class TextureLayer(PictureLayer):
         images: dict[tuple[Slot, str], ImageFile] = {}
         shared: list[layer.SharedImage] = []
         for index, (texture, picture) in enumerate(zip(self.surface.textures, self.pictures, strict=True)):
-            pixels, change = self.new_pixels(index, new, gutter, is_dithered=is_dithered)
+            pixels, change = self.new_pixels(index, new, is_dithered=is_dithered)
+            if gutter is not None:
+                self._refill_gutter(pixels, index, new, gutter, is_dithered=is_dithered)
             large_arrays.leave_memory()
             as_data = self.slot not in COLOUR_SLOTS
             write = partial(layer.rewritten, picture, wanted=wanted, suffix=self.suffix, as_data=as_data)
@@ -177,6 +186,33 @@ class TextureLayer(PictureLayer):
             notices += said
         change = layer.Change.joined(changes)
         return layer.Repainted(change, images=images, shared=tuple(shared), notices=tuple(notices))
+
+    def _refill_gutter(
+        self, pixels: Array, index: int, new: NewColours, gutter: int, *, is_dithered: bool
+    ) -> None:
+        """Refill as many texels around the charts of a texture, in place."""
+        picture, threads = self.pictures[index], self.settings.kernel.thread_count
+        covered, known, rows = self._near_charts(index, pixels.shape[:2], new, gutter)
+        beyond = NewColours.of(new.beyond[rows])
+        self._paint(pixels, index, new.beyond_places[rows], beyond.take, is_dithered=is_dithered)
+        keep_others(
+            picture.pixels, pixels, covered, known, partial(self.colours.shown, picture),
+            width=gutter, lone=self._of_picture(self.atlas.lone_texels, index)[1], threads=threads,
+        )  # fmt: skip
+        opacity, columns = self.colours.opacity(picture), self.colours.columns(picture)
+        fill_gutter(pixels, covered, gutter, known, threads, columns, opacity)
+
+    def _near_charts(
+        self, index: int, shape: tuple[int, ...], new: NewColours, gutter: int
+    ) -> tuple[Bools, Bools, Int64s]:
+        """Return the covered texels of a texture, shape (H, W), the gutter texels near them, and their rows."""
+        covered, near = np.zeros(shape, bool), np.zeros(shape, bool)
+        for block in large_arrays.blocks(len(new.places)):
+            covered.reshape(-1)[self._of_picture(new.places[block], index)[1]] = True
+        inside, texels = self._of_picture(new.beyond_places, index)
+        chosen = within(covered, gutter).reshape(-1)[texels]
+        near.reshape(-1)[texels[chosen]] = True
+        return covered, near, np.arange(len(new.beyond_places))[inside][chosen]
 
     def levelled(self, wanted: LevelSettings) -> TextureLayer:
         from beltrami_cli.layers.levelled_charts import level_charts
@@ -232,3 +268,127 @@ def _notices_of(atlas: Atlas) -> list[str]:
         f"{share:.0f} % of the covered texels lie at several places of the surface (mirrored, tiled or overlapping "
         "charts); each is taken at one of them",
     ]
+
+
+def choose_textures(surface: TexturedSurface, wanted: TextureSettings) -> TexturedSurface:
+    """Keep the textures that match the globs, possibly none."""
+
+    def fits(texture: Texture) -> bool:
+        by_name = not wanted.names or any(fnmatch(texture.name, glob) for glob in wanted.names)
+        by_material = not wanted.materials or any(
+            fnmatch(material, glob) for material in texture.materials for glob in wanted.materials
+        )
+        return by_name and by_material
+
+    return only_textures(surface, [i for i, texture in enumerate(surface.textures) if fits(texture)])
+
+
+def only_textures(surface: TexturedSurface, kept: list[int]) -> TexturedSurface:
+    """Keep the textures of these indices; triangles of the others have none."""
+    new_index = np.full(len(surface.textures) + 1, -1, np.int32)
+    new_index[kept] = np.arange(len(kept), dtype=np.int32)
+    textures = tuple(surface.textures[index] for index in kept)
+    return dataclasses.replace(surface, textures=textures, texture_of=new_index[surface.texture_of])
+
+
+def without_transparent(
+    atlas: Atlas, colours: PictureColours, pictures: Sequence[Picture], textures: Sequence[Texture]
+) -> Atlas:
+    """Return the atlas without the owned cells that supply no colour because their texel is transparent."""
+    pairs = zip(pictures, textures, strict=True)
+    can_hide = [picture.alpha is not None and texture.alpha_hides for picture, texture in pairs]
+    if not (colours.hides and any(can_hide)):
+        return atlas
+    hidden = np.zeros(len(atlas.owned_texels), bool)
+    for block in large_arrays.blocks(len(hidden)):
+        for index, inside, texels in texels_by_texture(atlas.texture_offsets, atlas.owned_texels[block]):
+            if can_hide[index]:
+                hidden[block][inside] = colours.hidden(pictures[index], texels)
+    return without_owned(atlas, hidden) if hidden.any() else atlas
+
+
+def texel_colours(
+    colours: PictureColours, pictures: Sequence[Picture], atlas: Atlas, block: slice
+) -> Float32s:
+    """Return the colours of a block of the owned cells in the working space, shape (T, N)."""
+    texels = atlas.owned_texels[block]
+    table = np.empty((len(texels), len(colours.names)), np.float32)
+    for index, inside, own in texels_by_texture(atlas.texture_offsets, texels):
+        table[inside] = colours.working(pictures[index], own)
+    return table
+
+
+def all_texel_colours(colours: PictureColours, pictures: Sequence[Picture], atlas: Atlas) -> Float32s:
+    """Return the colours of all owned cells, which are converted block by block."""
+    table = large_arrays.empty((len(atlas.owned_texels), len(colours.names)), np.float32)
+    for block in large_arrays.blocks(len(table)):
+        table[block] = texel_colours(colours, pictures, atlas, block)
+    return table
+
+
+def keep_others(
+    old: Array, new: Array, covered: Bools, known: Bools, shown: Callable[[Array], Float32s], *,
+    width: int, lone: Indices, threads: int,
+) -> None:  # fmt: skip
+    """Let texels around charts that do not continue the adjacent chart keep their colours, in place.
+
+    A texel continues its chart if the step to the nearest covered texel was, but for noise, what it is now; or if there
+    was none, and then it is left to be filled from there. All else is background, or the edge of a colour that lies on
+    the chart's border, or paint of another chart, material or model. Single texels of such paint may resemble the
+    chart, so half of the uncovered texels around must continue it, too. Of lone texels it is not known which part of
+    the surface they show.
+
+    `old`, `new`: pixels before and now, (H, W, C), whose colours `shown` returns. Texels that are `known`, (H, W), are
+    not filled afterwards.
+    """
+    rows, new_rows, is_known = old.reshape(covered.size, -1), new.reshape(covered.size, -1), known.reshape(-1)
+    limit = _REAL_STEP * _taken_away(rows, new_rows, covered, shown)
+    painted, continues = np.flatnonzero(is_known), np.zeros(covered.shape, bool)
+    for texels, nearest in nearest_covered(covered, width + 1 if width else 0, threads=threads):
+        for block in large_arrays.blocks(len(texels), large_arrays.CACHED):
+            here, there = texels[block], nearest[block]
+            step = shown(rows[here]) - shown(rows[there])
+            is_halo = is_known[here]
+            halo = here[is_halo]
+            now = shown(new_rows[halo]) - shown(new_rows[there[is_halo]])
+            follows = _size(step[is_halo] - now) <= limit
+            is_known[halo] = follows
+            has_no_step = _size(step) <= limit
+            has_no_step[is_halo] |= follows
+            continues.reshape(-1)[here] = has_no_step
+    continues &= _is_half(continues, ~covered)
+    continues.reshape(-1)[lone] = False
+    stays = ~(continues | covered)
+    restored = painted[stays.reshape(-1)[painted]]
+    new_rows[restored] = rows[restored]
+    known[stays] = True
+
+
+def _is_half(marked: Bools, counted: Bools) -> Bools:
+    """Return where at least half of the texels that count, of 3 x 3 around, are marked; these count, too."""
+    found = np.empty(marked.shape, bool)
+    for rows in large_arrays.blocks(len(marked), ROWS):
+        first = max(0, rows.start - 1)
+        # By sums of slices, since to import SciPy's filters takes longer than to smooth a small texture.
+        balance = np.pad(
+            2 * marked[first : rows.stop + 1].astype(np.int8) - counted[first : rows.stop + 1], 1
+        )
+        balance = balance[:-2] + balance[1:-1] + balance[2:]
+        balance = balance[:, :-2] + balance[:, 1:-1] + balance[:, 2:]
+        found[rows] = balance[rows.start - first :][: rows.stop - rows.start] >= 0
+    return found
+
+
+def _taken_away(old: Array, new: Array, covered: Bools, shown: Callable[[Array], Float32s]) -> float:
+    """Return the root mean square by which the texels at the borders of charts changed."""
+    edge = np.flatnonzero(covered & within(~covered, 1))
+    total = 0.0
+    for block in large_arrays.blocks(len(edge), large_arrays.CACHED):
+        change = shown(new[edge[block]]) - shown(old[edge[block]])
+        total += float(np.square(_size(change)).sum())
+    return float(np.sqrt(total / max(1, len(edge))))
+
+
+def _size(differences: Float32s) -> Float64s:
+    """Return the root mean square over the channels."""
+    return np.asarray(np.sqrt(np.square(differences, dtype=np.float64).mean(axis=1)))

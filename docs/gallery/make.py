@@ -25,7 +25,7 @@ from beltrami_cli.flow.grid_manifold import canvas_colours
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.recolour import Painter, recolour
 from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
-from beltrami_cli.layers.texel_colours import all_texel_colours
+from beltrami_cli.layers.texture_layer import all_texel_colours
 
 HERE = Path(__file__).resolve().parent
 PAGE = HERE.parent / "gallery.md"

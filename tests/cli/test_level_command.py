@@ -13,8 +13,8 @@ from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.inspect import check_files
 from beltrami_cli.jobs.job import PLAIN_JOB
 from beltrami_cli.jobs.recolour import Painter, recolour
+from beltrami_cli.layers.picture_layer import dithered
 from beltrami_cli.layers.settings import DEFAULTS
-from beltrami_cli.layers.texel_colours import dithered
 from cli.commands import SAMPLES
 from cli.commands import beltrami as run_beltrami
 from levelling.exposure_scene import ExposureScene, stored_colours

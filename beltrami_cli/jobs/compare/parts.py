@@ -17,13 +17,13 @@ from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, read_texture
 from beltrami_cli.formats.image.picture import full_scale_one
+from beltrami_cli.formats.image.reading import require_memory
 from beltrami_cli.jobs.compare.figures import ComparedColours, Pair
 from beltrami_cli.layers.image_layer import ImageLayer
 from beltrami_cli.layers.layer import choose_channels
-from beltrami_cli.layers.picture_colours import PictureColours, require_memory
+from beltrami_cli.layers.picture_layer import PictureColours
 from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
-from beltrami_cli.layers.texel_colours import choose_textures, texel_colours
-from beltrami_cli.layers.texture_layer import TextureLayer
+from beltrami_cli.layers.texture_layer import TextureLayer, choose_textures, texel_colours
 from beltrami_cli.layers.vertex_layer import coloured_rows, only_rows, with_surface
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import (

@@ -1,24 +1,25 @@
-"""Colours of pictures in the working space, and back; the memory that they take; smoothing where JPEG coded noise."""
+"""Pictures as samples of a manifold: their colours in the working space, and back; smoothing where JPEG coded noise."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
-from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import Plan, choose_parameters, smooth
 from beltrami_cli.flow.canvas import painted, painted_by
 from beltrami_cli.flow.coded_picture import CodedPicture, decode, is_changed, noise_after, sigma_before
+from beltrami_cli.flow.domain import NewColours
 from beltrami_cli.flow.grid_manifold import GridManifold, grid_manifold
 from beltrami_cli.flow.noise.haar_noise import NoiseModel
 from beltrami_cli.flow.parameters import KernelParameters, Space
-from beltrami_cli.formats.access import Access
-from beltrami_cli.formats.image import Picture
+from beltrami_cli.formats.image import Picture, check_writable
 from beltrami_cli.formats.image.metadata import JpegTables
 from beltrami_cli.formats.image.picture import (
     coloured_layers,
@@ -31,8 +32,7 @@ from beltrami_cli.formats.image.picture import (
     with_colours_of,
     without_alpha,
 )
-from beltrami_cli.formats.image.reading import ImageSize, measure_image
-from beltrami_cli.layers.layer import choose_channels
+from beltrami_cli.layers.layer import Change, Layer, choose_channels, store
 from beltrami_cli.layers.settings import COLOUR_SLOTS, SmoothSettings
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas, Indices, texels_by_texture
@@ -44,6 +44,75 @@ _SLOT_CHANNELS = {"occlusion": {"red", "grey"}, "metallicRoughness": {"green", "
 
 _CHOOSE_LAYER = "choose one by its name, as in --channels LAYER"
 _EXPORT_LAYER = "export one layer as a file of its own"
+
+Make = Callable[[Float32s | None, NoiseModel | None], GridManifold]
+
+# How often pictures are decoded before patches, which take remaining ringing for detail, as it repeats itself.
+# The mean of two pilots gains 0.5 to 0.7 dB on paint, and keeps detail that the second alone loses.
+_PILOTS = 2
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PictureLayer(Layer):
+    """The common part of the texels of textures and the pixels of an image."""
+
+    names: tuple[str, ...]
+    settings: SmoothSettings
+    pictures: Sequence[Picture]
+    tables: Sequence[
+        JpegTables | None
+    ]  # of pictures that are JPEG files, and whose colours are as these have them
+    colours: PictureColours
+    atlas: Atlas | None = None  # of textures
+    noise: Float32s | None = None  # standard deviations, with a row for each sample or, in images, pixel
+    suffix: str | None = None  # of another image format that is written
+
+    @abstractmethod
+    def _canvas(self) -> tuple[Make, Atlas, KernelParameters]:
+        """Return how the manifold is made, its atlas, and the parameters in its unit of length."""
+
+    def plan(self, tick: Callable[[], None] | None = None) -> Plan[GridManifold]:
+        make, atlas, kernel = self._canvas()
+        pixels = [picture.pixels for picture in self.pictures]
+        coded = list(zip(pixels, self.tables, strict=True)) if self.colours.shows_all else []
+        return plan_on_pictures(make, atlas, coded, kernel, tick=tick, light_in=self.colours.light_space)
+
+    def require_writable(self) -> None:
+        for picture in self.pictures:
+            check_writable(picture, self.suffix)
+
+    def new_pixels(self, index: int, new: NewColours, *, is_dithered: bool = False) -> tuple[Array, Change]:
+        """Return a picture's pixels with new colours, and the change of its samples; other numbers keep their bits.
+
+        `is_dithered`: so that smooth changes of colours are no bands in 8 bits.
+        """
+        pixels = large_arrays.copy_of(self.pictures[index].pixels)
+        return pixels, self._paint(pixels, index, new.places, new.take, is_dithered=is_dithered)
+
+    def _of_picture(self, texels: Indices, index: int) -> tuple[Bools | slice, Indices]:
+        """Select the texels of one picture, and number them from its first."""
+        if len(self.pictures) == 1 or self.atlas is None:
+            return slice(None), texels
+        begin, end = self.atlas.texture_offsets[index : index + 2].tolist()
+        inside = (texels >= begin) & (texels < end)
+        return inside, texels[inside] - begin
+
+    def _paint(
+        self, pixels: Array, index: int, texels: Indices, take: Callable[[slice, Bools | slice], Float32s], *,
+        is_dithered: bool,
+    ) -> Change:  # fmt: skip
+        """Write samples into pixels like a picture's own, in place, and return how these change."""
+        picture, colours, threads = self.pictures[index], self.colours, self.settings.kernel.thread_count
+        table, changes = pixels.reshape(-1, pixels.shape[2]), []
+        for block in large_arrays.blocks(len(texels), large_arrays.CACHED):
+            inside, here = self._of_picture(texels[block], index)
+            if not len(here):
+                continue
+            values = colours.stored(picture, table, here, take(block, inside))
+            if is_dithered and picture.stored == "uint8":
+                values = dithered(values, here, picture.pixels.shape[1])
+            changes.append(store(picture, table, here, values, colours.columns(picture), threads))
+        return Change.joined(changes)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -209,37 +278,18 @@ class PictureColours:
         return np.repeat(colours, self.width, axis=1) if colours.shape[1] < self.width else colours
 
 
-# Bytes per pixel and per sample that a job on images needs in memory at least, besides the decoded images: to paint one
-# at a time, its old and new colours in single precision; to smooth an image without files, the least of the peaks on
-# noise of 1536 x 1536 pixels with one channel and three (40 + 13); to compare two (28 + 2); to read heights or
-# positions, as coordinates in double precision, as read and for each pixel.
-_PIXEL_BYTES = {"painted": (0, 2 * 4), "smoothed": (40, 13), "compared": (28, 2), "mapped": (3 * 8, 8)}
+def _table(picture: Picture) -> Array:
+    return picture.pixels.reshape(-1, picture.pixels.shape[2])
 
 
-def require_memory(images: Iterable[tuple[str, bytes]], access: Access, work: str = "painted") -> None:
-    """Raise InputError if images cannot fit into memory: all as stored, and one of them as it is worked on."""
-    if access.memory is None:
-        return
-    (per_pixel, per_sample), decoded, working = _PIXEL_BYTES[work], 0, 0
-    for name, size, _ in measured(images):
-        decoded += size.decoded
-        working = max(working, per_pixel * size.texels + per_sample * size.samples)
-        if decoded + working > access.memory:
-            raise too_large(name, size)
-
-
-def measured(images: Iterable[tuple[str, bytes]]) -> Iterator[tuple[str, ImageSize, int]]:
-    """Measure images and their files; an image that fails is left to its decoder, which raises the error."""
-    for name, data in images:
-        size = measure_image(data, name)
-        if size is not None:
-            yield name, size, len(data)
-
-
-def too_large(name: str, size: ImageSize) -> InputError:
-    """Return the error that an image, with those around it, needs more memory than there is."""
-    cause = f"its {size.width} x {size.height} pixels of {size.channels} channels do not fit into memory"
-    return InputError(name, cause, "scale it down, or raise --max-memory")
+def _further_channels(picture: Picture, names: Sequence[str]) -> dict[str, int]:
+    """Return the channels of a picture that are neither colours nor opacity, by their names."""
+    known = dict.fromkeys(names, -1)
+    for channel, name in enumerate(picture.channels):
+        if channel not in (*picture.colour, picture.alpha):
+            # EXR distinguishes R from r.
+            known[name.lower() if name.lower() not in known else f"{name}:{channel}"] = channel
+    return {name: channel for name, channel in known.items() if channel >= 0}
 
 
 def with_chosen_layer(picture: Picture, settings: SmoothSettings) -> tuple[Picture, SmoothSettings]:
@@ -282,27 +332,6 @@ def _chosen_layer(picture: Picture, layers: dict[str, str], words: Sequence[str]
     )
 
 
-def _table(picture: Picture) -> Array:
-    return picture.pixels.reshape(-1, picture.pixels.shape[2])
-
-
-def _further_channels(picture: Picture, names: Sequence[str]) -> dict[str, int]:
-    """Return the channels of a picture that are neither colours nor opacity, by their names."""
-    known = dict.fromkeys(names, -1)
-    for channel, name in enumerate(picture.channels):
-        if channel not in (*picture.colour, picture.alpha):
-            # EXR distinguishes R from r.
-            known[name.lower() if name.lower() not in known else f"{name}:{channel}"] = channel
-    return {name: channel for name, channel in known.items() if channel >= 0}
-
-
-Make = Callable[[Float32s | None, NoiseModel | None], GridManifold]
-
-# How often pictures are decoded before patches, which take remaining ringing for detail, as it repeats itself.
-# The mean of two pilots gains 0.5 to 0.7 dB on paint, and keeps detail that the second alone loses.
-_PILOTS = 2
-
-
 def maker_of_manifolds(
     atlas: Atlas,
     kernel: KernelParameters,
@@ -319,6 +348,20 @@ def maker_of_manifolds(
         return grid_manifold(atlas, planes, kernel, noise=noise if found is None else found, **options)
 
     return make
+
+
+def dithered(values: Float32s, texels: Indices, width: int) -> Float32s:
+    """Add a pattern of half a step of 8 bits to some texels, so that rounding spreads what it takes away.
+
+    Multiples of a step stay. The pattern is interleaved gradient noise: J. Jimenez, "Next generation post
+    processing in Call of Duty: Advanced Warfare", SIGGRAPH 2014.
+    """
+    row, column = np.divmod(texels.astype(np.int32), np.int32(width))
+    pattern = (52.9829189 * ((0.06711056 * column + 0.00583715 * row) % 1)) % 1
+    steps = values * np.float32(255)
+    is_whole = np.abs(steps - np.rint(steps)) < 2e-3
+    spread = (steps + (0.98 * (pattern - 0.5)).astype(np.float32)[:, None]) / np.float32(255)
+    return np.where(is_whole, values, spread)
 
 
 def plan_on_pictures(
