@@ -35,13 +35,13 @@ if TYPE_CHECKING:
     from beltrami_cli.jobs.job import Job as Job
     from beltrami_cli.jobs.job import Limits as Limits
     from beltrami_cli.jobs.job import NoiseSettings as NoiseSettings
-    from beltrami_cli.jobs.level import LevelFileReport as LevelFileReport
-    from beltrami_cli.jobs.level import level_file as level_file
     from beltrami_cli.jobs.new_texture import BakeReport as BakeReport
     from beltrami_cli.jobs.new_texture import bake_file as bake_file
     from beltrami_cli.jobs.noise import NoiseReport as NoiseReport
     from beltrami_cli.jobs.noise import noise_file as noise_file
+    from beltrami_cli.jobs.smooth import LevelFileReport as LevelFileReport
     from beltrami_cli.jobs.smooth import SmoothReport as SmoothReport
+    from beltrami_cli.jobs.smooth import level_file as level_file
     from beltrami_cli.jobs.smooth import smooth_file as smooth_file
     from beltrami_cli.layers.image_surface import ImageSurface as ImageSurface
     from beltrami_cli.layers.settings import EmbeddingSettings as EmbeddingSettings
@@ -64,10 +64,9 @@ _NAMES_IN = {
     "jobs.compare.files": "Comparison compare_files",
     "jobs.inspect": "CheckReport check_files inspect_file",
     "jobs.job": "BakeSettings Job Limits NoiseSettings",
-    "jobs.level": "LevelFileReport level_file",
     "jobs.new_texture": "BakeReport bake_file",
     "jobs.noise": "NoiseReport noise_file",
-    "jobs.smooth": "SmoothReport smooth_file",
+    "jobs.smooth": "LevelFileReport SmoothReport level_file smooth_file",
     "layers.image_surface": "ImageSurface",
     "layers.settings": "EmbeddingSettings ImageSettings LevelSetSettings LevelSettings SmoothSettings TextureSettings",
     "view.render": "render_file",

@@ -1,4 +1,4 @@
-"""The processor time of each phase of progress, on a small and a large texture: `_SECONDS` of jobs/progress.py."""
+"""The processor time of each phase of progress, on a small and a large texture: `_SECONDS` of jobs/job.py."""
 
 from __future__ import annotations
 

@@ -18,11 +18,10 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from beltrami_cli.batch.storage import exists, hash_at, is_url, place_of, require_name, staged
 from beltrami_cli.errors import BeltramiError, InputError, OutputError
-from beltrami_cli.formats.access import Access, is_there, open_regular, parse_json
+from beltrami_cli.formats.access import Access, is_there, limited_memory, open_regular, parse_json
 from beltrami_cli.formats.document import Written
-from beltrami_cli.jobs.job import BakeSettings, Job, NoiseSettings, Progress, limited_memory
+from beltrami_cli.jobs.job import BakeSettings, Job, NoiseSettings, Progress, Share
 from beltrami_cli.jobs.output import FileSet, Output
-from beltrami_cli.jobs.progress import Share
 
 if TYPE_CHECKING:
     from beltrami_cli.jobs.recolour import FileReport

@@ -19,15 +19,15 @@ from beltrami_cli.cli.console import Messages, printable, show_table
 from beltrami_cli.errors import OutputError, ProcessingError, UsageError
 from beltrami_cli.fields import parameters
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.formats.access import Access, is_file
-from beltrami_cli.jobs.job import NoiseSettings, default_memory
+from beltrami_cli.formats.access import Access, default_memory, is_file
+from beltrami_cli.jobs.job import NoiseSettings
 from beltrami_cli.layers.settings import SmoothSettings
 
 if TYPE_CHECKING:
     from beltrami_cli.batch.item import Attempt, Item, Outcome
     from beltrami_cli.batch.plan import Request
     from beltrami_cli.batch.run import Workers
-    from beltrami_cli.jobs.progress import Work
+    from beltrami_cli.jobs.job import Work
 
 _OF_NOISE = [each.name for each in parameters(NoiseSettings)]
 

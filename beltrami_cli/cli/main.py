@@ -42,7 +42,7 @@ COMMANDS = {
 
 # The modules of commands that are not called as their command; a module is imported when its command is asked for.
 _MODULES = {
-    "bake": "colours", "check": "compare", "docs": "manual", "kernel": "info", "level": "colours", "noise": "colours",
+    "bake": "smooth", "check": "compare", "docs": "manual", "kernel": "info", "level": "smooth", "noise": "smooth",
     "render": "pictures", "report": "pictures", "sweep": "pictures", "view": "pictures",
 }  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""The command `beltrami smooth`, and what `level` writes and says as it does: a report, a preview, exposure steps."""
+"""The commands that write new colours: `beltrami smooth`, and `level`, `bake` and `noise`."""
 
 from __future__ import annotations
 
@@ -7,30 +7,22 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast, get_args
 
 import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import command, overwrite_at
-from beltrami_cli.cli.console import (
-    ALL_THE_SAME,
-    NO_AREA,
-    NO_NOISE,
-    Messages,
-    counted,
-    lines_on,
-)
+from beltrami_cli.cli.console import ALL_THE_SAME, NO_AREA, NO_NOISE, Messages, counted, lines_on
 from beltrami_cli.errors import OutputError, UsageError
 from beltrami_cli.fields import show_size
-from beltrami_cli.jobs.job import Job
-from beltrami_cli.layers.settings import SmoothSettings
+from beltrami_cli.jobs.job import BakeSettings, Job, NoiseSettings
+from beltrami_cli.layers.settings import BakeTo, LevelSettings, SmoothSettings
 from beltrami_cli.view.parameters import NO_NOISE_FOUND
 
 if TYPE_CHECKING:
-    from beltrami_cli.jobs.level import LevelFileReport
     from beltrami_cli.jobs.output import Output
-    from beltrami_cli.jobs.smooth import SmoothReport
+    from beltrami_cli.jobs.smooth import LevelFileReport, SmoothReport
     from beltrami_cli.layers.layer import LayerReport, LevelReport
     from beltrami_cli.view.render import Preview
 
@@ -49,73 +41,6 @@ _preview = click.option(
 def besides(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options of a dry run, a report and a preview."""
     return _dry_run(_report(_preview(command)))
-
-
-def written(
-    values: Mapping[str, Any], ends: tuple[str, str], settings: SmoothSettings, messages: Messages,
-    carry_out: Callable[[Job], Report],
-) -> Report:  # fmt: skip
-    """Carry out a job from INPUT to OUTPUT, and put all that it writes in place together; return its report."""
-    from beltrami_cli.formats.document import Written
-    from beltrami_cli.jobs.output import FileSet
-
-    with options.job_from(values, ends[0], messages) as job, FileSet(ends) as files:
-        job = replace(job, dry_run=values["dry_run"], files=files)
-        report_file = _open_report(values["report_path"], job)
-        preview = _open_preview(values["preview_path"], ends, settings, job)
-        report = carry_out(job if preview is None else replace(job, check=preview.check))
-        if preview is not None:
-            preview.draw()
-        if report_file is not None:
-            report_file.write(Written(main=[(json.dumps(asdict(report), indent=2) + "\n").encode()]))
-        files.put_in_place()
-    return report
-
-
-def _open_report(path: str | None, job: Job) -> Output | None:
-    """Check that a report can be written, if one is wanted, before anything is computed."""
-    from beltrami_cli.jobs.output import Output
-    from beltrami_cli.jobs.smooth import is_report
-
-    if path is None:
-        return None
-    if path == "-":
-        raise OutputError(path, "the report is a file; standard output is for OUTPUT", "name a file")
-    replaced = overwrite_at("report_path", overwrite=job.overwrite)
-    return Output(path, overwrite=replaced, what="report", is_own=is_report, files=job.files)
-
-
-def _open_preview(
-    path: str | None, names: tuple[str, str], settings: SmoothSettings, job: Job
-) -> Preview | None:
-    """Check that a preview of INPUT and OUTPUT can be drawn, if one is wanted, before anything is computed."""
-    if path is None:
-        return None
-    from beltrami_cli.view.render import Preview
-
-    if job.dry_run:
-        raise UsageError("--preview draws OUTPUT, which --dry-run does not write")
-    assert job.files is not None
-    replaced = overwrite_at("preview_path", overwrite=job.overwrite)
-    return Preview(path, *names, settings, job.access, overwrite=replaced, files=job.files)
-
-
-def show_levelled(messages: Messages, reports: Sequence[LevelReport], name: str) -> None:
-    """Say of each slot what was done about exposure steps, and why nothing where nothing was."""
-    for each in reports:
-        seams = f"{each.what}, {counted(each.charts, 'chart')}, {counted(each.seams, 'seam')} between them"
-        if not each.levelled:
-            step = f", median step {255 * each.before:.1f}/255" if each.seams else ""
-            messages.say(f"{name}{seams}{step}: left as they are; {each.reason}")
-            continue
-        how = "gains that fall off over charts, and offsets" if each.tilted else "gains and offsets"
-        mean = f", mean change {255 * each.change['mean']:.1f}/255" if each.change else ""
-        steps = f"median step {255 * each.before:.1f}/255, now {255 * each.after:.1f}/255"
-        messages.say(f"{name}{seams}, {steps}, by {how}{mean}")
-        messages.detail(
-            f"{each.stepped} of the seams had a step, {each.painted} of all are taken for paint; "
-            f"one exposure per chart explains {100 * each.explained:.0f} % of the steps at seams that were held out"
-        )
 
 
 @command("smooth", source="INPUT", target="OUTPUT")
@@ -145,21 +70,6 @@ def smooth(source: str, target: str, messages: Messages, **smoothing: Any) -> No
     details = asdict(report)
     for line in lines_on({key: details[key] for key in ("stages", "vertices", "image", "textures")}):
         messages.detail(line)
-
-
-def _show_unchanged(messages: Messages, report: SmoothReport, *, unwrapped: bool, dry_run: bool) -> None:
-    messages.warn_of(report.input, report.warnings)
-    what = "would be" if dry_run else "is"
-    if Path(report.input).suffix.lower() != f".{report.format}" or unwrapped:
-        made = "laid out on a new texture" if unwrapped else f"converted to {report.format}"
-        kept = "only the type of images is changed" if report.textures else "its colours are unchanged"
-        result = f"it {what} {made}, and {kept}"
-    elif report.textures:
-        result = "only the type of images is changed"
-    else:
-        names = ", but for the names of its images and other files" if len(report.written) > 1 else ""
-        result = f"the file {what} copied unchanged{names}"
-    messages.say(f"{report.output}: no iterations, so {result}")
 
 
 def _show_result(messages: Messages, report: SmoothReport, *, dry_run: bool) -> None:
@@ -213,3 +123,151 @@ def _show_done(
         f"{noise}, beta {done.beta:.3g}, {samples:.0f} samples a kernel{iterations}, "
         f"mean change {255 * done.change['mean']:.1f}/255"
     )
+
+
+def _show_unchanged(messages: Messages, report: SmoothReport, *, unwrapped: bool, dry_run: bool) -> None:
+    messages.warn_of(report.input, report.warnings)
+    what = "would be" if dry_run else "is"
+    if Path(report.input).suffix.lower() != f".{report.format}" or unwrapped:
+        made = "laid out on a new texture" if unwrapped else f"converted to {report.format}"
+        kept = "only the type of images is changed" if report.textures else "its colours are unchanged"
+        result = f"it {what} {made}, and {kept}"
+    elif report.textures:
+        result = "only the type of images is changed"
+    else:
+        names = ", but for the names of its images and other files" if len(report.written) > 1 else ""
+        result = f"the file {what} copied unchanged{names}"
+    messages.say(f"{report.output}: no iterations, so {result}")
+
+
+@command("level", source="INPUT", target="OUTPUT")
+@options.options_of(LevelSettings)
+@options.options_of(
+    SmoothSettings, only=(*options.TEXTURES, *options.ENCODING, "alpha"), changed=options.UNMIXED
+)
+@options.output_format
+@options.reading
+@options.overwrite
+@besides
+@options.messages
+def level(source: str, target: str, messages: Messages, **values: Any) -> None:
+    """Remove the exposure steps between the charts of the textures of INPUT, and write OUTPUT."""
+    wanted = options.record_from(LevelSettings, values)
+    del values["strength"]  # which is another parameter where colours are smoothed
+    settings = options.record_from(SmoothSettings, values)
+    from beltrami_cli.jobs.smooth import level_file
+
+    carry_out = partial(level_file, source, target, wanted, settings)
+    report = written(values, (source, target), settings, messages, carry_out)
+    messages.warn_of(source, report.warnings)
+    unwritten = "not written (dry run), " if values["dry_run"] else ""
+    show_levelled(messages, report.levelled, f"{target}: {unwritten}")
+
+
+def show_levelled(messages: Messages, reports: Sequence[LevelReport], name: str) -> None:
+    """Say of each slot what was done about exposure steps, and why nothing where nothing was."""
+    for each in reports:
+        seams = f"{each.what}, {counted(each.charts, 'chart')}, {counted(each.seams, 'seam')} between them"
+        if not each.levelled:
+            step = f", median step {255 * each.before:.1f}/255" if each.seams else ""
+            messages.say(f"{name}{seams}{step}: left as they are; {each.reason}")
+            continue
+        how = "gains that fall off over charts, and offsets" if each.tilted else "gains and offsets"
+        mean = f", mean change {255 * each.change['mean']:.1f}/255" if each.change else ""
+        steps = f"median step {255 * each.before:.1f}/255, now {255 * each.after:.1f}/255"
+        messages.say(f"{name}{seams}, {steps}, by {how}{mean}")
+        messages.detail(
+            f"{each.stepped} of the seams had a step, {each.painted} of all are taken for paint; "
+            f"one exposure per chart explains {100 * each.explained:.0f} % of the steps at seams that were held out"
+        )
+
+
+def written(
+    values: Mapping[str, Any], ends: tuple[str, str], settings: SmoothSettings, messages: Messages,
+    carry_out: Callable[[Job], Report],
+) -> Report:  # fmt: skip
+    """Carry out a job from INPUT to OUTPUT, and put all that it writes in place together; return its report."""
+    from beltrami_cli.formats.document import Written
+    from beltrami_cli.jobs.output import FileSet
+
+    with options.job_from(values, ends[0], messages) as job, FileSet(ends) as files:
+        job = replace(job, dry_run=values["dry_run"], files=files)
+        report_file = _open_report(values["report_path"], job)
+        preview = _open_preview(values["preview_path"], ends, settings, job)
+        report = carry_out(job if preview is None else replace(job, check=preview.check))
+        if preview is not None:
+            preview.draw()
+        if report_file is not None:
+            report_file.write(Written(main=[(json.dumps(asdict(report), indent=2) + "\n").encode()]))
+        files.put_in_place()
+    return report
+
+
+def _open_report(path: str | None, job: Job) -> Output | None:
+    """Check that a report can be written, if one is wanted, before anything is computed."""
+    from beltrami_cli.jobs.output import Output
+    from beltrami_cli.jobs.smooth import is_report
+
+    if path is None:
+        return None
+    if path == "-":
+        raise OutputError(path, "the report is a file; standard output is for OUTPUT", "name a file")
+    replaced = overwrite_at("report_path", overwrite=job.overwrite)
+    return Output(path, overwrite=replaced, what="report", is_own=is_report, files=job.files)
+
+
+def _open_preview(
+    path: str | None, names: tuple[str, str], settings: SmoothSettings, job: Job
+) -> Preview | None:
+    """Check that a preview of INPUT and OUTPUT can be drawn, if one is wanted, before anything is computed."""
+    if path is None:
+        return None
+    from beltrami_cli.view.render import Preview
+
+    if job.dry_run:
+        raise UsageError("--preview draws OUTPUT, which --dry-run does not write")
+    assert job.files is not None
+    replaced = overwrite_at("preview_path", overwrite=job.overwrite)
+    return Preview(path, *names, settings, job.access, overwrite=replaced, files=job.files)
+
+
+@command("bake", source="INPUT", target="OUTPUT")
+@click.option("--to", type=click.Choice(get_args(BakeTo)), required=True, help="Where the colours go.")
+@options.options_of(BakeSettings)
+@options.output_format
+@options.writing
+def bake(source: str, target: str, to: BakeTo, messages: Messages, **values: Any) -> None:
+    """Move the colours of INPUT from its vertices to a texture, or from its textures to the vertices."""
+    settings = options.record_from(BakeSettings, values)
+    from beltrami_cli.jobs.new_texture import bake_file
+
+    with options.job_from(values, source, messages) as job:
+        report = bake_file(source, target, to, settings, job)
+    messages.warn_of(report.input, report.warnings)
+    for path in report.written[1:]:
+        messages.detail(f"written with it: {path}")
+    made = ", ".join(counted(number, noun) for noun, number in report.counts.items())
+    messages.say(f"{report.output}: {made}" + (f", {report.texture}" if report.texture else ""))
+
+
+@command("noise", source="INPUT", target="OUTPUT")
+@options.options_of(NoiseSettings)
+@options.options_of(SmoothSettings, only=(*options.COLOURS, *options.ENCODING), changed=options.UNMIXED)
+@options.output_format
+@options.writing
+def noise(source: str, target: str, messages: Messages, **values: Any) -> None:
+    """Add noise to the colours of INPUT, and write OUTPUT with nothing else changed: for tests and demonstrations."""
+    settings = options.record_from(SmoothSettings, values)
+    noise = options.record_from(NoiseSettings, values)
+    from beltrami_cli.jobs.noise import noise_file
+
+    with options.job_from(values, source, messages) as job:
+        report = noise_file(source, target, noise, settings, job)
+    messages.warn_of(source, report.warnings)
+    for added in report.added:
+        messages.say(
+            f"{target}: {added.what}, {counted(added.samples, 'sample')}, {noise.kind} noise, "
+            f"root mean square change {255 * added.rms:.1f}/255, seed {noise.seed}"
+        )
+    if not report.added:
+        messages.say(f"{target}: no noise, so the colours are unchanged")

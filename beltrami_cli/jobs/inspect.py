@@ -23,8 +23,7 @@ from beltrami_cli.formats.image import Picture, read_image
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.formats.image.reading import measure_image, require_memory
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.jobs.job import Job, Progress
-from beltrami_cli.jobs.progress import phases_of
+from beltrami_cli.jobs.job import Job, Progress, phases_of
 from beltrami_cli.jobs.recolour import open_input
 from beltrami_cli.layers.layer import Layer, Part
 from beltrami_cli.layers.selection import Selection, select, vertex_layer

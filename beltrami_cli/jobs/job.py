@@ -1,58 +1,57 @@
-"""How a job is done: what it may read and write, how it reports progress, and what memory and time it takes.
+"""How a job is done, how far it is, and what time it takes; and the parameters of noise, new textures and comparisons.
 
-Also the parameters of added noise and of new textures, and the limits of comparisons. Light enough to import anywhere.
+The progress of a job is one share that never falls, and the time left. A job has phases, which it announces with the
+seconds that each is expected to take as soon as it knows how many samples there are. These are seconds of all cores
+together, so that neither their number nor other programs matter. Phases that say nothing while they work advance with
+the time that the process computes. The expectation is corrected by the times that phases took.
+Light enough to import anywhere.
 """
 
 from __future__ import annotations
 
-import contextlib
 import math
-import os
-import sys
+import re
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from contextvars import ContextVar
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Literal, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeVar, get_args
 
-from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.fields import Checked, check, described, number_in, parameter, share_in, show_size
+from beltrami_cli.errors import UsageError
+from beltrami_cli.fields import Checked, check, described, number_in, parameter, share_in
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.output import FileSet
 
-
 Progress = Callable[[str, int, int], None]  # a label, the work done and the work to do
 
 Item = TypeVar("Item")
 
-
-def tracked(items: Sequence[Item], label: str, progress: Progress | None) -> Iterator[Item]:
-    """Give items one after the other, and show how many of them are done."""
-    for number, item in enumerate(items):
-        if progress is not None:
-            progress(label, number, len(items))
-        yield item
-    if progress is not None and items:
-        progress(label, len(items), len(items))
-
-
-def at_intervals(seconds: float, progress: Progress) -> Progress:
-    """Return a progress that drops what comes less than some seconds after what it passed on last."""
-    last = 0.0
-
-    def update(label: str, done: int, total: int) -> None:
-        nonlocal last
-        if time.monotonic() - last >= seconds:
-            last = time.monotonic()
-            progress(label, done, total)
-
-    return update
+# Seconds of processor time that a phase takes in any case, and microseconds per texel, as
+# `python benchmarks/bench_progress.py` measures them on a small and a large texture.
+_SECONDS = {
+    "laying out": (0.02, 0.15),
+    "choosing parameters": (1.0, 0.45),
+    "smoothing": (0.05, 2.0),
+    "painting": (0.02, 0.3),
+    "writing": (0.02, 0.05),
+    "comparing": (0.02, 0.2),
+    "measuring": (0.02, 0.45),
+    "counting changes": (0.01, 0.05),
+    "drawing seams": (0.01, 0.01),
+    "packing models": (0.1, 0.5),
+}
+_COUNT = re.compile(r"\d+ of \d+ ")  # before a label: shown, but no part of its name
+_EXPECTED = 1.0  # seconds of a phase that no job has announced
+_UNANNOUNCED = 19.0  # seconds that follow it: it takes a twentieth of the whole
+_TRUSTED = 0.1  # share of a phase after which its own speed counts
+_STEPS = 1000  # of the work on one of several items
+_PRIOR = 1.0  # seconds by which expectations count against the times that phases took
+_LEAST_TIME = 0.3  # seconds of processor time after which the load of the machine is known well enough
 
 
 @dataclass(frozen=True)
@@ -86,7 +85,7 @@ class Job:
     check: Callable[[Document], None] | None = None
 
     def expect(self, phases: Iterable[tuple[str, float]]) -> None:
-        """Announce the phases ahead, and how many seconds each takes, see `jobs/progress.py`."""
+        """Announce the phases ahead, and how many seconds each takes."""
         expect = getattr(self.progress, "expect", None)
         if expect is not None:
             expect(phases)
@@ -101,106 +100,6 @@ class Job:
 
 
 PLAIN_JOB = Job()
-
-_UNLIMITED: ContextVar[int | None] = ContextVar("unlimited", default=None)
-"""The limit of the process before `limited_memory` set its own, in bytes as the system counts them."""
-
-_LEAST = 1 << 26  # bytes that a command takes in any case
-_STATUS = Path("/proc/self/status")
-_MEMORY, _OWN_CGROUPS, _CGROUPS = Path("/proc/meminfo"), Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
-# What the program itself takes: libraries, and for each processor the stacks of its threads.
-_PROGRAM, _PER_PROCESSOR = 160 << 20, 24 << 20
-
-
-def default_memory() -> int | None:
-    """Return half of the bytes that are available to this process now; None if they are unknown."""
-    known = [size for size in (_available(), *_left_in_cgroups()) if size is not None]
-    return max(min(known) // 2, _LEAST) if known else None
-
-
-def _available() -> int | None:
-    """Return what the system can give without swapping, or else what it has."""
-    with contextlib.suppress(OSError, ValueError, IndexError):
-        for line in _MEMORY.read_text(encoding="ascii").splitlines():
-            if line.startswith("MemAvailable:"):
-                return int(line.split()[1]) << 10
-    with contextlib.suppress(AttributeError, OSError, ValueError):
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    return None
-
-
-def _left_in_cgroups() -> Iterator[int]:
-    """Give the remaining memory under each cgroup limit of this process, of both cgroup versions."""
-    lines: list[str] = []
-    with contextlib.suppress(OSError, ValueError):
-        lines = _OWN_CGROUPS.read_text().splitlines()
-    for line in lines:
-        _, controllers, path = (*line.split(":", 2), "", "")[:3]
-        if controllers == "":
-            root, most, current = _CGROUPS, "memory.max", "memory.current"
-        elif "memory" in controllers.split(","):
-            root, most, current = _CGROUPS / "memory", "memory.limit_in_bytes", "memory.usage_in_bytes"
-        else:
-            continue
-        own = root / path.strip("/")
-        for folder in (own, *own.parents):
-            if folder.is_relative_to(root):
-                with contextlib.suppress(OSError, ValueError):  # "max" is no limit
-                    limit = int((folder / most).read_text())
-                    yield max(limit - int((folder / current).read_text()) + _cached(folder), 0)
-
-
-def _cached(folder: Path) -> int:
-    """Return the bytes of files that a cgroup holds in memory, which are given up when they are needed."""
-    with contextlib.suppress(OSError, ValueError):
-        fields = dict(line.split() for line in (folder / "memory.stat").read_text().splitlines())
-        return int(fields.get("inactive_file", 0)) + int(fields.get("active_file", 0))
-    return 0
-
-
-@contextmanager
-def limited_memory(size: int | None, name: str) -> Iterator[None]:
-    """Limit the memory of the process in this context; InputError with the name of the file if more is needed."""
-    # Windows and macOS have no such limit: there only the checks before a job apply.
-    with contextlib.ExitStack() as restored:
-        if size is not None and sys.platform != "win32":
-            import resource
-
-            before, most = resource.getrlimit(resource.RLIMIT_DATA)
-            restored.callback(resource.setrlimit, resource.RLIMIT_DATA, (before, most))
-            wanted = size + _PROGRAM + _PER_PROCESSOR * (os.cpu_count() or 1)
-            known = [limit for limit in (before, most) if limit != resource.RLIM_INFINITY]
-            resource.setrlimit(resource.RLIMIT_DATA, (min([wanted, *known]), most))
-            restored.callback(_UNLIMITED.reset, _UNLIMITED.set(before))
-        try:
-            yield
-        except MemoryError as error:
-            limit = "the memory of this machine" if size is None else f"{show_size(size)} of memory"
-            remedy = "raise --max-memory, or give a smaller model"
-            raise InputError(name, f"needs more than {limit}", remedy) from error
-
-
-@contextlib.contextmanager
-def memory_reserved(size: int) -> Iterator[None]:
-    """Lift the limit for a library that crashes at it, and takes `size` bytes; MemoryError if there are none left."""
-    before = _UNLIMITED.get()
-    if before is None:
-        yield
-        return
-    import resource
-
-    bytearray(size)
-    limit, most = resource.getrlimit(resource.RLIMIT_DATA)
-    resource.setrlimit(resource.RLIMIT_DATA, (before, most))
-    data = _status("VmData") or 0
-    try:
-        yield
-    finally:
-        # What it takes besides, for its threads, counts as memory of the program.
-        raised = limit + max(0, (_status("VmData") or 0) - data - size)
-        resource.setrlimit(
-            resource.RLIMIT_DATA, (raised if most == resource.RLIM_INFINITY else min(raised, most), most)
-        )
 
 
 class Stopwatch:
@@ -221,25 +120,154 @@ class Stopwatch:
             times["cpu"] += time.process_time() - cpu
 
 
-def peak_memory() -> int | None:
-    """Return the largest resident size of this process so far, in bytes, or None where it is not known."""
-    if _STATUS.exists():
-        # On Linux ru_maxrss also counts what the process that started this one held at that moment.
-        return _status("VmHWM")
-    if sys.platform == "win32":
-        return None
-    import resource
-
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak if sys.platform == "darwin" else peak * 1024
+def phases_of(kinds: Sequence[str], samples: int) -> list[tuple[str, float]]:
+    """Return phases with the seconds that they are expected to take for a number of samples."""
+    return [(kind, _SECONDS[kind][0] + 1e-6 * _SECONDS[kind][1] * samples) for kind in kinds]
 
 
-def _status(name: str) -> int | None:
-    """Return the bytes that Linux counts of this process under a name; None if it does not."""
-    if not _STATUS.exists():
-        return None
-    fields = dict(line.split(":", 1) for line in _STATUS.read_text().splitlines())
-    return int(fields[name].split()[0]) * 1024 if name in fields else None
+@dataclass(frozen=True)
+class State:
+    """How far a job is now."""
+
+    label: str = ""
+    share: float = 0.0
+    seconds_left: float | None = None  # None: not known yet
+
+
+@dataclass
+class Work:
+    """A progress callback that joins the phases of a job to one share of the whole.
+
+    Without news the share comes ever closer to 1, at the pace of the seconds that are left.
+    """
+
+    # Whose seconds phases take; of a process that waits for others, the time of day.
+    clock: Callable[[], float] = time.process_time
+    _start_times: tuple[float, float] = (0.0, 0.0)  # of `clock` and the time of day
+    _ahead: list[tuple[str, float]] = field(
+        default_factory=list
+    )  # phases to come, and their expected seconds
+    _unannounced: float = _UNANNOUNCED  # expected seconds of what no job has announced
+    _is_timed: bool = False  # whether the announced seconds are more than shares
+    _label: str | None = None  # of the current phase
+    _began: float = 0.0  # when it did
+    _expected: float = 0.0  # its seconds
+    _share: float = 0.0  # of it that is done
+    _times: tuple[float, float] = (0.0, 0.0)  # seconds that the phases before took, and were expected to take
+    _first: tuple[float, float] = (
+        0.0,
+        1.0,
+    )  # share of the whole when it began, and the expected seconds left then
+    _shown: tuple[float, float, float] = (
+        0.0,
+        0.0,
+        0.0,
+    )  # share of the whole, when, and the seconds left then
+    _lock: Any = field(default_factory=threading.RLock, repr=False)  # a terminal is drawn by another thread
+
+    def __post_init__(self) -> None:
+        self._start_times = self.clock(), time.monotonic()
+
+    def expect(self, phases: Iterable[tuple[str, float]], *, timed: bool = True) -> None:
+        """End the current phase, and announce the next, with their seconds, or only their ratios if not `timed`."""
+        with self._lock:
+            self._ahead, self._unannounced, self._is_timed, self._label = list(phases), 0.0, timed, None
+
+    def __call__(self, label: str, done: int, total: int) -> None:
+        """Report work of a phase; one with another label than before ends that."""
+        now = self.clock()
+        with self._lock:
+            shown = self.state().share
+            if self._label is None or _COUNT.sub("", label) != _COUNT.sub("", self._label):
+                self._start(label, now, shown)
+            self._label = label
+            self._share = max(self._share, min(1.0, done / max(1, total)))
+            first, whole = self._first
+            share = first + (1 - first) * (1 - self._left() / whole if whole else 1.0)
+            taken, expected = self._times
+            if self._share >= _TRUSTED:
+                taken, expected = taken + now - self._began, expected + self._expected * self._share
+            slowness = (_PRIOR + taken) / (_PRIOR + expected)
+            self._shown = max(shown, share), now, slowness * self._left()
+
+    def _start(self, label: str, now: float, shown: float) -> None:
+        if self._label is not None:
+            self._times = self._times[0] + now - self._began, self._times[1] + self._expected
+        kind = _COUNT.sub("", label).rpartition(": ")[2]
+        known = [number for number, (name, _) in enumerate(self._ahead) if name == kind]
+        self._expected = self._ahead[known[0]][1] if known else _EXPECTED
+        if known:
+            del self._ahead[: known[0] + 1]
+        self._began, self._share = now, 0.0
+        self._first = shown, self._left()
+
+    def _left(self) -> float:
+        """Return the expected seconds of all that is left."""
+        ahead = sum(seconds for _, seconds in self._ahead)
+        return self._expected * (1 - self._share) + ahead + self._unannounced
+
+    def state(self) -> State:
+        now = self.clock()
+        with self._lock:
+            share, when, left = self._shown
+            share = 1 - (1 - share) * math.exp((when - now) / left) if left > 0 else share
+            computed, passed = now - self._start_times[0], time.monotonic() - self._start_times[1]
+            is_known = computed >= _LEAST_TIME and (self._is_timed or self._share >= _TRUSTED)
+            rest = max(left - (now - when), 0.0)
+            return State(self._label or "", share, rest * passed / computed if is_known else None)
+
+
+@dataclass
+class Share(Work):
+    """Progress of a part of a job; `forward` is called with a label and the share of the part."""
+
+    forward: Callable[[str, float], None] = lambda label, share: None
+
+    def __call__(self, label: str, done: int, total: int) -> None:
+        super().__call__(label, done, total)
+        self.forward(label, self.state().share)
+
+
+def one_of(
+    items: Sequence[Item], noun: str, progress: Progress | None
+) -> Iterator[tuple[Item, Progress | None]]:
+    """Give items one after the other, each with the progress of the work on it."""
+    count = len(items)
+    if isinstance(progress, Work):
+        progress.expect([(noun, float(count))], timed=False)
+
+    def show(number: int, _: str, share: float) -> None:
+        if progress is not None:
+            label = f"{min(number + 1, count)} of {count} {noun}"
+            progress(label, round(_STEPS * (number + share)), _STEPS * count)
+
+    for number, item in enumerate(items):
+        show(number, "", 0.0)
+        yield item, None if progress is None else Share(forward=partial(show, number))
+    show(count, "", 0.0)
+
+
+def tracked(items: Sequence[Item], label: str, progress: Progress | None) -> Iterator[Item]:
+    """Give items one after the other, and show how many of them are done."""
+    for number, item in enumerate(items):
+        if progress is not None:
+            progress(label, number, len(items))
+        yield item
+    if progress is not None and items:
+        progress(label, len(items), len(items))
+
+
+def at_intervals(seconds: float, progress: Progress) -> Progress:
+    """Return a progress that drops what comes less than some seconds after what it passed on last."""
+    last = 0.0
+
+    def update(label: str, done: int, total: int) -> None:
+        nonlocal last
+        if time.monotonic() - last >= seconds:
+            last = time.monotonic()
+            progress(label, done, total)
+
+    return update
 
 
 _SMALLEST_SIDE, _LARGEST_SIDE = 16, 16384  # of a texture: less is of no use, graphics cards take no more

@@ -22,15 +22,14 @@ from beltrami_cli.arrays import Float64s
 from beltrami_cli.errors import BeltramiError, UsageError
 from beltrami_cli.fields import given_options
 from beltrami_cli.formats import registry
-from beltrami_cli.formats.access import Access, read_source
+from beltrami_cli.formats.access import Access, peak_memory, read_source
 from beltrami_cli.formats.colours import quantised
 from beltrami_cli.formats.document import Document, ImageDocument, Naming, Written
 from beltrami_cli.formats.image.picture import suffix_for
 from beltrami_cli.formats.registry import OutputFormat, choose_format
 from beltrami_cli.formats.textured_mesh import with_images, with_suffixes
-from beltrami_cli.jobs.job import Job, Stopwatch, peak_memory
+from beltrami_cli.jobs.job import Job, Stopwatch, phases_of
 from beltrami_cli.jobs.output import Output, shared_files
-from beltrami_cli.jobs.progress import phases_of
 from beltrami_cli.layers.layer import Layer, Repainted, all_images
 from beltrami_cli.layers.selection import Selection, select
 from beltrami_cli.layers.settings import SmoothSettings
@@ -211,7 +210,7 @@ class Painter(ABC, Generic[AnyPainted]):
 
     @property
     def phases(self) -> Sequence[str]:
-        """Return the phases of `paint`, see `jobs/progress.py`."""
+        """Return the phases of `paint`, see `jobs/job.py`."""
         return ("painting",)
 
     @property

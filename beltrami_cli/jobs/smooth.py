@@ -1,4 +1,4 @@
-"""Smoothing a file: the painter that smooths, and the record of what was done, whose dict is JSON."""
+"""Smoothing a file, or only levelling it: the painter that does both, and the records of what was done."""
 
 from __future__ import annotations
 
@@ -39,7 +39,6 @@ from beltrami_cli.surface.records import ImageFile, TexturedSurface
 
 if TYPE_CHECKING:
     from beltrami_cli.jobs.new_texture import NewTexture
-
 
 _USUAL_TICKS = 30  # while parameters are chosen
 
@@ -393,3 +392,76 @@ def _are_large_enough(surface: TexturedSurface) -> bool:
     sizes = [measure_image(texture.data) for texture in surface.textures]
     sides = np.array([(0, 0) if size is None else (size.width, size.height) for size in sizes], np.int64)
     return texels_of(surface, sides.reshape(-1, 2)) >= int(np.count_nonzero(surface.texture_of >= 0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class LevelFileReport(FileReport):
+    """What was done to a file; `dataclasses.asdict` gives JSON types.
+
+    Attributes
+    ----------
+    levelled : list of LevelReport
+        What was found and done: of each texture slot, or of vertex colours.
+    input, output, format, parameters, stages, peak_memory, written, warnings
+        As for `SmoothReport`.
+    """
+
+    levelled: list[LevelReport]
+
+
+def level_file(
+    source: str | os.PathLike[str],
+    target: str | os.PathLike[str],
+    wanted: LevelSettings = LevelSettings(),  # noqa: B008
+    settings: SmoothSettings = DEFAULTS,
+    job: Job = PLAIN_JOB,
+    **overrides: Any,
+) -> LevelFileReport:
+    """Take exposure steps between charts out of the colours of a model, and change nothing else.
+
+    Parameters
+    ----------
+    source, target : path
+        As for `smooth_file`: a model with textures, or with vertex colours that name the photograph of each vertex.
+    wanted : LevelSettings
+        How strongly, and which charts stay as they are.
+    settings : SmoothSettings
+        Which colours are meant and how they are written: the working space, channels, slots, textures and their format.
+        Gains and offsets are taken in the working space.
+    job : Job
+        What may be read, a callback for progress, and whether files are written and replaced.
+    **overrides
+        Single parameters of `wanted` or `settings` by name, such as ``strength=0.5, slots=("emissive",)``.
+
+    Returns
+    -------
+    LevelFileReport
+        For each slot, whether there were exposure steps, how large, and the exposures of the charts.
+
+    Raises
+    ------
+    UsageError
+        If a parameter is unknown or out of its range, or the colours cannot have exposure steps, as in an image.
+    InputError
+        If the source cannot be read, has no colours, or does not say which photograph its vertex colours are from.
+    OutputError
+        If the target cannot be written, or exists and `job.overwrite` is not set. Existing files stay as they were.
+    """
+    own = {field.name for field in dataclasses.fields(LevelSettings)}
+    wanted = override(wanted, **{name: value for name, value in overrides.items() if name in own})
+    settings = override(settings, **{name: value for name, value in overrides.items() if name not in own})
+    if settings.space == "oklab":
+        cause = "exposures are gains of channels, which the space oklab mixes"
+        raise UsageError(f"{cause}; choose srgb or linear")
+    source, target = os.fspath(source), os.fspath(target)
+    still = dataclasses.replace(settings, kernel=unsmoothed(settings.kernel))
+    made, done = recolour(source, target, still, Smoothing(still, wanted), job)
+    levelled = [
+        dataclasses.replace(each.levelled, change=each.report.change)
+        for each in done
+        if each.levelled is not None
+    ]
+    described, used = describe_settings(settings), ("threads", "space", "channels", "on", "textures")
+    parameters = {name: value for name, value in described.items() if name in used}
+    parameters |= dataclasses.asdict(wanted)
+    return LevelFileReport(**{**vars(made), "parameters": parameters}, levelled=levelled)

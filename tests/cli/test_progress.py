@@ -9,8 +9,7 @@ from contextlib import contextmanager
 import pytest
 
 from beltrami_cli.cli.console import Messages
-from beltrami_cli.jobs.job import Job
-from beltrami_cli.jobs.progress import Share, Work
+from beltrami_cli.jobs.job import Job, Share, Work
 from beltrami_cli.jobs.smooth import smooth_file
 from cli.commands import COMMAND, SAMPLES, beltrami
 
