@@ -24,7 +24,7 @@ from beltrami_cli.cli.console import (
 )
 from beltrami_cli.errors import BeltramiError, InputError
 from beltrami_cli.layers.settings import SmoothSettings
-from beltrami_cli.view.parameters import NO_NOISE_FOUND, noise_in_words
+from beltrami_cli.view.settings import NO_NOISE_FOUND, noise_in_words
 
 _SUMMARY = 20  # lines
 _SHOWN_IMAGES = 6

@@ -18,7 +18,7 @@ from beltrami_cli.errors import OutputError, UsageError
 from beltrami_cli.fields import show_size
 from beltrami_cli.jobs.job import BakeSettings, Job, NoiseSettings
 from beltrami_cli.layers.settings import BakeTo, LevelSettings, SmoothSettings
-from beltrami_cli.view.parameters import NO_NOISE_FOUND
+from beltrami_cli.view.settings import NO_NOISE_FOUND
 
 if TYPE_CHECKING:
     from beltrami_cli.jobs.output import Output

@@ -32,17 +32,17 @@ from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.records import Slot
 from beltrami_cli.view.models import ModelWriter
 from beltrami_cli.view.pages import page_with_models, rendered
-from beltrami_cli.view.parameters import (
+from beltrami_cli.view.preview import Focus, LayerView, NoPreviewError
+from beltrami_cli.view.server import GoneError, MalformedError, PageRequest
+from beltrami_cli.view.settings import (
     CONTROLS,
     SLIDERS,
+    RenderSettings,
     given_values,
     plain_settings,
     settings_from,
     used_parameters,
 )
-from beltrami_cli.view.preview import Focus, LayerView, NoPreviewError
-from beltrami_cli.view.server import GoneError, MalformedError, PageRequest
-from beltrami_cli.view.settings import RenderSettings
 from beltrami_cli.view.views import image_files, require_memory_to_draw
 
 Command = Callable[[SmoothSettings, str], str]

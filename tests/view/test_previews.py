@@ -19,8 +19,8 @@ from beltrami_cli.jobs.smooth import Smoothing
 from beltrami_cli.layers.settings import DEFAULTS
 from beltrami_cli.surface.records import PaintedVertices
 from beltrami_cli.view.models import ModelWriter, displayed_colours, displayed_pixels
-from beltrami_cli.view.parameters import given_values, plain_settings, settings_from
 from beltrami_cli.view.preview import Focus, LayerView, NoPreviewError
+from beltrami_cli.view.settings import given_values, plain_settings, settings_from
 from cli.commands import SAMPLES
 from cli.pictures import encode
 from small_models import textured_squares
