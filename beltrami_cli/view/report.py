@@ -20,8 +20,8 @@ from beltrami_cli.jobs.output import Output
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.records import Slot, as_bytes, colour_by_value
 from beltrami_cli.view import pages
-from beltrami_cli.view.drawing import distinct_labels
 from beltrami_cli.view.models import ModelWriter
+from beltrami_cli.view.render import distinct_labels
 from beltrami_cli.view.settings import used_parameters
 
 _NEARLY_ALL = 0.995  # of the samples, whose changes are not shown brightest

@@ -7,7 +7,7 @@ import pytest
 
 from beltrami_cli.surface.geometry import triangle_areas
 from beltrami_cli.surface.records import Texture, TexturedSurface, linear_to_srgb
-from beltrami_cli.view.drawing import (
+from beltrami_cli.view.render import (
     Panel,
     arranged,
     displayed,
@@ -17,7 +17,7 @@ from beltrami_cli.view.drawing import (
     richest_window,
 )
 from beltrami_cli.view.settings import DEFAULT_RENDER, RenderSettings
-from beltrami_cli.view.tracing import (
+from beltrami_cli.view.tracing import (  # fmt: skip
     AMBIENT,
     LAMP,
     SurfaceView,
@@ -25,7 +25,7 @@ from beltrami_cli.view.tracing import (
     VertexPaint,
     fitted,
     orientation,
-)  # fmt: skip
+)
 from beltrami_cli.view.views import CloudView, ImageView, _discs, framed, within_reach
 from oracles import surfaces
 
