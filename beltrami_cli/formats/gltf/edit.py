@@ -35,10 +35,11 @@ from beltrami_cli.formats.gltf.accessors import (
     element_bytes,
     padded_elements,
 )
-from beltrami_cli.formats.gltf.buffers import View, data_uri, named_places, named_views, repacked
+from beltrami_cli.formats.gltf.buffers import MESHOPT, View, data_uri, named_places, named_views, repacked
 from beltrami_cli.formats.gltf.container import Container, Tree, objects, primitives_of
 from beltrami_cli.surface.records import ImageFile
 
+_ALIGNMENT = 8  # of merged buffers: more than any component needs, and what KHR extensions ask for
 VERTEX_DATA, INDEX_DATA = 34962, 34963  # what a view is for (ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER)
 Holder = tuple[int, str | None]  # a view, or the extension of one that names its compressed bytes
 Use = tuple[
@@ -395,3 +396,34 @@ def _others(tree: Tree, accessors: Accessors, members: set[int]) -> Iterator[Lay
 
 def _whole(view: View) -> Layout:
     return Layout(view.buffer, view.offset, view.length, view.length, 1)
+
+
+def merge_buffers(edit: Edit) -> bytearray:
+    """Join the bytes of all buffers that have any, and make the views point into the result."""
+    tree, binary, starts = edit.tree, bytearray(), dict[int, int]()
+    entries, canonical = tree.get("buffers", []), edit.accessors.buffers.canonical
+    for index in range(len(entries)):
+        if canonical(index) in starts:
+            starts[index] = starts[canonical(index)]
+        elif edit.source(index) != "nowhere":
+            binary += bytes(-len(binary) % _ALIGNMENT)
+            starts[index] = len(binary)
+            binary += edit.buffers[index] if index in edit.buffers else edit.accessors.buffers.stored(index)
+    if not starts:
+        return binary
+    kept = [index for index in range(len(entries)) if index not in starts]
+    numbers = dict.fromkeys(starts, 0) | {index: 1 + rank for rank, index in enumerate(kept)}
+    for view in tree.get("bufferViews", []):
+        for holder in objects([view, *view.get("extensions", {}).values()]):
+            if isinstance(holder.get("buffer"), int):
+                start = starts.get(holder["buffer"], 0)
+                holder["buffer"] = numbers.get(holder["buffer"], holder["buffer"])
+                if start and isinstance(holder.get("byteOffset", 0), int):
+                    holder["byteOffset"] = holder.get("byteOffset", 0) + start
+    merged = {key: value for key, value in entries[next(iter(starts))].items() if key != "uri"}
+    merged["byteLength"] = len(binary)
+    if "extensions" in merged:  # it is more than a fallback for compressed data
+        others = {key: value for key, value in merged.pop("extensions").items() if key not in MESHOPT}
+        merged |= {"extensions": others} if others else {}
+    tree["buffers"] = [merged, *(entries[index] for index in kept)]
+    return binary

@@ -7,7 +7,7 @@ pointed at it. Textures are treated likewise: changed if all that name them foll
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator
+from collections.abc import Hashable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import PurePosixPath
@@ -16,13 +16,12 @@ from typing import Any
 from beltrami_cli.errors import BeltramiError, OutputError
 from beltrami_cli.formats.document import NewImages
 from beltrami_cli.formats.gltf.accessors import Accessors
-from beltrami_cli.formats.gltf.buffers import file_key, is_data, located, read
-from beltrami_cli.formats.gltf.container import Entry, Tree, objects
+from beltrami_cli.formats.gltf.buffers import data_uri, file_key, is_data, located, read, short
+from beltrami_cli.formats.gltf.container import Entry, Tree, objects, objects_within
 from beltrami_cli.formats.gltf.edit import Edit
-from beltrami_cli.formats.gltf.saving import MEDIA, media_type, put_images
 from beltrami_cli.formats.image import format_of, label_of, read_image, write_image
 from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, INSTALL, missing_package
-from beltrami_cli.formats.image.picture import suffix_for
+from beltrami_cli.formats.image.picture import FORMATS, suffix_for
 from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError
 from beltrami_cli.surface.records import ImageFile, PlannedImage, Slot, Wrap
 
@@ -36,6 +35,10 @@ IMAGE_EXTENSIONS = {
 """Extensions of textures that name an image of another type than core glTF has."""
 
 UNREAD = ("MSFT_texture_dds",)  # whose images are not read
+
+_HELD = ("png", "jpeg", "webp", "ktx2", "avif")
+MEDIA = {suffix: f"image/{known}" for known in _HELD for suffix in FORMATS[known].suffixes}
+"""Media types of the images that glTF can hold, by suffix."""
 SLOT_PATHS: dict[Slot, tuple[tuple[str, ...], ...]] = {
     "baseColor": (
         ("pbrMetallicRoughness", "baseColorTexture"),
@@ -151,6 +154,12 @@ def image_key(image: int) -> str:
 def _kind_of(extension: str) -> str:
     """Return the common name of the image type of an extension."""
     return IMAGE_EXTENSIONS[extension].rpartition("/")[2].rpartition(".")[2].upper()
+
+
+def media_type(data: bytes) -> str | None:
+    """Return the media type that the first bytes of an image show, if it is one that glTF knows."""
+    known = format_of(data, "")
+    return f"image/{known}" if known in _HELD else None
 
 
 def texture_infos(value: Any, place: str, *, is_texture: bool | None = None) -> Iterator[tuple[str, Tree]]:
@@ -342,3 +351,49 @@ def _recoloured(images: Images, image: int, shown: ImageFile) -> ImageFile | Non
         return write_image(old, new.pixels[..., : len(old.channels)])
     except (BeltramiError, UnfitReferenceError):
         return None
+
+
+def put_images(edit: Edit, files: Mapping[int, ImageFile]) -> None:
+    """Give images new files, stored as the old ones are: in a buffer, in a data URI, or as a file."""
+    images = edit.tree["images"]
+    for index, file in files.items():
+        image, media = images[index], MEDIA[file.suffix.lower()]
+        if "bufferView" in image or "mimeType" in image:
+            image["mimeType"] = media
+        if "bufferView" not in image and is_data(image["uri"]):
+            is_same = image["uri"][5:].partition(",")[0].partition(";")[0].lower() == media
+            image["uri"] = data_uri(image["uri"] if is_same else f"data:{media};base64,", file.data)
+        elif "bufferView" not in image:
+            edit.images[index] = file
+    file_of = {id(images[index]): file for index, file in files.items()}
+    holders = [*images, *objects_within({key: value for key, value in edit.tree.items() if key != "images"})]
+    # What an extension says of a view is not known to be true of other bytes.
+    holders += [
+        {"bufferView": n} for n, view in enumerate(edit.tree.get("bufferViews", [])) if "extensions" in view
+    ]
+    named = [holder for holder in holders if isinstance(holder.get("bufferView"), int)]
+    uses = [(holder, "bufferView", file_of.get(id(holder))) for holder in named]
+    for (old, file), view in edit.separate("bufferViews", uses, copied=lambda _: {}).items():
+        home = edit.growing_buffer([edit.tree["bufferViews"][old]["buffer"]])
+        edit.put(home, (view, None), file.data)
+
+
+def embed_images(edit: Edit, folder: ModelFolder) -> None:
+    """Put images from the folder into a buffer; a notice names each that stays outside."""
+    for index, image in enumerate(edit.tree.get("images", [])):
+        uri = image.get("uri")
+        if uri is None or is_data(uri):
+            continue
+        try:
+            new = edit.images.get(index)
+            data = read(uri, folder) if new is None else new.data
+            kind = image.get("mimeType") or media_type(data)
+            if kind is None:
+                raise UnfitReferenceError("is of an unknown type, so it cannot be embedded")
+        except UnfitReferenceError as error:
+            edit.notices.append(f"images[{index}] stays outside the GLB: {short(uri)} {error}.")
+            continue
+        view = edit.add("bufferViews", {})
+        edit.put(edit.growing_buffer([]), (view, None), data)
+        del image["uri"]
+        image |= {"bufferView": view, "mimeType": kind}

@@ -19,8 +19,7 @@ from beltrami_cli.formats.document import Written, not_converted
 from beltrami_cli.formats.gltf.accessors import COMPONENTS, Stored, padded_elements
 from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, Tree, glb_pieces
 from beltrami_cli.formats.gltf.edit import INDEX_DATA, VERTEX_DATA
-from beltrami_cli.formats.gltf.saving import MEDIA
-from beltrami_cli.formats.gltf.textures import SLOT_PATHS, WRAPS
+from beltrami_cli.formats.gltf.textures import MEDIA, SLOT_PATHS, WRAPS
 from beltrami_cli.formats.textured_mesh import (
     bare_polygons,
     image_names,
@@ -31,14 +30,7 @@ from beltrami_cli.formats.textured_mesh import (
 )
 from beltrami_cli.surface.geometry import unit_vectors
 from beltrami_cli.surface.grouping import group_equal_rows
-from beltrami_cli.surface.records import (
-    Frame,
-    ImageFile,
-    Material,
-    MeshContents,
-    MeshImage,
-    srgb_to_linear,
-)
+from beltrami_cli.surface.records import Frame, ImageFile, Material, MeshContents, MeshImage, srgb_to_linear
 
 _STORED_AS = {("linear", "uint8"): "<u1", ("linear", "uint16"): "<u2", ("srgb", "uint8"): "<u2"}
 """Component type of COLOR_0 by encoding and type of the source; float32 for all others.
