@@ -1,31 +1,37 @@
-"""The canvas of an atlas: colours on its cells, per-cell data for the core, and seams at which colours jump."""
+"""The canvas of an atlas: painting it, seams at which colours jump, similar patches on it, and its coarse levels."""
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Sequence
+from typing import ClassVar
 
 import numpy as np
 
-from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
+from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Uint8s
 from beltrami_cli.flow.chunks import Chunk, Figures, Work, chunk_of, chunking, rectangles
-from beltrami_cli.flow.domain import Mixing, NewColours
+from beltrami_cli.flow.domain import CoarseLevel, Mixing, NewColours, Stack
+from beltrami_cli.flow.grid_geometry import colours_at, gaussian_taps, guide_radius
 from beltrami_cli.flow.noise.grid_squares import Grid
+from beltrami_cli.flow.noise.haar_noise import mixed_signs
 from beltrami_cli.flow.noise.reading import read_noise
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.regularisation import guide_radius
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED, Atlas, Indices, refresh_halo
 
-# Rows and columns around a halo cell that are searched for other cells with the same texel: enough for a chart up to
-# seven times as fine as the one beyond the seam.
-_REPEATS_REACH = 3
-
-# Rows that are processed together, where each needs memory; the rounding of sums depends on it.
-ROWS = 64
-
 # The paper's scheme searches the support of an obtuse quadrant up to this many cells away.
 FURTHEST_SUPPORT = 10
+
+# A jump counts if it is this many standard errors of the mean over the seam ...
+_ERRORS = 4.0
+# ... and this share of the noise: below, averaging over the seam still removes more noise than it adds bias ...
+_OF_NOISE = 0.3
+# ... and more than JPEG blocks and rounding leave between two charts of one continuous image.
+_LEAST = 4 / 255
+# Steps over a seam from which its energy can be estimated.
+_FEWEST = 8
+
+# Of random means; any is as good.
+_SEED = 21
 
 
 def painted(atlas: Atlas, colours: Float32s) -> Float32s:
@@ -43,15 +49,6 @@ def painted_by(atlas: Atlas, channels: int, colours_of: Callable[[slice], Float3
     return planes
 
 
-def colours_at(planes: Float32s, cells: Indices) -> Float32s:
-    """Return the colours of K cells (flat indices), shape (K, N), from planes of shape (N, R, C)."""
-    colours = large_arrays.empty((len(cells), len(planes)), np.float32)
-    for block in large_arrays.blocks(len(cells)):
-        for k, plane in enumerate(planes):
-            colours[block, k] = plane.take(cells[block])
-    return colours
-
-
 def canvas_colours(atlas: Atlas, planes: Float32s) -> NewColours:
     """Return the colours of the owned cells, read from the canvas when they are taken, and the gutter's colours."""
     refresh_halo(planes, atlas, interpolated=True)
@@ -65,6 +62,134 @@ def canvas_colours(atlas: Atlas, planes: Float32s) -> NewColours:
         atlas.gutter_texels,
         beyond,
     )
+
+
+def canvas_margin(parameters: KernelParameters) -> int:
+    """Return how many cells beyond a chart its kernels and patches read."""
+    from beltrami_cli._native import PATCH_REACH
+
+    blurred = guide_radius(parameters.metric_scale) if parameters.metric_steps else 0
+    return max(parameters.window // 2 + blurred, PATCH_REACH if parameters.takes_patches else 0)
+
+
+def kernel_margin(parameters: KernelParameters) -> int:
+    """Return how many cells around a cell its result in one iteration depends on."""
+    support = FURTHEST_SUPPORT if parameters.scheme == "metric" else 0
+    blurred = guide_radius(parameters.metric_scale) if parameters.metric_steps else 0
+    return parameters.window // 2 + 1 + support + blurred
+
+
+def find_colour_jumps(atlas: Atlas, planes: Float32s, sigma: Float64s) -> Bools:
+    """Return for each seam, shape (S,), whether its sides differ by more than noise."""
+    different = np.zeros(max(1, atlas.seams), bool)
+    seam, steps, along = _steps_over_seams(atlas, planes)
+    if not len(seam):
+        return different
+    order = np.argsort(seam, kind="stable")
+    starts = np.flatnonzero(np.r_[True, seam[order][1:] != seam[order][:-1]])
+    noise = float(np.sqrt(np.mean(np.square(sigma))))
+    for first, last in zip(starts, np.r_[starts[1:], len(seam)], strict=True):
+        members = order[first:last]
+        jump = np.abs(np.median(steps[members], axis=0)).max()
+        # A step between two noisy samples has the deviation sqrt(2) sigma, and a median 1.25 times a mean's error.
+        error = 1.25 * np.sqrt(2) * noise / np.sqrt(len(members))
+        shifted = jump > max(_ERRORS * error, _OF_NOISE * noise, _LEAST)
+        different[seam[members[0]]] = shifted or _is_patterned(steps[members], along[members], noise)
+    return different
+
+
+def _steps_over_seams(atlas: Atlas, planes: Float32s) -> tuple[Int32s, Float32s, Float32s]:
+    """Find the halo cells next to an owned cell: their seam, the step to them, and the step before it."""
+    rows, columns = atlas.kind.shape
+    flat_kind, flat = atlas.kind.reshape(-1), planes.reshape(len(planes), -1)
+    seams: list[Int32s] = []
+    over: list[Float32s] = []
+    before: list[Float32s] = []
+    of_seams = np.flatnonzero(atlas.halo_seams >= 0)
+    for block in large_arrays.blocks(len(of_seams), large_arrays.SCATTERED):
+        cells, halo_seams = atlas.halo_cells[of_seams[block]], atlas.halo_seams[of_seams[block]]
+        for step in (1, -1, columns, -columns):
+            inner, second = cells - step, cells - 2 * step
+            valid = (second >= 0) & (second < rows * columns) & (inner >= 0) & (inner < rows * columns)
+            valid[valid] &= (flat_kind[inner[valid]] == OWNED) & (flat_kind[second[valid]] == OWNED)
+            seams.append(halo_seams[valid])
+            over.append((flat[:, cells[valid]] - flat[:, inner[valid]]).T)
+            before.append((flat[:, inner[valid]] - flat[:, second[valid]]).T)
+    if not seams:
+        nothing = np.zeros((0, len(planes)), np.float32)
+        return np.zeros(0, np.int32), nothing, nothing
+    return np.concatenate(seams), np.concatenate(over), np.concatenate(before)
+
+
+def _is_patterned(steps: Float32s, nearby: Float32s, noise: float) -> bool:
+    """Detect a jump that changes its sign along the seam: steps across it have more energy than steps near it.
+
+    Neighbours may share noise, as in JPEG pictures; those on two sides of a seam do not, which makes some such energy.
+    """
+    if len(steps) < _FEWEST:
+        return False
+    across, along = np.square(steps).mean(axis=1), np.square(nearby).mean(axis=1)
+    error = float((across - along).std()) / np.sqrt(len(steps))
+    excess = across.mean() - max(along.mean(), 2 * noise**2)
+    return bool(excess > max(_ERRORS * error, (_OF_NOISE * noise) ** 2 + _LEAST**2))
+
+
+def halo_beyond(atlas: Atlas, different: Bools) -> Bools:
+    """Return which halo cells, shape (H,), lie beyond seams whose sides differ, `different` of shape (S,)."""
+    # Near a corner of several charts a cell may be reached over two seams: it counts if either differs.
+    seams = atlas.halo_seams
+    beyond = (seams >= 0) & different[np.maximum(seams, 0)]
+    if not beyond.any():
+        return beyond
+    reached = _charts_at(atlas, atlas.halo_nearest)
+    sides = _sides_of_seams(atlas, reached)
+    jumps = {tuple(pair) for seam, pair in enumerate(np.sort(sides, axis=1).tolist()) if different[seam]}
+    # Cells of a third chart, by the chart and the seam that they were reached over.
+    third = (seams >= 0) & ~beyond & (reached[:, None] != sides[seams]).all(axis=1)
+    for seam, chart in {*zip(seams[third].tolist(), reached[third].tolist(), strict=True)}:
+        if any((min(chart, side), max(chart, side)) in jumps for side in sides[seam].tolist()):
+            beyond |= third & (seams == seam) & (reached == chart)
+    return beyond
+
+
+def _charts_at(atlas: Atlas, cells: Indices) -> Int32s:
+    """Return the charts of some cells; -1: not owned."""
+    charts = np.full(len(cells), -1, np.int32)
+    for block in large_arrays.blocks(len(cells) if len(atlas.owned_cells) else 0, large_arrays.SCATTERED):
+        wanted = cells[block]
+        rank = np.minimum(np.searchsorted(atlas.owned_cells, wanted), len(atlas.owned_cells) - 1)
+        owned = atlas.owned_cells[rank] == wanted
+        charts[block][owned] = atlas.chart_of[rank[owned]]
+    return charts
+
+
+def _sides_of_seams(atlas: Atlas, reached: Int32s) -> Int32s:
+    """Find the two charts of each seam, shape (S, 2): of an owned cell, and of the halo cell next to it."""
+    kind, columns = atlas.kind.reshape(-1), atlas.kind.shape[1]
+    of_seams = np.flatnonzero(atlas.halo_seams >= 0)
+    cells, seams = atlas.halo_cells[of_seams], atlas.halo_seams[of_seams]
+    inner, halo = np.full((2, max(1, atlas.seams)), -1, cells.dtype)
+    for step in (1, -1, columns, -columns):
+        found = kind.take(cells - step, mode="clip") == OWNED  # the first and the last cell are margin
+        inner[seams[found]], halo[seams[found]] = cells[found] - step, of_seams[found]
+    known = np.flatnonzero(halo >= 0)
+    sides = np.full((len(halo), 2), -1, np.int32)
+    sides[known] = np.column_stack([_charts_at(atlas, inner[known]), reached[halo[known]]])
+    return sides
+
+
+def end_at_seams(planes: Float32s, atlas: Atlas, threads: int) -> None:
+    """Continue a guide as a constant, in place, beyond the seams whose two sides differ."""
+    from beltrami_cli._native import nearest_marked
+
+    sigma = read_noise(planes, Grid(atlas.kind == OWNED), varies=False).sigma
+    beyond = atlas.halo_cells[halo_beyond(atlas, find_colour_jumps(atlas, planes, sigma))]
+    if len(beyond):
+        wanted = np.zeros(atlas.kind.shape, bool)
+        wanted.reshape(-1)[beyond] = True
+        cells, nearest = nearest_marked(atlas.kind == OWNED, wanted, max(atlas.kind.shape), threads)
+        flat = planes.reshape(len(planes), -1)
+        flat[:, cells] = flat[:, nearest]
 
 
 def collaborate_on_canvas(
@@ -131,190 +256,128 @@ def _patches_on(
     return estimates, (0, 0)
 
 
-def canvas_margin(parameters: KernelParameters) -> int:
-    """Return how many cells beyond a chart its kernels and patches read."""
-    from beltrami_cli._native import PATCH_REACH
-
-    blurred = guide_radius(parameters.metric_scale) if parameters.metric_steps else 0
-    return max(parameters.window // 2 + blurred, PATCH_REACH if parameters.takes_patches else 0)
-
-
-def kernel_margin(parameters: KernelParameters) -> int:
-    """Return how many cells around a cell its result in one iteration depends on."""
-    support = FURTHEST_SUPPORT if parameters.scheme == "metric" else 0
-    blurred = guide_radius(parameters.metric_scale) if parameters.metric_steps else 0
-    return parameters.window // 2 + 1 + support + blurred
-
-
-def local_scales(atlas: Atlas, window: int) -> Float32s:
-    """Return the factor of squared lengths that makes the spacing around each cell 1, float32, shape (R, C)."""
-    from beltrami_cli._native import local_scale
-
-    rows, reach = atlas.kind.shape[0], window // 2
-    scales = large_arrays.empty(atlas.kind.shape, np.float32)
-    for band in large_arrays.blocks(rows, ROWS):
-        first = max(0, band.start - reach)
-        right, below = atlas.squared_lengths[:2, first : band.stop + reach]
-        scales[band] = local_scale(right, below, reach)[band.start - first : band.stop - first]
-    return scales
+def squares_for(
+    atlas: Atlas,
+    parameters: KernelParameters,
+    most: int,
+    relative: Float32s | None,
+    tick: Callable[[], None] | None = None,
+) -> list[Squares]:
+    """Return up to `most` levels of squares, fine to coarse, as far as none holds cells of two charts."""
+    one_chart = atlas.chart_of.max(initial=0) == 0
+    apart = max(atlas.kind.shape) if one_chart else 2 * canvas_margin(parameters)
+    sides = (2**level for level in range(1, most + 1))
+    return [Squares(atlas, side, parameters.thread_count, relative, tick) for side in sides if side <= apart]
 
 
-def mean_spacing(atlas: Atlas, scale: Float32s) -> float:
-    """Return the mean length that is 1 in local units, over the owned cells; 0 without any."""
-    total, count = 0.0, 0
-    for rows in large_arrays.blocks(len(atlas.kind), ROWS):
-        spacing = 1 / np.sqrt(scale[rows][atlas.kind[rows] == OWNED])
-        total, count = total + float(spacing.sum(dtype=np.float64)), count + len(spacing)
-    return total / count if count else 0.0
+class Squares(CoarseLevel):
+    """Means of squares of cells of a canvas: of the owned cells of each, or of halo where there are no such."""
+
+    axis: ClassVar[int] = 0
+    width: ClassVar[float] = 3.0
+
+    def __init__(
+        self,
+        atlas: Atlas,
+        side: int,
+        threads: int,
+        relative: Float32s | None,
+        tick: Callable[[], None] | None = None,
+    ) -> None:
+        self._atlas, self._side, self._threads = atlas, side, threads
+        self._report = None if tick is None else lambda _: tick()
+        kinds, counts = sort_squares(atlas.kind, side)
+        self.kinds, self._counts = large_arrays.kept(kinds), large_arrays.kept(counts)
+        self.noise = 1 / side**2
+        self._differing = None if relative is None else self.means(relative)[0]
+        ones: Float32s = large_arrays.empty(self.kinds.shape, np.float32)
+        ones.fill(1)
+        self.relative = ones if self._differing is None else self._differing
+
+    def means(self, stack: Float32s) -> Float32s:
+        """Return the means of planes, shape (N, R, C); 0 in empty squares."""
+        from beltrami_cli._native import means_of_squares
+
+        kind, threads = self._atlas.kind, self._threads
+        means: Float32s = large_arrays.empty((len(stack), *self.kinds.shape), np.float32)
+        for rows in large_arrays.blocks(len(self.kinds), self._rows_at_once):
+            cells = self._cells(rows)
+            for plane, own in zip(stack[:, None], means, strict=True):
+                own[rows] = means_of_squares(
+                    kind[cells], self.kinds[rows], plane[:, cells], self._side, threads
+                )[0]
+        return means
+
+    @property
+    def _rows_at_once(self) -> int:
+        cells: int = self._side**2 * self.kinds.shape[1]
+        return max(1, large_arrays.BLOCK // cells)
+
+    def _cells(self, rows: slice) -> slice:
+        return slice(rows.start * self._side, rows.stop * self._side)
+
+    def collaborate(self, noisy: Stack, pilot: Stack, mixing: Mixing, *, shared: bool = False) -> Stack:
+        """Estimate means from patches; noise that cells share is no smaller where a square has more of them."""
+        relative = None if self._differing is None else self._differing[None]
+        if not shared:
+            fewer = np.maximum(self._counts, 1) * np.float32(self.noise)
+            relative = (self.relative / fewer)[None]
+        return collaborate_on_canvas(
+            self.kinds, noisy, pilot, mixing, self._threads, self._report, relative=relative
+        )
+
+    def probe(self, means: Stack, noise: Float64s) -> Stack:
+        return mixed_signs(noise, means.shape[1:], np.random.default_rng(_SEED))
+
+    def add_enlarged(self, stack: Stack, changes: Stack) -> None:
+        """Add changes of squares to their owned cells, bilinear between the squares that have such."""
+        from beltrami_cli._native import add_enlarged
+
+        atlas, threads = self._atlas, self._threads
+        for rows in large_arrays.blocks(len(self.kinds), self._rows_at_once):
+            # With those above and below, between whose changes their cells lie.
+            around = slice(max(0, rows.start - 1), min(len(self.kinds), rows.stop + 1))
+            cells, first = self._cells(rows), self._cells(around).start
+            kind, kinds = atlas.kind[self._cells(around)], self.kinds[around]
+            for plane, change in zip(stack, changes[:, None], strict=True):
+                part = plane[None, self._cells(around)].copy()
+                add_enlarged(kind, kinds, change[:, around], part, self._side, threads)
+                plane[cells] = part[0, cells.start - first : cells.stop - first]
+        refresh_halo(stack, atlas)
+
+    def planes(self, count: int) -> Float32s:
+        planes: Float32s = large_arrays.zeros((count, *self.kinds.shape), np.float32)
+        return planes
+
+    def total(self, planes: Float32s) -> Float64s:
+        return np.asarray(
+            np.sum(planes * self._counts, axis=(1, 2), dtype=np.float64, where=self.kinds == OWNED)
+        )
+
+    def spread(self, planes: Float32s) -> Float32s:
+        """Average planes over the owned squares around."""
+        from beltrami_cli._native import convolve
+
+        return convolve(planes * (self.kinds == OWNED), gaussian_taps(self.width), self._threads)
 
 
-def halo_repeats(atlas: Atlas, threads: int) -> Uint8s | None:
-    """Return how often each cell's texel is shown, shape (R, C); None if no texel is shown more than once."""
-    from beltrami_cli._native import halo_repeats as count
-
-    if not len(atlas.halo_cells):
-        return None
-    cells, sources = (np.ascontiguousarray(of, np.int64) for of in (atlas.halo_cells, atlas.halo_nearest))
-    rows, columns = atlas.kind.shape
-    repeats = large_arrays.kept(
-        count(rows, columns, cells, sources, atlas.halo_seams, _REPEATS_REACH, threads)
-    )
-    return repeats if repeats.max(initial=1) > 1 else None
-
-
-# A jump counts if it is this many standard errors of the mean over the seam ...
-_ERRORS = 4.0
-# ... and this share of the noise: below, averaging over the seam still removes more noise than it adds bias ...
-_OF_NOISE = 0.3
-# ... and more than JPEG blocks and rounding leave between two charts of one continuous image.
-_LEAST = 4 / 255
-# Steps over a seam from which its energy can be estimated.
-_FEWEST = 8
+def sort_squares(kind: Uint8s, side: int) -> tuple[Uint8s, Float32s]:
+    """Return the kind of each square, OWNED if a cell is, and how many of its cells are of that kind."""
+    kinds = np.empty((-(-len(kind) // side), -(-kind.shape[1] // side)), np.uint8)
+    counts = np.empty(kinds.shape, np.float32)
+    for rows in large_arrays.blocks(len(kinds), max(1, large_arrays.BLOCK // (side * kind.shape[1]))):
+        cells = kind[rows.start * side : rows.stop * side]
+        owned, halo = (
+            _sums_of_runs(_sums_of_runs(cells == wanted, side).T, side).T for wanted in (OWNED, HALO)
+        )
+        kinds[rows] = np.where(owned > 0, OWNED, np.where(halo > 0, HALO, EMPTY))
+        counts[rows] = np.where(owned > 0, owned, halo)
+    return kinds, counts
 
 
-def find_colour_jumps(atlas: Atlas, planes: Float32s, sigma: Float64s) -> Bools:
-    """Return for each seam, shape (S,), whether its sides differ by more than noise."""
-    different = np.zeros(max(1, atlas.seams), bool)
-    seam, steps, along = _steps_over_seams(atlas, planes)
-    if not len(seam):
-        return different
-    order = np.argsort(seam, kind="stable")
-    starts = np.flatnonzero(np.r_[True, seam[order][1:] != seam[order][:-1]])
-    noise = float(np.sqrt(np.mean(np.square(sigma))))
-    for first, last in zip(starts, np.r_[starts[1:], len(seam)], strict=True):
-        members = order[first:last]
-        jump = np.abs(np.median(steps[members], axis=0)).max()
-        # A step between two noisy samples has the deviation sqrt(2) sigma, and a median 1.25 times a mean's error.
-        error = 1.25 * np.sqrt(2) * noise / np.sqrt(len(members))
-        shifted = jump > max(_ERRORS * error, _OF_NOISE * noise, _LEAST)
-        different[seam[members[0]]] = shifted or _is_patterned(steps[members], along[members], noise)
-    return different
-
-
-def _is_patterned(steps: Float32s, nearby: Float32s, noise: float) -> bool:
-    """Detect a jump that changes its sign along the seam: steps across it have more energy than steps near it.
-
-    Neighbours may share noise, as in JPEG pictures; those on two sides of a seam do not, which makes some such energy.
-    """
-    if len(steps) < _FEWEST:
-        return False
-    across, along = np.square(steps).mean(axis=1), np.square(nearby).mean(axis=1)
-    error = float((across - along).std()) / np.sqrt(len(steps))
-    excess = across.mean() - max(along.mean(), 2 * noise**2)
-    return bool(excess > max(_ERRORS * error, (_OF_NOISE * noise) ** 2 + _LEAST**2))
-
-
-def halo_beyond(atlas: Atlas, different: Bools) -> Bools:
-    """Return which halo cells, shape (H,), lie beyond seams whose sides differ, `different` of shape (S,)."""
-    # Near a corner of several charts a cell may be reached over two seams: it counts if either differs.
-    seams = atlas.halo_seams
-    beyond = (seams >= 0) & different[np.maximum(seams, 0)]
-    if not beyond.any():
-        return beyond
-    reached = _charts_at(atlas, atlas.halo_nearest)
-    sides = _sides_of_seams(atlas, reached)
-    jumps = {tuple(pair) for seam, pair in enumerate(np.sort(sides, axis=1).tolist()) if different[seam]}
-    # Cells of a third chart, by the chart and the seam that they were reached over.
-    third = (seams >= 0) & ~beyond & (reached[:, None] != sides[seams]).all(axis=1)
-    for seam, chart in {*zip(seams[third].tolist(), reached[third].tolist(), strict=True)}:
-        if any((min(chart, side), max(chart, side)) in jumps for side in sides[seam].tolist()):
-            beyond |= third & (seams == seam) & (reached == chart)
-    return beyond
-
-
-def _charts_at(atlas: Atlas, cells: Indices) -> Int32s:
-    """Return the charts of some cells; -1: not owned."""
-    charts = np.full(len(cells), -1, np.int32)
-    for block in large_arrays.blocks(len(cells) if len(atlas.owned_cells) else 0, large_arrays.SCATTERED):
-        wanted = cells[block]
-        rank = np.minimum(np.searchsorted(atlas.owned_cells, wanted), len(atlas.owned_cells) - 1)
-        owned = atlas.owned_cells[rank] == wanted
-        charts[block][owned] = atlas.chart_of[rank[owned]]
-    return charts
-
-
-def _sides_of_seams(atlas: Atlas, reached: Int32s) -> Int32s:
-    """Find the two charts of each seam, shape (S, 2): of an owned cell, and of the halo cell next to it."""
-    kind, columns = atlas.kind.reshape(-1), atlas.kind.shape[1]
-    of_seams = np.flatnonzero(atlas.halo_seams >= 0)
-    cells, seams = atlas.halo_cells[of_seams], atlas.halo_seams[of_seams]
-    inner, halo = np.full((2, max(1, atlas.seams)), -1, cells.dtype)
-    for step in (1, -1, columns, -columns):
-        found = kind.take(cells - step, mode="clip") == OWNED  # the first and the last cell are margin
-        inner[seams[found]], halo[seams[found]] = cells[found] - step, of_seams[found]
-    known = np.flatnonzero(halo >= 0)
-    sides = np.full((len(halo), 2), -1, np.int32)
-    sides[known] = np.column_stack([_charts_at(atlas, inner[known]), reached[halo[known]]])
-    return sides
-
-
-def _steps_over_seams(atlas: Atlas, planes: Float32s) -> tuple[Int32s, Float32s, Float32s]:
-    """Find the halo cells next to an owned cell: their seam, the step to them, and the step before it."""
-    rows, columns = atlas.kind.shape
-    flat_kind, flat = atlas.kind.reshape(-1), planes.reshape(len(planes), -1)
-    seams: list[Int32s] = []
-    over: list[Float32s] = []
-    before: list[Float32s] = []
-    of_seams = np.flatnonzero(atlas.halo_seams >= 0)
-    for block in large_arrays.blocks(len(of_seams), large_arrays.SCATTERED):
-        cells, halo_seams = atlas.halo_cells[of_seams[block]], atlas.halo_seams[of_seams[block]]
-        for step in (1, -1, columns, -columns):
-            inner, second = cells - step, cells - 2 * step
-            valid = (second >= 0) & (second < rows * columns) & (inner >= 0) & (inner < rows * columns)
-            valid[valid] &= (flat_kind[inner[valid]] == OWNED) & (flat_kind[second[valid]] == OWNED)
-            seams.append(halo_seams[valid])
-            over.append((flat[:, cells[valid]] - flat[:, inner[valid]]).T)
-            before.append((flat[:, inner[valid]] - flat[:, second[valid]]).T)
-    if not seams:
-        nothing = np.zeros((0, len(planes)), np.float32)
-        return np.zeros(0, np.int32), nothing, nothing
-    return np.concatenate(seams), np.concatenate(over), np.concatenate(before)
-
-
-def without_references(part: Atlas, whole: Atlas, cells: Int64s) -> Atlas:
-    """Return the atlas of some cells of another, whose halo others refresh."""
-    kind = part.kind
-    kind[cells == whole.kind.size - 1] = EMPTY  # margin, which also stands for cells beyond the canvas
-    cut = np.zeros(whole.kind.size, bool)
-    cut[whole.cut_cells] = True
-    nothing = np.zeros(0, np.int64)
-    return dataclasses.replace(
-        part, cut_cells=np.flatnonzero(cut[cells.reshape(-1)]), owned_cells=np.flatnonzero(kind == OWNED),
-        owned_texels=nothing, halo_cells=nothing, halo_taps=np.zeros((0, 4), np.int64),
-        halo_weights=np.zeros((0, 4), np.float32), halo_seams=np.zeros(0, np.int32), gutter_cells=nothing,
-        gutter_texels=nothing, border_texels=nothing, lone_texels=nothing, chart_of=np.zeros(0, np.int32),
-    )  # fmt: skip
-
-
-def end_at_seams(planes: Float32s, atlas: Atlas, threads: int) -> None:
-    """Continue a guide as a constant, in place, beyond the seams whose two sides differ."""
-    from beltrami_cli._native import nearest_marked
-
-    sigma = read_noise(planes, Grid(atlas.kind == OWNED), varies=False).sigma
-    beyond = atlas.halo_cells[halo_beyond(atlas, find_colour_jumps(atlas, planes, sigma))]
-    if len(beyond):
-        wanted = np.zeros(atlas.kind.shape, bool)
-        wanted.reshape(-1)[beyond] = True
-        cells, nearest = nearest_marked(atlas.kind == OWNED, wanted, max(atlas.kind.shape), threads)
-        flat = planes.reshape(len(planes), -1)
-        flat[:, cells] = flat[:, nearest]
+def _sums_of_runs(rows: Bools | Int32s, length: int) -> Int32s:
+    sums = np.zeros((-(-len(rows) // length), rows.shape[1]), np.int32)
+    for first in range(length):
+        part = rows[first::length]
+        sums[: len(part)] += part
+    return sums

@@ -8,14 +8,13 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import ClassVar, Protocol
 
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Uint8s
 from beltrami_cli.flow.clipping import ClippedChannels
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.regularisation import Gaussian
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Indices
 
@@ -52,6 +51,20 @@ class Domain(ABC):
     @abstractmethod
     def spread(self, planes: Float32s) -> Float32s:
         """Average planes over the surface by about a Gaussian of standard deviation `width`."""
+
+
+class Gaussian(Protocol):
+    """Makes the regularised metric: distances are taken from slightly smoothed colours, so that noise causes none.
+
+    Averages are still taken over the colours themselves. Smoothing reduces the noise in the metric by a known gain, and
+    beta is divided by it, so that noise adds the same to distances with and without it and beta keeps its meaning.
+    """
+
+    @property
+    def gain(self) -> float:
+        """Remaining standard deviation of white noise."""
+
+    def smooth(self, stack: Stack, /) -> Stack: ...
 
 
 class Geometry(Domain):

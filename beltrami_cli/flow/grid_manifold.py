@@ -16,7 +16,7 @@ import numpy as np
 from beltrami_cli.arrays import Array, Bools, Float32s, Int64s
 from beltrami_cli.flow.canvas import (
     FURTHEST_SUPPORT,
-    ROWS,
+    Squares,
     canvas_colours,
     collaborate_on_canvas,
     end_at_seams,
@@ -24,11 +24,11 @@ from beltrami_cli.flow.canvas import (
     halo_beyond,
     kernel_margin,
     painted,
+    squares_for,
 )
-from beltrami_cli.flow.cell_squares import Squares, squares_for
 from beltrami_cli.flow.chunks import Chunk, Figures, Work, chunk_of, chunking, rectangles
-from beltrami_cli.flow.domain import Mixing, NewColours, Stack
-from beltrami_cli.flow.grid_geometry import Cells, GridGeometry, pick
+from beltrami_cli.flow.domain import Gaussian, Mixing, NewColours, Stack
+from beltrami_cli.flow.grid_geometry import SUMMED_ROWS, Cells, GridGaussian, GridGeometry, guide_radius, pick
 from beltrami_cli.flow.manifold import (
     ON_GRIDS,
     RULE_ON_GRIDS,
@@ -47,7 +47,6 @@ from beltrami_cli.flow.noise.grid_squares import Grid
 from beltrami_cli.flow.noise.haar_noise import NoiseModel, relative_to_mean
 from beltrami_cli.flow.noise.reading import estimate_noise
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.regularisation import Gaussian, GridGaussian, guide_radius
 from beltrami_cli.flow.risk import choose_blocks, perturbations, tried_cells, wanted_probes, with_halo
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, OWNED, Atlas, refresh_halo, without_halo
@@ -96,7 +95,7 @@ def grid_manifold(
         different = find_colour_jumps(atlas, planes, model.largest_sigma)
     if different.any():
         atlas = without_halo(atlas, halo_beyond(atlas, different))
-        for rows in large_arrays.blocks(len(atlas.kind), ROWS):
+        for rows in large_arrays.blocks(len(atlas.kind), SUMMED_ROWS):
             planes[:, rows][:, atlas.kind[rows] == EMPTY] = 0
     grid = GridGeometry.of(atlas, parameters, stop_at_holes=stop_at_holes)
     if unit is None:

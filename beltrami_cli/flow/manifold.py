@@ -33,10 +33,9 @@ from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.flow.clipping import ClippedChannels
-from beltrami_cli.flow.domain import CoarseLevel, Geometry, Mixing, NewColours, Stack, in_blocks
+from beltrami_cli.flow.domain import CoarseLevel, Gaussian, Geometry, Mixing, NewColours, Stack, in_blocks
 from beltrami_cli.flow.noise.haar_noise import NoiseModel, choose_beta
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.regularisation import Gaussian
 from beltrami_cli.surface.atlas import EMPTY
 
 if TYPE_CHECKING:

@@ -19,9 +19,8 @@ from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.flow.clipping import ClippedChannels, find_clipped
 from beltrami_cli.flow.domain import Geometry, KernelWork, Stack
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.regularisation import MeshGaussian
 from beltrami_cli.flow.risk import fingerprints
-from beltrami_cli.flow.vertex_graph import PASS_SCALE, PASS_VARIANCE, Graph, all_known
+from beltrami_cli.flow.vertex_graph import PASS_SCALE, PASS_VARIANCE, Graph, MeshGaussian, all_known
 from beltrami_cli.surface.atlas import OWNED, Indices
 from beltrami_cli.surface.geometry import edges_in_space, local_spacing, mean_side, vertex_areas
 from beltrami_cli.surface.records import SampledSurface

@@ -6,13 +6,14 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from functools import cached_property
 from itertools import islice
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Float32s, Int64s
+from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.flow.chunks import Chunk, Figures, Neighbours, Work, chunk_of_run, chunking, runs
-from beltrami_cli.flow.domain import Mixing, NewColours, Stack
+from beltrami_cli.flow.domain import CoarseLevel, Gaussian, Mixing, NewColours, Stack
 from beltrami_cli.flow.manifold import (
     ON_MESHES,
     RULE_ON_MESHES,
@@ -30,13 +31,11 @@ from beltrami_cli.flow.manifold import (
 from beltrami_cli.flow.mesh_geometry import MeshGeometry, coarse, rank_in, without_hubs
 from beltrami_cli.flow.moving_positions import GeometryParameters, MovingPositions
 from beltrami_cli.flow.noise.clusters import VertexClusters
-from beltrami_cli.flow.noise.haar_noise import draw_noise_of_clusters, relative_to_mean
+from beltrami_cli.flow.noise.haar_noise import draw_noise_of_clusters, relative_to_mean, root_of
 from beltrami_cli.flow.noise.reading import estimate_noise
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.regularisation import Gaussian
 from beltrami_cli.flow.risk import choose_patches, fingerprints, random_signs, wanted_probes
-from beltrami_cli.flow.vertex_clusters import Clusters, clusters_for, collaborate_on_graph
-from beltrami_cli.flow.vertex_graph import levels_of
+from beltrami_cli.flow.vertex_graph import Graph, Level, levels_of
 from beltrami_cli.surface.records import SampledSurface
 
 # Paths along edges are longer than straight ones: by up to 1.16 on a triangle lattice, and by hardly more than half
@@ -46,6 +45,9 @@ _STRETCH = 1.5
 # How far beyond its kernels, in sample spacings, a chunk has samples: the triangles around the last ones decide how far
 # segments and unfolded corners reach, and the colours of the regularised metric are means over neighbours.
 _KNOWN = 5.0
+
+# Fewer clusters hold no patches that could be compared.
+_FEWEST = 500
 
 
 def mesh_manifold(
@@ -261,3 +263,94 @@ def samples_per_kernel(manifold: MeshManifold, kernels: int, step: Step) -> floa
     sources = np.linspace(0, mesh.size - 1, min(kernels, mesh.size), dtype=int)
     held = [len(mesh.core.distances(int(source), own.radius, own.max_samples)[0]) for source in sources]
     return float(np.mean(held))
+
+
+def collaborate_on_graph(
+    graph: Graph,
+    noisy: Stack,
+    pilot: Stack,
+    mixing: Mixing,
+    relative: Float32s | None,
+    progress: Callable[[int], None] | None = None,
+    *,
+    is_whole: bool = False,
+) -> Stack:
+    """Estimate colours from similar patches, compared on the pilot; `relative`: variance of the noise by its mean."""
+    stacks, wanted = [noisy, pilot, *([] if relative is None else [relative[:, None]])], chunking()
+    # Parameters are chosen by colours without shared noise, which must have the same bits in any number of chunks.
+    if wanted is None or is_whole:
+        sums, _ = _sums_of_patches(graph, stacks, graph.threads, mixing, progress)
+    else:
+        sums = np.zeros((graph.size, 2 * noisy.shape[1]), np.float32)
+        work = Work(_sums_of_patches, (mixing,), adds=True)
+        wanted.apply(graph.chunks, work, stacks, sums, progress, size=graph.size, threads=graph.threads)
+    estimates, weights = np.split(sums, 2, axis=1)
+    is_known = weights > 0  # not of isolated samples
+    mixed = np.divide(estimates, weights, out=np.zeros_like(pilot), where=is_known)
+    return np.where(is_known, np.einsum("ij,sj->si", mixing.back, mixed), pilot)
+
+
+def _sums_of_patches(
+    graph: Graph,
+    stacks: Sequence[Stack],
+    threads: int,
+    mixing: Mixing,
+    progress: Callable[[int], None] | None = None,
+) -> tuple[Float32s, Figures]:
+    """Sum what the groups of patches estimate of mixed channels, and the weights of that, shape (S, 2 N)."""
+    noisy, pilot, *relative = stacks
+    estimates, weights = np.zeros_like(noisy), np.zeros_like(noisy)
+    variances = relative[0][:, 0] if relative else None
+    graph.patches.collaborate(
+        noisy, pilot, mixing.parts, variances, mixing.has_pilot, estimates, weights, threads, progress
+    )
+    return np.concatenate([estimates, weights], axis=1), (0, 0)
+
+
+def clusters_for(samples: Graph, most: int, relative: Float32s | None) -> list[Clusters]:
+    """Return up to `most` levels of clusters, fine to coarse, as far as they hold enough of them."""
+    found: list[Clusters] = []
+    variances = np.ones((samples.size, 1), np.float32) if relative is None else relative
+    for level in islice(levels_of(samples), 1, most + 1):
+        if level.graph.size < _FEWEST:
+            break
+        found.append(Clusters(samples, level, level.means(variances)[:, 0]))
+    return found
+
+
+class Clusters(CoarseLevel):
+    """Means of clusters of samples, as a stack with a row a cluster."""
+
+    axis: ClassVar[int] = 1
+    width: ClassVar[float] = 3.0
+
+    def __init__(self, samples: Graph, level: Level, relative: Float32s) -> None:
+        self._samples, self._level, self._graph = samples, level, level.graph
+        self._counts, self.noise, self.relative = level.counts, level.noise, relative
+
+    def means(self, stack: Stack) -> Float32s:
+        return self._level.means(stack)
+
+    def probe(self, means: Stack, noise: Float64s) -> Stack:
+        signs = random_signs(means, self._graph.priorities, 1)[0]
+        return np.asarray(np.einsum("ij,sj->si", root_of(noise), signs), np.float32)
+
+    def collaborate(self, noisy: Stack, pilot: Stack, mixing: Mixing, *, shared: bool = False) -> Stack:
+        """Estimate means from patches of clusters; shared noise does not fall with their size."""
+        relative = self.relative if shared else self.relative / (self._counts * np.float32(self.noise))
+        return collaborate_on_graph(self._graph, noisy, pilot, mixing, relative, is_whole=shared)
+
+    def add_enlarged(self, stack: Stack, changes: Stack) -> None:
+        """Add changes of clusters to their samples, smoothed as far as linear interpolation smooths squares."""
+        variance = 1 / (12 * self.noise)
+        stack += self._samples.smoothed(changes[self._level.members], variance)
+
+    def planes(self, count: int) -> Float32s:
+        return np.zeros((count, self._graph.size), np.float32)
+
+    def total(self, planes: Float32s) -> Float64s:
+        return np.asarray(np.sum(planes * self._counts, axis=1, dtype=np.float64))
+
+    def spread(self, planes: Float32s) -> Float32s:
+        rows = np.ascontiguousarray((planes * (self._counts * np.float32(self.noise))).T)
+        return np.ascontiguousarray(self._graph.smoothed(rows, self.width**2).T)

@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from beltrami_cli._native import SurfacePatches
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.flow.chunks import Chunk, Neighbours, chunking, runs
-from beltrami_cli.flow.regularisation import MeshGaussian
 
 # Standard deviation of the Gaussian of one pass over neighbours, in spacings: all count about equally.
 PASS_SCALE = 3.0
@@ -186,3 +185,37 @@ def levels_of(samples: Graph) -> Iterator[Level]:
         yield Level(graph, members, centres)
         own, middle = graph.clusters()
         graph, members, centres = graph.clustered(own, middle), own[members], centres[middle]
+
+
+@dataclass(frozen=True, eq=False)
+class MeshGaussian:
+    """Gaussian means over the neighbours of each vertex."""
+
+    edges: Int32s  # with a length in space: none of hard colour edges
+    weights: Float32s
+    total: Float64s  # of the weights at each vertex, its own is 1
+    gain: float  # remaining standard deviation of white noise
+
+    @classmethod
+    def of(
+        cls, count: int, edges: Int32s, lengths: Float64s, scale: float, gain: float | None = None
+    ) -> MeshGaussian:
+        """Weigh edges by their `lengths`; these and `scale` (sigma) are in sample spacings."""
+        weights = np.exp(-(lengths**2) / (2 * scale**2)).astype(np.float32)
+        total = 1 + _sums_at_ends(count, edges, weights)
+        if gain is None:
+            gains = np.sqrt(1 + _sums_at_ends(count, edges, weights**2)) / total
+            joined = total > 1  # vertices without neighbours keep their noise, and do not count
+            gain = float(gains[joined].mean()) if joined.any() else 1.0
+        return cls(edges, weights, total, gain)
+
+    def smooth(self, colours: Float32s) -> Float32s:
+        """Smooth colours of shape (S, N)."""
+        from beltrami_cli._native import neighbour_means
+
+        return neighbour_means(colours, self.edges, self.weights, self.total)
+
+
+def _sums_at_ends(count: int, edges: Int32s, weights: Float32s) -> Float64s:
+    low, high = edges.T
+    return np.asarray(np.bincount(low, weights, count) + np.bincount(high, weights, count), np.float64)

@@ -14,8 +14,9 @@ import numpy as np
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import FlowResult, Plan
-from beltrami_cli.flow.canvas import canvas_margin, colours_at, painted_by
+from beltrami_cli.flow.canvas import canvas_margin, painted_by
 from beltrami_cli.flow.domain import NewColours
+from beltrami_cli.flow.grid_geometry import colours_at
 from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import Access

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import beltrami_cli
+from beltrami_cli.flow.grid_geometry import guide_radius
 from beltrami_cli.flow.manifold import Guide, choose_guide_beta
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.regularisation import guide_radius
 from beltrami_cli.surface.atlas import build_atlas
 from oracles import surfaces
 from properties.textured_planes import Board, painting, smoothed, texel_plan

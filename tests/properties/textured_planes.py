@@ -10,9 +10,9 @@ import numpy as np
 import oracles.textured
 from beltrami_cli.flow.beltrami_flow import choose_parameters, smooth
 from beltrami_cli.flow.canvas import painted
+from beltrami_cli.flow.grid_geometry import guide_radius
 from beltrami_cli.flow.grid_manifold import grid_manifold
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.regularisation import guide_radius
 from beltrami_cli.surface.atlas import build_atlas
 from oracles import surfaces
 
