@@ -38,7 +38,7 @@ _preview = click.option(
 )  # fmt: skip
 
 
-def besides(command: Callable[..., Any]) -> Callable[..., Any]:
+def _besides(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options of a dry run, a report and a preview."""
     return _dry_run(_report(_preview(command)))
 
@@ -49,7 +49,7 @@ def besides(command: Callable[..., Any]) -> Callable[..., Any]:
 @options.output_format
 @options.reading
 @options.overwrite
-@besides
+@_besides
 @options.messages
 def smooth(source: str, target: str, messages: Messages, **smoothing: Any) -> None:
     """Smooth the colours of INPUT, in its vertices, textures or pixels, and write OUTPUT with nothing else changed."""
@@ -58,8 +58,8 @@ def smooth(source: str, target: str, messages: Messages, **smoothing: Any) -> No
     from beltrami_cli.jobs.smooth import smooth_file
 
     carry_out = partial(smooth_file, source, target, settings, unwrap=unwrap)
-    report = written(smoothing, (source, target), settings, messages, carry_out)
-    show_levelled(messages, report.levelled, f"{report.output}: ")
+    report = _written(smoothing, (source, target), settings, messages, carry_out)
+    _show_levelled(messages, report.levelled, f"{report.output}: ")
     if settings.kernel.iterations:
         _show_result(messages, report, dry_run=dry_run)
     elif not settings.level_seams:
@@ -148,7 +148,7 @@ def _show_unchanged(messages: Messages, report: SmoothReport, *, unwrapped: bool
 @options.output_format
 @options.reading
 @options.overwrite
-@besides
+@_besides
 @options.messages
 def level(source: str, target: str, messages: Messages, **values: Any) -> None:
     """Remove the exposure steps between the charts of the textures of INPUT, and write OUTPUT."""
@@ -158,13 +158,13 @@ def level(source: str, target: str, messages: Messages, **values: Any) -> None:
     from beltrami_cli.jobs.smooth import level_file
 
     carry_out = partial(level_file, source, target, wanted, settings)
-    report = written(values, (source, target), settings, messages, carry_out)
+    report = _written(values, (source, target), settings, messages, carry_out)
     messages.warn_of(source, report.warnings)
     unwritten = "not written (dry run), " if values["dry_run"] else ""
-    show_levelled(messages, report.levelled, f"{target}: {unwritten}")
+    _show_levelled(messages, report.levelled, f"{target}: {unwritten}")
 
 
-def show_levelled(messages: Messages, reports: Sequence[LevelReport], name: str) -> None:
+def _show_levelled(messages: Messages, reports: Sequence[LevelReport], name: str) -> None:
     """Say of each slot what was done about exposure steps, and why nothing where nothing was."""
     for each in reports:
         seams = f"{each.what}, {counted(each.charts, 'chart')}, {counted(each.seams, 'seam')} between them"
@@ -182,7 +182,7 @@ def show_levelled(messages: Messages, reports: Sequence[LevelReport], name: str)
         )
 
 
-def written(
+def _written(
     values: Mapping[str, Any], ends: tuple[str, str], settings: SmoothSettings, messages: Messages,
     carry_out: Callable[[Job], Report],
 ) -> Report:  # fmt: skip

@@ -1,1 +1,1 @@
-"""The Beltrami flow: embedding, units, noise, colour spaces and the iteration."""
+"""The Beltrami flow: metric, noise, parameters and the iteration."""

@@ -50,10 +50,10 @@ class GridGeometry(Geometry):
 
     @classmethod
     def of(cls, atlas: Atlas, parameters: KernelParameters, *, stop_at_holes: bool) -> GridGeometry:
-        measure, threads = partial(local_scales, atlas, parameters.window), parameters.thread_count
+        measure, threads = partial(_local_scales, atlas, parameters.window), parameters.thread_count
         scales = large_arrays.Droppable(measure(), measure)
         return cls(
-            atlas=atlas, spacing=mean_spacing(atlas, scales.get()),
+            atlas=atlas, spacing=_mean_spacing(atlas, scales.get()),
             scales=scales if parameters.units == "spacing" else None, repeats=halo_repeats(atlas, threads),
             stops_at_holes=stop_at_holes, threads=threads,
         )  # fmt: skip
@@ -87,9 +87,9 @@ class GridGeometry(Geometry):
         atlas = dataclasses.replace(self.atlas, kind=kind, lengths=lengths)
         if isinstance(samples, Rectangle):
             rows = np.arange(samples.top, samples.bottom)[:, None] * self.atlas.kind.shape[1]
-            atlas = without_references(atlas, self.atlas, rows + np.arange(samples.left, samples.right))
+            atlas = _without_references(atlas, self.atlas, rows + np.arange(samples.left, samples.right))
         elif not isinstance(samples, slice):
-            atlas = without_references(atlas, self.atlas, samples)
+            atlas = _without_references(atlas, self.atlas, samples)
         scales = None if self.scale is None else large_arrays.Droppable(pick(self.scale, samples))
         repeats = None if self.repeats is None else pick(self.repeats, samples)
         return dataclasses.replace(self, atlas=atlas, scales=scales, repeats=repeats)
@@ -187,7 +187,7 @@ def colours_at(planes: Float32s, cells: Indices) -> Float32s:
     return colours
 
 
-def without_references(part: Atlas, whole: Atlas, cells: Int64s) -> Atlas:
+def _without_references(part: Atlas, whole: Atlas, cells: Int64s) -> Atlas:
     """Return the atlas of some cells of another, whose halo others refresh."""
     kind = part.kind
     kind[cells == whole.kind.size - 1] = EMPTY  # margin, which also stands for cells beyond the canvas
@@ -202,7 +202,7 @@ def without_references(part: Atlas, whole: Atlas, cells: Int64s) -> Atlas:
     )  # fmt: skip
 
 
-def local_scales(atlas: Atlas, window: int) -> Float32s:
+def _local_scales(atlas: Atlas, window: int) -> Float32s:
     """Return the factor of squared lengths that makes the spacing around each cell 1, float32, shape (R, C)."""
     from beltrami_cli._native import local_scale
 
@@ -215,7 +215,7 @@ def local_scales(atlas: Atlas, window: int) -> Float32s:
     return scales
 
 
-def mean_spacing(atlas: Atlas, scale: Float32s) -> float:
+def _mean_spacing(atlas: Atlas, scale: Float32s) -> float:
     """Return the mean length that is 1 in local units, over the owned cells; 0 without any."""
     total, count = 0.0, 0
     for rows in large_arrays.blocks(len(atlas.kind), SUMMED_ROWS):
@@ -260,7 +260,7 @@ class GridGaussian:
     reachable: Bools | None
     partial: Int32s  # filled cells (flat indices) that lack a neighbour
     totals: Float32s  # of their weights
-    cut_means: CutMeans | None
+    cut_means: _CutMeans | None
     threads: int
     first: int = 0  # the row that planes begin with
 
@@ -271,7 +271,7 @@ class GridGaussian:
         """Find the cells that lack a neighbour for a standard deviation of `scale` cells."""
         taps, reachable = gaussian_taps(scale), filled if stop_at_holes else None
         partial, totals = _partial_totals(filled, taps, reachable, threads)
-        cut_means = CutMeans.of(atlas, taps) if len(atlas.cut_cells) else None
+        cut_means = _CutMeans.of(atlas, taps) if len(atlas.cut_cells) else None
         return cls(taps, reachable, partial, totals, cut_means, threads)
 
     @property
@@ -344,7 +344,7 @@ def _convolve_up_to_holes(plane: Float32s, filled: Bools, taps: Float32s) -> Flo
 
 
 @dataclass(frozen=True, eq=False)
-class CutMeans:
+class _CutMeans:
     """Means over the cells of a square window that can be reached from its centre inside the window."""
 
     shape: tuple[int, int]
@@ -353,7 +353,7 @@ class CutMeans:
     reached_bits: Uint8s  # of the cells of each window
 
     @classmethod
-    def of(cls, atlas: Atlas, taps: Float32s) -> CutMeans:
+    def of(cls, atlas: Atlas, taps: Float32s) -> _CutMeans:
         weights, reach = np.outer(taps, taps).reshape(-1), len(taps) // 2
         cells = _near_cuts(atlas, reach)
         reached = [

@@ -201,7 +201,7 @@ class Manifold(ABC):
 
         guides = [(guide.stack, guide.beta) for guide in self.guides]  # which are clean
         smoothed = [regularised(*feature) for feature in features]
-        return join_channels([regularised(colours, step.beta), *guides, *smoothed], axis)
+        return _join_channels([regularised(colours, step.beta), *guides, *smoothed], axis)
 
 
 @dataclass(frozen=True)
@@ -332,7 +332,7 @@ def centred(values: Float64s) -> Float32s:
     return np.ascontiguousarray(values - values.mean(axis=0) if len(values) else values, np.float32)
 
 
-def join_channels(parts: Sequence[tuple[Float32s, float]], axis: int) -> tuple[Float32s, float]:
+def _join_channels(parts: Sequence[tuple[Float32s, float]], axis: int) -> tuple[Float32s, float]:
     """Concatenate channels of different beta, colours first, as channels of one beta; it is 0 if none has any."""
     weighted = [(values, beta) for values, beta in parts if beta > 0 and values.shape[axis] > 0]
     if len(weighted) < 2:

@@ -230,14 +230,14 @@ def _axes(positions: Float64s, colours: Float32s) -> Float64s:
     return np.stack([np.einsum("i,ij->j", weights, offsets) for weights in (level, level**2)])
 
 
-def find_hubs(size: int, edges: Int32s) -> Bools:
+def _find_hubs(size: int, edges: Int32s) -> Bools:
     """Return which vertices have very many edges."""
     return np.asarray(np.bincount(edges.ravel(), minlength=size) > _HUB)
 
 
 def without_hubs(size: int, edges: Int32s) -> Int32s:
     """Leave out the edges at hubs."""
-    hubs = find_hubs(size, edges)
+    hubs = _find_hubs(size, edges)
     return edges[~hubs[edges].any(axis=1)] if hubs.any() else edges
 
 
@@ -255,7 +255,7 @@ class MeshWork(KernelWork):
     @property
     def is_surface(self) -> bool:
         """Whether it is no tangle, and most samples are not next to hubs."""
-        near_hubs = np.count_nonzero(find_hubs(self.kernels, self._edges)[self._edges])
+        near_hubs = np.count_nonzero(_find_hubs(self.kernels, self._edges)[self._edges])
         return not self._is_tangled and bool(near_hubs <= self.kernels / 2)
 
     def bounded(self, parameters: KernelParameters) -> KernelParameters:

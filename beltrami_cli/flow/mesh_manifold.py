@@ -165,7 +165,7 @@ class MeshManifold(Manifold):
         """Estimate colours from patches in tangent planes."""
         relative = None if self.noise.relative is None else self.noise.relative[:, 0]
         graph = self.geometry.graph(self.colours)
-        return collaborate_on_graph(graph, noisy, pilot, mixing, relative, progress)
+        return _collaborate_on_graph(graph, noisy, pilot, mixing, relative, progress)
 
     def perturbation(self) -> Float32s:
         """Return random signs; they and the patches depend only on nearby colours, which change from then on."""
@@ -265,7 +265,7 @@ def samples_per_kernel(manifold: MeshManifold, kernels: int, step: Step) -> floa
     return float(np.mean(held))
 
 
-def collaborate_on_graph(
+def _collaborate_on_graph(
     graph: Graph,
     noisy: Stack,
     pilot: Stack,
@@ -338,7 +338,7 @@ class Clusters(CoarseLevel):
     def collaborate(self, noisy: Stack, pilot: Stack, mixing: Mixing, *, shared: bool = False) -> Stack:
         """Estimate means from patches of clusters; shared noise does not fall with their size."""
         relative = self.relative if shared else self.relative / (self._counts * np.float32(self.noise))
-        return collaborate_on_graph(self._graph, noisy, pilot, mixing, relative, is_whole=shared)
+        return _collaborate_on_graph(self._graph, noisy, pilot, mixing, relative, is_whole=shared)
 
     def add_enlarged(self, stack: Stack, changes: Stack) -> None:
         """Add changes of clusters to their samples, smoothed as far as linear interpolation smooths squares."""

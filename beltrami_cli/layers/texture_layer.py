@@ -88,7 +88,7 @@ class TextureLayer(PictureLayer):
                 pictures.append(dataclasses.replace(read_texture(texture, data), content=texture.content))
                 tables.append(read_jpeg_tables(data))
         colours = PictureColours.of(pictures, slot, settings)
-        atlas = without_transparent(atlas_of(surface, pictures, kernel), colours, pictures, surface.textures)
+        atlas = _without_transparent(atlas_of(surface, pictures, kernel), colours, pictures, surface.textures)
         noise = guides = None
         if guided is not None:
             noise = noise_of_pixels(kernel, pictures, atlas.owned_texels, guided[1])
@@ -196,7 +196,7 @@ class TextureLayer(PictureLayer):
         covered, known, rows = self._near_charts(index, pixels.shape[:2], new, gutter)
         beyond = NewColours.of(new.beyond[rows])
         self._paint(pixels, index, new.beyond_places[rows], beyond.take, is_dithered=is_dithered)
-        keep_others(
+        _keep_others(
             picture.pixels, pixels, covered, known, partial(self.colours.shown, picture),
             width=gutter, lone=self._of_picture(self.atlas.lone_texels, index)[1], threads=threads,
         )  # fmt: skip
@@ -247,7 +247,7 @@ def _manifold_alone(textures: TextureLayer, index: int) -> GridManifold:
     """Return the manifold of one of several textures."""
     surface, pictures = only_textures(textures.surface, [index]), [textures.pictures[index]]
     kernel, colours = dataclasses.replace(textures.settings.kernel, free=()), textures.colours
-    atlas = without_transparent(atlas_of(surface, pictures, kernel), colours, pictures, surface.textures)
+    atlas = _without_transparent(atlas_of(surface, pictures, kernel), colours, pictures, surface.textures)
     colours_of = partial(texel_colours, colours, pictures, atlas)
     return maker_of_manifolds(atlas, kernel, len(textures.names), colours_of, None)(None, None)
 
@@ -292,7 +292,7 @@ def only_textures(surface: TexturedSurface, kept: list[int]) -> TexturedSurface:
     return dataclasses.replace(surface, textures=textures, texture_of=new_index[surface.texture_of])
 
 
-def without_transparent(
+def _without_transparent(
     atlas: Atlas, colours: PictureColours, pictures: Sequence[Picture], textures: Sequence[Texture]
 ) -> Atlas:
     """Return the atlas without the owned cells that supply no colour because their texel is transparent."""
@@ -327,7 +327,7 @@ def all_texel_colours(colours: PictureColours, pictures: Sequence[Picture], atla
     return table
 
 
-def keep_others(
+def _keep_others(
     old: Array, new: Array, covered: Bools, known: Bools, shown: Callable[[Array], Float32s], *,
     width: int, lone: Indices, threads: int,
 ) -> None:  # fmt: skip

@@ -88,7 +88,7 @@ def render_file(
     access = output.files.watching(job.access)
     views = open_views(names, settings, access, progress=progress)
     if settings.turntable > 1 and suffix in ANIMATIONS:
-        frames = draw_turns(views, labels, settings, progress)
+        frames = _draw_turns(views, labels, settings, progress)
         output.write(Written(main=[_ENCODERS[suffix](frames, settings.fps)]))
         return frames[0].shape[1], frames[0].shape[0]
     picture = draw_views(views, labels, settings, progress)
@@ -160,7 +160,7 @@ def draw_views(
     return _placed(rows, fixed_looks(settings, *itertools.chain(*panels)))
 
 
-def draw_turns(
+def _draw_turns(
     views: Sequence[Drawable], labels: Sequence[str], settings: RenderSettings, progress: Progress | None
 ) -> list[Uint8s]:
     """Draw all views at each turn of a turntable, as pictures of one size."""

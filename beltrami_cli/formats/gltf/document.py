@@ -121,7 +121,7 @@ class GltfDocument(Document):
         if new.places is not None:
             self.surface.move(edit, self.painted().positions, new.places)
         repaint(edit, self.images, new.images)
-        return written(edit, naming, new.form or self.format, self._folder)
+        return _written(edit, naming, new.form or self.format, self._folder)
 
     def sidecar_names(
         self, images: PlannedImages, naming: Naming, *, colours: bool, places: bool = False, form: str | None = None
@@ -133,7 +133,8 @@ class GltfDocument(Document):
         if colours:
             self.surface.replace_all(edit, places=places)
         repaint(edit, self.images, images)
-        return sidecar_names(edit, naming, form, self._folder)
+        edit.finish()
+        return _placed(edit, naming, form, self._folder).written().sidecar_names
 
     def references(self) -> Sequence[str]:
         return [*self._files.present]
@@ -344,7 +345,7 @@ def _spelled(value: Any) -> bytes:
     return json.dumps(value, sort_keys=True, ensure_ascii=False).encode("utf-8", "surrogatepass")
 
 
-def written(edit: Edit, naming: Naming, form: str, folder: ModelFolder) -> Written:
+def _written(edit: Edit, naming: Naming, form: str, folder: ModelFolder) -> Written:
     """Return the files of an edit; the source itself if nothing was edited and the form is its own."""
     container, keeps_form = edit.container, form == edit.container.kind
     if form == "glb" and not keeps_form:
@@ -361,12 +362,6 @@ def written(edit: Edit, naming: Naming, form: str, folder: ModelFolder) -> Writt
     else:
         main = container.rebuilt(edit.tree, edit.buffers.get(0) if edit.source(0) == "chunk" else None)
     return names.written(main, edit.notices)
-
-
-def sidecar_names(edit: Edit, naming: Naming, form: str, folder: ModelFolder) -> list[str]:
-    """Return the names of the sidecar files that `written` returns."""
-    edit.finish()
-    return _placed(edit, naming, form, folder).written().sidecar_names
 
 
 def _placed(edit: Edit, naming: Naming, form: str, folder: ModelFolder) -> NewFiles:

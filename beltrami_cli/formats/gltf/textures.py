@@ -156,7 +156,7 @@ def _kind_of(extension: str) -> str:
     return IMAGE_EXTENSIONS[extension].rpartition("/")[2].rpartition(".")[2].upper()
 
 
-def media_type(data: bytes) -> str | None:
+def _media_type(data: bytes) -> str | None:
     """Return the media type that the first bytes of an image show, if it is one that glTF knows."""
     known = format_of(data, "")
     return f"image/{known}" if known in _HELD else None
@@ -210,7 +210,7 @@ def repaint(edit: Edit, images: Images, new: NewImages) -> None:
     by_bytes = {images.canonical(index): file for index, file in files.items()}
     unused = set(range(len(images))) - named
     files |= {n: by_bytes[images.canonical(n)] for n in unused if images.canonical(n) in by_bytes}
-    put_images(edit, files)
+    _put_images(edit, files)
     _declare(tree, before)
 
 
@@ -263,7 +263,7 @@ class _Showing:
         holders = {"": texture} | {name: extensions[name] for name in IMAGE_EXTENSIONS if name in extensions}
         media = MEDIA[file.suffix.lower()]
         fitting = next((name for name, kind in IMAGE_EXTENSIONS.items() if kind == media), "")
-        was_plain = media_type(self._images.data(image)) == media and fitting not in extensions
+        was_plain = _media_type(self._images.data(image)) == media and fitting not in extensions
         target = "" if was_plain else fitting
         has_fallback = target == WEBP in extensions
         named = {
@@ -353,7 +353,7 @@ def _recoloured(images: Images, image: int, shown: ImageFile) -> ImageFile | Non
         return None
 
 
-def put_images(edit: Edit, files: Mapping[int, ImageFile]) -> None:
+def _put_images(edit: Edit, files: Mapping[int, ImageFile]) -> None:
     """Give images new files, stored as the old ones are: in a buffer, in a data URI, or as a file."""
     images = edit.tree["images"]
     for index, file in files.items():
@@ -387,7 +387,7 @@ def embed_images(edit: Edit, folder: ModelFolder) -> None:
         try:
             new = edit.images.get(index)
             data = read(uri, folder) if new is None else new.data
-            kind = image.get("mimeType") or media_type(data)
+            kind = image.get("mimeType") or _media_type(data)
             if kind is None:
                 raise UnfitReferenceError("is of an unknown type, so it cannot be embedded")
         except UnfitReferenceError as error:

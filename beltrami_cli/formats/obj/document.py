@@ -92,7 +92,7 @@ class ObjDocument(Document):
 
     @cached_property
     def _scene(self) -> Scene:
-        return read_scene(self._scan, self._coordinates, self._materials, self.name)
+        return _read_scene(self._scan, self._coordinates, self._materials, self.name)
 
     def _undefined(self) -> str:
         defined = set[str]().union(*(library.materials for library in self._materials.libraries))
@@ -149,7 +149,7 @@ class ObjDocument(Document):
         return dataclasses.replace(self._mesh, alpha=self._alpha(), left_out=self._scan.dropped)
 
     def _textured_mesh(self) -> MeshContents:
-        return convert(self._scene, Statements(self.data, self.name), self._scan, self._materials)
+        return _convert(self._scene, Statements(self.data, self.name), self._scan, self._materials)
 
     def _alpha(self) -> Float32s | None:
         alpha = self._scan.vertices.alpha
@@ -225,12 +225,12 @@ class ObjDocument(Document):
         return materials
 
     @cached_property
-    def _coordinates(self) -> Coordinates:
-        return read_coordinates(Statements(self.data, self.name), self._materials)
+    def _coordinates(self) -> _Coordinates:
+        return _read_coordinates(Statements(self.data, self.name), self._materials)
 
 
 @dataclass(frozen=True)
-class Coordinates:
+class _Coordinates:
     """What an OBJ file says about textures, polygon by polygon."""
 
     values: Float64s  # (N, 2), the `vt` statements: u to the right, v up
@@ -239,7 +239,7 @@ class Coordinates:
     material_of: Int64s  # (P,) index into `names` of every polygon, -1 where it has none
 
 
-def read_coordinates(statements: Statements, materials: Materials) -> Coordinates:
+def _read_coordinates(statements: Statements, materials: Materials) -> _Coordinates:
     """Read texture coordinates and the materials of polygons."""
     given = statements.select(b"vt")
     tokens, offsets = statements.arguments(given)
@@ -254,7 +254,7 @@ def read_coordinates(statements: Statements, materials: Materials) -> Coordinate
     corners[np.append(unknown, False)[corners]] = -1
     values[unknown] = 0
     names, material_of = _materials_of(statements, materials)
-    return Coordinates(values, corners, names, material_of)
+    return _Coordinates(values, corners, names, material_of)
 
 
 def _materials_of(statements: Statements, materials: Materials) -> tuple[list[str], Int64s]:
@@ -270,7 +270,7 @@ def _materials_of(statements: Statements, materials: Materials) -> tuple[list[st
     return [os.fsdecode(name) for name in numbers], np.where(last < 0, -1, numbered[np.maximum(last, 0)])
 
 
-def read_scene(scan: Scan, coordinates: Coordinates, materials: Materials, name: str) -> Scene:
+def _read_scene(scan: Scan, coordinates: _Coordinates, materials: Materials, name: str) -> Scene:
     """Return the polygons of a file with their materials; polygons without one have the last."""
     names, values = (*coordinates.names, ""), _read_values(materials)
     found = [materials.paintings(material) for material in names]
@@ -313,7 +313,7 @@ def _shown(maps: _Found, materials: Materials) -> Maps:
     }
 
 
-def convert(scene: Scene, statements: Statements, scan: Scan, materials: Materials) -> MeshContents:
+def _convert(scene: Scene, statements: Statements, scan: Scan, materials: Materials) -> MeshContents:
     """Return a scene with groups, normals and the maps that other formats can have."""
     groups, group_of, lost = _groups(statements)
     lost += ["lines and points"] if "lines and points" in scan.dropped else []
