@@ -34,10 +34,12 @@ _REMEDY = "convert it to PLY, for example with PDAL or CloudCompare"
 _LIBRARY = ForeignLibrary("beltrami_cli.formats.points.survey", "scans", _SECONDS_PER_MEBIBYTE, _REMEDY)
 _PAGE, _CHECKSUM = 1024, 4  # bytes, see [2]_
 _AT_XML = 24  # bytes: where the place and the length of the description stand in the header of E57
-_AT_POINT_FORMAT = 104  # byte of the header of LAS
-_AT_RECORDS = 235  # bytes: where the place of the extended records stands in it
+# Bytes in the header of LAS: its size, the place of the points, the number of records; the format of points; the places
+# of waveforms and of extended records, whose number follows.
+_AT_SIZES, _AT_POINT_FORMAT, _AT_WAVEFORMS, _AT_RECORDS = 94, 104, 227, 235
 _LAZ = b"\x80"  # the bit of it that LAZ sets
-_COPC = b"copc"  # who the records belong to that index a LAZ file; the first of them is about that
+# Owners of the records that describe how LAZ is packed, and that index it, of which the first is about that.
+_LASZIP, _COPC = b"laszip encoded", b"copc"
 _AT_OWNER = 377  # byte of LAS 1.4: the owner of the first record
 _LITERALS = 32  # bytes that one run of LZF holds at most
 Columns = dict[str, Array]
@@ -104,7 +106,7 @@ def _replaced(new: Array, rgb: tuple[str, ...]) -> Columns:
 
 
 class _Las:
-    """The points are records of the specification, so that nothing is lost."""
+    """The points are records of the specification, and all else stays as bytes, so that nothing is lost."""
 
     _RGB = ("red", "green", "blue")
 
@@ -113,31 +115,77 @@ class _Las:
 
         self._data, self._las = data, laspy.read(io.BytesIO(data))
         self._points = self._las.points.array
+        # Where extended records and waveforms start: places of data behind the points.
+        self._places = (_AT_WAVEFORMS, _AT_RECORDS)[: max(0, self._las.header.version.minor - 2)]
+        start = self._las.header.offset_to_point_data
+        self._end = start + self._points.nbytes
+        if _is_laz(data):
+            behind = (int.from_bytes(data[at : at + 8], "little") for at in self._places)
+            self._end = min((place for place in behind if place > start), default=len(data))
 
     def arrays(self) -> Columns:
-        header = bytearray(self._data[: self._las.header.offset_to_point_data])
-        if self._las.header.version.minor >= 4:
-            # They are behind the compressed points, which may differ in length.
-            header[_AT_RECORDS : _AT_RECORDS + 8] = bytes(8)
-            start, end = self._las.header.start_of_first_evlr, len(self._data)
-            header += self._data[start if self._las.evlrs else end :]
+        head, tail = self._frame(b"")
+        for at in self._places:  # compressed points may differ in length
+            head[at : at + 8] = bytes(8)
         names = [name for name in self._points.dtype.names if name not in "XYZ"]  # which become the positions
         columns = {name: np.ascontiguousarray(self._points[name]) for name in names}
-        places = {"positions": np.array(self._las.xyz), "header": np.frombuffer(header, np.uint8)}
+        places = {"positions": np.array(self._las.xyz), "header": np.frombuffer(head + tail, np.uint8)}
         return places | _with_colours(columns, self._RGB)
+
+    def _frame(self, packing: bytes) -> tuple[bytearray, bytes]:
+        """Return the bytes before and behind the points, with a record that describes how LAZ packs them."""
+        data, about = self._data, self._las.header
+        size, start, count = struct.unpack_from("<HII", data, _AT_SIZES)
+        records, gap = _records(data[size:start], count, 2)
+        kept = [record for record in records if not record.startswith((_LASZIP, _COPC), 2)]
+        if packing:
+            kept.append(struct.pack("<2x16sHH32s", _LASZIP, 22204, len(packing), b"") + packing)
+        head = bytearray(b"".join([data[:size], *kept, gap]))
+        form = about.point_format.id | (_LAZ[0] if packing else 0)
+        struct.pack_into("<IIB", head, _AT_SIZES + 2, len(head), len(kept), form)
+        tail = data[self._end :]
+        if about.number_of_evlrs:
+            first = about.start_of_first_evlr - self._end
+            records, rest = _records(tail[first:], about.number_of_evlrs, 8)
+            kept = [record for record in records if not record.startswith(_COPC, 2)]
+            tail = b"".join([tail[:first], *kept, rest])
+            struct.pack_into("<I", head, _AT_RECORDS + 8, len(kept))
+        return head, tail
 
     def written(self, new: Array | None, form: str) -> bytes:
         for name, column in ({} if new is None else _replaced(new, self._RGB)).items():
             self._points[name] = column
-        if form == "las" and not _is_laz(self._data):
-            start: int = self._las.header.offset_to_point_data
-            points: bytes = self._points.tobytes()
-            return self._data[:start] + points + self._data[start + len(points) :]
-        for records in (self._las.header.vlrs, self._las.evlrs or []):
-            records[:] = [record for record in records if record.user_id != _COPC.decode()]
-        buffer = io.BytesIO()
-        self._las.write(buffer, do_compress=form == "laz")
-        return buffer.getvalue()
+        made, points = io.BytesIO(), np.frombuffer(self._points, np.uint8)
+        if form == "laz":
+            import lazrs
+
+            known = self._las.point_format
+            packing = lazrs.LazVlr.new_for_compression(known.id, known.num_extra_bytes)
+            head, tail = self._frame(packing.record_data())
+            made.write(head)
+            packer = lazrs.ParLasZipCompressor(made, packing)
+            packer.compress_many(points)
+            packer.done()
+        else:
+            head, tail = self._frame(b"")
+            made.write(head + points.tobytes())
+        made.seek(0, io.SEEK_END)
+        shift = made.tell() - self._end
+        written = bytearray(made.getvalue() + tail)
+        for at in self._places:
+            (place,) = struct.unpack_from("<Q", written, at)
+            struct.pack_into("<Q", written, at, place + shift if place >= self._end else place)
+        return bytes(written)
+
+
+def _records(data: bytes, count: int, width: int) -> tuple[list[bytes], bytes]:
+    """Return so many records of LAS, whose lengths are numbers of a width in bytes, and the data behind them."""
+    records, at = list[bytes](), 0
+    for _ in range(count):
+        end = at + 20 + width + 32 + int.from_bytes(data[at + 20 : at + 20 + width], "little")
+        records.append(data[at:end])
+        at = end
+    return records, data[at:]
 
 
 class _Pcd:
