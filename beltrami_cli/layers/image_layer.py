@@ -59,7 +59,7 @@ class ImageLayer(PictureLayer):
         """
         refuse_options_of_meshes(settings, document.name)
         picture, chosen = with_chosen_layer(document.picture(), settings)
-        only = colours_only or picture.is_layered
+        only = colours_only or picture.names_colours
         colours = PictureColours.of([picture], "baseColor", chosen, is_image=True, colours_only=only)
         surface = read_surface(picture, settings.image, access)
         usable = colours.finite(picture)

@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 
 from beltrami_cli.formats.image import read_image, write_image
+from beltrami_cli.formats.image.metadata import carry_over
 from formats.image_files import (
     SUFFIXES,
     encode,
@@ -146,6 +147,10 @@ def test_every_attribute_of_an_exr_is_kept_and_none_is_added(extra):
     assert exr_attributes(file.data) == exr_attributes(source)
     assert file.data[:8] == source[:8]  # version, and whether names are long
     assert not file.notices
+    face = exr_file(
+        planes("R", "G", "B"), {"displayWindow": ("box2i", bytes(16))}
+    )  # as of a cube with mip levels
+    assert exr_attributes(carry_over(source, face, "openexr")) == exr_attributes(source)
 
 
 _SMALL_EXIF = b"MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0"  # orientation
@@ -209,19 +214,33 @@ def test_every_segment_of_a_jpeg_is_kept_in_its_place():
     assert (file.notices, file.suffix) == ((), ".jpeg")
 
 
-@pytest.mark.parametrize(
-    ("name", "insert"),
-    [
-        ("x.hdr", lambda data: data.replace(b"\n\n", b"\n# a comment\nEXPOSURE=2\nVIEW= -vp 1 2 3\n\n", 1)),
-        ("x.ppm", lambda data: b"P6\n# a comment\n7 5 # another\n255\n" + data[-105:]),
-    ],
-)
-def test_comments_and_variables_in_text_headers_are_kept(name, insert):
-    known = {"x.hdr": "hdr", "x.ppm": "pnm"}[name]
-    source = insert(encode(noise("float" if known == "hdr" else "uint8", 3) ** 2, known))
-    lines = [b"EXPOSURE=2\n", b"VIEW= -vp 1 2 3\n"] if known == "hdr" else [b"# another\n"]
-    file = rewritten(source, name)
-    assert all(line in file.data[:200] for line in [b"# a comment\n", *lines])
+def bitmap(pixels):
+    """Return a BMP file whose header, of version 5, places a profile behind the pixels."""
+    plain, header = encode(pixels, "bmp"), bytearray(138)
+    header[:54], header[10], header[14], header[70:74] = plain[:54], 138, 124, b"DEBM"
+    struct.pack_into("<II", header, 126, 124 + len(plain) - 54, 9)
+    return header + plain[54:] + b"a profile"
+
+
+_COMMENT = (b"EXPTIME = 2.5 / in seconds".ljust(80) + b"END").ljust(160)  # in the header of a FITS file
+_PLACES = {
+    "x.hdr": (lambda: encode(noise("float", 3) ** 2, "hdr").replace(b"\n\n", b"\n# a comment\nVIEW= -vp 1\n\n", 1),
+              [b"# a comment\n", b"VIEW= -vp 1\n"]),
+    "x.ppm": (lambda: b"P6\n# a comment\n7 5 # another\n255\n" + bytes(range(105)) + b"P6 1 1 255 RGB",
+              [b"# a comment\n", b"# another\n", b"P6 1 1 255 RGB"]),
+    "x.fits": (lambda: encode(noise("uint8", 3), "fits").replace(b"END".ljust(160), _COMMENT), [_COMMENT]),
+    "x.jp2": (lambda: saved(Image.fromarray(noise("uint8", 3, 40, 40)), ".jp2", comment="a comment"), [b"a comment"]),
+    "x.bmp": (lambda: bitmap(noise("uint8", 3)), [bitmap(noise("uint8", 3))[:138], b"a profile"]),
+    "x.png": (lambda: encode(noise("uint8", 3), "png") + b"some tEXt", [b"some tEXt"]),
+    "x.webp": (lambda: encode(noise("uint8", 3), "webp", compression="lossless") + b"a RIFF chunk", [b"a RIFF chunk"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", _PLACES)
+def test_all_in_and_behind_an_image_that_is_no_pixel_is_kept(name):
+    source, kept = _PLACES[name]
+    file = rewritten(bytes(source()), name)
+    assert [file.data.count(each) for each in kept] == [1] * len(kept)
     assert not file.notices
 
 

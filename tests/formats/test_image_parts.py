@@ -74,6 +74,7 @@ LAYERED = {
     "beauty": ("beauty", layer("beauty", "rgb") | layer("diffuse", "rgb")),
     "the only picture": ("View.Noisy", layer("View.Noisy", "RGB") | DEPTH),
     "outside of layers": ("", opaque(layer("", "RGBA")) | DEPTH | layer("Combined", "RGB") | layer("", "Z")),
+    "no other layer": ("", opaque(layer("", "RGBA")) | layer("", "Z")),
     "grey": ("View.Combined", layer("View.Combined", "Y") | DEPTH),
 }  # fmt: skip
 
@@ -82,7 +83,7 @@ LAYERED = {
 def test_colours_of_one_layer_are_smoothed_as_if_they_were_alone(case, tmp_path):
     name, channels = LAYERED[case]
     channels = {key: plane.copy() for key, plane in channels.items()}
-    other = next(key for key in channels if key.endswith("Depth.Z") or key.startswith("diffuse"))
+    other = next(key for key in channels if key.endswith("Z") or key.startswith("diffuse"))
     channels[other][0, :3] = np.nan, np.inf, -0.0
     prefix = f"{name}." if name else ""
     letters = [letter for letter in "RGBArgbY" if f"{prefix}{letter}" in channels]

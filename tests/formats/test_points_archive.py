@@ -242,7 +242,7 @@ def las(path, *, point_format, colours):
     cloud.evlrs = laspy.vlrs.vlrlist.VLRList()
     cloud.evlrs.append(laspy.VLR("someone", 9, "a long one", b"x" * 70_000))
     cloud.write(str(path))
-    # Values that laspy never writes: no date, an extent that is larger than the points', and unused bytes of a dimension.
+    # What laspy never writes: no date, an extent beyond the points, and unused bytes of a dimension.
     data = bytearray(path.read_bytes())
     data[90:94], data[179:187] = bytes(4), struct.pack("<d", 1000.5)
     at = data.index(b"depth\0") + 36

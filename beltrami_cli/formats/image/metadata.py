@@ -43,6 +43,7 @@ _START_OF_SCAN, _END_OF_IMAGE = 0xDA, 0xD9
 # But Adobe's segment, which says how these very samples are coded.
 _METADATA = (0xFE, *range(0xE0, 0xEE), 0xEF)
 _MOST_BITS_OF_A_PALETTE = 8
+_WINDOWS_HEADER = 40  # bytes of the oldest header of BMP that says how pixels are compressed
 _MPF = b"MPF\0"  # the mark of an index of pictures
 _MP_ENTRIES = 0xB002  # tag of its entries
 _MP_ENTRY = 16  # bytes of one
@@ -57,12 +58,14 @@ def carry_over(source: bytes, encoded: bytes, known: str, part: int = 0) -> byte
         case "jpeg":
             return _carry_jpeg(source, encoded)
         case "webp":
-            return webp_with(webp_metadata(source), encoded)
+            return webp_with(webp_metadata(source), encoded) + source[_webp_end(source) :]
+        case "bmp":
+            return _carry_bmp(source, encoded)
         case "tiff":
             return tiff_tags.with_tags(source, encoded)
         case "openexr":
             return headers.with_attributes(source, encoded, part)
-        case "hdr" | "pnm":
+        case "hdr" | "pnm" | "fits" | "jpeg2000":
             return headers.with_header(source, encoded, known)
     return encoded
 
@@ -102,12 +105,12 @@ def is_lossless_webp(data: bytes) -> bool:
 
 def png_chunks(data: bytes) -> Iterator[tuple[bytes, memoryview]]:
     """Give the type and the whole bytes of every complete chunk, which are not copied."""
-    at, view = len(PNG_START), memoryview(data)
-    while at + 12 <= len(data):
-        end = at + 12 + int.from_bytes(data[at : at + 4])
+    at, view, kind = len(PNG_START), memoryview(data), b""
+    while at + 12 <= len(data) and kind != b"IEND":
+        end, kind = at + 12 + int.from_bytes(data[at : at + 4]), data[at + 4 : at + 8]
         if end > len(data):
             return
-        yield data[at + 4 : at + 8], view[at:end]
+        yield kind, view[at:end]
         at = end
 
 
@@ -163,14 +166,27 @@ def _carry_png(source: bytes, encoded: bytes) -> bytes:
     same_samples = source[24:26] == encoded[24:26]  # bit depth and type of colour
     unwanted = _ANIMATION if same_samples else (*_ANIMATION, *_OF_SAMPLES)
     before, behind = list[memoryview](), list[memoryview]()
-    chunks = before
+    chunks, size = before, len(PNG_START)
     for kind, chunk in png_chunks(source):
+        size += len(chunk)
         if kind == b"IDAT":
             chunks = behind
         elif kind[:1].islower() and kind not in unwanted:
             chunks.append(chunk)
     header, *pixels, end = (chunk for kind, chunk in png_chunks(encoded) if kind[:1].isupper())
-    return b"".join([PNG_START, header, *before, *pixels, *behind, end])
+    return b"".join([PNG_START, header, *before, *pixels, *behind, end, source[size:]])
+
+
+def _carry_bmp(source: bytes, encoded: bytes) -> bytes:
+    """Replace the pixels, if both files store them in the same way; a header may describe, and hold, a profile."""
+    (old, kind, *storage), (new, _, *same) = (
+        struct.unpack_from("<IIiiHHI", data, 10) for data in (source, encoded)
+    )
+    width, height, _, bits, _ = storage
+    if kind < _WINDOWS_HEADER or storage != same or bits <= _MOST_BITS_OF_A_PALETTE:
+        return encoded
+    size = -(-width * bits // 32) * 4 * abs(height)  # rows are filled up to 4 bytes
+    return source[:old] + encoded[new : new + size] + source[old + size :]
 
 
 def _carry_jpeg(source: bytes, encoded: bytes) -> bytes:
@@ -205,13 +221,18 @@ def _index_of_pictures(segment: bytes, shift: int, growth: int) -> bytes:
 
 def webp_chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
     """Give the type and the payload of every complete chunk."""
-    at = _RIFF_START
-    while at + 8 <= len(data):
+    at, end = _RIFF_START, _webp_end(data)
+    while at + 8 <= end:
         size = int.from_bytes(data[at + 4 : at + 8], "little")
-        if at + 8 + size > len(data):
+        if at + 8 + size > end:
             return
         yield data[at : at + 4], data[at + 8 : at + 8 + size]
         at += 8 + size + size % 2
+
+
+def _webp_end(data: bytes) -> int:
+    size = int.from_bytes(data[4:8], "little")
+    return min(len(data), 8 + size + size % 2)
 
 
 def webp_metadata(data: bytes) -> list[tuple[bytes, bytes]]:

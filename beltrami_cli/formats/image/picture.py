@@ -242,6 +242,12 @@ class Picture:
     def is_layered(self) -> bool:
         return layers_of(self.channels).keys() != {""}
 
+    @property
+    def names_colours(self) -> bool:
+        """Whether other channels are data by their names, such as the depth Z next to R, G and B in an EXR file."""
+        is_named = _named_colours(_channel_names(self.channels)) is not None
+        return self.is_layered or (self.format == "openexr" and is_named)
+
 
 def described(
     data: bytes, name: str, known: str, spec: Any, pixels: Array, notices: tuple[str, ...] = ()

@@ -253,7 +253,7 @@ def _encode_by_openimageio(spec: Any, pixels: Array, known: str, name: str) -> b
 
 
 # Attributes of OpenImageIO about samples in a file's own format.
-_STORAGE = ("oiio:", "compression", "ICCProfile:")
+_STORAGE = ("oiio:", "compression", "ICCProfile:", "bmp:")
 _OF_EXIF = ("Exif:", "GPS:", "ExposureTime", "FNumber")  # attributes that it makes of EXIF and GPS data
 _MAKER_NOTE = " 37500"  # the end of the name of a tag of EXIF that it does not read
 # Values that mean the same as no attribute; the chromaticities are from Rec. 709.
@@ -265,6 +265,8 @@ _CARRIED = ("png", "jpeg", "webp", "tiff", "openexr", "avif")  # whose metadata 
 _PNG_STRUCTURE = ("tRNS", "acTL", "fcTL", "fdAT")  # other notices tell what becomes of these
 _PNG_READ = ("tEXt", "zTXt", "iTXt", "pHYs", "eXIf", "iCCP", "gAMA", "cHRM", "sRGB", "cICP", "tIME", "oFFs")
 _TARGA_END = b"TRUEVISION-XFILE.\0"  # after the addresses of the extension and developer areas
+_BMP_PROFILES = (b"KNIL", b"DEBM")  # in another file, or behind the pixels; by the header of version 5
+_PROFILE_HEADER = 124  # bytes of it
 _APP0, _APP14, _APP15, _COMMENT = 0xE0, 0xEE, 0xEF, 0xFE
 # Another notice reports that the pictures of an index (MPF) are dropped.
 _JPEG_READ = ("JFIF", "MPF", "Exif", "http://ns.adobe.com/xap/1.0/", "ICC_PROFILE", "Photoshop 3.0", "COM")
@@ -335,11 +337,15 @@ def _items(data: bytes, known: str) -> dict[str, bool]:
             return {f"EXR attribute {name}": is_read for name, is_read in headers.attributes(data).items()}
         case "jpeg2000" | "jpegxl":
             unknown = (kind for kind in _boxes(data) if kind not in _BOXES[known])
-            return {f"box {kind.decode('latin-1')}": False for kind in unknown}
+            comments = known == "jpeg2000" and headers.codestream_comments(data)
+            boxes = {f"box {kind.decode('latin-1')}": False for kind in unknown}
+            return boxes | ({"comment": False} if comments else {})
         case "hdr" | "pnm":
             return dict.fromkeys(headers.header_lines(data, known), False)
         case "targa" if data.endswith(_TARGA_END) and any(data[-len(_TARGA_END) - 4 : -len(_TARGA_END)]):
             return {"developer area": False}
+        case "bmp" if data[70:74] in _BMP_PROFILES and data[14] >= _PROFILE_HEADER:
+            return {"colour profile": False}
         case "ktx2":
             return {f"KTX2 key {name}": False for name in extra_codecs.ktx2_keys(data)}
         case "avif":
