@@ -1,6 +1,7 @@
 """Image files of the tests' own, encoded by OpenImageIO without any code of the package."""
 
 import io
+import struct
 import tempfile
 import zlib
 from pathlib import Path
@@ -60,6 +61,14 @@ def with_alpha(pixels):
     pixels[::3, :, -1] = 0
     pixels[1::3, :, -1] = np.iinfo(pixels.dtype).max if pixels.dtype.kind == "u" else 1
     return pixels
+
+
+def bitmap(*masks):
+    """Return a BMP file of version 5 with masks of red, green, blue and alpha, and a profile at its end."""
+    plain, header = encode(noise("uint8", 4), "bmp"), bytearray(138)
+    header[:54], header[10], header[14], header[30], header[70:74] = plain[:54], 138, 124, 3, b"DEBM"
+    header[54:70], header[126:134] = struct.pack("<4I", *masks), struct.pack("<II", len(plain) + 70, 9)
+    return bytes(header) + plain[54:] + b"a profile"
 
 
 def exact_webp(pixels):

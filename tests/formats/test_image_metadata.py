@@ -13,6 +13,7 @@ from beltrami_cli.formats.image import read_image, write_image
 from beltrami_cli.formats.image.metadata import carry_over
 from formats.image_files import (
     SUFFIXES,
+    bitmap,
     encode,
     icc_profile,
     jpeg_segment,
@@ -214,15 +215,9 @@ def test_every_segment_of_a_jpeg_is_kept_in_its_place():
     assert (file.notices, file.suffix) == ((), ".jpeg")
 
 
-def bitmap(pixels):
-    """Return a BMP file whose header, of version 5, places a profile behind the pixels."""
-    plain, header = encode(pixels, "bmp"), bytearray(138)
-    header[:54], header[10], header[14], header[70:74] = plain[:54], 138, 124, b"DEBM"
-    struct.pack_into("<II", header, 126, 124 + len(plain) - 54, 9)
-    return header + plain[54:] + b"a profile"
-
-
 _COMMENT = (b"EXPTIME = 2.5 / in seconds".ljust(80) + b"END").ljust(160)  # in the header of a FITS file
+_BITMAP, _TARGA = bitmap(0xFF0000, 0xFF00, 0xFF, 0xFF000000), bytearray(encode(noise("uint8", 4), "targa"))
+_TARGA[17] &= 0xF0  # 32 bits, of which none is said to be alpha
 _PLACES = {
     "x.hdr": (lambda: encode(noise("float", 3) ** 2, "hdr").replace(b"\n\n", b"\n# a comment\nVIEW= -vp 1\n\n", 1),
               [b"# a comment\n", b"VIEW= -vp 1\n"]),
@@ -230,7 +225,8 @@ _PLACES = {
               [b"# a comment\n", b"# another\n", b"P6 1 1 255 RGB"]),
     "x.fits": (lambda: encode(noise("uint8", 3), "fits").replace(b"END".ljust(160), _COMMENT), [_COMMENT]),
     "x.jp2": (lambda: saved(Image.fromarray(noise("uint8", 3, 40, 40)), ".jp2", comment="a comment"), [b"a comment"]),
-    "x.bmp": (lambda: bitmap(noise("uint8", 3)), [bitmap(noise("uint8", 3))[:138], b"a profile"]),
+    "x.bmp": (lambda: _BITMAP, [_BITMAP[:138], b"a profile"]),
+    "x.tga": (lambda: _TARGA, [_TARGA[:18]]),
     "x.png": (lambda: encode(noise("uint8", 3), "png") + b"some tEXt", [b"some tEXt"]),
     "x.webp": (lambda: encode(noise("uint8", 3), "webp", compression="lossless") + b"a RIFF chunk", [b"a RIFF chunk"]),
 }  # fmt: skip

@@ -43,7 +43,14 @@ _START_OF_SCAN, _END_OF_IMAGE = 0xDA, 0xD9
 # But Adobe's segment, which says how these very samples are coded.
 _METADATA = (0xFE, *range(0xE0, 0xEE), 0xEF)
 _MOST_BITS_OF_A_PALETTE = 8
-_WINDOWS_HEADER = 40  # bytes of the oldest header of BMP that says how pixels are compressed
+# Bytes of headers of BMP: the first by Windows, the first with a mask of alpha, and those of OS/2 2.
+_WINDOWS_HEADER, _ALPHA_HEADER, _LATER_OS2 = 40, 56, (16, 64)
+_BIT_FIELDS = (
+    3,
+    6,
+)  # packings of BMP in which masks tell the bits of red, green, blue, and in the second alpha
+TARGA_END = b"TRUEVISION-XFILE.\0"  # after the addresses of the extension and developer areas
+_TARGA_ALPHA = 494  # byte of the former
 _MPF = b"MPF\0"  # the mark of an index of pictures
 _MP_ENTRIES = 0xB002  # tag of its entries
 _MP_ENTRY = 16  # bytes of one
@@ -61,6 +68,8 @@ def carry_over(source: bytes, encoded: bytes, known: str, part: int = 0) -> byte
             return webp_with(webp_metadata(source), encoded) + source[_webp_end(source) :]
         case "bmp":
             return _carry_bmp(source, encoded)
+        case "targa":
+            return _carry_targa(source, encoded)
         case "tiff":
             return tiff_tags.with_tags(source, encoded)
         case "openexr":
@@ -96,6 +105,19 @@ def has_palette(data: bytes, known: str) -> bool:
         case "targa":  # a map of colours, and pixels that number them, plain or in runs
             return data[1:3] in (b"\1\1", b"\1\x09")
     return known == "gif"
+
+
+def has_usual_bits(data: bytes) -> bool:
+    """Whether OpenImageIO takes the right bits of a BMP file for its colours, and all for its alpha."""
+    header, bits, packing = (
+        int.from_bytes(data[at : at + n], "little") for at, n in ((14, 4), (28, 2), (30, 4))
+    )
+    if packing not in _BIT_FIELDS or header < _WINDOWS_HEADER:
+        return header not in _LATER_OS2
+    *colours, alpha = (int.from_bytes(data[at : at + 4], "little") for at in range(54, 70, 4))
+    if header < _ALPHA_HEADER and packing != _BIT_FIELDS[1]:
+        alpha = 0
+    return alpha == 0 if bits == 16 else (colours == [0xFF0000, 0xFF00, 0xFF] and alpha in (0, 0xFF000000))
 
 
 def is_lossless_webp(data: bytes) -> bool:
@@ -179,14 +201,26 @@ def _carry_png(source: bytes, encoded: bytes) -> bytes:
 
 def _carry_bmp(source: bytes, encoded: bytes) -> bytes:
     """Replace the pixels, if both files store them in the same way; a header may describe, and hold, a profile."""
-    (old, kind, *storage), (new, _, *same) = (
+    (old, kind, *storage, packing), (new, _, *same, plain) = (
         struct.unpack_from("<IIiiHHI", data, 10) for data in (source, encoded)
     )
-    width, height, _, bits, _ = storage
-    if kind < _WINDOWS_HEADER or storage != same or bits <= _MOST_BITS_OF_A_PALETTE:
+    width, height, _, bits = storage
+    is_same = packing == plain or (packing in _BIT_FIELDS and bits == 32)  # of which the usual ones are read
+    if kind < _WINDOWS_HEADER or storage != same or bits <= _MOST_BITS_OF_A_PALETTE or not is_same:
         return encoded
     size = -(-width * bits // 32) * 4 * abs(height)  # rows are filled up to 4 bytes
     return source[:old] + encoded[new : new + size] + source[old + size :]
+
+
+def _carry_targa(source: bytes, encoded: bytes) -> bytes:
+    """Replace what the header and the extension area of a TGA file say about alpha: whether there is any."""
+    made = bytearray(encoded)
+    if source[16] == made[16]:  # bits of a pixel; the next byte says how many of them are alpha
+        made[17] = made[17] & 0xF0 | source[17] & 0x0F
+    old, new = (int.from_bytes(data[-26:-22], "little") + _TARGA_ALPHA for data in (source, encoded))
+    if source.endswith(TARGA_END) and encoded.endswith(TARGA_END) and _TARGA_ALPHA < old < len(source) - 26:
+        made[new] = source[old]
+    return bytes(made)
 
 
 def _carry_jpeg(source: bytes, encoded: bytes) -> bytes:

@@ -15,7 +15,13 @@ import numpy as np
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, decoded, measured
-from beltrami_cli.formats.image.metadata import first_jpeg, has_palette, is_animated, png_chunks
+from beltrami_cli.formats.image.metadata import (
+    first_jpeg,
+    has_palette,
+    has_usual_bits,
+    is_animated,
+    png_chunks,
+)
 from beltrami_cli.formats.image.picture import (
     READABLE,
     STORED,
@@ -167,6 +173,9 @@ def _decoded(data: bytes, name: str, finite: bool) -> Picture:
     if known not in OpenImageIO.get_string_attribute("input_format_list").split(","):
         cause = f"this build of OpenImageIO does not read {label_of(known)}"
         raise InputError(name, cause, "convert it to PNG or EXR")
+    if known == "bmp" and not has_usual_bits(data):
+        cause = "its header, or the order of its red, green, blue and alpha, is a rare one that is not read"
+        raise InputError(name, cause, "export it as PNG")
     OpenImageIO.attribute("limits:imagesize_MB", _MOST_MEGABYTES)
     config = OpenImageIO.ImageSpec()
     config.attribute("oiio:UnassociatedAlpha", 1)
@@ -240,6 +249,11 @@ def _check(spec: Any, format_name: str, known: str, name: str) -> None:
     colour_space = spec.get_string_attribute("tiff:ColorSpace")
     if "CMYK" in colour_space.upper() or spec.get_string_attribute("jpeg:ColorSpace") in _INKS:
         raise InputError(name, "its colours are the inks of print (CMYK)", "convert it to RGB")
+    if (
+        spec.get_int_attribute("tiff:PhotometricInterpretation") == _PALETTE_IN_TIFF
+        and spec.alpha_channel >= 0
+    ):
+        raise InputError(name, "it has a palette with an alpha channel", "convert it to RGBA")
     if colour_space.endswith("LAB"):  # OpenImageIO makes a yellow of its white, and 8 bits of 16
         raise InputError(name, f"its colours are {colour_space}", "convert it to RGB")
 
@@ -275,6 +289,8 @@ def _changes(file: Any, part: int, data: bytes, known: str, name: str) -> tuple[
     palette = in_tiff or has_palette(data, known)
     if palette and known != "png" and spec.nchannels >= _COLOURED:
         notices.append(f"{name} has a palette, which becomes full colours.")
+    if known == "targa" and spec.nchannels in (1, 3) and data[17] & 0x0F:
+        notices.append(f"{name} has an alpha of few bits, which is dropped.")
     if known == "png" and not palette and any(kind == b"tRNS" for kind, _ in png_chunks(data)):
         notices.append(f"{name} has a colour that is transparent, which becomes an alpha channel.")
     bits = data[24] if known == "png" else int(spec.get_int_attribute("oiio:BitsPerSample"))  # 0: not said

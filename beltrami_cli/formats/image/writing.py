@@ -264,7 +264,6 @@ _DEFAULTS: dict[str, Any] = {
 _CARRIED = ("png", "jpeg", "webp", "tiff", "openexr", "avif")  # whose metadata are carried over as bytes
 _PNG_STRUCTURE = ("tRNS", "acTL", "fcTL", "fdAT")  # other notices tell what becomes of these
 _PNG_READ = ("tEXt", "zTXt", "iTXt", "pHYs", "eXIf", "iCCP", "gAMA", "cHRM", "sRGB", "cICP", "tIME", "oFFs")
-_TARGA_END = b"TRUEVISION-XFILE.\0"  # after the addresses of the extension and developer areas
 _BMP_PROFILES = (b"KNIL", b"DEBM")  # in another file, or behind the pixels; by the header of version 5
 _PROFILE_HEADER = 124  # bytes of it
 _APP0, _APP14, _APP15, _COMMENT = 0xE0, 0xEE, 0xEF, 0xFE
@@ -342,7 +341,7 @@ def _items(data: bytes, known: str) -> dict[str, bool]:
             return boxes | ({"comment": False} if comments else {})
         case "hdr" | "pnm":
             return dict.fromkeys(headers.header_lines(data, known), False)
-        case "targa" if data.endswith(_TARGA_END) and any(data[-len(_TARGA_END) - 4 : -len(_TARGA_END)]):
+        case "targa" if data.endswith(metadata.TARGA_END) and any(data[-22:-18]):
             return {"developer area": False}
         case "bmp" if data[70:74] in _BMP_PROFILES and data[14] >= _PROFILE_HEADER:
             return {"colour profile": False}
