@@ -23,7 +23,6 @@ from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
 from formats.gltf_comparison import EXTENSIONS, with_better_image
 from formats.gltf_files import opened
 from formats.image_files import (
-    bitmap,
     encode,
     exact_webp,
     noise,
@@ -34,7 +33,6 @@ from formats.image_files import (
     two_pixels,
     with_alpha,
 )
-from formats.tiff_files import tiff_file
 from hostile.textured_models import write_model
 from oracles.paintings import psnr
 
@@ -164,18 +162,10 @@ def test_without_its_package_a_texture_is_left_as_it_is_and_the_package_is_named
 
 
 HEADERS = {
-    "sides": {20: 1 << 20, 24: 1 << 20},
-    "no height": {24: 0},
-    "depth": {28: 7},
-    "layers": {32: 1 << 30},
-    "a cube": {36: 6},
-    "levels": {40: 1 << 31},
-    "other samples": {12: 37},
-    "other compression": {44: 3},
-    "an offset": {80: 1 << 31},
-    "a length": {88: 1 << 31},
-    "an unpacked length": {96: 1 << 31},
-}
+    "sides": {20: 1 << 20, 24: 1 << 20}, "no height": {24: 0}, "depth": {28: 7}, "layers": {32: 1 << 30},
+    "a cube": {36: 6}, "levels": {40: 1 << 31}, "other samples": {12: 37}, "other compression": {44: 3},
+    "an offset": {80: 1 << 31}, "a length": {88: 1 << 31}, "an unpacked length": {96: 1 << 31},
+}  # fmt: skip
 
 
 @needs("ktx2")
@@ -314,28 +304,6 @@ def test_what_a_tiff_stores_otherwise_is_reported_once(mode, options, reported):
     if not reported:
         for attribute in ("compression", "tiff:PhotometricInterpretation"):
             assert again.spec.getattribute(attribute) == image.spec.getattribute(attribute)
-
-
-_LAB = saved(Image.fromarray(noise("uint8", 3), "LAB"), ".tif")
-_PALETTE = tiff_file(noise("uint8", 2), {262: (3, [3]), 320: (3, [0] * 768), 338: (3, [2])})
-
-
-@pytest.mark.parametrize(
-    ("name", "source", "cause"),
-    [
-        ("x.tif", _LAB, "its colours are CIELAB; convert it to RGB"),
-        ("x.tif", _PALETTE, "it has a palette with an alpha channel; convert it to RGBA"),
-        (
-            "x.bmp",
-            bitmap(0xFF, 0xFF00, 0xFF0000, 0xFF000000),
-            "its header, or the order of its red, .*; export it as PNG",
-        ),
-    ],
-)
-def test_colours_that_would_be_mistaken_are_refused(name, source, cause):
-    """OpenImageIO reads the white of CIELAB as (255, 252, 222), swaps colours of BMP, and takes green for alpha."""
-    with pytest.raises(InputError, match=f"{name}: {cause}"):
-        read_image(source, name)
 
 
 @pytest.mark.parametrize(("channels", "colour"), [(1, b"\0\7"), (3, b"\0\7\0\7\0\7")])
