@@ -148,11 +148,11 @@ def with_header(source: bytes, encoded: bytes, known: str) -> bytes:
             head, end, _ = source.partition(_END)
             return b"".join([head, end, encoded.partition(_END)[2]])
         case "fits":
-            (old, end), (new, start) = _fits_cards(source), _fits_cards(encoded)
+            (old, place), (new, start) = _fits_cards(source), _fits_cards(encoded)
             stored = [
                 [card[:30] for card in cards if card.startswith(_FITS_STRUCTURE)] for cards in (old, new)
             ]
-            return source[:end] + encoded[start:] if stored[0] == stored[1] else encoded
+            return source[:place] + encoded[start:] if stored[0] == stored[1] else encoded
         case "jpeg2000":
             return _with_comments(encoded, codestream_comments(source))
     comments, old_header, header = _comments(source), _NETPBM.match(source), _NETPBM.match(encoded)
