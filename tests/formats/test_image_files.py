@@ -348,6 +348,7 @@ _UNFIT = {
     "the file is empty": ("x.png", b""),
     "no known image format": ("x.png", b"RIFF\0\0\0\0WAVE"),
     "GIF image is damaged": ("x.png", b"GIF89a" + bytes(30)),
+    "HEIC": ("x.heic", bytes(4) + b"ftypheic" + bytes(20)),
     "could not find a format": ("x.tga", b"hello"),
     "damaged or cut off": ("x.tga", sample("targa")[:12] + bytes(2) + sample("targa")[14:]),
     "the inks of print": ("x.jpg", inks(0)),

@@ -240,6 +240,15 @@ def test_all_in_and_behind_an_image_that_is_no_pixel_is_kept(name):
     assert not file.notices
 
 
+def test_boxes_within_the_header_of_jpeg_2000_are_named():
+    data = saved(Image.fromarray(noise("uint8", 3, 40, 40)), ".jp2")
+    at, end = data.index(b"jp2h"), data.index(b"jp2c") - 4
+    resolution = b"\0\0\0\x1ares \0\0\0\x12resc" + bytes([0, 1, 0, 1] * 2 + [0, 0])
+    header = (end - at + 30).to_bytes(4) + data[at:end] + resolution
+    file = rewritten(data[: at - 4] + header + data[end:], "x.jp2")
+    assert file.notices == ("x.jp2: these metadata are not kept in JP2: box res.",)
+
+
 def exif_file(suffix):
     exif = tiff_file(noise("uint8", 3), {**_TEXTS, **_DIRECTORIES})
     if suffix == ".tif":

@@ -269,8 +269,20 @@ _PROFILE_HEADER = 124  # bytes of it
 _APP0, _APP14, _APP15, _COMMENT = 0xE0, 0xEE, 0xEF, 0xFE
 # Another notice reports that the pictures of an index (MPF) are dropped.
 _JPEG_READ = ("JFIF", "MPF", "Exif", "http://ns.adobe.com/xap/1.0/", "ICC_PROFILE", "Photoshop 3.0", "COM")
+_HEADER_BOX = b"jp2h"
 _BOXES = {
-    "jpeg2000": (b"jP  ", b"ftyp", b"jp2h", b"jp2c"),
+    "jpeg2000": (
+        b"jP  ",
+        b"ftyp",
+        _HEADER_BOX,
+        b"ihdr",
+        b"bpcc",
+        b"colr",
+        b"pclr",
+        b"cmap",
+        b"cdef",
+        b"jp2c",
+    ),
     "jpegxl": (b"JXL ", b"ftyp", b"jxlc", b"jxlp", b"jxll", b"jxli"),
 }
 
@@ -337,7 +349,7 @@ def _items(data: bytes, known: str) -> dict[str, bool]:
         case "jpeg2000" | "jpegxl":
             unknown = (kind for kind in _boxes(data) if kind not in _BOXES[known])
             comments = known == "jpeg2000" and headers.codestream_comments(data)
-            boxes = {f"box {kind.decode('latin-1')}": False for kind in unknown}
+            boxes = {f"box {kind.decode('latin-1').strip()}": False for kind in unknown}
             return boxes | ({"comment": False} if comments else {})
         case "hdr" | "pnm":
             return dict.fromkeys(headers.header_lines(data, known), False)
@@ -367,7 +379,9 @@ def _boxes(data: bytes) -> Iterator[bytes]:
     while at + 8 <= len(data) and data[4:8] in (b"jP  ", b"JXL "):
         size, kind = int.from_bytes(data[at : at + 4]), data[at + 4 : at + 8]
         yield kind
-        if size == 1:
+        if kind == _HEADER_BOX:  # with boxes of its own
+            size = 8
+        elif size == 1:
             size = int.from_bytes(data[at + 8 : at + 16])
         if size < 8:  # up to the end of the file
             return
