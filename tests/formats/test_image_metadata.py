@@ -217,7 +217,7 @@ def test_every_segment_of_a_jpeg_is_kept_in_its_place():
 
 _COMMENT = (b"EXPTIME = 2.5 / in seconds".ljust(80) + b"END").ljust(160)  # in the header of a FITS file
 _BITMAP, _TARGA = bitmap(0xFF0000, 0xFF00, 0xFF, 0xFF000000), bytearray(encode(noise("uint8", 4), "targa"))
-_TARGA[17] &= 0xF0  # 32 bits, of which none is said to be alpha
+_TARGA[17] &= 0xF0  # 32 bits, and none is said to be alpha
 _PLACES = {
     "x.hdr": (lambda: encode(noise("float", 3) ** 2, "hdr").replace(b"\n\n", b"\n# a comment\nVIEW= -vp 1\n\n", 1),
               [b"# a comment\n", b"VIEW= -vp 1\n"]),

@@ -43,7 +43,7 @@ _START_OF_SCAN, _END_OF_IMAGE = 0xDA, 0xD9
 # But Adobe's segment, which says how these very samples are coded.
 _METADATA = (0xFE, *range(0xE0, 0xEE), 0xEF)
 _MOST_BITS_OF_A_PALETTE = 8
-# Bytes of headers of BMP: the first by Windows, the first with a mask of alpha, and those of OS/2 2.
+# Bytes of headers of BMP: the first by Windows, the first with a mask of alpha, and both by OS/2 2.
 _WINDOWS_HEADER, _ALPHA_HEADER, _LATER_OS2 = 40, 56, (16, 64)
 _BIT_FIELDS = (
     3,
@@ -205,7 +205,7 @@ def _carry_bmp(source: bytes, encoded: bytes) -> bytes:
         struct.unpack_from("<IIiiHHI", data, 10) for data in (source, encoded)
     )
     width, height, _, bits = storage
-    is_same = packing == plain or (packing in _BIT_FIELDS and bits == 32)  # of which the usual ones are read
+    is_same = packing == plain or (packing in _BIT_FIELDS and bits == 32)  # rare masks are refused
     if kind < _WINDOWS_HEADER or storage != same or bits <= _MOST_BITS_OF_A_PALETTE or not is_same:
         return encoded
     size = -(-width * bits // 32) * 4 * abs(height)  # rows are filled up to 4 bytes

@@ -38,7 +38,7 @@ _AT_XML = 24  # bytes: where the place and the length of the description stand i
 # of waveforms and of extended records, whose number follows.
 _AT_SIZES, _AT_POINT_FORMAT, _AT_WAVEFORMS, _AT_RECORDS = 94, 104, 227, 235
 _LAZ = b"\x80"  # the bit of it that LAZ sets
-# Owners of the records that describe how LAZ is packed, and that index it, of which the first is about that.
+# Owners of the records that describe how LAZ is packed, and that index it; a file with an index starts with its record.
 _LASZIP, _COPC = b"laszip encoded", b"copc"
 _AT_OWNER = 377  # byte of LAS 1.4: the owner of the first record
 _LITERALS = 32  # bytes that one run of LZF holds at most
