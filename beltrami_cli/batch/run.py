@@ -174,16 +174,20 @@ def in_processes(count: int, memory: int | None, threads: int) -> Workers:
     return Workers(Processes(count), lambda item: (do_item, item, memory), threads)
 
 
-def in_pieces(pool: Pool, count: int, memory: int | None, advanced: Advanced) -> Workers:
-    """Return what does one file at a time here, with up to `count` chunks of each surface in a pool."""
+def in_pieces(pool: Pool, count: int, memory: int | None, advanced: Advanced, threads: int | None) -> Workers:
+    """Return what does one file at a time here, with up to `count` chunks of each surface in a pool.
+
+    `threads`: for the work between two operations, in which the workers of this machine have nothing to do.
+    """
 
     def do_in_pieces(item: Item, progress: Progress) -> Attempt:
+        pool.prepare(count)
         runner = ChunkRunner(pool)
         with in_chunks(count, runner):
             attempt = do_item(item, memory, progress, is_alone=False)
         return dataclasses.replace(attempt, pieces=runner.most)
 
-    return Workers(Here(advanced), lambda item: (do_in_pieces, item))
+    return Workers(Here(advanced), lambda item: (do_in_pieces, item), threads)
 
 
 class Here(Pool):
@@ -256,7 +260,7 @@ class ChunkRunner:
 
 def do_chunk(
     chunk: Chunk, work: Work, stacks: list[Float32s], progress: object
-) -> tuple[Float32s, Figures] | Exception:
+) -> tuple[list[Float32s], Figures] | Exception:
     """Return the result of a chunk in a worker."""
     del progress
     try:

@@ -58,6 +58,10 @@ class Pool(ABC):
     def is_full(self) -> bool:
         """Whether it takes no more tasks for now."""
 
+    def prepare(self, tasks: int) -> None:
+        """Have workers ready for as many tasks at a time."""
+        del tasks
+
     @abstractmethod
     def start(self, key: int, task: Task, *arguments: Any) -> None: ...
 
@@ -191,6 +195,10 @@ class Processes(Pool):
     @property
     def is_full(self) -> bool:
         return len(self._busy) >= self._most
+
+    def prepare(self, tasks: int) -> None:
+        missing = min(tasks, self._most) - len(self._idle) - len(self._busy)
+        self._idle.extend(_Worker.started() for _ in range(missing))
 
     def start(self, key: int, task: Task, *arguments: Any) -> None:
         while True:

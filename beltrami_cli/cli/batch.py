@@ -245,8 +245,9 @@ def _workers(
         if pieces is not None:
             # Processes write nothing, so they have nothing to clean up. On a cluster a second chunk is on its way.
             pool = OnDask(client, at_once, per_worker=2) if client else Processes(_at_once(given), grace=0)
+            threads = None if client else min(_at_once(given), KernelParameters().thread_count)
             stack.enter_context(contextlib.closing(pool))
-            yield in_pieces(pool, pieces, memory or default_memory(), display.advanced)
+            yield in_pieces(pool, pieces, memory or default_memory(), display.advanced, threads)
         elif client:
             # A worker does as many files at once as it has threads, each on one.
             pool = OnDask(client, at_once)

@@ -6,7 +6,9 @@ import dataclasses
 import logging
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import ClassVar, Protocol
 
@@ -249,3 +251,20 @@ class NewColours:
     def table(self) -> Float32s:
         """Return all rows, shape (S, N)."""
         return self.take(slice(None), slice(None))
+
+
+def for_blocks(
+    work: Callable[..., object], threads: int, axis: int, *stacks: Array, planes: Sequence[Array] = ()
+) -> None:
+    """Call `work` with the blocks of stacks, and of planes, several at the same time: it may change only these."""
+    blocks = in_blocks(axis, *stacks)
+    if planes:
+        blocks = ((*own, *others) for own, others in zip(blocks, in_blocks(0, *planes), strict=True))
+    waiting = deque[Future[object]]()
+    with ThreadPoolExecutor(threads) as pool:
+        for block in blocks:
+            waiting.append(pool.submit(work, *block))
+            if len(waiting) > threads:  # so that little is left to do when the user interrupts
+                waiting.popleft().result()
+        for each in waiting:
+            each.result()

@@ -31,9 +31,9 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Float32s, Float64s, Int64s
+from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.flow.clipping import ClippedChannels
-from beltrami_cli.flow.domain import CoarseLevel, Gaussian, Geometry, Mixing, NewColours, Stack, in_blocks
+from beltrami_cli.flow.domain import CoarseLevel, Gaussian, Geometry, Mixing, NewColours, Stack, for_blocks
 from beltrami_cli.flow.noise.haar_noise import NoiseModel, choose_beta
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface.atlas import EMPTY
@@ -147,6 +147,11 @@ class Manifold(ABC):
 
         The first stack holds the colours that the metric was measured by.
         """
+
+    def drop_kernels(self) -> None:
+        """Free the memory of what only kernels need; it is computed again if more of them are run."""
+        vars(self).pop("_kernel_chunks", None)
+        self.geometry.drop_distances()
 
     @abstractmethod
     def kernel_at(self, sample: int, step: Step) -> SampledKernel:
@@ -358,15 +363,17 @@ def mark_clipped(manifold: Manifold, clipped: ClippedChannels) -> Stack:
     geometry = manifold.geometry
     planes = geometry.planes(len(clipped.clipped))
     marks = np.ascontiguousarray(np.moveaxis(planes, 0, geometry.axis))
-    for own, mark, kind in in_blocks(geometry.axis, manifold.colours, marks, geometry.kind):
-        clipped.mark(own, mark)
-        np.copyto(mark, 0, where=kind == EMPTY)
+
+    def mark(own: Array, found: Array, kind: Array) -> None:
+        clipped.mark(own, found)
+        np.copyto(found, 0, where=kind == EMPTY)
+
+    for_blocks(mark, geometry.threads, geometry.axis, manifold.colours, marks, geometry.kind)
     geometry.refresh(marks)
     return marks
 
 
 def restore_clipped(manifold: Manifold, clipped: ClippedChannels, colours: Stack, marks: Stack) -> None:
     """Turn averages of clipped colours, in place, into estimates of the colours without noise."""
-    geometry = manifold.geometry
-    for own, mark, relative in in_blocks(geometry.axis, colours, marks, relative_variance(manifold)):
-        clipped.restore(own, mark, relative[0], geometry.threads)
+    geometry, relative = manifold.geometry, relative_variance(manifold)
+    for_blocks(clipped.restore, geometry.threads, geometry.axis, colours, marks, relative)

@@ -31,8 +31,9 @@ from typing import TypeAlias
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s
+from beltrami_cli.flow.chunks import chunking
 from beltrami_cli.flow.clipping import ClippedChannels, normal_tables
-from beltrami_cli.flow.domain import ENOUGH_STEPS, CoarseLevel, Domain, Mixing, in_blocks
+from beltrami_cli.flow.domain import ENOUGH_STEPS, CoarseLevel, Domain, Mixing, for_blocks, in_blocks
 from beltrami_cli.flow.manifold import Manifold, relative_variance
 from beltrami_cli.flow.noise.features import COMPONENTS
 from beltrami_cli.surface import large_arrays
@@ -100,24 +101,22 @@ def blend_with_patches(
     """Blend the kernel's result with that of patches; `noisy` is a stack that is overwritten."""
     geometry, sigma = manifold.geometry, manifold.noise.sigma
     axis, threads = geometry.axis, geometry.threads
-    before = kernel(large_arrays.copy_of(noisy))
+    # Chunks leave the colours as they are.
+    before = kernel(large_arrays.copy_of(noisy) if chunking() is None else noisy)
     signs = manifold.perturbation()
     size = np.float32(PERTURBATION * np.sqrt(np.mean(np.square(sigma))))
     disturbed = large_arrays.copy_of(noisy)
     _add(axis, disturbed, signs, size)
     disturbed = kernel(disturbed)
-    geometry.drop_distances()
+    manifold.drop_kernels()
     if clipped is not None:
-        for own, pilot, relative in in_blocks(axis, noisy, before, relative_variance(manifold)):
-            clipped.impute(own, pilot, relative[0], threads)
+        for_blocks(clipped.impute, threads, axis, noisy, before, relative_variance(manifold))
     mixing = mixing_of(manifold, before, manifold.noise.covariance)
     second = with_pilot(mixing, manifold)
 
     def estimate(colours: Float32s, pilot: Float32s) -> Float32s:
         first = manifold.collaborate(colours, pilot, mixing, stage(PASSES[0]))
-        for own, kernels in in_blocks(axis, first, pilot):
-            own += kernels
-            own /= 2
+        for_blocks(lambda own, other: np.divide(own + other, 2, out=own), threads, axis, first, pilot)
         return manifold.collaborate(colours, first, second, stage(PASSES[1]), replaces_pilot=True)
 
     after = estimate(noisy, before)
@@ -149,15 +148,21 @@ def _mix(
 
     geometry, (colours, signs, _, divisors) = manifold.geometry, noisy
     axis, sums = geometry.axis, geometry.planes(2)
-    stacks = in_blocks(axis, colours, signs, *results, *responses, relative_variance(manifold))
-    for (z, b, p, q, near_p, near_q, relative), (own,) in zip(stacks, in_blocks(0, sums), strict=True):
+
+    def sum_terms(z: Array, b: Array, relative: Array, *others: Array) -> None:
+        p, q, near_p, near_q, own = others
         probe: Array = b / divisors
-        blend_terms(z, probe, (p, q, near_p, near_q), (*model.noise, relative), own, model.threads)
+        blend_terms(z, probe, (p, q, near_p, near_q), (*model.noise, relative), own, 1)
+
+    stacks = colours, signs, relative_variance(manifold), *results, *responses
+    for_blocks(sum_terms, model.threads, axis, *stacks, planes=[sums])
     weights, share, gain = _weigh(geometry, sums, model.variance, _PRIORS["samples"])
-    stacks = in_blocks(axis, *results, *responses)
-    for (p, q, near_p, near_q), (own,) in zip(stacks, in_blocks(0, weights), strict=True):
-        p += own * (q - p)
-        near_p += own * (near_q - near_p)
+
+    def move(p: Array, q: Array, weight: Array) -> None:
+        p += weight * (q - p)
+
+    for both in (results, responses):
+        for_blocks(move, model.threads, axis, *both, planes=[weights])
     return share, gain
 
 
@@ -208,13 +213,18 @@ def _means(
     axis, relatives = manifold.geometry.axis, relative_variance(manifold)
     (colours, signs, size, divisors), (before, memory) = noisy, results
     means, probe = level.means(colours), size * level.means(signs)
-    for z, p, own, relative in in_blocks(axis, colours, before, memory, relatives):
-        blend_residual(z, p, (*model.noise, relative), own, model.threads)
-    residual = level.means(memory)
-    for p, own, relative in in_blocks(axis, before, memory, relatives):
-        blend_share_within(p, (*model.noise, relative), own, model.threads)
+
+    def cube_share(p: Array, own: Array, relative: Array) -> None:
+        blend_share_within(p, (*model.noise, relative), own, 1)
         np.subtract(1, own, out=own)
         own *= np.square(own)
+
+    for_blocks(
+        lambda z, p, own, relative: blend_residual(z, p, (*model.noise, relative), own, 1),
+        model.threads, axis, colours, before, memory, relatives,
+    )  # fmt: skip
+    residual = level.means(memory)
+    for_blocks(cube_share, model.threads, axis, before, memory, relatives)
     # A cubic mean: a residual found where most is cut off, as on white paper, would bleed into ink, too.
     within = 1 - np.cbrt(level.means(memory))
     return _NoisyMeans(means, probe, size * divisors, residual, within)
