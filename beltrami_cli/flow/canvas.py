@@ -206,10 +206,10 @@ def collaborate_on_canvas(
     """Estimate the owned cells from similar patches, compared on the pilot; `relative`: variance by its mean."""
     stacks, wanted = [noisy, pilot, *([] if relative is None else [relative])], chunking()
     if wanted is None:
-        return _patches_on(kind, stacks, threads, mixing, progress, pilot if replaces_pilot else None)[0]
+        return _patches_on(kind, stacks, threads, mixing, progress, pilot if replaces_pilot else None)[0][0]
     estimates: Float32s = large_arrays.empty(noisy.shape, np.float32)
     work, how = Work(_patches_on, (mixing,)), {"size": kind.size, "threads": threads}
-    wanted.apply(_patch_chunks(kind, wanted.count), work, stacks, estimates, progress, **how)
+    wanted.apply(_patch_chunks(kind, wanted.count), work, stacks, [estimates], progress, **how)
     return estimates
 
 
@@ -237,7 +237,7 @@ def _patches_on(
     mixing: Mixing,
     progress: Callable[[int], None] | None = None,
     estimates: Float32s | None = None,
-) -> tuple[Float32s, Figures]:
+) -> tuple[list[Float32s], Figures]:
     from beltrami_cli._native import collaborate_on_grid
 
     noisy, pilot, *relative = stacks
@@ -253,7 +253,7 @@ def _patches_on(
     collaborate_on_grid(
         kind, noisy, pilot, mixing.parts, variances, mixing.has_pilot, estimates, threads, report
     )
-    return estimates, (0, 0)
+    return [estimates], (0, 0)
 
 
 def squares_for(

@@ -23,16 +23,16 @@ from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
 Figures = tuple[float, int]
 """How many samples the kernels of a chunk held, and how many kernels were cut short."""
 
-Operation = Callable[..., tuple[Float32s, Figures]]
+Operation = Callable[..., tuple[Sequence[Float32s], Figures]]
 """Called with a part, a list of its stacks, which it may change, the number of threads and further arguments.
 
-Returns a stack of the part.
+Returns stacks of the part.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class Chunk:
-    """A part of a surface, with the samples around it that an operation reads; it can be sent to another process."""
+    """A part of a surface, with the samples around it that an operation reads."""
 
     part: Any  # what stays the same in all operations of a kind: geometry, and not colours
     around: Any = None  # index of the samples of the part in a stack of the whole
@@ -52,13 +52,13 @@ class Work:
     arguments: tuple[Any, ...]
     adds: bool = False  # to what other chunks find for the same samples
 
-    def on(self, chunk: Chunk, stacks: list[Float32s], threads: int) -> tuple[Float32s, Figures]:
+    def on(self, chunk: Chunk, stacks: list[Float32s], threads: int) -> tuple[list[Float32s], Figures]:
         """Return the results of the samples of a chunk; the stacks may change."""
-        stack, figures = self.operation(chunk.part, stacks, threads, *self.arguments)
-        return stack[chunk.kept], figures
+        results, figures = self.operation(chunk.part, stacks, threads, *self.arguments)
+        return [stack[chunk.kept] for stack in results], figures
 
 
-Done = tuple[int, Float32s, Figures]
+Done = tuple[int, Sequence[Float32s], Figures]
 
 
 class Runner(Protocol):
@@ -98,13 +98,13 @@ class Chunking:
         chunks: Sequence[Chunk],
         work: Work,
         stacks: Sequence[Float32s],
-        result: Float32s,
+        results: Sequence[Float32s],
         progress: Callable[[int], None] | None,
         *,
         size: int,
         threads: int,
     ) -> Figures:
-        """Write the results of all chunks to a stack of the whole, or add them; `stacks` stay as they are.
+        """Write the results of all chunks to stacks of the whole, or add them; `stacks` stay as they are.
 
         `size`: of the whole, for its progress; `threads`: for a single chunk, which is done here.
         """
@@ -113,16 +113,19 @@ class Chunking:
             return [stack[chunk.around] for stack in stacks]
 
         samples, truncated, added = 0.0, 0, 0
-        waiting: dict[int, Float32s] = {}  # to be added in the order of the chunks, on which rounding depends
+        # To be added in the order of the chunks, on which rounding depends.
+        waiting: dict[int, Sequence[Float32s]] = {}
         runner = self.runner if len(chunks) > 1 else InTurn(threads)
         for done, (number, values, figures) in enumerate(runner.run(chunks, work, stacks_of), 1):
             if work.adds:
                 waiting[number] = values
                 while added in waiting:
-                    result[chunks[added].place] += waiting.pop(added)
+                    for result, own in zip(results, waiting.pop(added), strict=True):
+                        result[chunks[added].place] += own
                     added += 1
             else:
-                result[chunks[number].place] = values
+                for result, own in zip(results, values, strict=True):
+                    result[chunks[number].place] = own
             samples, truncated = samples + figures[0], truncated + figures[1]
             if progress is not None:
                 progress(size * done // len(chunks))
@@ -220,29 +223,30 @@ LEAST_SAMPLES = 1 << 14
 
 
 class Neighbours:
-    """The neighbours of every sample, from edges of shape (E, 2) and their lengths."""
+    """The neighbours of every sample along edges, shape (E, 2), and how far samples are from others."""
 
-    def __init__(self, count: int, edges: Int32s, lengths: Array | None = None) -> None:
-        from scipy.sparse import coo_array
-
-        both = np.concatenate([edges[:, 0], edges[:, 1]]), np.concatenate([edges[:, 1], edges[:, 0]])
-        # Numbers of edges instead of their lengths, as an entry of 0 would be none.
-        edge = np.tile(np.arange(1, len(edges) + 1), 2)
-        rows = coo_array((edge, both), shape=(count, count)).tocsr()
-        self._offsets, self._targets = rows.indptr, rows.indices
-        self._lengths = None if lengths is None else lengths[rows.data - 1]
+    def __init__(self, count: int, edges: Int32s, lengths_of: Callable[[Int32s], Float32s]) -> None:
+        """Take what returns the lengths of edges, shape (K, 2)."""
+        low, high = edges.T.astype(np.int64)
+        both = np.concatenate([low << 32 | high, high << 32 | low])
+        both.sort()
+        self._targets = both.astype(np.int32)  # their lower half
+        self._offsets = np.concatenate([[0], np.cumsum(np.bincount(edges.reshape(-1), minlength=count))])
+        self._lengths_of = lengths_of
 
     def distances(self, first: int, last: int, limit: float) -> Float32s:
         """Return how far samples are from the ones in [first, last) along edges; infinite: beyond the limit."""
         found = np.full(len(self._offsets) - 1, np.inf, np.float32)
         found[first:last] = 0
-        front: Array = np.arange(first, last)
+        front: Array = np.arange(first, last, dtype=np.int32)
         while len(front):
             starts, counts = self._offsets[front], self._offsets[front + 1] - self._offsets[front]
             # Entry i of a row of `counts` numbers that begins at `starts`.
             places = np.arange(int(counts.sum())) + np.repeat(starts - (np.cumsum(counts) - counts), counts)
-            targets, before = self._targets[places], np.repeat(found[front], counts)
-            after = before + (np.float32(1) if self._lengths is None else self._lengths[places])
+            sources, targets = np.repeat(front, counts), self._targets[places]
+            leads_on = found[sources] < found[targets]
+            sources, targets = sources[leads_on], targets[leads_on]
+            after = found[sources] + self._lengths_of(np.stack([sources, targets], axis=1))
             nearer = (after <= limit) & (after < found[targets])
             np.minimum.at(found, targets[nearer], after[nearer])
             front = np.unique(targets[nearer])

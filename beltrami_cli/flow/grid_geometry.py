@@ -166,11 +166,12 @@ class GridGeometry(Geometry):
 
 
 def pick(planes: Array, samples: Cells) -> Array:
-    """Return some cells of an array of planes."""
+    """Return some cells of an array of planes, of rows and rectangles without a copy."""
     if isinstance(samples, slice):
         return planes[..., samples, :]
     if isinstance(samples, Rectangle):
-        return np.ascontiguousarray(planes[samples.index])
+        part: Array = planes[samples.index]
+        return part
     flat = planes.reshape(*planes.shape[:-2], -1)
     picked = np.empty((*flat.shape[:-1], *samples.shape), planes.dtype)
     for rows in large_arrays.blocks(len(samples), SUMMED_ROWS):

@@ -136,11 +136,13 @@ class GridManifold(Manifold):
         grid, wanted = self.geometry, chunking()
         if wanted is None or self.is_in_one_block:
             return self._average_rows(stacks, metric, progress)
-        after, work = grid.planes(sum(map(len, stacks))), Work(_average_chunk, (metric.step, metric.channels))
+        after = [grid.planes(len(stack)) for stack in stacks]
+        work = Work(_average_chunk, (metric.step, metric.channels))
         how = {"size": grid.size, "threads": grid.threads}
         samples, _ = wanted.apply(self._kernel_chunks, work, stacks, after, progress, **how)
-        refresh_halo(after, grid.atlas)
-        return Averaged(_split(after, stacks), round(samples))
+        for stack in after:
+            refresh_halo(stack, grid.atlas)
+        return Averaged(after, round(samples))
 
     def _average_rows(
         self, stacks: list[Stack], metric: Metric, progress: Callable[[int], None] | None
@@ -320,11 +322,11 @@ def cut_blocks(whole: GridManifold, cells: Int64s, core: Bools, reach: int) -> G
 
 def _average_chunk(
     part: GridManifold, stacks: list[Stack], threads: int, step: Step, channels: int
-) -> tuple[Float32s, Figures]:
+) -> tuple[list[Float32s], Figures]:
     parameters = dataclasses.replace(part.parameters, threads=threads)
     part = dataclasses.replace(part, parameters=parameters, is_in_one_block=False)
     done = part._average_rows(stacks, part.measure(stacks[0][:channels], step), None)
-    return done.stacks[0] if len(stacks) == 1 else np.concatenate(done.stacks), (done.samples, 0)
+    return done.stacks, (done.samples, 0)
 
 
 def row_blocks(rows: int, columns: int, margin: int, threads: int) -> list[slice]:

@@ -138,8 +138,8 @@ class MeshManifold(Manifold):
             gain = mesh.gaussian(own.metric_scale).gain
             whole = dataclasses.replace(self, geometry=dataclasses.replace(mesh, gain=gain))
         reach = _STRETCH * own.radius + _KNOWN * ((mesh.spacing or 1.0) if mesh.scales is None else 1.0)
-        edges = mesh.core.edges()  # with bridges
-        neighbours, chunks = Neighbours(mesh.size, edges, mesh.scaled_lengths(edges)), []
+        # Edges with bridges.
+        neighbours, chunks = Neighbours(mesh.size, mesh.core.edges(), mesh.scaled_lengths), []
         for first, last in runs(mesh.size, wanted.count):
             near = np.isfinite(neighbours.distances(first, last, reach))
             chunk = chunk_of_run(whole.cut, near, first, last)
@@ -230,7 +230,7 @@ def average_rows(
         return _apply_kernels(manifold, rows, metric.step, slice(0, mesh.size), progress)
     work, after = Work(_average_chunk, (metric.step, metric.channels)), np.empty_like(rows)
     how = {"size": mesh.size, "threads": mesh.threads}
-    samples, truncated = wanted.apply(manifold._kernel_chunks, work, [rows], after, progress, **how)
+    samples, truncated = wanted.apply(manifold._kernel_chunks, work, [rows], [after], progress, **how)
     return after, samples, truncated
 
 
@@ -247,13 +247,13 @@ def _apply_kernels(
 
 def _average_chunk(
     part: tuple[MeshManifold, slice], stacks: Sequence[Stack], threads: int, step: Step, channels: int
-) -> tuple[Float32s, Figures]:
+) -> tuple[list[Float32s], Figures]:
     (colours,), (manifold, kept) = stacks, part
     parameters = dataclasses.replace(manifold.parameters, threads=threads)
     manifold = dataclasses.replace(manifold, parameters=parameters)
     manifold.measure(np.ascontiguousarray(colours[:, :channels]), step)
     after, samples, truncated = _apply_kernels(manifold, colours, step, kept, None)
-    return after, (samples, truncated)
+    return [after], (samples, truncated)
 
 
 def samples_per_kernel(manifold: MeshManifold, kernels: int, step: Step) -> float:
@@ -281,10 +281,10 @@ def _collaborate_on_graph(
     if wanted is None or is_whole:
         sums, _ = _sums_of_patches(graph, stacks, graph.threads, mixing, progress)
     else:
-        sums = np.zeros((graph.size, 2 * noisy.shape[1]), np.float32)
+        sums = [np.zeros_like(noisy), np.zeros_like(noisy)]
         work = Work(_sums_of_patches, (mixing,), adds=True)
         wanted.apply(graph.chunks, work, stacks, sums, progress, size=graph.size, threads=graph.threads)
-    estimates, weights = np.split(sums, 2, axis=1)
+    estimates, weights = sums
     is_known = weights > 0  # not of isolated samples
     mixed = np.divide(estimates, weights, out=np.zeros_like(pilot), where=is_known)
     return np.where(is_known, np.einsum("ij,sj->si", mixing.back, mixed), pilot)
@@ -296,15 +296,15 @@ def _sums_of_patches(
     threads: int,
     mixing: Mixing,
     progress: Callable[[int], None] | None = None,
-) -> tuple[Float32s, Figures]:
-    """Sum what the groups of patches estimate of mixed channels, and the weights of that, shape (S, 2 N)."""
+) -> tuple[list[Float32s], Figures]:
+    """Sum what the groups of patches estimate of mixed channels, and the weights of that, shape (S, N) each."""
     noisy, pilot, *relative = stacks
     estimates, weights = np.zeros_like(noisy), np.zeros_like(noisy)
     variances = relative[0][:, 0] if relative else None
     graph.patches.collaborate(
         noisy, pilot, mixing.parts, variances, mixing.has_pilot, estimates, weights, threads, progress
     )
-    return np.concatenate([estimates, weights], axis=1), (0, 0)
+    return [estimates, weights], (0, 0)
 
 
 def clusters_for(samples: Graph, most: int, relative: Float32s | None) -> list[Clusters]:

@@ -67,7 +67,7 @@ class Graph:
     @cached_property
     def chunks(self) -> list[Chunk]:
         """The chunks in which patches are estimated."""
-        wanted, neighbours = chunking(), Neighbours(self.size, self.edges)
+        wanted, neighbours = chunking(), Neighbours(self.size, self.edges, _ones)
         assert wanted is not None
         return [self._chunk(neighbours, *run) for run in runs(self.size, wanted.count)]
 
@@ -120,6 +120,10 @@ class Graph:
         number = np.empty(self.size, np.int32)
         number[rank[centres]] = np.arange(len(centres))
         return number[best], centres
+
+
+def _ones(edges: Int32s) -> Float32s:
+    return np.ones(len(edges), np.float32)
 
 
 def all_known(numbers: Int32s) -> Bools:

@@ -8,7 +8,7 @@ from beltrami_cli.errors import ProcessingError
 
 
 def add(part, stacks, threads):
-    return stacks[0] + part, (1.0, threads)
+    return [stacks[0] + part], (1.0, threads)
 
 
 def die_once(part, stacks, threads, trace):

@@ -29,7 +29,7 @@ CUT = [Chunk(part, kept=slice(None)) for part in range(5)]
 
 def done(runner, work):
     answers = runner.run(CUT, work, lambda chunk: [np.zeros(1, np.float32)])
-    return sorted((number, values.tolist(), figures) for number, values, figures in answers)
+    return sorted((number, values.tolist(), figures) for number, (values,), figures in answers)
 
 
 @pytest.fixture
