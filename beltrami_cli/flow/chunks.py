@@ -67,9 +67,9 @@ class Runner(Protocol):
     def run(
         self, chunks: Sequence[Chunk], work: Work, stacks_of: Callable[[Chunk], list[Float32s]]
     ) -> Iterator[Done]:
-        """Yield the number of each chunk and its result, in any order; the same chunks may come again.
+        """Yield the number of each chunk and its results, in any order; the same chunks may come again.
 
-        `stacks_of` gives views, which work must not change.
+        Results last until the next ones are asked for. `stacks_of` gives views, which work must not change.
         """
 
 
@@ -118,7 +118,7 @@ class Chunking:
         runner = self.runner if len(chunks) > 1 else InTurn(threads)
         for done, (number, values, figures) in enumerate(runner.run(chunks, work, stacks_of), 1):
             if work.adds:
-                waiting[number] = values
+                waiting[number] = [own.copy() for own in values]
                 while added in waiting:
                     for result, own in zip(results, waiting.pop(added), strict=True):
                         result[chunks[added].place] += own
