@@ -12,7 +12,7 @@ from beltrami_cli.flow.chunks import Chunk, Figures, Work, chunk_of, chunking, r
 from beltrami_cli.flow.domain import CoarseLevel, Mixing, NewColours, Stack
 from beltrami_cli.flow.grid_geometry import colours_at, gaussian_taps, guide_radius
 from beltrami_cli.flow.noise.grid_squares import Grid
-from beltrami_cli.flow.noise.haar_noise import mixed_signs
+from beltrami_cli.flow.noise.model import mixed_signs
 from beltrami_cli.flow.noise.reading import read_noise
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface import large_arrays

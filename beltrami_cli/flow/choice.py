@@ -15,7 +15,7 @@ from beltrami_cli.arrays import Float64s
 from beltrami_cli.fields import BYTE_STEP
 from beltrami_cli.flow.domain import LOG
 from beltrami_cli.flow.manifold import Manifold, Rule, SampleTrial, SearchRange, Step
-from beltrami_cli.flow.noise.haar_noise import choose_beta, overall_noise
+from beltrami_cli.flow.noise.model import choose_beta, overall_noise
 from beltrami_cli.flow.parameters import MOST_GROWTH, KernelParameters
 from beltrami_cli.flow.risk import Risk, RiskEstimate, State
 

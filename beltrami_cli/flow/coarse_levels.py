@@ -26,7 +26,7 @@ import numpy as np
 from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.flow.domain import CoarseLevel, Geometry, in_blocks
 from beltrami_cli.flow.manifold import Manifold, relative_variance
-from beltrami_cli.flow.noise.haar_noise import sigma_of_covariances
+from beltrami_cli.flow.noise.model import sigma_of_covariances
 from beltrami_cli.flow.patches import PERTURBATION, mixing_of, with_pilot
 
 AnyManifold = TypeVar("AnyManifold", bound=Manifold)
@@ -171,7 +171,7 @@ def _noise_of_level(covariances: Float64s, level: int, *, is_coarsest: bool) -> 
 
 
 def _left_for_samples(covariances: Float64s) -> Float64s:
-    """Return the covariances of noise that coarser levels leave, shape (L, N, N), see `haar_noise`."""
+    """Return the covariances of noise that coarser levels leave, shape (L, N, N), see `model`."""
     left = np.zeros_like(covariances)
     left[0] = covariances[0]
     left[1:] = _LEFT * covariances[1] / _IN_MEANS / 4 ** np.arange(len(covariances) - 1)[:, None, None]

@@ -26,7 +26,7 @@ from beltrami_cli.arrays import Array, Bools, Float32s, Float64s
 from beltrami_cli.flow.clipping import normal_tables
 from beltrami_cli.flow.noise.features import COMPONENTS, SCALES, STEPS, symmetric
 from beltrami_cli.flow.noise.grid_squares import Grid
-from beltrami_cli.flow.noise.haar_noise import NoiseModel, sigma_of_covariances
+from beltrami_cli.flow.noise.model import NoiseModel, sigma_of_covariances
 from beltrami_cli.surface import large_arrays
 
 # Noise is shared by neighbours if its standard deviation grows by this factor to the third scale.
@@ -258,7 +258,7 @@ def _some_bands(pictures: Sequence[CodedPicture]) -> list[list[slice]]:
 
 
 class _Covariances:
-    """Covariances of Haar details of noise, as `haar_noise` has them."""
+    """Covariances of Haar details of noise, as `model` has them."""
 
     def __init__(self, channels: int) -> None:
         self._channels, self._sums, self._counted = channels, np.zeros((SCALES, 6)), np.zeros(SCALES)

@@ -44,7 +44,7 @@ from beltrami_cli.flow.manifold import (
     kernel_values,
 )
 from beltrami_cli.flow.noise.grid_squares import Grid
-from beltrami_cli.flow.noise.haar_noise import NoiseModel, relative_to_mean
+from beltrami_cli.flow.noise.model import NoiseModel, relative_to_mean
 from beltrami_cli.flow.noise.reading import estimate_noise
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.risk import choose_blocks, perturbations, tried_cells, wanted_probes, with_halo

@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.flow.clipping import ClippedChannels
 from beltrami_cli.flow.domain import CoarseLevel, Gaussian, Geometry, Mixing, NewColours, Stack, for_blocks
-from beltrami_cli.flow.noise.haar_noise import NoiseModel, choose_beta
+from beltrami_cli.flow.noise.model import NoiseModel, choose_beta
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface.atlas import EMPTY
 

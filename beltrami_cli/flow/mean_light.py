@@ -22,7 +22,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s
 from beltrami_cli.flow.domain import Geometry, in_blocks
-from beltrami_cli.flow.noise.haar_noise import COLOURS
+from beltrami_cli.flow.noise.model import COLOURS
 from beltrami_cli.flow.parameters import Space
 from beltrami_cli.surface.records import from_space, to_space
 

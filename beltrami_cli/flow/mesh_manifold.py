@@ -31,7 +31,7 @@ from beltrami_cli.flow.manifold import (
 from beltrami_cli.flow.mesh_geometry import MeshGeometry, coarse, rank_in, without_hubs
 from beltrami_cli.flow.moving_positions import GeometryParameters, MovingPositions
 from beltrami_cli.flow.noise.clusters import VertexClusters
-from beltrami_cli.flow.noise.haar_noise import draw_noise_of_clusters, relative_to_mean, root_of
+from beltrami_cli.flow.noise.model import draw_noise_of_clusters, relative_to_mean, root_of
 from beltrami_cli.flow.noise.reading import estimate_noise
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.risk import choose_patches, fingerprints, random_signs, wanted_probes

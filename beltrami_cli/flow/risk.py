@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.flow.clipping import variance_of_clipped
 from beltrami_cli.flow.manifold import SampleTrial, Step
-from beltrami_cli.flow.noise.haar_noise import NoiseModel, VarianceStabiliser, draw_haar_noise
+from beltrami_cli.flow.noise.model import NoiseModel, VarianceStabiliser, draw_model
 from beltrami_cli.flow.vertex_graph import sums_around
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, OWNED, ROWS, Atlas, Indices, refresh_halo
@@ -246,7 +246,7 @@ def perturbations(count: int, atlas: Atlas, noise: NoiseModel) -> list[Array]:
         drawn = [*large_arrays.random_signs((count, len(noise.sigma), *shape), random)]
     else:
         size = np.float32(np.sqrt(np.mean(np.square(noise.sigma))))
-        drawn = [draw_haar_noise(noise.covariances, shape, random) for _ in range(count)]
+        drawn = [draw_model(noise.covariances, shape, random) for _ in range(count)]
     for planes in drawn:
         for rows in large_arrays.blocks(len(atlas.kind), ROWS):
             if not noise.is_independent:

@@ -17,7 +17,7 @@ from beltrami_cli.flow.canvas import painted, painted_by
 from beltrami_cli.flow.coded_picture import CodedPicture, decode, is_changed, noise_after, sigma_before
 from beltrami_cli.flow.domain import NewColours
 from beltrami_cli.flow.grid_manifold import GridManifold, grid_manifold
-from beltrami_cli.flow.noise.haar_noise import NoiseModel
+from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.flow.parameters import KernelParameters, Space
 from beltrami_cli.formats.image import Picture, check_writable
 from beltrami_cli.formats.image.metadata import JpegTables

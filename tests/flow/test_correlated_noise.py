@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter
 
 import beltrami_cli
 from beltrami_cli.flow.manifold import Step
-from beltrami_cli.flow.noise.haar_noise import draw_haar_noise, sigma_of_covariances
+from beltrami_cli.flow.noise.model import draw_model, sigma_of_covariances
 from beltrami_cli.flow.risk import RiskEstimate
 from flow.noisy_surfaces import by_camera, in_8_bits, noise_of_image
 from flow.test_choice import Blur
@@ -49,7 +49,7 @@ def details(noise):
 
 def test_drawn_noise_has_the_covariances_that_were_given():
     """In every octave, to four standard errors: of 16,384 and more coefficients, a covariance is known to 1 %."""
-    noise = draw_haar_noise(SHARED, (512, 512), np.random.default_rng(0))
+    noise = draw_model(SHARED, (512, 512), np.random.default_rng(0))
     assert noise.var(axis=(1, 2)) == pytest.approx(sigma_of_covariances(SHARED) ** 2, rel=0.04)
     for level, given in enumerate(SHARED[:3]):
         fine, noise = details(noise)
@@ -66,7 +66,7 @@ def test_the_estimated_error_is_the_true_one_where_neighbours_share_noise():
     differences = {"like": [], "unlike": []}
     for seed in range(30):
         random = np.random.default_rng(seed)
-        noise, like = (np.moveaxis(draw_haar_noise(covariances, (64, 64), random), 0, 2) for _ in range(2))
+        noise, like = (np.moveaxis(draw_model(covariances, (64, 64), random), 0, 2) for _ in range(2))
         like = like / np.sqrt(np.mean(own**2))
         for name, signs in (("like", like), ("unlike", random.choice([-1.0, 1.0], clean.shape))):
             estimate = RiskEstimate.on(Blur(clean + noise, signs[None]), own)

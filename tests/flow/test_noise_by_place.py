@@ -12,10 +12,12 @@ from oracles.surfaces import icosphere
 SIZE, QUIET, LOUD = 256, 5 / 255, 20 / 255
 
 
-def test_the_noise_of_both_halves_is_found_in_one_channel():
+@pytest.mark.parametrize("channels", [1, 3])
+def test_the_noise_of_both_halves_is_found_in_one_channel_or_the_same_three(channels):
     """Within 20 % in the loud half; textures of one channel make the quiet one louder."""
     sigma = np.where(np.arange(SIZE) < SIZE // 2, QUIET, LOUD)[:, None, None]
-    found = noise_of_image(with_noise(photograph(SIZE, contrast=0.05)[..., :1], sigma)).relative[0]
+    noisy = with_noise(photograph(SIZE, contrast=0.05)[..., :1], sigma).repeat(channels, axis=2)
+    found = noise_of_image(noisy).relative[0]
     assert found.mean() == pytest.approx(1, rel=1e-5)
     below = np.sqrt(np.median(found[: SIZE // 2 - 8])), np.sqrt(np.median(found[SIZE // 2 + 8 :]))
     assert below[1] == pytest.approx(LOUD / np.sqrt((QUIET**2 + LOUD**2) / 2), rel=0.2)

@@ -8,7 +8,7 @@ import pytest
 from beltrami_cli.flow.noise import reading
 from beltrami_cli.flow.noise.features import MAX_SQUARES
 from beltrami_cli.flow.noise.grid_squares import SIDE, Grid, choose_corners
-from beltrami_cli.flow.noise.haar_noise import draw_haar_noise
+from beltrami_cli.flow.noise.model import draw_model
 from beltrami_cli.flow.noise.reading import read_noise
 
 SHAPE = (128, 192)  # of whole squares, so that turning the picture keeps them
@@ -51,16 +51,10 @@ def test_white_noise_lies_in_its_interval():
         assert model.grain < 1.2
 
 
-@pytest.mark.parametrize("level", [0, 0.4, 1])
-def test_constants_have_no_noise(level):
-    model = estimate(np.full((3, *SHAPE), level))
-    assert not model.covariances.any()
-    assert model.overall == 0
-    assert model.stabiliser is None
-
-
-@pytest.mark.parametrize("clean", [ramp(), rounded(ramp())], ids=["real", "8 bits"])
-def test_ramps_have_no_noise(clean):
+@pytest.mark.parametrize(
+    "clean", [np.full((3, *SHAPE), 0.4), ramp(), rounded(ramp())], ids=["constant", "real", "8 bits"]
+)
+def test_plain_pictures_have_no_noise(clean):
     assert not estimate(clean).covariances.any()
 
 
@@ -106,7 +100,7 @@ def test_the_loudest_channel_is_found():
 
 def test_coarse_grain_is_found_at_coarse_scales():
     covariances = np.stack([share * 0.002 * np.eye(3) for share in (0.1, 0.5, 1, 1)])
-    noise = draw_haar_noise(covariances, SHAPE, np.random.default_rng(5))
+    noise = draw_model(covariances, SHAPE, np.random.default_rng(5))
     found = np.trace(estimate(rounded(ramp() + noise)).covariances, axis1=1, axis2=2) / 3
     assert found[0] < found[1] < found[2]
 
@@ -117,8 +111,7 @@ def test_any_number_of_channels_has_a_covariance(count):
     model = estimate(planes)
     assert model.covariances.shape[1:] == (count, count)
     assert np.linalg.eigvalsh(model.covariances).min() > -1e-9
-    low, high = model.interval
-    assert low <= 10 / 255 <= high
+    assert model.interval[0] <= 10 / 255 <= model.interval[1]
 
 
 def test_cells_that_are_not_filled_do_not_count():
@@ -128,10 +121,7 @@ def test_cells_that_are_not_filled_do_not_count():
     one, other = estimate(planes, filled), estimate(noisier, filled)
     np.testing.assert_array_equal(one.covariances, other.covariances)
     assert one.overall == pytest.approx(10 / 255, rel=0.3)
-
-
-def test_nothing_filled_has_no_noise():
-    assert not estimate(painting(10), np.zeros(SHAPE, bool)).covariances.any()
+    assert not estimate(planes, np.zeros(SHAPE, bool)).covariances.any()
 
 
 def test_light_beyond_full_scale_is_read_on_its_own_scale():
@@ -143,8 +133,8 @@ def test_light_beyond_full_scale_is_read_on_its_own_scale():
 @pytest.mark.parametrize("offset", [-0.5, 5])
 def test_numbers_that_are_no_levels_are_read_as_if_they_were(offset):
     planes = painting(10)
-    shifted, model = estimate(planes + offset), estimate(planes)
-    assert shifted.overall == pytest.approx(model.overall, rel=0.2)  # without the hints of clipping
+    shifted, same = estimate(planes + offset), estimate(planes).overall
+    assert shifted.overall == pytest.approx(same, rel=0.2)  # without the hints of clipping
     assert shifted.stabiliser is None
 
 
@@ -158,15 +148,20 @@ def test_combined_readings_are_covariances():
         assert np.linalg.eigvalsh(found).min() >= -1e-9 * np.abs(found).max()
 
 
-def test_a_given_strength_keeps_the_structure():
-    model = estimate(painting(12, covariance=[[1, 0.9, 0.9], [0.9, 1, 0.9], [0.9, 0.9, 1]]))
+def test_a_given_strength_keeps_the_structure(monkeypatch):
+    planes = painting(12, covariance=[[1, 0.9, 0.9], [0.9, 1, 0.9], [0.9, 0.9, 1]])
+    model = estimate(planes)
     scaled = model.scaled_to(20 / 255)
     assert scaled.overall == pytest.approx(20 / 255)
-    shares, expected = (each.covariances / each.overall**2 for each in (scaled, model))
-    np.testing.assert_allclose(shares, expected, rtol=1e-9)
+    expected = model.covariances * (scaled.overall / model.overall) ** 2
+    np.testing.assert_allclose(scaled.covariances, expected, rtol=1e-9)
     none = estimate(ramp()).scaled_to(0.1)
     np.testing.assert_allclose(none.sigma, 0.1)
     assert none.is_independent
+    # That there is more is likely, not certain.
+    monkeypatch.setattr(reading, "INVISIBLE", 1.01 * 255 * model.interval[0])
+    assert not estimate(planes).overall
+    np.testing.assert_array_equal(estimate(planes, is_there=True).covariances, model.covariances)
 
 
 def test_large_pictures_are_read_in_some_squares():

@@ -25,7 +25,7 @@ from beltrami_cli.flow.noise.features import (
     LEVEL_OFFSET,
     SCALES,
 )
-from beltrami_cli.flow.noise.haar_noise import covariance_of_cells
+from beltrami_cli.flow.noise.model import covariance_of_cells
 
 # Deviations are read as log2(deviation + this), both in steps of 8 bits: rounding to these has a deviation of 0.29.
 OFFSET = 0.3

@@ -17,7 +17,7 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.noise import features
 from beltrami_cli.flow.noise.features import COMPONENTS, LEVEL_BINS, SCALES, STEPS, even_covariances
 from beltrami_cli.flow.noise.grid_squares import quiet_energies
-from beltrami_cli.flow.noise.haar_noise import COLOURS, NoiseModel, VarianceStabiliser, covariance_of_cells
+from beltrami_cli.flow.noise.model import COLOURS, NoiseModel, VarianceStabiliser, covariance_of_cells
 from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, Samples
 from beltrami_cli.flow.noise.network import (
     OFFSET,
@@ -91,14 +91,14 @@ def estimate_noise(
         stabiliser = VarianceStabiliser.of_camera(given.shot, given.read)
         stabiliser.stabilise(channels)
         # The noise of stabilised colours is the same at all levels.
-        found = read_noise(channels, where, varies=False).scaled_to(stabiliser.scale)
+        found = read_noise(channels, where, varies=False, is_there=True).scaled_to(stabiliser.scale)
         return dataclasses.replace(found, stabiliser=stabiliser)
     if known is not None:
         found = known
     elif measured is not None:
         found = _measured(read_noise(channels, where, varies=False), *measured)
     else:
-        found = read_noise(channels, where, varies=varies)
+        found = read_noise(channels, where, varies=varies, is_there=given is not None)
         if given is not None:
             found = found.scaled_to(_sigma_of(given))
         elif found.overall < least:
@@ -127,18 +127,27 @@ def _sigma_of(given: GivenNoise) -> float:
 
 
 def read_noise(
-    planes: Float32s, where: Neighbourhoods, *, varies: bool = True, weights: Weights | None = None
+    planes: Float32s,
+    where: Neighbourhoods,
+    *,
+    varies: bool = True,
+    is_there: bool = False,
+    weights: Weights | None = None,
 ) -> NoiseModel:
     """Read the noise of channels on a grid, shape (N, R, C), or of vertices, shape (N, S).
 
-    If it `varies`, it is read as it depends on level and place. Without weights, those in the package are used.
+    If it `varies`, it is read as it depends on level and place. Unless it `is_there` for certain, it may be read as
+    none. Without weights, those in the package are used.
     """
     weights, count = weights or weights_of(where.kind), len(planes)
     if not where.count:
         return NoiseModel.independent(np.zeros(count))
     together = [list(range(COLOURS))] if count >= COLOURS else []
     alone = [[channel] for channel in range(len(together) * COLOURS, count)]
-    readings = [_read_channels(planes[own[0] : own[-1] + 1], where, weights) for own in (*together, *alone)]
+    readings = [
+        _read_channels(planes[own[0] : own[-1] + 1], where, weights, is_there=is_there)
+        for own in (*together, *alone)
+    ]
     colours = readings[: 1 if together else None]
     stabiliser, by_place = None, None
     if varies and any(own.components.any() for own in colours):
@@ -221,7 +230,7 @@ def _shares_of_noise(variances: Float64s, energies: Float64s) -> Float64s:
     return np.asarray((variances / most) ** _TRUST, np.float64)
 
 
-def _read_channels(planes: Float32s, where: Neighbourhoods, weights: Weights) -> _Reading:
+def _read_channels(planes: Float32s, where: Neighbourhoods, weights: Weights, *, is_there: bool) -> _Reading:
     """Read the noise of three channels, or of one as three that are the same."""
     samples = where.cut(np.broadcast_to(planes, (COLOURS, *planes.shape[1:])))
     samples, scale, are_levels = _in_full_scale(samples)
@@ -239,10 +248,11 @@ def _read_channels(planes: Float32s, where: Neighbourhoods, weights: Weights) ->
     found = readings(outputs, candidates_of(even, quiet, start, levels, where.kind))
     order, step = np.argsort(samples.order)[: len(planes)], scale / float(STEPS)
     low, _, median, high = (deviation_of(own) for own in np.sort(found["total"][0]))
+    least = median if is_there else low  # noise that is not given may be invisible
     bins = [np.bincount(features.level_bins(own), minlength=LEVEL_BINS) for own in blocks.levels]
     return _Reading(
         samples,
-        _components(found) * (0.0 if low < INVISIBLE else median) ** 2,  # noise may be invisible
+        _components(found) * (median if least >= INVISIBLE else 0.0) ** 2,
         order,
         (low * step, high * step),
         _medians(found["levels"].reshape(COLOURS, LEVEL_BINS, -1))[order],
@@ -335,7 +345,10 @@ def _by_place(reading: _Reading, stabiliser: VarianceStabiliser | None) -> Float
     variances = 4.0**logs
     if where.kind == "grid":
         variances *= np.trace(reading.components[0]) / COLOURS / variances.mean()
-        energies = quiet_energies(reading.samples, len(reading.order)) / 4.0**of_level
+        # Channels that are the same have no differences, which would be the quietest component.
+        in_mean, *in_differences = np.diag(reading.components[0])
+        channels = 1 if max(in_differences) < _LEAST_OF_PLACE * in_mean else len(reading.order)
+        energies = quiet_energies(reading.samples, channels) / 4.0**of_level
         # Where noise was cut off, squares show less than there is.
         is_known = np.isfinite(energies) & (reading.samples.cut_off() < _MAX_SHARE_CUT_OFF)
         shares = np.where(is_known, _shares_of_noise(variances, energies), 0)

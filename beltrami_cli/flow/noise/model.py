@@ -284,7 +284,7 @@ def sigma_of_covariances(covariances: Float64s) -> Float64s:
     return np.sqrt(np.diag(covariance_of_cells(covariances)))
 
 
-def draw_haar_noise(covariances: Float64s, shape: tuple[int, int], random: np.random.Generator) -> Float32s:
+def draw_model(covariances: Float64s, shape: tuple[int, int], random: np.random.Generator) -> Float32s:
     """Draw noise, shape (N, *shape), of the given covariances of Haar details, shape (L, N, N)."""
     levels = len(covariances)
     noise = mixed_signs(covariances[-1], [-(-size // 2**levels) for size in shape], random)
