@@ -271,7 +271,7 @@ def overall_noise(sigma: Float64s) -> float:
 
 
 def covariance_of_cells(covariances: Float64s) -> Float64s:
-    """Return the covariance of the noise of single cells, shape (N, N), from those of shape (L, N, N)."""
+    """Return the covariance of the noise of cells, shape (N, N), given that of each scale, shape (L, N, N)."""
     # Three quarters of independent noise are detail, and one quarter is in the means of 2 x 2 cells.
     shares = 3 / 4.0 ** np.arange(1, len(covariances) + 1)
     shares[-1] += 1 / 4.0 ** len(covariances)

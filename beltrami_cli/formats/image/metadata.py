@@ -45,10 +45,8 @@ _METADATA = (0xFE, *range(0xE0, 0xEE), 0xEF)
 _MOST_BITS_OF_A_PALETTE = 8
 # Bytes of headers of BMP: the first by Windows, the first with a mask of alpha, and both by OS/2 2.
 _WINDOWS_HEADER, _ALPHA_HEADER, _LATER_OS2 = 40, 56, (16, 64)
-_BIT_FIELDS = (
-    3,
-    6,
-)  # packings of BMP in which masks tell the bits of red, green, blue, and in the second alpha
+# Packings of BMP with masks of the bits of red, green and blue, and in the second of alpha.
+_BIT_FIELDS = (3, 6)
 TARGA_END = b"TRUEVISION-XFILE.\0"  # after the addresses of the extension and developer areas
 _TARGA_ALPHA = 494  # byte of the former
 _MPF = b"MPF\0"  # the mark of an index of pictures

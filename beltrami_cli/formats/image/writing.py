@@ -272,19 +272,10 @@ _JPEG_READ = ("JFIF", "MPF", "Exif", "http://ns.adobe.com/xap/1.0/", "ICC_PROFIL
 _HEADER_BOX = b"jp2h"
 _BOXES = {
     "jpeg2000": (
-        b"jP  ",
-        b"ftyp",
-        _HEADER_BOX,
-        b"ihdr",
-        b"bpcc",
-        b"colr",
-        b"pclr",
-        b"cmap",
-        b"cdef",
-        b"jp2c",
+        b"jP  ", b"ftyp", _HEADER_BOX, b"ihdr", b"bpcc", b"colr", b"pclr", b"cmap", b"cdef", b"jp2c",
     ),
     "jpegxl": (b"JXL ", b"ftyp", b"jxlc", b"jxlp", b"jxll", b"jxli"),
-}
+}  # fmt: skip
 
 
 def lost_metadata(picture: Picture, data: bytes, known: str) -> tuple[str, ...]:

@@ -168,14 +168,15 @@ class _Las:
             packer.done()
         else:
             head, tail = self._frame(b"")
-            made.write(head + points.tobytes())
-        made.seek(0, io.SEEK_END)
-        shift = made.tell() - self._end
-        written = bytearray(made.getvalue() + tail)
+            made.write(head)
+            made.write(points.data)
+        shift = made.seek(0, io.SEEK_END) - self._end
+        made.write(tail)
         for at in self._places:
-            (place,) = struct.unpack_from("<Q", written, at)
-            struct.pack_into("<Q", written, at, place + shift if place >= self._end else place)
-        return bytes(written)
+            (place,) = struct.unpack_from("<Q", head, at)
+            made.seek(at)
+            made.write(struct.pack("<Q", place + shift if place >= self._end else place))
+        return made.getvalue()
 
 
 def _records(data: bytes, count: int, width: int) -> tuple[list[bytes], bytes]:
