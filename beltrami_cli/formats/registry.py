@@ -140,6 +140,7 @@ FORMATS = (
         slots=("baseColor", "emissive", "normal", "metallicRoughness"),
     ),
     _textured("glb", _starts(rb"glTF"), "gltf.GltfDocument", images=_COMMON),
+    Format("vrm", _starts(rb"(?!)"), "gltf", "document.GltfDocument", keeps_form=True),  # a GLB with an avatar
     _textured(
         "gltf", _starts(_JSON), "gltf.GltfDocument", sidecars=".bin", textured_sidecars=".bin .*", images=_COMMON
     ),
@@ -228,9 +229,16 @@ def is_only_read(suffix: str) -> bool:
     return suffix in _READ_ONLY
 
 
+def _writer(name: str) -> Format:
+    if name not in _WRITERS:
+        cause = f".{name} files are not made from a new mesh"
+        raise UsageError(f"{cause}; end the name of the output in .glb, .obj or .ply")
+    return _WRITERS[name]
+
+
 def write_mesh(mesh: MeshContents, name: str, stem: str) -> Written:
     """Write a mesh as a new file of a format; UsageError if it has textures, and the format none, or not such ones."""
-    line = _with_textures(name) if mesh.materials else _WRITERS[name]
+    line = _with_textures(name) if mesh.materials else _writer(name)
     mesh = line.fitted(mesh)
     for image in mesh.images:
         _with_textures(name, image.file.suffix)
@@ -242,7 +250,7 @@ def sidecars_of(mesh: MeshContents, name: str, stem: str) -> list[str]:
     """Return the sidecar files of `write_mesh`, with images as `with_suffixes` has them."""
     from beltrami_cli.formats.textured_mesh import image_names
 
-    line = _WRITERS[name]
+    line = _writer(name)
     suffixes = (line.textured_sidecars if mesh.materials else line.sidecars).split()
     images = image_names(line.fitted(mesh), stem, line.images) if ".*" in suffixes else []
     return [*(stem + suffix for suffix in suffixes if suffix != ".*"), *images]
@@ -250,19 +258,19 @@ def sidecars_of(mesh: MeshContents, name: str, stem: str) -> list[str]:
 
 def held_images(name: str) -> tuple[str, ...] | None:
     """Return the suffixes of the textures that a format can hold, empty for any; None: it has no textures."""
-    line = _WRITERS[name]
+    line = _writer(name)
     return line.images if line.has_textures else None
 
 
 def sidecar_names(name: str, stem: str, image_suffix: str | None) -> list[str]:
     """Return the sidecar files of `write_mesh` for a mesh with one image, or without images."""
-    line = _WRITERS[name] if image_suffix is None else _with_textures(name, image_suffix)
+    line = _writer(name) if image_suffix is None else _with_textures(name, image_suffix)
     suffixes = line.sidecars if image_suffix is None else line.textured_sidecars
     return [stem + (suffix.replace(".*", image_suffix or ".*")) for suffix in suffixes.split()]
 
 
 def _with_textures(name: str, image_suffix: str | None = None) -> Format:
-    line = _WRITERS[name]
+    line = _writer(name)
     if not line.has_textures:
         raise UsageError(f"a .{name} file has no textures; end the name of the output in .glb, .obj or .ply")
     if line.images and image_suffix is not None and image_suffix not in line.images:

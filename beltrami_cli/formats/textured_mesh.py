@@ -304,9 +304,22 @@ def bare_polygons(mesh: MeshContents) -> Bools:
     return polygons_with(np.asarray(np.isnan(mesh.uv).any(axis=1)), mesh.offsets)
 
 
-def normals_of_corners(mesh: MeshContents) -> Float32s | None:
-    """Return the normals of corners, (K, 3), if there are any."""
-    return mesh.corner_normals if mesh.normals is None else mesh.normals[mesh.corners]
+def lost_repetition(mesh: MeshContents, kept: Collection[Wrap]) -> list[str]:
+    """Return what a format does not say of images that are shown beyond their borders."""
+    wraps = {shown.wrap for material in mesh.materials for shown in material.maps.values()}
+    is_kept = all(u == v and u in kept for u, v in wraps)
+    is_within = mesh.uv is None or not ((mesh.uv < 0) | (mesh.uv > 1)).any()
+    return [] if is_within or is_kept else ["how textures are repeated"]
+
+
+def normals_of_corners(mesh: MeshContents, notices: list[str]) -> Float32s | None:
+    """Return the normals of corners, (K, 3), if all have one; a notice is added if only some have."""
+    normals = mesh.corner_normals if mesh.normals is None else mesh.normals[mesh.corners]
+    if normals is None or np.isfinite(normals).all():
+        return normals
+    if np.isfinite(normals).any():
+        notices.append("Not converted: normals of parts that have them at some corners only.")
+    return None
 
 
 def triangulated(mesh: MeshContents) -> MeshContents:

@@ -167,6 +167,11 @@ class Material:
     metalness: float = 0.0
     roughness: float = 1.0
     alpha: AlphaMode = "opaque"  # whether opacity, and that of the base colour map, is to be seen
+    cutoff: float = 0.5  # of "mask": what is less opaque is not seen
+
+    @property
+    def seen_opacity(self) -> float:
+        return 1.0 if self.alpha == "opaque" else self.opacity
 
 
 @dataclass(frozen=True)

@@ -55,6 +55,7 @@ def volume(tmp_path_factory):
     [
         ("smooth {} {} --fast", NOISY, "out.ply"),
         ("smooth {} {} --fast", NOISY.with_suffix(".glb"), "out.glb"),
+        ("smooth {} {} --fast", NOISY.with_suffix(".glb"), "avatar.vrm"),
         ("smooth {} {} --fast --format ply", SAMPLES / "terrain-noisy.glb", "out"),
         ("smooth {} {} --fast", SAMPLES / "torus-two-noisy-dough.png", "out.png"),
         ("smooth {} {} --fast --format exr", SAMPLES / "torus-two-noisy-dough.png", "out"),

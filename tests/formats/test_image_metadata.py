@@ -3,6 +3,7 @@
 import io
 import re
 import struct
+from functools import partial
 
 import numpy as np
 import OpenImageIO
@@ -218,15 +219,25 @@ def test_every_segment_of_a_jpeg_is_kept_in_its_place():
 _COMMENT = (b"EXPTIME = 2.5 / in seconds".ljust(80) + b"END").ljust(160)  # in the header of a FITS file
 _BITMAP, _TARGA = bitmap(0xFF0000, 0xFF00, 0xFF, 0xFF000000), bytearray(encode(noise("uint8", 4), "targa"))
 _TARGA[17] &= 0xF0  # 32 bits, and none is said to be alpha
+
+
+def targa(order, coding):
+    """A TGA file whose first row is the lowest (-1) or the top one (1), plain or in runs."""
+    return saved(Image.fromarray(noise("uint8", 3)), ".tga", orientation=order, compression=coding)
+
+
 _PLACES = {
     "x.hdr": (lambda: encode(noise("float", 3) ** 2, "hdr").replace(b"\n\n", b"\n# a comment\nVIEW= -vp 1\n\n", 1),
               [b"# a comment\n", b"VIEW= -vp 1\n"]),
     "x.ppm": (lambda: b"P6\n# a comment\n7 5 # another\n255\n" + bytes(range(105)) + b"P6 1 1 255 RGB",
               [b"# a comment\n", b"# another\n", b"P6 1 1 255 RGB"]),
+    "x.pfm": (lambda: b"PF\n# a comment\n7 5\n-0.25\n" + noise("float", 3).tobytes(), [b"PF\n# a comment\n7 5\n-0.25\n"]),
     "x.fits": (lambda: encode(noise("uint8", 3), "fits").replace(b"END".ljust(160), _COMMENT), [_COMMENT]),
     "x.jp2": (lambda: saved(Image.fromarray(noise("uint8", 3, 40, 40)), ".jp2", comment="a comment"), [b"a comment"]),
     "x.bmp": (lambda: _BITMAP, [_BITMAP[:138], b"a profile"]),
     "x.tga": (lambda: _TARGA, [_TARGA[:18]]),
+    **{f"{order}{coding}.tga": (partial(targa, order, coding), [targa(order, coding)[:18]])
+       for order in (-1, 1) for coding in (None, "tga_rle")},
     "x.png": (lambda: encode(noise("uint8", 3), "png") + b"some tEXt", [b"some tEXt"]),
     "x.webp": (lambda: encode(noise("uint8", 3), "webp", compression="lossless") + b"a RIFF chunk", [b"a RIFF chunk"]),
 }  # fmt: skip

@@ -64,7 +64,7 @@ class GltfDocument(Document):
     """An opened glTF file, in either form."""
 
     format: str  # type: ignore[misc]  # one class reads both forms, so only an instance knows its format
-    forms = ("glb", "gltf")
+    forms = ("glb", "gltf", "vrm")
 
     def _open(self, folder: Path | None) -> None:
         self._folder = ModelFolder(folder, self.access)
@@ -127,7 +127,7 @@ class GltfDocument(Document):
         self, images: PlannedImages, naming: Naming, *, colours: bool, places: bool = False, form: str | None = None
     ) -> list[str]:  # fmt: skip
         form = form or self.format
-        if form == "glb" and not (self.format == "glb" and self._files.any):
+        if form != "gltf" and not (self.format == "glb" and self._files.any):
             return []
         edit = Edit(self.container, self.accessors, self.container.copy_of_tree())
         if colours:
@@ -226,6 +226,7 @@ def _left_out(tree: Tree) -> list[str]:
         "further vertex attributes": any(
             key in ("TANGENT", "COLOR_1") or key.startswith("_") for key in attributes
         ),
+        "normals, which some parts lack": len({"NORMAL" in each for each in held if "COLOR_0" in each}) > 1,
         "lines": any(primitive.get("mode") in (1, 2, 3) for primitive in primitives),
         "node hierarchy": len(nodes) > 1 or any(key in node for node in nodes for key in placed),
     }
@@ -347,8 +348,8 @@ def _spelled(value: Any) -> bytes:
 
 def _written(edit: Edit, naming: Naming, form: str, folder: ModelFolder) -> Written:
     """Return the files of an edit; the source itself if nothing was edited and the form is its own."""
-    container, keeps_form = edit.container, form == edit.container.kind
-    if form == "glb" and not keeps_form:
+    container, keeps_form = edit.container, (form == "gltf") == (edit.container.kind == "gltf")
+    if form != "gltf" and not keeps_form:
         return _as_glb(edit, folder)
     edit.finish()
     names = _placed(edit, naming, form, folder)

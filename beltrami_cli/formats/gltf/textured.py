@@ -345,6 +345,10 @@ class _MeshParts(_Parts):
             uses = {slot: found[index][0] for slot, found in self._by_slot.items() if found[index]}
         if index is not None:
             self.left_out += self._entries[index].entry("extensions").value
+        for slot, use in uses.items():
+            factors = [key for key in ("scale", "strength") if use.info.number(key, default=1.0) != 1]
+            self.left_out += [f"the {key} of {slot} maps" for key in factors]
+            self.left_out += ["sharp texels"] if self._images.has_sharp_texels(use.texture) else []
         part = _Part(primitive, placement, *found, self.material(index, "", uses), group=group)
         self.groups[len(self.groups)] = [part]
         self._colours.append(self._of_part(part, colours))
@@ -378,6 +382,8 @@ class _MeshParts(_Parts):
         entry = self._entries[key]
         base = entry.entry("pbrMetallicRoughness")
         factor = base.numbers("baseColorFactor", 4) or [1.0] * 4
+        alpha = _ALPHA.get(entry.text("alphaMode") or "", "opaque")
+        cutoff = entry.number("alphaCutoff", default=records.Material.cutoff)
         return records.Material(
             name=entry.text("name") or "",
             colour=display_colour(factor[:3]),
@@ -385,7 +391,8 @@ class _MeshParts(_Parts):
             opacity=min(max(factor[3], 0.0), 1.0),
             metalness=base.number("metallicFactor", default=1.0),
             roughness=base.number("roughnessFactor", default=1.0),
-            alpha=_ALPHA.get(entry.text("alphaMode") or "", "opaque"),
+            alpha="opaque" if alpha == "mask" and cutoff <= 0 else alpha,
+            cutoff=cutoff if cutoff > 0 else records.Material.cutoff,
         )
 
     def vertex_colours(self, stored: str) -> dict[str, Any]:

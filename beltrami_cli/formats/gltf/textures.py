@@ -54,6 +54,7 @@ SLOT_PATHS: dict[Slot, tuple[tuple[str, ...], ...]] = {
 WRAPS: dict[Wrap, int] = {"repeat": 10497, "mirror": 33648, "clamp": 33071}
 """The numbers by which samplers say what lies beyond an image."""
 
+_NEAREST = 9728  # the filter of samplers that blends no texels
 _KINDS = {number: kind for kind, number in WRAPS.items()}
 _WITHOUT_TEXTURES = ("accessors", "animations", "bufferViews", "buffers", "images", "skins", "textures")
 
@@ -109,11 +110,19 @@ class Images:
                 )
         raise UnfitReferenceError("has no image")
 
-    def wrap(self, texture: int) -> tuple[Wrap, Wrap]:
+    def _sampler(self, texture: int) -> Entry | None:
         entry = self.textures[texture]
-        if "sampler" not in entry:
+        known = "sampler" in entry
+        return self._samplers[entry.integer("sampler", below=len(self._samplers))] if known else None
+
+    def has_sharp_texels(self, texture: int) -> bool:
+        sampler = self._sampler(texture)
+        return sampler is not None and sampler.integer("magFilter", default=0) == _NEAREST
+
+    def wrap(self, texture: int) -> tuple[Wrap, Wrap]:
+        sampler = self._sampler(texture)
+        if sampler is None:
             return "repeat", "repeat"
-        sampler = self._samplers[entry.integer("sampler", below=len(self._samplers))]
         kinds = {key: sampler.integer(key, default=WRAPS["repeat"]) for key in ("wrapS", "wrapT")}
         for key, kind in kinds.items():
             if kind not in _KINDS:

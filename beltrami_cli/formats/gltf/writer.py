@@ -232,13 +232,10 @@ def _primitive(
     """Return a primitive for triangles of one material; its numbers go into the arrays."""
     mesh = mesh.polygons(faces)
     assert mesh.uv is not None
-    corners = mesh.corners
-    tables: dict[str, Array] = {"TEXCOORD_0": mesh.uv.astype("<f4")}
-    if (normals := normals_of_corners(mesh)) is not None:
+    corners, uv = mesh.corners, mesh.uv.astype("<f4")
+    tables: dict[str, Array] = {"TEXCOORD_0": uv} if np.isfinite(uv).all() else {}
+    if (normals := normals_of_corners(mesh, arrays.notices)) is not None:
         tables["NORMAL"] = normals
-        if 0 < np.count_nonzero(np.isfinite(tables["NORMAL"])) < tables["NORMAL"].size:
-            arrays.notices.append("Not converted: normals of parts that have them at some corners only.")
-    tables = {name: table for name, table in tables.items() if np.isfinite(table).all()}
     vertex_of, first = group_equal_rows(corners, *(column for table in tables.values() for column in table.T))
     attributes = {"POSITION": arrays.add(positions[corners[first]], bounds=True)}
     for name, table in tables.items():
@@ -258,7 +255,6 @@ def _index(entry: Tree, entries: list[Tree]) -> int:
 
 def _material(material: Material, painting: Tree, images: Sequence[MeshImage], stem: str) -> Tree:
     """Return a material, whose textures and samplers are added to the tree."""
-    has_metal = "metallicRoughness" in material.maps
     base: Tree = {}
     name = plain_name(material.name) or stem
     tree: Tree = {"name": name, "pbrMetallicRoughness": base, "doubleSided": True}
@@ -274,12 +270,14 @@ def _material(material: Material, painting: Tree, images: Sequence[MeshImage], s
     factor = [*_linear(material.colour), material.opacity]
     if factor != [1.0] * 4:
         base["baseColorFactor"] = factor
-    base["metallicFactor"] = 1 if has_metal else _plain(material.metalness)
+    base["metallicFactor"] = _plain(material.metalness)
     base["roughnessFactor"] = _plain(material.roughness)
     if any(material.emission):
         tree["emissiveFactor"] = _linear(material.emission)
     if material.alpha in _MODES:
         tree["alphaMode"] = _MODES[material.alpha]
+    if material.alpha == "mask" and material.cutoff != Material.cutoff:
+        tree["alphaCutoff"] = material.cutoff
     return tree
 
 

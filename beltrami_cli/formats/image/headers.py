@@ -18,6 +18,8 @@ import re
 import struct
 from itertools import accumulate, islice, pairwise
 
+import numpy as np
+
 _START = 8  # bytes: a mark, and the version with its flags
 _MULTI_PART, _LONG_NAMES = 0x1000, 0x400  # flags
 _COUNT = "chunkCount"
@@ -131,9 +133,9 @@ def _chunks(data: bytes, at: int, parts: list[Header]) -> list[list[bytes]]:
 _END = b"\n\n"  # of the header of an HDR file
 _GAP = rb"(?:\s|#[^\n]*\n)+"
 # P1 and P4 give width and height, the others the largest value, too, or in PFM files the scale.
-_NETPBM = re.compile(rb"P(?:[14]%b\d+%b\d+|[^14]%b\d+%b\d+%b[-+.\deE]+)\s" % ((_GAP,) * 5))
+_NETPBM = re.compile(rb"P(?:[14]%b\d+%b\d+|[^14]%b\d+%b\d+%b([-+.\deE]+))\s" % ((_GAP,) * 5))
 _AFTER_MARK = 3  # bytes: "P6" and the end of the line
-_NETPBM_TEXT = (b"1", b"2", b"3")
+_NETPBM_TEXT, _NETPBM_FLOATS = (b"1", b"2", b"3"), (b"F", b"f")
 _CARD, _FITS_BLOCK = 80, 2880  # bytes
 _FITS_STRUCTURE = (b"SIMPLE", b"BITPIX", b"NAXIS", b"BZERO", b"BSCALE")
 _CODESTREAM, _COMMENT, _TILE = b"\xff\x4f\xff\x51", b"\xff\x64", b"\xff\x90"  # markers
@@ -159,6 +161,11 @@ def with_header(source: bytes, encoded: bytes, known: str) -> bytes:
     further = b""  # images, or other data
     if old_header and header and source[1:2] == encoded[1:2] not in _NETPBM_TEXT:
         further = source[old_header.end() + len(encoded) - header.end() :]
+        if source[1:2] in _NETPBM_FLOATS:
+            # OpenImageIO applies the scale and writes 1. Many programs read the numbers without it, as disparities.
+            old, new = ("<f4" if each[1].startswith(b"-") else ">f4" for each in (old_header, header))
+            numbers = np.frombuffer(encoded, new, offset=header.end()) / (abs(float(old_header[1])) or 1.0)
+            return b"".join([old_header[0], numbers.astype(old).tobytes(), further])
     return b"".join([encoded[:_AFTER_MARK], *comments, encoded[_AFTER_MARK:], further])
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -59,6 +60,7 @@ _LEAST_JPEG_2000 = 32  # pixels: images are halved five times, and readers rejec
 _NEEDS_SUFFIX = ("jpeg2000",)  # which OpenImageIO writes in two ways, by the name
 _CHOICES = f"{', '.join(WRITABLE)} as the ending of OUTPUT or, of textures, with --texture-format"
 _PNG_FILTER_UP = 0x20  # as libpng numbers them
+_FROM_TOP = 0x20  # bit of byte 17 of a TGA file: the first row is the top one
 
 
 def write_image(
@@ -90,7 +92,13 @@ def write_image(
         notices.append(f"{picture.name} has a palette, which becomes full colours.")
     spec = _bare_spec(picture) if known in _SPLICED else _kept_spec(picture)
     exact = is_exact(picture)
-    data = _encode(spec, pixels, known, picture.name, jpeg_quality, small=small, lossless=exact)
+    encode = partial(_encode, spec, known=known, name=picture.name, quality=jpeg_quality, small=small, lossless=exact)
+    data = encode(pixels)
+    if known == "targa" and (data[17] ^ picture.source[17]) & _FROM_TOP:
+        # OpenImageIO puts the top row first in runs, and last otherwise; engines may expect one order of all files.
+        turned = bytearray(encode(pixels[::-1]))
+        turned[17] ^= _FROM_TOP
+        data = bytes(turned)
     if not exact:
         again = read_image(data, picture.name).pixels
         if _square_error(again, pixels) > _square_error(picture.pixels, pixels) > 0:

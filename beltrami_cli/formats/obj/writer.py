@@ -13,7 +13,7 @@ import numpy as np
 from beltrami_cli.arrays import Array, Int64s
 from beltrami_cli.formats.colours import display_colours
 from beltrami_cli.formats.document import Written, not_converted
-from beltrami_cli.formats.textured_mesh import image_names, material_names, plain_name
+from beltrami_cli.formats.textured_mesh import image_names, lost_repetition, material_names, plain_name
 from beltrami_cli.formats.tokens import number_lines
 from beltrami_cli.surface.geometry import polygons_with, shortest_type
 from beltrami_cli.surface.grouping import group_equal_rows
@@ -59,9 +59,9 @@ def write_obj(mesh: MeshContents, stem: str) -> Written:
     library = "".join(_library_entry(name, material, file_of) for name, material in entries)
     sidecars = {f"{stem}.mtl": library.encode()} if mesh.materials else {}
     sidecars |= {name: image.file.data for image, name in file_of.items()}
-    mirrored = any("mirror" in shown.wrap for material in mesh.materials for shown in material.maps.values())
-    lost = not_converted(mesh, ["mirrored repetition of textures"] if mirrored else [])
-    return Written(pieces, sidecars, (*notices, *lost))
+    lost = lost_repetition(mesh, ("repeat", "clamp"))
+    lost += ["alpha cutoffs"] if any(material.cutoff != Material.cutoff for material in mesh.materials) else []
+    return Written(pieces, sidecars, (*notices, *not_converted(mesh, lost)))
 
 
 def _distinct(corners: Array) -> tuple[Array, Int64s]:
@@ -102,7 +102,7 @@ def _library_entry(name: str, material: Material, file_of: dict[MeshImage, str])
     """Return a material as a library has it; metalness and roughness as the common extension has them."""
     lines = [f"newmtl {name}", f"Kd {_numbers(material.colour)}"]
     lines += [f"Ke {_numbers(material.emission)}"] if any(material.emission) else []
-    lines += [f"d {material.opacity:.6g}"] if material.opacity < 1 else []
+    lines += [f"d {material.seen_opacity:.6g}"] if material.seen_opacity < 1 else []
     if "metallicRoughness" in material.maps or (material.metalness, material.roughness) != (0, 1):
         lines += [f"Pm {material.metalness:.6g}", f"Pr {material.roughness:.6g}"]
     lines.append("illum 1")

@@ -16,9 +16,9 @@ from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Uint8s
 from beltrami_cli.formats.colours import display_colours, quantised
 from beltrami_cli.formats.document import Written, not_converted
 from beltrami_cli.formats.ply.tables import TYPES, values_in_bytes
-from beltrami_cli.formats.textured_mesh import bare_polygons, image_names
+from beltrami_cli.formats.textured_mesh import bare_polygons, image_names, lost_repetition
 from beltrami_cli.surface.geometry import polygons_of, shortest_type
-from beltrami_cli.surface.records import MeshContents
+from beltrami_cli.surface.records import Material, MeshContents
 
 _NAMES = {code: name for name, code in reversed(TYPES.items())}
 _INTEGERS = {"uint8": "u1", "uint16": "u2"}  # the stored types that remain as they are
@@ -36,7 +36,9 @@ def write_ply(mesh: MeshContents, stem: str) -> Written:
     announced, faces = _face_element(mesh)
     images = dict(zip(image_names(mesh, stem), mesh.images, strict=True))
     header = _header([*(f"comment TextureFile {name}" for name in images), *properties, *announced])
-    lost += ["names of materials"] if any(material.name for material in mesh.materials) else []
+    lost += lost_repetition(mesh, ("repeat",))
+    is_bare = all(material == Material(maps=material.maps) for material in mesh.materials)
+    lost += [] if is_bare else ["materials, except for their base colour images"]
     lost += ["groups and objects"] if len(mesh.groups) > 1 else []
     files = {name: image.file.data for name, image in images.items()}
     pieces = [header.encode(), rows.tobytes(), faces.tobytes()]

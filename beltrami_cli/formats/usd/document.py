@@ -53,8 +53,7 @@ _COUNTS = {
 def _material(known: dict[str, Any]) -> Material:
     """Return a material without its maps, whose colours are linear light in USD."""
     values = known["values"]
-    opacity = values.get("opacity", 1.0)
-    mask = values.get("opacityThreshold", 0.0) > 0
+    opacity, cutoff = values.get("opacity", 1.0), values.get("opacityThreshold", 0.0)
     seen_through = known["alpha"] or opacity < 1
     return Material(
         name=known["name"],
@@ -63,7 +62,8 @@ def _material(known: dict[str, Any]) -> Material:
         opacity=opacity,
         metalness=values.get("metallic", 0.0),
         roughness=values.get("roughness", 0.5),
-        alpha="mask" if seen_through and mask else "blend" if seen_through else "opaque",
+        alpha="mask" if seen_through and cutoff > 0 else "blend" if seen_through else "opaque",
+        cutoff=cutoff if cutoff > 0 else Material.cutoff,
     )
 
 
@@ -208,6 +208,7 @@ class UsdDocument(Document):
             uv=lambda slot: arrays.get(f"uv {slot}", bare),
             tiles=self._layers.folder.tiles,
             read=self._layers.image,
+            has_factors=True,
         )
 
     def references(self) -> Sequence[str]:

@@ -309,6 +309,7 @@ def read_material(material: Any) -> tuple[dict[str, Any], dict[str, dict[str, An
     if not surface or surface.GetIdAttr().Get() != "UsdPreviewSurface":
         uses = _of_materialx(material)
         known["unread"] = not uses and bool(material.GetPrim().GetChildren())
+        known["values"] = _factors(uses)
         return known, uses
     for name in (*_NUMBERS, *_COLOURS):
         sources = _sources(surface, name)
@@ -317,14 +318,25 @@ def read_material(material: Any) -> tuple[dict[str, Any], dict[str, dict[str, An
             known["values"][name] = float(value)
         elif value is not None and len(value) == 3:
             known["values"][name] = [float(part) for part in value]
-    known["alpha"] = bool(_textures(surface, "opacity"))
+    for use in _textures(surface, "opacity"):
+        known["alpha"] = True
+        known["values"]["opacity"] = use["scale"]["rgba".find(use["output"])]
     for slot, inputs in INPUTS.items():
         found = [use for name in inputs for use in _textures(surface, name)]
         if len(found) != len(inputs) or len({use["shader"] for use in found}) != 1:
             continue
         if tuple(use["output"] for use in found) == _CHANNELS.get(slot, (found[0]["output"],)):
             uses[slot] = found[0]
+    known["values"] |= _factors(uses)
     return known, uses
+
+
+def _factors(uses: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """Return what images are multiplied by, as the inputs of a surface that they stand for."""
+    colours = {slot: INPUTS[slot][0] for slot in ("baseColor", "emissive") if slot in uses}
+    factors = {name: uses[slot]["scale"][:3] for slot, name in colours.items()}
+    data = "metallicRoughness"
+    return factors | (dict(zip(INPUTS[data], uses[data]["scale"][1:3], strict=True)) if data in uses else {})
 
 
 def _of_materialx(material: Any) -> dict[str, dict[str, Any]]:
@@ -371,8 +383,10 @@ def _textures(surface: Any, name: str) -> list[dict[str, Any]]:
             continue
         shown = {"shader": str(shader.GetPath()), "output": output.removeprefix("outputs:")}
         wrap = _wraps(shader, is_mtlx=is_mtlx)
+        given = [] if is_mtlx else _sources(shader, "scale")
+        scale = [float(part) for part in given[0].Get()] if given else [1.0] * 4
         for path, file in _image_of(shader).items():
-            found.append({**placing, **shown, "attribute": path, "file": file, "wrap": wrap})
+            found.append({**placing, **shown, "attribute": path, "file": file, "wrap": wrap, "scale": scale})
     return found
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from beltrami_cli.arrays import Array, Int32s
 from beltrami_cli.formats.colours import linear_colours
 from beltrami_cli.formats.document import Written, not_converted
-from beltrami_cli.formats.textured_mesh import image_names, material_names, plain_name
+from beltrami_cli.formats.textured_mesh import image_names, material_names, normals_of_corners, plain_name
 from beltrami_cli.formats.usd.layers import layer_from, packed
 from beltrami_cli.surface.geometry import shortest_type
 from beltrami_cli.surface.grouping import group_equal_rows
@@ -35,6 +35,7 @@ _INPUTS: dict[Slot, tuple[tuple[str, str, str], ...]] = {
     "occlusion": (("occlusion", "float", "r"),),
     "metallicRoughness": (("roughness", "float", "g"), ("metallic", "float", "b")),
 }
+_UNSCALED = (1, 1, 1, 1)
 _TYPES = {"rgb": "float3", "r": "float", "g": "float", "b": "float", "a": "float"}
 
 
@@ -55,7 +56,7 @@ def _written(suffix: str, mesh: MeshContents, stem: str) -> Written:
         if shown_name := plain_name(group).replace("\\", "\\\\").replace('"', '\\"'):
             text += [f'        string ui:displayName = "{shown_name}"\n'.encode()]
         part = mesh.polygons(polygons)
-        text += _mesh(part, [] if is_divided else shown)
+        text += _mesh(part, [] if is_divided else shown, notices)
         text += _subsets(part.material_numbers, names, root) if names else []
         text += [b"    }\n"]
     if shown and is_divided:
@@ -91,7 +92,7 @@ def _header(name: str, frame: Frame) -> bytes:
     return "\n".join(lines).encode()
 
 
-def _mesh(mesh: MeshContents, shown: list[bytes]) -> Iterator[bytes]:
+def _mesh(mesh: MeshContents, shown: list[bytes], notices: list[str]) -> Iterator[bytes]:
     """Give the points that polygons use, the polygons, and their colours, texture coordinates and normals."""
     used: Array = np.arange(len(mesh.positions))
     corners: Array = mesh.corners
@@ -108,10 +109,10 @@ def _mesh(mesh: MeshContents, shown: list[bytes]) -> Iterator[bytes]:
         index_of, chosen = group_equal_rows(*uv.T)
         yield from _array("texCoord2f[] primvars:st", uv[chosen].astype(np.float32), 2, on)
         yield from _array("int[] primvars:st:indices", index_of[:, None])
-    if mesh.corner_normals is not None and not np.isnan(mesh.corner_normals).any():
-        yield from _array("normal3f[] normals", mesh.corner_normals, 3, on)
-    elif mesh.normals is not None:
+    if mesh.normals is not None:
         yield from _array("normal3f[] normals", mesh.normals[used], 3, 'interpolation = "vertex"')
+    elif (normals := normals_of_corners(mesh, notices)) is not None:
+        yield from _array("normal3f[] normals", normals, 3, on)
 
 
 def _subsets(material_of: Int32s, names: list[str], root: str) -> Iterator[bytes]:
@@ -131,15 +132,23 @@ def _subsets(material_of: Int32s, names: list[str], root: str) -> Iterator[bytes
 
 def _material(name: str, material: Material, file_of: dict[MeshImage, str], path: str) -> str:
     """Return a material with a UsdPreviewSurface; colours are linear light there."""
+    colour, emission = _linear(material.colour), _linear(material.emission)
     inputs = {
-        "diffuseColor": f"color3f inputs:diffuseColor = {_linear(material.colour)}",
-        "emissiveColor": f"color3f inputs:emissiveColor = {_linear(material.emission)}",
+        "diffuseColor": f"color3f inputs:diffuseColor = {_row(colour)}",
+        "emissiveColor": f"color3f inputs:emissiveColor = {_row(emission)}",
         "roughness": f"float inputs:roughness = {material.roughness:.6g}",
         "metallic": f"float inputs:metallic = {material.metalness:.6g}",
-        "opacity": f"float inputs:opacity = {material.opacity:.6g}",
+        "opacity": f"float inputs:opacity = {material.seen_opacity:.6g}",
     }
     if material.alpha == "mask":
-        inputs["opacityThreshold"] = "float inputs:opacityThreshold = 0.5"
+        inputs["opacityThreshold"] = f"float inputs:opacityThreshold = {material.cutoff:.6g}"
+    # By slot, what the channels of its image are multiplied by.
+    scales: dict[Slot, tuple[float, ...]] = {
+        "baseColor": (*colour, material.opacity),
+        "emissive": (*emission, 1),
+        "normal": (2, 2, 2, 1),
+        "metallicRoughness": (1, material.roughness, material.metalness, 1),
+    }
     shaders = []
     for slot, shown in material.maps.items():
         outputs = {output for _, _, output in _INPUTS[slot]}
@@ -148,7 +157,8 @@ def _material(name: str, material: Material, file_of: dict[MeshImage, str], path
         if slot == "baseColor" and material.alpha != "opaque":
             outputs.add("a")
             inputs["opacity"] = f"float inputs:opacity.connect = <{path}/baseColor.outputs:a>"
-        shaders.append(_texture(slot, file_of[shown.image], shown.wrap, sorted(outputs), path))
+        scale = scales.get(slot, _UNSCALED)
+        shaders.append(_texture(slot, file_of[shown.image], shown.wrap, scale, sorted(outputs), path))
     lines = ['uniform token info:id = "UsdPreviewSurface"', *inputs.values(), "token outputs:surface"]
     reader = ['uniform token info:id = "UsdPrimvarReader_float2"', 'string inputs:varname = "st"']
     shaders = [_shader("surface", lines), _shader("st", [*reader, "float2 outputs:result"]), *shaders]
@@ -156,7 +166,9 @@ def _material(name: str, material: Material, file_of: dict[MeshImage, str], path
     return f'    def Material "{name}"\n    {{\n{surface}{"".join(shaders)}    }}\n'
 
 
-def _texture(slot: Slot, file: str, wrap: tuple[str, str], outputs: list[str], path: str) -> str:
+def _texture(
+    slot: Slot, file: str, wrap: tuple[str, str], scale: tuple[float, ...], outputs: list[str], path: str
+) -> str:
     space = "sRGB" if slot in ("baseColor", "emissive") else "raw"
     lines = [
         'uniform token info:id = "UsdUVTexture"',
@@ -166,8 +178,8 @@ def _texture(slot: Slot, file: str, wrap: tuple[str, str], outputs: list[str], p
         f'token inputs:wrapT = "{wrap[1]}"',
         f'token inputs:sourceColorSpace = "{space}"',
     ]
-    if slot == "normal":
-        lines += ["float4 inputs:scale = (2, 2, 2, 1)", "float4 inputs:bias = (-1, -1, -1, 0)"]
+    lines += [f"float4 inputs:scale = {_row(scale)}"] if scale != _UNSCALED else []
+    lines += ["float4 inputs:bias = (-1, -1, -1, 0)"] if slot == "normal" else []
     lines += [f"{_TYPES[output]} outputs:{output}" for output in outputs]
     return _shader(slot, lines)
 
@@ -198,8 +210,11 @@ def _array(name: str, rows: Array, width: int = 1, metadata: str = "") -> Iterat
     yield f"] (\n            {metadata}\n        )\n".encode() if metadata else b"]\n"
 
 
-def _linear(colour: tuple[float, ...]) -> str:
-    values = srgb_to_linear(np.array(colour, np.float32)).tolist()
+def _linear(colour: tuple[float, ...]) -> tuple[float, ...]:
+    return tuple(srgb_to_linear(np.array(colour, np.float64)).tolist())
+
+
+def _row(values: tuple[float, ...]) -> str:
     return "({})".format(", ".join(f"{value:.6g}" for value in values))
 
 
