@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv
 import io
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from typing import Any
@@ -25,14 +25,15 @@ from beltrami_cli.formats.access import (
     read_bounded,
     require_text,
 )
-from beltrami_cli.formats.registry import KEPT_FORMATS, OUTPUT_FORMATS
+from beltrami_cli.formats.registry import KEPT_FORMATS, OUTPUT_FORMATS, READ_ONLY
 from beltrami_cli.layers.settings import IMAGE_FORMATS, IMAGE_SUFFIXES
 
 # What a folder stands for: models and points. Its images may be their textures, and its texts and tables anything: both
 # are named by themselves.
 _ANYTHING = (".txt", ".csv")
 _SUFFIXES = tuple(f".{name}" for name in (*OUTPUT_FORMATS, *KEPT_FORMATS))
-MODEL_SUFFIXES = tuple(suffix for suffix in _SUFFIXES if suffix not in _ANYTHING)
+_MODELS = {*_SUFFIXES} - {*_ANYTHING}
+_CONVERTIBLE = _MODELS | {f".{name}" for name in READ_ONLY}
 _WRITABLE = {*_SUFFIXES, *IMAGE_SUFFIXES, *(f".{name}" for name in IMAGE_FORMATS)}
 _WAY_OUT = "see beltrami batch --help for what a manifest looks like"
 
@@ -60,6 +61,7 @@ def plan(inputs: Iterable[str], out_dir: str, suffix: str, extension: str | None
         )
     requests = []
     out_dir = without_scheme(out_dir)
+    is_converted = extension is not None or Path(f"x{suffix}").suffix.lower() in _WRITABLE
     for text in map(without_scheme, inputs):
         if text == "-":
             raise UsageError("a batch is of files, and - is none; beltrami smooth takes a pipe")
@@ -68,7 +70,7 @@ def plan(inputs: Iterable[str], out_dir: str, suffix: str, extension: str | None
         else:
             requests += [
                 Request(source, joined(out_dir, _result_name(place, suffix, extension)))
-                for source, place in _found(text, out_dir)
+                for source, place in _found(text, out_dir, _CONVERTIBLE if is_converted else _MODELS)
             ]
     if not requests:
         raise UsageError("there is nothing to do; name files, globs, folders or a manifest")
@@ -79,7 +81,7 @@ def plan(inputs: Iterable[str], out_dir: str, suffix: str, extension: str | None
 
 def find_sources(inputs: Iterable[str]) -> list[str]:
     """Return the files that names, folders and globs stand for, each once."""
-    return list(dict.fromkeys(source for text in inputs for source, _ in _found(text, os.devnull)))
+    return list(dict.fromkeys(source for text in inputs for source, _ in _found(text, os.devnull, _MODELS)))
 
 
 def _result_name(place: PurePath, suffix: str, extension: str | None) -> PurePath:
@@ -90,10 +92,11 @@ def _result_name(place: PurePath, suffix: str, extension: str | None) -> PurePat
     return place.with_name(place.stem + suffix + (f".{extension}" if extension else place.suffix))
 
 
-def _found(text: str, out_dir: str) -> list[tuple[str, PurePath]]:
+def _found(text: str, out_dir: str, suffixes: Collection[str]) -> list[tuple[str, PurePath]]:
     """Return the files that an input stands for, and their places below the output folder.
 
-    A folder stands for its models. Hidden files and results of an earlier run are meant only if they are named.
+    A folder stands for its files with some suffixes. Hidden files and results of an earlier run are meant only if
+    they are named.
     """
     root, found = find(text)
     if root:
@@ -102,7 +105,7 @@ def _found(text: str, out_dir: str) -> list[tuple[str, PurePath]]:
         found = [
             (source, place)
             for source, place in found
-            if (is_glob(text) or place.suffix.lower() in MODEL_SUFFIXES)
+            if (is_glob(text) or place.suffix.lower() in suffixes)
             and not any(part.startswith(".") for part in place.parts)
             and (results is None or not PurePath(place_of(source)).is_relative_to(results))
         ]
@@ -129,10 +132,10 @@ def _refuse_clashes(requests: Iterable[Request]) -> None:
             raise UsageError(f"{request.source} would be replaced by its own output; give a --suffix")
         other = known.setdefault(place, request)
         if other is not request:
-            raise UsageError(
-                f"{other.source} and {request.source} would both become {request.target}; give their folder "
-                "instead, or a manifest with outputs"
-            )
+            cause = f"{other.source} and {request.source} would both become {request.target}"
+            is_one_folder = PurePath(other.source).parent == PurePath(request.source).parent
+            remedy = "name one of them" if is_one_folder else "give their folder"
+            raise UsageError(f"{cause}; {remedy} instead, or a manifest with outputs")
 
 
 # ---- manifests

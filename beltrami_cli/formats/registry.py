@@ -57,7 +57,7 @@ _JSON = rb"(?:\xef\xbb\xbf)?[ \t\r\n]*\{"
 _PCD = rb"# \.PCD|VERSION 0?\.7"
 _COMMON = (".png", ".jpg", ".jpeg")
 _TEXTS = ("xyzrgb", "asc", "txt")
-_READ_ONLY = ("off", "stl", "3mf", "dae", "zae")
+READ_ONLY = ("off", "stl", "3mf", "dae", "zae")
 _BY_NAME = None  # in place of a mark: a file is recognised by its name alone
 
 
@@ -157,7 +157,7 @@ FORMATS = (
         for name, mark in (("las", rb"LASF"), ("laz", rb"(?!)"), ("e57", rb"ASTM-E57"), ("pcd", _PCD))
     ),
     Format("npz", _asks("archives.is_npz", _ZIP), "points.archive", "NpzPointsDocument", "write_npz"),
-    Format("foreign", _is_foreign, "read_only", "document.ReadOnlyDocument", aliases=_READ_ONLY),
+    Format("foreign", _is_foreign, "read_only", "document.ReadOnlyDocument", aliases=READ_ONLY),
 )  # fmt: skip
 
 _WRITERS = {line.name: line for line in FORMATS if line.writer}
@@ -222,11 +222,6 @@ def _unread(data: bytes, name: str) -> str | None:
         if (suffixes and name.lower().endswith(suffixes)) or re.match(start, data[:_HEAD]):
             return kind
     return None
-
-
-def is_only_read(suffix: str) -> bool:
-    """Whether models with a suffix, without its dot, are read but not written."""
-    return suffix in _READ_ONLY
 
 
 def _writer(name: str) -> Format:
@@ -309,7 +304,7 @@ def choose_format(document: Document, target: str, chosen: str | None) -> Output
     else:
         known = ", ".join("." + f for f in OUTPUT_FORMATS)
         cause = f"no format is known for .{wanted}"
-        if is_only_read(wanted):
+        if wanted in READ_ONLY:
             why = ": the STL format has no colours" if wanted == "stl" else ""
             cause = f".{wanted} files are read, but not written{why}"
         elif wanted in KEPT_FORMATS:

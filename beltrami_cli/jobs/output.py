@@ -26,7 +26,7 @@ from urllib.parse import quote
 
 from beltrami_cli.errors import OutputError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_regular
-from beltrami_cli.formats.registry import OUTPUT_FORMATS, is_only_read
+from beltrami_cli.formats.registry import OUTPUT_FORMATS, READ_ONLY
 from beltrami_cli.jobs import replacing
 
 if TYPE_CHECKING:
@@ -361,7 +361,7 @@ def shared_files(folder: Path, target: Path, names: Iterable[str]) -> list[str]:
 
 def _may_refer(name: str) -> bool:
     suffix = Path(name).suffix.lower().removeprefix(".")
-    return suffix in (*OUTPUT_FORMATS, "mtl") or is_only_read(suffix)
+    return suffix in (*OUTPUT_FORMATS, "mtl", *READ_ONLY)
 
 
 def _naming(heads: Mapping[str, bytes], names: Iterable[str]) -> list[str]:

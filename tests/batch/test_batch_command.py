@@ -317,6 +317,10 @@ def test_two_files_never_become_one(scans, tmp_path):
     shutil.copy(scans / "a.ply", scans / "deep" / "a.ply")
     inputs = (scans / "a.ply", scans / "deep" / "a.ply")
     assert "would both become" in batch(*inputs, "--out-dir", tmp_path / "out", code=2)
+    (scans / "a.off").write_text("OFF\n")  # read where the outputs have another format
+    said = batch(scans, "--out-dir", tmp_path / "out", "--format", "ply", code=2)
+    assert "a.off and" in said
+    assert "name one of them instead" in said
     report = ("--out-dir", tmp_path, "--report", scans / "b.obj", "--overwrite")
     assert "would replace a file of the batch" in batch(scans / "b.obj", *report, code=4)
     assert "replaced by its own output" in batch(scans, "--out-dir", scans, "--overwrite", code=2)

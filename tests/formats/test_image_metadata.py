@@ -216,6 +216,7 @@ def test_every_segment_of_a_jpeg_is_kept_in_its_place():
     assert (file.notices, file.suffix) == ((), ".jpeg")
 
 
+_FLOATS = b"PF\n# a comment\n7 5\n-0.25\n"  # with a scale
 _COMMENT = (b"EXPTIME = 2.5 / in seconds".ljust(80) + b"END").ljust(160)  # in the header of a FITS file
 _BITMAP, _TARGA = bitmap(0xFF0000, 0xFF00, 0xFF, 0xFF000000), bytearray(encode(noise("uint8", 4), "targa"))
 _TARGA[17] &= 0xF0  # 32 bits, and none is said to be alpha
@@ -231,7 +232,7 @@ _PLACES = {
               [b"# a comment\n", b"VIEW= -vp 1\n"]),
     "x.ppm": (lambda: b"P6\n# a comment\n7 5 # another\n255\n" + bytes(range(105)) + b"P6 1 1 255 RGB",
               [b"# a comment\n", b"# another\n", b"P6 1 1 255 RGB"]),
-    "x.pfm": (lambda: b"PF\n# a comment\n7 5\n-0.25\n" + noise("float", 3).tobytes(), [b"PF\n# a comment\n7 5\n-0.25\n"]),
+    "x.pfm": (lambda: _FLOATS + noise("float", 3).tobytes(), [_FLOATS]),
     "x.fits": (lambda: encode(noise("uint8", 3), "fits").replace(b"END".ljust(160), _COMMENT), [_COMMENT]),
     "x.jp2": (lambda: saved(Image.fromarray(noise("uint8", 3, 40, 40)), ".jp2", comment="a comment"), [b"a comment"]),
     "x.bmp": (lambda: _BITMAP, [_BITMAP[:138], b"a profile"]),

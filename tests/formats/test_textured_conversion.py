@@ -232,8 +232,14 @@ def test_transparent_images_stay_transparent_and_cut_outs_sharp(values, mode, tm
 @pytest.mark.parametrize(
     ("target", "lost"),
     [
-        ("out.obj", ("the scale of normal maps", "sharp texels", "how textures are repeated", "alpha cutoffs")),
-        ("out.ply", ("the scale of normal maps", "sharp texels", "how textures are repeated", "materials, except")),
+        (
+            "out.obj",
+            ("the scale of normal maps", "sharp texels", "how textures are repeated", "alpha cutoffs"),
+        ),
+        (
+            "out.ply",
+            ("the scale of normal maps", "sharp texels", "how textures are repeated", "materials, except"),
+        ),
         ("out.usda", ("the scale of normal maps", "sharp texels")),
     ],
 )
@@ -259,7 +265,9 @@ def test_numbers_of_materials_are_kept_or_reported(target, lost, tmp_path, usd_c
         before = open_document(str(tmp_path / "model.glb")).textured_mesh()
         for name in ("alpha", "cutoff", "seen_opacity", "colour", "emission", "metalness", "roughness"):
             old, *new = ([getattr(each, name) for each in mesh.materials] for mesh in (before, after, again))
-            assert all(got == (old if name == "alpha" else pytest.approx(np.array(old), abs=1e-5)) for got in new)
+            assert all(
+                got == (old if name == "alpha" else pytest.approx(np.array(old), abs=1e-5)) for got in new
+            )
 
 
 def test_ply_with_several_images_keeps_which_face_shows_which(tmp_path):

@@ -92,7 +92,9 @@ def write_image(
         notices.append(f"{picture.name} has a palette, which becomes full colours.")
     spec = _bare_spec(picture) if known in _SPLICED else _kept_spec(picture)
     exact = is_exact(picture)
-    encode = partial(_encode, spec, known=known, name=picture.name, quality=jpeg_quality, small=small, lossless=exact)
+    encode = partial(
+        _encode, spec, known=known, name=picture.name, quality=jpeg_quality, small=small, lossless=exact
+    )
     data = encode(pixels)
     if known == "targa" and (data[17] ^ picture.source[17]) & _FROM_TOP:
         # OpenImageIO puts the top row first in runs, and last otherwise; engines may expect one order of all files.

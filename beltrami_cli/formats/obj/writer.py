@@ -60,7 +60,9 @@ def write_obj(mesh: MeshContents, stem: str) -> Written:
     sidecars = {f"{stem}.mtl": library.encode()} if mesh.materials else {}
     sidecars |= {name: image.file.data for image, name in file_of.items()}
     lost = lost_repetition(mesh, ("repeat", "clamp"))
-    lost += ["alpha cutoffs"] if any(material.cutoff != Material.cutoff for material in mesh.materials) else []
+    lost += (
+        ["alpha cutoffs"] if any(material.cutoff != Material.cutoff for material in mesh.materials) else []
+    )
     return Written(pieces, sidecars, (*notices, *not_converted(mesh, lost)))
 
 
