@@ -169,9 +169,12 @@ def test_normals_turn_as_surfaces_do_under_uneven_and_mirrored_scales():
 def test_what_is_dropped_is_listed():
     model = showcase()
     model.mesh({"attributes": {"POSITION": 0}})
+    model.mesh({"attributes": {"POSITION": 0, "COLOR_0": 0, "NORMAL": 0}})
+    model.tree["nodes"].append({"mesh": 0})
     assert {*model.document().contents().left_out} == {
         "materials", "textures", "skins", "animations", "cameras", "morph targets", "texture coordinates",
         "further vertex attributes", "node hierarchy", "uncoloured meshes",
+        "further places of a mesh", "normals, which some parts lack",
     }  # fmt: skip
 
 

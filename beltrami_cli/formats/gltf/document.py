@@ -219,6 +219,7 @@ def _left_out(tree: Tree) -> list[str]:
     held = [primitive.get("attributes", {}) for primitive in primitives]
     attributes, nodes = {key for each in held for key in each}, objects(tree.get("nodes"))
     placed = ("children", "matrix", "translation", "rotation", "scale")
+    shown = [str(node["mesh"]) for node in nodes if "mesh" in node]
     there = {key: tree.get(key) for key in ("materials", "textures", "skins", "animations", "cameras")} | {
         "morph targets": any(primitive.get("targets") for primitive in primitives),
         "uncoloured meshes": any("COLOR_0" not in each for each in held),
@@ -227,6 +228,7 @@ def _left_out(tree: Tree) -> list[str]:
             key in ("TANGENT", "COLOR_1") or key.startswith("_") for key in attributes
         ),
         "normals, which some parts lack": len({"NORMAL" in each for each in held if "COLOR_0" in each}) > 1,
+        "further places of a mesh": len({*shown}) < len(shown),
         "lines": any(primitive.get("mode") in (1, 2, 3) for primitive in primitives),
         "node hierarchy": len(nodes) > 1 or any(key in node for node in nodes for key in placed),
     }

@@ -297,9 +297,13 @@ class UsdDocument(Document):
         return dataclasses.replace(self._scene.mesh(self._left_out(), groups, normals), frame=self.frame)
 
     def _left_out(self) -> list[str]:
-        words = self._words
+        words, counts = self._words, self._words["counts"]
         others = [f"{kind} prims" for kind in words["others"]]
         others += ["variants"] if words["variants"] else []
+        others += ["further places of a mesh"] if counts.get("instanced") else []
+        others += [
+            f"{slot} maps laid out otherwise than in glTF" for slot in SLOTS if counts.get(f"unfit {slot}")
+        ]
         return [*others, *(["node hierarchy"] if len(words["meshes"]) > 1 else [])]
 
     def fingerprint(self) -> Fingerprint:

@@ -168,7 +168,7 @@ class Scene:
         if path not in self._number_of:
             self._number_of[path] = len(self.materials)
             known, uses = read_material(material)
-            self.counts["unread"] += int(known.pop("unread", False))
+            self.counts.update(known.pop("lost"))
             self.uses.append(uses)
             self.materials.append(known)
         return self._number_of[path]
@@ -303,12 +303,12 @@ def placed(layer: str, path: str) -> str:
 
 def read_material(material: Any) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
     """Return the numbers of a material, and by slot the image that it shows."""
-    known: dict[str, Any] = {"name": material.GetPrim().GetName(), "values": {}, "alpha": False}
+    known: dict[str, Any] = {"name": material.GetPrim().GetName(), "values": {}, "alpha": False, "lost": []}
     uses: dict[str, dict[str, Any]] = {}
     surface = material.ComputeSurfaceSource()[0]
     if not surface or surface.GetIdAttr().Get() != "UsdPreviewSurface":
         uses = _of_materialx(material)
-        known["unread"] = not uses and bool(material.GetPrim().GetChildren())
+        known["lost"] = [] if uses or not material.GetPrim().GetChildren() else ["unread"]
         known["values"] = _factors(uses)
         return known, uses
     for name in (*_NUMBERS, *_COLOURS):
@@ -323,10 +323,12 @@ def read_material(material: Any) -> tuple[dict[str, Any], dict[str, dict[str, An
         known["values"]["opacity"] = use["scale"]["rgba".find(use["output"])]
     for slot, inputs in INPUTS.items():
         found = [use for name in inputs for use in _textures(surface, name)]
-        if len(found) != len(inputs) or len({use["shader"] for use in found}) != 1:
-            continue
-        if tuple(use["output"] for use in found) == _CHANNELS.get(slot, (found[0]["output"],)):
+        outputs = tuple(use["output"] for use in found)
+        is_one = len(found) == len(inputs) and len({use["shader"] for use in found}) == 1
+        if is_one and outputs == _CHANNELS.get(slot, outputs):
             uses[slot] = found[0]
+        elif found:
+            known["lost"].append(f"unfit {slot}")
     known["values"] |= _factors(uses)
     return known, uses
 
