@@ -99,6 +99,17 @@ def _scale_of_whole(values: Float64s, scales: Sequence[float]) -> float | None:
     return next((scale for scale in scales if largest <= scale), None)
 
 
+# How far numbers of 0..1 with five decimals or more are from levels of 8 bit that they stand for.
+_ROUNDED_LEVEL = 0.5e-5 * BYTE
+
+
+def type_of_text(colours: Float32s) -> str:
+    """Return the type of the colours in a text, full scale 1: that of 8 bit where it holds them all."""
+    levels = colours.astype(np.float64) * BYTE
+    is_whole = np.abs(levels - np.rint(levels)) <= _ROUNDED_LEVEL
+    return "uint8" if bool((is_whole & (levels > -0.5) & (levels < BYTE + 0.5)).all()) else "text"
+
+
 def opacity(alpha: Array, scale: float) -> Float32s:
     """Return opacity in [0, 1]; with colours of 0..255 it may still be of 0..1."""
     values: Float64s = np.nan_to_num(alpha.astype(np.float64))

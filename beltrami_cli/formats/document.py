@@ -30,6 +30,7 @@ import numpy as np
 from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
+from beltrami_cli.formats.colours import type_of_text
 from beltrami_cli.formats.image import Picture, read_image
 from beltrami_cli.surface import records
 from beltrami_cli.surface.geometry import triangulate
@@ -303,6 +304,8 @@ class Document(ABC):
     def recoloured_contents(self, colours: Float32s | None) -> records.MeshContents:
         """Return `contents` with other colours, rows as in `patch`; None: the present ones."""
         contents = self.contents()
+        if contents.stored == "text":  # other formats have a type
+            contents = replace(contents, stored=type_of_text(contents.colours))
         return contents if colours is None else replace(contents, colours=colours)
 
     def textured_mesh(self, colours: Float32s | None = None) -> records.MeshContents:

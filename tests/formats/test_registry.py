@@ -359,6 +359,21 @@ def test_colours_keep_a_type_that_holds_them(form, stored, encoding, kept):
     assert open_bytes(joined(written), f"x.{form}", None).painted().stored == kept
 
 
+@pytest.mark.parametrize(
+    ("name", "scale", "digits", "kept"),
+    [("x.obj", 255, 5, "uint8"), ("x.xyz", 1, 0, "uint8"), ("x.csv", 255, 6, "uint8"), ("x.obj", 255.5, 6, "float32")],
+)
+def test_colours_of_a_text_become_bytes_where_these_hold_them(name, scale, digits, kept):
+    levels = np.arange(256.0).reshape(-1, 1) * [1, 1, 1]
+    rows = [*map(str, np.column_stack([levels * [1, 0, 0], (levels / scale).round(digits)]).tolist())]
+    lines = ("v " * name.endswith("obj") + row.strip("[]").replace(",", "") for row in rows)
+    document = open_bytes("\n".join(lines).encode(), name, None)
+    written = joined(write_mesh(document.recoloured_contents(None), "ply", "x"))
+    found = open_bytes(written, "x.ply", None).painted()
+    assert found.stored == kept
+    np.testing.assert_allclose(found.colours, levels / (scale if scale > 1 else 255), atol=0.5e-5)
+
+
 @pytest.mark.parametrize("form", ["obj", "ply"])
 def test_small_coordinates_and_more_polygons_than_a_block_are_read_back(form):
     contents = mesh(np.random.default_rng(8).integers(3, 7, 70_000), dtype=np.float64)
