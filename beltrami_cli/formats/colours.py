@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -12,6 +12,7 @@ from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.records import (
+    Frame,
     MeshContents,
     limits_of,
     linear_to_srgb,
@@ -177,6 +178,7 @@ class ColouredPolygons:
     colours: Float32s  # (K, 3) of every corner, or (K, 4) with opacity; full scale 1, NaN where there is none
     stored: str  # the type of colours in the file, as in `PaintedVertices`
     left_out: tuple[str, ...] = ()  # what else the file holds
+    frame: Frame = field(default_factory=Frame)
 
 
 def check_polygons(found: ColouredPolygons, name: str) -> None:

@@ -329,3 +329,27 @@ def test_dae_colours_are_read_in_their_place_and_precision_whatever_is_beside_th
     levels = np.float32([[1, 0, 0], [0, 0.5, 0], [0, 0, 0.25], [0.1, 0.2, 0.3]])
     np.testing.assert_array_equal(painted.colours[painted.faces], levels[FACES])
     assert {left_out} - {""} <= {*document.contents().left_out}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("axis", "unit", "turn"),
+    [
+        ("Y", 0.5, [[1, 0, 0], [0, 1, 0], [0, 0, 1]]),
+        ("X", 1, [[0, -1, 0], [1, 0, 0], [0, 0, 1]]),
+        ("Z", 0.01, [[1, 0, 0], [0, 0, 1], [0, -1, 0]]),
+        ("3mf", 0.0254, [[1, 0, 0], [0, 0, 1], [0, -1, 0]]),
+    ],
+)
+def test_gltf_is_in_metres_and_y_is_up_as_the_file_says(axis, unit, turn, tmp_path):
+    source, places = tmp_path / "in.dae", np.add(SQUARE, [0, 0, 7])
+    source.write_text(DAE.replace('meter="1"', f'meter="{unit}"').replace("Y_UP", f"{axis}_UP"))
+    if axis == "3mf":
+        source, places = tmp_path / "in.3mf", SQUARE
+        source.write_bytes(threemf(model(OBJECT).replace("<model", '<model unit="inch"')))
+    elif find_spec("collada") is None:
+        pytest.skip("pycollada is not installed")
+    smooth_file(source, tmp_path / "out.glb", iterations=0)
+    found = trimesh.load(tmp_path / "out.glb", force="mesh").vertices
+    wanted = places @ np.transpose(turn) * unit
+    np.testing.assert_allclose(sorted(found.tolist()), sorted(wanted.tolist()), atol=1e-6)

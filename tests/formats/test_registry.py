@@ -361,7 +361,12 @@ def test_colours_keep_a_type_that_holds_them(form, stored, encoding, kept):
 
 @pytest.mark.parametrize(
     ("name", "scale", "digits", "kept"),
-    [("x.obj", 255, 5, "uint8"), ("x.xyz", 1, 0, "uint8"), ("x.csv", 255, 6, "uint8"), ("x.obj", 255.5, 6, "float32")],
+    [
+        ("x.obj", 255, 5, "uint8"),
+        ("x.xyz", 1, 0, "uint8"),
+        ("x.csv", 255, 6, "uint8"),
+        ("x.obj", 255.5, 6, "float32"),
+    ],
 )
 def test_colours_of_a_text_become_bytes_where_these_hold_them(name, scale, digits, kept):
     levels = np.arange(256.0).reshape(-1, 1) * [1, 1, 1]

@@ -318,12 +318,13 @@ def glowing(shader, extra=""):
 def test_a_map_that_lies_otherwise_than_the_base_colour_is_not_converted(tmp_path):
     moved = "float2 inputs:st.connect = </scan/skin/move.outputs:result>"
     lamp = shader("lamp", "UsdUVTexture", "asset inputs:file = @b.png@", moved, "float3 outputs:rgb")
-    text = scene(mesh_text(BOUND), glowing("lamp", MOVED + lamp)).replace(
+    text = scene(mesh_text(BOUND), mesh_text(name="bare"), glowing("lamp", MOVED + lamp)).replace(
         "float inputs:roughness = 1", "float inputs:roughness.connect = </scan/skin/lamp.outputs:rgb>"
     )
     write(tmp_path, {"a.usda": text, "a.png": PICTURE, "b.png": PICTURE})
     mesh = open_document(str(tmp_path / "a.usda")).textured_mesh()
-    assert [sorted(material.maps) for material in mesh.materials] == [["baseColor"]]
+    assert [sorted(material.maps) for material in mesh.materials] == [["baseColor"], []]
+    assert np.isfinite(mesh.uv).all()  # also without an image
     assert "emissive maps that are placed otherwise than the base colour" in mesh.left_out
     assert "metallicRoughness maps laid out otherwise than in glTF" in mesh.left_out
 

@@ -42,7 +42,8 @@ from beltrami_cli.formats.colours import (
 from beltrami_cli.formats.document import Changes, Document, Naming, Written
 from beltrami_cli.formats.foreign_library import ForeignLibrary, serve_files
 from beltrami_cli.formats.tokens import Lines, without_comments
-from beltrami_cli.surface.records import MeshContents
+from beltrami_cli.surface.records import Frame, MeshContents
+from beltrami_cli.surface.worker_process import Message
 
 _STARTS_XML = re.compile(rb"(?:\xef\xbb\xbf)?\s*<|\xff\xfe<|\xfe\xff\0<")  # UTF-8 or UTF-16
 _ARCHIVES = {".3mf": "3mf", ".zae": "zae"}
@@ -94,6 +95,7 @@ class ReadOnlyDocument(Document):
             stored=found.stored,
             alpha=None if opacity is None else np.clip(opacity, 0, 1),
             left_out=found.left_out,
+            frame=found.frame,
         )
 
     def _read(self) -> ColouredPolygons:
@@ -285,10 +287,11 @@ def _read_dae(data: bytes, name: str, access: Access) -> ColouredPolygons:
         data = archive.read(member)
     _check_xml(data, name)
     question = {"data": np.frombuffer(data, np.uint8)}
-    left_out, made = _PYCOLLADA.ask((None, question), name, len(data), access.memory)
+    (left_out, up, unit), made = _PYCOLLADA.ask((None, question), name, len(data), access.memory)
     corners = np.arange(len(made["positions"]))  # triangles have vertices of their own
     sizes = np.full(len(corners) // 3, 3)
-    return ColouredPolygons(made["positions"], corners, sizes, made["colours"], "float32", tuple(left_out))
+    places, frame = made["positions"], Frame(up, unit)
+    return ColouredPolygons(places, corners, sizes, made["colours"], "float32", tuple(left_out), frame)
 
 
 def _check_xml(data: bytes, name: str) -> None:
@@ -305,8 +308,8 @@ def _refuse(*_: object) -> None:
     raise ValueError("a document type, which could make it grow without bounds, is not allowed")
 
 
-def _answer(_: object, question: dict[str, Array]) -> tuple[list[str], dict[str, Array]]:
-    """Return notices of losses, and the places and colours of the corners of all triangles, where nodes place them."""
+def _answer(_: object, question: dict[str, Array]) -> Message:
+    """Return losses, axis and unit, and the places and colours of all corners of triangles, where nodes place them."""
     import collada
 
     document = collada.Collada(io.BytesIO(question["data"].tobytes()), ignore=[collada.common.DaeError])
@@ -336,7 +339,11 @@ def _answer(_: object, question: dict[str, Array]) -> tuple[list[str], dict[str,
         "positions": np.concatenate([np.empty((0, 3)), *positions]),
         "colours": np.concatenate([np.empty((0, 4), np.float32), *colours]),
     }
-    return sorted(left), arrays
+    asset = document.assetInfo
+    up, unit = (asset.upaxis or "Y_UP")[0], float(asset.unitmeter or 1.0)
+    if up == "X":  # and -y is to the right
+        up, arrays["positions"] = "Y", arrays["positions"][:, [1, 0, 2]] * [-1, 1, 1]
+    return (sorted(left), up, unit if 0 < unit < np.inf else 1.0), arrays
 
 
 def _placed(scene: Any) -> Iterator[tuple[Any, Float64s]]:

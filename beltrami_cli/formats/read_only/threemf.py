@@ -23,6 +23,7 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.archives import Archive
 from beltrami_cli.formats.colours import ColouredPolygons
+from beltrami_cli.surface.records import Frame
 
 _TREE = 16  # times as much memory as its text takes an XML document while it is read
 
@@ -43,6 +44,9 @@ _OTHERS = {
     "multiproperties": "several properties at once",
 }
 
+_UNITS = {
+    "micron": 1e-6, "millimeter": 1e-3, "centimeter": 1e-2, "inch": 0.0254, "foot": 0.3048, "meter": 1.0,
+}  # fmt: skip
 Attributes = dict[str, str]
 Rgba = tuple[int, int, int, int]
 
@@ -76,6 +80,7 @@ class _Model:
     colours: dict[str, list[Rgba]] = field(default_factory=dict)
     built: list[_Part] = field(default_factory=list)
     others: set[str] = field(default_factory=set)  # kinds of groups that are no colours
+    unit: float = _UNITS["millimeter"]  # metres
 
 
 def read_3mf(data: bytes, name: str, access: Access) -> ColouredPolygons:
@@ -117,6 +122,8 @@ class _Reading:
 
     def start(self, element: str, known: Attributes) -> None:
         match element.rpartition(" ")[2]:
+            case "model" if "unit" in known:
+                self.model.unit = _UNITS[known["unit"]]
             case "vertex":
                 self._object.vertices.extend(float(known[axis]) for axis in "xyz")
             case "triangle":
@@ -239,4 +246,5 @@ class _Building:
             colours=np.concatenate([np.empty((0, 4), np.float32), *self._colours]),
             stored="uint8",
             left_out=(*sorted(others), "names, metadata and settings of printers"),
+            frame=Frame("Z", self.model(self.start()).unit),
         )

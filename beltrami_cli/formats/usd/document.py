@@ -205,7 +205,7 @@ class UsdDocument(Document):
             material_of=np.where(arrays["material_of"] < 0, len(known), arrays["material_of"]),
             materials=[*map(_material, known), Material()],
             maps=maps,
-            uv=lambda slot: arrays.get(f"uv {slot}", bare),
+            uv=lambda slot: arrays.get("uv" if slot is None else f"uv {slot}", bare),
             tiles=self._layers.folder.tiles,
             read=self._layers.image,
             has_factors=True,

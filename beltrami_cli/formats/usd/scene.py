@@ -144,10 +144,11 @@ class Scene:
         return found
 
     def _coordinates(self, prim: Any, polygons: _Polygons, materials: Int64s) -> dict[str, Array]:
-        """Return the texture coordinates of corners in every slot."""
-        found: dict[str, Array] = {}
+        """Return the texture coordinates of corners in every slot, and the usual ones."""
+        plain, bare = _coordinates(prim, _AS_STORED, polygons), np.full((len(polygons.vertex), 2), np.nan)
+        found: dict[str, Array] = {"uv": bare if plain is None else plain}
         for slot in INPUTS:
-            uv = found[f"uv {slot}"] = np.full((len(polygons.vertex), 2), np.nan)
+            uv = found[f"uv {slot}"] = bare.copy()
             for number in np.unique(materials[materials >= 0]).tolist():
                 use = self.uses[number].get(slot)
                 if use is None:
@@ -293,6 +294,7 @@ _CHANNELS = {"occlusion": ("r",), "metallicRoughness": ("g", "b")}
 _WRAPS = {"repeat": "repeat", "mirror": "mirror"}  # all else shows nothing, or the border
 _NUMBERS = ("metallic", "roughness", "opacity", "opacityThreshold")
 _COLOURS = ("diffuseColor", "emissiveColor")
+_AS_STORED: dict[str, Any] = {"coordinates": "st", "matrix": [[1, 0], [0, 1]], "offset": [0, 0]}
 _DEEPEST = 8  # transforms of texture coordinates, one after the other
 
 
