@@ -18,6 +18,7 @@ from PIL import Image
 from beltrami_cli import smooth_file
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image import losses, read_image, to_float, write_image
+from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.image.reading import ImageSize, measure_image
 from beltrami_cli.jobs.noise import jpeg_file
 from beltrami_cli.layers.layer import store
@@ -181,6 +182,7 @@ def test_every_format_can_be_written_as_every_other(known, kind, channels, targe
     again = read_image(written.data, "x" + target)
     assert again.pixels.shape[:2] == picture.pixels.shape[:2]
     said = " ".join(losses(picture, target))
+    assert any("PSNR" in notice for notice in written.notices) == (target == ".webp" != SUFFIXES[known])
     assert ("no alpha" in said) == (picture.alpha is not None and again.alpha is None)
     assert ("equal red" in said) == (len(again.colour) > len(picture.colour))
     bits = {"uint8": 8, "uint16": 16, "float16": 16, "float32": 32}
@@ -206,6 +208,21 @@ def shown(picture, as_data):
         colours = colours / np.maximum(values[..., picture.alpha, None], 0.01)
     colours = linear_to_srgb(colours) if picture.encoding == "linear" and not as_data else colours
     return np.broadcast_to(colours, (*values.shape[:2], 3)).clip(0, 1)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES.values())
+def test_a_single_pixel_is_read_back(suffix):
+    picture = new_picture(np.full((1, 1, 3), 200, np.uint8), "x")
+    again = read_image(write_image(picture, picture.pixels, suffix=suffix).data, f"x{suffix}")
+    np.testing.assert_allclose(shown(again, as_data=False), 200 / 255, atol=2 / 255)
+
+
+@pytest.mark.parametrize("known", ["bmp", "targa"])
+def test_no_opacity_at_all_counts_as_full_opacity(known):
+    pixels = noise("uint8", 4) * np.uint8([1, 1, 1, 0])
+    picture = read_image(encode(pixels, known), f"x{SUFFIXES[known]}")
+    np.testing.assert_array_equal(picture.pixels, pixels + np.uint8([0, 0, 0, 255]))
+    assert "opacity of 0 everywhere" in picture.notices[-1]
 
 
 def test_a_format_that_multiplies_colours_by_alpha_says_what_it_loses():

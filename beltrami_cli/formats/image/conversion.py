@@ -25,7 +25,7 @@ from beltrami_cli.surface.records import linear_to_srgb, srgb_to_linear
 
 _ROWS = 64  # that are looked at together
 _BITS = {"uint8": 8, "uint16": 16, "float16": 16, "float32": 32}
-_INEXACT = ("jpeg", "webp", "hdr")  # and KTX2 and AVIF, whose encoder says how much
+_INEXACT = ("jpeg", "hdr")  # and WebP, KTX2 and AVIF, whose writer says how much
 # Beginnings of the names of OpenImageIO's attributes that describe samples, compression or how it reads.
 TECHNICAL = (
     "oiio:", "jpeg:", "png:", "webp:", "tiff:", "openexr:", "targa:", "bmp:", "ICCProfile:", "jpegxl:", "pnm:", "dpx:",

@@ -23,6 +23,7 @@ from beltrami_cli.formats.image.metadata import (
     png_chunks,
 )
 from beltrami_cli.formats.image.picture import (
+    FORMATS,
     READABLE,
     STORED,
     Picture,
@@ -46,6 +47,7 @@ _COMPRESSIONS_OF_TIFF = ("", "none", "lzw", "zip", "packbits")  # that OpenImage
 _WHOLE_BYTES = (8, 16, 32)
 # PNG and JPEG files have their size before their pixels, mostly in this many bytes, so that not all of them are copied.
 _SIZE_FIRST, _HEAD = (b"\x89PNG", b"\xff\xd8\xff"), 1 << 16
+_LEAST_JPEG_XL = 128  # bytes without which OpenImageIO does not recognise it
 _UNNAMED = "an image"
 _EXPORT = "export it as RGB or grey with 8 or 16 bits, or as floats"
 
@@ -191,6 +193,10 @@ def _decoded(data: bytes, name: str, finite: bool) -> Picture:
             raise _damaged(name, known, error, path)
         notices = _changes(file, part or 0, data, known, name)
     pixels = pixels.reshape(spec.height, spec.width, spec.nchannels)
+    if known in ("bmp", "targa") and spec.nchannels in (2, 4) and not pixels[..., -1].any():
+        # Programs that make these files leave the byte for opacity empty where a picture has none.
+        pixels[..., -1] = np.iinfo(pixels.dtype).max
+        notices += (f"{name} has an opacity of 0 everywhere, which is taken for none; it becomes opaque.",)
     if pixels.dtype.kind == "f":
         pixels = pixels.astype(np.float32, copy=False)
         unfit = pixels.size - int(np.count_nonzero(np.isfinite(pixels))) if finite else 0
@@ -315,6 +321,8 @@ def opened(data: bytes, config: Any = None, name: str = _UNNAMED) -> Iterator[tu
     """Open an image file; give an OpenImageIO.ImageInput, or None if that fails, and its path, which errors name."""
     import OpenImageIO
 
+    if data.startswith(FORMATS["jpegxl"].signatures):
+        data = data.ljust(_LEAST_JPEG_XL, b"\0")
     with scratch_file(first_jpeg(data), name=name) as path:
         arguments = (str(path),) if config is None else (str(path), config)
         file = OpenImageIO.ImageInput.open(*arguments)

@@ -86,8 +86,12 @@ def write_image(
             is_webp = known == "webp"
             made = exif_of(_one_pixel(spec, picture.name), "jpeg") if is_webp else exif_of(data, known)
             data = carry_exif(picture.source, picture.format, data, known, made)
-        return ImageFile(data, FORMATS[known].suffixes[0], lost_metadata(picture, data, known))
-    notices = list[str]()
+        notices = [*lost_metadata(picture, data, known)]
+        if known == "webp":
+            again = read_image(data, picture.name).pixels
+            notices.append(extra_codecs.encoding_cost(known, values, again, picture.name))
+        return ImageFile(data, FORMATS[known].suffixes[0], tuple(notices))
+    notices = []
     if known == "png" and metadata.has_palette(picture.source, known):
         notices.append(f"{picture.name} has a palette, which becomes full colours.")
     spec = _bare_spec(picture) if known in _SPLICED else _kept_spec(picture)
