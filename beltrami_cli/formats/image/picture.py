@@ -110,7 +110,7 @@ FORMATS = {
     "tiff": ImageFormat((".tif", ".tiff", ".tx"), _ANY, signatures=(b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")),
     "openexr": ImageFormat((".exr",), ("float16", "float32"), signatures=(b"v/1\x01",)),
     "targa": ImageFormat((".tga", ".targa", ".tpic"), ("uint8",)),
-    "bmp": ImageFormat((".bmp", ".dib"), ("uint8",), (1, 3, 4), (b"BM",)),
+    "bmp": ImageFormat((".bmp", ".dib"), ("uint8",), (1, 3), (b"BM",)),  # most programs ignore an alpha in it
     "hdr": ImageFormat((".hdr", ".rgbe"), ("float32",), (3,), (b"#?",)),
     "jpegxl": ImageFormat((".jxl",), _ANY, (1, 3, 4), (b"\xff\x0a", b"\0\0\0\x0cJXL \r\n\x87\n")),
     "jpeg2000": ImageFormat(
