@@ -192,6 +192,10 @@ class Document(ABC):
         """Which axis of the positions is up, and their unit."""
         return records.Frame()
 
+    def hidden_places(self) -> tuple[str, ...]:
+        """Return words for the places of a mesh that `painted` and `textured` do not have, if there are any."""
+        return ()
+
     def grid(self) -> Int64s | None:
         """Return the rows of `painted()` on the grid of a range image, shape (H, W), -1: none; None without a grid."""
         return None

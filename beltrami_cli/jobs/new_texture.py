@@ -219,7 +219,7 @@ def _left_behind(contents: MeshContents) -> list[str]:
 
 def _what_textures_lose(document: Document, old: TexturedSurface, pictures: list[Picture]) -> tuple[str, ...]:
     what = f"{document.format.upper()} content other than triangles and the base colour"
-    notices = [f"{what} is not in the new file."]
+    notices = [f"{what} is not in the new file.", *(f"Nor are {each}." for each in document.hidden_places())]
     if bare := int((old.texture_of < 0).sum()):
         notices.append(f"{bare} triangles have no texture, and are white in the new one.")
     if any(picture.encoding == "linear" for picture in pictures):
@@ -321,7 +321,8 @@ def _colours_from_textures(document: Document) -> tuple[MeshContents, tuple[str,
         encoding=_encoding(pictures),
         stored=max((picture.stored for picture in pictures), key=_FINENESS.index),
         alpha=colours[:, 3] if any(picture.alpha is not None for picture in pictures) else None,
-        left_out=("texture coordinates", "textures", "materials", "normals"),
+        left_out=("texture coordinates", "textures", "materials", "normals", *document.hidden_places()),
+        frame=document.frame,
     )
     notices, bare = [], int((~textured).sum()) // 3
     if split.any():

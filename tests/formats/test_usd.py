@@ -10,6 +10,7 @@ from beltrami_cli.formats.registry import open_document
 from beltrami_cli.formats.usd.layers import layer_from
 from beltrami_cli.jobs.inspect import check_files
 from beltrami_cli.jobs.job import BakeSettings, Job
+from beltrami_cli.jobs.new_texture import bake_file
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.settings import EmbeddingSettings
 from beltrami_cli.surface.records import Frame
@@ -361,12 +362,20 @@ def test_positions_are_not_smoothed_in_vain(form, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("lines", "unwrap"), [((coloured(COLOURS),), BakeSettings()), ((BOUND, material_text("a.png")), None)]
+    ("lines", "unwrap"),
+    [
+        ((coloured(COLOURS),), BakeSettings()),
+        ((BOUND, material_text("a.png")), None),
+        ((BOUND, material_text("a.png")), "vertices"),
+    ],
 )
 def test_the_axis_and_the_unit_of_a_scene_are_kept_in_gltf(lines, unwrap, tmp_path):
     header = HEADER.replace("metersPerUnit = 1", "metersPerUnit = 0.01").replace('"Y"', '"Z"')
     write(tmp_path, {"a.usda": scene(mesh_text(lines[0]), *lines[1:], header=header), "a.png": PICTURE})
-    report = smooth_file(tmp_path / "a.usda", tmp_path / "b.glb", GIVEN, unwrap=unwrap)
+    if unwrap == "vertices":
+        report = bake_file(tmp_path / "a.usda", tmp_path / "b.glb", "vertices")
+    else:
+        report = smooth_file(tmp_path / "a.usda", tmp_path / "b.glb", GIVEN, unwrap=unwrap)
     document = open_document(str(tmp_path / "b.glb"))
     surface = document.painted() if document.has_vertex_colours() else document.textured("baseColor")
     corners = np.unique(surface.positions[surface.faces].reshape(-1, 3), axis=0)

@@ -103,6 +103,10 @@ class GltfDocument(Document):
         self.notices += [notice for notice in notices if notice not in self.notices]
         return surface
 
+    def hidden_places(self) -> tuple[str, ...]:
+        shown = [str(node["mesh"]) for node in objects(self.container.tree.get("nodes")) if "mesh" in node]
+        return ("further places of a mesh",) if len({*shown}) < len(shown) else ()
+
     def attributes(self) -> tuple[str, ...]:
         return self.surface.attribute_names()
 
@@ -150,7 +154,7 @@ class GltfDocument(Document):
             stored=shown.stored,
             alpha=self.surface.opacity(),
             normals=self.surface.normals(),
-            left_out=tuple(_left_out(self.container.tree)),
+            left_out=(*_left_out(self.container.tree), *self.hidden_places()),
         )
 
     def textured_mesh(self, colours: Float32s | None = None) -> MeshContents:
@@ -219,7 +223,6 @@ def _left_out(tree: Tree) -> list[str]:
     held = [primitive.get("attributes", {}) for primitive in primitives]
     attributes, nodes = {key for each in held for key in each}, objects(tree.get("nodes"))
     placed = ("children", "matrix", "translation", "rotation", "scale")
-    shown = [str(node["mesh"]) for node in nodes if "mesh" in node]
     there = {key: tree.get(key) for key in ("materials", "textures", "skins", "animations", "cameras")} | {
         "morph targets": any(primitive.get("targets") for primitive in primitives),
         "uncoloured meshes": any("COLOR_0" not in each for each in held),
@@ -228,7 +231,6 @@ def _left_out(tree: Tree) -> list[str]:
             key in ("TANGENT", "COLOR_1") or key.startswith("_") for key in attributes
         ),
         "normals, which some parts lack": len({"NORMAL" in each for each in held if "COLOR_0" in each}) > 1,
-        "further places of a mesh": len({*shown}) < len(shown),
         "lines": any(primitive.get("mode") in (1, 2, 3) for primitive in primitives),
         "node hierarchy": len(nodes) > 1 or any(key in node for node in nodes for key in placed),
     }

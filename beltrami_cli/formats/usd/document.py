@@ -211,6 +211,9 @@ class UsdDocument(Document):
             has_factors=True,
         )
 
+    def hidden_places(self) -> tuple[str, ...]:
+        return ("further places of a mesh",) if self._words["counts"].get("instanced") else ()
+
     def references(self) -> Sequence[str]:
         if self._layers.package is not None:
             return []
@@ -300,7 +303,7 @@ class UsdDocument(Document):
         words, counts = self._words, self._words["counts"]
         others = [f"{kind} prims" for kind in words["others"]]
         others += ["variants"] if words["variants"] else []
-        others += ["further places of a mesh"] if counts.get("instanced") else []
+        others += self.hidden_places()
         others += [
             f"{slot} maps laid out otherwise than in glTF" for slot in SLOTS if counts.get(f"unfit {slot}")
         ]
