@@ -195,15 +195,10 @@ def test_junit_has_a_case_for_each_limit_and_part(tmp_path):
 @pytest.mark.parametrize(
     ("name", "suffix", "similarity"),
     [
-        ("head-clean.ply", ".ply", None),
-        ("torus-two-clean.gltf", ".gltf", 1),
-        ("sphere-exr-clean.obj", ".obj", 1),
-        ("head-tex-clean.png", ".png", 1),
-        ("head-tex-clean.obj", ".glb", 1),
-        ("scan-clean.ply", ".glb", 1),
-        ("torus-two-clean.gltf", ".obj", 1),
-    ],
-)
+        ("head-clean.ply", ".ply", None), ("torus-two-clean.gltf", ".gltf", 1), ("sphere-exr-clean.obj", ".obj", 1),
+        ("head-tex-clean.png", ".png", 1), ("head-tex-clean.obj", ".glb", 1), ("scan-clean.ply", ".glb", 1),
+        ("torus-two-clean.gltf", ".obj", 1), ],
+)  # fmt: skip
 def test_a_file_is_equal_to_itself_and_to_its_conversion(name, suffix, similarity, tmp_path):
     """Conversion splits and renumbers vertices, and of several textures may change the order."""
     copy = tmp_path / f"c{suffix}"

@@ -15,13 +15,9 @@ SHELLS = re.findall(r"_BELTRAMI_COMPLETE=(\w+)_source beltrami", PAGE.read_text(
 @pytest.mark.parametrize(
     ("typed", "offered"),
     [
-        ("sm", "smooth"),
-        ("smooth --beta-g", "--beta-growth"),
-        ("smooth --weights u", "uniform"),
-        ("smooth --strength g", "gentle"),
-    ],
-    ids=["command", "option", "value", "word or number"],
-)
+        ("sm", "smooth"), ("smooth --beta-g", "--beta-growth"), ("smooth --weights u", "uniform"),
+        ("smooth --strength g", "gentle"), ], ids=["command", "option", "value", "word or number"],
+)  # fmt: skip
 def test_shells_complete_what_is_typed(shell, typed, offered):
     last = typed.split()[-1] if shell == "fish" else len(typed.split())
     asked = {"COMP_WORDS": f"beltrami {typed}", "COMP_CWORD": last}

@@ -106,14 +106,9 @@ def require_light(after, truth, sigma):
 @pytest.mark.parametrize(
     ("kind", "space", "shared"),
     [
-        ("normal", "srgb", True),
-        ("normal", "oklab", False),
-        ("four paths", "linear", True),
-        ("four paths", "oklab", True),
-        ("one path", "srgb", False),
-        ("one path", "linear", False),
-    ],
-)
+        ("normal", "srgb", True), ("normal", "oklab", False), ("four paths", "linear", True),
+        ("four paths", "oklab", True), ("one path", "srgb", False), ("one path", "linear", False), ],
+)  # fmt: skip
 def test_images_keep_the_mean_light_of_every_region(kind, space, shared):
     truth, (draw, sigma) = lightmap(), NOISE[kind]
     noisy = truth * draw(np.random.default_rng(7), (LIGHT_SIDE, LIGHT_SIDE, 1 if shared else 3))

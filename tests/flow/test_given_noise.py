@@ -137,14 +137,10 @@ def test_an_attribute_of_vertices_is_their_noise(tmp_path):
 @pytest.mark.parametrize(
     ("shape", "value", "noise", "words"),
     [
-        ((SIZE, SIZE, 1), 12, "{}", "up to 12"),
-        ((SIZE, SIZE, 1), -1, "{}", "down to -1"),
-        ((SIZE, SIZE, 1), np.nan, "{}", "not finite"),
-        ((SIZE, 8, 1), 0.1, "{}", "8 x 128 pixels do not fit"),
-        ((SIZE, SIZE, 3), 0.1, "{}", "3 channels"),
-        ((1, 1, 1), 0.1, "attribute:sigma", "only vertices"),
-    ],
-)
+        ((SIZE, SIZE, 1), 12, "{}", "up to 12"), ((SIZE, SIZE, 1), -1, "{}", "down to -1"),
+        ((SIZE, SIZE, 1), np.nan, "{}", "not finite"), ((SIZE, 8, 1), 0.1, "{}", "8 x 128 pixels do not fit"),
+        ((SIZE, SIZE, 3), 0.1, "{}", "3 channels"), ((1, 1, 1), 0.1, "attribute:sigma", "only vertices"), ],
+)  # fmt: skip
 def test_what_is_no_noise_of_the_image_is_refused_in_a_line(shape, value, noise, words, tmp_path):
     source = write(tmp_path / "in.png", grey()[1][..., None])
     given = write(tmp_path / "sigma.exr", np.full(shape, value), "float")

@@ -122,19 +122,10 @@ def test_channels_without_noise_stay_and_do_not_stop_the_others():
 @pytest.mark.parametrize(
     ("parameters", "taken"),
     [
-        ({}, True),
-        ({"iterations": 2}, False),
-        ({"t": 1.0}, False),
-        ({"beta": 5.0}, False),
-        ({"beta": 0.0}, False),
-        ({"fast": True}, False),
-        ({"patches": "off"}, False),
-        ({"patches": "on", "beta": 5.0, "iterations": 1}, True),
-        ({"patches": "on", "fast": True}, True),
-        ({"patches": "on", "iterations": 0}, False),
-        ({"strength": "strong"}, True),
-        (PRESETS["paper"], False),
-    ],
+        ({}, True), ({"iterations": 2}, False), ({"t": 1.0}, False), ({"beta": 5.0}, False), ({"beta": 0.0}, False),
+        ({"fast": True}, False), ({"patches": "off"}, False),
+        ({"patches": "on", "beta": 5.0, "iterations": 1}, True), ({"patches": "on", "fast": True}, True),
+        ({"patches": "on", "iterations": 0}, False), ({"strength": "strong"}, True), (PRESETS["paper"], False), ],
 )  # fmt: skip
 def test_patches_are_taken_where_the_kernel_is_chosen_from_the_data_or_they_are_asked_for(parameters, taken):
     noisy = with_noise(photograph(32), SIGMA)

@@ -58,15 +58,14 @@ def of_meshopt(kind, indices, mode, extension):
 COMPRESSED = [
     (partial(draco_model, COLOURS[:, :3].copy(), in_order=True), 255),
     (partial(draco_model, COLOURS, in_order=True, mode=5), 255),
-    (partial(draco_model, COLOURS[:, :3].copy(), mode=5), 255),
-    (partial(draco_model, COLOURS), 255),
+    (partial(draco_model, COLOURS[:, :3].copy(), mode=5), 255), (partial(draco_model, COLOURS), 255),
     (of_meshopt("u1", "<u2", "TRIANGLES", EXTENSIONS[0]), 255),
     (of_meshopt("u1", "<u4", "INDICES", EXTENSIONS[1]), 255),
     (of_meshopt("u2", "<u2", "INDICES", EXTENSIONS[0]), 65535),
     (of_meshopt("u2", "<u4", "TRIANGLES", EXTENSIONS[1]), 65535),
     (of_meshopt("f4", "<u2", "TRIANGLES", EXTENSIONS[1]), 255),
     (of_meshopt("f4", "<u4", "INDICES", EXTENSIONS[0]), 255),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("make", "full"), COMPRESSED)

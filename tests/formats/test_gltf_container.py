@@ -178,14 +178,10 @@ values = st.recursive(
 json_trees = st.dictionaries(st.text(max_size=3), values, max_size=4)
 styles = st.sampled_from(
     [
-        {},
-        {"indent": 2},
-        {"indent": "\t"},
-        {"separators": (",", ":")},
-        {"indent": 0},
+        {}, {"indent": 2}, {"indent": "\t"}, {"separators": (",", ":")}, {"indent": 0},
         {"indent": 1, "separators": (",", " : ")},
     ]
-)
+)  # fmt: skip
 
 
 @pytest.mark.slow
@@ -198,12 +194,8 @@ def test_revised_text_parses_to_the_new_tree_in_the_style_of_the_source(old, new
     assert parsed(revised(text, new), "") == new
     plain = {"a": 1, "b": ["x", 3], "c": {}, "d": [], "e": 0}
     added = {
-        "a": 1,
-        "b": ["x", 4, {"y": 2}],
-        "c": {"x": 1},
-        "d": [2],
-        "f": {"x": 1, "y": 2},
-    }  # and one removed
+        "a": 1, "b": ["x", 4, {"y": 2}], "c": {"x": 1}, "d": [2], "f": {"x": 1, "y": 2},
+    }  # and one removed  # fmt: skip
     text = json.dumps(plain, ensure_ascii=False, **style)
     assert revised(text, added) == json.dumps(added, ensure_ascii=False, **style)
 

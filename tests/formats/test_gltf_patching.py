@@ -305,16 +305,11 @@ def test_webp_stays_webp_or_leaves_no_trace(tmp_path, fallback, suffix):
         ("model.png", ".png", False, "out.png"),
         ("maps/model_base color.png", ".png", False, "maps/out_base color.png"),
         ("remodelled.png", ".png", False, "out_remodelled.png"),
-        ("maps/skin.png", ".jpg", False, "maps/out_skin.jpg"),
-        ("maps/skin.JPEG", ".jpg", True, "maps/skin.JPEG"),
-        ("maps/skin.png", ".webp", True, "maps/skin.webp"),
-        ("100%.png", ".png", True, "100%.png"),
-        ("100%.png", ".png", False, "out_100%.png"),
-        ("skin", ".png", True, "skin.png"),
-        ("TAKEN.png", ".jpg", True, "TAKEN-2.jpg"),
-        ("out_skin.png", ".png", False, "out_out_skin.png"),
-    ],
-)
+        ("maps/skin.png", ".jpg", False, "maps/out_skin.jpg"), ("maps/skin.JPEG", ".jpg", True, "maps/skin.JPEG"),
+        ("maps/skin.png", ".webp", True, "maps/skin.webp"), ("100%.png", ".png", True, "100%.png"),
+        ("100%.png", ".png", False, "out_100%.png"), ("skin", ".png", True, "skin.png"),
+        ("TAKEN.png", ".jpg", True, "TAKEN-2.jpg"), ("out_skin.png", ".png", False, "out_out_skin.png"), ],
+)  # fmt: skip
 def test_image_files_are_named_after_the_output_and_spare_the_sources(
     tmp_path, name, suffix, moved, expected
 ):

@@ -37,12 +37,8 @@ _GEOREFERENCE = {
 }  # fmt: skip
 _TEXTS = {
     270: (2, _TEXT),
-    274: (3, [6]),
-    282: (5, [72, 1]),
-    283: (5, [300, 7]),
-    296: (3, [3]),
-    315: (2, _TEXT),
-}
+    274: (3, [6]), 282: (5, [72, 1]), 283: (5, [300, 7]), 296: (3, [3]), 315: (2, _TEXT),
+}  # fmt: skip
 _BLOCKS = {
     700: (1, [*b"<x:xmpmeta/>"]),
     33723: (7, [28, 2, 120, 0, 1, 65]),
@@ -163,14 +159,10 @@ def test_every_chunk_of_a_png_is_kept_in_its_place_or_named(kind):
     header, *others = png_chunks(encode(noise(kind, 3), "png"))
     pixels = [chunk for chunk in others if chunk[0] == b"IDAT"]
     before = [
-        (b"gAMA", (45455).to_bytes(4)),
-        (b"pHYs", bytes([0, 0, 11, 19, 0, 0, 11, 19, 1])),
-        (b"tEXt", b"Author\0me"),
-        (b"iTXt", b"XML:com.adobe.xmp\0\0\0\0\0<x/>"),
-        (b"eXIf", _SMALL_EXIF),
-        (b"prVt", b"private"),
+        (b"gAMA", (45455).to_bytes(4)), (b"pHYs", bytes([0, 0, 11, 19, 0, 0, 11, 19, 1])), (b"tEXt", b"Author\0me"),
+        (b"iTXt", b"XML:com.adobe.xmp\0\0\0\0\0<x/>"), (b"eXIf", _SMALL_EXIF), (b"prVt", b"private"),
         (b"sBIT", bytes([5, 6, 5])),
-    ]
+    ]  # fmt: skip
     behind = [(b"tEXt", b"Comment\0at the end"), (b"IEND", b"")]
     source = png_file([header, *before, *pixels, *behind])
     written = png_chunks(rewritten(source, "x.png").data)

@@ -184,12 +184,9 @@ def wedges(polygons, numbers=None, bare=()):
 @pytest.mark.parametrize(
     ("encoding", "newline", "kind"),
     [
-        ("ascii", "\n", "int"),
-        ("ascii", "\r\n", "float"),
-        (ENCODINGS[1], "\r\n", "char"),
-        (ENCODINGS[2], "\n", "float"),
-    ],
-)
+        ("ascii", "\n", "int"), ("ascii", "\r\n", "float"), (ENCODINGS[1], "\r\n", "char"),
+        (ENCODINGS[2], "\n", "float"), ],
+)  # fmt: skip
 def test_coordinates_of_faces_are_cut_along_with_polygons(tmp_path, encoding, newline, kind):
     polygons = [[0, 1, 2, 3, 4], [0, 1, 2], [4, 3, 0], [0, 1, 2, 4]]
     tables = wedges(polygons, [1, 0, -1, 1], bare=(1,))

@@ -21,14 +21,10 @@ def opened(data, name="a.xyz", **access):
 @pytest.mark.parametrize(
     ("text", "channels", "colours"),
     [
-        (b"1 2 3 0 51 255", RGB, [0, 0.2, 1]),
-        (b"1 2 3 0 0.2 1", RGB, [0, 0.2, 1]),
-        (b"1 2 3 0 13107 65535", RGB, [0, 0.2, 1]),
-        (b"1 2 3 1023 0 341\n" * 9, RGB, [1, 0, 1 / 3]),
-        (b"1 2 3 0.25", ("intensity",), [0.25]),
-        (b"1 2 3 51", ("intensity",), [0.2]),
-        (b"1 2 3 -1024 \n 1 2 3 2048", ("intensity",), [-0.5]),
-        (b"1 2 3 1 0 0 0 0.6 0.8", RGB, [1, 0, 0]),
+        (b"1 2 3 0 51 255", RGB, [0, 0.2, 1]), (b"1 2 3 0 0.2 1", RGB, [0, 0.2, 1]),
+        (b"1 2 3 0 13107 65535", RGB, [0, 0.2, 1]), (b"1 2 3 1023 0 341\n" * 9, RGB, [1, 0, 1 / 3]),
+        (b"1 2 3 0.25", ("intensity",), [0.25]), (b"1 2 3 51", ("intensity",), [0.2]),
+        (b"1 2 3 -1024 \n 1 2 3 2048", ("intensity",), [-0.5]), (b"1 2 3 1 0 0 0 0.6 0.8", RGB, [1, 0, 0]),
         (b"# x y z b g r\n1 2 3 255 51 0", RGB, [0, 0.2, 1]),
         (b"//X;Y;Z;R;G;B;Intensity\n1;2;3;0;51;255;9", RGB, [0, 0.2, 1]),
         (b"x y z i nx ny nz\n1 2 3 0.25 0 0 1", ("intensity",), [0.25]),
@@ -37,7 +33,7 @@ def opened(data, name="a.xyz", **access):
         (b"1\t2\t3\t0\t51\t255\r1 2 3 4 5 6\r", RGB, [0, 0.2, 1]),
         (b"# scanned on Monday\n\n 1 2 3 1 0 0 # red\n1 2 3 0 1 0\n", RGB, [1, 0, 0]),
     ],
-)
+)  # fmt: skip
 def test_numbers_are_read_whatever_their_range_separators_and_line_ends(text, channels, colours):
     painted = opened(text).painted()
     assert painted.channels == channels

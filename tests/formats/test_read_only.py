@@ -331,25 +331,21 @@ def test_dae_colours_are_read_in_their_place_and_precision_whatever_is_beside_th
     assert {left_out} - {""} <= {*document.contents().left_out}
 
 
+@needs_collada
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("axis", "unit", "turn"),
-    [
-        ("Y", 0.5, [[1, 0, 0], [0, 1, 0], [0, 0, 1]]),
-        ("X", 1, [[0, -1, 0], [1, 0, 0], [0, 0, 1]]),
-        ("Z", 0.01, [[1, 0, 0], [0, 0, 1], [0, -1, 0]]),
-        ("3mf", 0.0254, [[1, 0, 0], [0, 0, 1], [0, -1, 0]]),
-    ],
+    ("axis", "unit", "order", "signs"),
+    [("Y", 0.5, [0, 1, 2], [1, 1, 1]), ("X", 1, [1, 0, 2], [-1, 1, 1]), ("Z", 0.01, [0, 2, 1], [1, 1, -1])],
 )
-def test_gltf_is_in_metres_and_y_is_up_as_the_file_says(axis, unit, turn, tmp_path):
-    source, places = tmp_path / "in.dae", np.add(SQUARE, [0, 0, 7])
-    source.write_text(DAE.replace('meter="1"', f'meter="{unit}"').replace("Y_UP", f"{axis}_UP"))
-    if axis == "3mf":
-        source, places = tmp_path / "in.3mf", SQUARE
-        source.write_bytes(threemf(model(OBJECT).replace("<model", '<model unit="inch"')))
-    elif find_spec("collada") is None:
-        pytest.skip("pycollada is not installed")
-    smooth_file(source, tmp_path / "out.glb", iterations=0)
-    found = trimesh.load(tmp_path / "out.glb", force="mesh").vertices
-    wanted = places @ np.transpose(turn) * unit
-    np.testing.assert_allclose(sorted(found.tolist()), sorted(wanted.tolist()), atol=1e-6)
+def test_gltf_is_in_metres_and_y_is_up_as_the_file_says(axis, unit, order, signs, tmp_path):
+    (tmp_path / "in.dae").write_text(DAE.replace('"1"/><up', f'"{unit}"/><up').replace("Y_UP", f"{axis}_UP"))
+    (tmp_path / "in.3mf").write_bytes(threemf(model(OBJECT).replace("<model", '<model unit="inch"')))
+    frames = {
+        "dae": (np.add(SQUARE, [0, 0, 7]), order, signs, unit),
+        "3mf": (SQUARE, [0, 2, 1], [1, 1, -1], 0.0254),
+    }
+    for suffix, (places, *turn, size) in frames.items():
+        smooth_file(tmp_path / f"in.{suffix}", tmp_path / f"{suffix}.glb", iterations=0)
+        found = trimesh.load(tmp_path / f"{suffix}.glb", force="mesh").vertices
+        wanted = np.asarray(places)[:, turn[0]] * turn[1] * size
+        np.testing.assert_allclose(sorted(found.tolist()), sorted(wanted.tolist()), atol=1e-6)

@@ -270,14 +270,11 @@ def test_every_format_of_output_is_tested():
 
 
 CONTENTS = [
-    ("uint8", "srgb", 3, np.float32, False),
-    ("uint8", "linear", 1, np.float64, True),
-    ("uint16", "srgb", 1, np.float32, True),
-    ("uint16", "linear", 3, np.float32, False),
-    ("float32", "srgb", 3, np.float64, True),
-    ("float32", "linear", 3, np.float32, True),
+    ("uint8", "srgb", 3, np.float32, False), ("uint8", "linear", 1, np.float64, True),
+    ("uint16", "srgb", 1, np.float32, True), ("uint16", "linear", 3, np.float32, False),
+    ("float32", "srgb", 3, np.float64, True), ("float32", "linear", 3, np.float32, True),
     ("text", "srgb", 3, np.float64, False),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("stored", "encoding", "channels", "dtype", "has_more"), CONTENTS)
@@ -359,20 +356,14 @@ def test_colours_keep_a_type_that_holds_them(form, stored, encoding, kept):
     assert open_bytes(joined(written), f"x.{form}", None).painted().stored == kept
 
 
-@pytest.mark.parametrize(
-    ("name", "scale", "digits", "kept"),
-    [
-        ("x.obj", 255, 5, "uint8"),
-        ("x.xyz", 1, 0, "uint8"),
-        ("x.csv", 255, 6, "uint8"),
-        ("x.obj", 255.5, 6, "float32"),
-    ],
-)
+@pytest.mark.parametrize(("name", "scale", "digits", "kept"), [
+    ("x.obj", 255, 5, "uint8"), ("x.xyz", 1, 0, "uint8"), ("x.csv", 255, 6, "uint8"), ("x.obj", 255.5, 6, "float32"),
+])  # fmt: skip
 def test_colours_of_a_text_become_bytes_where_these_hold_them(name, scale, digits, kept):
     levels = np.arange(256.0).reshape(-1, 1) * [1, 1, 1]
-    rows = [*map(str, np.column_stack([levels * [1, 0, 0], (levels / scale).round(digits)]).tolist())]
-    lines = ("v " * name.endswith("obj") + row.strip("[]").replace(",", "") for row in rows)
-    document = open_bytes("\n".join(lines).encode(), name, None)
+    rows = np.column_stack([levels * [1, 0, 0], (levels / scale).round(digits)]).tolist()
+    text = "\n".join("v " * name.endswith("obj") + " ".join(map(str, row)) for row in rows)
+    document = open_bytes(text.encode(), name, None)
     written = joined(write_mesh(document.recoloured_contents(None), "ply", "x"))
     found = open_bytes(written, "x.ply", None).painted()
     assert found.stored == kept

@@ -109,23 +109,12 @@ def test_results_of_an_earlier_run_are_replaced_after_a_run_that_was_killed(scan
 
 
 CRAFTED = {
-    "no table": [],
-    "no such field": {"surprise": 1},
-    "input": {"input": 5},
-    "input with NUL": {"input": "a\0b"},
-    "output with a surrogate": {"output": "\ud800"},
-    "status": {"status": "perfect"},
-    "list as status": {"status": ["done"]},
-    "time": {"time": "now"},
-    "no time": {"time": float("nan")},
-    "large time": {"time": 10**400},
-    "seconds": {"seconds": 10**400},
-    "negative seconds": {"seconds": -1},
-    "error": {"error": {}},
-    "exit code": {"exit_code": "0"},
-    "hashes": {"read": [1]},
-    "hash": {"written": {"a": "0" * 63}},
-    "hash of no text": {"written": {"a": 5}},
+    "no table": [], "no such field": {"surprise": 1}, "input": {"input": 5}, "input with NUL": {"input": "a\0b"},
+    "output with a surrogate": {"output": "\ud800"}, "status": {"status": "perfect"},
+    "list as status": {"status": ["done"]}, "time": {"time": "now"}, "no time": {"time": float("nan")},
+    "large time": {"time": 10**400}, "seconds": {"seconds": 10**400}, "negative seconds": {"seconds": -1},
+    "error": {"error": {}}, "exit code": {"exit_code": "0"}, "hashes": {"read": [1]},
+    "hash": {"written": {"a": "0" * 63}}, "hash of no text": {"written": {"a": 5}},
     "name of a hash": {"read": {"a\0": "0" * 64}},
     "URL among paths": {"read": {"http://127.0.0.1:9/x": "0" * 64}},
     "report": {"report": []},
@@ -136,7 +125,7 @@ CRAFTED = {
     "textures": {"report": {"textures": {}}},
     "warnings": {"report": {"warnings": [5]}},
     "deep": {"report": {"x": json.loads("[" * 300 + "]" * 300)}},
-}
+}  # fmt: skip
 
 
 def sound_line(out):

@@ -307,33 +307,17 @@ LIMIT_IN_MEMORY = "7G"
 
 
 COMMANDS = [
-    "info large.png",
-    "smooth large.png out.png",
-    "smooth large.png out.jpg -n 0",
-    "noise large.png out.png --sigma 5%",
-    "kernel large.png out.png --at 5,5",
-    "compare large.png large.png",
-    "report large.png large.png out.html",
-    "render large.png out.png",
-    "sweep large.png out.png --beta 1,2",
-    "view large.png --no-open",
-    "smooth small.png out.png --height large.png",
-    "smooth small.png out.png --positions large.png",
-    "smooth small.png out.png --mask large.png",
-    "smooth small.png out.png --guide large.png",
-    "smooth small.png out.png --noise large.png",
-    "info model.obj",
-    "smooth model.obj out.obj",
-    "smooth model.obj out.glb --unwrap",
-    "level model.obj out.obj",
-    "noise model.obj out.obj --sigma 5%",
-    "kernel model.obj out.png --at 0.5,0.5",
-    "check model.obj other.obj",
-    "compare model.obj other.obj",
-    "report model.obj other.obj out.html",
-    "render model.obj out.png",
+    "info large.png", "smooth large.png out.png", "smooth large.png out.jpg -n 0",
+    "noise large.png out.png --sigma 5%", "kernel large.png out.png --at 5,5", "compare large.png large.png",
+    "report large.png large.png out.html", "render large.png out.png", "sweep large.png out.png --beta 1,2",
+    "view large.png --no-open", "smooth small.png out.png --height large.png",
+    "smooth small.png out.png --positions large.png", "smooth small.png out.png --mask large.png",
+    "smooth small.png out.png --guide large.png", "smooth small.png out.png --noise large.png", "info model.obj",
+    "smooth model.obj out.obj", "smooth model.obj out.glb --unwrap", "level model.obj out.obj",
+    "noise model.obj out.obj --sigma 5%", "kernel model.obj out.png --at 0.5,0.5", "check model.obj other.obj",
+    "compare model.obj other.obj", "report model.obj other.obj out.html", "render model.obj out.png",
     "bake model.obj out.ply --to vertices",
-]
+]  # fmt: skip
 
 
 @pytest.fixture(scope="module")

@@ -52,20 +52,13 @@ def hidden_names(world):
         "a/../../secret/key.png": "leaves the model's folder",
         str(world / "secret" / "key.png"): "leaves the model's folder",
         "http://127.0.0.1:9/key.png": "is not a relative path",
-        "https://127.0.0.1:9/key.png": "is not a relative path",
-        "file:///etc/passwd": "is not a relative path",
-        "//127.0.0.1/share/key.png": "is not a relative path",
-        "C:/secret/key.png": "is not a relative path",
-        "link.png": "leads out of the model's folder",
-        "linked/key.png": "leads out of the model's folder",
-        "fifo.png": "is not a regular file",
-        "folder.png": "is not a regular file",
-        "zero.png": "leads out of the model's folder",
-        "loop.png": "cannot be the name of a file",
-        ".hidden.png": "is a hidden file",
-        "absent.png": "is missing",
-        "a" * 5000: "cannot be the name of a file",
-    }
+        "https://127.0.0.1:9/key.png": "is not a relative path", "file:///etc/passwd": "is not a relative path",
+        "//127.0.0.1/share/key.png": "is not a relative path", "C:/secret/key.png": "is not a relative path",
+        "link.png": "leads out of the model's folder", "linked/key.png": "leads out of the model's folder",
+        "fifo.png": "is not a regular file", "folder.png": "is not a regular file",
+        "zero.png": "leads out of the model's folder", "loop.png": "cannot be the name of a file",
+        ".hidden.png": "is a hidden file", "absent.png": "is missing", "a" * 5000: "cannot be the name of a file",
+    }  # fmt: skip
 
 
 def test_names_that_lead_elsewhere_are_refused_with_the_reason(world):

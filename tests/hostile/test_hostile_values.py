@@ -49,19 +49,13 @@ ARGUMENTS = {
     "blender-extension": ("out.zip",),
     "bake": ("mesh.ply", "out.glb", "--to", "texture", "--size", "64"),
     "batch": ("mesh.ply", "--out-dir", "out", "--fast", "-n", "1", "-j", "1"),
-    "check": ("mesh.ply", "mesh.ply"),
-    "compare": ("mesh.ply", "mesh.ply"),
-    "config": (),
-    "docs": ("tuning",),
-    "info": ("mesh.ply", "--fast"),
-    "kernel": ("mesh.ply", "kernel.ply", "--at", "1"),
-    "level": (TEXTURED, "out.glb"),
-    "noise": ("mesh.ply", "out.ply", "--sigma", "5"),
-    "render": ("mesh.ply", "out.png", "--size", "16"),
-    "report": ("mesh.ply", "mesh.ply", "out.html"),
+    "check": ("mesh.ply", "mesh.ply"), "compare": ("mesh.ply", "mesh.ply"), "config": (), "docs": ("tuning",),
+    "info": ("mesh.ply", "--fast"), "kernel": ("mesh.ply", "kernel.ply", "--at", "1"),
+    "level": (TEXTURED, "out.glb"), "noise": ("mesh.ply", "out.ply", "--sigma", "5"),
+    "render": ("mesh.ply", "out.png", "--size", "16"), "report": ("mesh.ply", "mesh.ply", "out.html"),
     "smooth": ("mesh.ply", "out.ply", "--fast", "-n", "1"),
     "sweep": ("mesh.ply", "out.png", "--beta", "1", "--size", "16", "--fast", "-n", "1"),
-}
+}  # fmt: skip
 
 
 def hostile(folder, *arguments):
