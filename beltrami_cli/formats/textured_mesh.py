@@ -304,7 +304,7 @@ def bare_polygons(mesh: MeshContents) -> Bools:
     return polygons_with(np.asarray(np.isnan(mesh.uv).any(axis=1)), mesh.offsets)
 
 
-def lost_repetition(mesh: MeshContents, kept: Collection[Wrap]) -> list[str]:
+def lost_repetition(mesh: MeshContents, *kept: Wrap) -> list[str]:
     """Return what a format does not say of images that are shown beyond their borders."""
     wraps = {shown.wrap for material in mesh.materials for shown in material.maps.values()}
     is_kept = all(u == v and u in kept for u, v in wraps)

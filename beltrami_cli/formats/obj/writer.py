@@ -59,7 +59,7 @@ def write_obj(mesh: MeshContents, stem: str) -> Written:
     library = "".join(_library_entry(name, material, file_of) for name, material in entries)
     sidecars = {f"{stem}.mtl": library.encode()} if mesh.materials else {}
     sidecars |= {name: image.file.data for image, name in file_of.items()}
-    lost = lost_repetition(mesh, ("repeat", "clamp"))
+    lost = lost_repetition(mesh, "repeat", "clamp")
     lost += (
         ["alpha cutoffs"] if any(material.cutoff != Material.cutoff for material in mesh.materials) else []
     )

@@ -36,7 +36,7 @@ def write_ply(mesh: MeshContents, stem: str) -> Written:
     announced, faces = _face_element(mesh)
     images = dict(zip(image_names(mesh, stem), mesh.images, strict=True))
     header = _header([*(f"comment TextureFile {name}" for name in images), *properties, *announced])
-    lost += lost_repetition(mesh, ("repeat",))
+    lost += lost_repetition(mesh, "repeat")
     is_bare = all(material == Material(maps=material.maps) for material in mesh.materials)
     lost += [] if is_bare else ["materials, except for their base colour images"]
     lost += ["groups and objects"] if len(mesh.groups) > 1 else []
