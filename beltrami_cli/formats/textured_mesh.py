@@ -114,8 +114,8 @@ class Scene:
     tiles: TileSets
     read: Callable[[str], bytes]
     measured: Bools | None = None  # (V,): which vertices have a position; None: all
-    alpha_from_images: bool = False  # whether images say how they are seen through, where materials do not
-    has_factors: bool = False  # whether colours of materials are factors of their maps
+    # Whether materials say what multiplies their maps, and how they are seen through; elsewhere maps do.
+    has_factors: bool = False
     names: Mapping[str, str] = field(default_factory=dict)  # of images, where they are not files with names
     is_v_up: bool = True
 
@@ -239,8 +239,8 @@ class Scene:
             new |= {"colour": white} if base is not None else {}
             new |= {"emission": white} if "emissive" in maps else {}
             new |= {"metalness": 1.0, "roughness": 1.0} if "metallicRoughness" in maps else {}
-        if self.alpha_from_images and material.alpha == "opaque" and base is not None:
-            new["alpha"] = _alpha_mode(base.image.file.data, base.image.name)
+            if material.alpha == "opaque" and base is not None:
+                new["alpha"] = _alpha_mode(base.image.file.data, base.image.name)
         return dataclasses.replace(material, **new)
 
     @property

@@ -163,15 +163,11 @@ class Material:
     maps: Mapping[Slot, MaterialMap] = field(default_factory=dict)
     colour: tuple[float, ...] = (1.0, 1.0, 1.0)
     emission: tuple[float, ...] = (0.0, 0.0, 0.0)
-    opacity: float = 1.0
+    opacity: float = 1.0  # of opaque ones 1
     metalness: float = 0.0
     roughness: float = 1.0
     alpha: AlphaMode = "opaque"  # whether opacity, and that of the base colour map, is to be seen
     cutoff: float = 0.5  # of "mask": what is less opaque is not seen
-
-    @property
-    def seen_opacity(self) -> float:
-        return 1.0 if self.alpha == "opaque" else self.opacity
 
 
 @dataclass(frozen=True)

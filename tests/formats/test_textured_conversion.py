@@ -252,7 +252,7 @@ def test_numbers_of_materials_are_kept_or_reported(form, lost, tmp_path, usd_cor
         assert (tmp_path / "out.mtl").read_text().count("\nd 0.7\n") == 2
     for mesh in (after, converted(tmp_path / "out.usda", tmp_path / "out.glb")[0]) if form == "usda" else ():
         assert [each.alpha for each in mesh.materials] == ["opaque", "blend", "mask", "opaque"]
-        for name in ("cutoff", "seen_opacity", "colour", "emission", "metalness", "roughness"):
+        for name in ("cutoff", "opacity", "colour", "emission", "metalness", "roughness"):
             old, new = ([getattr(each, name) for each in some.materials] for some in (before, mesh))
             np.testing.assert_allclose(new, old, atol=1e-5)
 

@@ -382,17 +382,20 @@ class _MeshParts(_Parts):
         entry = self._entries[key]
         base = entry.entry("pbrMetallicRoughness")
         factor = base.numbers("baseColorFactor", 4) or [1.0] * 4
-        alpha = _ALPHA.get(entry.text("alphaMode") or "", "opaque")
-        cutoff = entry.number("alphaCutoff", default=records.Material.cutoff)
+        alpha, cutoff = _ALPHA.get(entry.text("alphaMode") or "", "opaque"), records.Material.cutoff
+        if alpha == "mask" and (given := entry.number("alphaCutoff", default=cutoff)) > 0:
+            cutoff = given
+        elif alpha == "mask":  # all is seen
+            alpha = "opaque"
         return records.Material(
             name=entry.text("name") or "",
             colour=display_colour(factor[:3]),
             emission=display_colour(entry.numbers("emissiveFactor", 3) or [0.0] * 3),
-            opacity=min(max(factor[3], 0.0), 1.0),
+            opacity=1.0 if alpha == "opaque" else min(max(factor[3], 0.0), 1.0),
             metalness=base.number("metallicFactor", default=1.0),
             roughness=base.number("roughnessFactor", default=1.0),
-            alpha="opaque" if alpha == "mask" and cutoff <= 0 else alpha,
-            cutoff=cutoff if cutoff > 0 else records.Material.cutoff,
+            alpha=alpha,
+            cutoff=cutoff,
         )
 
     def vertex_colours(self, stored: str) -> dict[str, Any]:

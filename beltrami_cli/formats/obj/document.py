@@ -300,7 +300,6 @@ def _read_scene(scan: Scan, coordinates: _Coordinates, materials: Materials, nam
         tiles=materials.folder.tiles,
         read=materials.folder.content,
         measured=scan.vertices.finite,
-        alpha_from_images=True,
     )
 
 

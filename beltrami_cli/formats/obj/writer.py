@@ -104,7 +104,7 @@ def _library_entry(name: str, material: Material, file_of: dict[MeshImage, str])
     """Return a material as a library has it; metalness and roughness as the common extension has them."""
     lines = [f"newmtl {name}", f"Kd {_numbers(material.colour)}"]
     lines += [f"Ke {_numbers(material.emission)}"] if any(material.emission) else []
-    lines += [f"d {material.seen_opacity:.6g}"] if material.seen_opacity < 1 else []
+    lines += [f"d {material.opacity:.6g}"] if material.opacity < 1 else []
     if "metallicRoughness" in material.maps or (material.metalness, material.roughness) != (0, 1):
         lines += [f"Pm {material.metalness:.6g}", f"Pr {material.roughness:.6g}"]
     lines.append("illum 1")

@@ -118,7 +118,6 @@ def read_scene(
         uv=lambda _: uv,
         tiles={},
         read=folder.content,
-        alpha_from_images=True,
     )
     return scene, notices
 

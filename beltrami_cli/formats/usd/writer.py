@@ -138,7 +138,7 @@ def _material(name: str, material: Material, file_of: dict[MeshImage, str], path
         "emissiveColor": f"color3f inputs:emissiveColor = {_row(emission)}",
         "roughness": f"float inputs:roughness = {material.roughness:.6g}",
         "metallic": f"float inputs:metallic = {material.metalness:.6g}",
-        "opacity": f"float inputs:opacity = {material.seen_opacity:.6g}",
+        "opacity": f"float inputs:opacity = {material.opacity:.6g}",
     }
     if material.alpha == "mask":
         inputs["opacityThreshold"] = f"float inputs:opacityThreshold = {material.cutoff:.6g}"
