@@ -233,10 +233,10 @@ def _writer(name: str) -> Format:
 
 def write_mesh(mesh: MeshContents, name: str, stem: str) -> Written:
     """Write a mesh as a new file of a format; UsageError if it has textures, and the format none, or not such ones."""
-    line = _with_textures(name) if mesh.materials else _writer(name)
+    line = require_textures(name) if mesh.materials else _writer(name)
     mesh = line.fitted(mesh)
     for image in mesh.images:
-        _with_textures(name, image.file.suffix)
+        require_textures(name, image.file.suffix)
     written: Written = line.load(line.writer)(mesh, stem)
     return written
 
@@ -259,12 +259,13 @@ def held_images(name: str) -> tuple[str, ...] | None:
 
 def sidecar_names(name: str, stem: str, image_suffix: str | None) -> list[str]:
     """Return the sidecar files of `write_mesh` for a mesh with one image, or without images."""
-    line = _writer(name) if image_suffix is None else _with_textures(name, image_suffix)
+    line = _writer(name) if image_suffix is None else require_textures(name, image_suffix)
     suffixes = line.sidecars if image_suffix is None else line.textured_sidecars
     return [stem + (suffix.replace(".*", image_suffix or ".*")) for suffix in suffixes.split()]
 
 
-def _with_textures(name: str, image_suffix: str | None = None) -> Format:
+def require_textures(name: str, image_suffix: str | None = None) -> Format:
+    """Return a format; UsageError if it cannot hold textures, or none with the suffix."""
     line = _writer(name)
     if not line.has_textures:
         raise UsageError(f"a .{name} file has no textures; end the name of the output in .glb, .obj or .ply")

@@ -363,6 +363,7 @@ def _sidecar_names(selection: Selection, kind: OutputFormat, naming: Naming) -> 
         changes = {"colours": selection.vertices, "places": moves}
         return document.sidecar_names(images, naming, form=kind.name, **changes)
     if _has_textures(document, kind):
+        registry.require_textures(kind.name, chosen)
         mesh = with_images(document.textured_mesh(), images)
         names = partial(registry.sidecars_of, mesh, kind.name)
     elif images or (document.slots() and not document.has_vertex_colours()):

@@ -74,6 +74,7 @@ REFUSED = [
     ("smooth @knot-noisy.ply", 2, "OUTPUT"),
     ("smooth @knot-noisy.ply ''", 4, "OUTPUT: its name is empty; name a file, or - for standard output"),
     ("smooth @knot-noisy.ply out.abc", 2, ".abc"),
+    ("smooth @mirrored-noisy.obj out.glb --texture-format webp", 2, "PNG and JPEG textures, not .webp"),
     ("smooth @knot-noisy.ply out.vrm", 2, "a .ply file is not converted to .vrm"),
     ("smooth @knot-noisy.ply out.stl", 2, "out.stl: .stl files are read, but not written: the STL format"),
     ("smooth @knot-noisy.ply kept", 4, "kept: is a folder; name a file"),
