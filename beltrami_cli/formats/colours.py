@@ -104,11 +104,11 @@ def _scale_of_whole(values: Float64s, scales: Sequence[float]) -> float | None:
 _ROUNDED_LEVEL = 0.5e-5 * BYTE
 
 
-def type_of_text(colours: Float32s) -> str:
-    """Return the type of the colours in a text, full scale 1: that of 8 bit where it holds them all."""
+def narrowest_type(colours: Float32s, stored: str) -> str:
+    """Return the type that holds colours of full scale 1: 8 bit if they are of these, else as they are stored."""
     levels = colours.astype(np.float64) * BYTE
     is_whole = np.abs(levels - np.rint(levels)) <= _ROUNDED_LEVEL
-    return "uint8" if bool((is_whole & (levels > -0.5) & (levels < BYTE + 0.5)).all()) else "text"
+    return "uint8" if bool((is_whole & (levels > -0.5) & (levels < BYTE + 0.5)).all()) else stored
 
 
 def opacity(alpha: Array, scale: float) -> Float32s:

@@ -83,12 +83,9 @@ def test_images_and_volumes_are_no_models():
 @pytest.mark.parametrize(
     ("data", "name", "cause"),
     [
-        (b"PK\x03\x04....", "x.obj", "ZIP archive"),
-        (b"\x1f\x8b....", "x.xyz", "gzip archive"),
-        (b"\xff\xfev\0", "x.obj", "UTF-16"),
-        (b"", "x.pts", "the file is empty"),
-        (b"something", "<stdin>", "no mark of a known format"),
-        (b"something", "x.dat", "of no known format"),
+        (b"PK\x03\x04....", "x.obj", "ZIP archive"), (b"\x1f\x8b....", "x.xyz", "gzip archive"),
+        (b"\xff\xfev\0", "x.obj", "UTF-16"), (b"", "x.pts", "the file is empty"),
+        (b"something", "<stdin>", "no mark of a known format"), (b"something", "x.dat", "of no known format"),
         (b"LASF\0\0", "x.laz", "damaged|package laspy"),
         (b"# .PCD v0.7 - Point Cloud Data\n", "x.xyz", "damaged|package laspy"),
         (b"<GeometryModel3D></GeometryModel3D>", "x.xaml", "no known format"),
@@ -98,7 +95,7 @@ def test_images_and_volumes_are_no_models():
         (b'<?xml version="1.0"?>\n<VTKFile type="PolyData">', "x.bin", "VTK file"),
         (b"b3dm\1\0\0\0", "x.b3dm", "3D Tiles file, which is not read; extract the model with: npx"),
     ],
-)
+)  # fmt: skip
 def test_other_files_are_refused_with_the_cause(data, name, cause):
     with pytest.raises(InputError, match=cause):
         open_bytes(data, name, None)
@@ -358,11 +355,17 @@ def test_colours_keep_a_type_that_holds_them(form, stored, encoding, kept):
 
 @pytest.mark.parametrize(("name", "scale", "digits", "kept"), [
     ("x.obj", 255, 5, "uint8"), ("x.xyz", 1, 0, "uint8"), ("x.csv", 255, 6, "uint8"), ("x.obj", 255.5, 6, "float32"),
+    ("x.ply", 1, 0, "uint8"),
 ])  # fmt: skip
-def test_colours_of_a_text_become_bytes_where_these_hold_them(name, scale, digits, kept):
+def test_colours_become_bytes_where_these_hold_them(name, scale, digits, kept):
     levels = np.arange(256.0).reshape(-1, 1) * [1, 1, 1]
     rows = np.column_stack([levels * [1, 0, 0], (levels / scale).round(digits)]).tolist()
     text = "\n".join("v " * name.endswith("obj") + " ".join(map(str, row)) for row in rows)
+    if name == "x.ply":
+        shorts = (
+            f"property {kind}" for kind in ("float x", "float y", "float z", "short r", "short g", "short b")
+        )
+        text = "\n".join(["ply", "format ascii 1.0", "element vertex 256", *shorts, "end_header", text, ""])
     document = open_bytes(text.encode(), name, None)
     written = joined(write_mesh(document.recoloured_contents(None), "ply", "x"))
     found = open_bytes(written, "x.ply", None).painted()

@@ -164,7 +164,9 @@ def with_header(source: bytes, encoded: bytes, known: str) -> bytes:
         if source[1:2] in _NETPBM_FLOATS:
             # OpenImageIO applies the scale and writes 1. Many programs read the numbers without it, as disparities.
             orders = ["<f4" if each[1].startswith(b"-") else ">f4" for each in (old_header, header)]
-            numbers = np.frombuffer(encoded, orders[1], offset=header.end()) / (abs(float(old_header[1])) or 1.0)
+            numbers = np.frombuffer(encoded, orders[1], offset=header.end()) / (
+                abs(float(old_header[1])) or 1.0
+            )
             return b"".join([old_header[0], numbers.astype(orders[0]).tobytes(), further])
     return b"".join([encoded[:_AFTER_MARK], *comments, encoded[_AFTER_MARK:], further])
 

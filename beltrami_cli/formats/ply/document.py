@@ -182,6 +182,7 @@ class PlyDocument(Document):
             self.notices += [_MEANS] if _MEANS not in self.notices else []
         return dataclasses.replace(
             self._mesh,
+            stored=self._type_of(self._colours.values, self._stored),
             positions=self._positions,
             corners=corners,
             offsets=offsets,
