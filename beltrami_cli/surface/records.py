@@ -167,7 +167,7 @@ class Material:
     metalness: float = 0.0
     roughness: float = 1.0
     alpha: AlphaMode = "opaque"  # whether opacity, and that of the base colour map, is to be seen
-    cutoff: float = 0.5  # of "mask": what is less opaque is not seen
+    cutoff: float = 0.5  # of "mask": places that are less opaque are not seen
 
 
 @dataclass(frozen=True)

@@ -284,13 +284,9 @@ def test_truncated_files_raise_input_errors(form, share):
         (b'{"asset": NaN}', "NaN"),
         (b'{"asset": {"version": 1}}', "asset.version: is 1, but only glTF 2 can be read; export the model"),
         (b'{"asset": {"version": "1.0"}}', "asset.version: is '1.0', but only glTF 2"),
-        (b'{"a":' * 5000 + b"1" + b"}" * 5000, "nested"),
-        (b'{"a":' * 150 + b"1" + b"}" * 150, "nested"),
-        (b'{"a": ' + b"9" * 5000 + b"}", "damaged"),
-        (b"\xff\xfe{}", "UTF-8"),
-        (b"", "damaged"),
-    ],
-)
+        (b'{"a":' * 5000 + b"1" + b"}" * 5000, "nested"), (b'{"a":' * 150 + b"1" + b"}" * 150, "nested"),
+        (b'{"a": ' + b"9" * 5000 + b"}", "damaged"), (b"\xff\xfe{}", "UTF-8"), (b"", "damaged"), ],
+)  # fmt: skip
 def test_what_is_no_gltf_is_refused(text, cause):
     with pytest.raises(InputError, match=cause):
         GltfDocument(text, "model.gltf", None)
