@@ -376,10 +376,8 @@ def with_images(mesh: MeshContents, images: NewImages) -> MeshContents:
     """Return a mesh with other images, by slot and key; each replaces that image in that slot alone."""
 
     def shown(slot: Slot, old: MaterialMap) -> MaterialMap:
-        new = images.get((slot, old.image.key))
-        return (
-            old if new is None else dataclasses.replace(old, image=dataclasses.replace(old.image, file=new))
-        )
+        file = images.get((slot, old.image.key), old.image.file)
+        return dataclasses.replace(old, image=dataclasses.replace(old.image, file=file))
 
     return _with_maps(mesh, lambda maps: {slot: shown(slot, old) for slot, old in maps.items()})
 
@@ -412,13 +410,10 @@ def with_suffixes(mesh: MeshContents, suffixes: Collection[str]) -> tuple[MeshCo
         held = ", ".join(suffix[1:] for suffix in suffixes)
         notices.append(f"Textures written as PNG, since the format holds {held} only: {len(new_of)}.")
 
-    def change(maps: MaterialMaps) -> MaterialMaps:
-        return {
-            slot: dataclasses.replace(each, image=new_of.get(each.image, each.image))
-            for slot, each in maps.items()
-        }
+    def shown(old: MaterialMap) -> MaterialMap:
+        return dataclasses.replace(old, image=new_of.get(old.image, old.image))
 
-    return _with_maps(mesh, change), notices
+    return _with_maps(mesh, lambda maps: {slot: shown(old) for slot, old in maps.items()}), notices
 
 
 def _alpha_mode(data: bytes, name: str) -> AlphaMode:
