@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -274,7 +274,6 @@ class Squares(CoarseLevel):
     """Means of squares of cells of a canvas: of the owned cells of each, or of halo where there are no such."""
 
     axis: ClassVar[int] = 0
-    width: ClassVar[float] = 3.0
 
     def __init__(
         self,
@@ -283,38 +282,38 @@ class Squares(CoarseLevel):
         threads: int,
         relative: Float32s | None,
         tick: Callable[[], None] | None = None,
+        *,
+        width: float = 3.0,
     ) -> None:
-        self._atlas, self._side, self._threads = atlas, side, threads
+        self._atlas, self.side, self._threads, self.width = atlas, side, threads, width
         self._report = None if tick is None else lambda _: tick()
         kinds, counts = sort_squares(atlas.kind, side)
         self.kinds, self._counts = large_arrays.kept(kinds), large_arrays.kept(counts)
         self.noise = 1 / side**2
         self._differing = None if relative is None else self.means(relative)[0]
-        ones: Float32s = large_arrays.empty(self.kinds.shape, np.float32)
-        ones.fill(1)
+        ones = np.broadcast_to(np.float32(1), self.kinds.shape)
         self.relative = ones if self._differing is None else self._differing
 
     def means(self, stack: Float32s) -> Float32s:
         """Return the means of planes, shape (N, R, C); 0 in empty squares."""
-        from beltrami_cli._native import means_of_squares
-
-        kind, threads = self._atlas.kind, self._threads
         means: Float32s = large_arrays.empty((len(stack), *self.kinds.shape), np.float32)
-        for rows in large_arrays.blocks(len(self.kinds), self._rows_at_once):
-            cells = self._cells(rows)
+        for cells in self._blocks():
             for plane, own in zip(stack[:, None], means, strict=True):
-                own[rows] = means_of_squares(
-                    kind[cells], self.kinds[rows], plane[:, cells], self._side, threads
-                )[0]
+                rows, part = self.means_of_rows(plane[:, cells], cells)
+                own[rows] = part[0]
         return means
 
-    @property
-    def _rows_at_once(self) -> int:
-        cells: int = self._side**2 * self.kinds.shape[1]
-        return max(1, large_arrays.BLOCK // cells)
+    def means_of_rows(self, planes: Float32s, rows: slice) -> tuple[slice, Float32s]:
+        from beltrami_cli._native import means_of_squares
 
-    def _cells(self, rows: slice) -> slice:
-        return slice(rows.start * self._side, rows.stop * self._side)
+        squares = slice(rows.start // self.side, -(-rows.stop // self.side))
+        kind, kinds = self._atlas.kind[rows], self.kinds[squares]
+        return squares, means_of_squares(kind, kinds, planes, self.side, self._threads)
+
+    def _blocks(self) -> Iterator[slice]:
+        """Go through the rows of cells, some squares at a time."""
+        rows, columns = self._atlas.kind.shape
+        return large_arrays.blocks(rows, max(1, large_arrays.BLOCK // (self.side * columns)) * self.side)
 
     def collaborate(self, noisy: Stack, pilot: Stack, mixing: Mixing, *, shared: bool = False) -> Stack:
         """Estimate means from patches; noise that cells share is no smaller where a square has more of them."""
@@ -329,21 +328,23 @@ class Squares(CoarseLevel):
     def probe(self, means: Stack, noise: Float64s) -> Stack:
         return mixed_signs(noise, means.shape[1:], np.random.default_rng(_SEED))
 
-    def add_enlarged(self, stack: Stack, changes: Stack) -> None:
-        """Add changes of squares to their owned cells, bilinear between the squares that have such."""
+    def enlarged(self, planes: Float32s, rows: slice) -> Float32s:
+        """Return planes at the owned cells of some rows, bilinear between owned squares; 0 in other cells."""
         from beltrami_cli._native import add_enlarged
 
-        atlas, threads = self._atlas, self._threads
-        for rows in large_arrays.blocks(len(self.kinds), self._rows_at_once):
-            # With those above and below, between whose changes their cells lie.
-            around = slice(max(0, rows.start - 1), min(len(self.kinds), rows.stop + 1))
-            cells, first = self._cells(rows), self._cells(around).start
-            kind, kinds = atlas.kind[self._cells(around)], self.kinds[around]
+        # With the squares above and below, between which the cells lie.
+        around = slice(max(0, rows.start // self.side - 1), -(-rows.stop // self.side) + 1)
+        kind = self._atlas.kind[around.start * self.side : around.stop * self.side]
+        cells = np.zeros((len(planes), *kind.shape), np.float32)
+        add_enlarged(kind, self.kinds[around], planes[:, around], cells, self.side, self._threads)
+        first = around.start * self.side
+        return cells[:, rows.start - first : rows.stop - first]
+
+    def add_enlarged(self, stack: Stack, changes: Stack) -> None:
+        for rows in self._blocks():
             for plane, change in zip(stack, changes[:, None], strict=True):
-                part = plane[None, self._cells(around)].copy()
-                add_enlarged(kind, kinds, change[:, around], part, self._side, threads)
-                plane[cells] = part[0, cells.start - first : cells.stop - first]
-        refresh_halo(stack, atlas)
+                plane[rows] += self.enlarged(change, rows)[0]
+        refresh_halo(stack, self._atlas)
 
     def planes(self, count: int) -> Float32s:
         planes: Float32s = large_arrays.zeros((count, *self.kinds.shape), np.float32)

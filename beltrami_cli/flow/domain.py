@@ -7,10 +7,10 @@ import logging
 import math
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import ClassVar, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
@@ -39,8 +39,14 @@ class Domain(ABC):
     axis: ClassVar[int]
     """The axis of the channels in a stack."""
 
-    width: ClassVar[float]
+    width: float
     """Standard deviation of `spread`, in sample spacings."""
+
+    noise: float = 1.0
+    """The variance of the noise of samples, by that of the samples that these are means of."""
+
+    side: int = 1
+    """How many rows of the samples that these are means of belong to a row of these."""
 
     @abstractmethod
     def planes(self, count: int) -> Float32s:
@@ -53,6 +59,14 @@ class Domain(ABC):
     @abstractmethod
     def spread(self, planes: Float32s) -> Float32s:
         """Average planes over the surface by about a Gaussian of standard deviation `width`."""
+
+    def means_of_rows(self, planes: Float32s, rows: slice) -> tuple[slice, Float32s]:
+        """Return the means of planes of some rows, whole multiples of `side`, and the rows that they are."""
+        return rows, planes
+
+    def enlarged(self, planes: Float32s, rows: slice) -> Float32s:
+        """Return planes at some rows of the samples that these are means of."""
+        return planes[:, rows]
 
 
 class Gaussian(Protocol):
@@ -166,9 +180,6 @@ class KernelWork:
 class CoarseLevel(Domain):
     """Means of groups of neighbouring samples, as fewer samples of the same surface."""
 
-    noise: float
-    """The variance of the noise of means, by that of samples."""
-
     relative: Float32s
     """The variance of the noise of each mean, relative to this."""
 
@@ -209,9 +220,14 @@ class Mixing:
 def in_blocks(axis: int, *stacks: Array) -> Iterator[tuple[Array, ...]]:
     """Go through stacks together in blocks, with the channels, which are at `axis`, first."""
     whole = [np.moveaxis(stack, axis, 0) for stack in stacks]
-    size = max(1, large_arrays.CACHED // max(1, whole[0][0, :1].size))
-    for rows in large_arrays.blocks(whole[0].shape[1], size):
+    for rows in block_rows(whole[0]):
         yield tuple(stack[:, rows] for stack in whole)
+
+
+def block_rows(stack: Array, side: int = 1) -> Iterator[slice]:
+    """Go through the rows of a stack with the channels first, a multiple of `side` rows at a time."""
+    size = max(1, large_arrays.CACHED // max(1, side * stack[0, :1].size)) * side
+    return large_arrays.blocks(stack.shape[1], size)
 
 
 @dataclass(frozen=True)
@@ -260,6 +276,11 @@ def for_blocks(
     blocks = in_blocks(axis, *stacks)
     if planes:
         blocks = ((*own, *others) for own, others in zip(blocks, in_blocks(0, *planes), strict=True))
+    at_same_time(work, threads, blocks)
+
+
+def at_same_time(work: Callable[..., object], threads: int, blocks: Iterable[tuple[Any, ...]]) -> None:
+    """Call `work` with the arguments of each block, several at the same time."""
     waiting = deque[Future[object]]()
     with ThreadPoolExecutor(threads) as pool:
         for block in blocks:

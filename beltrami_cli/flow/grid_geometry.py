@@ -38,7 +38,7 @@ class GridGeometry(Geometry):
     """Cells of an atlas; stacks are planes on its canvas."""
 
     axis: ClassVar[int] = 0
-    width: ClassVar[float] = 6.0
+    width = 6.0
 
     atlas: Atlas
     spacing: float

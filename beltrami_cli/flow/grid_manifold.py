@@ -274,6 +274,12 @@ class GridManifold(Manifold):
     def levels(self, most: int, tick: Callable[[], None] | None = None) -> list[Squares]:
         return squares_for(self.geometry.atlas, self.parameters, most, self.noise.relative, tick)
 
+    @property
+    def regions(self) -> Squares:
+        """Squares of the finest level at which plain colours are estimated: weights vary much more slowly."""
+        grid, side = self.geometry, 2 ** min(self.plain_levels)
+        return Squares(grid.atlas, side, grid.threads, None, width=grid.width / side)
+
     def trial(self) -> SampleTrial:
         atlas, planes, own = self.geometry.atlas, self.colours, self.parameters
         budget = tried_cells(atlas)

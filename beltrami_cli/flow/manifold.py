@@ -33,7 +33,16 @@ from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.flow.clipping import ClippedChannels
-from beltrami_cli.flow.domain import CoarseLevel, Gaussian, Geometry, Mixing, NewColours, Stack, for_blocks
+from beltrami_cli.flow.domain import (
+    CoarseLevel,
+    Domain,
+    Gaussian,
+    Geometry,
+    Mixing,
+    NewColours,
+    Stack,
+    for_blocks,
+)
 from beltrami_cli.flow.noise.model import NoiseModel, choose_beta
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface.atlas import EMPTY
@@ -171,6 +180,11 @@ class Manifold(ABC):
     @abstractmethod
     def levels(self, most: int, tick: Callable[[], None] | None = None) -> Sequence[CoarseLevel]:
         """Return up to `most` levels, fine to coarse, each of some four samples of the one before."""
+
+    @property
+    def regions(self) -> Domain:
+        """The samples, or means of them, that weights between two estimates are found for."""
+        return self.geometry
 
     @abstractmethod
     def trial(self) -> SampleTrial:

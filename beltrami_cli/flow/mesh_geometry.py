@@ -46,7 +46,7 @@ class MeshGeometry(Geometry):
     """Vertices, triangles and edges; stacks have a row a vertex."""
 
     axis: ClassVar[int] = 1
-    width: ClassVar[float] = 4.0
+    width = 4.0
 
     order: Int32s  # the caller's number of each sample
     positions: Float64s

@@ -322,7 +322,7 @@ class Clusters(CoarseLevel):
     """Means of clusters of samples, as a stack with a row a cluster."""
 
     axis: ClassVar[int] = 1
-    width: ClassVar[float] = 3.0
+    width = 3.0
 
     def __init__(self, samples: Graph, level: Level, relative: Float32s) -> None:
         self._samples, self._level, self._graph = samples, level, level.graph

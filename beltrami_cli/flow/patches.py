@@ -33,7 +33,16 @@ import numpy as np
 from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.flow.chunks import chunking
 from beltrami_cli.flow.clipping import ClippedChannels, normal_tables
-from beltrami_cli.flow.domain import ENOUGH_STEPS, CoarseLevel, Domain, Mixing, for_blocks, in_blocks
+from beltrami_cli.flow.domain import (
+    ENOUGH_STEPS,
+    CoarseLevel,
+    Domain,
+    Mixing,
+    at_same_time,
+    block_rows,
+    for_blocks,
+    in_blocks,
+)
 from beltrami_cli.flow.manifold import Manifold, relative_variance
 from beltrami_cli.flow.noise.features import COMPONENTS
 from beltrami_cli.surface import large_arrays
@@ -146,23 +155,35 @@ def _mix(
     """Blend the second of both with the first, in place; return the sum of the weights, and that of the gain."""
     from beltrami_cli._native import blend_terms
 
-    geometry, (colours, signs, _, divisors) = manifold.geometry, noisy
-    axis, sums = geometry.axis, geometry.planes(2)
+    colours, signs, _, divisors = noisy
+    regions, relative = manifold.regions, relative_variance(manifold)
+    stacks = [
+        np.moveaxis(stack, manifold.geometry.axis, 0)
+        for stack in (colours, signs, relative, *results, *responses)
+    ]
+    sums = regions.planes(2)
 
-    def sum_terms(z: Array, b: Array, relative: Array, *others: Array) -> None:
-        p, q, near_p, near_q, own = others
+    def sum_terms(rows: slice) -> None:
+        z, b, variance, *estimates = (stack[:, rows] for stack in stacks)
+        terms = np.empty((2, *z.shape[1:]), np.float32)
         probe: Array = b / divisors
-        blend_terms(z, probe, (p, q, near_p, near_q), (*model.noise, relative), own, 1)
+        blend_terms(z, probe, tuple(estimates), (*model.noise, variance), terms, 1)
+        own, means = regions.means_of_rows(terms, rows)
+        sums[:, own] = means
 
-    stacks = colours, signs, relative_variance(manifold), *results, *responses
-    for_blocks(sum_terms, model.threads, axis, *stacks, planes=[sums])
-    weights, share, gain = _weigh(geometry, sums, model.variance, _PRIORS["samples"])
+    def move(rows: slice) -> None:
+        weight = regions.enlarged(weights, rows)
+        for p, q in (stacks[3:5], stacks[5:]):
+            p[:, rows] += weight * (q[:, rows] - p[:, rows])
 
-    def move(p: Array, q: Array, weight: Array) -> None:
-        p += weight * (q - p)
+    def rows() -> Iterator[tuple[slice]]:
+        return ((own,) for own in block_rows(stacks[0], regions.side))
 
-    for both in (results, responses):
-        for_blocks(move, model.threads, axis, *both, planes=[weights])
+    at_same_time(sum_terms, model.threads, rows())
+    weights, share, gain = _weigh(regions, sums, model.variance * regions.noise, _PRIORS["samples"])
+    at_same_time(move, model.threads, rows())
+    for stack in (results[0], responses[0]):
+        manifold.geometry.refresh(stack)
     return share, gain
 
 
