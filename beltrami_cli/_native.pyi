@@ -10,7 +10,6 @@ class AtlasArrays(TypedDict):
     kind: NDArray[np.uint8]
     squared_lengths: NDArray[np.float32]
     cut_cells: Indices
-    owned_cells: Indices
     owned_texels: Indices
     halo_cells: Indices
     halo_taps: Indices

@@ -21,7 +21,7 @@ from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
 from beltrami_cli.flow.risk import choose_blocks
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.surface.atlas import HALO, OWNED, build_atlas
+from beltrami_cli.surface.atlas import HALO, build_atlas, owned_of
 from beltrami_cli.surface.grouping import sample_vertices
 
 MARGIN = 6  # cells: half the window, and the reach of the regularised metric
@@ -105,7 +105,7 @@ def textures(scenes, most):
         atlas = build_atlas(surface, [(image.shape[1], image.shape[0]) for image in pixels], MARGIN, 2)
         # 8-bit files, so that what is known to be true can be stored.
         clean = np.concatenate([image.reshape(-1, 3) for image in pixels])[atlas.owned_texels] / 255.0
-        if len(atlas.owned_cells) > most:
+        if len(atlas.owned_texels) > most:
             atlas, clean = blocks_of(atlas, clean, most)
         yield Texels(scene.name, atlas, clean)
 
@@ -121,9 +121,8 @@ def blocks_of(atlas, clean, most):
     flat = kind.reshape(-1)
     flat[(flat == HALO) & ~kept] = 0
     row = np.searchsorted(atlas.owned_cells, cells.reshape(-1)[part.owned_cells])
-    owned = np.flatnonzero(kind == OWNED)
     return dataclasses.replace(
-        part, kind=kind, owned_cells=owned, owned_texels=atlas.owned_texels[row]
+        part, kind=kind, owned=owned_of(kind), owned_texels=atlas.owned_texels[row]
     ), clean[row]
 
 

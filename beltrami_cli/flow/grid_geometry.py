@@ -17,7 +17,17 @@ from beltrami_cli.flow.clipping import ClippedChannels, find_clipped
 from beltrami_cli.flow.domain import ENOUGH_STEPS, Geometry, KernelWork, Stack
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED, ROWS, STEPS, Atlas, Indices, ends_of, refresh_halo
+from beltrami_cli.surface.atlas import (
+    EMPTY,
+    HALO,
+    OWNED,
+    STEPS,
+    Atlas,
+    Indices,
+    ends_of,
+    owned_of,
+    refresh_halo,
+)
 
 # Standard deviation of one pass of a wide Gaussian, in cells, whose window the halo fills.
 _SPREAD = 1.6
@@ -43,7 +53,7 @@ class GridGeometry(Geometry):
     atlas: Atlas
     spacing: float
     # Factors of squared lengths that make the spacing around each cell 1
-    scales: large_arrays.Droppable | None
+    scales: large_arrays.Droppable[Float32s] | None
     repeats: Uint8s | None  # how often each cell's texel is shown
     stops_at_holes: bool
     threads: int
@@ -67,9 +77,18 @@ class GridGeometry(Geometry):
         if self.scales is not None:
             self.scales.drop()
 
+    def for_kernels(self) -> GridGeometry:
+        """Free the memory of the owned cells' indices, which only reading and writing colours needs."""
+        self.atlas.owned.drop()
+        return self
+
     @property
     def size(self) -> int:
         return self.atlas.kind.size
+
+    @property
+    def kernels(self) -> int:
+        return int(np.count_nonzero(self.atlas.kind == OWNED))
 
     @property
     def samples(self) -> Indices:
@@ -119,8 +138,7 @@ class GridGeometry(Geometry):
         return find_clipped(colours, sigma, empty=self.size - int(np.count_nonzero(self.atlas.kind)))
 
     def gaussian(self, scale: float) -> GridGaussian:
-        atlas, stops = self.atlas, self.stops_at_holes
-        return GridGaussian.of(atlas.is_filled, scale, stop_at_holes=stops, atlas=atlas, threads=self.threads)
+        return GridGaussian.of(self.atlas, scale, stop_at_holes=self.stops_at_holes, threads=self.threads)
 
     def refresh(self, stack: Stack) -> None:
         refresh_halo(stack, self.atlas)
@@ -196,7 +214,7 @@ def _without_references(part: Atlas, whole: Atlas, cells: Int64s) -> Atlas:
     cut[whole.cut_cells] = True
     nothing = np.zeros(0, np.int64)
     return dataclasses.replace(
-        part, cut_cells=np.flatnonzero(cut[cells.reshape(-1)]), owned_cells=np.flatnonzero(kind == OWNED),
+        part, cut_cells=np.flatnonzero(cut[cells.reshape(-1)]), owned=owned_of(kind),
         owned_texels=nothing, halo_cells=nothing, halo_taps=np.zeros((0, 4), np.int64),
         halo_weights=np.zeros((0, 4), np.float32), halo_seams=np.zeros(0, np.int32), gutter_cells=nothing,
         gutter_texels=nothing, border_texels=nothing, lone_texels=nothing, chart_of=np.zeros(0, np.int32),
@@ -266,12 +284,10 @@ class GridGaussian:
     first: int = 0  # the row that planes begin with
 
     @classmethod
-    def of(
-        cls, filled: Bools, scale: float, *, stop_at_holes: bool, atlas: Atlas, threads: int
-    ) -> GridGaussian:
+    def of(cls, atlas: Atlas, scale: float, *, stop_at_holes: bool, threads: int) -> GridGaussian:
         """Find the cells that lack a neighbour for a standard deviation of `scale` cells."""
-        taps, reachable = gaussian_taps(scale), filled if stop_at_holes else None
-        partial, totals = _partial_totals(filled, taps, reachable, threads)
+        taps, reachable = gaussian_taps(scale), atlas.is_filled if stop_at_holes else None
+        partial, totals = _partial_totals(atlas.kind, taps, threads, stop_at_holes=stop_at_holes)
         cut_means = _CutMeans.of(atlas, taps) if len(atlas.cut_cells) else None
         return cls(taps, reachable, partial, totals, cut_means, threads)
 
@@ -299,21 +315,22 @@ class GridGaussian:
 
 
 def _partial_totals(
-    filled: Bools, taps: Float32s, reachable: Bools | None, threads: int
+    kind: Uint8s, taps: Float32s, threads: int, *, stop_at_holes: bool
 ) -> tuple[Int32s, Float32s]:
     """Find the filled cells (flat indices) that lack a neighbour, and their total weights."""
     reach = len(taps) // 2
     # Most cells have all neighbours: weights sum to 1 but for rounding. The lightest neighbour is in a corner.
     enough = 1 - taps[0] ** 2 / 2
     cells, totals = [np.zeros(0, np.int32)], [np.zeros(0, np.float32)]
-    for first in range(0, len(filled), ROWS):  # whole planes would take the memory that this saves
-        above = min(first, reach)
-        band = filled[first - above : first + ROWS + reach]
-        planes = band[None].astype(np.float32)
-        (total,) = _convolved(planes, taps, None if reachable is None else band, threads)
-        total = total[above : above + ROWS]
-        lacking = np.flatnonzero((total < enough) & filled[first : first + ROWS])
-        cells.append((lacking + first * filled.shape[1]).astype(np.int32))
+    # Whole planes would take the memory that this saves.
+    for rows in large_arrays.blocks(len(kind), SUMMED_ROWS):
+        above = min(rows.start, reach)
+        band = kind[rows.start - above : rows.stop + reach] != EMPTY
+        (total,) = _convolved(band[None].astype(np.float32), taps, band if stop_at_holes else None, threads)
+        here = slice(above, above + rows.stop - rows.start)
+        total = total[here]
+        lacking = np.flatnonzero((total < enough) & band[here])
+        cells.append((lacking + rows.start * kind.shape[1]).astype(np.int32))
         totals.append(total.reshape(-1)[lacking])
     return np.concatenate(cells), np.concatenate(totals)
 

@@ -268,8 +268,9 @@ class GridManifold(Manifold):
         refresh_halo(estimates, atlas)
         return estimates
 
-    def perturbation(self) -> Array:
-        return perturbations(1, self.geometry.atlas, self.noise)[0]
+    def perturbation(self) -> large_arrays.Droppable[Array]:
+        atlas, noise = self.geometry.atlas, self.noise
+        return large_arrays.Droppable(None, lambda: perturbations(1, atlas, noise)[0])
 
     def levels(self, most: int, tick: Callable[[], None] | None = None) -> list[Squares]:
         return squares_for(self.geometry.atlas, self.parameters, most, self.noise.relative, tick)

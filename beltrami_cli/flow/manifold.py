@@ -29,7 +29,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.flow.clipping import ClippedChannels
@@ -46,6 +45,7 @@ from beltrami_cli.flow.domain import (
 from beltrami_cli.flow.noise.model import NoiseModel, choose_beta
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface.atlas import EMPTY
+from beltrami_cli.surface.large_arrays import Droppable
 
 if TYPE_CHECKING:
     from beltrami_cli.flow.moving_positions import MovingPositions
@@ -174,8 +174,8 @@ class Manifold(ABC):
         """Estimate colours from similar patches, compared on the pilot, whose memory they may replace."""
 
     @abstractmethod
-    def perturbation(self) -> Float32s | NDArray[np.int8]:
-        """Return a stack of random signs, or of noise that neighbours share as they share that of the colours."""
+    def perturbation(self) -> Droppable[Array]:
+        """Draw a stack of random signs, or of noise that neighbours share as they share that of the colours."""
 
     @abstractmethod
     def levels(self, most: int, tick: Callable[[], None] | None = None) -> Sequence[CoarseLevel]:

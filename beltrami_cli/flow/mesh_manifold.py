@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Float32s, Float64s, Int64s
+from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.flow.chunks import Chunk, Figures, Neighbours, Work, chunk_of_run, chunking, runs
 from beltrami_cli.flow.domain import CoarseLevel, Gaussian, Mixing, NewColours, Stack
 from beltrami_cli.flow.manifold import (
@@ -36,6 +36,7 @@ from beltrami_cli.flow.noise.reading import estimate_noise
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.risk import choose_patches, fingerprints, random_signs, wanted_probes
 from beltrami_cli.flow.vertex_graph import Graph, Level, levels_of
+from beltrami_cli.surface.large_arrays import Droppable
 from beltrami_cli.surface.records import SampledSurface
 
 # Paths along edges are longer than straight ones: by up to 1.16 on a triangle lattice, and by hardly more than half
@@ -167,11 +168,10 @@ class MeshManifold(Manifold):
         graph = self.geometry.graph(self.colours)
         return _collaborate_on_graph(graph, noisy, pilot, mixing, relative, progress)
 
-    def perturbation(self) -> Float32s:
-        """Return random signs; they and the patches depend only on nearby colours, which change from then on."""
+    def perturbation(self) -> Droppable[Array]:
+        """Draw random signs; they and the patches depend only on nearby colours, which change from then on."""
         priorities = self.geometry.graph(self.colours).priorities
-        signs: Float32s = self._perturbations(coarse(self.colours), priorities, 1)[0]
-        return signs
+        return Droppable(self._perturbations(coarse(self.colours), priorities, 1)[0])
 
     def levels(self, most: int, tick: Callable[[], None] | None = None) -> list[Clusters]:
         del tick

@@ -112,10 +112,11 @@ def blend_with_patches(
     axis, threads = geometry.axis, geometry.threads
     # Chunks leave the colours as they are.
     before = kernel(large_arrays.copy_of(noisy) if chunking() is None else noisy)
-    signs = manifold.perturbation()
+    perturbation = manifold.perturbation()
     size = np.float32(PERTURBATION * np.sqrt(np.mean(np.square(sigma))))
     disturbed = large_arrays.copy_of(noisy)
-    _add(axis, disturbed, signs, size)
+    _add(axis, disturbed, perturbation.get(), size)
+    perturbation.drop()
     disturbed = kernel(disturbed)
     manifold.drop_kernels()
     if clipped is not None:
@@ -129,6 +130,7 @@ def blend_with_patches(
         return manifold.collaborate(colours, first, second, stage(PASSES[1]), replaces_pilot=True)
 
     after = estimate(noisy, before)
+    signs = perturbation.get()
     with _added(axis, noisy, signs, size):
         response = estimate(noisy, disturbed)
     # Smoothness counts less or more, as in the choice of parameters.

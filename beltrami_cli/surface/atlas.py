@@ -48,11 +48,11 @@ class Atlas:
     # on the right, below, below right, and below left. Infinite where the neighbour lies outside, and where
     # the surface ends between the two (at an open edge, or between two parts of a chart that only touch in
     # the image); without meaning where either is EMPTY.
-    lengths: large_arrays.Droppable
+    lengths: large_arrays.Droppable[Float32s]
     # Shape (K,): flat indices, ascending, of the cells between which and a neighbour, not EMPTY, the
     # surface ends at an edge.
     cut_cells: Indices
-    owned_cells: Indices  # (T,): flat indices of the owned cells, ascending
+    owned: large_arrays.Droppable[Indices]  # (T,): flat indices of the owned cells, ascending
     owned_texels: Indices  # (T,): the texel of each: offset of its texture plus row * width + column
     # Shape (number of textures + 1,): texels of texture i are numbered from its offset, row by row.
     texture_offsets: Int64s
@@ -81,6 +81,10 @@ class Atlas:
     @property
     def squared_lengths(self) -> Float32s:
         return self.lengths.get()
+
+    @property
+    def owned_cells(self) -> Indices:
+        return self.owned.get()
 
     @property
     def counts(self) -> dict[str, int]:
@@ -163,9 +167,15 @@ def without_owned(atlas: Atlas, dropped: Bools) -> Atlas:
     weights /= np.where(orphaned, 1, total)[:, None]
     kind = large_arrays.copy_of(atlas.kind)
     kind.reshape(-1)[gone] = EMPTY
-    owned = {name: getattr(atlas, name)[~dropped] for name in ("owned_cells", "owned_texels", "chart_of")}
-    kept = dataclasses.replace(atlas, kind=kind, halo_weights=weights.astype(np.float32), **owned)
+    of_owned = {name: getattr(atlas, name)[~dropped] for name in ("owned_texels", "chart_of")}
+    halo_weights = weights.astype(np.float32)
+    kept = dataclasses.replace(atlas, kind=kind, owned=owned_of(kind), halo_weights=halo_weights, **of_owned)
     return without_halo(kept, orphaned)
+
+
+def owned_of(kind: Uint8s) -> large_arrays.Droppable[Indices]:
+    """Return the flat indices of the owned cells, ascending, found when they are needed."""
+    return large_arrays.Droppable(None, partial(large_arrays.find, kind, OWNED))
 
 
 _WRAP_CODES = {"repeat": 0, "mirror": 1, "clamp": 2}
@@ -183,7 +193,8 @@ def build_atlas(
     for block in large_arrays.blocks(len(numbers)):
         made["chart_of"][block] = numbers[block]
     texels = np.array([width * height for width, height in sizes], np.int64)
-    return Atlas(texture_offsets=np.concatenate([[0], np.cumsum(texels)]), lengths=lengths, **made)
+    offsets = np.concatenate([[0], np.cumsum(texels)])
+    return Atlas(texture_offsets=offsets, lengths=lengths, owned=owned_of(made["kind"]), **made)
 
 
 def _build(surface: TexturedSurface, sizes: Sequence[tuple[int, int]], margin: int, threads: int) -> Any:
@@ -224,21 +235,21 @@ def grid_atlas(shape: tuple[int, int], margin: int, positions: Float64s | None, 
     for rows in large_arrays.blocks(shape[0], _ROWS):
         kind[inside][rows][filled[rows]] = OWNED
     measure = partial(_measure_grid, filled, margin, positions)
-    owned = large_arrays.flatnonzero(kind)
+    texels = large_arrays.find(filled, True)
     nothing = np.zeros(0, np.int64)
     return Atlas(
         kind=kind,
         lengths=large_arrays.Droppable(measure(), measure),
-        owned_cells=owned,
-        owned_texels=large_arrays.flatnonzero(filled),
+        owned=owned_of(kind),
+        owned_texels=texels,
         texture_offsets=np.array([0, shape[0] * shape[1]], np.int64),
         cut_cells=nothing, halo_cells=nothing,
         gutter_cells=nothing, gutter_texels=nothing, border_texels=nothing, lone_texels=nothing,
         halo_taps=np.zeros((0, 4), np.int64),
         halo_weights=np.zeros((0, 4), np.float32),
         halo_seams=np.zeros(0, np.int32),
-        chart_of=large_arrays.zeros(len(owned), np.int8),
-        charts=1, seams=0, seam_edges=0, covered=len(owned), overlapped=0,
+        chart_of=large_arrays.zeros(len(texels), np.int8),
+        charts=1, seams=0, seam_edges=0, covered=len(texels), overlapped=0,
     )  # fmt: skip
 
 

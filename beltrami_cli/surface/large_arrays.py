@@ -15,12 +15,15 @@ from collections.abc import Callable, Iterator, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, Generic, TypeVar
 
 import numpy as np
-from numpy.typing import DTypeLike
+from numpy.typing import DTypeLike, NDArray
 
-from beltrami_cli.arrays import Array, Float32s, Int8s, Int64s
+from beltrami_cli.arrays import Array, Int8s
 from beltrami_cli.errors import ProcessingError
+
+AnyArray = TypeVar("AnyArray", bound=np.ndarray[Any, Any])
 
 BLOCK = 1 << 20
 """Samples that passes over all of them take at a time."""
@@ -139,13 +142,13 @@ def _in_file(limit: _Limit, size: int) -> Array:
 
 
 @dataclass
-class Droppable:
-    """A large array that is computed again if it is needed after it was dropped."""
+class Droppable(Generic[AnyArray]):
+    """A large array that is computed when it is needed, and again after it was dropped."""
 
-    array: Float32s | None
-    compute: Callable[[], Float32s] | None = None  # None: it is never dropped
+    array: AnyArray | None
+    compute: Callable[[], AnyArray] | None = None  # None: it is never dropped
 
-    def get(self) -> Float32s:
+    def get(self) -> AnyArray:
         if self.array is None:
             assert self.compute is not None
             self.array = self.compute()
@@ -165,14 +168,14 @@ def copy_of(array: Array) -> Array:
     return copy
 
 
-def flatnonzero(mask: Array) -> Int64s:
-    """Return the flat indices of elements that are not 0, like `numpy.flatnonzero`, block by block."""
-    flat, at = mask.reshape(-1), 0
-    found: Int64s = empty(int(np.count_nonzero(flat)), np.int64)
-    for block in blocks(len(flat)):
-        places = np.flatnonzero(flat[block])
-        found[at : at + len(places)] = places + block.start
-        at += len(places)
+def find(array: Array, value: int) -> NDArray[np.signedinteger[Any]]:
+    """Return the flat indices of elements that have a value, ascending, in as few bytes as they need."""
+    flat, at = array.reshape(-1), 0
+    counts = [int(np.count_nonzero(flat[block] == value)) for block in blocks(len(flat))]
+    found: NDArray[np.signedinteger[Any]] = empty(sum(counts), np.int32 if len(flat) < 1 << 31 else np.int64)
+    for block, count in zip(blocks(len(flat)), counts, strict=True):
+        found[at : at + count] = np.flatnonzero(flat[block] == value) + block.start
+        at += count
     return found
 
 

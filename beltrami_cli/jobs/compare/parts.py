@@ -201,7 +201,7 @@ def compare_images(
         raise InputError(names[1], f"{count} of its pixels are no finite numbers, but are in {names[0]}")
     opacities = [None if "alpha" in one.names else _opacity(picture) for picture in pictures]
     return ComparedColours(
-        name="image", kind="image", index=large_arrays.flatnonzero(valid),
+        name="image", kind="image", index=large_arrays.find(valid, True),
         read=partial(_both_colours, (one, pictures[0]), (other, pictures[1])),
         space=settings.space if set(one.names) <= {"red", "green", "blue", "grey"} else "data",
         size=(valid.shape[0], valid.shape[1]), other_opacity=_differ(*opacities),

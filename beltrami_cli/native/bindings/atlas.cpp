@@ -64,7 +64,6 @@ nb::dict to_dict(const atlas::Atlas& made) {
   nb::dict result;
   result["kind"] = view<std::uint8_t, nb::ndim<2>>(made.kind, {rows, columns});
   result["squared_lengths"] = view<float, nb::shape<4, -1, -1>>(made.squared_lengths, {4, rows, columns});
-  result["owned_cells"] = vector_of(made.owned_cells);
   result["owned_texels"] = vector_of(made.owned_texels);
   result["halo_cells"] = vector_of(made.halo_cells);
   result["halo_taps"] = rows_of_four(made.halo_taps);
