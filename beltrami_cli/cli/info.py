@@ -23,8 +23,8 @@ from beltrami_cli.cli.console import (
     show_table,
 )
 from beltrami_cli.errors import BeltramiError, InputError
-from beltrami_cli.layers.settings import SmoothSettings
-from beltrami_cli.view.settings import NO_NOISE_FOUND, noise_in_words
+from beltrami_cli.layers.settings import NO_NOISE_FOUND, SmoothSettings
+from beltrami_cli.view.settings import noise_in_words
 
 _SUMMARY = 20  # lines
 _SHOWN_IMAGES = 6

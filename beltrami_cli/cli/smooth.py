@@ -17,8 +17,7 @@ from beltrami_cli.cli.console import ALL_THE_SAME, NO_AREA, NO_NOISE, Messages, 
 from beltrami_cli.errors import OutputError, UsageError
 from beltrami_cli.fields import show_size
 from beltrami_cli.jobs.job import BakeSettings, Job, NoiseSettings
-from beltrami_cli.layers.settings import BakeTo, LevelSettings, SmoothSettings
-from beltrami_cli.view.settings import NO_NOISE_FOUND
+from beltrami_cli.layers.settings import NO_NOISE_FOUND, BakeTo, LevelSettings, SmoothSettings
 
 if TYPE_CHECKING:
     from beltrami_cli.jobs.output import Output

@@ -281,6 +281,10 @@ def for_blocks(
 
 def at_same_time(work: Callable[..., object], threads: int, blocks: Iterable[tuple[Any, ...]]) -> None:
     """Call `work` with the arguments of each block, several at the same time."""
+    if threads == 1:
+        for block in blocks:
+            work(*block)
+        return
     waiting = deque[Future[object]]()
     with ThreadPoolExecutor(threads) as pool:
         for block in blocks:

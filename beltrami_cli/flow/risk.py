@@ -29,7 +29,6 @@ from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.flow.clipping import variance_of_clipped
 from beltrami_cli.flow.manifold import SampleTrial, Step
 from beltrami_cli.flow.noise.model import NoiseModel, VarianceStabiliser, draw_model
-from beltrami_cli.flow.vertex_graph import sums_around
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, OWNED, ROWS, Atlas, Indices, refresh_halo
 from beltrami_cli.surface.records import limits_of
@@ -311,6 +310,8 @@ def _grown(middles: Bools, edges: Int32s) -> TrialSamples:
 
 def _detail_around(colours: Float32s, edges: Int32s) -> Float64s:
     """Return how uneven colours are around each sample, beyond what noise makes of them."""
+    from beltrami_cli.flow.vertex_graph import sums_around
+
     size = np.bincount(edges.ravel(), minlength=len(colours))[:, None] + 1.0
     means = (colours + sums_around(colours.astype(np.float64), edges)) / size
     steps = np.square(means[edges[:, 0]] - means[edges[:, 1]]).sum(axis=1)

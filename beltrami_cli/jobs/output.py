@@ -366,6 +366,8 @@ def _may_refer(name: str) -> bool:
 
 def _naming(heads: Mapping[str, bytes], names: Iterable[str]) -> list[str]:
     """Return the files that name one of some others, as a whole word; URIs may have escapes."""
-    spelled = {re.escape(os.fsencode(each)) for name in names for each in (name, quote(name))}
-    named = re.compile(rb"(?:^|[\s\"'@>]|\./)(?:" + b"|".join(sorted(spelled)) + rb")(?=$|[\s\"'@<])")
-    return [name for name, head in heads.items() if named.search(head)]
+    spelled = sorted({os.fsencode(each) for name in names for each in (name, quote(name))})
+    named = re.compile(rb"(?:^|[\s\"'@>]|\./)(?:" + b"|".join(map(re.escape, spelled)) + rb")(?=$|[\s\"'@<])")
+    # The expression alone takes 10 ms for the head of a binary file.
+    holding = {name: head for name, head in heads.items() if any(each in head for each in spelled)}
+    return [name for name, head in holding.items() if named.search(head)]

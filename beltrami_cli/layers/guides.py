@@ -16,7 +16,6 @@ from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.manifold import Guide, centred
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import Access, is_there, read_source
-from beltrami_cli.formats.archives import NPY_MAGIC, NpzArchive, is_npz, read_npy
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, read_image, read_texture
 from beltrami_cli.formats.image.picture import full_scale_one
@@ -55,6 +54,8 @@ def _values(document: Document, name: str, access: Access) -> Float64s:
 
 def read_table(path: str, rows: int, model: str, access: Access) -> Float64s:
     """Read numbers of vertices, shape (V, G), from an array, an archive with one, or the vertex colours of a model."""
+    from beltrami_cli.formats.archives import NPY_MAGIC, NpzArchive, is_npz, read_npy
+
     data = read_source(path, access)
     if data[: len(NPY_MAGIC)] == NPY_MAGIC:
         table = read_npy(data, path)

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Literal, get_args
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import check, override, parameter, parameters
 from beltrami_cli.flow.parameters import STRENGTHS, TUNABLE
-from beltrami_cli.layers.settings import DEFAULTS, SLOTS, SmoothSettings, describe_settings
+from beltrami_cli.layers.settings import DEFAULTS, NO_NOISE_FOUND, SLOTS, SmoothSettings, describe_settings
 
 Axis = Literal["x", "y", "z"]
 Colour = tuple[float, float, float, float]  # display values and opacity from 0 to 1
@@ -168,7 +168,6 @@ class RenderSettings:
 
 DEFAULT_RENDER = RenderSettings()
 
-NO_NOISE_FOUND = "no noise detected"
 
 _DECLARED = {each.name: each for each in parameters(SmoothSettings, deep=True)}
 _NAMES = ("strength", "patches", "noise", "iterations", "t", "beta", "window")

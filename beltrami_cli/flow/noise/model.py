@@ -26,14 +26,17 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.fields import BYTE_STEP
-from beltrami_cli.flow.vertex_graph import Level
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.records import srgb_to_linear
+
+if TYPE_CHECKING:
+    from beltrami_cli.flow.vertex_graph import Level
 
 # Colours of red, green and blue share a curve by their level; other channels are no levels.
 COLOURS = 3

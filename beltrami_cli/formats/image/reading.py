@@ -34,7 +34,6 @@ from beltrami_cli.formats.image.picture import (
 )
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.records import Texture
-from beltrami_cli.surface.worker_process import temporary_folder
 
 _LARGEST = 1 << 28  # pixels: 16384 x 16384, the largest texture that graphics cards take
 _MOST_CHANNELS = 64
@@ -352,6 +351,8 @@ def scratch_file(data: bytes = b"", suffix: str = "", name: str = _UNNAMED) -> I
         finally:
             os.close(descriptor)
     else:
+        from beltrami_cli.surface.worker_process import temporary_folder
+
         with temporary_folder() as folder:
             path = folder / f"image{suffix}"
             _fill(path, data, name)
