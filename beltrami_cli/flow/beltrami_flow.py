@@ -124,9 +124,9 @@ def choose_parameters(
     work = manifold.geometry.work(manifold.unit)
     chosen = work.bounded(chosen)
     work.announce(chosen)
-    geometry = manifold.geometry.for_kernels() if chunking() is None else manifold.geometry
+    manifold.geometry.drop_samples()
     return Plan(
-        manifold=dataclasses.replace(manifold, geometry=geometry, parameters=chosen), noise=noise.of_input,
+        manifold=dataclasses.replace(manifold, parameters=chosen), noise=noise.of_input,
         described_noise=noise.described(), choice=choice,
         takes_patches=wanted.takes_patches and chosen.iterations > 0 and not moves and noisy, light=light,
     )  # fmt: skip

@@ -140,9 +140,8 @@ class Geometry(Domain):
     def drop_distances(self) -> None:
         """Free the memory of what only kernels need; it is computed again if more of them are run."""
 
-    def for_kernels(self) -> Geometry:
-        """Return the geometry without what only parts that are cut from it need."""
-        return self
+    def drop_samples(self) -> None:
+        """Free the memory of what only reading and writing colours needs; it is computed again for that."""
 
 
 class KernelWork:

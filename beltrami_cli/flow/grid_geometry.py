@@ -77,10 +77,8 @@ class GridGeometry(Geometry):
         if self.scales is not None:
             self.scales.drop()
 
-    def for_kernels(self) -> GridGeometry:
-        """Free the memory of the owned cells' indices, which only reading and writing colours needs."""
+    def drop_samples(self) -> None:
         self.atlas.owned.drop()
-        return self
 
     @property
     def size(self) -> int:

@@ -142,9 +142,8 @@ class MeshGeometry(Geometry):
             weights=None if weights is None else weights[samples], _core=None, _graph=None,
         )  # fmt: skip
 
-    def for_kernels(self) -> MeshGeometry:
-        """Return the geometry without triangles, which only cuts need."""
-        return dataclasses.replace(self, faces=np.empty((0, 3), np.int32))  # a slice would keep them
+    def drop_distances(self) -> None:
+        self._core = None
 
     def in_order(self, rows: Array) -> Array:
         """Bring rows back to the order that the caller gave them in."""
