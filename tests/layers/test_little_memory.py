@@ -21,7 +21,7 @@ from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image
 from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings, TextureSettings
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import build_atlas
+from beltrami_cli.surface.atlas import OWNED, build_atlas
 from beltrami_cli.surface.records import Texture, TexturedSurface
 from formats.image_files import encode
 from formats.tile_files import GIVEN, tiled_model
@@ -182,13 +182,13 @@ def plan_with_patches(side):
     return plan_on_image(surface, colours.__getitem__, kernel)
 
 
-def test_distances_that_patches_dropped_from_memory_can_be_measured_again():
+def test_what_is_dropped_from_memory_before_kernels_and_patches_is_found_again():
     plan = plan_with_patches(64)
-    geometry = plan.manifold.geometry
-    before = geometry.atlas.squared_lengths.copy(), geometry.scale.copy()
+    geometry, atlas = plan.manifold.geometry, plan.manifold.geometry.atlas
+    before = atlas.squared_lengths.copy(), geometry.scale.copy(), np.flatnonzero(atlas.kind == OWNED)
     smooth(plan)
-    assert geometry.atlas.lengths.array is geometry.scales.array is None
-    for old, new in zip(before, (geometry.atlas.squared_lengths, geometry.scale), strict=True):
+    assert atlas.lengths.array is geometry.scales.array is atlas.owned.array is None
+    for old, new in zip(before, (atlas.squared_lengths, geometry.scale, atlas.owned_cells), strict=True):
         np.testing.assert_array_equal(old, new)
 
 
