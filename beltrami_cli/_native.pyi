@@ -66,14 +66,6 @@ def impute_cut_off(
     threads: int,
 ) -> None: ...
 def convolve(planes: NDArray[np.float32], taps: NDArray[np.float32], threads: int) -> NDArray[np.float32]: ...
-def convolve_to(
-    planes: NDArray[np.float32],
-    taps: NDArray[np.float32],
-    first: int,
-    kind: NDArray[np.uint8] | None,
-    result: NDArray[np.float32],
-    threads: int,
-) -> None: ...
 def means_of_squares(
     kind: NDArray[np.uint8], kinds: NDArray[np.uint8], planes: NDArray[np.float32], side: int, threads: int
 ) -> NDArray[np.float32]: ...

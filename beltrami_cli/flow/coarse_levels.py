@@ -24,7 +24,8 @@ from typing import TypeVar
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s
-from beltrami_cli.flow.domain import CoarseLevel, Geometry, in_blocks
+from beltrami_cli.flow.clipping import ClippedChannels
+from beltrami_cli.flow.domain import CoarseLevel, Geometry, block_rows, in_blocks
 from beltrami_cli.flow.manifold import Manifold, relative_variance
 from beltrami_cli.flow.noise.model import sigma_of_covariances
 from beltrami_cli.flow.patches import PERTURBATION, mixing_of, with_pilot
@@ -70,24 +71,29 @@ def denoise_means(manifold: AnyManifold, tick: Callable[[], None] | None = None)
 
 def _impute_cut_off(manifold: Manifold) -> None:
     """Replace samples at a limit, in place, by what noise beyond it would be on average, given those around them."""
-    geometry = manifold.geometry
+    geometry, regions = manifold.geometry, manifold.regions
     found = geometry.find_clipped(manifold.colours, manifold.noise.sigma)
     colours, relative = (
         np.moveaxis(each, geometry.axis, 0) for each in (manifold.colours, relative_variance(manifold))
     )
     for k, clipped in () if found is None else found.sides():
-        channel, planes = colours[k : k + 1], geometry.planes(3)
-        for own, variance, (near, level, mark) in in_blocks(0, channel, relative, planes):
+        channel = colours[k : k + 1]
+
+        def terms(rows: slice, channel: Array = channel, clipped: ClippedChannels = clipped) -> Float32s:
+            own = channel[:, rows]
+            marks = np.empty(own.shape, np.float32)
+            clipped.mark(own, marks)
             # Samples beyond an edge are not near the limit, and do not count.
-            near[:] = clipped.near_limit(own, variance)[0]
-            clipped.mark(own, mark[None])
-            level[:] = own[0] * near
-            mark *= near
-        planes = geometry.spread(planes)
-        for own, variance, means in in_blocks(0, channel, relative, planes):
+            return np.concatenate([np.ones_like(own), own, marks]) * clipped.near_limit(
+                own, relative[:, rows]
+            )
+
+        sums = regions.spread(regions.gathered(3, terms, channel, geometry.threads))
+        for rows in block_rows(channel, regions.side):
+            means, variance = regions.enlarged(sums, rows), relative[0, rows]
             means[1:] /= np.maximum(means[:1], _LEAST_SHARE)
-            clipped.restore(means[1:2], means[2:], variance[0], geometry.threads)
-            clipped.impute(own, means[1:2], variance[0], geometry.threads)
+            clipped.restore(means[1:2], means[2:], variance, geometry.threads)
+            clipped.impute(channel[:, rows], means[1:2], variance, geometry.threads)
     geometry.refresh(manifold.colours)
 
 

@@ -29,8 +29,8 @@ LOG = logging.getLogger(__name__)
 """Says how much work is ahead, before it starts."""
 
 
-class Domain(ABC):
-    """Samples that numbers are summed and averaged over.
+class Samples(ABC):
+    """Samples of a surface, or means of groups of them.
 
     A *stack* is an array of channels for all samples in the inner layout: rows of samples on a mesh, planes of cells on
     a grid. *Planes* are numbers that are no colours, along the first axis in both layouts.
@@ -38,6 +38,14 @@ class Domain(ABC):
 
     axis: ClassVar[int]
     """The axis of the channels in a stack."""
+
+    @abstractmethod
+    def planes(self, count: int) -> Float32s:
+        """Return zeros for numbers of samples."""
+
+
+class Domain(Samples):
+    """Samples that numbers are summed and averaged over."""
 
     width: float
     """Standard deviation of `spread`, in sample spacings."""
@@ -47,10 +55,6 @@ class Domain(ABC):
 
     side: int = 1
     """How many rows of the samples that these are means of belong to a row of these."""
-
-    @abstractmethod
-    def planes(self, count: int) -> Float32s:
-        """Return zeros for numbers of samples."""
 
     @abstractmethod
     def total(self, planes: Float32s) -> Float64s:
@@ -63,6 +67,17 @@ class Domain(ABC):
     def means_of_rows(self, planes: Float32s, rows: slice) -> tuple[slice, Float32s]:
         """Return the means of planes of some rows, whole multiples of `side`, and the rows that they are."""
         return rows, planes
+
+    def gathered(self, count: int, terms: Callable[[slice], Float32s], like: Array, threads: int) -> Float32s:
+        """Return planes of the terms that a function returns for some rows of samples; `like`: a stack of all."""
+        planes = self.planes(count)
+
+        def gather(rows: slice) -> None:
+            own, means = self.means_of_rows(terms(rows), rows)
+            planes[:, own] = means
+
+        at_same_time(gather, threads, ((rows,) for rows in block_rows(like, self.side)))
+        return planes
 
     def enlarged(self, planes: Float32s, rows: slice) -> Float32s:
         """Return planes at some rows of the samples that these are means of."""
@@ -83,7 +98,7 @@ class Gaussian(Protocol):
     def smooth(self, stack: Stack, /) -> Stack: ...
 
 
-class Geometry(Domain):
+class Geometry(Samples):
     """The positions of samples in space, and which samples are neighbours."""
 
     threads: int

@@ -29,9 +29,6 @@ from beltrami_cli.surface.atlas import (
     refresh_halo,
 )
 
-# Standard deviation of one pass of a wide Gaussian, in cells, whose window the halo fills.
-_SPREAD = 1.6
-
 # Rows and columns around a halo cell that are searched for other cells with the same texel: enough for a chart up to
 # seven times as fine as the one beyond the seam.
 _REPEATS_REACH = 3
@@ -48,7 +45,6 @@ class GridGeometry(Geometry):
     """Cells of an atlas; stacks are planes on its canvas."""
 
     axis: ClassVar[int] = 0
-    width = 6.0
 
     atlas: Atlas
     spacing: float
@@ -144,41 +140,6 @@ class GridGeometry(Geometry):
     def planes(self, count: int) -> Float32s:
         planes: Float32s = large_arrays.zeros((count, *self.atlas.kind.shape), np.float32)
         return planes
-
-    def total(self, planes: Float32s) -> Float64s:
-        kind, total = self.atlas.kind, np.zeros(len(planes))
-        for rows in large_arrays.blocks(len(kind), SUMMED_ROWS):
-            own = np.where(kind[rows] == OWNED, planes[:, rows], np.float32(0))
-            total += own.sum(axis=(1, 2), dtype=np.float64)
-        return total
-
-    def spread(self, planes: Float32s) -> Float32s:
-        """Average planes over the surface, in passes that reach as far as the halo."""
-        from beltrami_cli._native import convolve_to
-
-        taps = gaussian_taps(_SPREAD)
-        reach, kind, threads = len(taps) // 2, self.atlas.kind, self.threads
-        means, other = self.planes(len(planes)), self.planes(1)
-        for plane, own in zip(planes[:, None], means[:, None], strict=True):
-            before, after = own, other
-            for rows in self._blocks():
-                np.multiply(plane[:, rows], kind[rows] != EMPTY, out=before[:, rows])
-            for _ in range(round((self.width / _SPREAD) ** 2)):
-                for rows in self._blocks():
-                    first = max(0, rows.start - reach)
-                    around = slice(first, rows.stop + reach)
-                    here, offset = before[:, around], rows.start - first
-                    convolve_to(here, taps, offset, kind[around], after[:, rows], threads)
-                self.refresh(after)
-                before, after = after, before
-            if before is not own:
-                own[:] = before
-        return means
-
-    def _blocks(self) -> Iterator[slice]:
-        """Go through the rows in blocks of `large_arrays.BLOCK` cells."""
-        rows, columns = self.atlas.kind.shape
-        return large_arrays.blocks(rows, max(SUMMED_ROWS, large_arrays.BLOCK // max(1, columns)))
 
 
 def pick(planes: Array, samples: Cells) -> Array:

@@ -277,9 +277,9 @@ class GridManifold(Manifold):
 
     @property
     def regions(self) -> Squares:
-        """Squares of the finest level at which plain colours are estimated: weights vary much more slowly."""
+        """Squares of the finest level at which plain colours are estimated, averaged over 6 cells."""
         grid, side = self.geometry, 2 ** min(self.plain_levels)
-        return Squares(grid.atlas, side, grid.threads, None, width=grid.width / side)
+        return Squares(grid.atlas, side, grid.threads, None, width=6 / side)
 
     def trial(self) -> SampleTrial:
         atlas, planes, own = self.geometry.atlas, self.colours, self.parameters

@@ -182,9 +182,9 @@ class Manifold(ABC):
         """Return up to `most` levels, fine to coarse, each of some four samples of the one before."""
 
     @property
+    @abstractmethod
     def regions(self) -> Domain:
-        """The samples, or means of them, that weights between two estimates are found for."""
-        return self.geometry
+        """The samples, or means of them, over which regions of the surface are averaged."""
 
     @abstractmethod
     def trial(self) -> SampleTrial:

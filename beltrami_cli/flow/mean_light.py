@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s
-from beltrami_cli.flow.domain import Geometry, in_blocks
+from beltrami_cli.flow.domain import Domain, block_rows, in_blocks
 from beltrami_cli.flow.noise.model import COLOURS
 from beltrami_cli.flow.parameters import Space
 from beltrami_cli.surface.records import from_space, to_space
@@ -56,7 +56,8 @@ class MeanLight:
         manifold.geometry.refresh(manifold.colours)
         light = _light_of(manifold, space)
         for channel in range(len(light)):
-            _give_back(manifold.geometry, self.planes[channel : channel + 1], light[channel : channel + 1])
+            before, after = self.planes[channel : channel + 1], light[channel : channel + 1]
+            _give_back(manifold.regions, before, after, manifold.geometry.threads)
         axis = manifold.geometry.axis
         for own, new in zip(in_blocks(axis, manifold.colours), in_blocks(0, light), strict=True):
             own[0][:] = _converted(new[0], lambda rows: to_space(rows, "linear", space))
@@ -65,16 +66,21 @@ class MeanLight:
         manifold.geometry.refresh(manifold.colours)
 
 
-def _give_back(geometry: Geometry, before: Float32s, after: Float32s) -> None:
+def _give_back(regions: Domain, before: Float32s, after: Float32s, threads: int) -> None:
     smoothed = after.copy()
     for band in _bands(smoothed):
-        sums = geometry.planes(2)
-        for z, u, (lost, size) in in_blocks(0, before, smoothed, sums):
-            weighted = _weights(u[0], band)
-            lost[:], size[:] = weighted * (z[0] - u[0]), weighted * np.abs(u[0])
-        sums = geometry.spread(sums)
-        for u, own, (lost, size) in in_blocks(0, smoothed, after, sums):
-            own[0] += _weights(u[0], band) * np.abs(u[0]) * lost / np.maximum(size, np.finfo(np.float32).tiny)
+
+        def lost_and_size(rows: slice, band: int = band) -> Float32s:
+            z, u = before[0, rows], smoothed[0, rows]
+            weighted = _weights(u, band)
+            return np.stack([weighted * (z - u), weighted * np.abs(u)])
+
+        sums = regions.spread(regions.gathered(2, lost_and_size, after, threads))
+        for rows in block_rows(after, regions.side):
+            u, (lost, size) = smoothed[0, rows], regions.enlarged(sums, rows)
+            after[0, rows] += (
+                _weights(u, band) * np.abs(u) * lost / np.maximum(size, np.finfo(np.float32).tiny)
+            )
 
 
 def _light_of(manifold: Manifold, space: Space) -> Float32s:

@@ -17,7 +17,7 @@ import numpy as np
 from beltrami_cli._native import SegmentManifold, TriangulatedManifold, vertex_order
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
 from beltrami_cli.flow.clipping import ClippedChannels, find_clipped
-from beltrami_cli.flow.domain import Geometry, KernelWork, Stack
+from beltrami_cli.flow.domain import Domain, Geometry, KernelWork, Stack
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.risk import fingerprints
 from beltrami_cli.flow.vertex_graph import PASS_SCALE, PASS_VARIANCE, Graph, MeshGaussian, all_known
@@ -42,7 +42,7 @@ _COARSE = np.float32(256)
 
 
 @dataclass(kw_only=True, eq=False)
-class MeshGeometry(Geometry):
+class MeshGeometry(Geometry, Domain):
     """Vertices, triangles and edges; stacks have a row a vertex."""
 
     axis: ClassVar[int] = 1

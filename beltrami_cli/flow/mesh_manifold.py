@@ -177,6 +177,10 @@ class MeshManifold(Manifold):
         del tick
         return clusters_for(self.geometry.graph(self.colours), most, self.noise.relative)
 
+    @property
+    def regions(self) -> MeshGeometry:
+        return self.geometry
+
     def trial(self) -> SampleTrial:
         colours, edges, size = self.colours, self.geometry.edges, self.geometry.size
         around = fingerprints(colours, edges)

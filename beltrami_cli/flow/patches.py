@@ -163,27 +163,22 @@ def _mix(
         np.moveaxis(stack, manifold.geometry.axis, 0)
         for stack in (colours, signs, relative, *results, *responses)
     ]
-    sums = regions.planes(2)
 
-    def sum_terms(rows: slice) -> None:
+    def terms(rows: slice) -> Float32s:
         z, b, variance, *estimates = (stack[:, rows] for stack in stacks)
-        terms = np.empty((2, *z.shape[1:]), np.float32)
+        own: Float32s = np.empty((2, *z.shape[1:]), np.float32)
         probe: Array = b / divisors
-        blend_terms(z, probe, tuple(estimates), (*model.noise, variance), terms, 1)
-        own, means = regions.means_of_rows(terms, rows)
-        sums[:, own] = means
+        blend_terms(z, probe, tuple(estimates), (*model.noise, variance), own, 1)
+        return own
 
     def move(rows: slice) -> None:
         weight = regions.enlarged(weights, rows)
         for p, q in (stacks[3:5], stacks[5:]):
             p[:, rows] += weight * (q[:, rows] - p[:, rows])
 
-    def rows() -> Iterator[tuple[slice]]:
-        return ((own,) for own in block_rows(stacks[0], regions.side))
-
-    at_same_time(sum_terms, model.threads, rows())
+    sums = regions.gathered(2, terms, stacks[0], model.threads)
     weights, share, gain = _weigh(regions, sums, model.variance * regions.noise, _PRIORS["samples"])
-    at_same_time(move, model.threads, rows())
+    at_same_time(move, model.threads, ((rows,) for rows in block_rows(stacks[0], regions.side)))
     for stack in (results[0], responses[0]):
         manifold.geometry.refresh(stack)
     return share, gain

@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import correlate1d
 from scipy.sparse import coo_array
 
-from beltrami_cli._native import convolve, convolve_to, neighbour_means
+from beltrami_cli._native import convolve, neighbour_means
 
 
 @pytest.mark.parametrize("shape", [(3, 40, 70), (1, 1, 9), (2, 7, 1), (1, 2, 3)])
@@ -21,20 +21,6 @@ def test_a_convolution_is_that_of_scipy_for_any_number_of_threads(shape, count):
     most = 2 * count * np.finfo(np.float32).eps * np.abs(planes).max() * taps.sum() ** 2
     np.testing.assert_allclose(smoothed, expected, rtol=0, atol=most)
     np.testing.assert_array_equal(convolve(planes, taps, 3), smoothed)
-
-
-@pytest.mark.parametrize("rows", [slice(0, 40), slice(5, 6), slice(13, 40)])
-def test_a_band_of_a_convolution_is_that_of_the_whole_but_for_empty_cells(rows):
-    random = np.random.default_rng(2)
-    stack = random.standard_normal((3, 40, 70)).astype(np.float32)
-    kind = random.integers(0, 3, (50, 70)).astype(np.uint8)[:40]
-    taps = random.random(5).astype(np.float32)
-    for threads in (1, 3):
-        whole = np.ones((3, 60, 70), np.float32)
-        convolve_to(stack, taps, rows.start, kind, whole[:, 7 : 7 + rows.stop - rows.start], threads)
-        expected = np.ones_like(whole)
-        expected[:, 7 : 7 + rows.stop - rows.start] = (convolve(stack, taps, 1) * (kind != 0))[:, rows]
-        np.testing.assert_array_equal(whole, expected)
 
 
 def test_means_over_neighbours_are_those_of_a_sparse_matrix():

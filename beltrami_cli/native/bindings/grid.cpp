@@ -96,39 +96,20 @@ auto grid_distances(const Cells& kind, const nb::object& squared_lengths, const 
 
 // Planes whose rows follow each other, as in some rows of a larger stack.
 using Bands = nb::ndarray<const float, nb::ndim<3>, nb::device::cpu>;
-using OpenBands = nb::ndarray<float, nb::ndim<3>, nb::device::cpu>;
-
-template <class Value, class Stack>
-std::vector<Value*> planes_in(const Stack& stack) {
-  const auto rows = static_cast<std::int64_t>(stack.shape(1)), columns = static_cast<std::int64_t>(stack.shape(2));
-  if ((columns > 1 && stack.stride(2) != 1) || (rows > 1 && stack.stride(1) != columns))
-    throw nb::value_error("rows must follow each other");
-  std::vector<Value*> planes;
-  for (std::size_t k = 0; k < stack.shape(0); ++k) planes.push_back(stack.data() + static_cast<std::int64_t>(k) * stack.stride(0));
-  return planes;
-}
-
-// See convolve; `result` gets the rows from `first` on.
-void convolve_to(const Bands& planes, const Vector<float>& taps, std::size_t first, const std::optional<Cells>& kind,
-                 const OpenBands& result, unsigned threads) {
-  if (taps.size() % 2 == 0) throw nb::value_error("an odd number of taps is needed");
-  const std::size_t rows = planes.shape(1), columns = planes.shape(2), wanted = result.shape(1);
-  if (result.shape(0) != planes.shape(0) || result.shape(2) != columns || first > rows || wanted > rows - first)
-    throw nb::value_error("the result must be rows of the planes");
-  if (kind && (kind->shape(0) != rows || kind->shape(1) != columns))
-    throw nb::value_error("planes must have the grid's shape");
-  const auto from = planes_in<const float>(planes);
-  const auto to = planes_in<float>(result);
-  const nb::gil_scoped_release unlock;
-  convolve({from.data(), from.size()}, rows, columns, {taps.data(), taps.size()}, {first, wanted},
-           kind ? kind->data() : nullptr, to.data(), threads);
-}
 
 // See convolve.
 auto convolve_planes(const Bands& planes, const Vector<float>& taps, unsigned threads) {
+  if (taps.size() % 2 == 0) throw nb::value_error("an odd number of taps is needed");
   const std::size_t count = planes.shape(0), rows = planes.shape(1), columns = planes.shape(2);
+  if ((columns > 1 && planes.stride(2) != 1) || (rows > 1 && planes.stride(1) != static_cast<std::int64_t>(columns)))
+    throw nb::value_error("rows must follow each other");
+  std::vector<const float*> from;
+  for (std::size_t k = 0; k < count; ++k) from.push_back(planes.data() + static_cast<std::int64_t>(k) * planes.stride(0));
   std::unique_ptr<float[]> result(new float[count * rows * columns]);
-  convolve_to(planes, taps, 0, {}, OpenBands(result.get(), {count, rows, columns}), threads);
+  {
+    const nb::gil_scoped_release unlock;
+    convolve({from.data(), count}, rows, columns, {taps.data(), taps.size()}, result.get(), threads);
+  }
   return give<float, nb::ndim<3>>(std::move(result), {count, rows, columns});
 }
 
@@ -208,7 +189,6 @@ void bind_grid(nb::module_& module) {
              "threads"_a);
   module.def("local_scale", &local_scale_of, "right"_a, "below"_a, "window_radius"_a);
   module.def("convolve", &convolve_planes, "planes"_a, "taps"_a, "threads"_a);
-  module.def("convolve_to", &convolve_to, "planes"_a, "taps"_a, "first"_a, "kind"_a.none(), "result"_a.noconvert(), "threads"_a);
   module.def("means_of_squares", &means_of_squares_of, "kind"_a, "kinds"_a, "planes"_a, "side"_a, "threads"_a);
   module.def("add_enlarged", &add_enlarged_to, "kind"_a, "kinds"_a, "changes"_a, "planes"_a.noconvert(), "side"_a,
              "threads"_a);

@@ -28,27 +28,22 @@ void take_logarithms(const float* right, const float* below, std::size_t count, 
 
 }  // namespace
 
-void convolve(const Planes& planes, std::size_t rows, std::size_t columns, std::span<const float> taps, const Band& band,
-              const std::uint8_t* kind, float* const* result, unsigned threads) {
+void convolve(const Planes& planes, std::size_t rows, std::size_t columns, std::span<const float> taps, float* result,
+              unsigned threads) {
   const std::size_t reach = taps.size() / 2;
   const auto sum = BELTRAMI_VARIANT_OF(sum_over_taps, choose_instruction_set());
   // A chunk is some rows of a plane; a line of means down columns has zeros on both sides.
   const std::size_t height = std::max<std::size_t>(1, (std::size_t{1} << 16) / std::max<std::size_t>(1, columns));
-  parallel_chunks(planes.channels * band.count, height, threads, [&](std::size_t begin, std::size_t end, unsigned) {
+  parallel_chunks(planes.channels * rows, height, threads, [&](std::size_t begin, std::size_t end, unsigned) {
     std::vector<float> line(columns + 2 * reach, 0.0F);
     for (std::size_t i = begin; i < end; ++i) {
-      const std::size_t row = band.first + i % band.count;
-      const float* const plane = planes[i / band.count];
+      const std::size_t row = i % rows;
+      const float* const plane = planes[i / rows];
       // Beyond the plane there is nothing.
       const std::size_t begin_tap = reach - std::min(reach, row), end_tap = std::min(taps.size(), rows + reach - row);
       sum(plane + (row + begin_tap - reach) * columns, columns, taps.subspan(begin_tap, end_tap - begin_tap), columns,
           line.data() + reach);
-      float* means = result[i / band.count] + i % band.count * columns;
-      sum(line.data(), 1, taps, columns, means);
-      if (kind == nullptr) continue;
-      const std::uint8_t* const kinds = kind + row * columns;
-      for (std::size_t column = 0; column < columns; ++column)
-        means[column] = kinds[column] == empty ? 0.0F : means[column];
+      sum(line.data(), 1, taps, columns, result + i * columns);
     }
   });
 }

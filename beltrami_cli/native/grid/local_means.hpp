@@ -11,20 +11,14 @@
 
 namespace beltrami::grid {
 
-// Some rows of a grid.
-struct Band {
-  std::size_t first, count;
-};
-
 BELTRAMI_DECLARE_VARIANTS(
     // Writes sums over taps of tap * value for `count` values; the values of the next tap begin `step` places further on.
     void sum_over_taps(const float* values, std::size_t step, std::span<const float> taps, std::size_t count, float* sums))
 
-// Convolves planes of rows * columns cells with the taps (an odd number of them) down columns and along rows, and writes the
-// rows of a band to as many planes. Beyond the grid's borders everything is 0, and so are means in empty cells, if the kinds
-// of all cells are given.
-void convolve(const Planes& planes, std::size_t rows, std::size_t columns, std::span<const float> taps, const Band& band,
-              const std::uint8_t* kind, float* const* result, unsigned threads);
+// Convolves planes of rows * columns cells with the taps (an odd number of them) down columns and along rows. Beyond the
+// grid's borders everything is 0.
+void convolve(const Planes& planes, std::size_t rows, std::size_t columns, std::span<const float> taps, float* result,
+              unsigned threads);
 
 // For every cell 1 / (mean squared length of the edges to the right and below) over a square window about it; 1 where
 // the window holds no edge with a length. The mean is geometric: the few long edges over a slit, or short ones in a
