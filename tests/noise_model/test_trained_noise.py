@@ -51,8 +51,17 @@ def test_white_noise_lies_in_its_interval():
         assert model.grain < 1.2
 
 
+def dots():
+    """Return a map of single texels in one of a few colours."""
+    random = np.random.default_rng(4)
+    colours = random.choice([0, 0.5, 1], (8, 3)) * [1, 0.9, 0.8]
+    return colours[np.where(random.random(SHAPE) < 0.02, random.integers(0, 8, SHAPE), 0)].transpose(2, 0, 1)
+
+
 @pytest.mark.parametrize(
-    "clean", [np.full((3, *SHAPE), 0.4), ramp(), rounded(ramp())], ids=["constant", "real", "8 bits"]
+    "clean",
+    [np.full((3, *SHAPE), 0.4), ramp(), rounded(ramp()), dots()],
+    ids=["constant", "real", "8 bits", "dots"],
 )
 def test_plain_pictures_have_no_noise(clean):
     assert not estimate(clean).covariances.any()

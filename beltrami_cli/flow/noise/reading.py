@@ -66,6 +66,9 @@ _DETAILS_OF_READING = 26
 # Share of the samples of a neighbourhood at a limit, from which on its noise shows to be weaker than it is.
 _MAX_SHARE_CUT_OFF = 0.01
 
+# Levels of 8 bits that noise takes, by its deviation, at least: it takes four, and three where half of it is cut off.
+_LEVELS_OF_NOISE = 2
+
 # Where values exceed full scale, as in light, this quantile of theirs becomes full scale. Where less than this share of
 # them is at least 0, or at most full scale, they are no levels, and are shifted.
 _BRIGHT = 0.99
@@ -249,6 +252,8 @@ def _read_channels(planes: Float32s, where: Neighbourhoods, weights: Weights, *,
     order, step = np.argsort(samples.order)[: len(planes)], scale / float(STEPS)
     low, _, median, high = (deviation_of(own) for own in np.sort(found["total"][0]))
     least = median if is_there else low  # noise that is not given may be invisible
+    if not is_there and _count_levels(samples.colours) < _LEVELS_OF_NOISE * median:
+        least = 0.0
     bins = [np.bincount(features.level_bins(own), minlength=LEVEL_BINS) for own in blocks.levels]
     return _Reading(
         samples,
@@ -261,6 +266,13 @@ def _read_channels(planes: Float32s, where: Neighbourhoods, weights: Weights, *,
         scale,
         are_levels,
     )
+
+
+def _count_levels(colours: Float32s) -> float:
+    """Return how many levels the channels have at most; infinite for grey, which may be shares of a few rays."""
+    if (colours == colours[0]).all():
+        return np.inf
+    return max(int(np.count_nonzero(np.bincount(np.rint(own).astype(np.uint8)))) for own in colours)
 
 
 def _medians(quantiles: Array) -> Float64s:
