@@ -9,7 +9,7 @@ import logging
 import queue
 import socket
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from importlib.metadata import version
 from math import inf
@@ -113,7 +113,7 @@ class OnDask(Pool):
 
     def start(self, key: int, task: Task, *arguments: Any) -> None:
         # What a task is called with alone would go through the scheduler.
-        sent = [self.share(each) if isinstance(each, list) else each for each in arguments]
+        sent = [self._scattered(each) if isinstance(each, list) else each for each in arguments]
         try:
             future = self._client.submit(
                 _on_worker, task, self._topic, key, version("beltrami-cli"), *sent, pure=False
@@ -138,7 +138,10 @@ class OnDask(Pool):
             del self._futures[key]
             yield key, _result(event)
 
-    def share(self, value: Any) -> Any:
+    def share(self, make: Callable[[], Any]) -> Any:
+        return self._scattered(make())
+
+    def _scattered(self, value: Any) -> Any:
         try:
             return self._client.scatter(value, hash=False)
         except Exception:  # of many kinds where a worker is gone; the value is then sent with the task

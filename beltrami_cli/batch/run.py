@@ -25,7 +25,7 @@ from beltrami_cli.batch.item import (
 from beltrami_cli.batch.storage import exists, make_folder_of
 from beltrami_cli.batch.workers import Lost, Pool, Processes, Task
 from beltrami_cli.errors import OutputError, ProcessingError
-from beltrami_cli.flow.chunks import Chunk, Done, Figures, Work, in_chunks
+from beltrami_cli.flow.chunks import Chunk, Done, Figures, Piece, Work, in_chunks
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.jobs.job import Progress, at_intervals
 
@@ -254,16 +254,16 @@ class ChunkRunner:
 
     def _start(self, number: int, work: Work, stacks: list[Float32s]) -> None:
         if number not in self._parts:
-            self._parts[number] = self._pool.share(self._chunks[number].without_whole())
+            self._parts[number] = self._pool.share(self._chunks[number].piece)
         self._pool.start(number, do_chunk, self._parts[number], work, stacks)
 
 
 def do_chunk(
-    chunk: Chunk, work: Work, stacks: list[Float32s], progress: object
+    piece: Piece, work: Work, stacks: list[Float32s], progress: object
 ) -> tuple[list[Float32s], Figures] | Exception:
     """Return the result of a chunk in a worker."""
     del progress
     try:
-        return work.on(chunk, stacks, 1)
+        return work.on(piece, stacks, 1)
     except Exception as error:  # other than the death of a worker, it would come again elsewhere
         return error

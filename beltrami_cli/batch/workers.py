@@ -69,9 +69,9 @@ class Pool(ABC):
     def events(self) -> Iterator[tuple[int, Any]]:
         """Wait for a while, and give by the keys of tasks their progress, a tuple of three, or what came of them."""
 
-    def share(self, value: Any) -> Any:
+    def share(self, make: Callable[[], Any]) -> Any:
         """Return what stands for a large value among the arguments of tasks; workers hold it while it is kept here."""
-        return value
+        return make()
 
     def choose(self, keys: Sequence[int], shared: Mapping[int, Any]) -> int:
         """Return which of some tasks to start next; `shared`: by key, an argument of tasks that workers may hold."""
@@ -89,10 +89,10 @@ class Pool(ABC):
 
 @dataclass(eq=False)
 class Shared:
-    """A value that workers hold, while it is referenced in the process that leads."""
+    """A value that workers hold, while it is referenced in the process that leads, which makes it for each of them."""
 
     number: int
-    value: Any
+    value: Any  # in the process that leads, what makes it
 
 
 class _Pickler(pickle.Pickler):
@@ -174,6 +174,10 @@ class _Worker:
             theirs.close()  # so that the pipe ends with the process
             return cls(process, Channel(ours, path), file.pop_all())
 
+    def needed(self, shared: Shared) -> Shared:
+        """Return a shared value, without the value if it is here already."""
+        return Shared(shared.number, None if shared.number in self.held else shared.value())
+
     def close(self) -> None:
         self.process.join()
         self.channel.pipe.close()
@@ -203,10 +207,7 @@ class Processes(Pool):
     def start(self, key: int, task: Task, *arguments: Any) -> None:
         while True:
             worker = self._idle.pop() if self._idle else _Worker.started()
-            sent = [
-                Shared(each.number, None) if isinstance(each, Shared) and each.number in worker.held else each
-                for each in arguments
-            ]
+            sent = [worker.needed(each) if isinstance(each, Shared) else each for each in arguments]
             try:
                 worker.channel.send((task, sent, {each.number for each in self._shared}))
                 break
@@ -232,8 +233,8 @@ class Processes(Pool):
                     self._idle.append(self._busy.pop(worker.channel.pipe))
             yield worker.key, event
 
-    def share(self, value: Any) -> Shared:
-        shared = Shared(next(self._numbers), value)
+    def share(self, make: Callable[[], Any]) -> Shared:
+        shared = Shared(next(self._numbers), make)
         self._shared.add(shared)
         return shared
 

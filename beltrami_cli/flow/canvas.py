@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Uint8s
-from beltrami_cli.flow.chunks import Chunk, Figures, Work, chunk_of, chunking, rectangles
+from beltrami_cli.flow.chunks import Chunk, Figures, Rectangle, Work, chunk_of, chunking, rectangles
 from beltrami_cli.flow.domain import CoarseLevel, Mixing, NewColours, Stack
 from beltrami_cli.flow.grid_geometry import colours_at, gaussian_taps, guide_radius
 from beltrami_cli.flow.noise.grid_squares import Grid
@@ -221,13 +222,20 @@ def _patch_chunks(kind: Uint8s, count: int) -> list[Chunk]:
     # The order in which tiles add to a cell repeats itself after two of them.
     for core in rectangles(kind == OWNED, count, 2 * PATCH_TILE_SIDE):
         around = core.grown(2 * PATCH_TILE_SIDE, PATCH_TILE_SIDE + PATCH_TILE_MARGIN, kind.shape)
-        part = kind[around.index].copy()
-        # The groups of the next tiles reach the core; those beyond only supply candidates.
-        inside = np.zeros(part.shape, bool)
-        inside[core.grown(PATCH_TILE_SIDE, PATCH_TILE_SIDE, kind.shape).within(around)] = True
-        part[(part == OWNED) & ~inside] = HALO
-        chunks.append(chunk_of(part, core, around))
+        chunks.append(chunk_of(partial(_part_for_patches, kind, core, around), core, around))
     return chunks
+
+
+def _part_for_patches(kind: Uint8s, core: Rectangle, around: Rectangle) -> Uint8s:
+    """Return the kinds of the cells around a rectangle, for the estimates of its own cells."""
+    from beltrami_cli._native import PATCH_TILE_SIDE
+
+    part: Uint8s = kind[around.index].copy()
+    # The groups of the next tiles reach the core; those beyond only supply candidates.
+    inside = np.zeros(part.shape, bool)
+    inside[core.grown(PATCH_TILE_SIDE, PATCH_TILE_SIDE, kind.shape).within(around)] = True
+    part[(part == OWNED) & ~inside] = HALO
+    return part
 
 
 def _patches_on(

@@ -10,15 +10,18 @@ patches of meshes: groups of one chunk also estimate samples of the next, and su
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass
+from functools import partial, reduce
 from itertools import pairwise
 from typing import Any, Protocol
 
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
+from beltrami_cli.surface import large_arrays
 
 Figures = tuple[float, int]
 """How many samples the kernels of a chunk held, and how many kernels were cut short."""
@@ -30,18 +33,24 @@ Returns stacks of the part.
 """
 
 
+Piece = tuple[Any, Any]
+"""A part, and the index of the samples of the chunk in it."""
+
+
 @dataclass(frozen=True, eq=False)
 class Chunk:
     """A part of a surface, with the samples around it that an operation reads."""
 
-    part: Any  # what stays the same in all operations of a kind: geometry, and not colours
+    cut: Callable[
+        [], Any
+    ]  # makes the part, which stays the same in all operations of a kind: geometry, not colours
     around: Any = None  # index of the samples of the part in a stack of the whole
     place: Any = None  # index of the samples of the chunk in a stack of the whole, and of the part
     kept: Any = None
 
-    def without_whole(self) -> Chunk:
-        """Return what another process needs of it."""
-        return Chunk(self.part, kept=self.kept)
+    def piece(self) -> Piece:
+        """Return what a worker needs of it."""
+        return self.cut(), self.kept
 
 
 @dataclass(frozen=True)
@@ -52,10 +61,11 @@ class Work:
     arguments: tuple[Any, ...]
     adds: bool = False  # to what other chunks find for the same samples
 
-    def on(self, chunk: Chunk, stacks: list[Float32s], threads: int) -> tuple[list[Float32s], Figures]:
+    def on(self, piece: Piece, stacks: list[Float32s], threads: int) -> tuple[list[Float32s], Figures]:
         """Return the results of the samples of a chunk; the stacks may change."""
-        results, figures = self.operation(chunk.part, stacks, threads, *self.arguments)
-        return [stack[chunk.kept] for stack in results], figures
+        part, kept = piece
+        results, figures = self.operation(part, stacks, threads, *self.arguments)
+        return [stack[kept] for stack in results], figures
 
 
 Done = tuple[int, Sequence[Float32s], Figures]
@@ -83,7 +93,8 @@ class InTurn:
         self, chunks: Sequence[Chunk], work: Work, stacks_of: Callable[[Chunk], list[Float32s]]
     ) -> Iterator[Done]:
         for number, chunk in enumerate(chunks):
-            yield number, *work.on(chunk, [np.array(stack) for stack in stacks_of(chunk)], self._threads)
+            stacks = [np.array(stack) for stack in stacks_of(chunk)]
+            yield number, *work.on(chunk.piece(), stacks, self._threads)
 
 
 @dataclass(frozen=True)
@@ -150,6 +161,25 @@ def chunking() -> Chunking | None:
     return _WANTED.get()
 
 
+# Bytes of memory that a mesh in one piece takes for each sample (a million points and their triangles).
+_BYTES_OF_SAMPLE = 1000
+# Of memory that is too small for that, what a chunk may take. A choice: what one step does with the whole takes more.
+_SHARE_OF_CHUNK = 1 / 8
+
+
+def chunk_memory(samples: int, memory: int) -> int | None:
+    """Return the bytes that a chunk of a mesh may take; None: all of it fits into memory in one piece."""
+    return None if _BYTES_OF_SAMPLE * samples <= memory else int(_SHARE_OF_CHUNK * memory)
+
+
+def chunking_of_mesh(samples: int, threads: int) -> Chunking | None:
+    """Return how a mesh, or clusters of it, are cut: as wanted, or else so that chunks fit into little memory."""
+    chunk = large_arrays.chunk_memory()
+    if chunking() is not None or chunk is None or _BYTES_OF_SAMPLE * samples <= chunk:
+        return chunking()
+    return Chunking(math.ceil(_BYTES_OF_SAMPLE * samples / chunk), InTurn(threads))
+
+
 # ---- canvases
 # Cells of a chunk at least: patches around a square as large repeat less than half of the work.
 LEAST_CELLS = 1 << 18
@@ -184,9 +214,9 @@ class Rectangle:
         return self.bottom - self.top, self.right - self.left
 
 
-def chunk_of(part: Any, core: Rectangle, around: Rectangle) -> Chunk:
+def chunk_of(cut: Callable[[], Any], core: Rectangle, around: Rectangle) -> Chunk:
     """Return the chunk of a rectangle of a canvas, whose part is a rectangle around it."""
-    return Chunk(part, around.index, core.index, core.within(around))
+    return Chunk(cut, around.index, core.index, core.within(around))
 
 
 def rectangles(owned: Bools, count: int, unit: int) -> list[Rectangle]:
@@ -222,16 +252,55 @@ def _even(counts: Int64s, shares: Float64s, unit: int) -> list[int]:
 LEAST_SAMPLES = 1 << 14
 
 
+def entries(offsets: Int64s, rows: Array) -> tuple[Int64s, Int64s]:
+    """Return where some rows of a table have their entries, row after row, and how many each has."""
+    starts, counts = offsets[rows], offsets[rows + 1] - offsets[rows]
+    return np.arange(int(counts.sum())) + np.repeat(starts - (np.cumsum(counts) - counts), counts), counts
+
+
+class RowsOfSamples:
+    """Rows of numbers of samples, such as edges and triangles, which are found by the samples."""
+
+    # Blocks of samples whose numbers have 16 bits, by which NumPy sorts in linear time.
+    _BLOCKS = 1 << 16
+
+    def __init__(self, rows: Int32s, size: int) -> None:
+        """Take rows that are sorted already, or in no order."""
+        self._size, self._width = size, 1 + size // self._BLOCKS
+        block = (reduce(np.minimum, rows.T) // self._width).astype(np.uint16)
+        if np.any(block[1:] < block[:-1]):
+            rows = large_arrays.kept(rows[np.argsort(block, kind="stable")])
+        self._rows, counts = rows, np.bincount(block, minlength=self._BLOCKS)
+        self._offsets = np.concatenate([[0], np.cumsum(counts)])
+
+    def among(self, samples: Array) -> tuple[Int32s, Int64s]:
+        """Return the rows of some samples, ascending, in the numbers of these; and the place of each row."""
+        rank = np.full(self._size, -1, np.int32)
+        rank[samples] = np.arange(len(samples))
+        blocks = np.flatnonzero(np.bincount(samples // self._width))
+        places, _ = entries(self._offsets, blocks)
+        rows = rank[self._rows[places]]
+        known = reduce(np.logical_and, (rows >= 0).T)
+        return rows[known], places[known]
+
+
 class Neighbours:
     """The neighbours of every sample along edges, shape (E, 2), and how far samples are from others."""
 
     def __init__(self, count: int, edges: Int32s, lengths_of: Callable[[Int32s], Float32s]) -> None:
         """Take what returns the lengths of edges, shape (K, 2)."""
-        low, high = edges.T.astype(np.int64)
-        both = np.concatenate([low << 32 | high, high << 32 | low])
+        both = large_arrays.empty((2, len(edges)), np.int64)
+        for own, this, other in zip(both, edges.T, edges.T[::-1], strict=True):
+            own[:] = this
+            own <<= 32
+            own |= other
+        both = both.reshape(-1)
         both.sort()
-        self._targets = both.astype(np.int32)  # their lower half
-        self._offsets = np.concatenate([[0], np.cumsum(np.bincount(edges.reshape(-1), minlength=count))])
+        self._targets = large_arrays.kept(both.astype(np.int32))  # their lower half
+        self._offsets = np.zeros(count + 1, np.int64)
+        for ends in edges.T:
+            self._offsets[1:] += np.bincount(ends, minlength=count)
+        np.cumsum(self._offsets, out=self._offsets)
         self._lengths_of = lengths_of
 
     def distances(self, first: int, last: int, limit: float) -> Float32s:
@@ -240,9 +309,7 @@ class Neighbours:
         found[first:last] = 0
         front: Array = np.arange(first, last, dtype=np.int32)
         while len(front):
-            starts, counts = self._offsets[front], self._offsets[front + 1] - self._offsets[front]
-            # Entry i of a row of `counts` numbers that begins at `starts`.
-            places = np.arange(int(counts.sum())) + np.repeat(starts - (np.cumsum(counts) - counts), counts)
+            places, counts = entries(self._offsets, front)
             sources, targets = np.repeat(front, counts), self._targets[places]
             leads_on = found[sources] < found[targets]
             sources, targets = sources[leads_on], targets[leads_on]
@@ -263,13 +330,13 @@ def runs(size: int, count: int) -> list[tuple[int, int]]:
     return list(pairwise(np.minimum(borders, size).tolist()))
 
 
-def chunk_of_run(part_of: Callable[[Int64s], Any], near: Bools, first: int, last: int) -> Chunk:
+def chunk_of_run(part_of: Callable[[Array, slice], Any], near: Bools, first: int, last: int) -> Chunk:
     """Return the chunk of a run of samples, with the samples near it, marked in an array of all."""
     from beltrami_cli._native import PATCH_BLOCK_SIZE
 
     # Samples from anywhere before, so that what the core takes together is the same as in the whole.
     missing = -int(np.count_nonzero(near[:first])) % PATCH_BLOCK_SIZE
     near[np.flatnonzero(~near[:first])[:missing]] = True
-    samples = np.flatnonzero(near)
+    samples = np.flatnonzero(near).astype(np.int32)
     begin, end = np.searchsorted(samples, [first, last]).tolist()
-    return Chunk(part_of(samples), samples, slice(first, last), slice(begin, end))
+    return Chunk(partial(part_of, samples, kept := slice(begin, end)), samples, slice(first, last), kept)

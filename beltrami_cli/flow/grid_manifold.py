@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import cast
 
 import numpy as np
@@ -193,7 +193,7 @@ class GridManifold(Manifold):
             around = core.grown(margin, margin, kind.shape)
             inside = np.zeros(around.shape, bool)
             inside[core.within(around)] = True
-            chunks.append(chunk_of(self.cut(around, inside), core, around))
+            chunks.append(chunk_of(partial(self.cut, around, inside), core, around))
         return chunks
 
     def _put(self, stacks: Sequence[Stack], rows: slice, planes: Float32s) -> None:

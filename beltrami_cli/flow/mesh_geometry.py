@@ -9,20 +9,30 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
 
 from beltrami_cli._native import SegmentManifold, TriangulatedManifold, vertex_order
-from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Uint8s
+from beltrami_cli.flow.chunks import RowsOfSamples
 from beltrami_cli.flow.clipping import ClippedChannels, find_clipped
-from beltrami_cli.flow.domain import Domain, Geometry, KernelWork, Stack
+from beltrami_cli.flow.domain import ENOUGH_STEPS, Domain, Geometry, KernelWork, Stack
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.risk import fingerprints
-from beltrami_cli.flow.vertex_graph import PASS_SCALE, PASS_VARIANCE, Graph, MeshGaussian, all_known
+from beltrami_cli.flow.vertex_graph import PASS_SCALE, PASS_VARIANCE, Graph, MeshGaussian
+from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import OWNED, Indices
-from beltrami_cli.surface.geometry import edges_in_space, local_spacing, mean_side, vertex_areas
+from beltrami_cli.surface.geometry import (
+    distinct_edges,
+    edges_in_space,
+    local_spacing,
+    mean_side,
+    vertex_areas,
+)
+from beltrami_cli.surface.large_arrays import kept
 from beltrami_cli.surface.records import SampledSurface
 
 # Edges at one vertex. The poles of spheres and the caps of cylinders have fewer.
@@ -60,26 +70,28 @@ class MeshGeometry(Geometry, Domain):
     threads: int
     gain: float | None = None  # of the regularised metric of the whole surface; None: its own
 
-    _core: SegmentManifold | TriangulatedManifold | None = None
-    _graph: Graph | None = None
+    _graph: Graph | None = field(default=None, init=False)
 
     @classmethod
     def of(cls, surface: SampledSurface, parameters: KernelParameters) -> MeshGeometry:
         order = vertex_order(surface.positions, surface.all_faces)
-        rank, positions = rank_in(order), surface.positions[order]
-        faces = rank[surface.all_faces]
+        rank, positions = rank_in(order), kept(surface.positions[order])
+        faces = kept(rank[surface.all_faces])
         length = mean_side(surface.positions, surface.faces) if parameters.units == "world" else 1.0
-        is_along_segments = parameters.is_along_segments(length)
-        core = _core_of(faces, len(order), is_along_segments)
-        edges, lengths = edges_in_space(core.edges(), positions)
-        spacing = local_spacing(len(order), edges, lengths)
+        edges, lengths = edges_in_space(distinct_edges(faces), positions)
+        spacing, mean = (
+            local_spacing(len(order), edges, lengths),
+            float(lengths.mean()) if len(lengths) else 0.0,
+        )
+        for block in large_arrays.blocks(len(edges)):
+            low, high = edges[block].T
+            lengths[block] /= np.sqrt(spacing[low] * spacing[high])
         return cls(
             order=order, positions=positions, faces=faces, edges=edges,
-            lengths=lengths / np.sqrt(spacing[edges[:, 0]] * spacing[edges[:, 1]]),
-            spacing=float(lengths.mean()) if len(lengths) else 0.0,
+            lengths=lengths, spacing=mean,
             scales=(1 / spacing).astype(np.float32) if parameters.units == "spacing" else None,
             weights=vertex_areas(positions, rank[surface.faces]) if parameters.weights == "area" else None,
-            is_along_segments=is_along_segments, threads=parameters.thread_count, _core=core,
+            is_along_segments=parameters.is_along_segments(length), threads=parameters.thread_count,
         )  # fmt: skip
 
     @property
@@ -98,25 +110,25 @@ class MeshGeometry(Geometry, Domain):
     def kind(self) -> Uint8s:
         return np.broadcast_to(np.uint8(OWNED), (self.size, 1))
 
-    @property
+    @cached_property
     def core(self) -> SegmentManifold | TriangulatedManifold:
         """The manifold of the compiled core, made when it is first needed."""
-        if self._core is None:
-            self._core = _core_of(self.faces, self.size, self.is_along_segments)
-        return self._core
+        return (SegmentManifold if self.is_along_segments else TriangulatedManifold)(self.faces, self.size)
+
+    def drop_distances(self) -> None:
+        vars(self).pop("core", None)
 
     def __getstate__(self) -> dict[str, object]:
-        return {**self.__dict__, "_core": None, "_graph": None}
+        fields = {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
+        return {**fields, "_graph": None}
 
     def graph(self, colours: Stack) -> Graph:
         """Return the samples and their edges, with priorities by the colours with which it is first called."""
         if self._graph is None:
             joined, places = self._is_joined(), _in_three_dimensions(self.positions)
-            priorities, axes = (
-                fingerprints(coarse(colours), self.edges),
-                _axes(places[joined], colours[joined]),
-            )
-            self._graph = Graph(places, self.edges, priorities, axes, self.threads)
+            priorities = fingerprints(coarse(colours), self.edges)
+            axes = _axes(places[joined], colours[joined])
+            self._graph = Graph(kept(places), self.edges, kept(priorities), axes, self.threads)
         return self._graph
 
     def scaled_lengths(self, edges: Int32s) -> Float32s:
@@ -127,23 +139,22 @@ class MeshGeometry(Geometry, Domain):
             lengths *= np.sqrt(self.scales[low] * self.scales[high])
         return np.asarray(lengths, np.float32)
 
-    def cut(self, samples: Int64s) -> MeshGeometry:
+    def cut(self, samples: Array) -> MeshGeometry:
         """Return the part of some samples, ascending."""
-        rank = np.full(self.size, -1, np.int32)
-        rank[samples] = np.arange(len(samples))
-        corners, ends = rank[self.faces], rank[self.edges]
-        inside = all_known(ends)
+        (faces, _), (edges, rows) = (each.among(samples) for each in self._rows)
         scales, weights = self.scales, self.weights
         return dataclasses.replace(
             self, order=np.zeros(0, self.order.dtype),
             positions=self.positions[samples],
-            faces=corners[all_known(corners)], edges=ends[inside], lengths=self.lengths[inside],
+            faces=faces, edges=edges, lengths=self.lengths[rows],
             scales=None if scales is None else scales[samples],
-            weights=None if weights is None else weights[samples], _core=None, _graph=None,
+            weights=None if weights is None else weights[samples],
         )  # fmt: skip
 
-    def drop_distances(self) -> None:
-        self._core = None
+    @cached_property
+    def _rows(self) -> tuple[RowsOfSamples, RowsOfSamples]:
+        """Triangles and edges, to be found by samples."""
+        return RowsOfSamples(self.faces, self.size), RowsOfSamples(self.edges, self.size)
 
     def in_order(self, rows: Array) -> Array:
         """Bring rows back to the order that the caller gave them in."""
@@ -158,7 +169,9 @@ class MeshGeometry(Geometry, Domain):
         return stack[samples]
 
     def steps(self, stack: Stack) -> Float32s:
-        return stack[self.edges[:, 0]] - stack[self.edges[:, 1]]
+        low, high = self.edges[:: 1 + len(self.edges) // ENOUGH_STEPS].T
+        steps: Float32s = stack[low] - stack[high]
+        return steps
 
     def single(self, marked: Bools) -> Bools:
         single = marked.copy()
@@ -173,7 +186,7 @@ class MeshGeometry(Geometry, Domain):
         return MeshGaussian.of(self.size, self.edges, self.lengths, scale, self.gain)
 
     def planes(self, count: int) -> Float32s:
-        return np.zeros((count, self.size), np.float32)
+        return large_arrays.zeros((count, self.size), np.float32)
 
     def total(self, planes: Float32s) -> Float64s:
         return np.asarray(planes.sum(axis=1, dtype=np.float64))
@@ -201,11 +214,8 @@ def rank_in(order: Int32s) -> Int32s:
 
 def coarse(colours: Stack) -> Float32s:
     """Return colours in steps by which signs and the patches that start groups are chosen."""
-    return np.asarray(np.round(colours * _COARSE), np.float32)
-
-
-def _core_of(faces: Int32s, size: int, is_along_segments: bool) -> SegmentManifold | TriangulatedManifold:
-    return (SegmentManifold if is_along_segments else TriangulatedManifold)(faces, size)
+    steps = np.multiply(colours, _COARSE, dtype=np.float32)
+    return np.round(steps, out=steps)
 
 
 def _in_three_dimensions(positions: Float64s) -> Float64s:

@@ -11,9 +11,18 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
-from beltrami_cli.flow.chunks import Chunk, Figures, Neighbours, Work, chunk_of_run, chunking, runs
-from beltrami_cli.flow.domain import CoarseLevel, Gaussian, Mixing, NewColours, Stack
+from beltrami_cli.arrays import Array, Float32s, Float64s
+from beltrami_cli.flow.chunks import (
+    Chunk,
+    Chunking,
+    Figures,
+    Neighbours,
+    Work,
+    chunk_of_run,
+    chunking_of_mesh,
+    runs,
+)
+from beltrami_cli.flow.domain import CoarseLevel, Gaussian, Mixing, NewColours, Stack, in_blocks
 from beltrami_cli.flow.manifold import (
     ON_MESHES,
     RULE_ON_MESHES,
@@ -36,7 +45,9 @@ from beltrami_cli.flow.noise.reading import estimate_noise
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.risk import choose_patches, fingerprints, random_signs, wanted_probes
 from beltrami_cli.flow.vertex_graph import Graph, Level, levels_of
-from beltrami_cli.surface.large_arrays import Droppable
+from beltrami_cli.surface import large_arrays
+from beltrami_cli.surface.geometry import distinct_edges
+from beltrami_cli.surface.large_arrays import Droppable, kept
 from beltrami_cli.surface.records import SampledSurface
 
 # Paths along edges are longer than straight ones: by up to 1.16 on a triangle lattice, and by hardly more than half
@@ -62,7 +73,7 @@ def mesh_manifold(
 ) -> MeshManifold:
     """Make the image manifold of a sampled surface; with `geometry`, positions are smoothed, too."""
     mesh = MeshGeometry.of(surface, parameters)
-    colours = surface.colours[mesh.order]
+    colours = kept(surface.colours[mesh.order])
     noise = estimate_noise(
         colours.T,
         VertexClusters(mesh.graph(colours)),
@@ -101,7 +112,7 @@ class MeshManifold(Manifold):
 
     def measure(self, colours: Stack, step: Step, gaussian: Gaussian | None = None) -> Metric:
         """Induce the metric, eq. (1); in chunks, each has its own when it is averaged."""
-        if chunking() is not None and not self.is_in_one_block:
+        if self._chunking is not None:
             return Metric(step, colours.shape[1], None)
         mesh, moving = self.geometry, self.moving
         positions = mesh.positions if moving is None else moving.positions
@@ -129,10 +140,21 @@ class MeshManifold(Manifold):
         parts = np.split(smoothed, widths, axis=1)[: len(stacks)]
         return Averaged([np.ascontiguousarray(part) for part in parts], samples, truncated, moving)
 
+    @property
+    def _whole(self) -> MeshManifold:
+        """The same in one chunk, whose metric is of all samples."""
+        return dataclasses.replace(self, is_in_one_block=True)
+
+    @property
+    def _chunking(self) -> Chunking | None:
+        if self.is_in_one_block or self.moving is not None:
+            return None
+        return chunking_of_mesh(self.geometry.size, self.geometry.threads)
+
     @cached_property
     def _kernel_chunks(self) -> list[Chunk]:
         """The chunks for one iteration."""
-        wanted, mesh, own = chunking(), self.geometry, self.parameters
+        wanted, mesh, own = self._chunking, self.geometry, self.parameters
         assert wanted is not None
         whole = self
         if own.metric_steps and own.metric_scale > 0:
@@ -140,16 +162,18 @@ class MeshManifold(Manifold):
             whole = dataclasses.replace(self, geometry=dataclasses.replace(mesh, gain=gain))
         reach = _STRETCH * own.radius + _KNOWN * ((mesh.spacing or 1.0) if mesh.scales is None else 1.0)
         # Edges with bridges.
-        neighbours, chunks = Neighbours(mesh.size, mesh.core.edges(), mesh.scaled_lengths), []
-        for first, last in runs(mesh.size, wanted.count):
-            near = np.isfinite(neighbours.distances(first, last, reach))
-            chunk = chunk_of_run(whole.cut, near, first, last)
-            chunks.append(dataclasses.replace(chunk, part=(chunk.part, chunk.kept)))
-        return chunks
+        neighbours = Neighbours(mesh.size, distinct_edges(mesh.faces), mesh.scaled_lengths)
+        return [
+            chunk_of_run(whole._part, np.isfinite(neighbours.distances(*run, reach)), *run)
+            for run in runs(mesh.size, wanted.count)
+        ]
+
+    def _part(self, samples: Array, kept: slice) -> tuple[MeshManifold, slice]:
+        return self.cut(samples), kept
 
     def kernel_at(self, sample: int, step: Step) -> SampledKernel:
         """Return the kernel of a sample, in the caller's numbers."""
-        self.measure(self.colours, step)
+        self._whole.measure(self.colours, step)
         own, mesh = at_step(self.parameters, step), self.geometry
         (source,) = np.flatnonzero(mesh.order == sample)
         held, distances = mesh.core.distances(int(source), own.radius, own.max_samples)
@@ -193,7 +217,7 @@ class MeshManifold(Manifold):
         scored = np.flatnonzero(patches.scored) if not patches.scored.all() else None
         return SampleTrial(part, colours, signs, scored, correlated=self.noise.is_shared)
 
-    def cut(self, samples: Int64s) -> MeshManifold:
+    def cut(self, samples: Array) -> MeshManifold:
         """Return the part of some samples, ascending, without colours."""
         noise = self.noise
         if noise.relative is not None:
@@ -229,10 +253,13 @@ def average_rows(
     manifold: MeshManifold, rows: Float32s, metric: Metric, progress: Callable[[int], None] | None = None
 ) -> tuple[Float32s, float, int]:
     """Average rows by the kernels of the metric; return them, the samples held, and the kernels cut short."""
-    mesh, wanted = manifold.geometry, chunking()
-    if wanted is None or manifold.is_in_one_block:
+    mesh, wanted = manifold.geometry, manifold._chunking
+    if wanted is None:
         return _apply_kernels(manifold, rows, metric.step, slice(0, mesh.size), progress)
-    work, after = Work(_average_chunk, (metric.step, metric.channels)), np.empty_like(rows)
+    work, after = (
+        Work(_average_chunk, (metric.step, metric.channels)),
+        large_arrays.empty(rows.shape, np.float32),
+    )
     how = {"size": mesh.size, "threads": mesh.threads}
     samples, truncated = wanted.apply(manifold._kernel_chunks, work, [rows], [after], progress, **how)
     return after, samples, truncated
@@ -262,7 +289,7 @@ def _average_chunk(
 
 def samples_per_kernel(manifold: MeshManifold, kernels: int, step: Step) -> float:
     """Measure how many samples a kernel holds, from some kernels spread evenly."""
-    manifold.measure(manifold.colours, step)
+    manifold._whole.measure(manifold.colours, step)
     own, mesh = at_step(manifold.parameters, step), manifold.geometry
     sources = np.linspace(0, mesh.size - 1, min(kernels, mesh.size), dtype=int)
     held = [len(mesh.core.distances(int(source), own.radius, own.max_samples)[0]) for source in sources]
@@ -280,18 +307,21 @@ def _collaborate_on_graph(
     is_whole: bool = False,
 ) -> Stack:
     """Estimate colours from similar patches, compared on the pilot; `relative`: variance of the noise by its mean."""
-    stacks, wanted = [noisy, pilot, *([] if relative is None else [relative[:, None]])], chunking()
+    stacks = [noisy, pilot, *([] if relative is None else [relative[:, None]])]
+    wanted = chunking_of_mesh(graph.size, graph.threads)
     # Parameters are chosen by colours without shared noise, which must have the same bits in any number of chunks.
     if wanted is None or is_whole:
         sums, _ = _sums_of_patches(graph, stacks, graph.threads, mixing, progress)
     else:
-        sums = [np.zeros_like(noisy), np.zeros_like(noisy)]
+        sums = [large_arrays.zeros(noisy.shape, np.float32) for _ in range(2)]
         work = Work(_sums_of_patches, (mixing,), adds=True)
         wanted.apply(graph.chunks, work, stacks, sums, progress, size=graph.size, threads=graph.threads)
     estimates, weights = sums
-    is_known = weights > 0  # not of isolated samples
-    mixed = np.divide(estimates, weights, out=np.zeros_like(pilot), where=is_known)
-    return np.where(is_known, np.einsum("ij,sj->si", mixing.back, mixed), pilot)
+    for own, weight, other in in_blocks(0, estimates, weights, pilot):
+        is_known = weight > 0  # not of isolated samples
+        mixed = np.divide(own, weight, out=np.zeros_like(own), where=is_known)
+        own[:] = np.where(is_known, np.einsum("ij,sj->si", mixing.back, mixed), other)
+    return estimates
 
 
 def _sums_of_patches(

@@ -330,8 +330,9 @@ def fingerprints(colours: Float32s, edges: Int32s) -> NDArray[np.uint64]:
         hashes += _mixed(own)
     for _ in range(2):
         around = np.zeros_like(hashes)
-        np.add.at(around, edges[:, 0], hashes[edges[:, 1]])
-        np.add.at(around, edges[:, 1], hashes[edges[:, 0]])
+        for block in large_arrays.blocks(len(edges)):
+            for this, other in ((0, 1), (1, 0)):
+                np.add.at(around, edges[block, this], hashes[edges[block, other]])
         hashes = _mixed(_mixed(hashes) + around)
     return hashes
 
@@ -339,11 +340,12 @@ def fingerprints(colours: Float32s, edges: Int32s) -> NDArray[np.uint64]:
 def random_signs(colours: Float32s, around: NDArray[np.uint64], count: int) -> Float32s:
     """Return signs, shape (count, S, N), that look random but depend only on nearby colours; `count` <= 64."""
     # So the choice is the same for a mesh that was rotated, or whose vertices or channels come in another order.
-    signs = np.empty((count, *colours.shape), np.float32)
-    for channel, own in enumerate(_bits(colours)):
-        bits = _mixed(around + _mixed(own))
-        for probe in range(count):
-            signs[probe, :, channel] = np.where(bits >> np.uint64(probe) & np.uint64(1), 1, -1)
+    signs: Float32s = large_arrays.empty((count, *colours.shape), np.float32)
+    for block in large_arrays.blocks(len(colours)):
+        for channel, own in enumerate(_bits(colours[block])):
+            bits = _mixed(around[block] + _mixed(own))
+            for probe in range(count):
+                signs[probe, block, channel] = np.where(bits >> np.uint64(probe) & np.uint64(1), 1, -1)
     return signs
 
 

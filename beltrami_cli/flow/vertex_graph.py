@@ -15,14 +15,16 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli._native import SurfacePatches
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-from beltrami_cli.flow.chunks import Chunk, Neighbours, chunking, runs
+from beltrami_cli.flow.chunks import Chunk, Neighbours, RowsOfSamples, chunking_of_mesh, runs
+from beltrami_cli.surface import large_arrays
+from beltrami_cli.surface.geometry import distinct_edges
 
 # Standard deviation of the Gaussian of one pass over neighbours, in spacings: all count about equally.
 PASS_SCALE = 3.0
@@ -52,7 +54,8 @@ class Graph:
 
     @cached_property
     def _means(self) -> MeshGaussian:
-        return MeshGaussian.of(self.size, self.edges, np.ones(len(self.edges)), PASS_SCALE, gain=1.0)
+        same = np.broadcast_to(1.0, len(self.edges))
+        return MeshGaussian.of(self.size, self.edges, same, PASS_SCALE, gain=1.0)
 
     @cached_property
     def patches(self) -> SurfacePatches:
@@ -62,31 +65,39 @@ class Graph:
         )
 
     def __getstate__(self) -> dict[str, object]:
-        return {name: value for name, value in self.__dict__.items() if name not in ("patches", "chunks")}
+        return {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
 
     @cached_property
     def chunks(self) -> list[Chunk]:
         """The chunks in which patches are estimated."""
-        wanted, neighbours = chunking(), Neighbours(self.size, self.edges, _ones)
+        wanted, neighbours = (
+            chunking_of_mesh(self.size, self.threads),
+            Neighbours(self.size, self.edges, _ones),
+        )
         assert wanted is not None
-        return [self._chunk(neighbours, *run) for run in runs(self.size, wanted.count)]
+        chunks = []
+        for first, last in runs(self.size, wanted.count):
+            # Groups also estimate samples around their starts, and which samples start any depends on the patches of
+            # the starts around them.
+            rings = neighbours.distances(first, last, _RINGS_OF_GROUP + 2)
+            samples = np.flatnonzero(np.isfinite(rings)).astype(np.int32)
+            cut = partial(self._part, samples, first, last)
+            chunks.append(Chunk(cut, around=samples, place=samples, kept=slice(None)))
+        return chunks
 
-    def _chunk(self, neighbours: Neighbours, first: int, last: int) -> Chunk:
-        """Return the chunk of a run of samples, whose groups also estimate samples around them."""
+    @cached_property
+    def _edges_of_samples(self) -> RowsOfSamples:
+        return RowsOfSamples(self.edges, self.size)
+
+    def _part(self, samples: Int32s, first: int, last: int) -> Graph:
+        """Return the part of some samples, ascending, where groups start in a run of them."""
         from beltrami_cli._native import PATCH_BLOCK_SIZE
 
-        # Which samples start groups depends on the patches of the starts around them.
-        rings = neighbours.distances(first, last, _RINGS_OF_GROUP + 2)
-        samples = np.flatnonzero(np.isfinite(rings))
-        rank = np.full(self.size, -1, np.int32)
-        rank[samples] = np.arange(len(samples))
-        ends = rank[self.edges]
-        blocks = np.where(rings[samples] == 0, samples // PATCH_BLOCK_SIZE, -1)
-        part = dataclasses.replace(
-            self, positions=self.positions[samples], edges=ends[all_known(ends)],
-            priorities=self.priorities[samples], blocks=blocks.astype(np.int32),
+        starts = (samples >= first) & (samples < last)
+        return dataclasses.replace(
+            self, positions=self.positions[samples], edges=self._edges_of_samples.among(samples)[0],
+            priorities=self.priorities[samples], blocks=np.where(starts, samples // PATCH_BLOCK_SIZE, -1),
         )  # fmt: skip
-        return Chunk(part, around=samples, place=samples, kept=slice(None))
 
     def smoothed(self, rows: Float32s, variance: float) -> Float32s:
         """Smooth rows of samples over their neighbours; `variance` in squared spacings."""
@@ -98,11 +109,7 @@ class Graph:
         """Return the clusters of samples, joined where any of their samples are."""
         counts = np.bincount(members)[:, None]
         sums = [np.bincount(members, column) for column in self.positions.T]
-        ends = np.sort(members[self.edges], axis=1).astype(np.int64)
-        ends = ends[ends[:, 0] != ends[:, 1]]
-        pairs = np.sort(ends[:, 0] * len(centres) + ends[:, 1])
-        pairs = pairs[np.diff(pairs, prepend=-1) > 0]  # unlike numpy.unique, this loads no other module
-        edges = np.stack(np.divmod(pairs, len(centres)), axis=1).astype(np.int32)
+        edges = distinct_edges(members[self.edges])
         means = np.stack(sums, axis=1) / counts
         return Graph(means, edges, self.priorities[centres], self.axes, self.threads)
 
@@ -124,14 +131,6 @@ class Graph:
 
 def _ones(edges: Int32s) -> Float32s:
     return np.ones(len(edges), np.float32)
-
-
-def all_known(numbers: Int32s) -> Bools:
-    """Return which rows have no number below 0; ten times as fast as numpy.all along so short an axis."""
-    known: Bools = numbers[:, 0] >= 0
-    for column in numbers.T[1:]:
-        known &= column >= 0
-    return known
 
 
 def sums_around(rows: Float64s, edges: Int32s) -> Float64s:
@@ -205,8 +204,11 @@ class MeshGaussian:
         cls, count: int, edges: Int32s, lengths: Float64s, scale: float, gain: float | None = None
     ) -> MeshGaussian:
         """Weigh edges by their `lengths`; these and `scale` (sigma) are in sample spacings."""
-        weights = np.exp(-(lengths**2) / (2 * scale**2)).astype(np.float32)
-        total = 1 + _sums_at_ends(count, edges, weights)
+        weights: Float32s = large_arrays.empty(len(edges), np.float32)
+        for block in large_arrays.blocks(len(edges)):
+            weights[block] = np.exp(-(lengths[block] ** 2) / (2 * scale**2))
+        total = _sums_at_ends(count, edges, weights)
+        total += 1
         if gain is None:
             gains = np.sqrt(1 + _sums_at_ends(count, edges, weights**2)) / total
             joined = total > 1  # vertices without neighbours keep their noise, and do not count
@@ -221,5 +223,9 @@ class MeshGaussian:
 
 
 def _sums_at_ends(count: int, edges: Int32s, weights: Float32s) -> Float64s:
-    low, high = edges.T
-    return np.asarray(np.bincount(low, weights, count) + np.bincount(high, weights, count), np.float64)
+    sums = np.zeros(count), np.zeros(count)
+    for block in large_arrays.blocks(len(edges)):
+        for own, ends in zip(sums, edges[block].T, strict=True):
+            np.add.at(own, ends.astype(np.intp), weights[block].astype(np.float64))
+    np.add(*sums, out=sums[0])
+    return sums[0]

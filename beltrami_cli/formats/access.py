@@ -316,7 +316,10 @@ def limited_memory(size: int | None, name: str) -> Iterator[None]:
             restored.callback(_UNLIMITED.reset, _UNLIMITED.set(before))
         try:
             yield
-        except MemoryError as error:
+        except (MemoryError, RuntimeError) as error:
+            # Python says no more where there is no memory for the stack of a thread.
+            if isinstance(error, RuntimeError) and str(error) != "can't start new thread":
+                raise
             limit = "the memory of this machine" if size is None else f"{show_size(size)} of memory"
             remedy = "raise --max-memory, or give a smaller model"
             raise InputError(name, f"needs more than {limit}", remedy) from error

@@ -19,6 +19,7 @@ import numpy as np
 from beltrami_cli.arrays import Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError, UsageError
 from beltrami_cli.fields import given_options
+from beltrami_cli.flow.chunks import chunk_memory
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.reading import measure_image, require_memory, sizes_of, too_large
@@ -95,7 +96,8 @@ class Selection:
                 left = min(left, memory - largest - _MASKS * texels)
                 if left < 0:
                     raise too_large(name, size)
-        with kept_within(left, Path(target).absolute().parent if target else None):
+        chunk = chunk_memory(len(self.document.painted().colours), left) if self.vertices else None
+        with kept_within(left, Path(target).absolute().parent if target else None, chunk):
             yield
 
     def layers(

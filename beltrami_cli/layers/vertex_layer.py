@@ -36,6 +36,7 @@ from beltrami_cli.layers.settings import LevelSettings, SmoothSettings
 from beltrami_cli.surface.atlas import Indices
 from beltrami_cli.surface.geometry import bounds, count_topology
 from beltrami_cli.surface.grouping import VertexSampling, sample_vertices
+from beltrami_cli.surface.large_arrays import kept
 from beltrami_cli.surface.reconstruction import faces_of_points
 from beltrami_cli.surface.records import PaintedVertices, SampledSurface, from_space, to_space
 
@@ -123,7 +124,8 @@ class VertexLayer(PaintedLayer):
 
     @cached_property
     def sampling(self) -> VertexSampling:
-        return sample_vertices(self.joined)
+        # Points stay apart that rounding alone distinguishes: triangles between points have no open borders.
+        return sample_vertices(dataclasses.replace(self.joined, faces=self.painted.faces))
 
     @cached_property
     def _stored(self) -> Float32s:
@@ -131,7 +133,7 @@ class VertexLayer(PaintedLayer):
         colours = to_space(
             self.joined.colours[:, self.channels.sampled], self.joined.encoding, self.settings.space
         )
-        return np.ascontiguousarray(colours[self.sampling.first_vertex])
+        return kept(np.ascontiguousarray(colours[self.sampling.first_vertex]))
 
     def surface(self) -> SampledSurface:
         """Return the sampled surface; it is made when it is needed, since it is as large as the file."""
@@ -321,7 +323,9 @@ def with_surface(painted: PaintedVertices, settings: SmoothSettings) -> PaintedV
         raise UsageError("smooth_geometry needs faces, but there are only points")
     measured = np.asarray(np.isfinite(painted.positions).all(axis=1))
     if measured.all():
-        return dataclasses.replace(painted, faces=faces_of_points(painted, settings.kernel.thread_count))
+        return dataclasses.replace(
+            painted, faces=kept(faces_of_points(painted, settings.kernel.thread_count))
+        )
     rows = np.flatnonzero(measured).astype(np.int32)
     there = only_rows(painted, rows)
     middle = there.positions.mean(axis=0) if len(rows) else np.zeros(painted.positions.shape[1])

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
+from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.records import typical_edge, upper_median
 
@@ -215,13 +216,36 @@ def mean_side(positions: Float64s, faces: Int32s) -> float:
     return float(np.sqrt((sides**2).sum(axis=2)).mean()) if len(corners) else 1.0
 
 
+def distinct_edges(faces: Int32s) -> Int32s:
+    """Return the edges of triangles, or of pairs, each once, shape (E, 2), the lower end first, in order."""
+    sides = 3 if faces.shape[1] == 3 else 1
+    pairs = large_arrays.empty(sides * len(faces), np.int64)
+    for corner, own in enumerate(np.split(pairs, sides)):
+        ends = faces[:, corner], faces[:, corner - 1]
+        np.minimum(*ends, out=own)
+        own <<= 32
+        own |= np.maximum(*ends)
+    pairs.sort()
+    is_edge = (pairs >> 32).astype(np.int32) != pairs.astype(
+        np.int32
+    )  # not of a triangle that repeats a vertex
+    is_edge[1:] &= pairs[1:] != pairs[:-1]
+    pairs = pairs[is_edge]
+    edges = large_arrays.empty((len(pairs), 2), np.int32)
+    edges[:, 0], edges[:, 1] = pairs >> 32, pairs
+    return edges
+
+
 def edges_in_space(edges: Int32s, positions: Float64s) -> tuple[Int32s, Float64s]:
     """Return the edges, shape (L, 2), whose ends lie apart, and their lengths."""
-    squared = np.zeros(len(edges))
-    for axis in range(positions.shape[1]):
-        squared += (positions[edges[:, 0], axis] - positions[edges[:, 1], axis]) ** 2
-    long = squared > 0
-    return edges[long], np.sqrt(squared[long])
+    lengths: Float64s = large_arrays.zeros(len(edges), np.float64)
+    for block in large_arrays.blocks(len(edges)):
+        low, high = edges[block].T
+        for column in positions.T:
+            lengths[block] += (column[low] - column[high]) ** 2
+    np.sqrt(lengths, out=lengths)
+    long = lengths > 0
+    return (edges, lengths) if long.all() else (edges[long], lengths[long])
 
 
 def local_spacing(count: int, edges: Int32s, lengths: Float64s) -> Float64s:

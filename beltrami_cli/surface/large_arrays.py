@@ -45,6 +45,7 @@ class _Limit:
     """Where arrays are files once those in memory take a number of bytes."""
 
     folder: Path | None  # None: for temporary files
+    chunk: int | None  # bytes that a chunk of a mesh may take; None: meshes are not cut for want of memory
     most: int
     held: int = 0  # bytes of arrays in memory
     maps: weakref.WeakSet[mmap.mmap] = field(default_factory=weakref.WeakSet)
@@ -66,16 +67,23 @@ _LIMIT: ContextVar[_Limit | None] = ContextVar("limit", default=None)
 
 
 @contextlib.contextmanager
-def kept_within(memory: int, folder: Path | None = None) -> Iterator[None]:
+def kept_within(memory: int, folder: Path | None = None, chunk: int | None = None) -> Iterator[None]:
     """Let arrays made in this context and thread be files without a name, in a folder, where memory is short.
 
-    `memory`: bytes for the arrays and for temporary blocks of them.
+    `memory`: bytes for the arrays and for temporary blocks of them; `chunk`: of these, for a chunk of a mesh, which is
+    cut then, and whose arrays are all files.
     """
-    token = _LIMIT.set(_Limit(folder, int(_SHARE * memory)))
+    token = _LIMIT.set(_Limit(folder, chunk, int(_SHARE * memory) if chunk is None else 0))
     try:
         yield
     finally:
         _LIMIT.reset(token)
+
+
+def chunk_memory() -> int | None:
+    """Return the bytes that a chunk of a mesh may take in this context; None: meshes need not be cut."""
+    limit = _LIMIT.get()
+    return None if limit is None else limit.chunk
 
 
 def zeros(shape: int | Sequence[int], dtype: DTypeLike) -> Array:

@@ -38,6 +38,7 @@ from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s
 from beltrami_cli.surface.baking import expanded
 from beltrami_cli.surface.geometry import centred
 from beltrami_cli.surface.grouping import connected, edges_of, group_places, without_unused
+from beltrami_cli.surface.large_arrays import kept
 from beltrami_cli.surface.records import Encoding, PaintedVertices
 
 # In units of the change of values across the surface: nearer to the level than that is outside by that
@@ -279,11 +280,14 @@ def faces_of_points(painted: PaintedVertices, threads: int) -> Int32s:
     """Find triangles between painted points in at most three dimensions, whose own faces do not count."""
     # Coincident points are each a corner of the triangles that their place has.
     place_of, first = group_places(painted.positions, painted.space_of)
-    spaces = None if painted.space_of is None else painted.space_of[first]
+    if painted.space_of is None and len(first) == len(place_of):
+        del place_of, first  # the points are the places
+        return triangulate_points(painted.positions, threads)
     places = painted.positions[first]
-    if spaces is None:
+    if painted.space_of is None:
         faces = triangulate_points(places, threads)
     else:  # distances between spaces are undefined
+        spaces = painted.space_of[first]
         members = [np.flatnonzero(spaces == space).astype(np.int32) for space in np.unique(spaces)]
         parts = (rows[triangulate_points(places[rows], threads)] for rows in members)
         faces = np.concatenate([np.empty((0, 3), np.int32), *parts])
@@ -301,7 +305,7 @@ def triangulate_points(positions: Float64s, threads: int = 1) -> Int32s:
     points = np.zeros((len(positions), 3))
     points[:, : positions.shape[1]] = centred(positions)
     order = morton_order(points)  # neighbours lie close in memory, which halves the time
-    points = points[order]
+    points = kept(points[order])
     tree, stars = cKDTree(points), LocalTriangulation(points)
     for first in range(0, len(points), POINTS_AT_ONCE):
         rows = np.arange(first, min(first + POINTS_AT_ONCE, len(points)), dtype=np.int32)
@@ -312,7 +316,12 @@ def triangulate_points(positions: Float64s, threads: int = 1) -> Int32s:
             rows = stars.add_stars(rows, nearest.astype(np.int32), complete, keep_unsettled, threads)
             if not len(rows):
                 break
-    return np.sort(order[stars.faces()], axis=1)
+    del tree, points
+    faces = stars.faces()
+    del stars
+    faces = order[faces]
+    faces.sort(axis=1)
+    return faces
 
 
 def _with_copies(faces: Int32s, place_of: Int32s, colours: Float32s) -> Int32s:

@@ -8,6 +8,7 @@ import re
 import signal
 import time
 from concurrent.futures import Future
+from functools import partial
 from unittest.mock import Mock
 
 import numpy as np
@@ -24,7 +25,7 @@ from beltrami_cli.flow import chunks
 from beltrami_cli.flow.chunks import Chunk, Work
 from cli.commands import copy_samples
 
-CUT = [Chunk(part, kept=slice(None)) for part in range(5)]
+CUT = [Chunk(partial(int, part), kept=slice(None)) for part in range(5)]
 
 
 def done(runner, work):

@@ -4,6 +4,7 @@ import os
 import re
 import resource
 from contextlib import nullcontext
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -57,11 +58,14 @@ def test_by_default_half_of_what_is_available_may_be_taken(monkeypatch, tmp_path
     assert default_memory() == ((1 << 29) - (1 << 20)) // 2
 
 
-def test_more_than_the_limit_is_refused_by_name_and_the_limit_is_lifted():
+@pytest.mark.parametrize(
+    "take", [lambda: np.zeros(1 << 34, np.uint8), Mock(side_effect=RuntimeError("can't start new thread"))]
+)
+def test_more_than_the_limit_is_refused_by_name_and_the_limit_is_lifted(take):
     before = resource.getrlimit(resource.RLIMIT_DATA)
     message = r"big\.ply: needs more than 1G of memory; raise --max-memory"
     with pytest.raises(InputError, match=message), limited_memory(1 << 30, "big.ply"):
-        np.zeros(1 << 34, np.uint8)
+        take()
     assert resource.getrlimit(resource.RLIMIT_DATA) == before
     with limited_memory(1 << 30, "small.ply"):
         assert np.ones(1 << 26, np.uint8).sum() == 1 << 26

@@ -10,11 +10,13 @@ from hypothesis import strategies as st
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow import chunks, grid_manifold
-from beltrami_cli.flow.chunks import InTurn, in_chunks
-from beltrami_cli.flow.manifold import Guide
+from beltrami_cli.flow.chunks import InTurn, chunking_of_mesh, in_chunks
+from beltrami_cli.flow.manifold import Guide, Step
+from beltrami_cli.flow.mesh_manifold import samples_per_kernel
 from beltrami_cli.flow.moving_positions import GeometryParameters
 from beltrami_cli.flow.parameters import KernelParameters, parameters_with
 from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image
+from beltrami_cli.surface.large_arrays import kept_within
 from flow.split_surfaces import (
     FIXED,
     ON_GRIDS,
@@ -49,8 +51,8 @@ class Sent:
     def run(self, cut, work, stacks_of):
         self.counts.append(len(cut))
         for number in reversed(range(len(cut))):
-            chunk, sent = pickle.loads(pickle.dumps((cut[number].without_whole(), work)))
-            values, figures = sent.on(chunk, [np.array(stack) for stack in stacks_of(cut[number])], 2)
+            piece, sent = pickle.loads(pickle.dumps((cut[number].piece(), work)))
+            values, figures = sent.on(piece, [np.array(stack) for stack in stacks_of(cut[number])], 2)
             yield number, values, figures
             for own in values:  # whose memory the next chunk takes, as it does in another process
                 own.fill(np.nan)
@@ -135,12 +137,15 @@ def test_patches_and_their_coarse_levels_take_part(differs):
 
 
 @pytest.mark.slow
-def test_parameters_are_chosen_on_the_whole():
-    surface = SURFACE
+@pytest.mark.parametrize("cut", [lambda: in_chunks(3, InTurn()), lambda: kept_within(1 << 20, chunk=1 << 20)])
+def test_parameters_are_chosen_on_the_whole(cut):
     free = parameters_with({"threads": 1})
-    whole = smooth_mesh(surface, free)
-    with in_chunks(3, InTurn()):
-        parts = smooth_mesh(surface, free)
+    whole = smooth_mesh(SURFACE, free)
+    held = samples_per_kernel(whole.manifold, 9, Step(1.0, 1.0, False))
+    with cut():
+        assert chunking_of_mesh(len(SURFACE.positions), 1).count > 2
+        parts = smooth_mesh(SURFACE, free)
+        assert samples_per_kernel(parts.manifold, 9, Step(1.0, 1.0, False)) == held
     assert parts.choice.chosen == whole.choice.chosen
     assert np.array_equal(parts.colours, whole.colours)
 
@@ -153,15 +158,13 @@ def test_vertices_are_not_moved_in_chunks():
 
 def test_nothing_to_do_is_nothing_in_chunks_too():
     nothing = KernelParameters(**{**FIXED, "iterations": 0})
-    values = noisy(30)
 
     def grid(valid, parameters):
-        return smoothed(plan_on_image(ImageSurface(valid=valid), lambda pixels: values[pixels], parameters))
+        return smoothed(plan_on_image(ImageSurface(valid=valid), lambda at: noisy(30)[at], parameters))
 
     with in_chunks(3, InTurn()):
         result = grid(np.ones((5, 6), bool), nothing)
         mesh = smooth_mesh(SURFACE, nothing)
-        empty = grid(np.zeros((5, 6), bool), KernelParameters(**FIXED))
-    assert np.array_equal(result, values)
+        assert len(grid(np.zeros((5, 6), bool), KernelParameters(**FIXED))) == 0
+    assert np.array_equal(result, noisy(30))
     assert np.array_equal(mesh.colours, SURFACE.colours)
-    assert len(empty) == 0

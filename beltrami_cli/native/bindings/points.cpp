@@ -12,7 +12,7 @@ using namespace beltrami::points;
 
 void make(LocalTriangulation* triangulation, const Matrix<double>& positions) {
   if (positions.shape(1) != 3) throw nb::value_error("positions must have three columns");
-  new (triangulation) LocalTriangulation({positions.data(), positions.data() + positions.size()});
+  new (triangulation) LocalTriangulation({positions.data(), positions.size()});
 }
 
 void require_points(std::span<const Index> points, Index count) {
@@ -34,7 +34,7 @@ auto add_stars(LocalTriangulation& triangulation, const Vector<Index>& rows, con
   return give_copy(unsettled);
 }
 
-auto faces(const LocalTriangulation& triangulation) {
+auto faces(LocalTriangulation& triangulation) {
   std::vector<Triangle> found;
   {
     const nb::gil_scoped_release unlock;
@@ -48,7 +48,7 @@ auto faces(const LocalTriangulation& triangulation) {
 void bind_points(nb::module_& module) {
   using namespace nb::literals;
   nb::class_<LocalTriangulation>(module, "LocalTriangulation")
-      .def("__init__", &make, "positions"_a)
+      .def("__init__", &make, "positions"_a.noconvert(), nb::keep_alive<1, 2>())
       .def("add_stars", &add_stars, "rows"_a, "neighbours"_a, "complete"_a, "keep_unsettled"_a, "threads"_a)
       .def("faces", &faces);
 }

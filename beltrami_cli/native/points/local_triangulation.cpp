@@ -17,6 +17,9 @@ constexpr double far_apart = 4;
 // Points at random in space have a flatness around 0.7, those on a surface with noise of half a spacing one around 0.3.
 constexpr double not_flat = 0.25;
 
+// Parts of the triangles, which are sorted one after the other to save memory.
+constexpr std::size_t windows = 8;
+
 // Flakes have fewer points.
 constexpr Index few_together = 16;
 
@@ -51,22 +54,28 @@ bool is_too_large(const double* positions, std::span<const double> spacing, cons
 // Each triangle that is kept once, its corners ascending, in lexicographic order. in_stars: as in `Stars`, of all points,
 // each with three different corners in [0, spacing.size()).
 std::vector<Triangle> agreed_triangles(const double* positions, std::span<const double> spacing,
-                                       std::span<const Triangle> in_stars) {
-  std::vector<Triangle> sorted;
-  sorted.reserve(in_stars.size());
-  for (const Triangle& triangle : in_stars)
-    if (!is_too_large(positions, spacing, triangle)) sorted.push_back(with_ascending_corners(triangle));
-  std::sort(sorted.begin(), sorted.end());
+                                       std::span<const std::vector<Triangle>> in_stars) {
+  std::vector<Triangle> sorted, kept;
+  kept.reserve(2 * spacing.size());  // as many as on a closed surface
   std::vector<char> joined(spacing.size(), 0);
-  std::vector<Triangle> kept;
-  for (std::size_t i = 0; i + 1 < sorted.size(); ++i) {
-    if (sorted[i] != sorted[i + 1] || (!kept.empty() && kept.back() == sorted[i])) continue;
-    kept.push_back(sorted[i]);
-    for (const Index corner : sorted[i]) joined[static_cast<std::size_t>(corner)] = 1;
+  const std::size_t window = spacing.size() / windows + 1;  // of lowest corners, which are sorted at a time
+  for (std::size_t begin = 0; begin < spacing.size(); begin += window, sorted.clear()) {
+    for (const auto& triangles : in_stars)
+      for (const Triangle& triangle : triangles)
+        if (static_cast<std::size_t>(std::min({triangle[0], triangle[1], triangle[2]})) - begin < window &&
+            !is_too_large(positions, spacing, triangle))
+          sorted.push_back(with_ascending_corners(triangle));
+    std::sort(sorted.begin(), sorted.end());
+    for (std::size_t i = 0; i + 1 < sorted.size(); ++i) {
+      if (sorted[i] != sorted[i + 1] || (!kept.empty() && kept.back() == sorted[i])) continue;
+      kept.push_back(sorted[i]);
+      for (const Index corner : sorted[i]) joined[static_cast<std::size_t>(corner)] = 1;
+    }
   }
-  for (const Triangle& triangle : in_stars)
-    if (!joined[static_cast<std::size_t>(triangle[0])] && !is_too_large(positions, spacing, triangle))
-      kept.push_back(with_ascending_corners(triangle));
+  for (const auto& triangles : in_stars)
+    for (const Triangle& triangle : triangles)
+      if (!joined[static_cast<std::size_t>(triangle[0])] && !is_too_large(positions, spacing, triangle))
+        kept.push_back(with_ascending_corners(triangle));
   std::sort(kept.begin(), kept.end());
   kept.erase(std::unique(kept.begin(), kept.end()), kept.end());
   return kept;
@@ -108,11 +117,8 @@ void remove_flakes(std::vector<Triangle>& triangles, std::span<const char> lone)
 
 }  // namespace
 
-LocalTriangulation::LocalTriangulation(std::vector<double> positions)
-    : positions_(std::move(positions)),
-      spacing_(positions_.size() / 3),
-      flatness_(spacing_.size()),
-      distance_(spacing_.size()) {}
+LocalTriangulation::LocalTriangulation(std::span<const double> positions)
+    : positions_(positions), spacing_(positions.size() / 3), flatness_(spacing_.size()), distance_(spacing_.size()) {}
 
 std::vector<Index> LocalTriangulation::add_stars(const Neighbours& neighbours, bool keep_unsettled, unsigned threads) {
   Stars stars = find_stars(positions_.data(), neighbours, keep_unsettled, threads);
@@ -122,17 +128,16 @@ std::vector<Index> LocalTriangulation::add_stars(const Neighbours& neighbours, b
     flatness_[point] = stars.flatness[row];
     distance_[point] = stars.distance[row];
   }
-  triangles_.insert(triangles_.end(), stars.triangles.begin(), stars.triangles.end());
+  triangles_.emplace_back(stars.triangles.begin(), stars.triangles.end());
   std::sort(stars.unsettled.begin(), stars.unsettled.end());
   return std::move(stars.unsettled);
 }
 
-std::vector<Triangle> LocalTriangulation::faces() const {
+std::vector<Triangle> LocalTriangulation::faces() {
   const auto lone = find_lone_points(distance_);
-  std::vector<double> spacing = spacing_;
-  for (std::size_t point = 0; point < spacing.size(); ++point)
-    if (lone[point] && is_strewn(flatness_[point])) spacing[point] = 0;  // which no triangle is small enough for
-  auto faces = agreed_triangles(positions_.data(), spacing, triangles_);
+  for (std::size_t point = 0; point < lone.size(); ++point)
+    if (lone[point] && is_strewn(flatness_[point])) spacing_[point] = 0;  // which no triangle is small enough for
+  auto faces = agreed_triangles(positions_.data(), spacing_, triangles_);
   remove_flakes(faces, lone);
   return faces;
 }

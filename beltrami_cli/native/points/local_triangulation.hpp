@@ -6,6 +6,7 @@
 // without area. Outliers are points far from others that are strewn in space, and small pieces of such points alone.
 #pragma once
 
+#include <span>
 #include <vector>
 
 #include "points/local_stars.hpp"
@@ -14,8 +15,8 @@ namespace beltrami::points {
 
 class LocalTriangulation {
  public:
-  // Three finite numbers a point, near 1 in size, no two points at one place.
-  explicit LocalTriangulation(std::vector<double> positions);
+  // Three finite numbers a point, near 1 in size, no two points at one place; they are not copied.
+  explicit LocalTriangulation(std::span<const double> positions);
 
   Index point_count() const { return static_cast<Index>(spacing_.size()); }
 
@@ -23,11 +24,12 @@ class LocalTriangulation {
   std::vector<Index> add_stars(const Neighbours& neighbours, bool keep_unsettled, unsigned threads);
 
   // Each triangle once, its corners ascending, in lexicographic order, when all points have their stars.
-  std::vector<Triangle> faces() const;
+  std::vector<Triangle> faces();
 
  private:
-  std::vector<double> positions_, spacing_, flatness_, distance_;  // the last three as in `Stars`
-  std::vector<Triangle> triangles_;
+  std::span<const double> positions_;
+  std::vector<double> spacing_, flatness_, distance_;  // as in `Stars`
+  std::vector<std::vector<Triangle>> triangles_;  // of each call
 };
 
 }  // namespace beltrami::points
