@@ -25,7 +25,7 @@ from beltrami_cli.formats.image.picture import as_stored
 from beltrami_cli.layers.settings import COLOUR_SLOTS, LevelSettings, SmoothSettings, TextureSettings
 from beltrami_cli.surface.atlas import Indices, store_integers
 from beltrami_cli.surface.baking import Cells
-from beltrami_cli.surface.large_arrays import kept_bytes
+from beltrami_cli.surface.large_arrays import blocks, kept_bytes
 from beltrami_cli.surface.records import ImageFile, PaintedVertices, Slot
 
 Part = Literal["vertices", "textures", "image"]
@@ -204,11 +204,12 @@ class Change:
 
     @classmethod
     def between(cls, before: Float32s, after: Float32s) -> Change:
-        difference = np.abs(after - before)
-        if not difference.size:
-            return cls()
-        squares = float(np.einsum("i,i->", difference.ravel(), difference.ravel(), dtype=np.float64))
-        return cls(difference.size, float(difference.sum(dtype=np.float64)), squares, float(difference.max()))
+        parts = []
+        for block in blocks(len(before)) if before.size else ():
+            own = np.abs(after[block] - before[block]).ravel()
+            squares = float(np.einsum("i,i->", own, own, dtype=np.float64))
+            parts.append(cls(own.size, float(own.sum(dtype=np.float64)), squares, float(own.max())))
+        return cls.joined(parts)
 
     @classmethod
     def joined(cls, changes: Iterable[Change]) -> Change:
