@@ -41,9 +41,8 @@ Piece = tuple[Any, Any]
 class Chunk:
     """A part of a surface, with the samples around it that an operation reads."""
 
-    cut: Callable[
-        [], Any
-    ]  # makes the part, which stays the same in all operations of a kind: geometry, not colours
+    # Makes the part, which stays the same in all operations of a kind: geometry, and not colours.
+    cut: Callable[[], Any]
     around: Any = None  # index of the samples of the part in a stack of the whole
     place: Any = None  # index of the samples of the chunk in a stack of the whole, and of the part
     kept: Any = None
