@@ -318,16 +318,39 @@ def glowing(shader, extra=""):
 
 def test_a_map_that_lies_otherwise_than_the_base_colour_is_not_converted(tmp_path):
     moved = "float2 inputs:st.connect = </scan/skin/move.outputs:result>"
-    lamp = shader("lamp", "UsdUVTexture", "asset inputs:file = @b.png@", moved, "float3 outputs:rgb")
+    lamp = shader(
+        "lamp", "UsdUVTexture", "asset inputs:file = @b.png@", moved, "float3 outputs:rgb", "float outputs:a"
+    )
     text = scene(mesh_text(BOUND), mesh_text(name="bare"), glowing("lamp", MOVED + lamp)).replace(
-        "float inputs:roughness = 1", "float inputs:roughness.connect = </scan/skin/lamp.outputs:rgb>"
+        "float inputs:roughness = 1",
+        "float inputs:roughness.connect = </scan/skin/lamp.outputs:rgb>\n"
+        "            float inputs:opacity.connect = </scan/skin/lamp.outputs:a>",
     )
     write(tmp_path, {"a.usda": text, "a.png": PICTURE, "b.png": PICTURE})
     mesh = open_document(str(tmp_path / "a.usda")).textured_mesh()
     assert [sorted(material.maps) for material in mesh.materials] == [["baseColor"], []]
     assert np.isfinite(mesh.uv).all()  # also without an image
     assert "emissive maps that are placed otherwise than the base colour" in mesh.left_out
-    assert "metallicRoughness maps laid out otherwise than in glTF" in mesh.left_out
+    assert {f"{slot} maps laid out otherwise than in glTF" for slot in ("metallicRoughness", "opacity")} <= {
+        *mesh.left_out
+    }
+    assert {material.alpha for material in mesh.materials} == {"opaque"}
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "float4 inputs:scale = (4, 1, 1, 1)", "float4 inputs:scale = (nan, 1, 1, 1)", "float inputs:scale = 0.5",
+        "float4 inputs:scale.timeSamples = { 0: (1, 0.5, 1, 1) }", "float4 inputs:bias = (0.1, 0, 0, 0)",
+    ],
+)  # fmt: skip
+def test_factors_of_images_that_gltf_does_not_have_are_said_to_be_lost(line, tmp_path):
+    file = "asset inputs:file = @a.png@"
+    text = scene(mesh_text(BOUND), material_text("a.png").replace(file, f"{file}\n            {line}"))
+    write(tmp_path, {"a.usda": text, "a.png": PICTURE})
+    mesh = open_document(str(tmp_path / "a.usda")).textured_mesh()
+    assert "the scale or bias of baseColor maps" in mesh.left_out
+    assert mesh.materials[0].colour == pytest.approx((1, 1, 1))
 
 
 @pytest.mark.parametrize("on", ["vertex", "faceVarying"])

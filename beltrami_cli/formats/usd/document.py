@@ -37,7 +37,7 @@ from beltrami_cli.formats.model_folder import (
 )
 from beltrami_cli.formats.textured_mesh import SLOTS, Scene, ShownMap
 from beltrami_cli.formats.usd.layers import IMAGES, Layers
-from beltrami_cli.surface.records import Frame, ImageFile, Material, MeshContents, Slot
+from beltrami_cli.surface.records import AlphaMode, Frame, ImageFile, Material, MeshContents, Slot
 
 _COUNTS = {
     "instanced": "{} mesh(es) are instances of others; each is smoothed once, at its first place.",
@@ -55,16 +55,21 @@ def _material(known: dict[str, Any]) -> Material:
     values = known["values"]
     opacity, cutoff = values.get("opacity", 1.0), values.get("opacityThreshold", 0.0)
     seen_through = known["alpha"] or opacity < 1
+    alpha: AlphaMode = "mask" if seen_through and cutoff > 0 else "blend" if seen_through else "opaque"
     return Material(
         name=known["name"],
         colour=display_colour(values.get("diffuseColor", [0.18] * 3)),
         emission=display_colour(values.get("emissiveColor", [0.0] * 3)),
-        opacity=opacity,
-        metalness=values.get("metallic", 0.0),
-        roughness=values.get("roughness", 0.5),
-        alpha="mask" if seen_through and cutoff > 0 else "blend" if seen_through else "opaque",
-        cutoff=cutoff if cutoff > 0 else Material.cutoff,
+        opacity=_within(opacity),
+        metalness=_within(values.get("metallic", 0.0)),
+        roughness=_within(values.get("roughness", 0.5)),
+        alpha=alpha,
+        cutoff=cutoff if alpha == "mask" else Material.cutoff,
     )
+
+
+def _within(number: float) -> float:
+    return min(max(number, 0.0), 1.0)
 
 
 class UsdDocument(Document):
@@ -304,8 +309,12 @@ class UsdDocument(Document):
         others = [f"{kind} prims" for kind in words["others"]]
         others += ["variants"] if words["variants"] else []
         others += self.hidden_places()
+        lost = {"unfit": "{} maps laid out otherwise than in glTF", "scaled": "the scale or bias of {} maps"}
         others += [
-            f"{slot} maps laid out otherwise than in glTF" for slot in SLOTS if counts.get(f"unfit {slot}")
+            text.format(slot)
+            for key, text in lost.items()
+            for slot in (*SLOTS, "opacity")
+            if counts.get(f"{key} {slot}")
         ]
         return [*others, *(["node hierarchy"] if len(words["meshes"]) > 1 else [])]
 

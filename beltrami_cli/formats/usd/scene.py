@@ -295,6 +295,8 @@ _WRAPS = {"repeat": "repeat", "mirror": "mirror"}  # all else shows nothing, or 
 _NUMBERS = ("metallic", "roughness", "opacity", "opacityThreshold")
 _COLOURS = ("diffuseColor", "emissiveColor")
 _AS_STORED: dict[str, Any] = {"coordinates": "st", "matrix": [[1, 0], [0, 1]], "offset": [0, 0]}
+# By slot, the least and most that glTF multiplies an image by, and what it adds; of others 0, 1 and 0.
+_SCALES = {"normal": (2, 2, -1), "occlusion": (1, 1, 0)}
 _DEEPEST = 8  # transforms of texture coordinates, one after the other
 
 
@@ -314,15 +316,9 @@ def read_material(material: Any) -> tuple[dict[str, Any], dict[str, dict[str, An
         known["values"] = _factors(uses)
         return known, uses
     for name in (*_NUMBERS, *_COLOURS):
-        sources = _sources(surface, name)
-        value = sources[0].Get() if sources and sources[0].GetTypeName() != "token" else None
-        if isinstance(value, (int, float)):
-            known["values"][name] = float(value)
-        elif value is not None and len(value) == 3:
-            known["values"][name] = [float(part) for part in value]
-    for use in _textures(surface, "opacity"):
-        known["alpha"] = True
-        known["values"]["opacity"] = use["scale"]["rgba".find(use["output"])]
+        numbers = _floats(surface, name)
+        if len(numbers) == (3 if name in _COLOURS else 1):
+            known["values"][name] = numbers if name in _COLOURS else numbers[0]
     for slot, inputs in INPUTS.items():
         found = [use for name in inputs for use in _textures(surface, name)]
         outputs = tuple(use["output"] for use in found)
@@ -331,8 +327,21 @@ def read_material(material: Any) -> tuple[dict[str, Any], dict[str, dict[str, An
             uses[slot] = found[0]
         elif found:
             known["lost"].append(f"unfit {slot}")
+    for use in _textures(surface, "opacity"):
+        if use["output"] == "a" and use["shader"] == uses.get("baseColor", {}).get("shader"):
+            known["alpha"], known["values"]["opacity"] = True, use["scale"][3]
+        else:
+            known["lost"].append("unfit opacity")
+    known["lost"] += [f"scaled {slot}" for slot, use in uses.items() if not _has_usual_scale(slot, use)]
     known["values"] |= _factors(uses)
     return known, uses
+
+
+def _has_usual_scale(slot: str, use: dict[str, Any]) -> bool:
+    """Return whether materials of glTF can say what the colours of an image are multiplied by, and added to."""
+    least, most, bias = _SCALES.get(slot, (0, 1, 0))
+    is_scale_fit = all(least <= part <= most for part in use["scale"][:3])
+    return is_scale_fit and all(part == bias for part in use["bias"][:3])
 
 
 def _factors(uses: dict[str, dict[str, Any]]) -> dict[str, Any]:
@@ -355,6 +364,24 @@ def _sources(shader: Any, name: str) -> list[Any]:
     """Return the attributes that an input of a shader gets its value from, through node graphs and materials."""
     found = shader.GetInput(name)
     return list(found.GetValueProducingAttributes()) if found else []
+
+
+def _floats(shader: Any, name: str) -> list[float]:
+    """Return the numbers of an input of a shader; none if it has no value, or others than finite numbers."""
+    sources = _sources(shader, name)
+    try:
+        numbers = np.array(sources[0].Get() if sources else [], np.float64).ravel()
+    except (TypeError, ValueError):
+        return []
+    return numbers.tolist() if np.isfinite(numbers).all() else []
+
+
+def _four(shader: Any, name: str, usual: float) -> list[float]:
+    """Return an input of four numbers; infinite if they are not known."""
+    if not _sources(shader, name):
+        return [usual] * 4
+    numbers = _floats(shader, name)
+    return numbers if len(numbers) == 4 else [np.inf] * 4
 
 
 def files_of(prim: Any) -> dict[str, str]:
@@ -385,12 +412,11 @@ def _textures(surface: Any, name: str) -> list[dict[str, Any]]:
         placing = _placed_by_materialx(shader) if is_mtlx else _placing(shader)
         if not output.startswith("outputs:") or placing is None:
             continue
-        shown = {"shader": str(shader.GetPath()), "output": output.removeprefix("outputs:")}
-        wrap = _wraps(shader, is_mtlx=is_mtlx)
-        given = [] if is_mtlx else _sources(shader, "scale")
-        scale = [float(part) for part in given[0].Get()] if given else [1.0] * 4
+        shown: dict[str, Any] = {"shader": str(shader.GetPath()), "output": output.removeprefix("outputs:")}
+        shown |= {"wrap": _wraps(shader, is_mtlx=is_mtlx)}
+        shown |= {"scale": _four(shader, "scale", 1.0), "bias": _four(shader, "bias", 0.0)}
         for path, file in _image_of(shader).items():
-            found.append({**placing, **shown, "attribute": path, "file": file, "wrap": wrap, "scale": scale})
+            found.append({**placing, **shown, "attribute": path, "file": file})
     return found
 
 
