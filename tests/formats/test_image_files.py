@@ -220,9 +220,17 @@ def test_a_single_pixel_is_read_back(suffix):
 @pytest.mark.parametrize("known", ["bmp", "targa"])
 def test_no_opacity_at_all_counts_as_full_opacity(known):
     pixels = noise("uint8", 4) * np.uint8([1, 1, 1, 0])
-    picture = read_image(encode(pixels, known), f"x{SUFFIXES[known]}")
+    source = encode(pixels, known)
+    picture = read_image(source, f"x{SUFFIXES[known]}")
     np.testing.assert_array_equal(picture.pixels, pixels + np.uint8([0, 0, 0, 255]))
     assert "opacity of 0 everywhere" in picture.notices[-1]
+    assert write_image(picture, picture.pixels).data == source  # the format keeps it
+
+
+@pytest.mark.parametrize("scale", ["0", "-0.0", "nan", "inf", "1e999", "-1e-300", "--1"])
+def test_pfm_files_whose_scale_leaves_no_numbers_are_refused(scale):
+    with pytest.raises(InputError, match=r"x\.pfm: .*(scale in its header|damaged)"):
+        read_image(f"PF\n1 1\n{scale}\n".encode() + bytes(12), "x.pfm")
 
 
 def test_a_format_that_multiplies_colours_by_alpha_says_what_it_loses():

@@ -133,7 +133,7 @@ def _chunks(data: bytes, at: int, parts: list[Header]) -> list[list[bytes]]:
 _END = b"\n\n"  # of the header of an HDR file
 _GAP = rb"(?:\s|#[^\n]*\n)+"
 # P1 and P4 give width and height, the others the largest value, too, or in PFM files the scale.
-_NETPBM = re.compile(rb"P(?:[14]%b\d+%b\d+|[^14]%b\d+%b\d+%b([-+.\deE]+))\s" % ((_GAP,) * 5))
+_NETPBM = re.compile(rb"P(?:[14]%b\d+%b\d+|[^14]%b\d+%b\d+%b(\S+))\s" % ((_GAP,) * 5))
 _AFTER_MARK = 3  # bytes: "P6" and the end of the line
 _NETPBM_TEXT, _NETPBM_FLOATS = (b"1", b"2", b"3"), (b"F", b"f")
 _CARD, _FITS_BLOCK = 80, 2880  # bytes
@@ -164,11 +164,22 @@ def with_header(source: bytes, encoded: bytes, known: str) -> bytes:
         if source[1:2] in _NETPBM_FLOATS:
             # OpenImageIO applies the scale and writes 1. Many programs read the numbers without it, as disparities.
             orders = ["<f4" if each[1].startswith(b"-") else ">f4" for each in (old_header, header)]
-            numbers = np.frombuffer(encoded, orders[1], offset=header.end()) / (
-                abs(float(old_header[1])) or 1.0
-            )
+            numbers = np.frombuffer(encoded, orders[1], offset=header.end()) / abs(float(old_header[1]))
             return b"".join([old_header[0], numbers.astype(orders[0]).tobytes(), further])
     return b"".join([encoded[:_AFTER_MARK], *comments, encoded[_AFTER_MARK:], further])
+
+
+def has_usual_scale(data: bytes) -> bool:
+    """Return False for PFM files whose scale leaves nothing of their numbers."""
+    header = _NETPBM.match(data)
+    if header is None or data[1:2] not in _NETPBM_FLOATS:
+        return True
+    try:
+        scale = abs(float(header[1]))
+    except ValueError:
+        return False
+    limits = np.finfo(np.float32)  # in which OpenImageIO multiplies
+    return bool(limits.tiny <= scale <= limits.max)
 
 
 def _fits_cards(data: bytes) -> tuple[list[bytes], int]:

@@ -232,6 +232,7 @@ class Picture:
     layer: str | None = ""
     parts: tuple[str, ...] = ()  # names of the parts of an EXR file, which are images of their own
     part: int | None = 0  # the one with the colours; None if it is ambiguous, and the pixels are of the first
+    is_alpha_empty: bool = False  # an alpha of 0 everywhere in the file, and of full scale in the pixels
 
     @property
     def source(self) -> bytes:

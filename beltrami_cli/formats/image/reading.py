@@ -15,6 +15,7 @@ import numpy as np
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, decoded, measured
+from beltrami_cli.formats.image.headers import has_usual_scale
 from beltrami_cli.formats.image.metadata import (
     first_jpeg,
     has_palette,
@@ -177,6 +178,10 @@ def _decoded(data: bytes, name: str, finite: bool) -> Picture:
     if known == "bmp" and not has_usual_bits(data):
         cause = "its header, or the order of its red, green, blue and alpha, is a rare one that is not read"
         raise InputError(name, cause, "export it as PNG")
+    if known == "pnm" and not has_usual_scale(data):
+        raise InputError(
+            name, "the scale in its header is 0, or no number", "correct it, or export it as EXR"
+        )
     OpenImageIO.attribute("limits:imagesize_MB", _MOST_MEGABYTES)
     config = OpenImageIO.ImageSpec()
     config.attribute("oiio:UnassociatedAlpha", 1)
@@ -192,10 +197,11 @@ def _decoded(data: bytes, name: str, finite: bool) -> Picture:
             raise _damaged(name, known, error, path)
         notices = _changes(file, part or 0, data, known, name)
     pixels = pixels.reshape(spec.height, spec.width, spec.nchannels)
-    if known in ("bmp", "targa") and spec.nchannels in (2, 4) and not pixels[..., -1].any():
+    is_alpha_empty = known in ("bmp", "targa") and spec.nchannels in (2, 4) and not pixels[..., -1].any()
+    if is_alpha_empty:
         # Programs that make these files leave the byte for opacity empty where a picture has none.
         pixels[..., -1] = np.iinfo(pixels.dtype).max
-        notices += (f"{name} has an opacity of 0 everywhere, which is taken for none; it becomes opaque.",)
+        notices += (f"{name} has an opacity of 0 everywhere, which is taken for none.",)
     if pixels.dtype.kind == "f":
         pixels = pixels.astype(np.float32, copy=False)
         unfit = pixels.size - int(np.count_nonzero(np.isfinite(pixels))) if finite else 0
@@ -203,7 +209,7 @@ def _decoded(data: bytes, name: str, finite: bool) -> Picture:
             cause = f"{unfit} of its values are not finite numbers"
             raise InputError(name, cause, "repair or export it again")
     picture = described(data, name, known, spec, large_arrays.kept(pixels), notices)
-    return replace(picture, parts=tuple(parts), part=part)
+    return replace(picture, parts=tuple(parts), part=part, is_alpha_empty=is_alpha_empty)
 
 
 def _seek_colours(file: Any) -> tuple[dict[str, tuple[str, ...]], int | None]:

@@ -92,6 +92,9 @@ def write_image(
             notices.append(extra_codecs.encoding_cost(known, values, again, picture.name))
         return ImageFile(data, FORMATS[known].suffixes[0], tuple(notices))
     notices = []
+    if picture.is_alpha_empty:
+        pixels = pixels.copy()
+        pixels[..., -1] = 0
     if known == "png" and metadata.has_palette(picture.source, known):
         notices.append(f"{picture.name} has a palette, which becomes full colours.")
     spec = _bare_spec(picture) if known in _SPLICED else _kept_spec(picture)
