@@ -104,11 +104,10 @@ def _scale_of_whole(values: Float64s, scales: Sequence[float]) -> float | None:
 _ROUNDED_LEVEL = 0.5e-5 * BYTE
 
 
-def narrowest_type(colours: Float32s, stored: str) -> str:
-    """Return the type that holds colours of full scale 1: 8 bit if they are of these, else as they are stored."""
-    levels = colours.astype(np.float64) * BYTE
-    is_whole = np.abs(levels - np.rint(levels)) <= _ROUNDED_LEVEL
-    return "uint8" if bool((is_whole & (levels > -0.5) & (levels < BYTE + 0.5)).all()) else stored
+def holds_bytes(values: Float32s) -> bool:
+    """Return whether values of full scale 1 are levels of 8 bit."""
+    levels = values * np.float32(BYTE)  # to 2e-5
+    return bool((np.abs(levels - np.rint(levels).clip(0, BYTE)) <= _ROUNDED_LEVEL).all())
 
 
 def opacity(alpha: Array, scale: float) -> Float32s:

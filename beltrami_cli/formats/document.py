@@ -30,7 +30,7 @@ import numpy as np
 from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
-from beltrami_cli.formats.colours import BYTE, narrowest_type
+from beltrami_cli.formats.colours import BYTE, holds_bytes
 from beltrami_cli.formats.image import Picture, read_image
 from beltrami_cli.surface import records
 from beltrami_cli.surface.geometry import triangulate
@@ -308,13 +308,14 @@ class Document(ABC):
     def recoloured_contents(self, colours: Float32s | None) -> records.MeshContents:
         """Return `contents` with other colours, rows as in `patch`; None: the present ones."""
         contents = self.contents()
-        contents = replace(contents, stored=self._type_of(contents.colours, contents.stored))
-        return contents if colours is None else replace(contents, colours=colours)
+        stored = self._type_of(contents.colours, contents.alpha, contents.stored)
+        return replace(contents, colours=contents.colours if colours is None else colours, stored=stored)
 
-    def _type_of(self, colours: Float32s, stored: str) -> str:
+    def _type_of(self, colours: Float32s, alpha: Float32s | None, stored: str) -> str:
         """Return the type that another format needs for the present colours, where the stored one says little."""
         says_little = stored == "text" or self._scale == BYTE
-        return narrowest_type(colours, stored) if says_little else stored
+        are_bytes = says_little and holds_bytes(colours) and (alpha is None or holds_bytes(alpha))
+        return "uint8" if are_bytes else stored
 
     def textured_mesh(self, colours: Float32s | None = None) -> records.MeshContents:
         """Return all polygons with materials and images, for conversion; `colours` as in `patch`."""

@@ -373,6 +373,13 @@ def test_colours_become_bytes_where_these_hold_them(name, scale, digits, kept):
     np.testing.assert_allclose(found.colours, levels / (scale if scale > 1 else 255), atol=0.5e-5)
 
 
+def test_opacity_is_not_rounded_to_bytes_with_colours_that_are_bytes():
+    text = "v 0 0 0 0 0 1 0.123456\nv 1 0 0 0 1 0 0.5\n"
+    document = open_bytes(text.encode(), "x.obj", None)
+    written = open_bytes(joined(write_mesh(document.recoloured_contents(None), "ply", "x")), "x.ply", None)
+    np.testing.assert_allclose(written.recoloured_contents(None).alpha, [0.123456, 0.5], atol=1e-7)
+
+
 @pytest.mark.parametrize("form", ["obj", "ply"])
 def test_small_coordinates_and_more_polygons_than_a_block_are_read_back(form):
     contents = mesh(np.random.default_rng(8).integers(3, 7, 70_000), dtype=np.float64)

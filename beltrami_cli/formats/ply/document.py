@@ -172,7 +172,7 @@ class PlyDocument(Document):
     def recoloured_contents(self, colours: Float32s | None) -> MeshContents:
         of_faces = self._paint.names if self._paints_faces else ()
         left_out = _left_out(self._header, self._converted, of_faces)
-        values = self._colours.values if colours is None else colours
+        values, alpha = self._colours.values if colours is None else colours, self._alpha()
         corners, offsets = self._coloured_faces if self._paints_faces else self._polygons
         if self._paints_faces:
             sizes = np.diff(offsets)
@@ -182,12 +182,12 @@ class PlyDocument(Document):
             self.notices += [_MEANS] if _MEANS not in self.notices else []
         return dataclasses.replace(
             self._mesh,
-            stored=self._type_of(self._colours.values, self._stored),
+            stored=self._type_of(self._colours.values, alpha, self._stored),
             positions=self._positions,
             corners=corners,
             offsets=offsets,
             colours=values,
-            alpha=self._alpha(),
+            alpha=alpha,
             normals=self._normals(),
             left_out=left_out,
         )
