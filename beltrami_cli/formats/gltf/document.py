@@ -154,7 +154,11 @@ class GltfDocument(Document):
             stored=shown.stored,
             alpha=self.surface.opacity(),
             normals=self.surface.normals(),
-            left_out=(*_left_out(self.container.tree), *self.hidden_places()),
+            left_out=(
+                *_left_out(self.container.tree),
+                *self.root.entry("extensions").value,
+                *self.hidden_places(),
+            ),
         )
 
     def textured_mesh(self, colours: Float32s | None = None) -> MeshContents:
@@ -170,6 +174,7 @@ class GltfDocument(Document):
         known = self.root, self.accessors, self.images
         mesh = read_textured_mesh(*known, by_primitive, stored)
         others = [what for what in _left_out(self.container.tree) if what in _NOT_TEXTURED]
+        others += self.root.entry("extensions").value
         if any(node.get("children") for node in objects(self.container.tree.get("nodes"))):
             others.append("node hierarchy")
         return dataclasses.replace(mesh, left_out=(*mesh.left_out, *others))
