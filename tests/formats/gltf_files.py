@@ -25,15 +25,9 @@ class Model:
     def __init__(self):
         self.tree = {
             "asset": {"version": "2.0", "generator": "tests", "copyright": "© ü"},
-            "buffers": [{"byteLength": 0}],
-            "bufferViews": [],
-            "accessors": [],
-            "meshes": [],
-            "nodes": [],
-            "scenes": [{"nodes": []}],
-            "scene": 0,
-            "extras": {"kept": [1.50, 2e-3, "a\u2028b"]},
-        }
+            "buffers": [{"byteLength": 0}], "bufferViews": [], "accessors": [], "meshes": [], "nodes": [],
+            "scenes": [{"nodes": []}], "scene": 0, "extras": {"kept": [1.50, 2e-3, "a\u2028b"]},
+        }  # fmt: skip
         self.binary = bytearray()
         self.files = {}
 

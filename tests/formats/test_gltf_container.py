@@ -371,17 +371,13 @@ DAMAGES = [
     ("has another parent", put("nodes", [{"mesh": 0}, {"children": [0]}, {"children": [0]}])),
     ("nodes[0].rotation", put("nodes.0.rotation", [0, 0, 0, 0])),
     ("nodes[0].matrix: must be 16 finite numbers", put("nodes.0.matrix", [1] * 15)),
-    ("nodes[0].mesh", put("nodes.0.mesh", -1)),
-    ("meshes: is 3 instead of an array", put("meshes", 3)),
+    ("nodes[0].mesh", put("nodes.0.mesh", -1)), ("meshes: is 3 instead of an array", put("meshes", 3)),
     ("meshes[0]: is None instead of an object", put("meshes.0", None)),
     ("accessors[1].sparse.indices: must increase", with_sparse_rows(b"\2\0\1\0")),
     ("zeros are more than the file has bytes", put("accessors", [ZEROS] * 4)),
-    ("1 is not finite", with_bytes(0, 12, NOT_FINITE)),
-    ("1 is not finite", with_bytes(1, 12, NOT_FINITE)),
-    ("index", put(f"{INFO}.index", 7)),
-    ("TEXCOORD_0", put(f"{PART}.attributes.TEXCOORD_0", 0)),
-    ("element 1 is not finite", with_bytes(2, 8, NOT_FINITE)),
-    ("wrapS", put("samplers.0.wrapS", 1)),
+    ("1 is not finite", with_bytes(0, 12, NOT_FINITE)), ("1 is not finite", with_bytes(1, 12, NOT_FINITE)),
+    ("index", put(f"{INFO}.index", 7)), ("TEXCOORD_0", put(f"{PART}.attributes.TEXCOORD_0", 0)),
+    ("element 1 is not finite", with_bytes(2, 8, NOT_FINITE)), ("wrapS", put("samplers.0.wrapS", 1)),
     ("rotation", put(f"{TRANSFORM}.rotation", "left")),
     ("infinity", put(TRANSFORM, {"scale": [1e308, 1e308], "offset": [1.7e308, 0]})),
     ("primitives[0].attributes: is list instead of", put(f"{PART}.attributes", [])),
@@ -395,12 +391,10 @@ DAMAGES = [
     ("leave buffers[0]", meshopt("byteOffset", 1 << 40)),
     ("its compressed data is damaged", meshopt("byteLength", 5)),
     ("count: is 35: 140 bytes, but the view has 144", meshopt("count", 35)),
-    ("byteStride: is 6", meshopt("byteStride", 6)),
-    ("mode: is 'SPHERES'", meshopt("mode", "SPHERES")),
+    ("byteStride: is 6", meshopt("byteStride", 6)), ("mode: is 'SPHERES'", meshopt("mode", "SPHERES")),
     ("its compressed data is damaged", meshopt("mode", "TRIANGLES")),
-    ("filter: is 'SEPIA'", meshopt("filter", "SEPIA")),
-    ("byteStride: is 4", meshopt("filter", "QUATERNION")),
-]
+    ("filter: is 'SEPIA'", meshopt("filter", "SEPIA")), ("byteStride: is 4", meshopt("filter", "QUATERNION")),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("message", "model"), DAMAGES)

@@ -220,16 +220,12 @@ def test_all_dialects_together(newline, tmp_path):
 @pytest.mark.parametrize(
     ("options", "name"),
     [
-        ("", "a.png"),
-        ("-s 2 3 1 -o 0.5 -.25 0", "a.png"),
-        ("-s 2", "a.png"),
-        ("-o .5 1e-3", "7.png"),
+        ("", "a.png"), ("-s 2 3 1 -o 0.5 -.25 0", "a.png"), ("-s 2", "a.png"), ("-o .5 1e-3", "7.png"),
         ("-t 1 1 1", "a b.png"),
         ("-clamp off -blendu on -cc off -boost 1.5 -texres 64 -imfchan l -mm 0 1 -bm -2", "a -s b.png"),
-        ("-type sphere", "a.png"),
-        ("-s none -o -1e", "a.png"),
+        ("-type sphere", "a.png"), ("-s none -o -1e", "a.png"),
     ],
-)
+)  # fmt: skip
 def test_options_before_the_name_of_a_map(options, name, tmp_path):
     document = model(tmp_path, f"newmtl one\nmap_Kd {options} {name}\n", **{name: PICTURE})
     (texture,) = document.textured("baseColor").textures

@@ -148,12 +148,10 @@ def of_colours(kind, value, encoding="ascii", row=slice(None)):
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        (of_colours("char", 10), "no more than 127"),
-        (of_colours("float", 1000.0), "neither 1 nor 255"),
+        (of_colours("char", 10), "no more than 127"), (of_colours("float", 1000.0), "neither 1 nor 255"),
         (of_colours("double", -1e130, "binary_little_endian"), "go from -1e+130 to -1e+130"),
         (of_colours("float", np.inf, "binary_big_endian", slice(2, 3)), "colour of vertex 2 is not finite"),
-        (b"solid cube", "not a PLY file"),
-        (b"ply\nformat ascii 1.0\n", "no line 'end_header'"),
+        (b"solid cube", "not a PLY file"), (b"ply\nformat ascii 1.0\n", "no line 'end_header'"),
         (change(b"format ascii 1.0\n", b""), "no line 'format'"),
         (change(b"ascii", b"binary_middle"), "line 2 of the header: 'format binary_middle 1.0'"),
         (change(b"vertex 4", b"vertex -4"), "line 3 of the header: '-4' is no count"),
@@ -178,7 +176,7 @@ def of_colours(kind, value, encoding="ascii", row=slice(None)):
         (change(b"uchar int vertex", b"float int vertex"), "count of a list cannot be a float"),
         (change(b"uchar int vertex", b"uchar float vertex"), "not whole numbers"),
     ],
-)
+)  # fmt: skip
 def test_the_message_names_the_cause_and_the_place(data, message):
     with pytest.raises(InputError) as caught:
         read(data)

@@ -24,23 +24,19 @@ SPHERE, TRIANGLES = surfaces.icosphere(1)
     ("change", "said"),
     [
         ({"faces": [[0, 1, 2, 3]] * 3}, r"shape \(F, 3\)"),
-        ({"faces": [[0, 1, 2**32 + 2]]}, "face 0 is .* 4 vertices"),
-        ({"faces": [[0, 1, -1]]}, "face 0 is"),
-        ({"faces": [[0, 1, 2**70]]}, "whole numbers"),
-        ({"faces": [[0, 1, 2.5]]}, "whole numbers"),
+        ({"faces": [[0, 1, 2**32 + 2]]}, "face 0 is .* 4 vertices"), ({"faces": [[0, 1, -1]]}, "face 0 is"),
+        ({"faces": [[0, 1, 2**70]]}, "whole numbers"), ({"faces": [[0, 1, 2.5]]}, "whole numbers"),
         ({"faces": [[0, 1, 2], [1, 3]]}, "same length"),
         ({"positions": [["a", "b", "c"]] * 4}, "positions must be numbers"),
         ({"positions": [0.0, 1, 2, 3]}, r"shape \(V, M\)"),
         ({"positions": np.zeros((4, 3), complex)}, "positions must be numbers"),
-        ({"positions": np.zeros((4, 0))}, r"shape \(V, M\)"),
-        ({"colours": COLOURS.tolist()}, "uint8"),
+        ({"positions": np.zeros((4, 0))}, r"shape \(V, M\)"), ({"colours": COLOURS.tolist()}, "uint8"),
         ({"colours": COLOURS.astype(np.uint64)}, "uint8"),
         ({"colours": COLOURS > 50}, "colours must be numbers"),
-        ({"colours": np.zeros((4, 0))}, r"shape \(V, C\)"),
-        ({"encoding": "foo"}, "encoding is foo"),
+        ({"colours": np.zeros((4, 0))}, r"shape \(V, C\)"), ({"encoding": "foo"}, "encoding is foo"),
         ({"iterations": 2.5}, "iterations is 2.5"),
     ],
-)
+)  # fmt: skip
 def test_arrays_and_parameters_that_do_not_fit_are_refused_by_one_line(change, said):
     arguments = {"positions": POSITIONS, "faces": FACES, "colours": COLOURS, **change}
     with pytest.raises(UsageError, match=said) as caught:

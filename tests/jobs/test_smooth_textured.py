@@ -92,18 +92,14 @@ def test_a_textured_mesh_of_trimesh_has_all_that_is_needed(mode, kind, name):
         ({"mesh": MESH._replace(uv=UV[FACES][:1])}, r"\(4, 3, 2\)"),
         ({"mesh": MESH._replace(uv=np.where(UV, np.nan, UV))}, "uv of face 0 is not finite"),
         ({"mesh": MESH._replace(positions=POSITIONS[:, :2])}, r"\(V, 3\)"),
-        ({"images": None}, "there are 0 images"),
-        ({"images": [np.zeros((4, 4, 5))]}, "C from 1 to 4"),
-        ({"images": [NOISY.astype(np.int64)]}, "uint8"),
-        ({"images": [NOISY + np.inf]}, "not finite"),
+        ({"images": None}, "there are 0 images"), ({"images": [np.zeros((4, 4, 5))]}, "C from 1 to 4"),
+        ({"images": [NOISY.astype(np.int64)]}, "uint8"), ({"images": [NOISY + np.inf]}, "not finite"),
         ({"images": [NOISY, NOISY]}, "texture_of must give"),
         ({"texture_of": [0, 0, 0]}, "texture_of must be numbers of shape"),
-        ({"origin": "top"}, "origin is top"),
-        ({"guides": ("normal",)}, "no guides"),
-        ({"noise": "sigma.png"}, "files of noise"),
-        ({"smooth_geometry": True}, "smooth_geometry"),
+        ({"origin": "top"}, "origin is top"), ({"guides": ("normal",)}, "no guides"),
+        ({"noise": "sigma.png"}, "files of noise"), ({"smooth_geometry": True}, "smooth_geometry"),
     ],
-)
+)  # fmt: skip
 def test_what_does_not_fit_is_refused_by_one_line(change, said):
     with pytest.raises(BeltramiError, match=said) as caught:
         smooth_textured(**{"mesh": MESH, "images": [NOISY], **change})

@@ -263,17 +263,13 @@ def test_only_those_with_the_token_and_from_its_own_origin_get_anything(page_ser
     assert answered(page_server, "GET", f"/{token}/{name}")[0].status == 200
     assert answered(page_server, "GET", f"/{token}/", Origin=None)[0].status == 200
     for method, path, headers in (
-        ("GET", "/", {}),
-        ("GET", f"/{name}", {}),
-        ("GET", f"/{token}", {}),
-        ("GET", f"/{token[:-1]}x/{name}", {}),
-        ("GET", f"/{token}/../../etc/passwd", {}),
+        ("GET", "/", {}), ("GET", f"/{name}", {}), ("GET", f"/{token}", {}),
+        ("GET", f"/{token[:-1]}x/{name}", {}), ("GET", f"/{token}/../../etc/passwd", {}),
         ("GET", f"/{token}/{name}", {"Host": "evil.example"}),
         ("GET", f"/{token}/{name}", {"Origin": "http://evil.example"}),
         ("GET", f"/{token}/{name}", {"Sec-Fetch-Site": "cross-site"}),
-        ("POST", f"/{token}/save", {"Origin": None}),
-        ("POST", f"/{token}/save", {"Origin": "null"}),
-    ):
+        ("POST", f"/{token}/save", {"Origin": None}), ("POST", f"/{token}/save", {"Origin": "null"}),
+    ):  # fmt: skip
         answer, content = answered(page_server, method, path, body if method == "POST" else None, **headers)
         assert (answer.status, content) == (404, b""), (method, path, headers)
     assert answered(page_server, "POST", f"/{token}/other", body)[0].status == 400

@@ -36,18 +36,13 @@ def parsed(words):
 @pytest.mark.parametrize(
     "words",
     [
-        "",
-        "-n 5 -t 2.4 --beta 7.5",
-        "--preset paper --beta 3",
-        "--preset paper -n 4",
-        "--strength gentle --patches off --window 9",
-        "--noise shot:0.01,read:0.005 --beta 3",
-        "--level -n 3",
+        "", "-n 5 -t 2.4 --beta 7.5", "--preset paper --beta 3", "--preset paper -n 4",
+        "--strength gentle --patches off --window 9", "--noise shot:0.01,read:0.005 --beta 3", "--level -n 3",
         "--slots baseColor,normal --gutter keep --space linear --fast",
         "--material 'a b' --material c --metric-channels none --channels r,g",
         "--guide normal --guide-beta 3.0 --smooth-geometry --texture-format png",
     ],
-)
+)  # fmt: skip
 def test_the_command_gives_the_settings_that_it_was_made_of(words):
     settings, preset = parsed(shlex.split(words)), "paper" if "paper" in words else None
     assert parsed(options.words_of(settings, preset)) == settings
