@@ -383,10 +383,9 @@ class _MeshParts(_Parts):
         base = entry.entry("pbrMetallicRoughness")
         factor = base.numbers("baseColorFactor", 4) or [1.0] * 4
         alpha, cutoff = _ALPHA.get(entry.text("alphaMode") or "", "opaque"), records.Material.cutoff
-        if alpha == "mask" and (given := entry.number("alphaCutoff", default=cutoff)) > 0:
-            cutoff = given
-        elif alpha == "mask":  # all is seen
-            alpha = "opaque"
+        if alpha == "mask":
+            given = entry.number("alphaCutoff", default=cutoff)
+            alpha, cutoff = ("mask", given) if given > 0 else ("opaque", cutoff)  # at 0 all is seen
         return records.Material(
             name=entry.text("name") or "",
             colour=display_colour(factor[:3]),

@@ -305,17 +305,11 @@ class UsdDocument(Document):
         return dataclasses.replace(self._scene.mesh(self._left_out(), groups, normals), frame=self.frame)
 
     def _left_out(self) -> list[str]:
-        words, counts = self._words, self._words["counts"]
+        words = self._words
         others = [f"{kind} prims" for kind in words["others"]]
         others += ["variants"] if words["variants"] else []
         others += self.hidden_places()
-        lost = {"unfit": "{} maps laid out otherwise than in glTF", "scaled": "the scale or bias of {} maps"}
-        others += [
-            text.format(slot)
-            for key, text in lost.items()
-            for slot in (*SLOTS, "opacity")
-            if counts.get(f"{key} {slot}")
-        ]
+        others += dict.fromkeys(lost for known in words["materials"] for lost in known["lost"])
         return [*others, *(["node hierarchy"] if len(words["meshes"]) > 1 else [])]
 
     def fingerprint(self) -> Fingerprint:

@@ -169,7 +169,7 @@ class Scene:
         if path not in self._number_of:
             self._number_of[path] = len(self.materials)
             known, uses = read_material(material)
-            self.counts.update(known.pop("lost"))
+            self.counts["unread"] += int(known.pop("unread", False))
             self.uses.append(uses)
             self.materials.append(known)
         return self._number_of[path]
@@ -297,6 +297,7 @@ _COLOURS = ("diffuseColor", "emissiveColor")
 _AS_STORED: dict[str, Any] = {"coordinates": "st", "matrix": [[1, 0], [0, 1]], "offset": [0, 0]}
 # By slot, the least and most that glTF multiplies an image by, and what it adds; of others 0, 1 and 0.
 _SCALES = {"normal": (2, 2, -1), "occlusion": (1, 1, 0)}
+_UNFIT = " laid out otherwise than in glTF"
 _DEEPEST = 8  # transforms of texture coordinates, one after the other
 
 
@@ -312,7 +313,7 @@ def read_material(material: Any) -> tuple[dict[str, Any], dict[str, dict[str, An
     surface = material.ComputeSurfaceSource()[0]
     if not surface or surface.GetIdAttr().Get() != "UsdPreviewSurface":
         uses = _of_materialx(material)
-        known["lost"] = [] if uses or not material.GetPrim().GetChildren() else ["unread"]
+        known["unread"] = not uses and bool(material.GetPrim().GetChildren())
         known["values"] = _factors(uses)
         return known, uses
     for name in (*_NUMBERS, *_COLOURS):
@@ -326,13 +327,14 @@ def read_material(material: Any) -> tuple[dict[str, Any], dict[str, dict[str, An
         if is_one and outputs == _CHANNELS.get(slot, outputs):
             uses[slot] = found[0]
         elif found:
-            known["lost"].append(f"unfit {slot}")
+            known["lost"].append(f"{slot} maps{_UNFIT}")
     for use in _textures(surface, "opacity"):
         if use["output"] == "a" and use["shader"] == uses.get("baseColor", {}).get("shader"):
             known["alpha"], known["values"]["opacity"] = True, use["scale"][3]
         else:
-            known["lost"].append("unfit opacity")
-    known["lost"] += [f"scaled {slot}" for slot, use in uses.items() if not _has_usual_scale(slot, use)]
+            known["lost"].append(f"opacity maps{_UNFIT}")
+    unusual = [slot for slot, use in uses.items() if not _has_usual_scale(slot, use)]
+    known["lost"] += [f"the scale or bias of {slot} maps" for slot in unusual]
     known["values"] |= _factors(uses)
     return known, uses
 
