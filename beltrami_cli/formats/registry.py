@@ -292,16 +292,17 @@ def choose_format(document: Document, target: str, chosen: str | None) -> Output
     if document.kind == "image":
         return _image_format(document, target, chosen)
     wanted = chosen or Path(target).suffix.lower().lstrip(".")
+    usual = OUTPUT_FORMATS.get(document.format, document.format if document.forms else "ply")
     if wanted in OUTPUT_FORMATS:
         name = OUTPUT_FORMATS[wanted]
     elif wanted in document.forms:
         name = wanted
     elif target == "-" or not wanted:
-        name = OUTPUT_FORMATS.get(document.format, document.format if document.forms else "ply")
+        name = usual
     elif format_of_suffix(f".{wanted}") is not None:
         cause = f".{wanted} is an image format, but {document.name} is a model"
         drawn = f"beltrami render {document.name} {target} draws it"
-        raise UsageError(f"{target}: {cause}; {drawn}, or end the name in .{document.format}")
+        raise UsageError(f"{target}: {cause}; {drawn}, or end the name in .{usual}")
     else:
         known = ", ".join("." + f for f in OUTPUT_FORMATS)
         cause = f"no format is known for .{wanted}"

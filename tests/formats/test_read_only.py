@@ -12,7 +12,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from beltrami_cli.errors import InputError, UnpaintedError
+from beltrami_cli.errors import InputError, UnpaintedError, UsageError
 from beltrami_cli.formats.colours import ColouredPolygons, colours_of_vertices
 from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.registry import open_bytes
@@ -122,6 +122,9 @@ def test_they_are_smoothed_and_written_as_another_format_with_a_line_that_says_s
     assert smoothed.std() < (levels / 255).std()
     with pytest.raises(InputError, match="name an output in"):
         opened((tmp_path / "in.off").read_bytes(), "x.off").patch(None, Naming("out", keeps=True))
+    for name, words in {"x.vrm": "a .off file is not converted", "x.png": "end the name in .ply"}.items():
+        with pytest.raises(UsageError, match=words):
+            smooth_file(tmp_path / "in.off", tmp_path / name)
 
 
 @settings(max_examples=60, deadline=None)

@@ -61,7 +61,7 @@ def test_formats_of_output_are_those_with_a_writer():
         (b'{"asset":{"version":"2.0"}}', "x.ply", "gltf"),
         (coloured("dense", np.random.default_rng(1)).model.glb(), "x.gltf", "glb"),
         (b"v 0 0 0 1 1 1\n", "X.OBJ", "obj"),
-        (b"OFF\n0 0 0\n", "x.xyz", "foreign"),
+        (b"OFF\n0 0 0\n", "x.xyz", "off"),
         (b"OFF\n", "x.obj", "obj"),
         (b"0 0 0 1 1 1\n", "x.xyzrgb", "xyz"),
         (b"0 0 0 1 1 1\n", "x.pts", "pts"),

@@ -23,7 +23,7 @@ import re
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 from xml.parsers import expat
 
 import numpy as np
@@ -67,18 +67,18 @@ def kind_of(data: bytes, name: str) -> str | None:
 class ReadOnlyDocument(Document):
     """A file of a format that is not written."""
 
-    format: ClassVar[str] = "foreign"
+    format: str  # type: ignore[misc]  # one class reads all formats, so only an instance knows its own
 
     def _open(self, folder: Path | None) -> None:
         kind = kind_of(self.data, self.name)
         assert kind is not None
-        self._kind = kind
+        self.format = kind
 
     @cached_property
     def _mesh(self) -> MeshContents:
         found = self._read()
         check_polygons(found, self.name)
-        self.notices.append(_READ_ONLY.format(self._kind.upper()))
+        self.notices.append(_READ_ONLY.format(self.format.upper()))
         if len(found.positions) == len(found.corners):  # every polygon has vertices of its own
             found = joined(found)
         colours, notices = colours_of_vertices(found)
@@ -99,17 +99,17 @@ class ReadOnlyDocument(Document):
         )
 
     def _read(self) -> ColouredPolygons:
-        if self._kind == "3mf":
+        if self.format == "3mf":
             from beltrami_cli.formats.read_only.threemf import read_3mf
 
             return read_3mf(self.data, self.name, self.access)
-        if self._kind in ("dae", "zae"):
+        if self.format in ("dae", "zae"):
             return _read_dae(self.data, self.name, self.access)
-        return (_read_off if self._kind == "off" else _read_stl)(self.data, self.name)
+        return (_read_off if self.format == "off" else _read_stl)(self.data, self.name)
 
     def _patched(self, new: Changes, naming: Naming) -> Written:
         remedy = "name an output in .ply, .obj, .glb or .gltf"
-        raise InputError(self.name, f"a {self._kind.upper()} file is not written", remedy)
+        raise InputError(self.name, f"a {self.format.upper()} file is not written", remedy)
 
     def require_movable(self) -> None:
         """Check nothing: the output is a new file."""
@@ -117,7 +117,6 @@ class ReadOnlyDocument(Document):
     def facts(self) -> dict[str, object]:
         contents = self._mesh
         return {
-            "format": self._kind,
             "vertices": len(contents.positions),
             "polygons": len(contents.offsets) - 1,
             "opacity": contents.alpha is not None,
