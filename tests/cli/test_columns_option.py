@@ -23,16 +23,13 @@ def scan(tmp_path):
 
 
 COMMANDS = {
-    "smooth": ["smooth", "scan.txt", "out.txt", "--fast"],
-    "info": ["info", "scan.txt"],
-    "noise": ["noise", "scan.txt", "out.txt", "--sigma", "5%"],
-    "check": ["check", "scan.txt", "scan.txt"],
-    "compare": ["compare", "scan.txt", "scan.txt"],
-    "kernel": ["kernel", "scan.txt", "out.csv", "--at", "5"],
+    "smooth": ["smooth", "scan.txt", "out.txt", "--fast"], "info": ["info", "scan.txt"],
+    "noise": ["noise", "scan.txt", "out.txt", "--sigma", "5%"], "check": ["check", "scan.txt", "scan.txt"],
+    "compare": ["compare", "scan.txt", "scan.txt"], "kernel": ["kernel", "scan.txt", "out.csv", "--at", "5"],
     "render": ["render", "scan.txt", "out.png", "--size", "64x64"],
     "report": ["report", "scan.txt", "scan.txt", "out.html"],
     "batch": ["batch", "scan.txt", "--out-dir", "out", "--fast", "-j", "1"],
-}
+}  # fmt: skip
 
 
 @pytest.mark.slow

@@ -244,6 +244,12 @@ def test_all_in_and_behind_an_image_that_is_no_pixel_is_kept(name):
     assert not file.notices
 
 
+def test_numbers_of_pfm_files_that_do_not_change_keep_their_bits():
+    source = _FLOATS.replace(b"-0.25", b"-0.3") + noise("float", 3).tobytes()
+    picture = read_image(source, "x.pfm")
+    assert write_image(picture, picture.pixels).data == source
+
+
 def test_boxes_within_the_header_of_jpeg_2000_are_named():
     data = saved(Image.fromarray(noise("uint8", 3, 40, 40)), ".jp2")
     at, end = data.index(b"jp2h"), data.index(b"jp2c") - 4

@@ -162,11 +162,23 @@ def with_header(source: bytes, encoded: bytes, known: str) -> bytes:
     if old_header and header and source[1:2] == encoded[1:2] not in _NETPBM_TEXT:
         further = source[old_header.end() + len(encoded) - header.end() :]
         if source[1:2] in _NETPBM_FLOATS:
-            # OpenImageIO applies the scale and writes 1. Many programs read the numbers without it, as disparities.
-            orders = ["<f4" if each[1].startswith(b"-") else ">f4" for each in (old_header, header)]
-            numbers = np.frombuffer(encoded, orders[1], offset=header.end()) / abs(float(old_header[1]))
-            return b"".join([old_header[0], numbers.astype(orders[0]).tobytes(), further])
+            return b"".join([old_header[0], _unscaled(source, encoded, old_header, header), further])
     return b"".join([encoded[:_AFTER_MARK], *comments, encoded[_AFTER_MARK:], further])
+
+
+def _unscaled(source: bytes, encoded: bytes, old: re.Match[bytes], new: re.Match[bytes]) -> bytes:
+    """Return the numbers of a PFM file before the scale in its header, which OpenImageIO applies and replaces by 1.
+
+    Many programs read the numbers without it, as disparities.
+    """
+    orders = ["<f4" if header[1].startswith(b"-") else ">f4" for header in (old, new)]
+    values = np.frombuffer(encoded, orders[1], offset=new.end())
+    before = np.frombuffer(source, orders[0], len(values), old.end())
+    scale = np.float32(abs(float(old[1])))
+    unscaled = np.where(
+        before * scale == values, before, values / scale
+    )  # all bits stay where nothing changed
+    return unscaled.astype(orders[0]).tobytes()
 
 
 def has_usual_scale(data: bytes) -> bool:
