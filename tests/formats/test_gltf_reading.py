@@ -170,12 +170,12 @@ def test_what_is_dropped_is_listed():
     model = showcase()
     model.mesh({"attributes": {"POSITION": 0}})
     model.mesh({"attributes": {"POSITION": 0, "COLOR_0": 0, "NORMAL": 0}})
-    model.tree["nodes"].append({"mesh": 0})
+    model.tree["nodes"].append({"mesh": 0, "extensions": {"EXT_mesh_gpu_instancing": {}}})
     model.tree["extensions"] = {"VRMC_vrm": {}}
     assert {*model.document().contents().left_out} == {
         "materials", "textures", "skins", "animations", "cameras", "morph targets", "texture coordinates",
         "further vertex attributes", "node hierarchy", "uncoloured meshes",
-        "further places of a mesh", "normals, which some parts lack", "VRMC_vrm",
+        "further places of a mesh", "normals, which some parts lack", "VRMC_vrm", "EXT_mesh_gpu_instancing",
     }  # fmt: skip
 
 

@@ -154,11 +154,7 @@ class GltfDocument(Document):
             stored=shown.stored,
             alpha=self.surface.opacity(),
             normals=self.surface.normals(),
-            left_out=(
-                *_left_out(self.container.tree),
-                *self.root.entry("extensions").value,
-                *self.hidden_places(),
-            ),
+            left_out=(*_left_out(self.container.tree), *self._extensions(), *self.hidden_places()),
         )
 
     def textured_mesh(self, colours: Float32s | None = None) -> MeshContents:
@@ -174,10 +170,15 @@ class GltfDocument(Document):
         known = self.root, self.accessors, self.images
         mesh = read_textured_mesh(*known, by_primitive, stored)
         others = [what for what in _left_out(self.container.tree) if what in _NOT_TEXTURED]
-        others += self.root.entry("extensions").value
+        others += self._extensions()
         if any(node.get("children") for node in objects(self.container.tree.get("nodes"))):
             others.append("node hierarchy")
         return dataclasses.replace(mesh, left_out=(*mesh.left_out, *others))
+
+    def _extensions(self) -> list[str]:
+        """Return the extensions of the file and of its nodes, such as avatars and instances."""
+        parts = [self.root, *self.root.entries("nodes")]
+        return sorted({name for part in parts for name in part.entry("extensions").value})
 
     def fingerprint(self) -> Fingerprint:
         parts, images = fingerprint(self.container, self.accessors, self.images)
