@@ -176,6 +176,7 @@ def test_what_is_dropped_is_listed():
         "materials", "textures", "skins", "animations", "cameras", "morph targets", "texture coordinates",
         "further vertex attributes", "node hierarchy", "uncoloured meshes",
         "further places of a mesh", "normals, which some parts lack", "VRMC_vrm", "EXT_mesh_gpu_instancing",
+        "KHR_lights_punctual", "ACME_notes",
     }  # fmt: skip
 
 

@@ -36,19 +36,16 @@ def unnpz(data):
 @pytest.mark.parametrize(
     ("key", "values", "channels", "first"),
     [
-        ("colours", COLOURS, 3, [0, 0.2, 1]),
-        ("colors", COLOURS.astype(np.uint16) * 257, 3, [0, 0.2, 1]),
+        ("colours", COLOURS, 3, [0, 0.2, 1]), ("colors", COLOURS.astype(np.uint16) * 257, 3, [0, 0.2, 1]),
         ("colors", COLOURS.astype(np.uint16) * 4, 3, [0, 204 / 1023, 1020 / 1023]),
-        ("rgb", COLOURS.astype(np.int64), 3, [0, 0.2, 1]),
-        ("rgb", COLOURS / 255, 3, [0, 0.2, 1]),
+        ("rgb", COLOURS.astype(np.int64), 3, [0, 0.2, 1]), ("rgb", COLOURS / 255, 3, [0, 0.2, 1]),
         ("rgba", np.column_stack([COLOURS, COLOURS[:, 0]]), 3, [0, 0.2, 1]),
         ("point_colors", COLOURS[:, 1:2], 1, [0.2]),
         ("point_colours", COLOURS[:, :2].astype(np.float32)[:, ::-1] / 255, 1, [0.2]),
-        ("colours", COLOURS[:, 1], 1, [0.2]),
-        ("intensity", COLOURS[:, 1].astype(np.float16), 1, [0.2]),
+        ("colours", COLOURS[:, 1], 1, [0.2]), ("intensity", COLOURS[:, 1].astype(np.float16), 1, [0.2]),
         ("intensities", np.array([-500.0, 100, 200, 1000]), 1, [-0.5]),
     ],
-)
+)  # fmt: skip
 def test_arrays_are_known_by_their_names(key, values, channels, first):
     place = {3: "points", 1: "xyz"}[channels] if values.dtype.kind == "f" else "positions"
     painted = opened(npz(**{place: POSITIONS, key: values})).painted()

@@ -51,10 +51,8 @@ def test_off_with_colours_of_faces_gives_vertices_their_mean(alpha):
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        (b"OFFSET 3 1 0", "no known format"),
-        (b"OFF BINARY\n", "only text of three dimensions"),
-        (b"4OFF\n1 0 0\n1 2 3 4\n", "only text of three dimensions"),
-        (b"OFF\n", "does not count"),
+        (b"OFFSET 3 1 0", "no known format"), (b"OFF BINARY\n", "only text of three dimensions"),
+        (b"4OFF\n1 0 0\n1 2 3 4\n", "only text of three dimensions"), (b"OFF\n", "does not count"),
         (b"OFF\nx y z\n", "does not count"),
         (b"OFF\n3 1 0\n0 0 0\n", "it announces 3 vertices and 1 faces, but has 1 lines"),
         (b"OFF\n99999999999999999999 1 0\n0 0 0\n", "it announces"),
@@ -69,7 +67,7 @@ def test_off_with_colours_of_faces_gives_vertices_their_mean(alpha):
         (b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n", "none of its polygons or vertices has a colour"),
         (b"OFF\n0 0 0\n", "there are no polygons"),
     ],
-)
+)  # fmt: skip
 def test_damaged_off_files_are_refused(data, message):
     with pytest.raises(InputError, match=re.escape(message)):
         opened(data, "x.off").painted()

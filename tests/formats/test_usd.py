@@ -384,6 +384,13 @@ def test_positions_are_not_smoothed_in_vain(form, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["a.usda"]
 
 
+@pytest.mark.parametrize("unit", ["0", "-1", "nan", "inf"])
+def test_units_that_are_no_lengths_count_as_metres(unit, tmp_path):
+    header = HEADER.replace("metersPerUnit = 1", f"metersPerUnit = {unit}").replace('"Y"', '"X"')
+    write(tmp_path, {"a.usda": scene(mesh_text(coloured(COLOURS)), header=header)})
+    assert open_document(str(tmp_path / "a.usda")).frame == Frame()
+
+
 @pytest.mark.parametrize(
     ("lines", "unwrap"),
     [

@@ -18,20 +18,18 @@ IMAGE = np.clip(0.4 + 0.3 * (np.arange(20) > 9)[:, None] + RANDOM.normal(0, 0.05
     ("change", "said"),
     [
         ({"colours": np.zeros((2, 3, 4, 5))}, r"\(H, W\) or"),
-        ({"colours": np.zeros((0, 3))}, r"\(H, W\) or"),
-        ({"colours": [[0, 255], [255, 0]]}, "uint8"),
+        ({"colours": np.zeros((0, 3))}, r"\(H, W\) or"), ({"colours": [[0, 255], [255, 0]]}, "uint8"),
         ({"surface": ImageSurface(positions=np.zeros((20, 14, 3)))}, r"positions .* of shape \(14, 20, M\)"),
         ({"surface": ImageSurface(heights=np.zeros((14, 20, 1)))}, r"heights .* of shape \(14, 20\)"),
         ({"surface": ImageSurface(heights=[["a"] * 20] * 14)}, "heights must be numbers"),
         ({"surface": ImageSurface(valid=np.ones((14, 19), bool))}, "valid must be numbers"),
         ({"surface": ImageSurface(valid=np.ones((14, 20)))}, "valid must be numbers"),
         ({"surface": ImageSurface(np.zeros((14, 20)), np.zeros((14, 20, 3)))}, "two surfaces"),
-        ({"window": 6}, "window is 6"),
-        ({"iterationss": 3}, "did you mean iterations"),
+        ({"window": 6}, "window is 6"), ({"iterationss": 3}, "did you mean iterations"),
         ({"encoding": "gamma"}, "encoding is gamma"),
         ({"space": "oklab", "colours": IMAGE[..., :2]}, "three channels"),
     ],
-)
+)  # fmt: skip
 def test_arrays_and_parameters_that_do_not_fit_are_refused_by_one_line(change, said):
     with pytest.raises(UsageError, match=said) as caught:
         smooth_image(**{"colours": IMAGE, **change})

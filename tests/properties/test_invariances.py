@@ -88,20 +88,18 @@ def texture(**parameters):
 
 
 SCENES = {
-    "mesh": mesh,
-    "mesh with segments": functools.partial(mesh, **FIXED, solver="segments"),
+    "mesh": mesh, "mesh with segments": functools.partial(mesh, **FIXED, solver="segments"),
     "mesh with fast marching": functools.partial(mesh, **FIXED, solver="fast-marching"),
     "mesh with patches": functools.partial(mesh, **FIXED, patches="on"),
     "mesh with grain": functools.partial(mesh, with_grain=True),
-    "cloud": functools.partial(mesh, faces=False),
-    "image": image,
+    "cloud": functools.partial(mesh, faces=False), "image": image,
     "image with sweeps": functools.partial(image, **FIXED),
     "image with marches": functools.partial(image, **{**FIXED, "window": 17, "t": 5.0}),
     "image with patches": functools.partial(image, **FIXED, patches="on"),
     "image of the paper": functools.partial(image, **{**PRESETS["paper"], "beta": 8.0}),
     "texture": functools.partial(texture, **FIXED),
     "texture with patches": functools.partial(texture, **FIXED, patches="on"),
-}
+}  # fmt: skip
 
 
 MOVING = {"geometry": functools.partial(mesh, **FIXED, smooth_geometry=True)}

@@ -180,7 +180,8 @@ class UsdDocument(Document):
 
     @property
     def frame(self) -> Frame:
-        return Frame(self._words["up"], self._words["unit"])
+        up, unit = self._words["up"], self._words["unit"]
+        return Frame("Z" if up == "Z" else "Y", unit if 0 < unit < np.inf else 1.0)
 
     def slots(self) -> tuple[Slot, ...]:
         return tuple(slot for slot in SLOTS if slot in self._words["slots"])
