@@ -153,14 +153,10 @@ def reset_at_once(connection):
 
 # What may listen at an address that is no scheduler.
 LISTENERS = {
-    "silent": b"",
-    "drops connections": socket.socket.close,
-    "resets connections": reset_at_once,
-    "a web server": b"HTTP/1.1 400 Bad Request\r\nContent-Length: 0\r\n\r\n",
-    "zeros": bytes(4096),
-    "ones": b"\xff" * 4096,
-    "half a message": struct.pack("<QQQ", 100, 1, 50),
-}
+    "silent": b"", "drops connections": socket.socket.close, "resets connections": reset_at_once,
+    "a web server": b"HTTP/1.1 400 Bad Request\r\nContent-Length: 0\r\n\r\n", "zeros": bytes(4096),
+    "ones": b"\xff" * 4096, "half a message": struct.pack("<QQQ", 100, 1, 50),
+}  # fmt: skip
 
 
 @pytest.mark.slow

@@ -13,18 +13,16 @@ from formats.volume_files import sphere_file
 NOISY, TEXTURED = SAMPLES / "nonmanifold-noisy.ply", SAMPLES / "tiled-clean.glb"
 # What each command needs to write a file, without its name.
 WRITERS = {
-    "smooth": ("smooth", NOISY, "out.ply", "--fast"),
-    "noise": ("noise", NOISY, "out.ply", "--sigma", 5),
+    "smooth": ("smooth", NOISY, "out.ply", "--fast"), "noise": ("noise", NOISY, "out.ply", "--sigma", 5),
     "level": ("level", TEXTURED, "out.glb"),
     "bake": ("bake", NOISY, "out.ply", "--to", "texture", "--size", 64),
     "kernel": ("kernel", NOISY, "out.csv", "--at", 100, "--fast"),
-    "render": ("render", NOISY, "out.png", "--size", 30),
-    "report": ("report", NOISY, NOISY, "out.html"),
+    "render": ("render", NOISY, "out.png", "--size", 30), "report": ("report", NOISY, NOISY, "out.html"),
     "sweep": ("sweep", NOISY, "out.csv", "--format", "csv", "-n", 1, "--fast"),
     "map": ("compare", NOISY, NOISY, "--map", "out.ply"),
     "junit": ("compare", NOISY, NOISY, "--min-psnr", 20, "--junit", "out.xml"),
     "blender-extension": ("blender-extension", "out.zip"),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", WRITERS)
