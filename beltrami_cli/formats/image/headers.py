@@ -175,10 +175,8 @@ def _unscaled(source: bytes, encoded: bytes, old: re.Match[bytes], new: re.Match
     values = np.frombuffer(encoded, orders[1], offset=new.end())
     before = np.frombuffer(source, orders[0], len(values), old.end())
     scale = np.float32(abs(float(old[1])))
-    unscaled = np.where(
-        before * scale == values, before, values / scale
-    )  # all bits stay where nothing changed
-    return unscaled.astype(orders[0]).tobytes()
+    is_old = before * scale == values  # and keeps all bits
+    return np.where(is_old, before, values / scale).astype(orders[0]).tobytes()
 
 
 def has_usual_scale(data: bytes) -> bool:

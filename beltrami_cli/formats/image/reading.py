@@ -179,9 +179,7 @@ def _decoded(data: bytes, name: str, finite: bool) -> Picture:
         cause = "its header, or the order of its red, green, blue and alpha, is a rare one that is not read"
         raise InputError(name, cause, "export it as PNG")
     if known == "pnm" and not has_usual_scale(data):
-        raise InputError(
-            name, "the scale in its header is 0, or no number", "correct it, or export it as EXR"
-        )
+        raise InputError(name, "the scale in its header is 0, or no number", "correct it, or use EXR")
     OpenImageIO.attribute("limits:imagesize_MB", _MOST_MEGABYTES)
     config = OpenImageIO.ImageSpec()
     config.attribute("oiio:UnassociatedAlpha", 1)
