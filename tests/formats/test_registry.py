@@ -60,14 +60,11 @@ def test_formats_of_output_are_those_with_a_writer():
         (b"ply\nformat ascii 1.0\nend_header\n", "x.obj", "ply"),
         (b'{"asset":{"version":"2.0"}}', "x.ply", "gltf"),
         (coloured("dense", np.random.default_rng(1)).model.glb(), "x.gltf", "glb"),
-        (b"v 0 0 0 1 1 1\n", "X.OBJ", "obj"),
-        (b"OFF\n0 0 0\n", "x.xyz", "off"),
-        (b"OFF\n", "x.obj", "obj"),
-        (b"0 0 0 1 1 1\n", "x.xyzrgb", "xyz"),
-        (b"0 0 0 1 1 1\n", "x.pts", "pts"),
+        (b"v 0 0 0 1 1 1\n", "X.OBJ", "obj"), (b"OFF\n0 0 0\n", "x.xyz", "off"), (b"OFF\n", "x.obj", "obj"),
+        (b"0 0 0 1 1 1\n", "x.xyzrgb", "xyz"), (b"0 0 0 1 1 1\n", "x.pts", "pts"),
         (npz(positions=np.zeros((1, 3)), rgb=np.zeros((1, 3))), "-", "npz"),
     ],
-)
+)  # fmt: skip
 def test_content_counts_before_the_name(data, name, format_name):
     assert open_bytes(data, name, None).format == format_name
     assert recognised(data, name).kind == "model"

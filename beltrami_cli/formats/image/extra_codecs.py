@@ -93,14 +93,16 @@ def encoded(known: str, pixels: Uint8s, quality: int, source: bytes, *, as_data:
     return _encoded_avif(pixels, quality, source)
 
 
-def encoding_cost(known: str, pixels: Uint8s, again: Uint8s, name: str) -> str:
-    """Say what the encoding of pixels, shape (H, W, C), has cost: the PSNR of their colours, full scale 255."""
+def encoding_cost(known: str, pixels: Uint8s, again: Uint8s, name: str) -> list[str]:
+    """Say what the encoding of pixels, shape (H, W, C), has cost, if anything: their PSNR, full scale 255."""
     # Also of those under an alpha of 0, which opaque materials show.
     differences = again[..., :3].astype(np.float32) - pixels[..., :3]
     error = float(np.square(differences).mean())
-    psnr = 10 * math.log10(255**2 / error) if error else math.inf
+    if not error:
+        return []
+    psnr = 10 * math.log10(255**2 / error)
     inexact = f"{name}: {known.upper()} is not exact, so untouched colours change slightly as well"
-    return f"{inexact}: the written image has a PSNR of {psnr:.1f} dB."
+    return [f"{inexact}: the written image has a PSNR of {psnr:.1f} dB."]
 
 
 def _require_memory(size: int) -> None:

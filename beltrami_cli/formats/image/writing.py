@@ -89,7 +89,7 @@ def write_image(
         notices = [*lost_metadata(picture, data, known)]
         if known == "webp":
             again = read_image(data, picture.name).pixels
-            notices.append(extra_codecs.encoding_cost(known, values, again, picture.name))
+            notices += extra_codecs.encoding_cost(known, values, again, picture.name)
         return ImageFile(data, FORMATS[known].suffixes[0], tuple(notices))
     notices = []
     if picture.is_alpha_empty:
@@ -115,7 +115,7 @@ def write_image(
             notice = f"{picture.name} stays as it is: {what}; a format without loss would hold the result."
             return ImageFile(picture.source, picture.suffix, (notice,))
         if known == "webp":
-            notices = [extra_codecs.encoding_cost(known, pixels, again, picture.name)]
+            notices = extra_codecs.encoding_cost(known, pixels, again, picture.name)
     return _with_metadata(picture, data, notices)
 
 
@@ -173,7 +173,7 @@ def _write_extra(picture: Picture, pixels: Array, known: str, quality: int, *, a
         raise _unwritten(picture.name, known, str(error)) from None
     again = extra_codecs.decoded(data, known, picture.name)[0]
     cost = extra_codecs.encoding_cost(known, values, again, picture.name)
-    return ImageFile(data, FORMATS[known].suffixes[0], (cost, *lost_metadata(picture, data, known)))
+    return ImageFile(data, FORMATS[known].suffixes[0], (*cost, *lost_metadata(picture, data, known)))
 
 
 def _bare_spec(picture: Picture) -> Any:
