@@ -318,9 +318,8 @@ def glowing(shader, extra=""):
 
 def test_a_map_that_lies_otherwise_than_the_base_colour_is_not_converted(tmp_path):
     moved = "float2 inputs:st.connect = </scan/skin/move.outputs:result>"
-    lamp = shader(
-        "lamp", "UsdUVTexture", "asset inputs:file = @b.png@", moved, "float3 outputs:rgb", "float outputs:a"
-    )
+    outputs = "float3 outputs:rgb", "float outputs:a"
+    lamp = shader("lamp", "UsdUVTexture", "asset inputs:file = @b.png@", moved, *outputs)
     text = scene(mesh_text(BOUND), mesh_text(name="bare"), glowing("lamp", MOVED + lamp)).replace(
         "float inputs:roughness = 1",
         "float inputs:roughness.connect = </scan/skin/lamp.outputs:rgb>\n"
@@ -331,10 +330,12 @@ def test_a_map_that_lies_otherwise_than_the_base_colour_is_not_converted(tmp_pat
     assert [sorted(material.maps) for material in mesh.materials] == [["baseColor"], []]
     assert np.isfinite(mesh.uv).all()  # also without an image
     assert "emissive maps that are placed otherwise than the base colour" in mesh.left_out
-    assert {f"{slot} maps laid out otherwise than in glTF" for slot in ("metallicRoughness", "opacity")} <= {
-        *mesh.left_out
-    }
+    for slot in ("metallicRoughness", "opacity"):
+        assert f"{slot} maps laid out otherwise than in glTF" in mesh.left_out
     assert {material.alpha for material in mesh.materials} == {"opaque"}
+    # A shader of its own reads the opacity from the image of the colours.
+    write(tmp_path, {"c.usda": text.replace("@b.png@", "@a.png@").replace("move.outputs", "st.outputs")})
+    assert open_document(str(tmp_path / "c.usda")).textured_mesh().materials[0].alpha == "blend"
 
 
 @pytest.mark.parametrize(

@@ -329,7 +329,8 @@ def read_material(material: Any) -> tuple[dict[str, Any], dict[str, dict[str, An
         elif found:
             known["lost"].append(f"{slot} maps{_UNFIT}")
     for use in _textures(surface, "opacity"):
-        if use["output"] == "a" and use["shader"] == uses.get("baseColor", {}).get("shader"):
+        base = uses.get("baseColor", {})
+        if use["output"] == "a" and all(use[key] == base.get(key) for key in ("file", *_AS_STORED)):
             known["alpha"], known["values"]["opacity"] = True, use["scale"][3]
         else:
             known["lost"].append(f"opacity maps{_UNFIT}")
