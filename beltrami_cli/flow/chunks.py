@@ -160,7 +160,8 @@ def chunking() -> Chunking | None:
     return _WANTED.get()
 
 
-# Bytes of memory that a mesh in one piece takes for each sample (a million points and their triangles).
+# Bytes of memory that a mesh in one piece takes for each sample: a million points at the peak of `smooth`, see
+# docs/performance.md.
 _BYTES_OF_SAMPLE = 1000
 # Of memory that is too small for that, what a chunk may take. A choice: what one step does with the whole takes more.
 _SHARE_OF_CHUNK = 1 / 8

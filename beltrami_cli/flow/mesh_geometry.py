@@ -79,10 +79,8 @@ class MeshGeometry(Geometry, Domain):
         faces = kept(rank[surface.all_faces])
         length = mean_side(surface.positions, surface.faces) if parameters.units == "world" else 1.0
         edges, lengths = edges_in_space(distinct_edges(faces), positions)
-        spacing, mean = (
-            local_spacing(len(order), edges, lengths),
-            float(lengths.mean()) if len(lengths) else 0.0,
-        )
+        spacing = local_spacing(len(order), edges, lengths)
+        mean = float(lengths.mean()) if len(lengths) else 0.0
         for block in large_arrays.blocks(len(edges)):
             low, high = edges[block].T
             lengths[block] /= np.sqrt(spacing[low] * spacing[high])

@@ -70,10 +70,8 @@ class Graph:
     @cached_property
     def chunks(self) -> list[Chunk]:
         """The chunks in which patches are estimated."""
-        wanted, neighbours = (
-            chunking_of_mesh(self.size, self.threads),
-            Neighbours(self.size, self.edges, _ones),
-        )
+        wanted = chunking_of_mesh(self.size, self.threads)
+        neighbours = Neighbours(self.size, self.edges, _ones)
         assert wanted is not None
         chunks = []
         for first, last in runs(self.size, wanted.count):

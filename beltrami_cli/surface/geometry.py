@@ -226,9 +226,8 @@ def distinct_edges(faces: Int32s) -> Int32s:
         own <<= 32
         own |= np.maximum(*ends)
     pairs.sort()
-    is_edge = (pairs >> 32).astype(np.int32) != pairs.astype(
-        np.int32
-    )  # not of a triangle that repeats a vertex
+    # A triangle that repeats a vertex has a side without length.
+    is_edge = (pairs >> 32).astype(np.int32) != pairs.astype(np.int32)
     is_edge[1:] &= pairs[1:] != pairs[:-1]
     pairs = pairs[is_edge]
     edges = large_arrays.empty((len(pairs), 2), np.int32)
