@@ -86,6 +86,7 @@ def neighbour_means(
     edges: NDArray[np.int32],
     weights: NDArray[np.float32],
     totals: NDArray[np.float64],
+    threads: int,
 ) -> NDArray[np.float32]: ...
 def vertex_order(positions: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.int32]: ...
 

@@ -123,10 +123,10 @@ class MeshGeometry(Geometry, Domain):
     def graph(self, colours: Stack) -> Graph:
         """Return the samples and their edges, with priorities by the colours with which it is first called."""
         if self._graph is None:
-            joined, places = self._is_joined(), _in_three_dimensions(self.positions)
-            priorities = fingerprints(coarse(colours), self.edges)
-            axes = _axes(places[joined], colours[joined])
-            self._graph = Graph(kept(places), self.edges, kept(priorities), axes, self.threads)
+            joined, places = self._is_joined(), kept(_in_three_dimensions(self.positions))
+            axes = _axes(places, colours) if joined.all() else _axes(places[joined], colours[joined])
+            priorities = kept(fingerprints(coarse(colours), self.edges))
+            self._graph = Graph(places, self.edges, priorities, axes, self.threads)
         return self._graph
 
     def scaled_lengths(self, edges: Int32s) -> Float32s:
@@ -181,7 +181,7 @@ class MeshGeometry(Geometry, Domain):
         return find_clipped(np.ascontiguousarray(colours[self._is_joined()].T), sigma)
 
     def gaussian(self, scale: float) -> MeshGaussian:
-        return MeshGaussian.of(self.size, self.edges, self.lengths, scale, self.gain)
+        return MeshGaussian.of(self.size, self.edges, self.lengths, scale, self.gain, self.threads)
 
     def planes(self, count: int) -> Float32s:
         return large_arrays.zeros((count, self.size), np.float32)
@@ -191,7 +191,9 @@ class MeshGeometry(Geometry, Domain):
 
     def spread(self, planes: Float32s) -> Float32s:
         """Average rows over the surface, in passes over the neighbours of each sample."""
-        means = MeshGaussian.of(self.size, self.edges, self.lengths, PASS_SCALE, gain=1.0)
+        means = MeshGaussian.of(
+            self.size, self.edges, self.lengths, PASS_SCALE, gain=1.0, threads=self.threads
+        )
         rows = np.ascontiguousarray(planes.T)
         for _ in range(math.ceil(self.width**2 / PASS_VARIANCE)):
             rows = means.smooth(rows)

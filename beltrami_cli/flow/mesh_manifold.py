@@ -377,7 +377,10 @@ class Clusters(CoarseLevel):
     def add_enlarged(self, stack: Stack, changes: Stack) -> None:
         """Add changes of clusters to their samples, smoothed as far as linear interpolation smooths squares."""
         variance = 1 / (12 * self.noise)
-        stack += self._samples.smoothed(changes[self._level.members], variance)
+        rows = large_arrays.empty(stack.shape, np.float32)
+        for block in large_arrays.blocks(len(rows)):
+            rows[block] = changes[self._level.members[block]]
+        stack += self._samples.smoothed(rows, variance)
 
     def planes(self, count: int) -> Float32s:
         return np.zeros((count, self._graph.size), np.float32)

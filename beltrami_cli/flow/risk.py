@@ -20,6 +20,7 @@ References
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -349,15 +350,17 @@ def random_signs(colours: Float32s, around: NDArray[np.uint64], count: int) -> F
     return signs
 
 
-def _bits(colours: Float32s) -> NDArray[np.uint64]:
-    """Return the bits of each channel's colours as numbers, shape (N, S)."""
-    return np.ascontiguousarray(colours.T).view(np.uint32).astype(np.uint64)
+def _bits(colours: Float32s) -> Iterator[NDArray[np.uint64]]:
+    """Give the bits of each channel's colours as numbers, shape (S,)."""
+    for channel in colours.T:
+        yield np.ascontiguousarray(channel).view(np.uint32).astype(np.uint64)
 
 
 def _mixed(values: NDArray[np.uint64]) -> NDArray[np.uint64]:
     """Spread the bits of numbers over all bits, modulo 2^64."""
-    mixed = (values + _MIXERS[0]) * _MIXERS[1]
+    mixed: NDArray[np.uint64] = values + _MIXERS[0]
+    mixed *= _MIXERS[1]
     mixed ^= mixed >> np.uint64(29)
     mixed *= _MIXERS[0]
-    stirred: NDArray[np.uint64] = mixed ^ (mixed >> np.uint64(32))
-    return stirred
+    mixed ^= mixed >> np.uint64(32)
+    return mixed

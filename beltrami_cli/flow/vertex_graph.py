@@ -55,7 +55,7 @@ class Graph:
     @cached_property
     def _means(self) -> MeshGaussian:
         same = np.broadcast_to(1.0, len(self.edges))
-        return MeshGaussian.of(self.size, self.edges, same, PASS_SCALE, gain=1.0)
+        return MeshGaussian.of(self.size, self.edges, same, PASS_SCALE, gain=1.0, threads=self.threads)
 
     @cached_property
     def patches(self) -> SurfacePatches:
@@ -196,10 +196,17 @@ class MeshGaussian:
     weights: Float32s
     total: Float64s  # of the weights at each vertex, its own is 1
     gain: float  # remaining standard deviation of white noise
+    threads: int = 1
 
     @classmethod
     def of(
-        cls, count: int, edges: Int32s, lengths: Float64s, scale: float, gain: float | None = None
+        cls,
+        count: int,
+        edges: Int32s,
+        lengths: Float64s,
+        scale: float,
+        gain: float | None = None,
+        threads: int = 1,
     ) -> MeshGaussian:
         """Weigh edges by their `lengths`; these and `scale` (sigma) are in sample spacings."""
         weights: Float32s = large_arrays.empty(len(edges), np.float32)
@@ -211,13 +218,13 @@ class MeshGaussian:
             gains = np.sqrt(1 + _sums_at_ends(count, edges, weights**2)) / total
             joined = total > 1  # vertices without neighbours keep their noise, and do not count
             gain = float(gains[joined].mean()) if joined.any() else 1.0
-        return cls(edges, weights, total, gain)
+        return cls(edges, weights, total, gain, threads)
 
     def smooth(self, colours: Float32s) -> Float32s:
         """Smooth colours of shape (S, N)."""
         from beltrami_cli._native import neighbour_means
 
-        return neighbour_means(colours, self.edges, self.weights, self.total)
+        return neighbour_means(colours, self.edges, self.weights, self.total, self.threads)
 
 
 def _sums_at_ends(count: int, edges: Int32s, weights: Float32s) -> Float64s:

@@ -36,7 +36,7 @@ from beltrami_cli.layers.settings import LevelSettings, SmoothSettings
 from beltrami_cli.surface.atlas import Indices
 from beltrami_cli.surface.geometry import bounds, count_topology
 from beltrami_cli.surface.grouping import VertexSampling, sample_vertices
-from beltrami_cli.surface.large_arrays import kept
+from beltrami_cli.surface.large_arrays import blocks, copy_of, kept
 from beltrami_cli.surface.reconstruction import faces_of_points
 from beltrami_cli.surface.records import PaintedVertices, SampledSurface, from_space, to_space
 
@@ -89,15 +89,20 @@ class PaintedLayer(Layer):
         )
 
     def _repainted(
-        self, vertices: NDArray[np.integer[Any]], after: Float32s, positions: Float64s | None = None
+        self,
+        vertices: NDArray[np.integer[Any]],
+        rows: NDArray[np.integer[Any]],
+        after: Float32s,
+        positions: Float64s | None = None,
     ) -> Repainted:
-        """Give some vertices new colours; conversion there and back is not exact, but its result stays in range."""
+        """Give vertices the colours in rows; conversion there and back is not exact, but its result stays in range."""
         painted, changing = self.painted, self.channels.changing
-        colours = painted.colours.copy()
+        colours = copy_of(painted.colours)
         if len(vertices):
-            before = painted.colours[:, changing]
-            back = from_space(after, painted.encoding, self.settings.space)
-            colours[vertices[:, None], changing] = np.clip(back, before.min(axis=0), before.max(axis=0))
+            low, high = (limit(axis=0)[changing] for limit in (painted.colours.min, painted.colours.max))
+        for block in blocks(len(vertices)):
+            back = from_space(after[rows[block]], painted.encoding, self.settings.space)
+            colours[vertices[block, None], changing] = np.clip(back, low, high)
         return Repainted(Change.between(painted.colours, colours), colours, positions)
 
 
@@ -223,7 +228,7 @@ class VertexLayer(PaintedLayer):
         changed = np.any(after != self._stored[:, written], axis=1)[sample_of]
         vertices = np.flatnonzero(changed)
         positions = None if new.positions is None else new.positions[sample_of]
-        return self._repainted(vertices, after[sample_of[vertices]], positions)
+        return self._repainted(vertices, sample_of[vertices], after, positions)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -291,8 +296,8 @@ class GridLayer(PaintedLayer):
         del is_smoothed
         written = self.channels.written
         after = new.table()[:, written]
-        moved = np.any(self._working(new.places)[:, written] != after, axis=1)
-        return self._repainted(self.grid.reshape(-1)[new.places[moved]], after[moved])
+        moved = np.flatnonzero(np.any(self._working(new.places)[:, written] != after, axis=1))
+        return self._repainted(self.grid.reshape(-1)[new.places[moved]], moved, after)
 
 
 def require_surface(painted: PaintedVertices, name: str) -> None:

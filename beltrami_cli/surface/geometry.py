@@ -226,12 +226,17 @@ def distinct_edges(faces: Int32s) -> Int32s:
         own <<= 32
         own |= np.maximum(*ends)
     pairs.sort()
-    # A triangle that repeats a vertex has a side without length.
-    is_edge = (pairs >> 32).astype(np.int32) != pairs.astype(np.int32)
+    is_edge = np.ones(len(pairs), bool)
+    for block in large_arrays.blocks(len(pairs)):
+        # A triangle that repeats a vertex has a side without length.
+        is_edge[block] = (pairs[block] >> 32).astype(np.int32) != pairs[block].astype(np.int32)
     is_edge[1:] &= pairs[1:] != pairs[:-1]
-    pairs = pairs[is_edge]
-    edges = large_arrays.empty((len(pairs), 2), np.int32)
-    edges[:, 0], edges[:, 1] = pairs >> 32, pairs
+    edges = large_arrays.empty((int(np.count_nonzero(is_edge)), 2), np.int32)
+    first = 0
+    for block in large_arrays.blocks(len(pairs)):
+        own = pairs[block][is_edge[block]]
+        edges[first : first + len(own)] = np.stack([own >> 32, own], axis=1)
+        first += len(own)
     return edges
 
 

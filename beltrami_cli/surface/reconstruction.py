@@ -38,7 +38,7 @@ from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s
 from beltrami_cli.surface.baking import expanded
 from beltrami_cli.surface.geometry import centred
 from beltrami_cli.surface.grouping import connected, edges_of, group_places, without_unused
-from beltrami_cli.surface.large_arrays import kept
+from beltrami_cli.surface.large_arrays import blocks, kept
 from beltrami_cli.surface.records import Encoding, PaintedVertices
 
 # In units of the change of values across the surface: nearer to the level than that is outside by that
@@ -317,10 +317,10 @@ def triangulate_points(positions: Float64s, threads: int = 1) -> Int32s:
             if not len(rows):
                 break
     del tree, points
-    faces = stars.faces()
+    faces = kept(stars.faces())
     del stars
-    faces = order[faces]
-    faces.sort(axis=1)
+    for block in blocks(len(faces)):
+        faces[block] = np.sort(order[faces[block]], axis=1)
     return faces
 
 

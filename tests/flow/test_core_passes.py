@@ -32,12 +32,13 @@ def test_means_over_neighbours_are_those_of_a_sparse_matrix():
     matrix = coo_array((weights.astype(float), edges.T), (count, count))
     totals = 1 + (matrix + matrix.T).sum(axis=1)
     expected = (values + (matrix + matrix.T) @ values.astype(float)) / totals[:, None]
-    means = neighbour_means(values, edges, weights, totals)
+    means, others = (neighbour_means(values, edges, weights, totals, threads) for threads in (1, 3))
     # Sums are taken in double precision, and rounded once.
     np.testing.assert_allclose(means, expected, rtol=np.finfo(np.float32).eps, atol=1e-12)
+    np.testing.assert_array_equal(means, others)
 
 
 def test_an_edge_to_no_vertex_is_refused():
     values, edges = np.zeros((3, 1), np.float32), np.array([[0, 3]], np.int32)
     with pytest.raises(IndexError, match="no such vertex"):
-        neighbour_means(values, edges, np.ones(1, np.float32), np.ones(3))
+        neighbour_means(values, edges, np.ones(1, np.float32), np.ones(3), 1)

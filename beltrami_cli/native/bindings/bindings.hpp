@@ -81,12 +81,14 @@ auto give_copy(const std::vector<T>& numbers) {
   return give<T, nb::ndim<1>>(std::move(copy), {numbers.size()});
 }
 
-// A copy for NumPy, with a row for each tuple of N numbers.
+// Hands rows over without a copy.
 template <class T, std::size_t N>
-auto give_rows(const std::vector<std::array<T, N>>& rows) {
-  std::unique_ptr<T[]> copy(new T[N * rows.size()]);
-  for (std::size_t i = 0; i < rows.size(); ++i) std::copy(rows[i].begin(), rows[i].end(), copy.get() + N * i);
-  return give<T, nb::shape<-1, static_cast<nb::ssize_t>(N)>>(std::move(copy), {rows.size(), N});
+auto give_rows(std::vector<std::array<T, N>> rows) {
+  auto kept = std::make_unique<std::vector<std::array<T, N>>>(std::move(rows));
+  const std::size_t count = kept->size();
+  T* first = reinterpret_cast<T*>(kept->data());
+  nb::capsule owner(kept.release(), [](void* memory) noexcept { delete static_cast<std::vector<std::array<T, N>>*>(memory); });
+  return Result<T, nb::shape<-1, static_cast<nb::ssize_t>(N)>>(first, {count, N}, owner);
 }
 
 // A poll that lets Python handle signals and report progress; what it raises is kept for after the join.

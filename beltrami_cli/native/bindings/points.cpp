@@ -40,7 +40,7 @@ auto faces(LocalTriangulation& triangulation) {
     const nb::gil_scoped_release unlock;
     found = triangulation.faces();
   }
-  return give_rows(found);
+  return give_rows(std::move(found));
 }
 
 }  // namespace

@@ -130,7 +130,7 @@ auto vertex_order_of(const Matrix<double>& positions, const Matrix<Index>& faces
 
 // See neighbour_means; a row a vertex.
 auto neighbour_means_of(const Matrix<float>& values, const Matrix<Index>& edges, const Vector<float>& weights,
-                        const Vector<double>& totals) {
+                        const Vector<double>& totals, unsigned threads) {
   const std::size_t count = totals.size(), width = values.shape(1);
   require_rows(values.shape(0), static_cast<Index>(count));
   if (edges.shape(1) != 2 || edges.shape(0) != weights.size())
@@ -142,7 +142,7 @@ auto neighbour_means_of(const Matrix<float>& values, const Matrix<Index>& edges,
   {
     const nb::gil_scoped_release unlock;
     neighbour_means(rows_of(values), {reinterpret_cast<const std::array<Index, 2>*>(edges.data()), edges.shape(0)},
-                    weights.data(), {totals.data(), count}, means.get());
+                    weights.data(), {totals.data(), count}, means.get(), threads);
   }
   return give<float, nb::ndim<2>>(std::move(means), {count, width});
 }
@@ -164,7 +164,8 @@ void bind_manifold(nb::module_& module, const char* name) {
 void bind_triangulated(nb::module_& module) {
   using namespace nb::literals;
   module.def("morton_order", &morton_order_of, "positions"_a);
-  module.def("neighbour_means", &neighbour_means_of, "values"_a, "edges"_a, "weights"_a, "totals"_a);
+  module.def("neighbour_means", &neighbour_means_of, "values"_a, "edges"_a, "weights"_a, "totals"_a,
+             "threads"_a);
   module.def("vertex_order", &vertex_order_of, "positions"_a, "faces"_a);
   bind_manifold<MarchKernel>(module, "TriangulatedManifold");
   bind_manifold<SegmentKernel>(module, "SegmentManifold");

@@ -18,7 +18,7 @@ constexpr double far_apart = 4;
 constexpr double not_flat = 0.25;
 
 // Parts of the triangles, which are sorted one after the other to save memory.
-constexpr std::size_t windows = 8;
+constexpr std::size_t windows = 32;
 
 // Flakes have fewer points.
 constexpr Index few_together = 16;
@@ -54,17 +54,18 @@ bool is_too_large(const double* positions, std::span<const double> spacing, cons
 // Each triangle that is kept once, its corners ascending, in lexicographic order. in_stars: as in `Stars`, of all points,
 // each with three different corners in [0, spacing.size()).
 std::vector<Triangle> agreed_triangles(const double* positions, std::span<const double> spacing,
-                                       std::span<const std::vector<Triangle>> in_stars) {
+                                       std::span<const PackedTriangles> in_stars) {
   std::vector<Triangle> sorted, kept;
   kept.reserve(2 * spacing.size());  // as many as on a closed surface
   std::vector<char> joined(spacing.size(), 0);
   const std::size_t window = spacing.size() / windows + 1;  // of lowest corners, which are sorted at a time
   for (std::size_t begin = 0; begin < spacing.size(); begin += window, sorted.clear()) {
     for (const auto& triangles : in_stars)
-      for (const Triangle& triangle : triangles)
+      triangles.for_each([&](const Triangle& triangle) {
         if (static_cast<std::size_t>(std::min({triangle[0], triangle[1], triangle[2]})) - begin < window &&
             !is_too_large(positions, spacing, triangle))
           sorted.push_back(with_ascending_corners(triangle));
+      });
     std::sort(sorted.begin(), sorted.end());
     for (std::size_t i = 0; i + 1 < sorted.size(); ++i) {
       if (sorted[i] != sorted[i + 1] || (!kept.empty() && kept.back() == sorted[i])) continue;
@@ -73,9 +74,10 @@ std::vector<Triangle> agreed_triangles(const double* positions, std::span<const 
     }
   }
   for (const auto& triangles : in_stars)
-    for (const Triangle& triangle : triangles)
+    triangles.for_each([&](const Triangle& triangle) {
       if (!joined[static_cast<std::size_t>(triangle[0])] && !is_too_large(positions, spacing, triangle))
         kept.push_back(with_ascending_corners(triangle));
+    });
   std::sort(kept.begin(), kept.end());
   kept.erase(std::unique(kept.begin(), kept.end()), kept.end());
   return kept;
@@ -91,9 +93,6 @@ std::vector<char> find_lone_points(std::span<const double> distance) {
   for (std::size_t point = 0; point < distance.size(); ++point) lone[point] = distance[point] > far_apart * *middle;
   return lone;
 }
-
-// Whether a lone point with this flatness (as in `Stars`) is strewn in space rather than on a surface.
-bool is_strewn(double flatness) { return flatness > not_flat; }
 
 // Removes the triangles of flakes: a few lone points that are joined to no others.
 void remove_flakes(std::vector<Triangle>& triangles, std::span<const char> lone) {
@@ -117,18 +116,28 @@ void remove_flakes(std::vector<Triangle>& triangles, std::span<const char> lone)
 
 }  // namespace
 
+PackedTriangles::PackedTriangles(std::span<const Triangle> triangles) {
+  Triangle before{-1, -1, -1};
+  for (const Triangle& triangle : triangles) {
+    if (triangle[0] != before[0] || triangle[1] != before[2]) numbers_.insert(numbers_.end(), {~triangle[0], triangle[1]});
+    numbers_.push_back(triangle[2]);
+    before = triangle;
+  }
+  numbers_.shrink_to_fit();
+}
+
 LocalTriangulation::LocalTriangulation(std::span<const double> positions)
-    : positions_(positions), spacing_(positions.size() / 3), flatness_(spacing_.size()), distance_(spacing_.size()) {}
+    : positions_(positions), spacing_(positions.size() / 3), distance_(spacing_.size()), strewn_(spacing_.size()) {}
 
 std::vector<Index> LocalTriangulation::add_stars(const Neighbours& neighbours, bool keep_unsettled, unsigned threads) {
   Stars stars = find_stars(positions_.data(), neighbours, keep_unsettled, threads);
   for (std::size_t row = 0; row < neighbours.rows.size(); ++row) {
     const auto point = static_cast<std::size_t>(neighbours.rows[row]);
     spacing_[point] = stars.spacing[row];
-    flatness_[point] = stars.flatness[row];
     distance_[point] = stars.distance[row];
+    strewn_[point] = stars.flatness[row] > not_flat;
   }
-  triangles_.emplace_back(stars.triangles.begin(), stars.triangles.end());
+  triangles_.emplace_back(stars.triangles);
   std::sort(stars.unsettled.begin(), stars.unsettled.end());
   return std::move(stars.unsettled);
 }
@@ -136,8 +145,8 @@ std::vector<Index> LocalTriangulation::add_stars(const Neighbours& neighbours, b
 std::vector<Triangle> LocalTriangulation::faces() {
   const auto lone = find_lone_points(distance_);
   for (std::size_t point = 0; point < lone.size(); ++point)
-    if (lone[point] && is_strewn(flatness_[point])) spacing_[point] = 0;  // which no triangle is small enough for
-  auto faces = agreed_triangles(positions_.data(), spacing_, triangles_);
+    if (lone[point] && strewn_[point]) spacing_[point] = 0;  // which no triangle is small enough for
+  auto faces = agreed_triangles(positions_.data(), spacing_, std::exchange(triangles_, {}));
   remove_flakes(faces, lone);
   return faces;
 }

@@ -6,12 +6,38 @@
 // without area. Outliers are points far from others that are strewn in space, and small pieces of such points alone.
 #pragma once
 
+#include <cstddef>
 #include <span>
+#include <utility>
 #include <vector>
 
 #include "points/local_stars.hpp"
 
 namespace beltrami::points {
+
+// Triangles in a third of their memory: one that begins with the corners in which the one before ended, as most do around a
+// point, is stored as one number.
+class PackedTriangles {
+ public:
+  explicit PackedTriangles(std::span<const Triangle> triangles);
+
+  // Calls visit(triangle) in the order in which they were given.
+  template <class Visit>
+  void for_each(const Visit& visit) const {
+    Triangle triangle{};
+    for (std::size_t i = 0; i < numbers_.size(); ++i) {
+      if (numbers_[i] < 0) {
+        triangle[0] = ~numbers_[i++];
+        triangle[2] = numbers_[i++];
+      }
+      triangle[1] = std::exchange(triangle[2], numbers_[i]);
+      visit(std::as_const(triangle));
+    }
+  }
+
+ private:
+  std::vector<Index> numbers_;  // of corners: the first, complemented, and the second where a sequence begins; the third
+};
 
 class LocalTriangulation {
  public:
@@ -23,13 +49,14 @@ class LocalTriangulation {
   // Finds the stars of some points, see `find_stars`. Returns those to be asked for again with more neighbours, ascending.
   std::vector<Index> add_stars(const Neighbours& neighbours, bool keep_unsettled, unsigned threads);
 
-  // Each triangle once, its corners ascending, in lexicographic order, when all points have their stars.
+  // Each triangle once, its corners ascending, in lexicographic order, when all points have their stars. To be called once.
   std::vector<Triangle> faces();
 
  private:
   std::span<const double> positions_;
-  std::vector<double> spacing_, flatness_, distance_;  // as in `Stars`
-  std::vector<std::vector<Triangle>> triangles_;  // of each call
+  std::vector<double> spacing_, distance_;  // as in `Stars`
+  std::vector<char> strewn_;                // whether a point is strewn in space rather than on a surface
+  std::vector<PackedTriangles> triangles_;  // of each call
 };
 
 }  // namespace beltrami::points

@@ -1,5 +1,7 @@
 #include "triangulated/metric.hpp"
 
+#include <algorithm>
+
 #include "parallel.hpp"
 
 namespace beltrami::triangulated {
@@ -35,22 +37,24 @@ std::vector<double> squared_edge_lengths(const Topology& topology, Rows<double> 
 }
 
 void neighbour_means(Rows<float> values, std::span<const std::array<Index, 2>> edges, const float* weights,
-                     std::span<const double> totals, float* means) {
-  const std::size_t width = values.width;
-  std::vector<double> sums(values.data, values.data + totals.size() * width);
-  for (std::size_t edge = 0; edge < edges.size(); ++edge) {
-    const auto [a, b] = edges[edge];
-    const double weight = static_cast<double>(weights[edge]);
-    double* at_a = sums.data() + static_cast<std::size_t>(a) * width;
-    double* at_b = sums.data() + static_cast<std::size_t>(b) * width;
-    for (std::size_t channel = 0; channel < width; ++channel) {
-      at_a[channel] += weight * static_cast<double>(values[b][channel]);
-      at_b[channel] += weight * static_cast<double>(values[a][channel]);
+                     std::span<const double> totals, float* means, unsigned threads) {
+  const std::size_t width = values.width, share = totals.size() / std::max(1u, threads) + 1;
+  // Each thread adds to its own vertices, in the order of the edges, so that any number of threads gives the same sums.
+  parallel_chunks(totals.size(), share, threads, [&](std::size_t begin, std::size_t end, unsigned) {
+    std::vector<double> sums(values.data + begin * width, values.data + end * width);
+    const auto add = [&](std::size_t vertex, double weight, const float* other) {
+      if (vertex - begin >= end - begin) return;
+      for (std::size_t i = 0; i < width; ++i) sums[(vertex - begin) * width + i] += weight * static_cast<double>(other[i]);
+    };
+    for (std::size_t edge = 0; edge < edges.size(); ++edge) {
+      const auto [a, b] = edges[edge];
+      add(static_cast<std::size_t>(a), static_cast<double>(weights[edge]), values[b]);
+      add(static_cast<std::size_t>(b), static_cast<double>(weights[edge]), values[a]);
     }
-  }
-  for (std::size_t vertex = 0; vertex < totals.size(); ++vertex)
-    for (std::size_t i = vertex * width; i < (vertex + 1) * width; ++i)
-      means[i] = static_cast<float>(sums[i] / totals[vertex]);
+    for (std::size_t vertex = begin; vertex < end; ++vertex)
+      for (std::size_t i = vertex * width; i < (vertex + 1) * width; ++i)
+        means[i] = static_cast<float>(sums[i - begin * width] / totals[vertex]);
+  });
 }
 
 }  // namespace beltrami::triangulated

@@ -28,6 +28,6 @@ std::vector<double> squared_edge_lengths(const Topology& topology, Rows<double> 
 // Means over the neighbours of each vertex, for the regularised metric:
 // (v_p + sum over the edges pq of w_pq v_q) / total_p for each vertex p and each channel, in rows as wide as the values.
 void neighbour_means(Rows<float> values, std::span<const std::array<Index, 2>> edges, const float* weights,
-                     std::span<const double> totals, float* means);
+                     std::span<const double> totals, float* means, unsigned threads);
 
 }  // namespace beltrami::triangulated
