@@ -23,7 +23,8 @@ LOSSLESS = [
 RARER = [
     *(("jpegxl", kind, channels) for kind in ("uint8", "uint16", "half", "float") for channels in (1, 3, 4)),
     *(("jpeg2000", kind, channels) for kind in ("uint8", "uint16") for channels in (1, 3, 4)),
-    *(("pnm", kind, channels) for kind in ("uint8", "uint16", "float") for channels in (1, 3)),
+    *(("pnm", kind, channels) for kind in ("uint8", "uint16") for channels in (1, 3)),
+    *(("pfm", "float", channels) for channels in (1, 3)),
     *(("dpx", kind, channels) for kind in ("uint8", "uint16", "float") for channels in (1, 3, 4)),
     *(("sgi", kind, channels) for kind in ("uint8", "uint16") for channels in (1, 3, 4)),
     *(("fits", kind, channels) for kind in ("uint8", "float") for channels in (1, 3, 4)),
@@ -34,7 +35,7 @@ SUFFIXES = {
     "jpeg": ".jpg", "hdr": ".hdr",
 }  # fmt: skip
 RARER_SUFFIXES = {
-    "jpegxl": ".jxl", "jpeg2000": ".jp2", "pnm": ".pnm", "dpx": ".dpx", "sgi": ".sgi",
+    "jpegxl": ".jxl", "jpeg2000": ".jp2", "pnm": ".pnm", "pfm": ".pfm", "dpx": ".dpx", "sgi": ".sgi",
     "fits": ".fits", "rla": ".rla", "gif": ".gif", "ico": ".ico", "zfile": ".z",
 }  # fmt: skip
 

@@ -210,10 +210,11 @@ def shown(picture, as_data):
     return np.broadcast_to(colours, (*values.shape[:2], 3)).clip(0, 1)
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES.values())
+@pytest.mark.parametrize("suffix", [*SUFFIXES.values(), ".pfm", ".ppm"])
 def test_a_single_pixel_is_read_back(suffix):
     picture = new_picture(np.full((1, 1, 3), 200, np.uint8), "x")
     file = write_image(picture, picture.pixels, suffix=suffix)
+    assert file.data.startswith({".pfm": b"PF", ".ppm": b"P6"}.get(suffix, b""))
     again = shown(read_image(file.data, f"x{suffix}"), as_data=False)
     np.testing.assert_allclose(again, 200 / 255, atol=2 / 255)
     assert "PSNR of inf" not in str(file.notices)

@@ -22,7 +22,7 @@ ROWS, COLUMNS = 36, 44
 KINDS = [
     ("png", "uint8", 1), ("png", "uint16", 4), ("tiff", "uint8", 2), ("tiff", "half", 3), ("tiff", "uint16", 5),
     ("openexr", "float", 4), ("openexr", "half", 5), ("bmp", "uint8", 3), ("targa", "uint8", 4), ("jpegxl", "uint8", 3),
-    ("jpeg2000", "uint16", 3), ("pnm", "float", 3), ("dpx", "uint16", 3),
+    ("jpeg2000", "uint16", 3), ("pfm", "float", 3), ("dpx", "uint16", 3),
 ]  # fmt: skip
 
 

@@ -102,6 +102,10 @@ class ImageFormat:
         return 4 in self.channels
 
 
+def _netpbm(kinds: bytes) -> tuple[bytes, ...]:
+    return tuple(b"P%c%c" % (kind, space) for kind in kinds for space in b" \t\r\n")
+
+
 _ANY = ("uint8", "uint16", "float16", "float32")  # types of samples
 FORMATS = {
     "png": ImageFormat((".png",), ("uint8", "uint16"), signatures=(b"\x89PNG\r\n\x1a\n",)),
@@ -119,19 +123,16 @@ FORMATS = {
         (1, 3, 4),
         (b"\0\0\0\x0cjP  \r\n\x87\n", b"\xff\x4f\xff\x51"),
     ),
-    "pnm": ImageFormat(
-        (".ppm", ".pgm", ".pnm", ".pbm", ".pfm"),
-        ("uint8", "uint16", "float32"),
-        (1, 3),
-        tuple(b"P%c%c" % (kind, space) for kind in b"123456Ff" for space in b" \t\r\n"),
-    ),
+    "pnm": ImageFormat((".ppm", ".pgm", ".pnm"), ("uint8", "uint16"), (1, 3), _netpbm(b"2356")),
+    "pfm": ImageFormat((".pfm",), ("float32",), (1, 3), _netpbm(b"Ff")),
     "dpx": ImageFormat((".dpx",), ("uint8", "uint16", "float32"), (1, 3, 4), (b"SDPX", b"XPDS")),
     "sgi": ImageFormat((".sgi", ".rgb", ".rgba", ".bw"), ("uint8", "uint16"), (1, 3, 4), (b"\x01\xda",)),
     "fits": ImageFormat((".fits", ".fit", ".fts"), ("uint8", "float32"), (1, 3, 4), (b"SIMPLE  =",)),
     "rla": ImageFormat((".rla",), ("uint8", "uint16", "float32")),
     "ktx2": ImageFormat((".ktx2",), ("uint8",), (3, 4), (b"\xabKTX 20\xbb",)),
     "avif": ImageFormat((".avif",), ("uint8",), (3, 4)),
-    # What these hold (palettes, layers, blocks, several sizes) would not come back as it was.
+    # What these hold (two levels, palettes, layers, blocks, several sizes) would not come back as it was.
+    "pbm": ImageFormat((".pbm",), signatures=_netpbm(b"14"), writable=False),
     "gif": ImageFormat((".gif",), signatures=(b"GIF87a", b"GIF89a"), writable=False),
     "psd": ImageFormat((".psd", ".psb"), signatures=(b"8BPS",), writable=False),
     "dds": ImageFormat((".dds",), signatures=(b"DDS ",), writable=False),
@@ -142,7 +143,7 @@ FORMATS = {
     "zfile": ImageFormat((".z",), signatures=(b"\x2f\x08\x67\xab", b"\xab\x67\x08\x2f"), writable=False),
     "heif": ImageFormat((".heic", ".heif"), writable=False),
 }
-"""The formats by OpenImageIO's names; for KTX2 and AVIF see `extra_codecs`."""
+"""The formats by OpenImageIO's names, but for `plugin_of` some; for KTX2 and AVIF see `extra_codecs`."""
 
 WRITABLE = tuple(traits.suffixes[0] for traits in FORMATS.values() if traits.writable)
 """The usual extensions of the formats that can be written."""
@@ -190,6 +191,11 @@ def is_image(data: bytes, name: str) -> bool:
 def format_of_suffix(suffix: str) -> str | None:
     """Return the format whose files have an extension (with the dot, in any case), or None."""
     return next((known for known, traits in FORMATS.items() if suffix.lower() in traits.suffixes), None)
+
+
+def plugin_of(known: str) -> str:
+    """Return OpenImageIO's name of a format."""
+    return "pnm" if known in ("pfm", "pbm") else known
 
 
 def label_of(known: str) -> str:

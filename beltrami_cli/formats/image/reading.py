@@ -32,6 +32,7 @@ from beltrami_cli.formats.image.picture import (
     described,
     format_of,
     label_of,
+    plugin_of,
 )
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.records import Texture
@@ -172,13 +173,13 @@ def _decoded(data: bytes, name: str, finite: bool) -> Picture:
         raise InputError(name, "the content is of no known image format", READABLE)
     if known in EXTRA_CODECS:
         return _read_extra(data, name, known)
-    if known not in OpenImageIO.get_string_attribute("input_format_list").split(","):
+    if plugin_of(known) not in OpenImageIO.get_string_attribute("input_format_list").split(","):
         cause = f"this build of OpenImageIO does not read {label_of(known)}"
         raise InputError(name, cause, "convert it to PNG or EXR")
     if known == "bmp" and not has_usual_bits(data):
         cause = "its header, or the order of its red, green, blue and alpha, is a rare one that is not read"
         raise InputError(name, cause, "export it as PNG")
-    if known == "pnm" and not has_usual_scale(data):
+    if known == "pfm" and not has_usual_scale(data):
         raise InputError(name, "the scale in its header is 0, or no number", "correct it, or use EXR")
     OpenImageIO.attribute("limits:imagesize_MB", _MOST_MEGABYTES)
     config = OpenImageIO.ImageSpec()
@@ -242,7 +243,7 @@ def _read_extra(data: bytes, name: str, known: str) -> Picture:
 def _check(spec: Any, format_name: str, known: str, name: str) -> None:
     """Refuse what must not or cannot be decoded, going by the header."""
     width, height = spec.width, spec.height
-    if format_name != known:
+    if format_name != plugin_of(known):
         raise InputError(name, f"it starts like a {known} image, but is none", READABLE)
     if spec.deep:
         raise InputError(name, "it is a deep image, with many samples a pixel", "flatten it")

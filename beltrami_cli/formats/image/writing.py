@@ -21,6 +21,7 @@ from beltrami_cli.formats.image.picture import (
     format_of_suffix,
     full_scale_one,
     label_of,
+    plugin_of,
 )
 from beltrami_cli.formats.image.reading import error_of, opened, read_image, scratch_file
 from beltrami_cli.surface import large_arrays
@@ -254,7 +255,7 @@ def _set_options(spec: Any, known: str, quality: int, *, small: bool) -> None:
 def _encode_by_openimageio(spec: Any, pixels: Array, known: str, name: str) -> bytes:
     import OpenImageIO
 
-    file = OpenImageIO.ImageOutput.create(known)
+    file = OpenImageIO.ImageOutput.create(plugin_of(known))
     if file is None:
         raise ProcessingError(f"{name}: this OpenImageIO cannot write {known} images")
     if str(spec.format) == "half" and not spec.channelformats:
@@ -359,7 +360,7 @@ def _items(data: bytes, known: str) -> dict[str, bool]:
             comments = known == "jpeg2000" and headers.codestream_comments(data)
             boxes = {f"box {kind.decode('latin-1').strip()}": False for kind in unknown}
             return boxes | ({"comment": False} if comments else {})
-        case "hdr" | "pnm":
+        case "hdr" | "pnm" | "pfm":
             return dict.fromkeys(headers.header_lines(data, known), False)
         case "targa" if data.endswith(metadata.TARGA_END) and any(data[-22:-18]):
             return {"developer area": False}
