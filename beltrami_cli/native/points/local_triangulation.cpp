@@ -56,7 +56,7 @@ bool is_too_large(const double* positions, std::span<const double> spacing, cons
 std::vector<Triangle> agreed_triangles(const double* positions, std::span<const double> spacing,
                                        std::span<const PackedTriangles> in_stars) {
   std::vector<Triangle> sorted, kept;
-  kept.reserve(2 * spacing.size());  // as many as on a closed surface
+  kept.reserve(spacing.size() * 9 / 4);  // a closed surface has twice as many as points, and some overlap
   std::vector<char> joined(spacing.size(), 0);
   const std::size_t window = spacing.size() / windows + 1;  // of lowest corners, which are sorted at a time
   for (std::size_t begin = 0; begin < spacing.size(); begin += window, sorted.clear()) {
