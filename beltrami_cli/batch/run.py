@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Protocol
 
+import numpy as np
+
 from beltrami_cli.arrays import Float32s
 from beltrami_cli.batch.item import (
     Attempt,
@@ -235,8 +237,7 @@ class ChunkRunner:
                     waiting.remove(number)
                     in_work.add(number)
                     chunk = chunks[number]
-                    views = [stack[chunk.around] for stack in stacks]
-                    self._pool.start(number, do_chunk, operation, views, part=chunk.cut)
+                    self._pool.start(number, do_chunk, operation, chunk.copies(stacks), part=chunk.cut)
                 for number, answer in self._pool.events():
                     in_work.discard(number)
                     if isinstance(answer, Exception):
@@ -260,6 +261,7 @@ def do_chunk(
     """Return the result of a chunk in a worker."""
     del progress
     try:
-        return operation(part, stacks, 1)
+        results, figures = operation(part, stacks, 1)
+        return [np.ascontiguousarray(each) for each in results], figures  # as a `Channel` wants them
     except Exception as error:  # other than the death of a worker, it would come again elsewhere
         return error

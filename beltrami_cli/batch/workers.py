@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import copy
-import io
 import mmap
 import multiprocessing
 import os
@@ -22,10 +21,7 @@ from dataclasses import dataclass
 from itertools import accumulate
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
-from types import FrameType
-from typing import Any, NoReturn, Protocol
-
-import numpy as np
+from typing import Any, Protocol
 
 from beltrami_cli.errors import ProcessingError, unhandled_endings
 from beltrami_cli.formats.image.reading import scratch_file
@@ -77,29 +73,23 @@ class Pool(Protocol):
         self.give_up()
 
 
-class _Pickler(pickle.Pickler):
-    """Leaves out all arrays, which can be changed when they arrive; NumPy by itself only contiguous ones."""
-
-    def reducer_override(self, obj: Any) -> Any:
-        return (
-            np.require(obj, None, ["C", "W"]).__reduce_ex__(5) if type(obj) is np.ndarray else NotImplemented
-        )
-
-
 class Channel:
-    """Messages between two processes, whose arrays are in a file that both map: a pipe would copy them four times."""
+    """Messages between two processes, whose arrays are in a file that both map: a pipe would copy them four times.
+
+    Only contiguous arrays are, and only those that could be changed can be on arrival.
+    """
 
     def __init__(self, pipe: Connection[Any, Any], path: Path) -> None:
         self.pipe, self._path, self._pages = pipe, path, memoryview(b"")
 
     def send(self, message: object) -> None:
-        head, buffers = io.BytesIO(), list[pickle.PickleBuffer]()
-        _Pickler(head, 5, buffer_callback=buffers.append).dump(message)
+        buffers: list[pickle.PickleBuffer] = []
+        head = pickle.dumps(message, 5, buffer_callback=buffers.append)
         arrays = [buffer.raw() for buffer in buffers]
         sizes = [array.nbytes for array in arrays]
         for array, place in zip(arrays, self._places(sizes), strict=True):
             place[:] = array
-        self.pipe.send((head.getvalue(), sizes))
+        self.pipe.send((head, sizes))
 
     def receive(self) -> Any:
         """Return a message; its arrays last until the next one, in either direction."""
@@ -201,14 +191,11 @@ class Processes(Pool):
         self._busy.clear()
 
     def close(self) -> None:
-        self._idle += self._busy
-        for worker in self._idle:
+        workers, deadline = [*self._idle, *self._busy], time.monotonic() + _GRACE
+        for worker in workers:
             worker.process.terminate()
-        deadline = time.monotonic() + _GRACE
-        for worker in self._idle:
+        for worker in workers:
             worker.end(deadline - time.monotonic())
-        self._idle.clear()
-        self._busy.clear()
 
 
 def _lost(worker: _Worker) -> Lost:
@@ -239,7 +226,7 @@ def _without_interrupts() -> Iterator[None]:
 def serve(pipe: Connection[Any, Any], path: Path) -> None:
     """Do the tasks that come through a channel until it is closed."""
     for number in unhandled_endings():
-        signal.signal(number, _exit)
+        signal.signal(number, lambda number, _: sys.exit(128 + number))
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all; who leads decides
     channel, held = Channel(pipe, path), dict[int, Any]()
 
@@ -258,7 +245,3 @@ def serve(pipe: Connection[Any, Any], path: Path) -> None:
                 held[key] = copy.deepcopy(made)
             parts = () if key is None else (held[key],)
             channel.send((True, task(*parts, *arguments, progress)))
-
-
-def _exit(number: int, frame: FrameType | None) -> NoReturn:
-    sys.exit(128 + number)

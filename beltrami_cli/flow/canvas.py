@@ -9,9 +9,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Uint8s
-from beltrami_cli.flow.chunks import Chunk, Figures, Rectangle, chunking, grown, rectangles, within
+from beltrami_cli.flow.chunks import Chunk, Figures, chunking, rectangles
 from beltrami_cli.flow.domain import CoarseLevel, Mixing, NewColours, Stack
-from beltrami_cli.flow.grid_geometry import colours_at, gaussian_taps, guide_radius
+from beltrami_cli.flow.grid_geometry import Rectangle, colours_at, gaussian_taps, grown, guide_radius, within
 from beltrami_cli.flow.noise.grid_squares import Grid
 from beltrami_cli.flow.noise.model import mixed_signs
 from beltrami_cli.flow.noise.reading import read_noise

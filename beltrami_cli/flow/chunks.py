@@ -16,11 +16,11 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Bools, Float32s
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
 from beltrami_cli.surface import large_arrays
 
 Figures = tuple[float, int]
@@ -42,6 +42,10 @@ class Chunk:
     around: Any  # index of the samples of the part in a stack of the whole
     place: Any  # index of the samples of the chunk in a stack of the whole
 
+    def copies(self, stacks: Sequence[Float32s]) -> list[Float32s]:
+        """Return the samples of the part in stacks of the whole, for an operation to change."""
+        return [np.array(stack[self.around]) for stack in stacks]
+
 
 Answers = Generator[tuple[int, Sequence[Float32s], Figures], None, None]
 """The number of each chunk and its results, in any order; results last until the next ones are asked for."""
@@ -55,8 +59,7 @@ def in_turn(
 ) -> Answers:
     """Work on chunks one after another, here; a `Runner`."""
     for number, chunk in enumerate(chunks):
-        copies = [np.array(stack[chunk.around]) for stack in stacks]
-        yield number, *operation(chunk.cut(), copies, threads)
+        yield number, *operation(chunk.cut(), chunk.copies(stacks), threads)
 
 
 @dataclass(frozen=True)
@@ -146,46 +149,30 @@ def chunking_of_mesh(samples: int, threads: int) -> Chunking | None:
 # Cells of a chunk at least: patches around a square as large repeat less than half of the work.
 LEAST_CELLS = 1 << 18
 
-Rectangle: TypeAlias = tuple[Any, ...]
-"""The index of some cells in stacks of a canvas: an ellipsis, a slice of rows, and one of columns."""
 
-
-def grown(cells: Rectangle, before: int, after: int, shape: tuple[int, int]) -> Rectangle:
-    """Return cells with others added above and on the left, and below and on the right, within a canvas."""
-    sides = zip(cells[1:], shape, strict=True)
-    return ..., *(slice(max(0, side.start - before), min(most, side.stop + after)) for side, most in sides)
-
-
-def within(cells: Rectangle, around: Rectangle) -> Rectangle:
-    """Return the index of some cells in stacks of a rectangle around them."""
-    sides = zip(cells[1:], around[1:], strict=True)
-    return ..., *(slice(side.start - other.start, side.stop - other.start) for side, other in sides)
-
-
-def rectangles(owned: Bools, count: int, unit: int) -> list[Rectangle]:
+def rectangles(owned: Bools, count: int, unit: int) -> list[tuple[Any, ...]]:
     """Cut a canvas into rectangles that are about square and hold about as many owned cells.
 
     They begin at multiples of `unit`, at which the order of sums repeats itself.
     """
     count = min(count, max(1, int(np.count_nonzero(owned)) // LEAST_CELLS))
     rows, columns = owned.shape
-    return _halved(owned, np.s_[..., 0:rows, 0:columns], count, unit)
+    bands = int(np.clip(round((count * rows / max(1, columns)) ** 0.5), 1, count))
+    shares = np.linspace(0, count, bands + 1).round().astype(int)
+    heights, found = _even(owned.sum(axis=1), shares / count, unit), []
+    for band, parts in zip(heights, np.diff(shares).tolist(), strict=True):
+        across = _even(owned[band].sum(axis=0), np.linspace(0, 1, parts + 1), unit)
+        found += [(..., band, part) for part in across if owned[band, part].any()]
+    return found
 
 
-def _halved(owned: Bools, cells: Rectangle, count: int, unit: int) -> list[Rectangle]:
-    part = owned[cells]
-    if not part.any():
-        return []
-    axis = int(part.shape[1] > part.shape[0])
-    last = (part.shape[axis] - 1) // unit
-    if count == 1 or last < 1:
-        return [cells]
-    totals = np.cumsum(part.sum(axis=1 - axis))
-    half = np.searchsorted(totals, totals[-1] * (count // 2) / count)
-    begin, end = cells[1 + axis].start, cells[1 + axis].stop
-    border = begin + unit * min(max(1, round(half / unit)), last)
-    one, other = ((*cells[: 1 + axis], side, *cells[2 + axis :]) for side in np.s_[begin:border, border:end])
-    return _halved(owned, one, count // 2, unit) + _halved(owned, other, count - count // 2, unit)
+def _even(counts: Int64s, shares: Float64s, unit: int) -> list[slice]:
+    """Cut entries into parts whose sums are about the differences of shares of the total."""
+    totals = np.concatenate([[0], np.cumsum(counts)])
+    borders = np.searchsorted(totals, shares * totals[-1])
+    borders = np.minimum((borders + unit // 2) // unit * unit, len(counts))
+    borders[0], borders[-1] = 0, len(counts)
+    return [slice(*each) for each in pairwise(np.maximum.accumulate(borders).tolist())]
 
 
 # ---- meshes

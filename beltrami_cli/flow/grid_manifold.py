@@ -26,9 +26,19 @@ from beltrami_cli.flow.canvas import (
     painted,
     squares_for,
 )
-from beltrami_cli.flow.chunks import Chunk, Figures, Rectangle, chunking, grown, rectangles, within
+from beltrami_cli.flow.chunks import Chunk, Figures, chunking, rectangles
 from beltrami_cli.flow.domain import Gaussian, Mixing, NewColours, Stack
-from beltrami_cli.flow.grid_geometry import SUMMED_ROWS, Cells, GridGaussian, GridGeometry, guide_radius, pick
+from beltrami_cli.flow.grid_geometry import (
+    SUMMED_ROWS,
+    Cells,
+    GridGaussian,
+    GridGeometry,
+    Rectangle,
+    grown,
+    guide_radius,
+    pick,
+    within,
+)
 from beltrami_cli.flow.manifold import (
     ON_GRIDS,
     RULE_ON_GRIDS,
