@@ -48,14 +48,12 @@ class Pool(Protocol):
     @property
     def is_full(self) -> bool:
         """Whether it takes no more tasks for now."""
-        ...
 
     def start(self, key: int, task: Task, *arguments: Any, part: Callable[[], Any] | None = None) -> None:
         """Begin a task; `part` makes a large first argument, which workers keep for tasks with the same key."""
 
     def events(self) -> Iterator[tuple[int, Any]]:
         """Wait for a while, and give by the keys of tasks their progress, a tuple of three, or what came of them."""
-        ...
 
     def held(self) -> Collection[int]:
         """Return the keys of the parts that the next worker keeps, if that is known."""
@@ -125,9 +123,9 @@ class _Worker:
         self.channel = Channel(ours, path)
         self.key, self.held = -1, set[int]()  # of the task in work, and of parts
 
-    def end(self, seconds: float) -> None:
-        """End the process, which has some seconds left."""
-        self.process.join(max(0.0, seconds))
+    def end(self, seconds: float | None = 0) -> None:
+        """End the process, which has some seconds left; None: wait until it ends."""
+        self.process.join(seconds)
         self.process.kill()
         self.process.join()
         self.channel.pipe.close()
@@ -155,7 +153,7 @@ class Processes(Pool):
                 worker.channel.send((task, arguments, None if part is None else key, worker.held, made))
                 break
             except ConnectionError:  # it died while it had nothing to do
-                self._idle.pop().end(0)
+                self._idle.pop().end()
             except OSError as error:
                 cause = f"there is no room for a piece in work ({error.strerror})"
                 raise ProcessingError(f"{cause}; lower --jobs, or raise --pieces") from error
@@ -187,7 +185,7 @@ class Processes(Pool):
 
     def give_up(self) -> None:
         for worker in self._busy:
-            worker.end(0)
+            worker.end()
         self._busy.clear()
 
     def close(self) -> None:
@@ -195,12 +193,11 @@ class Processes(Pool):
         for worker in workers:
             worker.process.terminate()
         for worker in workers:
-            worker.end(deadline - time.monotonic())
+            worker.end(max(0.0, deadline - time.monotonic()))
 
 
 def _lost(worker: _Worker) -> Lost:
-    worker.process.join()
-    worker.end(0)
+    worker.end(None)
     code = worker.process.exitcode or 0
     how = f"by signal {-code}" if code < 0 else f"with code {code}"
     return Lost(f"the process that worked on it ended {how}; there may be too little memory", True)

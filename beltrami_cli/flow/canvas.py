@@ -9,9 +9,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Uint8s
-from beltrami_cli.flow.chunks import Chunk, Figures, chunking, rectangles
+from beltrami_cli.flow.chunks import Figures, Rectangle, chunking, chunks_of_canvas, grown
 from beltrami_cli.flow.domain import CoarseLevel, Mixing, NewColours, Stack
-from beltrami_cli.flow.grid_geometry import Rectangle, colours_at, gaussian_taps, grown, guide_radius, within
+from beltrami_cli.flow.grid_geometry import colours_at, gaussian_taps, guide_radius
 from beltrami_cli.flow.noise.grid_squares import Grid
 from beltrami_cli.flow.noise.model import mixed_signs
 from beltrami_cli.flow.noise.reading import read_noise
@@ -205,38 +205,31 @@ def collaborate_on_canvas(
     replaces_pilot: bool = False,
 ) -> Float32s:
     """Estimate the owned cells from similar patches, compared on the pilot; `relative`: variance by its mean."""
+    from beltrami_cli._native import PATCH_TILE_MARGIN, PATCH_TILE_SIDE
+
     stacks, wanted = [noisy, pilot, *([] if relative is None else [relative])], chunking()
     if wanted is None:
         taken = pilot if replaces_pilot else None
         return _patches_on((kind, ...), stacks, threads, mixing, progress, taken)[0][0]
     estimates: Float32s = large_arrays.empty(noisy.shape, np.float32)
-    chunks, operation = _patch_chunks(kind, wanted.count), partial(_patches_on, mixing=mixing)
+    # Groups start tile by tile; the order in which tiles add to a cell repeats itself after two of them.
+    before, after = 2 * PATCH_TILE_SIDE, PATCH_TILE_SIDE + PATCH_TILE_MARGIN
+    cut, operation = partial(_part_for_patches, kind), partial(_patches_on, mixing=mixing)
+    chunks = chunks_of_canvas(cut, kind == OWNED, wanted.count, before, before, after)
     wanted.apply(chunks, operation, stacks, [estimates], progress, size=kind.size, threads=threads)
     return estimates
 
 
-def _patch_chunks(kind: Uint8s, count: int) -> list[Chunk]:
-    """Cut a canvas for patches, whose groups start tile by tile."""
-    from beltrami_cli._native import PATCH_TILE_MARGIN, PATCH_TILE_SIDE
-
-    chunks = []
-    # The order in which tiles add to a cell repeats itself after two of them.
-    for core in rectangles(kind == OWNED, count, 2 * PATCH_TILE_SIDE):
-        around = grown(core, 2 * PATCH_TILE_SIDE, PATCH_TILE_SIDE + PATCH_TILE_MARGIN, kind.shape)
-        chunks.append(Chunk(partial(_part_for_patches, kind, core, around), around, core))
-    return chunks
-
-
-def _part_for_patches(kind: Uint8s, core: Rectangle, around: Rectangle) -> tuple[Uint8s, Rectangle]:
-    """Return the kinds of the cells around a rectangle, for the estimates of its own cells, and where these are."""
+def _part_for_patches(kind: Uint8s, around: Rectangle, own: Rectangle) -> tuple[Uint8s, Rectangle]:
+    """Return the kinds of some cells, for the estimates of those in a rectangle among them, and this."""
     from beltrami_cli._native import PATCH_TILE_SIDE
 
     part: Uint8s = kind[around].copy()
     # The groups of the next tiles reach the core; those beyond only supply candidates.
     inside = np.zeros(part.shape, bool)
-    inside[within(grown(core, PATCH_TILE_SIDE, PATCH_TILE_SIDE, kind.shape), around)] = True
+    inside[grown(own, PATCH_TILE_SIDE, PATCH_TILE_SIDE, part.shape)] = True
     part[(part == OWNED) & ~inside] = HALO
-    return part, within(core, around)
+    return part, own
 
 
 def _patches_on(

@@ -16,11 +16,11 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
+from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
 from beltrami_cli.surface import large_arrays
 
 Figures = tuple[float, int]
@@ -149,21 +149,37 @@ def chunking_of_mesh(samples: int, threads: int) -> Chunking | None:
 # Cells of a chunk at least: patches around a square as large repeat less than half of the work.
 LEAST_CELLS = 1 << 18
 
+Rectangle: TypeAlias = tuple[Any, ...]
+"""The index of some cells in stacks of a canvas: an ellipsis, a slice of rows, and one of columns."""
 
-def rectangles(owned: Bools, count: int, unit: int) -> list[tuple[Any, ...]]:
+
+def grown(cells: Rectangle, before: int, after: int, shape: tuple[int, ...]) -> Rectangle:
+    """Return a rectangle with cells added above and on the left, and below and on the right, within a canvas."""
+    sides = zip(cells[1:], shape, strict=True)
+    return ..., *(slice(max(0, side.start - before), min(most, side.stop + after)) for side, most in sides)
+
+
+def chunks_of_canvas(
+    cut: Callable[[Rectangle, Rectangle], Any], owned: Bools, count: int, unit: int, before: int, after: int
+) -> list[Chunk]:
     """Cut a canvas into rectangles that are about square and hold about as many owned cells.
 
-    They begin at multiples of `unit`, at which the order of sums repeats itself.
+    They begin at multiples of `unit`, at which the order of sums repeats itself. A part has some cells more before and
+    after; `cut` is called with the index of all of them, and with that of the rectangle among them.
     """
     count = min(count, max(1, int(np.count_nonzero(owned)) // LEAST_CELLS))
-    rows, columns = owned.shape
-    bands = int(np.clip(round((count * rows / max(1, columns)) ** 0.5), 1, count))
+    bands = int(np.clip(round((count * owned.shape[0] / max(1, owned.shape[1])) ** 0.5), 1, count))
     shares = np.linspace(0, count, bands + 1).round().astype(int)
-    heights, found = _even(owned.sum(axis=1), shares / count, unit), []
-    for band, parts in zip(heights, np.diff(shares).tolist(), strict=True):
-        across = _even(owned[band].sum(axis=0), np.linspace(0, 1, parts + 1), unit)
-        found += [(..., band, part) for part in across if owned[band, part].any()]
-    return found
+    heights, chunks = _even(owned.sum(axis=1), shares / count, unit), []
+    for rows, parts in zip(heights, np.diff(shares).tolist(), strict=True):
+        for columns in _even(owned[rows].sum(axis=0), np.linspace(0, 1, parts + 1), unit):
+            place = ..., rows, columns
+            around = grown(place, before, after, owned.shape)
+            sides = zip(place[1:], around[1:], strict=True)
+            own = ..., *(slice(side.start - first.start, side.stop - first.start) for side, first in sides)
+            if owned[place].any():
+                chunks.append(Chunk(partial(cut, around, own), around, place))
+    return chunks
 
 
 def _even(counts: Int64s, shares: Float64s, unit: int) -> list[slice]:
@@ -171,8 +187,8 @@ def _even(counts: Int64s, shares: Float64s, unit: int) -> list[slice]:
     totals = np.concatenate([[0], np.cumsum(counts)])
     borders = np.searchsorted(totals, shares * totals[-1])
     borders = np.minimum((borders + unit // 2) // unit * unit, len(counts))
-    borders[0], borders[-1] = 0, len(counts)
-    return [slice(*each) for each in pairwise(np.maximum.accumulate(borders).tolist())]
+    borders[-1] = len(counts)
+    return [slice(*each) for each in pairwise(borders.tolist())]
 
 
 # ---- meshes
@@ -188,15 +204,3 @@ def runs(size: int, count: int) -> list[tuple[int, int]]:
     count = min(count, max(1, size // LEAST_SAMPLES), blocks)
     borders = np.linspace(0, blocks, count + 1).round().astype(int) * PATCH_BLOCK_SIZE
     return list(pairwise(np.minimum(borders, size).tolist()))
-
-
-def chunk_of_run(part_of: Callable[[Array, slice], Any], near: Bools, first: int, last: int) -> Chunk:
-    """Return the chunk of a run of samples, with the samples near it, marked in an array of all."""
-    from beltrami_cli._native import PATCH_BLOCK_SIZE
-
-    # Samples from anywhere before, so that what the core takes together is the same as in the whole.
-    missing = -int(np.count_nonzero(near[:first])) % PATCH_BLOCK_SIZE
-    near[np.flatnonzero(~near[:first])[:missing]] = True
-    samples = np.flatnonzero(near).astype(np.int32)
-    begin, end = np.searchsorted(samples, [first, last]).tolist()
-    return Chunk(partial(part_of, samples, slice(begin, end)), samples, slice(first, last))

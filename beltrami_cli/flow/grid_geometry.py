@@ -7,11 +7,12 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, ClassVar, TypeAlias
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
+from beltrami_cli.flow.chunks import Rectangle
 from beltrami_cli.flow.clipping import ClippedChannels, find_clipped
 from beltrami_cli.flow.domain import ENOUGH_STEPS, Geometry, KernelWork, Stack
 from beltrami_cli.flow.parameters import KernelParameters
@@ -34,9 +35,6 @@ _REPEATS_REACH = 3
 
 # Rows that are processed together, where each needs memory; the rounding of sums depends on it.
 SUMMED_ROWS = 64
-
-Rectangle: TypeAlias = tuple[Any, ...]
-"""The index of some cells in stacks of a canvas: an ellipsis, a slice of rows, and one of columns."""
 
 Cells: TypeAlias = slice | Rectangle | Int64s
 """Some cells of a canvas: rows, a rectangle, or flat indices, shape (R', C')."""
@@ -156,18 +154,6 @@ def pick(planes: Array, samples: Cells) -> Array:
     for rows in large_arrays.blocks(len(samples), SUMMED_ROWS):
         picked[..., rows, :] = flat[..., samples[rows]]
     return picked
-
-
-def grown(cells: Rectangle, before: int, after: int, shape: tuple[int, int]) -> Rectangle:
-    """Return cells with others added above and on the left, and below and on the right, within a canvas."""
-    sides = zip(cells[1:], shape, strict=True)
-    return ..., *(slice(max(0, side.start - before), min(most, side.stop + after)) for side, most in sides)
-
-
-def within(cells: Rectangle, around: Rectangle) -> Rectangle:
-    """Return the index of some cells in stacks of a rectangle around them."""
-    sides = zip(cells[1:], around[1:], strict=True)
-    return ..., *(slice(side.start - other.start, side.stop - other.start) for side, other in sides)
 
 
 def colours_at(planes: Float32s, cells: Indices) -> Float32s:

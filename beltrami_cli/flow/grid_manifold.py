@@ -26,19 +26,9 @@ from beltrami_cli.flow.canvas import (
     painted,
     squares_for,
 )
-from beltrami_cli.flow.chunks import Chunk, Figures, chunking, rectangles
+from beltrami_cli.flow.chunks import Chunk, Figures, Rectangle, chunking, chunks_of_canvas
 from beltrami_cli.flow.domain import Gaussian, Mixing, NewColours, Stack
-from beltrami_cli.flow.grid_geometry import (
-    SUMMED_ROWS,
-    Cells,
-    GridGaussian,
-    GridGeometry,
-    Rectangle,
-    grown,
-    guide_radius,
-    pick,
-    within,
-)
+from beltrami_cli.flow.grid_geometry import SUMMED_ROWS, Cells, GridGaussian, GridGeometry, guide_radius, pick
 from beltrami_cli.flow.manifold import (
     ON_GRIDS,
     RULE_ON_GRIDS,
@@ -199,17 +189,12 @@ class GridManifold(Manifold):
         """The chunks for one iteration."""
         wanted, kind, margin = chunking(), self.geometry.atlas.kind, kernel_margin(self.parameters)
         assert wanted is not None
-        chunks = []
-        for core in rectangles(kind == OWNED, wanted.count, TILE_ROWS):
-            around = grown(core, margin, margin, kind.shape)
-            chunks.append(Chunk(partial(self._part, core, around), around, core))
-        return chunks
+        return chunks_of_canvas(self._part, kind == OWNED, wanted.count, TILE_ROWS, margin, margin)
 
-    def _part(self, core: Rectangle, around: Rectangle) -> tuple[GridManifold, Rectangle]:
-        """Return the part around a rectangle, and where its own cells are in it."""
+    def _part(self, around: Rectangle, own: Rectangle) -> tuple[GridManifold, Rectangle]:
         inside = np.zeros_like(self.geometry.atlas.kind[around], bool)
-        inside[within(core, around)] = True
-        return self.cut(around, inside), within(core, around)
+        inside[own] = True
+        return self.cut(around, inside), own
 
     def _put(self, stacks: Sequence[Stack], rows: slice, planes: Float32s) -> None:
         for stack, own in zip(stacks, _split(planes, stacks), strict=True):
@@ -345,11 +330,11 @@ def cut_blocks(whole: GridManifold, cells: Int64s, core: Bools, reach: int) -> G
 def _average_chunk(
     part: tuple[GridManifold, Rectangle], stacks: list[Stack], threads: int, step: Step, channels: int
 ) -> tuple[list[Float32s], Figures]:
-    manifold, core = part
+    manifold, own = part
     parameters = dataclasses.replace(manifold.parameters, threads=threads)
     manifold = dataclasses.replace(manifold, parameters=parameters, is_in_one_block=False)
     done = manifold._average_rows(stacks, manifold.measure(stacks[0][:channels], step), None)
-    return [stack[core] for stack in done.stacks], (done.samples, 0)
+    return [stack[own] for stack in done.stacks], (done.samples, 0)
 
 
 def row_blocks(rows: int, columns: int, margin: int, threads: int) -> list[slice]:

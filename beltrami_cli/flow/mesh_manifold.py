@@ -11,15 +11,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from beltrami_cli._native import PATCH_BLOCK_SIZE
 from beltrami_cli.arrays import Array, Float32s, Float64s
-from beltrami_cli.flow.chunks import (
-    Chunk,
-    Chunking,
-    Figures,
-    chunk_of_run,
-    chunking_of_mesh,
-    runs,
-)
+from beltrami_cli.flow.chunks import Chunk, Chunking, Figures, chunking_of_mesh, runs
 from beltrami_cli.flow.domain import CoarseLevel, Gaussian, Mixing, NewColours, Stack, in_blocks
 from beltrami_cli.flow.manifold import (
     ON_MESHES,
@@ -162,10 +156,16 @@ class MeshManifold(Manifold):
         reach = _STRETCH * own.radius + _KNOWN * ((mesh.spacing or 1.0) if mesh.scales is None else 1.0)
         # Edges with bridges.
         neighbours = Neighbours(mesh.size, distinct_edges(mesh.faces), mesh.scaled_lengths)
-        return [
-            chunk_of_run(whole._part, np.isfinite(neighbours.distances(*run, reach)), *run)
-            for run in runs(mesh.size, wanted.count)
-        ]
+        chunks = []
+        for first, last in runs(mesh.size, wanted.count):
+            near = np.isfinite(neighbours.distances(first, last, reach))
+            # Samples from anywhere before, so that what the core takes together is the same as in the whole.
+            missing = -int(np.count_nonzero(near[:first])) % PATCH_BLOCK_SIZE
+            near[np.flatnonzero(~near[:first])[:missing]] = True
+            samples = np.flatnonzero(near).astype(np.int32)
+            run = slice(*np.searchsorted(samples, [first, last]).tolist())
+            chunks.append(Chunk(partial(whole._part, samples, run), samples, slice(first, last)))
+        return chunks
 
     def _part(self, samples: Array, kept: slice) -> tuple[MeshManifold, slice]:
         return self.cut(samples), kept

@@ -86,8 +86,7 @@ def test_a_mesh_in_chunks_has_the_bits_of_the_whole(name, count, seed):
     guides = [Guide("guide", surface.colours[:, ::-1].copy(), 2.0)]
     whole = smooth_mesh(surface, parameters, guides=guides, metric_channels=[0, 1])
     assert not np.array_equal(whole.colours, surface.colours)
-    runner = Sent()
-    with in_chunks(count, runner):
+    with in_chunks(count, runner := Sent()):
         parts = smooth_mesh(surface, parameters, guides=guides, metric_channels=[0, 1])
     assert runner.counts[0] == min(count, 3)  # blocks
     if name == "patches":  # sums in another order, and groups that reach further at a corner of the surface
@@ -128,8 +127,7 @@ def test_patches_and_their_coarse_levels_take_part(differs):
     kernel = outcome(picture(shape, KernelParameters(**FIXED), relative))
     assert not same_bits(whole, kernel)
     for count in (2, 7):
-        runner = Sent()
-        with in_chunks(count, runner):
+        with in_chunks(count, runner := Sent()):
             parts = outcome(picture(shape, parameters, relative))
         assert min(runner.counts) > 1
         assert len(runner.counts) > 2 * FIXED["iterations"] + 4  # the kernel, the patches, and levels
