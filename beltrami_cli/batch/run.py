@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Protocol
 
-import numpy as np
-
 from beltrami_cli.arrays import Float32s
 from beltrami_cli.batch.item import (
     Attempt,
@@ -237,7 +235,8 @@ class ChunkRunner:
                     waiting.remove(number)
                     in_work.add(number)
                     chunk = chunks[number]
-                    self._pool.start(number, do_chunk, operation, chunk.copies(stacks), part=chunk.cut)
+                    own = [stack[chunk.around] for stack in stacks]
+                    self._pool.start(number, do_chunk, operation, own, part=chunk.cut)
                 for number, answer in self._pool.events():
                     in_work.discard(number)
                     if isinstance(answer, Exception):
@@ -261,7 +260,6 @@ def do_chunk(
     """Return the result of a chunk in a worker."""
     del progress
     try:
-        results, figures = operation(part, stacks, 1)
-        return [np.ascontiguousarray(each) for each in results], figures  # as a `Channel` wants them
+        return operation(part, stacks, 1)
     except Exception as error:  # other than the death of a worker, it would come again elsewhere
         return error

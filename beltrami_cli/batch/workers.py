@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import copyreg
+import io
 import mmap
 import multiprocessing
 import os
@@ -23,6 +25,9 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, Protocol
 
+import numpy as np
+
+from beltrami_cli.arrays import Array
 from beltrami_cli.errors import ProcessingError, unhandled_endings
 from beltrami_cli.formats.image.reading import scratch_file
 from beltrami_cli.jobs.job import at_intervals
@@ -72,22 +77,29 @@ class Pool(Protocol):
 
 
 class Channel:
-    """Messages between two processes, whose arrays are in a file that both map: a pipe would copy them four times.
-
-    Only contiguous arrays are, and only those that could be changed can be on arrival.
-    """
+    """Messages between two processes, whose arrays are in a file that both map: a pipe would copy them four times."""
 
     def __init__(self, pipe: Connection[Any, Any], path: Path) -> None:
         self.pipe, self._path, self._pages = pipe, path, memoryview(b"")
 
     def send(self, message: object) -> None:
-        buffers: list[pickle.PickleBuffer] = []
-        head = pickle.dumps(message, 5, buffer_callback=buffers.append)
-        arrays = [buffer.raw() for buffer in buffers]
+        arrays: list[Array] = []
+
+        # NumPy itself would copy arrays that are not contiguous.
+        def leave_out(array: Array) -> Any:
+            if array.dtype.hasobject:
+                return array.__reduce_ex__(5)
+            arrays.append(array)
+            stand_in = pickle.PickleBuffer(bytearray())  # for the place of the array
+            return np.ndarray, (array.shape, array.dtype, stand_in)
+
+        pickler = pickle.Pickler(head := io.BytesIO(), 5, buffer_callback=lambda buffer: None)
+        pickler.dispatch_table = {**copyreg.dispatch_table, np.ndarray: leave_out}
+        pickler.dump(message)
         sizes = [array.nbytes for array in arrays]
         for array, place in zip(arrays, self._places(sizes), strict=True):
-            place[:] = array
-        self.pipe.send((head, sizes))
+            np.ndarray(array.shape, array.dtype, place)[...] = array
+        self.pipe.send((head.getvalue(), sizes))
 
     def receive(self) -> Any:
         """Return a message; its arrays last until the next one, in either direction."""

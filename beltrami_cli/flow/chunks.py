@@ -20,6 +20,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from beltrami_cli._native import PATCH_BLOCK_SIZE
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
 from beltrami_cli.surface import large_arrays
 
@@ -42,10 +43,6 @@ class Chunk:
     around: Any  # index of the samples of the part in a stack of the whole
     place: Any  # index of the samples of the chunk in a stack of the whole
 
-    def copies(self, stacks: Sequence[Float32s]) -> list[Float32s]:
-        """Return the samples of the part in stacks of the whole, for an operation to change."""
-        return [np.array(stack[self.around]) for stack in stacks]
-
 
 Answers = Generator[tuple[int, Sequence[Float32s], Figures], None, None]
 """The number of each chunk and its results, in any order; results last until the next ones are asked for."""
@@ -59,7 +56,8 @@ def in_turn(
 ) -> Answers:
     """Work on chunks one after another, here; a `Runner`."""
     for number, chunk in enumerate(chunks):
-        yield number, *operation(chunk.cut(), chunk.copies(stacks), threads)
+        copies = [np.array(stack[chunk.around]) for stack in stacks]
+        yield number, *operation(chunk.cut(), copies, threads)
 
 
 @dataclass(frozen=True)
@@ -70,17 +68,10 @@ class Chunking:
     runner: Runner
 
     def apply(
-        self,
-        chunks: Sequence[Chunk],
-        operation: Operation,
-        stacks: Sequence[Float32s],
-        results: Sequence[Float32s],
-        progress: Callable[[int], None] | None,
-        *,
-        size: int,
-        threads: int,
-        adds: bool = False,
-    ) -> Figures:
+        self, chunks: Sequence[Chunk], operation: Operation, stacks: Sequence[Float32s],
+        results: Sequence[Float32s], progress: Callable[[int], None] | None, *,
+        size: int, threads: int, adds: bool = False,
+    ) -> Figures:  # fmt: skip
         """Write the results of all chunks to stacks of the whole, or add them; `stacks` stay as they are.
 
         `size`: of the whole, for its progress; `threads`: for a single chunk, which is done here.
@@ -198,8 +189,6 @@ LEAST_SAMPLES = 1 << 14
 
 def runs(size: int, count: int) -> list[tuple[int, int]]:
     """Cut samples, in an order in which neighbours are near each other, into runs of whole blocks."""
-    from beltrami_cli._native import PATCH_BLOCK_SIZE
-
     blocks = -(-size // PATCH_BLOCK_SIZE)
     count = min(count, max(1, size // LEAST_SAMPLES), blocks)
     borders = np.linspace(0, blocks, count + 1).round().astype(int) * PATCH_BLOCK_SIZE

@@ -144,11 +144,12 @@ class GridGeometry(Geometry):
 
 
 def pick(planes: Array, samples: Cells) -> Array:
-    """Return some cells of an array of planes, of rows without a copy."""
+    """Return some cells of an array of planes, of rows and rectangles without a copy."""
     if isinstance(samples, slice):
         return planes[..., samples, :]
     if isinstance(samples, tuple):
-        return np.ascontiguousarray(planes[samples])
+        part: Array = planes[samples]
+        return part
     flat = planes.reshape(*planes.shape[:-2], -1)
     picked = np.empty((*flat.shape[:-1], *samples.shape), planes.dtype)
     for rows in large_arrays.blocks(len(samples), SUMMED_ROWS):

@@ -52,7 +52,7 @@ class Sent:
         self.counts.append(len(cut))
         for number, chunk in reversed([*enumerate(cut)]):
             part, work = pickle.loads(pickle.dumps((chunk.cut(), operation)))
-            values, figures = work(part, chunk.copies(stacks), 2)
+            values, figures = work(part, [np.array(stack[chunk.around]) for stack in stacks], 2)
             yield number, values, figures
             for own in values:  # whose memory the next chunk takes, as it does in another process
                 own.fill(np.nan)
