@@ -85,13 +85,12 @@ class Channel:
     def send(self, message: object) -> None:
         arrays: list[Array] = []
 
-        # NumPy itself would copy arrays that are not contiguous.
+        # Also arrays that are not contiguous, which NumPy would copy. An empty buffer stands for the place of each.
         def leave_out(array: Array) -> Any:
             if array.dtype.hasobject:
                 return array.__reduce_ex__(5)
             arrays.append(array)
-            stand_in = pickle.PickleBuffer(bytearray())  # for the place of the array
-            return np.ndarray, (array.shape, array.dtype, stand_in)
+            return np.ndarray, (array.shape, array.dtype, pickle.PickleBuffer(bytearray()))
 
         pickler = pickle.Pickler(head := io.BytesIO(), 5, buffer_callback=lambda buffer: None)
         pickler.dispatch_table = {**copyreg.dispatch_table, np.ndarray: leave_out}
