@@ -235,8 +235,9 @@ class ChunkRunner:
                     waiting.remove(number)
                     in_work.add(number)
                     chunk = chunks[number]
-                    own = [stack[chunk.around] for stack in stacks]
-                    self._pool.start(number, do_chunk, operation, own, part=chunk.cut)
+                    self._pool.start(
+                        number, do_chunk, operation, [stack[chunk.around] for stack in stacks], part=chunk.cut
+                    )
                 for number, answer in self._pool.events():
                     in_work.discard(number)
                     if isinstance(answer, Exception):
