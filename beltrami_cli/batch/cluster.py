@@ -98,7 +98,7 @@ class OnDask(Pool):
         self._client, self._at_once, self._per_worker = client, at_once, per_worker
         self._topic = f"beltrami-{uuid.uuid4().hex}"  # of progress
         self._events = queue.SimpleQueue[tuple[int, Any]]()
-        self._futures: dict[int, Any] = {}
+        self._futures, self._parts = dict[int, Any](), dict[int, Any]()
         client.subscribe_topic(self._topic, self._note)
 
     @property
@@ -111,7 +111,11 @@ class OnDask(Pool):
                 raise ProcessingError(_LOST) from error
         return len(self._futures) >= most
 
-    def start(self, key: int, task: Task, *arguments: Any) -> None:
+    def start(self, key: int, task: Task, *arguments: Any, part: Callable[[], Any] | None = None) -> None:
+        if part is not None:
+            if key not in self._parts:
+                self._parts[key] = self._scattered(part())
+            arguments = self._parts[key], *arguments
         # What a task is called with alone would go through the scheduler.
         sent = [self._scattered(each) if isinstance(each, list) else each for each in arguments]
         try:
@@ -136,10 +140,13 @@ class OnDask(Pool):
                 yield key, event
         elif self._futures.get(key) is event:  # else of a task that was given up
             del self._futures[key]
-            yield key, _result(event)
+            result = _result(event)
+            if isinstance(result, Lost):
+                self._parts.pop(key, None)  # it may be what was lost
+            yield key, result
 
-    def share(self, make: Callable[[], Any]) -> Any:
-        return self._scattered(make())
+    def forget(self) -> None:
+        self._parts.clear()
 
     def _scattered(self, value: Any) -> Any:
         try:

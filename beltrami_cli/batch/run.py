@@ -25,7 +25,7 @@ from beltrami_cli.batch.item import (
 from beltrami_cli.batch.storage import exists, make_folder_of
 from beltrami_cli.batch.workers import Lost, Pool, Processes, Task
 from beltrami_cli.errors import OutputError, ProcessingError
-from beltrami_cli.flow.chunks import Chunk, Done, Figures, Piece, Work, in_chunks
+from beltrami_cli.flow.chunks import Answers, Chunk, Figures, Operation, in_chunks
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.jobs.job import Progress, at_intervals
 
@@ -83,9 +83,11 @@ class Batch:
             count = max(1, min(at_once, len(waiting)))
             share = None if memory is None else memory // count
             threads = KernelParameters().thread_count
-            several = in_processes(count, share, max(1, threads // count))
-            larger = self._work(waiting, several, is_last=count == 1)
-            self._work(larger, in_processes(1, memory, threads), is_last=True)
+            if waiting:
+                several = in_processes(count, share, max(1, threads // count))
+                waiting = self._work(waiting, several, is_last=count == 1)
+            if waiting:  # for more memory
+                self._work(waiting, in_processes(1, memory, threads), is_last=True)
         for key in set(range(len(self._items))) - self._outcomes.keys():  # left undone by --fail-fast
             written = _written(self._earlier[key])
             self._outcomes[key] = outcome_of(self._items[key], "not started", written=written)
@@ -181,7 +183,6 @@ def in_pieces(pool: Pool, count: int, memory: int | None, advanced: Advanced, th
     """
 
     def do_in_pieces(item: Item, progress: Progress) -> Attempt:
-        pool.prepare(count)
         runner = ChunkRunner(pool)
         with in_chunks(count, runner):
             attempt = do_item(item, memory, progress, is_alone=False)
@@ -201,7 +202,8 @@ class Here(Pool):
     def is_full(self) -> bool:
         return bool(self._waiting)
 
-    def start(self, key: int, task: Task, *arguments: Any) -> None:
+    def start(self, key: int, task: Task, *arguments: Any, part: Callable[[], Any] | None = None) -> None:
+        assert part is None
         self._waiting.append((key, task, arguments))
 
     def events(self) -> Iterator[tuple[int, Any]]:
@@ -217,24 +219,25 @@ class ChunkRunner:
 
     def __init__(self, pool: Pool) -> None:
         self._pool = pool
-        self._chunks: Sequence[Chunk] = ()
-        # Shared parts of the chunks, so that only colours are sent from one operation to the next.
-        self._parts: dict[int, Any] = {}
+        self._chunks: Sequence[Chunk] = ()  # whose parts workers keep, so that only colours are sent
         self.most = 0  # chunks that a surface was cut into
 
-    def run(
-        self, chunks: Sequence[Chunk], work: Work, stacks_of: Callable[[Chunk], list[Float32s]]
-    ) -> Iterator[Done]:
+    def __call__(self, chunks: Sequence[Chunk], operation: Operation, stacks: Sequence[Float32s]) -> Answers:
         if chunks is not self._chunks:
-            self._chunks, self._parts, self.most = chunks, {}, max(self.most, len(chunks))
+            self._pool.forget()
+            self._chunks, self.most = chunks, max(self.most, len(chunks))
         waiting, failures, in_work = list(range(len(chunks))), Counter[int](), set[int]()
         try:
             while waiting or in_work:
                 while waiting and not self._pool.is_full:
-                    number = self._pool.choose(waiting, self._parts)
+                    held = self._pool.held()
+                    number = next((each for each in waiting if each in held), waiting[0])
                     waiting.remove(number)
                     in_work.add(number)
-                    self._start(number, work, stacks_of(chunks[number]))
+                    chunk = chunks[number]
+                    self._pool.start(
+                        number, do_chunk, operation, [stack[chunk.around] for stack in stacks], part=chunk.cut
+                    )
                 for number, answer in self._pool.events():
                     in_work.discard(number)
                     if isinstance(answer, Exception):
@@ -247,23 +250,17 @@ class ChunkRunner:
                         what = f"workers died or failed {_TRIES} times with one piece of the surface"
                         remedy = "if there is too little memory for it, raise --pieces"
                         raise ProcessingError(f"{what}: {answer.cause}; {remedy}")
-                    self._parts.pop(number, None)  # it may be what was lost
                     waiting.append(number)
         finally:
             self._pool.give_up()
 
-    def _start(self, number: int, work: Work, stacks: list[Float32s]) -> None:
-        if number not in self._parts:
-            self._parts[number] = self._pool.share(self._chunks[number].piece)
-        self._pool.start(number, do_chunk, self._parts[number], work, stacks)
-
 
 def do_chunk(
-    piece: Piece, work: Work, stacks: list[Float32s], progress: object
-) -> tuple[list[Float32s], Figures] | Exception:
+    part: Any, operation: Operation, stacks: list[Float32s], progress: object
+) -> tuple[Sequence[Float32s], Figures] | Exception:
     """Return the result of a chunk in a worker."""
     del progress
     try:
-        return work.on(piece, stacks, 1)
+        return operation(part, stacks, 1)
     except Exception as error:  # other than the death of a worker, it would come again elsewhere
         return error

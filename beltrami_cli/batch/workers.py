@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import copyreg
 import io
 import mmap
 import multiprocessing
@@ -17,16 +18,12 @@ import pickle
 import signal
 import sys
 import time
-import weakref
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from itertools import accumulate, count
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import accumulate
 from multiprocessing.connection import Connection, wait
-from multiprocessing.context import SpawnProcess
 from pathlib import Path
-from types import FrameType
-from typing import Any, NoReturn, cast
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -50,73 +47,33 @@ class Lost:
     wants_memory: bool = False  # whether more memory might help
 
 
-class Pool(ABC):
+class Pool(Protocol):
     """Workers that do tasks."""
 
     @property
-    @abstractmethod
     def is_full(self) -> bool:
         """Whether it takes no more tasks for now."""
 
-    def prepare(self, tasks: int) -> None:
-        """Have workers ready for as many tasks at a time."""
-        del tasks
+    def start(self, key: int, task: Task, *arguments: Any, part: Callable[[], Any] | None = None) -> None:
+        """Begin a task; `part` makes a large first argument, which workers keep for tasks with the same key."""
 
-    @abstractmethod
-    def start(self, key: int, task: Task, *arguments: Any) -> None: ...
-
-    @abstractmethod
     def events(self) -> Iterator[tuple[int, Any]]:
         """Wait for a while, and give by the keys of tasks their progress, a tuple of three, or what came of them."""
 
-    def share(self, make: Callable[[], Any]) -> Any:
-        """Return what stands for a large value among the arguments of tasks; workers hold it while it is kept here."""
-        return make()
+    def held(self) -> Collection[int]:
+        """Return the keys of the parts that the next worker keeps, if that is known."""
+        return ()
 
-    def choose(self, keys: Sequence[int], shared: Mapping[int, Any]) -> int:
-        """Return which of some tasks to start next; `shared`: by key, an argument of tasks that workers may hold."""
-        del shared
-        return keys[0]
+    def forget(self) -> None:
+        """Let workers drop the parts that they keep."""
+        return
 
-    @abstractmethod
     def give_up(self) -> None:
         """Stop the tasks in work: what comes of them is not wanted any more."""
 
     def close(self) -> None:
         """Let the workers go, after they have cleaned up."""
         self.give_up()
-
-
-@dataclass(eq=False)
-class Shared:
-    """A value that workers hold, while it is referenced in the process that leads, which makes it for each of them."""
-
-    number: int
-    value: Any  # in the process that leads, what makes it
-
-
-class _Pickler(pickle.Pickler):
-    """Leaves arrays out, which are in `arrays` then."""
-
-    def __init__(self, file: io.BytesIO) -> None:
-        super().__init__(file, 5)
-        self.arrays: list[Array] = []
-
-    def persistent_id(self, obj: Any) -> tuple[int, np.dtype[Any], tuple[int, ...]] | None:
-        if type(obj) is not np.ndarray or obj.dtype.hasobject:
-            return None
-        self.arrays.append(obj)
-        return len(self.arrays) - 1, obj.dtype, obj.shape
-
-
-class _Unpickler(pickle.Unpickler):
-    def __init__(self, head: bytes, places: Sequence[memoryview]) -> None:
-        super().__init__(io.BytesIO(head))
-        self._places = places
-
-    def persistent_load(self, pid: Any) -> Array:
-        number, kind, shape = pid
-        return np.frombuffer(self._places[number], kind).reshape(shape)
 
 
 class Channel:
@@ -126,151 +83,135 @@ class Channel:
         self.pipe, self._path, self._pages = pipe, path, memoryview(b"")
 
     def send(self, message: object) -> None:
-        head = io.BytesIO()
-        pickler = _Pickler(head)
+        arrays: list[Array] = []
+
+        # Also arrays that are not contiguous, which NumPy would copy. An empty buffer stands for the place of each.
+        def leave_out(array: Array) -> Any:
+            if array.dtype.hasobject:
+                return array.__reduce_ex__(5)
+            arrays.append(array)
+            return np.ndarray, (array.shape, array.dtype, pickle.PickleBuffer(bytearray()))
+
+        pickler = pickle.Pickler(head := io.BytesIO(), 5, buffer_callback=lambda buffer: None)
+        pickler.dispatch_table = {**copyreg.dispatch_table, np.ndarray: leave_out}
         pickler.dump(message)
-        sizes = [array.nbytes for array in pickler.arrays]
-        for array, place in zip(pickler.arrays, self._places(sizes, is_new=True), strict=True):
-            np.frombuffer(place, array.dtype).reshape(array.shape)[...] = array
+        sizes = [array.nbytes for array in arrays]
+        for array, place in zip(arrays, self._places(sizes), strict=True):
+            np.ndarray(array.shape, array.dtype, place)[...] = array
         self.pipe.send((head.getvalue(), sizes))
 
     def receive(self) -> Any:
         """Return a message; its arrays last until the next one, in either direction."""
         head, sizes = self.pipe.recv()
-        return _Unpickler(head, self._places(sizes, is_new=False)).load()
+        return pickle.loads(head, buffers=self._places(sizes))
 
-    def _places(self, sizes: Sequence[int], *, is_new: bool) -> list[memoryview]:
+    def _places(self, sizes: Sequence[int]) -> list[memoryview]:
         """Return where arrays of these sizes in bytes are in the file."""
-        ends = list(accumulate(size + -size % _ALIGNMENT for size in sizes))
-        size = ends[-1] if ends else 0
-        if size > len(self._pages):
+        *begins, end = accumulate((size + -size % _ALIGNMENT for size in sizes), initial=0)
+        if end > len(self._pages):
             with self._path.open("r+b") as file:
-                if is_new and hasattr(os, "posix_fallocate"):
+                if hasattr(os, "posix_fallocate"):
                     # Without it, full storage would end the process as it writes a page.
-                    os.posix_fallocate(file.fileno(), 0, size)
-                elif is_new:
-                    file.truncate(size)
+                    os.posix_fallocate(file.fileno(), 0, end)
+                else:
+                    file.truncate(end)
                 self._pages = memoryview(mmap.mmap(file.fileno(), 0))
-        return [self._pages[begin : begin + size] for begin, size in zip([0, *ends], sizes, strict=False)]
+        return [self._pages[begin : begin + size] for begin, size in zip(begins, sizes, strict=True)]
 
 
-@dataclass
 class _Worker:
-    process: SpawnProcess
-    channel: Channel
-    file: contextlib.ExitStack  # of the channel
-    key: int = -1
-    held: set[int] = field(default_factory=set)  # numbers of shared values
+    """A process, and what is known of it in the one that leads."""
 
-    @classmethod
-    def started(cls) -> _Worker:
+    def __init__(self) -> None:
         context = multiprocessing.get_context("spawn")  # a fork would copy locks of threads as they are
-        with contextlib.ExitStack() as file:
-            path = file.enter_context(scratch_file())
-            ours, theirs = context.Pipe()
-            process = context.Process(target=serve, args=(theirs, path), daemon=True)
-            with _without_interrupts():
-                process.start()
-            theirs.close()  # so that the pipe ends with the process
-            return cls(process, Channel(ours, path), file.pop_all())
+        self._file = contextlib.ExitStack()
+        path = self._file.enter_context(scratch_file())
+        ours, theirs = context.Pipe()
+        self.process = context.Process(target=serve, args=(theirs, path), daemon=True)
+        with _without_interrupts():
+            self.process.start()
+        theirs.close()  # so that the pipe ends with the process
+        self.channel = Channel(ours, path)
+        self.key, self.held = -1, set[int]()  # of the task in work, and of parts
 
-    def needed(self, shared: Shared) -> Shared:
-        """Return a shared value, without the value if it is here already."""
-        return Shared(shared.number, None if shared.number in self.held else shared.value())
-
-    def close(self) -> None:
+    def end(self, seconds: float | None = 0) -> None:
+        """End the process, which has some seconds left; None: wait until it ends."""
+        self.process.join(seconds)
+        self.process.kill()
         self.process.join()
         self.channel.pipe.close()
-        self.file.close()
+        self._file.close()
 
 
 class Processes(Pool):
-    """Processes of this machine, up to `most`, which are started when they are needed.
+    """Processes of this machine; one that dies is replaced when it is needed."""
 
-    `grace`: seconds that they have to clean up when they are asked to end.
-    """
-
-    def __init__(self, most: int, grace: float = _GRACE) -> None:
-        self._most, self._grace = most, grace
-        self._idle: list[_Worker] = []
-        self._busy: dict[Connection[Any, Any], _Worker] = {}
-        self._shared, self._numbers = weakref.WeakSet[Any](), count()
+    def __init__(self, count: int) -> None:
+        self._count, self._busy = count, list[_Worker]()
+        self._idle = [_Worker() for _ in range(count)]
 
     @property
     def is_full(self) -> bool:
-        return len(self._busy) >= self._most
+        return len(self._busy) >= self._count
 
-    def prepare(self, tasks: int) -> None:
-        missing = min(tasks, self._most) - len(self._idle) - len(self._busy)
-        self._idle.extend(_Worker.started() for _ in range(missing))
-
-    def start(self, key: int, task: Task, *arguments: Any) -> None:
+    def start(self, key: int, task: Task, *arguments: Any, part: Callable[[], Any] | None = None) -> None:
         while True:
-            worker = self._idle.pop() if self._idle else _Worker.started()
-            sent = [worker.needed(each) if isinstance(each, Shared) else each for each in arguments]
+            if not self._idle:
+                self._idle.append(_Worker())
+            worker = self._idle[-1]
+            made = part() if part is not None and key not in worker.held else None
             try:
-                worker.channel.send((task, sent, {each.number for each in self._shared}))
+                worker.channel.send((task, arguments, None if part is None else key, worker.held, made))
                 break
             except ConnectionError:  # it died while it had nothing to do
-                worker.close()
+                self._idle.pop().end()
             except OSError as error:
-                self._idle.append(worker)
                 cause = f"there is no room for a piece in work ({error.strerror})"
                 raise ProcessingError(f"{cause}; lower --jobs, or raise --pieces") from error
         worker.key = key
-        worker.held |= {each.number for each in arguments if isinstance(each, Shared)}
-        self._busy[worker.channel.pipe] = worker
+        if part is not None:
+            worker.held.add(key)
+        self._busy.append(self._idle.pop())
 
     def events(self) -> Iterator[tuple[int, Any]]:
-        for pipe in wait(list(self._busy)):
-            worker = self._busy[cast("Connection[Any, Any]", pipe)]
+        ready = wait([worker.channel.pipe for worker in self._busy])
+        for worker in [worker for worker in self._busy if worker.channel.pipe in ready]:
             try:
                 is_done, event = worker.channel.receive()
             except (EOFError, OSError):
-                event = _lost(self._busy.pop(worker.channel.pipe))
+                self._busy.remove(worker)
+                event = _lost(worker)
             else:
                 if is_done:
-                    self._idle.append(self._busy.pop(worker.channel.pipe))
+                    self._busy.remove(worker)
+                    self._idle.append(worker)
             yield worker.key, event
 
-    def share(self, make: Callable[[], Any]) -> Shared:
-        shared = Shared(next(self._numbers), make)
-        self._shared.add(shared)
-        return shared
+    def held(self) -> Collection[int]:
+        return self._idle[-1].held if self._idle else ()
 
-    def choose(self, keys: Sequence[int], shared: Mapping[int, Shared]) -> int:
-        own = self._idle[-1].held if self._idle else set[int]()
-        all_held = own.union(*(each.held for each in (*self._idle, *self._busy.values())))
-        numbers = {key: shared[key].number if key in shared else -1 for key in keys}
-        return min(keys, key=lambda key: (numbers[key] not in own, numbers[key] in all_held))
+    def forget(self) -> None:
+        for worker in self._idle:
+            worker.held.clear()
 
     def give_up(self) -> None:
-        _end(list(self._busy.values()), 0)
+        for worker in self._busy:
+            worker.end()
         self._busy.clear()
 
     def close(self) -> None:
-        _end([*self._idle, *self._busy.values()], self._grace)
-        self._idle.clear()
-        self._busy.clear()
+        workers, deadline = [*self._idle, *self._busy], time.monotonic() + _GRACE
+        for worker in workers:
+            worker.process.terminate()
+        for worker in workers:
+            worker.end(max(0.0, deadline - time.monotonic()))
 
 
 def _lost(worker: _Worker) -> Lost:
-    worker.close()
+    worker.end(None)
     code = worker.process.exitcode or 0
     how = f"by signal {-code}" if code < 0 else f"with code {code}"
     return Lost(f"the process that worked on it ended {how}; there may be too little memory", True)
-
-
-def _end(workers: list[_Worker], grace: float) -> None:
-    """End processes, which have some seconds to clean up."""
-    for worker in workers if grace else ():
-        worker.process.terminate()
-    deadline = time.monotonic() + grace
-    for worker in workers:
-        if grace:
-            worker.process.join(max(0.0, deadline - time.monotonic()))
-        worker.process.kill()
-        worker.close()
 
 
 @contextlib.contextmanager
@@ -290,33 +231,25 @@ def _without_interrupts() -> Iterator[None]:
 
 
 # ---- in a worker process
-class _Stopped(BaseException):
-    """The process that this one works for is gone."""
-
-
 def serve(pipe: Connection[Any, Any], path: Path) -> None:
     """Do the tasks that come through a channel until it is closed."""
     for number in unhandled_endings():
-        signal.signal(number, _exit)
+        signal.signal(number, lambda number, _: sys.exit(128 + number))
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all; who leads decides
     channel, held = Channel(pipe, path), dict[int, Any]()
-    progress = at_intervals(_PAUSE, lambda *event: _answer(channel, (False, event)))
-    with contextlib.suppress(EOFError, ConnectionError, _Stopped):
+
+    def report(*event: object) -> None:
+        try:
+            channel.send((False, event))
+        except ConnectionError:  # the process that leads is gone, which is no error of a task
+            sys.exit()
+
+    progress = at_intervals(_PAUSE, report)
+    with contextlib.suppress(EOFError, ConnectionError):
         while True:
-            task, arguments, referenced = channel.receive()
-            held = {number: value for number, value in held.items() if number in referenced}
-            shared = [each for each in arguments if isinstance(each, Shared)]
-            held |= {each.number: copy.deepcopy(each.value) for each in shared if each.number not in held}
-            values = [held[each.number] if isinstance(each, Shared) else each for each in arguments]
-            _answer(channel, (True, task(*values, progress)))
-
-
-def _answer(channel: Channel, message: object) -> None:
-    try:
-        channel.send(message)
-    except ConnectionError:  # the other end is closed, which is no error of a task
-        raise _Stopped from None
-
-
-def _exit(number: int, frame: FrameType | None) -> NoReturn:
-    sys.exit(128 + number)
+            task, arguments, key, keys, made = channel.receive()
+            held = {each: held[each] for each in keys}
+            if made is not None:
+                held[key] = copy.deepcopy(made)
+            parts = () if key is None else (held[key],)
+            channel.send((True, task(*parts, *arguments, progress)))

@@ -243,8 +243,9 @@ def _workers(
             if not client.nthreads():
                 display.messages.say(f"{scheduler} has no workers yet; the files wait for them")
         if pieces is not None:
-            # Processes write nothing, so they have nothing to clean up. On a cluster a second chunk is on its way.
-            pool = OnDask(client, at_once, per_worker=2) if client else Processes(_at_once(given), grace=0)
+            # On a cluster, a second chunk is on its way to each worker.
+            many = min(pieces, _at_once(given))
+            pool = OnDask(client, at_once, per_worker=2) if client else Processes(many)
             threads = None if client else min(_at_once(given), KernelParameters().thread_count)
             stack.enter_context(contextlib.closing(pool))
             yield in_pieces(pool, pieces, memory or default_memory(), display.advanced, threads)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Uint8s
-from beltrami_cli.flow.chunks import Chunk, Figures, Rectangle, Work, chunk_of, chunking, rectangles
+from beltrami_cli.flow.chunks import Figures, Rectangle, chunking, chunks_of_canvas, grown
 from beltrami_cli.flow.domain import CoarseLevel, Mixing, NewColours, Stack
 from beltrami_cli.flow.grid_geometry import colours_at, gaussian_taps, guide_radius
 from beltrami_cli.flow.noise.grid_squares import Grid
@@ -205,41 +205,35 @@ def collaborate_on_canvas(
     replaces_pilot: bool = False,
 ) -> Float32s:
     """Estimate the owned cells from similar patches, compared on the pilot; `relative`: variance by its mean."""
+    from beltrami_cli._native import PATCH_TILE_MARGIN, PATCH_TILE_SIDE
+
     stacks, wanted = [noisy, pilot, *([] if relative is None else [relative])], chunking()
     if wanted is None:
-        return _patches_on(kind, stacks, threads, mixing, progress, pilot if replaces_pilot else None)[0][0]
+        taken = pilot if replaces_pilot else None
+        return _patches_on((kind, ...), stacks, threads, mixing, progress, taken)[0][0]
     estimates: Float32s = large_arrays.empty(noisy.shape, np.float32)
-    work, how = Work(_patches_on, (mixing,)), {"size": kind.size, "threads": threads}
-    wanted.apply(_patch_chunks(kind, wanted.count), work, stacks, [estimates], progress, **how)
+    # Groups start tile by tile; the order in which tiles add to a cell repeats itself after two of them.
+    before, after = 2 * PATCH_TILE_SIDE, PATCH_TILE_SIDE + PATCH_TILE_MARGIN
+    cut, operation = partial(_part_for_patches, kind), partial(_patches_on, mixing=mixing)
+    chunks = chunks_of_canvas(cut, kind == OWNED, wanted.count, before, before, after)
+    wanted.apply(chunks, operation, stacks, [estimates], progress, size=kind.size, threads=threads)
     return estimates
 
 
-def _patch_chunks(kind: Uint8s, count: int) -> list[Chunk]:
-    """Cut a canvas for patches, whose groups start tile by tile."""
-    from beltrami_cli._native import PATCH_TILE_MARGIN, PATCH_TILE_SIDE
-
-    chunks = []
-    # The order in which tiles add to a cell repeats itself after two of them.
-    for core in rectangles(kind == OWNED, count, 2 * PATCH_TILE_SIDE):
-        around = core.grown(2 * PATCH_TILE_SIDE, PATCH_TILE_SIDE + PATCH_TILE_MARGIN, kind.shape)
-        chunks.append(chunk_of(partial(_part_for_patches, kind, core, around), core, around))
-    return chunks
-
-
-def _part_for_patches(kind: Uint8s, core: Rectangle, around: Rectangle) -> Uint8s:
-    """Return the kinds of the cells around a rectangle, for the estimates of its own cells."""
+def _part_for_patches(kind: Uint8s, around: Rectangle, own: Rectangle) -> tuple[Uint8s, Rectangle]:
+    """Return the kinds of some cells, for the estimates of those in a rectangle among them, and this."""
     from beltrami_cli._native import PATCH_TILE_SIDE
 
-    part: Uint8s = kind[around.index].copy()
+    part: Uint8s = kind[around].copy()
     # The groups of the next tiles reach the core; those beyond only supply candidates.
     inside = np.zeros(part.shape, bool)
-    inside[core.grown(PATCH_TILE_SIDE, PATCH_TILE_SIDE, kind.shape).within(around)] = True
+    inside[grown(own, PATCH_TILE_SIDE, PATCH_TILE_SIDE, part.shape)] = True
     part[(part == OWNED) & ~inside] = HALO
-    return part
+    return part, own
 
 
 def _patches_on(
-    kind: Uint8s,
+    part: tuple[Uint8s, Any],
     stacks: Sequence[Float32s],
     threads: int,
     mixing: Mixing,
@@ -248,7 +242,7 @@ def _patches_on(
 ) -> tuple[list[Float32s], Figures]:
     from beltrami_cli._native import collaborate_on_grid
 
-    noisy, pilot, *relative = stacks
+    (kind, wanted), (noisy, pilot, *relative) = part, stacks
     if estimates is None:
         estimates = large_arrays.empty(noisy.shape, np.float32)
 
@@ -261,7 +255,7 @@ def _patches_on(
     collaborate_on_grid(
         kind, noisy, pilot, mixing.parts, variances, mixing.has_pilot, estimates, threads, report
     )
-    return [estimates], (0, 0)
+    return [estimates[wanted]], (0, 0)
 
 
 def squares_for(

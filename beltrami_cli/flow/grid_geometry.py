@@ -98,9 +98,10 @@ class GridGeometry(Geometry):
         kind[(kind == OWNED) & ~inside] = HALO
         lengths = large_arrays.Droppable(pick(self.atlas.squared_lengths, samples))
         atlas = dataclasses.replace(self.atlas, kind=kind, lengths=lengths)
-        if isinstance(samples, Rectangle):
-            rows = np.arange(samples.top, samples.bottom)[:, None] * self.atlas.kind.shape[1]
-            atlas = _without_references(atlas, self.atlas, rows + np.arange(samples.left, samples.right))
+        if isinstance(samples, tuple):
+            _, rows, columns = samples
+            cells = np.r_[rows][:, None] * self.atlas.kind.shape[1] + np.r_[columns]
+            atlas = _without_references(atlas, self.atlas, cells)
         elif not isinstance(samples, slice):
             atlas = _without_references(atlas, self.atlas, samples)
         scales = None if self.scale is None else large_arrays.Droppable(pick(self.scale, samples))
@@ -146,8 +147,8 @@ def pick(planes: Array, samples: Cells) -> Array:
     """Return some cells of an array of planes, of rows and rectangles without a copy."""
     if isinstance(samples, slice):
         return planes[..., samples, :]
-    if isinstance(samples, Rectangle):
-        part: Array = planes[samples.index]
+    if isinstance(samples, tuple):
+        part: Array = planes[samples]
         return part
     flat = planes.reshape(*planes.shape[:-2], -1)
     picked = np.empty((*flat.shape[:-1], *samples.shape), planes.dtype)

@@ -26,7 +26,7 @@ from beltrami_cli.flow.canvas import (
     painted,
     squares_for,
 )
-from beltrami_cli.flow.chunks import Chunk, Figures, Work, chunk_of, chunking, rectangles
+from beltrami_cli.flow.chunks import Chunk, Figures, Rectangle, chunking, chunks_of_canvas
 from beltrami_cli.flow.domain import Gaussian, Mixing, NewColours, Stack
 from beltrami_cli.flow.grid_geometry import SUMMED_ROWS, Cells, GridGaussian, GridGeometry, guide_radius, pick
 from beltrami_cli.flow.manifold import (
@@ -137,9 +137,10 @@ class GridManifold(Manifold):
         if wanted is None or self.is_in_one_block:
             return self._average_rows(stacks, metric, progress)
         after = [grid.planes(len(stack)) for stack in stacks]
-        work = Work(_average_chunk, (metric.step, metric.channels))
-        how = {"size": grid.size, "threads": grid.threads}
-        samples, _ = wanted.apply(self._kernel_chunks, work, stacks, after, progress, **how)
+        operation = partial(_average_chunk, step=metric.step, channels=metric.channels)
+        samples, _ = wanted.apply(
+            self._kernel_chunks, operation, stacks, after, progress, size=grid.size, threads=grid.threads
+        )
         for stack in after:
             refresh_halo(stack, grid.atlas)
         return Averaged(after, round(samples))
@@ -188,13 +189,12 @@ class GridManifold(Manifold):
         """The chunks for one iteration."""
         wanted, kind, margin = chunking(), self.geometry.atlas.kind, kernel_margin(self.parameters)
         assert wanted is not None
-        chunks = []
-        for core in rectangles(kind == OWNED, wanted.count, TILE_ROWS):
-            around = core.grown(margin, margin, kind.shape)
-            inside = np.zeros(around.shape, bool)
-            inside[core.within(around)] = True
-            chunks.append(chunk_of(partial(self.cut, around, inside), core, around))
-        return chunks
+        return chunks_of_canvas(self._part, kind == OWNED, wanted.count, TILE_ROWS, margin, margin)
+
+    def _part(self, around: Rectangle, own: Rectangle) -> tuple[GridManifold, Rectangle]:
+        inside = np.zeros_like(self.geometry.atlas.kind[around], bool)
+        inside[own] = True
+        return self.cut(around, inside), own
 
     def _put(self, stacks: Sequence[Stack], rows: slice, planes: Float32s) -> None:
         for stack, own in zip(stacks, _split(planes, stacks), strict=True):
@@ -328,12 +328,13 @@ def cut_blocks(whole: GridManifold, cells: Int64s, core: Bools, reach: int) -> G
 
 
 def _average_chunk(
-    part: GridManifold, stacks: list[Stack], threads: int, step: Step, channels: int
+    part: tuple[GridManifold, Rectangle], stacks: list[Stack], threads: int, step: Step, channels: int
 ) -> tuple[list[Float32s], Figures]:
-    parameters = dataclasses.replace(part.parameters, threads=threads)
-    part = dataclasses.replace(part, parameters=parameters, is_in_one_block=False)
-    done = part._average_rows(stacks, part.measure(stacks[0][:channels], step), None)
-    return done.stacks, (done.samples, 0)
+    manifold, own = part
+    parameters = dataclasses.replace(manifold.parameters, threads=threads)
+    manifold = dataclasses.replace(manifold, parameters=parameters, is_in_one_block=False)
+    done = manifold._average_rows(stacks, manifold.measure(stacks[0][:channels], step), None)
+    return [stack[own] for stack in done.stacks], (done.samples, 0)
 
 
 def row_blocks(rows: int, columns: int, margin: int, threads: int) -> list[slice]:

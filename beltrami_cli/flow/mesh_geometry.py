@@ -17,7 +17,6 @@ import numpy as np
 
 from beltrami_cli._native import SegmentManifold, TriangulatedManifold, vertex_order
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Uint8s
-from beltrami_cli.flow.chunks import RowsOfSamples
 from beltrami_cli.flow.clipping import ClippedChannels, find_clipped
 from beltrami_cli.flow.domain import ENOUGH_STEPS, Domain, Geometry, KernelWork, Stack
 from beltrami_cli.flow.parameters import KernelParameters
@@ -32,6 +31,7 @@ from beltrami_cli.surface.geometry import (
     mean_side,
     vertex_areas,
 )
+from beltrami_cli.surface.incidence import RowsOfSamples
 from beltrami_cli.surface.large_arrays import kept
 from beltrami_cli.surface.records import SampledSurface
 

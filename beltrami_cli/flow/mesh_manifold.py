@@ -4,24 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import islice
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from beltrami_cli._native import PATCH_BLOCK_SIZE
 from beltrami_cli.arrays import Array, Float32s, Float64s
-from beltrami_cli.flow.chunks import (
-    Chunk,
-    Chunking,
-    Figures,
-    Neighbours,
-    Work,
-    chunk_of_run,
-    chunking_of_mesh,
-    runs,
-)
+from beltrami_cli.flow.chunks import Chunk, Chunking, Figures, chunking_of_mesh, runs
 from beltrami_cli.flow.domain import CoarseLevel, Gaussian, Mixing, NewColours, Stack, in_blocks
 from beltrami_cli.flow.manifold import (
     ON_MESHES,
@@ -47,6 +39,7 @@ from beltrami_cli.flow.risk import choose_patches, fingerprints, random_signs, w
 from beltrami_cli.flow.vertex_graph import Graph, Level, levels_of
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.geometry import distinct_edges
+from beltrami_cli.surface.incidence import Neighbours
 from beltrami_cli.surface.large_arrays import Droppable, kept
 from beltrami_cli.surface.records import SampledSurface
 
@@ -163,10 +156,16 @@ class MeshManifold(Manifold):
         reach = _STRETCH * own.radius + _KNOWN * ((mesh.spacing or 1.0) if mesh.scales is None else 1.0)
         # Edges with bridges.
         neighbours = Neighbours(mesh.size, distinct_edges(mesh.faces), mesh.scaled_lengths)
-        return [
-            chunk_of_run(whole._part, np.isfinite(neighbours.distances(*run, reach)), *run)
-            for run in runs(mesh.size, wanted.count)
-        ]
+        chunks = []
+        for first, last in runs(mesh.size, wanted.count):
+            near = np.isfinite(neighbours.distances(first, last, reach))
+            # Samples from anywhere before, so that what the core takes together is the same as in the whole.
+            missing = -int(np.count_nonzero(near[:first])) % PATCH_BLOCK_SIZE
+            near[np.flatnonzero(~near[:first])[:missing]] = True
+            samples = np.flatnonzero(near).astype(np.int32)
+            run = slice(*np.searchsorted(samples, [first, last]).tolist())
+            chunks.append(Chunk(partial(whole._part, samples, run), samples, slice(first, last)))
+        return chunks
 
     def _part(self, samples: Array, kept: slice) -> tuple[MeshManifold, slice]:
         return self.cut(samples), kept
@@ -256,12 +255,11 @@ def average_rows(
     mesh, wanted = manifold.geometry, manifold._chunking
     if wanted is None:
         return _apply_kernels(manifold, rows, metric.step, slice(0, mesh.size), progress)
-    work, after = (
-        Work(_average_chunk, (metric.step, metric.channels)),
-        large_arrays.empty(rows.shape, np.float32),
+    operation = partial(_average_chunk, step=metric.step, channels=metric.channels)
+    after = large_arrays.empty(rows.shape, np.float32)
+    samples, truncated = wanted.apply(
+        manifold._kernel_chunks, operation, [rows], [after], progress, size=mesh.size, threads=mesh.threads
     )
-    how = {"size": mesh.size, "threads": mesh.threads}
-    samples, truncated = wanted.apply(manifold._kernel_chunks, work, [rows], [after], progress, **how)
     return after, samples, truncated
 
 
@@ -284,7 +282,7 @@ def _average_chunk(
     manifold = dataclasses.replace(manifold, parameters=parameters)
     manifold.measure(np.ascontiguousarray(colours[:, :channels]), step)
     after, samples, truncated = _apply_kernels(manifold, colours, step, kept, None)
-    return [after], (samples, truncated)
+    return [after[kept]], (samples, truncated)
 
 
 def samples_per_kernel(manifold: MeshManifold, kernels: int, step: Step) -> float:
@@ -314,8 +312,10 @@ def _collaborate_on_graph(
         sums, _ = _sums_of_patches(graph, stacks, graph.threads, mixing, progress)
     else:
         sums = [large_arrays.zeros(noisy.shape, np.float32) for _ in range(2)]
-        work = Work(_sums_of_patches, (mixing,), adds=True)
-        wanted.apply(graph.chunks, work, stacks, sums, progress, size=graph.size, threads=graph.threads)
+        wanted.apply(
+            graph.chunks, partial(_sums_of_patches, mixing=mixing), stacks, sums, progress,
+            size=graph.size, threads=graph.threads, adds=True,
+        )  # fmt: skip
     estimates, weights = sums
     for own, weight, other in in_blocks(0, estimates, weights, pilot):
         is_known = weight > 0  # not of isolated samples

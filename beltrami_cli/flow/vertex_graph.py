@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 
 from beltrami_cli._native import SurfacePatches
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-from beltrami_cli.flow.chunks import Chunk, Neighbours, RowsOfSamples, chunking_of_mesh, runs
+from beltrami_cli.flow.chunks import Chunk, chunking_of_mesh, runs
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.geometry import distinct_edges
+from beltrami_cli.surface.incidence import Neighbours, RowsOfSamples
 
 # Standard deviation of the Gaussian of one pass over neighbours, in spacings: all count about equally.
 PASS_SCALE = 3.0
@@ -79,8 +80,7 @@ class Graph:
             # the starts around them.
             rings = neighbours.distances(first, last, _RINGS_OF_GROUP + 2)
             samples = np.flatnonzero(np.isfinite(rings)).astype(np.int32)
-            cut = partial(self._part, samples, first, last)
-            chunks.append(Chunk(cut, around=samples, place=samples, kept=slice(None)))
+            chunks.append(Chunk(partial(self._part, samples, first, last), around=samples, place=samples))
         return chunks
 
     @cached_property

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow import chunks, grid_manifold
-from beltrami_cli.flow.chunks import InTurn, chunking_of_mesh, in_chunks
+from beltrami_cli.flow.chunks import chunking_of_mesh, in_chunks, in_turn
 from beltrami_cli.flow.manifold import Guide, Step
 from beltrami_cli.flow.mesh_manifold import samples_per_kernel
 from beltrami_cli.flow.moving_positions import GeometryParameters
@@ -48,11 +48,11 @@ class Sent:
     def __init__(self):
         self.counts = []
 
-    def run(self, cut, work, stacks_of):
+    def __call__(self, cut, operation, stacks):
         self.counts.append(len(cut))
-        for number in reversed(range(len(cut))):
-            piece, sent = pickle.loads(pickle.dumps((cut[number].piece(), work)))
-            values, figures = sent.on(piece, [np.array(stack) for stack in stacks_of(cut[number])], 2)
+        for number, chunk in reversed([*enumerate(cut)]):
+            part, work = pickle.loads(pickle.dumps((chunk.cut(), operation)))
+            values, figures = work(part, [np.array(stack[chunk.around]) for stack in stacks], 2)
             yield number, values, figures
             for own in values:  # whose memory the next chunk takes, as it does in another process
                 own.fill(np.nan)
@@ -86,8 +86,7 @@ def test_a_mesh_in_chunks_has_the_bits_of_the_whole(name, count, seed):
     guides = [Guide("guide", surface.colours[:, ::-1].copy(), 2.0)]
     whole = smooth_mesh(surface, parameters, guides=guides, metric_channels=[0, 1])
     assert not np.array_equal(whole.colours, surface.colours)
-    runner = Sent()
-    with in_chunks(count, runner):
+    with in_chunks(count, runner := Sent()):
         parts = smooth_mesh(surface, parameters, guides=guides, metric_channels=[0, 1])
     assert runner.counts[0] == min(count, 3)  # blocks
     if name == "patches":  # sums in another order, and groups that reach further at a corner of the surface
@@ -128,8 +127,7 @@ def test_patches_and_their_coarse_levels_take_part(differs):
     kernel = outcome(picture(shape, KernelParameters(**FIXED), relative))
     assert not same_bits(whole, kernel)
     for count in (2, 7):
-        runner = Sent()
-        with in_chunks(count, runner):
+        with in_chunks(count, runner := Sent()):
             parts = outcome(picture(shape, parameters, relative))
         assert min(runner.counts) > 1
         assert len(runner.counts) > 2 * FIXED["iterations"] + 4  # the kernel, the patches, and levels
@@ -137,7 +135,7 @@ def test_patches_and_their_coarse_levels_take_part(differs):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("cut", [lambda: in_chunks(3, InTurn()), lambda: kept_within(1 << 20, chunk=1 << 20)])
+@pytest.mark.parametrize("cut", [lambda: in_chunks(3, in_turn), lambda: kept_within(1 << 20, chunk=1 << 20)])
 def test_parameters_are_chosen_on_the_whole(cut):
     free = parameters_with({"threads": 1})
     whole = smooth_mesh(SURFACE, free)
@@ -152,7 +150,7 @@ def test_parameters_are_chosen_on_the_whole(cut):
 
 def test_vertices_are_not_moved_in_chunks():
     geometry = GeometryParameters(np.arange(len(SURFACE.positions), dtype=np.int32))
-    with in_chunks(2, InTurn()), pytest.raises(UsageError, match="not moved in pieces"):
+    with in_chunks(2, in_turn), pytest.raises(UsageError, match="not moved in pieces"):
         smooth_mesh(SURFACE, KernelParameters(**FIXED), geometry=geometry)
 
 
@@ -162,7 +160,7 @@ def test_nothing_to_do_is_nothing_in_chunks_too():
     def grid(valid, parameters):
         return smoothed(plan_on_image(ImageSurface(valid=valid), lambda at: noisy(30)[at], parameters))
 
-    with in_chunks(3, InTurn()):
+    with in_chunks(3, in_turn):
         result = grid(np.ones((5, 6), bool), nothing)
         mesh = smooth_mesh(SURFACE, nothing)
         assert len(grid(np.zeros((5, 6), bool), KernelParameters(**FIXED))) == 0

@@ -244,7 +244,7 @@ def work(progress):
 
 ours, theirs = multiprocessing.Pipe()
 with scratch_file() as path:
-    Channel(ours, path).send((work, (), set()))
+    Channel(ours, path).send((work, (), None, set(), None))
     serve(theirs, path)
 """
 
