@@ -168,7 +168,9 @@ class MeshManifold(Manifold):
         return chunks
 
     def _part(self, samples: Array, kept: slice) -> tuple[MeshManifold, slice]:
-        return self.cut(samples), kept
+        part = self.cut(samples)
+        # Threads of this machine, which need not be those of the one that works on it.
+        return dataclasses.replace(part, geometry=dataclasses.replace(part.geometry, threads=1)), kept
 
     def kernel_at(self, sample: int, step: Step) -> SampledKernel:
         """Return the kernel of a sample, in the caller's numbers."""

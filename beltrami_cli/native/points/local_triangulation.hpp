@@ -15,8 +15,7 @@
 
 namespace beltrami::points {
 
-// Triangles in a third of their memory: one that begins with the corners in which the one before ended, as most do around a
-// point, is stored as one number.
+// Triangles in less than half of their memory: one that goes on where the one before ended, as around a point, is one number.
 class PackedTriangles {
  public:
   explicit PackedTriangles(std::span<const Triangle> triangles);

@@ -8,6 +8,7 @@ namespace beltrami::triangulated {
 namespace {
 
 constexpr std::size_t edges_per_chunk = 16384;
+constexpr unsigned most_shares = 4;  // of vertices, since each reads all edges
 
 template <class T>
 double squared_distance(const T* a, const T* b, std::size_t width) {
@@ -38,8 +39,8 @@ std::vector<double> squared_edge_lengths(const Topology& topology, Rows<double> 
 
 void neighbour_means(Rows<float> values, std::span<const std::array<Index, 2>> edges, const float* weights,
                      std::span<const double> totals, float* means, unsigned threads) {
-  const std::size_t width = values.width, share = totals.size() / std::max(1u, threads) + 1;
-  // Each thread adds to its own vertices, in the order of the edges, so that any number of threads gives the same sums.
+  const std::size_t width = values.width, share = totals.size() / std::clamp(threads, 1u, most_shares) + 1;
+  // The sums of each vertex are in the order of the edges, for any number of threads.
   parallel_chunks(totals.size(), share, threads, [&](std::size_t begin, std::size_t end, unsigned) {
     std::vector<double> sums(values.data + begin * width, values.data + end * width);
     const auto add = [&](std::size_t vertex, double weight, const float* other) {
