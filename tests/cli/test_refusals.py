@@ -199,6 +199,7 @@ REFUSED = [
     ("smooth @head-tex-noisy.png out.png --weights area", 2, "--weights"),
     ("smooth @head-tex-noisy.png out.glb", 2, "no image format is known"),
     ("smooth @head-tex-noisy.png out.gif", 2, "cannot be written as GIF"),
+    ("smooth @head-tex-noisy.png out.pgm", 2, "PGM holds grey only"),
     ("smooth @mirrored-noisy.png out.png --space oklab", 2, "grey"),
     ("smooth @terrain-noisy.ply out.ply --mask @head-tex-noisy.png", 2, "--mask: for images only"),
     ("smooth @head-tex-noisy.png out.png --height a --positions b", 2, "two surfaces"),
