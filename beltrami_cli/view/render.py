@@ -27,7 +27,7 @@ from beltrami_cli.arrays import Float32s, Float64s, Uint8s
 from beltrami_cli.errors import ProcessingError, UsageError, one_line
 from beltrami_cli.formats.access import Access, read_regular
 from beltrami_cli.formats.document import Document, Written
-from beltrami_cli.formats.image import format_of_suffix, write_image
+from beltrami_cli.formats.image import check_writable, format_of_suffix, write_image
 from beltrami_cli.formats.image.picture import is_image, new_picture
 from beltrami_cli.formats.image.reading import error_of
 from beltrami_cli.jobs.job import PLAIN_JOB, Job, Progress, tracked
@@ -394,6 +394,7 @@ def picture_suffix(target: str, others: str = "") -> str:
     suffix = ".png" if target == "-" else Path(target).suffix.lower()
     if format_of_suffix(suffix) is None:
         raise UsageError(f"{target}: its extension is of no image format; call it .png{others}")
+    check_writable(new_picture(np.zeros((64, 64, 3), np.uint8), target), suffix)  # of any size
     return suffix
 
 

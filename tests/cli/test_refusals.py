@@ -90,6 +90,7 @@ REFUSED = [
     ("render @mirrored-noisy.png out.ply", 2, "call it .png"),
     ("report @knot-noisy.ply @knot-clean.ply page.txt", 2, "page.txt"),
     ("sweep @nonmanifold-noisy.ply a.txt", 2, "no image format"),
+    ("sweep absent.ply a.gif", 2, "cannot be written as GIF"),
     ("bake @nonmanifold-noisy.ply out.abc --to texture", 2, "no format is known"),
     ("bake @nonmanifold-noisy.ply - --to texture", 4, "<stdout>: there is no folder for its sidecar files; "),
     ("batch @nonmanifold-noisy.ply --out-dir out --suffix=/x", 2, "/x"),
