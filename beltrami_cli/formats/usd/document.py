@@ -294,12 +294,16 @@ class UsdDocument(Document):
         return names.image(path, None if stays else suffix, is_replaced=is_replaced, tiles=tiles)
 
     def contents(self) -> MeshContents:
-        mesh, is_opaque = self._mesh, not self._words["counts"].get("transparent")
-        return dataclasses.replace(
-            mesh,
-            alpha=None if is_opaque else self._arrays["opacity"].clip(0, 1).astype(np.float32),
-            left_out=(*(["materials"] if self._words["materials"] else []), *self._left_out()),
-        )
+        mesh, counts, arrays = self._mesh, self._words["counts"], self._arrays
+        held = {
+            "materials": self._words["materials"],
+            "uncoloured meshes": any(map(counts.get, ("uncoloured", "flat", "unfit", "animated"))),
+            "texture coordinates": np.isfinite(arrays["uv"]).any(),
+            "normals": np.isfinite(arrays["normals"]).any(),
+        }
+        alpha = arrays["opacity"].clip(0, 1).astype(np.float32) if counts.get("transparent") else None
+        left_out = (*(what for what, found in held.items() if found), *self._left_out())
+        return dataclasses.replace(mesh, alpha=alpha, left_out=left_out)
 
     def _textured_mesh(self) -> MeshContents:
         groups, normals = (tuple(self._words["meshes"]), self._arrays["mesh_of"]), self._arrays["normals"]

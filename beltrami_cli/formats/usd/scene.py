@@ -45,7 +45,7 @@ def opened(root: str, layers: list[str], refused: list[list[str]]) -> Any:
             raise ValueError(f"{name} cannot be opened")
         _OPEN.append(layer)
         for path in layer.GetCompositionAssetDependencies():
-            if placed(name, path) in layers:
+            if not path or placed(name, path) in layers:  # references within the layer have no path
                 continue
             if [name, path] not in refused:
                 needs.append((name, path))
