@@ -144,6 +144,7 @@ REFUSED = [
     ("bake @nonmanifold-noisy.glb out.vrm --to texture", 2, ".vrm files are not made from a new mesh"),
     ("bake @head-tex-noisy.glb out.vrm --to vertices", 2, ".vrm files are not made from a new mesh"),
     ("render @nonmanifold-noisy.ply a.gif", 2, "--turntable"),
+    ("render @nonmanifold-noisy.ply a.jpg --background transparent", 2, "no transparent background"),
     ("sweep - a.png --beta 1", 2, "not a pipe"),
     ("report - @knot-clean.ply page.html", 2, "pipe"),
     ("level @head-tex-clean.glb out.glb --reference absent*", 2, "--reference absent*"),
