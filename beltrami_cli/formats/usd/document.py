@@ -49,6 +49,8 @@ _COUNTS = {
     "bare": "{} part(s) have no texture coordinates for a texture.",
 }
 
+_HIDES = "Variants of another layer have colours of their own; the new ones hold whichever is selected."
+
 
 def _material(known: dict[str, Any]) -> Material:
     """Return a material without its maps, whose colours are linear light in USD."""
@@ -240,11 +242,14 @@ class UsdDocument(Document):
             suffix = Path(self._layers.root).suffix if same else f".{form}"
             blocks, arrays = ([], {}) if colours is None else (self._words["blocks"], {"colours": colours})
             order = {"task": "edit", "blocks": blocks, "files": renamed, "suffix": suffix, "same": same}
-            root = {self._layers.root: self._layers.ask(order, arrays)[1]["layer"].tobytes()}
+            said, made = self._layers.ask(order, arrays)
+            root = {self._layers.root: made["layer"].tobytes()}
+            notices = (*sidecars.notices, *([_HIDES] if said["hides"] else []))
+            sidecars = dataclasses.replace(sidecars, notices=notices)
         if package is None:
             return dataclasses.replace(sidecars, main=[*root.values()] or [self.data])
         files = {**root, **sidecars.sidecars}
-        return Written(package.packed(files) if files else [self.data])
+        return Written(package.packed(files) if files else [self.data], notices=sidecars.notices)
 
     def sidecar_names(self, images: PlannedImages, naming: Naming, **_: object) -> list[str]:
         written = self._new_images(images, naming)[0]
