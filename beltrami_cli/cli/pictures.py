@@ -47,12 +47,13 @@ _NOT_LOOKS = ("slot", "on", "side_by_side", "turntable", "fps", "labels")
 
 def _listed(declared: Parameter) -> Parameter:
     """Return a parameter that takes a list of values, where it took one."""
+    numbers = "whole numbers" if declared.kind is int else "numbers"
 
     def values_in(text: str) -> tuple[float, ...]:
         try:
             values = tuple(declared.kind(word) for word in text.split(","))
         except ValueError:
-            raise ValueError(f"is {text!r}, but must be a list of numbers such as 4,8,16") from None
+            raise ValueError(f"is {text!r}, but must be a list of {numbers} such as 4,8,16") from None
         return tuple(dict.fromkeys(values))
 
     return replace(

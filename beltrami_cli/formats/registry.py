@@ -316,16 +316,15 @@ def choose_format(document: Document, target: str, chosen: str | None) -> Output
 
 
 def _image_format(document: Document, target: str, chosen: str | None) -> OutputFormat:
-    from beltrami_cli.formats.image.picture import WRITABLE, format_of, format_of_suffix, label_of
+    from beltrami_cli.formats.image.picture import FORMATS, WRITABLE, format_of, format_of_suffix, label_of
 
     suffix = f".{chosen}" if chosen else "" if target == "-" else Path(target).suffix
-    known = format_of_suffix(suffix) if suffix else None
-    if suffix and known is None:
+    if suffix and format_of_suffix(suffix) is None:
         raise UsageError(
             f"{target}: no image format is known for {suffix}; end the name in {', '.join(WRITABLE)}, or say --format"
         )
     own = format_of(document.data, document.name)
-    if not suffix or known == own:
+    if not suffix or (own is not None and suffix.lower() in FORMATS[own].suffixes):
         own_suffix = Path(document.name).suffix or f".{label_of(own or '')}"
         return OutputFormat(own_suffix.lower()[1:], is_patched=True)
     return OutputFormat(suffix.lower()[1:], is_patched=True, suffix=suffix)

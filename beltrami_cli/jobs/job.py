@@ -309,7 +309,7 @@ class NoiseSettings(Checked):
         None,
         "How much, of full scale: 20 is 20/255, as `beltrami info` shows noise; or as 20/255, 1310/65535 or "
         "8%. Needed by all kinds but camera and jpeg.",
-        kind=float, low=0, high=1, metavar="S", parse=sure_amount, is_daily=True,
+        kind=float, low=0, high=1, unit="shares of full scale", metavar="S", parse=sure_amount, is_daily=True,
     )  # fmt: skip
     kind: Kind = parameter(
         "gaussian",

@@ -129,7 +129,8 @@ def _texel_at(at: str, cells: Cells, what: str, *, is_flipped: bool) -> Place:
     size = np.array(cells.sizes[fitting[0]][::-1])
     if len(numbers) == 2 and not is_image:
         numbers = np.floor((numbers[0], 1 - numbers[1] if is_flipped else numbers[1]) * size)
-    if len(numbers) != 2 or not ((numbers >= 0) & (numbers <= size)).all() or not mine.any():
+    last = size - 1 if is_image else size
+    if len(numbers) != 2 or not ((numbers >= 0) & (numbers <= last)).all() or not mine.any():
         form = "column and row as X,Y" if is_image else "texture coordinates U,V from 0 to 1"
         raise UsageError(f"--at {at} is no place in {what}, {size[0]} x {size[1]}; give {form}")
     nearest = np.square(np.stack([column, row], axis=1) - numbers).sum(axis=1).argmin()

@@ -217,6 +217,15 @@ def _left_behind(contents: MeshContents) -> list[str]:
     return notices
 
 
+def _left_of_textured(document: Document) -> tuple[str, ...]:
+    """Name what a textured model holds besides its triangles and the base colour."""
+    mesh = document.textured_mesh()
+    has_normals = mesh.corner_normals is not None or mesh.normals is not None
+    found = ["texture coordinates", "textures", "materials", *(["normals"] if has_normals else [])]
+    found += ["vertex colours"] if mesh.colours.size else []
+    return (*found, *mesh.left_out, *document.hidden_places())
+
+
 def _what_textures_lose(document: Document, old: TexturedSurface, pictures: list[Picture]) -> tuple[str, ...]:
     what = f"{document.format.upper()} content other than triangles and the base colour"
     notices = [f"{what} is not in the new file.", *(f"Nor are {each}." for each in document.hidden_places())]
@@ -321,7 +330,7 @@ def _colours_from_textures(document: Document) -> tuple[MeshContents, tuple[str,
         encoding=_encoding(pictures),
         stored=max((picture.stored for picture in pictures), key=_FINENESS.index),
         alpha=colours[:, 3] if any(picture.alpha is not None for picture in pictures) else None,
-        left_out=("texture coordinates", "textures", "materials", "normals", *document.hidden_places()),
+        left_out=_left_of_textured(document),
         frame=document.frame,
     )
     notices, bare = [], int((~textured).sum()) // 3

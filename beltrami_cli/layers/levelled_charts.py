@@ -134,7 +134,8 @@ def photographs_of(document: Document, wanted: str | None = None) -> Int64s:
         )
         if wanted:
             cause = f"its vertices have no attribute {wanted} that says which photograph each is from"
-        raise InputError(document.name, cause, f"name one with --photographs; its attributes: {has}")
+        remedy = f"name one with --photographs of `beltrami level`; its attributes: {has}"
+        raise InputError(document.name, cause, remedy)
     values = document.attribute(name)
     found = np.unique(values, axis=0, return_inverse=True)[1]
     return np.asarray(found.reshape(-1), np.int64)

@@ -27,8 +27,8 @@ from beltrami_cli.arrays import Float32s, Float64s, Uint8s
 from beltrami_cli.errors import ProcessingError, UsageError, one_line
 from beltrami_cli.formats.access import Access, read_regular
 from beltrami_cli.formats.document import Document, Written
-from beltrami_cli.formats.image import format_of_suffix, write_image
-from beltrami_cli.formats.image.picture import is_image, new_picture
+from beltrami_cli.formats.image import check_writable, format_of_suffix, write_image
+from beltrami_cli.formats.image.picture import FORMATS, is_image, new_picture
 from beltrami_cli.formats.image.reading import error_of
 from beltrami_cli.jobs.job import PLAIN_JOB, Job, Progress, tracked
 from beltrami_cli.jobs.output import FileSet, Output, Overwrite
@@ -100,7 +100,7 @@ def _suffix_of(target: str, settings: RenderSettings) -> str:
     """Return the extension of a picture, or of a turntable that moves; errors if it cannot be written."""
     suffix = Path(target).suffix.lower()
     if suffix not in ANIMATIONS:
-        return picture_suffix(target)
+        return picture_suffix(target, settings)
     if settings.turntable > 1:
         if suffix == ".mp4":
             _av()
@@ -123,7 +123,7 @@ class Preview:
         if "-" in (source, target):
             raise UsageError("--preview draws INPUT and OUTPUT, which must be files and not pipes")
         self._output = Output(path, overwrite=overwrite, what="preview", is_own=is_preview, files=files)
-        self._suffix = picture_suffix(path)
+        self._suffix = picture_suffix(path, DEFAULT_RENDER)
         self._source, self._target = source, target
         self._reading, self._access = settings, access
         on: Literal["vertices", "auto"] = "vertices" if settings.on == "vertices" else "auto"
@@ -389,11 +389,14 @@ def distinct_labels(paths: Sequence[str]) -> list[str]:
     return labels
 
 
-def picture_suffix(target: str, others: str = "") -> str:
+def picture_suffix(target: str, looks: RenderSettings, others: str = "") -> str:
     """Return the extension, with the dot, of an image that can be written; `others` is what else could be made."""
     suffix = ".png" if target == "-" else Path(target).suffix.lower()
     if format_of_suffix(suffix) is None:
         raise UsageError(f"{target}: its extension is of no image format; call it .png{others}")
+    known = check_writable(new_picture(np.zeros((64, 64, 3), np.uint8), target), suffix)  # of any size
+    if looks.background == "transparent" and not FORMATS[known].alpha:
+        raise UsageError(f"{target}: {suffix} files have no transparent background; choose .png, or a colour")
     return suffix
 
 

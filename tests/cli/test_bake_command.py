@@ -71,7 +71,7 @@ def test_vertices_stay_split_only_where_a_seam_is_a_real_edge(tmp_path):
     obj = ["mtllib a.mtl", "v 0 0 0", "v 1 0 0", "v 1 1 0", "v 0 1 0", "v 2 0 0", "v 2 1 0"]
     obj += ["vt 0.1 0.1", "vt 0.3 0.1", "vt 0.3 0.9", "vt 0.1 0.9"]
     obj += ["vt 0.7 0.1", "vt 0.9 0.1", "vt 0.9 0.9", "vt 0.7 0.9"]
-    obj += ["usemtl m", "f 1/1 2/2 3/3", "f 1/1 3/3 4/4", "f 2/5 5/6 6/7", "f 2/5 6/7 3/8"]
+    obj += ["usemtl m", "f 1/1 2/2 3/3", "f 1/1 3/3 4/4", "f 2/5 5/6 6/7", "f 2/5 6/7 3/8", "l 1 2"]
     source = tmp_path / "a.obj"
     source.write_text("\n".join(obj) + "\n")
     (tmp_path / "a.mtl").write_text("newmtl m\nmap_Kd a.png\n")
@@ -80,7 +80,8 @@ def test_vertices_stay_split_only_where_a_seam_is_a_real_edge(tmp_path):
         pixels[:, 20:] = right
         (tmp_path / "a.png").write_bytes(write_image(new_picture(pixels, "a"), pixels).data)
         result = tmp_path / f"{right}.ply"
-        beltrami("bake", source, result, "--to", "vertices")
+        said = beltrami("bake", source, result, "--to", "vertices").stderr
+        assert b"Not converted: texture coordinates; textures; materials; lines and points.\n" in said
         painted = open_document(str(result)).painted()
         assert len(painted.positions) == count
         middle = 255 * painted.colours[painted.positions[:, 0] == 1]

@@ -90,6 +90,7 @@ REFUSED = [
     ("render @mirrored-noisy.png out.ply", 2, "call it .png"),
     ("report @knot-noisy.ply @knot-clean.ply page.txt", 2, "page.txt"),
     ("sweep @nonmanifold-noisy.ply a.txt", 2, "no image format"),
+    ("sweep absent.ply a.gif", 2, "cannot be written as GIF"),
     ("bake @nonmanifold-noisy.ply out.abc --to texture", 2, "no format is known"),
     ("bake @nonmanifold-noisy.ply - --to texture", 4, "<stdout>: there is no folder for its sidecar files; "),
     ("batch @nonmanifold-noisy.ply --out-dir out --suffix=/x", 2, "/x"),
@@ -143,6 +144,7 @@ REFUSED = [
     ("bake @nonmanifold-noisy.glb out.vrm --to texture", 2, ".vrm files are not made from a new mesh"),
     ("bake @head-tex-noisy.glb out.vrm --to vertices", 2, ".vrm files are not made from a new mesh"),
     ("render @nonmanifold-noisy.ply a.gif", 2, "--turntable"),
+    ("render @nonmanifold-noisy.ply a.jpg --background transparent", 2, "no transparent background"),
     ("sweep - a.png --beta 1", 2, "not a pipe"),
     ("report - @knot-clean.ply page.html", 2, "pipe"),
     ("level @head-tex-clean.glb out.glb --reference absent*", 2, "--reference absent*"),
@@ -199,6 +201,7 @@ REFUSED = [
     ("smooth @head-tex-noisy.png out.png --weights area", 2, "--weights"),
     ("smooth @head-tex-noisy.png out.glb", 2, "no image format is known"),
     ("smooth @head-tex-noisy.png out.gif", 2, "cannot be written as GIF"),
+    ("smooth @head-tex-noisy.png out.pgm", 2, "PGM holds grey only"),
     ("smooth @mirrored-noisy.png out.png --space oklab", 2, "grey"),
     ("smooth @terrain-noisy.ply out.ply --mask @head-tex-noisy.png", 2, "--mask: for images only"),
     ("smooth @head-tex-noisy.png out.png --height a --positions b", 2, "two surfaces"),
@@ -223,7 +226,7 @@ REFUSED = [
     ("kernel --fast @torus-two-noisy.gltf k.png --at 0.3,0.3", 2, "several textures"),
     ("kernel --fast @torus-two-noisy.gltf k.png --at nosuch*:0.3,0.3", 2, "no texture"),
     ("kernel --fast @mirrored-noisy.png k.png --at -1,3", 2, "no place"),
-    ("kernel --fast @mirrored-noisy.png k.png --at 3,100000", 2, "no place"),
+    ("kernel --fast @mirrored-noisy.png k.png --at 3,320", 2, "no place"),
 ]  # fmt: skip
 
 

@@ -22,8 +22,8 @@ LOSSLESS = [
 ]
 RARER = [
     *(("jpegxl", kind, channels) for kind in ("uint8", "uint16", "half", "float") for channels in (1, 3, 4)),
-    *(("jpeg2000", kind, channels) for kind in ("uint8", "uint16") for channels in (1, 3, 4)),
-    *(("pnm", kind, channels) for kind in ("uint8", "uint16") for channels in (1, 3)),
+    *((known, kind, n) for known in ("jpeg2000", "j2k") for kind in ("uint8", "uint16") for n in (1, 3, 4)),
+    *((known, kind, n) for known, n in (("pgm", 1), ("ppm", 3)) for kind in ("uint8", "uint16")),
     *(("pfm", "float", channels) for channels in (1, 3)),
     *(("dpx", kind, channels) for kind in ("uint8", "uint16", "float") for channels in (1, 3, 4)),
     *(("sgi", kind, channels) for kind in ("uint8", "uint16") for channels in (1, 3, 4)),
@@ -35,8 +35,8 @@ SUFFIXES = {
     "jpeg": ".jpg", "hdr": ".hdr",
 }  # fmt: skip
 RARER_SUFFIXES = {
-    "jpegxl": ".jxl", "jpeg2000": ".jp2", "pnm": ".pnm", "pfm": ".pfm", "dpx": ".dpx", "sgi": ".sgi",
-    "fits": ".fits", "rla": ".rla", "gif": ".gif", "ico": ".ico", "zfile": ".z",
+    "jpegxl": ".jxl", "jpeg2000": ".jp2", "j2k": ".j2k", "pgm": ".pgm", "ppm": ".ppm", "pfm": ".pfm", "dpx": ".dpx",
+    "sgi": ".sgi", "fits": ".fits", "rla": ".rla", "gif": ".gif", "ico": ".ico", "zfile": ".z",
 }  # fmt: skip
 
 

@@ -296,9 +296,7 @@ def plain():
     """Return a painted and textured triangle: accessors and views 0 of positions, 1 of colours, 2 of coordinates."""
     model = Textured()
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "<f4")
-    position, colour, uv = (
-        model.packed(array) for array in (corners, np.eye(3, dtype="<f4"), corners[:, :2])
-    )
+    position, colour, uv = map(model.packed, (corners, np.eye(3, dtype="<f4"), corners[:, :2]))
     attributes = {"POSITION": position, "COLOR_0": colour, "TEXCOORD_0": uv}
     texture = model.texture(model.image(picture(1)), wrap=(10497, 10497))
     info = {"index": texture, "extensions": {"KHR_texture_transform": {}}}

@@ -114,10 +114,8 @@ def test_the_extension_of_a_texture_follows_the_image_that_is_written(tmp_path, 
     if suffix == ".ktx2" and extra_codecs.missing_package("ktx2"):
         pytest.skip("not installed: alktx2")
     plain = encode(painting(), "png") if fallback else None
-    source, target = (
-        with_better_image(known, file_of(known), plain).written_to(tmp_path),
-        tmp_path / "out.glb",
-    )
+    source = with_better_image(known, file_of(known), plain).written_to(tmp_path)
+    target = tmp_path / "out.glb"
     settings = SmoothSettings(kernel=ONCE, textures=TextureSettings(image_suffix=suffix))
     report = smooth_file(source, target, settings)
     tree, _, _ = opened(target)

@@ -293,9 +293,8 @@ def test_all_of_exif_goes_along_to_formats_that_have_a_place_for_it(source, targ
 @pytest.mark.parametrize("source", _WITH_EXIF)
 def test_what_another_format_does_not_hold_is_named(source, target):
     picture = read_image(exif_file(source), f"x{source}")
-    picture = (
-        read_image(encode(np.zeros((40, 40, 3), np.uint8), "png"), "x.png") if target == ".jp2" else picture
-    )
+    if target == ".jp2":
+        picture = read_image(encode(np.zeros((40, 40, 3), np.uint8), "png"), "x.png")
     file = write_image(picture, picture.pixels, suffix=target)
     names = {each.name.lower() for each in read_image(file.data, f"x{target}").spec.extra_attribs}
     said = " ".join(file.notices)

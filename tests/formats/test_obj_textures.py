@@ -321,10 +321,8 @@ def test_numbers_that_are_not_finite_leave_out_their_corners_alone(tmp_path, wha
     assert np.isfinite(whole.positions).all()
     assert np.isfinite(whole.uv).all()
     said = smoothed(tmp_path)
-    assert (
-        "1 of 5 vertices have no finite position" in said
-        or "1 triangles of textured materials have no" in said
-    )
+    causes = ("1 of 5 vertices have no finite position", "1 triangles of textured materials have no")
+    assert any(cause in said for cause in causes)
     smooth_file(tmp_path / "in.obj", tmp_path / "o.glb", ONCE)
     if colour:
         smoothed(tmp_path, on="vertices")

@@ -125,9 +125,8 @@ def test_coordinates_normals_names_groups_maps_and_colours_come_through(way, mod
     for primitive in (part for mesh in tree["meshes"] for part in mesh["primitives"]):
         # Colours beside a texture do not tint it, and survive.
         is_textured = "baseColorTexture" in tree["materials"][primitive["material"]]["pbrMetallicRoughness"]
-        assert (
-            ("_COLOR_0" in primitive["attributes"]) == is_textured != ("COLOR_0" in primitive["attributes"])
-        )
+        attributes = primitive["attributes"]
+        assert ("_COLOR_0" in attributes) == is_textured != ("COLOR_0" in attributes)
 
 
 def test_a_reader_of_others_sees_the_same_triangles(model, tmp_path):
@@ -297,11 +296,8 @@ def test_every_place_where_a_gltf_mesh_is_shown_is_in_the_obj(tmp_path):
 
 
 def test_names_that_are_no_utf_8_and_coordinates_beyond_single_precision_are_no_obstacle(tmp_path):
-    obj = (
-        OBJ.replace("outer skin", "Haut \xe4")
-        .replace("o left half", "o H\xe4lfte")
-        .replace("vt 1 1.5", "vt 1e300 1")
-    )
+    obj = OBJ.replace("outer skin", "Haut \xe4").replace("o left half", "o H\xe4lfte")
+    obj = obj.replace("vt 1 1.5", "vt 1e300 1")
     mtl = MTL.replace("outer skin", "Haut \xe4")
     folder = write(
         tmp_path / "in", {**FILES, "model.obj": obj.encode("latin-1"), "m.mtl": mtl.encode("latin-1")}

@@ -139,7 +139,7 @@ def stored_threemf() -> bytes:
 
 
 def image_seeds(chance: np.random.Generator) -> dict[str, bytes]:
-    integers = ("png", "jpeg", "tiff", "bmp", "targa", "webp", "pnm", "dpx", "sgi", "fits", "rla")
+    integers = ("png", "jpeg", "tiff", "bmp", "targa", "webp", "ppm", "dpx", "sgi", "fits", "rla")
     images = {kind: encode(chance.integers(0, 256, (3, 5, 3), np.uint8), kind) for kind in integers}
     images |= {kind: encode(chance.random((3, 5, 3), np.float32), kind) for kind in ("openexr", "hdr")}
     flat = np.full((40, 40, 3), 90, np.uint8)  # encoders of these fail on very few pixels

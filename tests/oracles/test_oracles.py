@@ -66,10 +66,8 @@ def test_the_support_of_a_split_corner_lies_where_unfolding_puts_it():
     # An obtuse corner at the origin, and two faces beyond the edge that faces it, all in one plane.
     points = np.array([[0, 0], [4.0, 0], [-3.5, 1.5], [-3, 4], [0.6, 5]])
     faces = np.array([[0, 1, 2], [2, 1, 3], [3, 1, 4]])
-    turned = (
-        np.column_stack([points, 0 * points])
-        @ np.linalg.qr(np.random.default_rng(1).standard_normal((4, 4)))[0]
-    )
+    turn = np.linalg.qr(np.random.default_rng(1).standard_normal((4, 4)))[0]
+    turned = np.column_stack([points, 0 * points]) @ turn
     manifold = Manifold(turned, faces)
     assert manifold.edges[4][0] == pytest.approx(np.hypot(0.6, 5))
     assert (0, 4) in manifold.stencils[1]

@@ -83,9 +83,8 @@ class CutPlane:
         rows, columns = labels.shape
         positions, faces = quads(columns, rows, side, flips)
         self.width, self.height = columns * side, rows * side
-        cell = (
-            2 * max(self.width, self.height) + gap
-        )  # room enough for a part however it is turned about its corner
+        # Room enough for a part however it is turned about its corner.
+        cell = 2 * max(self.width, self.height) + gap
         count = len(order)
         self.sizes = [(cell * count, cell)]
         corners = np.empty((len(faces), 3, 2))

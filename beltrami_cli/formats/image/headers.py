@@ -155,7 +155,7 @@ def with_header(source: bytes, encoded: bytes, known: str) -> bytes:
                 [card[:30] for card in cards if card.startswith(_FITS_STRUCTURE)] for cards in (old, new)
             ]
             return source[:place] + encoded[start:] if stored[0] == stored[1] else encoded
-        case "jpeg2000":
+        case "jpeg2000" | "j2k":
             return _with_comments(encoded, codestream_comments(source))
     comments, old_header, header = _comments(source), _NETPBM.match(source), _NETPBM.match(encoded)
     further = b""  # images, or other data

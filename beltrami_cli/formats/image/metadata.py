@@ -72,7 +72,7 @@ def carry_over(source: bytes, encoded: bytes, known: str, part: int = 0) -> byte
             return tiff_tags.with_tags(source, encoded)
         case "openexr":
             return headers.with_attributes(source, encoded, part)
-        case "hdr" | "pnm" | "pfm" | "fits" | "jpeg2000":
+        case "hdr" | "ppm" | "pgm" | "pfm" | "fits" | "jpeg2000" | "j2k":
             return headers.with_header(source, encoded, known)
     return encoded
 

@@ -117,13 +117,11 @@ FORMATS = {
     "bmp": ImageFormat((".bmp", ".dib"), ("uint8",), (1, 3), (b"BM",)),  # most programs ignore an alpha in it
     "hdr": ImageFormat((".hdr", ".rgbe"), ("float32",), (3,), (b"#?",)),
     "jpegxl": ImageFormat((".jxl",), _ANY, (1, 3, 4), (b"\xff\x0a", b"\0\0\0\x0cJXL \r\n\x87\n")),
-    "jpeg2000": ImageFormat(
-        (".jp2", ".j2k", ".j2c"),
-        ("uint8", "uint16"),
-        (1, 3, 4),
-        (b"\0\0\0\x0cjP  \r\n\x87\n", b"\xff\x4f\xff\x51"),
-    ),
-    "pnm": ImageFormat((".ppm", ".pgm", ".pnm"), ("uint8", "uint16"), (1, 3), _netpbm(b"2356")),
+    "jpeg2000": ImageFormat((".jp2",), ("uint8", "uint16"), (1, 3, 4), (b"\0\0\0\x0cjP  \r\n\x87\n",)),
+    "j2k": ImageFormat((".j2k", ".j2c"), ("uint8", "uint16"), (1, 3, 4), (b"\xff\x4f\xff\x51",)),
+    "pnm": ImageFormat((".pnm",), ("uint8", "uint16"), (1, 3)),  # one of the next two
+    "ppm": ImageFormat((".ppm", ".pnm"), ("uint8", "uint16"), (3,), _netpbm(b"36")),
+    "pgm": ImageFormat((".pgm", ".pnm"), ("uint8", "uint16"), (1,), _netpbm(b"25")),
     "pfm": ImageFormat((".pfm",), ("float32",), (1, 3), _netpbm(b"Ff")),
     "dpx": ImageFormat((".dpx",), ("uint8", "uint16", "float32"), (1, 3, 4), (b"SDPX", b"XPDS")),
     "sgi": ImageFormat((".sgi", ".rgb", ".rgba", ".bw"), ("uint8", "uint16"), (1, 3, 4), (b"\x01\xda",)),
@@ -195,7 +193,7 @@ def format_of_suffix(suffix: str) -> str | None:
 
 def plugin_of(known: str) -> str:
     """Return OpenImageIO's name of a format."""
-    return "pnm" if known in ("pfm", "pbm") else known
+    return {"j2k": "jpeg2000", **dict.fromkeys(("ppm", "pgm", "pfm", "pbm"), "pnm")}.get(known, known)
 
 
 def label_of(known: str) -> str:

@@ -58,7 +58,7 @@ _NOT_KEPT = (
 )  # fmt: skip
 _STORAGE_IN_TIFF = ("tiff:", "oiio:", "compression", "planarconfig")
 _LEAST_JPEG_2000 = 32  # pixels: images are halved five times, and readers reject smaller ones
-_NEEDS_SUFFIX = ("jpeg2000",)  # which OpenImageIO writes in two ways, by the name
+_NEEDS_SUFFIX = ("jpeg2000", "j2k")  # which OpenImageIO writes in two ways, by the name
 _CHOICES = f"{', '.join(WRITABLE)} as the ending of OUTPUT or, of textures, with --texture-format"
 _PNG_FILTER_UP = 0x20  # as libpng numbers them
 _FROM_TOP = 0x20  # bit of byte 17 of a TGA file: the first row is the top one
@@ -152,11 +152,15 @@ def check_writable(picture: Picture, suffix: str | None) -> str:
     """Return the format of a suffix (None: the picture's own); UsageError if it cannot hold this image."""
     known = picture.format if suffix is None else format_of_suffix(suffix)
     if known in _NEEDS_SUFFIX and min(picture.pixels.shape[:2]) < _LEAST_JPEG_2000:
-        raise UsageError(f"{picture.name}: an image of fewer than 32 pixels a side cannot be written as JP2")
+        cause = f"an image of fewer than 32 pixels a side cannot be written as {label_of(known)}"
+        raise UsageError(f"{picture.name}: {cause}")
     missing = extra_codecs.missing_package(known) if known in extra_codecs.EXTRA_CODECS else None
     if known is not None and missing is not None:
         cause = f"{picture.name}: to write {label_of(known)} the package {missing} is needed; {extra_codecs.INSTALL}"
         raise UsageError(cause)
+    if known is not None and len(picture.colour) > max(FORMATS[known].channels):
+        cause = f"{label_of(known)} holds grey only, but the image has colours"
+        raise UsageError(f"{picture.name}: {cause}; choose .ppm")
     if known is not None and FORMATS[known].writable:
         return known
     what = label_of(known) if known is not None else suffix
@@ -355,12 +359,12 @@ def _items(data: bytes, known: str) -> dict[str, bool]:
             return {f"TIFF tag {tag}": is_read for tag, is_read in tiff_tags.tags(data).items()}
         case "openexr":
             return {f"EXR attribute {name}": is_read for name, is_read in headers.attributes(data).items()}
-        case "jpeg2000" | "jpegxl":
+        case "jpeg2000" | "j2k" | "jpegxl":
             unknown = (kind for kind in _boxes(data) if kind not in _BOXES[known])
-            comments = known == "jpeg2000" and headers.codestream_comments(data)
+            comments = known != "jpegxl" and headers.codestream_comments(data)
             boxes = {f"box {kind.decode('latin-1').strip()}": False for kind in unknown}
             return boxes | ({"comment": False} if comments else {})
-        case "hdr" | "pnm" | "pfm":
+        case "hdr" | "ppm" | "pgm" | "pfm":
             return dict.fromkeys(headers.header_lines(data, known), False)
         case "targa" if data.endswith(metadata.TARGA_END) and any(data[-22:-18]):
             return {"developer area": False}

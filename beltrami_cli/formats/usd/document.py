@@ -49,6 +49,8 @@ _COUNTS = {
     "bare": "{} part(s) have no texture coordinates for a texture.",
 }
 
+_HIDES = "Variants of another layer have colours of their own; the new ones hold whichever is selected."
+
 
 def _material(known: dict[str, Any]) -> Material:
     """Return a material without its maps, whose colours are linear light in USD."""
@@ -240,11 +242,14 @@ class UsdDocument(Document):
             suffix = Path(self._layers.root).suffix if same else f".{form}"
             blocks, arrays = ([], {}) if colours is None else (self._words["blocks"], {"colours": colours})
             order = {"task": "edit", "blocks": blocks, "files": renamed, "suffix": suffix, "same": same}
-            root = {self._layers.root: self._layers.ask(order, arrays)[1]["layer"].tobytes()}
+            said, made = self._layers.ask(order, arrays)
+            root = {self._layers.root: made["layer"].tobytes()}
+            notices = (*sidecars.notices, *([_HIDES] if said["hides"] else []))
+            sidecars = dataclasses.replace(sidecars, notices=notices)
         if package is None:
             return dataclasses.replace(sidecars, main=[*root.values()] or [self.data])
         files = {**root, **sidecars.sidecars}
-        return Written(package.packed(files) if files else [self.data])
+        return Written(package.packed(files) if files else [self.data], notices=sidecars.notices)
 
     def sidecar_names(self, images: PlannedImages, naming: Naming, **_: object) -> list[str]:
         written = self._new_images(images, naming)[0]
@@ -294,12 +299,16 @@ class UsdDocument(Document):
         return names.image(path, None if stays else suffix, is_replaced=is_replaced, tiles=tiles)
 
     def contents(self) -> MeshContents:
-        mesh, is_opaque = self._mesh, not self._words["counts"].get("transparent")
-        return dataclasses.replace(
-            mesh,
-            alpha=None if is_opaque else self._arrays["opacity"].clip(0, 1).astype(np.float32),
-            left_out=(*(["materials"] if self._words["materials"] else []), *self._left_out()),
-        )
+        mesh, counts, arrays = self._mesh, self._words["counts"], self._arrays
+        held = {
+            "materials": self._words["materials"],
+            "uncoloured meshes": any(map(counts.get, ("uncoloured", "flat", "unfit", "animated"))),
+            "texture coordinates": np.isfinite(arrays["uv"]).any(),
+            "normals": np.isfinite(arrays["normals"]).any(),
+        }
+        alpha = arrays["opacity"].clip(0, 1).astype(np.float32) if counts.get("transparent") else None
+        left_out = (*(what for what, found in held.items() if found), *self._left_out())
+        return dataclasses.replace(mesh, alpha=alpha, left_out=left_out)
 
     def _textured_mesh(self) -> MeshContents:
         groups, normals = (tuple(self._words["meshes"]), self._arrays["mesh_of"]), self._arrays["normals"]

@@ -19,7 +19,7 @@ from pxr import Sdf, Usd, UsdGeom, Vt
 
 from beltrami_cli.arrays import Array, Float32s, Uint8s
 from beltrami_cli.formats.tokens import Spans, exchange_spans
-from beltrami_cli.formats.usd.scene import NeedsLayersError, Scene, files_of, opened
+from beltrami_cli.formats.usd.scene import NeedsLayersError, Scene, files_in_variants, files_of, opened
 
 Change = tuple[Array, Array]  # the values of an attribute before and after
 
@@ -37,7 +37,7 @@ def read(order: dict[str, Any], _: Arrays) -> tuple[dict[str, Any], Arrays]:
         return {"needs": error.needs}, {}
     scene = Scene()
     others: set[str] = set()
-    images: dict[str, str] = {}
+    images = files_in_variants(stage, order["layers"])
     for prim in Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()):
         if prim.IsA(UsdGeom.Mesh):
             scene.take(prim)
@@ -76,10 +76,12 @@ def edit(order: dict[str, Any], arrays: Arrays) -> tuple[dict[str, Any], Arrays]
     stage = opened(order["root"], order["layers"], order["refused"])
     root = stage.GetRootLayer()
     before = _stored(stage, order)
+    hides = False
     for block in order["blocks"]:
-        _recolour(stage, block, arrays["colours"][block["first"] : block["first"] + block["count"]])
+        colours = arrays["colours"][block["first"] : block["first"] + block["count"]]
+        hides = _recolour(stage, block, colours) or hides
     for path, name in order["files"].items():
-        _set(stage, path, Sdf.AssetPath(name))
+        hides = _set(stage, path, Sdf.AssetPath(name)) or hides
     if order["same"]:
         (old_colours, old_names), (new_colours, new_names) = before, _stored(stage, order)
         both = zip(old_colours, new_colours, strict=True)
@@ -87,8 +89,8 @@ def edit(order: dict[str, Any], arrays: Arrays) -> tuple[dict[str, Any], Arrays]
         names = list(dict.fromkeys(zip(old_names, new_names, strict=True)))
         patched = _in_place(Path(order["root"]), root, changes, names)
         if patched is not None:
-            return {}, {"layer": np.frombuffer(patched, np.uint8)}
-    return {}, {"layer": _exported(root, order["suffix"])}
+            return {"hides": hides}, {"layer": np.frombuffer(patched, np.uint8)}
+    return {"hides": hides}, {"layer": _exported(root, order["suffix"])}
 
 
 def _stored(stage: Any, order: dict[str, Any]) -> tuple[list[Array], list[str]]:
@@ -96,13 +98,13 @@ def _stored(stage: Any, order: dict[str, Any]) -> tuple[list[Array], list[str]]:
     return colours, [stage.GetAttributeAtPath(path).Get().path for path in order["files"]]
 
 
-def _recolour(stage: Any, block: dict[str, Any], colours: Float32s) -> None:
-    """Give a mesh other colours; indexed ones stay indexed where possible."""
+def _recolour(stage: Any, block: dict[str, Any], colours: Float32s) -> bool:
+    """Give a mesh other colours; indexed ones stay indexed where possible. Return the same as `_set`."""
     attribute = stage.GetAttributeAtPath(block["attribute"])
     primvar = UsdGeom.Primvar(attribute)
     old = np.array(primvar.ComputeFlattened(), np.float64)
     if np.array_equal(old.astype(np.float32), colours):
-        return
+        return False
     kind = type(attribute.Get())
     if primvar.IsIndexed():
         indices = np.array(primvar.GetIndices(), np.int64)
@@ -114,23 +116,28 @@ def _recolour(stage: Any, block: dict[str, Any], colours: Float32s) -> None:
     else:
         values = colours
     dtype = np.array(attribute.Get()).dtype
-    _set(stage, block["attribute"], kind.FromNumpy(np.ascontiguousarray(values.astype(dtype))))
+    return _set(stage, block["attribute"], kind.FromNumpy(np.ascontiguousarray(values.astype(dtype))))
 
 
-def _set(stage: Any, path: str, value: object) -> None:
-    """Set a value in the root layer: where it stands there, or in an opinion of its own that is stronger."""
-    root, attribute = stage.GetRootLayer(), stage.GetAttributeAtPath(path)
+def _set(stage: Any, path: str, value: object) -> bool:
+    """Set a value in the root layer: where it stands there, or in an opinion of its own that is stronger.
+
+    Return whether that opinion hides values in variants of other layers.
+    """
+    root, attribute, hides = stage.GetRootLayer(), stage.GetAttributeAtPath(path), False
     for spec in attribute.GetPropertyStack():
         if spec.HasInfo("default"):
             if spec.layer == root:
                 spec.default = value
-                return
+                return False
+            hides = spec.path.ContainsPrimVariantSelection()
             break
     if attribute.GetPrim().IsInstanceProxy():
         raise ValueError(f"{path} is of an instance whose colours are in another layer, which stays as it is")
     stage.SetEditTarget(root)
     if not attribute.Set(value):
         raise ValueError(f"{path} cannot be set")
+    return hides
 
 
 def _exported(layer: Any, suffix: str) -> Uint8s:

@@ -15,6 +15,7 @@ from __future__ import annotations
 import posixpath
 from collections import Counter
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -45,7 +46,7 @@ def opened(root: str, layers: list[str], refused: list[list[str]]) -> Any:
             raise ValueError(f"{name} cannot be opened")
         _OPEN.append(layer)
         for path in layer.GetCompositionAssetDependencies():
-            if placed(name, path) in layers:
+            if not path or placed(name, path) in layers:  # references within the layer have no path
                 continue
             if [name, path] not in refused:
                 needs.append((name, path))
@@ -394,6 +395,32 @@ def files_of(prim: Any) -> dict[str, str]:
         value: Any = attribute.Get() if attribute.GetTypeName() == "asset" else None
         if getattr(value, "path", ""):
             found[str(attribute.GetPath())] = placed(_layer_of(attribute), value.path)
+    return found
+
+
+def files_in_variants(stage: Any, layers: list[str]) -> dict[str, str]:
+    """Return the files that variants name which are not selected, each by its layer and place there."""
+    prims = Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies())
+    shown = {
+        (spec.layer, spec.path)
+        for prim in prims
+        for attribute in prim.GetAuthoredAttributes()
+        if attribute.GetTypeName() == "asset"
+        for spec in attribute.GetPropertyStack()
+    }
+    found: dict[str, str] = {}
+
+    def take(layer: Any, name: str, path: Any) -> None:
+        is_shown = not path.ContainsPrimVariantSelection() or (layer, path) in shown
+        spec = None if is_shown else layer.GetAttributeAtPath(path)
+        value: Any = spec.default if spec and spec.HasInfo("default") else None
+        if isinstance(value, Sdf.AssetPath) and value.path:
+            where = "" if layer == stage.GetRootLayer() else name  # whatever the root layer is called
+            found[f"{where}{path}"] = placed(name, value.path)
+
+    for name in layers:
+        layer = Sdf.Layer.FindOrOpen(str(Path.cwd() / name))
+        layer.Traverse("/", partial(take, layer, name))
     return found
 
 
