@@ -120,7 +120,7 @@ class Channel:
 
 
 class _Worker:
-    """A process, and what is known of it in the one that leads."""
+    """A worker process, as the leading process sees it."""
 
     def __init__(self) -> None:
         context = multiprocessing.get_context("spawn")  # a fork would copy locks of threads as they are

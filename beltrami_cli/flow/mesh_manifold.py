@@ -169,7 +169,7 @@ class MeshManifold(Manifold):
 
     def _part(self, samples: Array, kept: slice) -> tuple[MeshManifold, slice]:
         part = self.cut(samples)
-        # Threads of this machine, which need not be those of the one that works on it.
+        # The worker may have fewer threads than this machine.
         return dataclasses.replace(part, geometry=dataclasses.replace(part.geometry, threads=1)), kept
 
     def kernel_at(self, sample: int, step: Step) -> SampledKernel:

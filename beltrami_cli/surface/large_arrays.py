@@ -37,8 +37,9 @@ SCATTERED = 1 << 14
 
 # Of the memory that is left for such arrays and for blocks of them: what they take before others are files.
 _SHARE = 3 / 4
-# Bytes of an array that goes back to the system: as many as most blocks of a pass have; less costs time for each block.
-_RETURNED = 1 << 22
+# Bytes from which on an array is a mapping of its own. With a quarter of it, `smooth` of 3 million points under
+# --max-memory 680M takes 18 s of system time instead of 10.
+_MMAP_BYTES = 1 << 22
 _M_MMAP_THRESHOLD = -3  # of mallopt, in <malloc.h> of glibc
 SMALLEST = 1 << 16
 """Bytes; smaller arrays stay in memory, and do not count: a file costs some pages."""
@@ -95,7 +96,7 @@ def _return_freed_memory() -> None:
         import ctypes
 
         with contextlib.suppress(AttributeError):  # musl has no such parameter, and returns them by itself
-            ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, _RETURNED)
+            ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, _MMAP_BYTES)
 
 
 def chunk_memory() -> int | None:
