@@ -1,8 +1,8 @@
 """Clean pictures that plain `smooth` changes, though there is no noise to remove.
 
 ``python benchmarks/bench_clean.py FOLDER...`` smooths up to 130 pictures of each folder by default parameters: an even
-sample of the pictures with sides of 64 to 1024 pixels. The table shows how many pictures changed at all, and how many have a
-PSNR below 35 and 40 dB, over the pixels that are not transparent.
+sample of the pictures with sides of 64 to 1024 pixels. The table shows how many pictures changed at all, and how many
+have a PSNR below 35 and 40 dB, over the pixels that are not transparent.
 """
 
 from __future__ import annotations
