@@ -185,9 +185,11 @@ def test_a_worker_that_is_killed_fails_only_its_file_which_is_tried_again(tmp_pa
     arguments = ["batch", str(scans), "--out-dir", str(out), "-j", "2", "-v", *QUICK, "-n", "40"]
     process = subprocess.Popen([*COMMAND, *arguments], stderr=subprocess.PIPE)
     record = out / "batch.jsonl"
-    # Both workers have a file then, whichever is killed.
-    wait_for(lambda: record.exists() and record.read_text().count("started") == 2 and workers_of(process))
-    os.kill(workers_of(process)[0], signal.SIGKILL)
+    wait_for(lambda: workers_of(process))
+    (worker, *_) = workers_of(process)
+    os.kill(worker, signal.SIGSTOP)  # so that it still has a file when it is killed, however long this takes
+    wait_for(lambda: record.exists() and record.read_text().count("started") >= 2)
+    os.kill(worker, signal.SIGKILL)
     said = process.communicate(timeout=120)[1].decode()
     assert process.returncode == 0, said
     assert "so it waits" in said

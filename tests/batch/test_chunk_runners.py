@@ -46,8 +46,8 @@ def runner():
 def test_a_chunk_whose_process_dies_is_done_by_another(runner, tmp_path):
     expected = [(number, [number], (1.0, 1)) for number in range(5)]
     MADE.clear()
-    assert done(runner, add) == done(runner, add) == expected
-    assert 5 <= len(MADE) <= 7  # workers keep parts; one may take over what waits for the other
+    assert done(runner, add) == done(runner, add) == done(runner, add) == expected
+    assert len(MADE) <= 10  # of 15: each of two workers keeps its parts
     assert done(runner, partial(die_once, trace=tmp_path / "died")) == expected
     assert done(runner, add) == expected
     with pytest.raises(ProcessingError, match="no such chunk"):

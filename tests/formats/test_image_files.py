@@ -357,10 +357,10 @@ def test_a_cut_off_image_is_refused_by_name(known):
 
 @pytest.mark.parametrize("size", [(0, 4), (4, 0), (1 << 30, 1), (1, 1 << 30), (65535, 65535)])
 def test_images_of_no_or_too_large_a_size_are_refused_by_their_header(size):
-    begin = time.perf_counter()
+    begin = time.process_time()
     with pytest.raises(InputError, match=r"\d+ x \d+ pixels|size|damaged"):
         read_image(png(*size, bytes(1 << 16)), "bomb.png")
-    assert time.perf_counter() - begin < 1
+    assert time.process_time() - begin < 1
 
 
 def inks(transform):
