@@ -298,33 +298,31 @@ class SignalGuard:
 
     def run(self, function: Callable[[], int]) -> int:
         """Return the exit code that a function returns, or that of the signal that ended it."""
-        # Both may be interrupted: what handles an interruption, and the end of it.
         try:
             try:
                 self._start()
                 code = function()
-            except Interruption as error:
-                code = error.exit_code
             finally:
-                self._is_over = True
-                _set_alarm(0)
-                # What comes from now on ends the process without more ado.
-                for number in self._heard:
-                    signal.signal(number, signal.SIG_DFL)
-                sys.unraisablehook = self._dropped
-        except Interruption as error:
+                self._is_over = True  # from now on, signals end the process without more ado
+        except Interruption as error:  # perhaps one that came just before the line above
             self._is_over = True
             code = error.exit_code
+        finally:
+            _set_alarm(0)
+            for number in self._heard:
+                signal.signal(number, signal.SIG_DFL)
+            sys.unraisablehook = self._dropped
         return code
 
     def _start(self) -> None:
         sys.unraisablehook = self._drop
         Interruption.last = None
         self._heard = unhandled_endings()
-        for number in self._heard:
+        alarm = getattr(signal, "SIGALRM", None)
+        if alarm is not None:  # first, since what interrupts sets an alarm
+            signal.signal(alarm, self._hear_alarm)
+        for number in self._heard - {alarm}:
             signal.signal(number, self._interrupt)
-        if hasattr(signal, "SIGALRM"):
-            signal.signal(signal.SIGALRM, self._hear_alarm)
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
         if self._is_over:
