@@ -73,6 +73,11 @@ def kernel_file(
         drawn_as = ".ply" if on_mesh else ".png"
         raise UsageError(f"{target}: a kernel on {samples.label} is drawn as {drawn_as}, or written as .csv")
     plan = samples.plan()
+    most = plan.parameters.iterations
+    if iteration > max(most, 1):
+        raise UsageError(
+            f"--iteration {iteration} is not among the {most} of smoothing; lower it, or raise --iterations"
+        )
     if isinstance(where, SampledVertices):
         name, index, columns = _vertex_at(at, where, document.name)
     else:  # glTF counts v from the upper side of an image, other formats from the lower

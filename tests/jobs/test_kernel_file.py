@@ -9,6 +9,7 @@ import pytest
 import trimesh
 
 import beltrami_cli
+from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import override
 from beltrami_cli.flow.parameters import PRESETS, KernelParameters
 from beltrami_cli.jobs.job import Job
@@ -137,6 +138,8 @@ def test_a_kernel_of_a_later_iteration_continues_those_before_it(folder, tmp_pat
     image = read_pixels(smoothed(folder / "image.exr", tmp_path / "out.exr", settings))
     np.testing.assert_allclose(mean_of(facts), image[11, 18], atol=1e-6)
     assert facts.beta == pytest.approx(8 * 1.5**2)
+    with pytest.raises(UsageError, match=r"^--iteration 4 is not among the 3 of smoothing"):
+        kernel_of(folder / "image.exr", "18,11", tmp_path, settings, iteration=4)
 
 
 def test_a_kernel_that_is_cut_short_says_so(tmp_path):
