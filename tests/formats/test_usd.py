@@ -110,7 +110,8 @@ def test_the_surface_is_that_which_is_shown(tmp_path):
     hidden = '        token visibility = "invisible"\n', '        uniform token purpose = "guide"\n'
     flat = '        color3f[] primvars:displayColor = [(1, 0, 0)] ( interpolation = "constant" )\n'
     bodies = [painted + moved, painted + moved + left, *(painted + line for line in hidden), flat]
-    text = scene(*(mesh_text(body, f"mesh{number}") for number, body in enumerate(bodies)))
+    cloud = mesh_text(painted, "cloud").replace("def Mesh", "def Points")
+    text = scene(*(mesh_text(body, f"mesh{number}") for number, body in enumerate(bodies)), cloud)
     (tmp_path / "a.usda").write_text(text)
     document = open_document(str(tmp_path / "a.usda"))
     found = document.painted()
@@ -123,6 +124,7 @@ def test_the_surface_is_that_which_is_shown(tmp_path):
     said = " ".join(document.notices)
     assert "2 mesh(es) are invisible" in said
     assert "1 mesh(es) have one colour" in said
+    assert "1 prim(s) that are no meshes have colours of points" in said
 
 
 MOVED = shader(
@@ -368,6 +370,25 @@ def test_colours_and_opacity_beside_textures_are_converted_or_said_to_be_lost(on
         np.testing.assert_allclose(mesh.alpha, opacity, atol=1e-6)
     else:
         assert "vertex colours, which are not one for each vertex" in mesh.left_out
+
+
+@pytest.mark.parametrize("line", ["displayOpacity = [0.25]", "displayOpacity = [0.5, 1]", "weight = [0.25]"])
+def test_constant_opacity_is_converted_and_what_nothing_reads_is_said_to_be_lost(line, tmp_path):
+    mesh = mesh_text(BOUND + coloured(COLOURS) + f"        float[] primvars:{line}\n")
+    text = (
+        scene(mesh, material_text("a.png"))
+        .replace("primvars:st", "primvars:map")
+        .replace('= "st"', '= "map"')
+    )
+    write(tmp_path, {"a.usda": text, "a.png": PICTURE})
+    document = open_document(str(tmp_path / "a.usda"))
+    for mesh, others in (
+        (document.contents(), ["materials", "texture coordinates"]),
+        (document.textured_mesh(), []),
+    ):
+        is_known = line == "displayOpacity = [0.25]"
+        assert [*mesh.left_out] == [*others, *([] if is_known else ["further vertex attributes"])]
+        assert (mesh.alpha is not None and set(mesh.alpha) == {0.25}) == is_known
 
 
 def test_an_image_that_is_shown_twice_is_named_once_in_the_root(tmp_path):

@@ -45,6 +45,7 @@ _COUNTS = {
     "flat": "{} mesh(es) have one colour, or one for each face, which is left as it is.",
     "unfit": "{} mesh(es) have colours that do not fit their points; these are left as they are.",
     "animated": "{} mesh(es) have colours that change with time, which are left as they are.",
+    "no mesh": "{} prim(s) that are no meshes have colours of points, which are left as they are.",
     "unread": "{} material(s) are no UsdPreviewSurface, and no MaterialX surface whose colour is an image.",
     "bare": "{} part(s) have no texture coordinates for a texture.",
 }
@@ -303,7 +304,9 @@ class UsdDocument(Document):
         held = {
             "materials": self._words["materials"],
             "uncoloured meshes": any(map(counts.get, ("uncoloured", "flat", "unfit", "animated"))),
-            "texture coordinates": np.isfinite(arrays["uv"]).any(),
+            "texture coordinates": any(
+                np.isfinite(arrays[name]).any() for name in arrays if name.startswith("uv")
+            ),
             "normals": np.isfinite(arrays["normals"]).any(),
         }
         alpha = arrays["opacity"].clip(0, 1).astype(np.float32) if counts.get("transparent") else None
@@ -319,6 +322,7 @@ class UsdDocument(Document):
         others = [f"{kind} prims" for kind in words["others"]]
         others += ["variants"] if words["variants"] else []
         others += self.hidden_places()
+        others += ["further vertex attributes"] if words["counts"].get("further") else []
         others += dict.fromkeys(lost for known in words["materials"] for lost in known["lost"])
         return [*others, *(["node hierarchy"] if len(words["meshes"]) > 1 else [])]
 

@@ -45,6 +45,8 @@ def read(order: dict[str, Any], _: Arrays) -> tuple[dict[str, Any], Arrays]:
         images |= files_of(prim)
         if prim.IsA(UsdGeom.Gprim):
             others.add(str(prim.GetTypeName()))
+            colours = UsdGeom.Gprim(prim).GetDisplayColorAttr().Get(Usd.TimeCode.EarliestTime())
+            scene.counts["no mesh"] += int(colours is not None and len(colours) > 1)
     shown = enumerate(scene.uses)
     uses = [{**use, "material": n, "slot": slot} for n, each in shown for slot, use in each.items()]
     words = {

@@ -120,11 +120,17 @@ class Scene:
         with np.errstate(over="ignore", invalid="ignore"):
             self.add(positions=points @ matrix[:3, :3] + matrix[3, :3])
         materials = self._materials_of(prim, len(sizes))
+        rows = self._colour_rows(prim, polygons)
         of_corners = self._coordinates(prim, polygons, materials) | {
             "corners": polygons.vertex + self._vertices,
-            "rows": self._colour_rows(prim, polygons),
+            "rows": rows,
             "normals": _normals(mesh, polygons, matrix),
         }
+        uses = [self.uses[number] for number in np.unique(materials[materials >= 0]).tolist()]
+        read = {use["coordinates"] for each in uses for use in each.values()} or {"st"}
+        read |= {"normals", "displayColor", *(["displayOpacity"] if (rows >= 0).any() else [])}
+        primvars = UsdGeom.PrimvarsAPI(prim).GetPrimvarsWithAuthoredValues()
+        self.counts["further"] += int(any(each.GetPrimvarName() not in read for each in primvars))
         holes = np.array(mesh.GetHoleIndicesAttr().Get(time) or [], np.int64)
         is_kept = sizes >= 3
         is_kept[holes[(holes >= 0) & (holes < len(sizes))]] = False
@@ -190,10 +196,11 @@ class Scene:
         else:
             vertex = polygons.stored if kind == "faceVarying" else np.arange(polygons.points)
             opacity = _flat(UsdGeom.Gprim(prim).GetDisplayOpacityPrimvar())
-            fit = opacity is not None and len(opacity) == len(values)
-            self.add(colours=values, colour_vertex=vertex + self._vertices)
-            self.add(opacity=opacity if opacity is not None and fit else np.ones(len(values)))
-            self.counts["transparent"] += int(fit)
+            fit = opacity is None or len(opacity) in (1, len(values))
+            self.counts["further"] += int(not fit)
+            alpha = np.broadcast_to(opacity if opacity is not None and fit else 1.0, len(values))
+            self.counts["transparent"] += int((alpha < 1).any())
+            self.add(colours=values, colour_vertex=vertex + self._vertices, opacity=alpha)
             stored = np.array(primvar.Get(Usd.TimeCode.EarliestTime())).dtype.name
             place = {"attribute": str(primvar.GetAttr().GetPath()), "first": self._rows, "count": len(values)}
             self.blocks.append({**place, "type": stored})
