@@ -274,6 +274,7 @@ _SMALLEST_SIDE, _LARGEST_SIDE = 16, 16384  # of a texture: less is of no use, gr
 
 Kind = Literal["gaussian", "salt-pepper", "speckle", "poisson", "white", "camera", "grain", "jpeg"]
 _WITHOUT_SIGMA = ("camera", "jpeg")
+_OF_ONE_KIND = {"shot": "camera", "read": "camera", "size": "grain", "quality": "jpeg"}
 
 
 def amount(text: str) -> float:
@@ -341,6 +342,9 @@ class NoiseSettings(Checked):
         super().__post_init__()
         if self.sigma is None and self.kind not in _WITHOUT_SIGMA:
             raise UsageError(f"--sigma says how much {self.kind} noise is added, such as --sigma 20; give it")
+        for name, kind in _OF_ONE_KIND.items():
+            if kind != self.kind and getattr(self, name) != getattr(type(self), name):
+                raise UsageError(f"--{name} is of {kind} noise, not of {self.kind}; add --kind {kind}, or leave it out")
 
     @property
     def deviation(self) -> float:

@@ -112,6 +112,7 @@ REFUSED = [
     ("smooth @terrain-noisy.ply out.ply --max-memory lots", 2, "no size"),
     ("smooth @terrain-noisy.ply out.ply --max-memory 0", 2, "no memory"),
     ("noise @terrain-noisy.ply out.ply --sigma 300", 2, "beltrami: --sigma is 300, but must be at most 255"),
+    ("noise @terrain-noisy.ply out.ply --sigma 5 --quality 50", 2, "--quality is of jpeg noise, not of gaussian"),
     ("noise @terrain-noisy.ply out.ply --sigma 0.08", 2, "8%"),
     ("noise @terrain-noisy.ply out.ply --sigma=-1", 2, "from 0"),
     ("noise @terrain-noisy.ply out.ply --sigma nan", 2, "from 0"),
