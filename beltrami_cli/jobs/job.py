@@ -344,7 +344,7 @@ class NoiseSettings(Checked):
             raise UsageError(f"--sigma says how much {self.kind} noise is added, such as --sigma 20; give it")
         for name, kind in _OF_ONE_KIND.items():
             if kind != self.kind and getattr(self, name) != getattr(type(self), name):
-                raise UsageError(f"--{name} is of {kind} noise, not of {self.kind}; add --kind {kind}, or leave it out")
+                raise UsageError(f"--{name} is of {kind} noise, not of {self.kind}; add --kind {kind}")
 
     @property
     def deviation(self) -> float:
