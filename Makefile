@@ -95,7 +95,7 @@ CPU_BUDGET ?= 40
 
 test: $(VENV)/.installed-test $(VENV)/.gltf-validator
 	@mkdir -p build
-	$(PYTEST) --cpu build/cpu.txt --cpu-budget $(CPU_BUDGET)
+	$(PYTEST) --cpu=build/cpu.txt --cpu-budget $(CPU_BUDGET)
 	@head -n 26 build/cpu.txt
 
 quick: $(VENV)/.installed-test
