@@ -197,6 +197,32 @@ def share_in(text: str) -> float:
         raise ValueError(f"is {text!r}, but must be a share such as 0.001 or 0.1%") from None
 
 
+_AMOUNT = "an amount such as 20 (of 255), 20/255 or 8%"
+
+
+def amount(text: str, forms: str = _AMOUNT) -> float:
+    """Read a part of full scale: 20 is 20/255, and 20/255, 1310/65535 and 8% are what they say; or ValueError."""
+    try:
+        value, is_plain = number_in(text)
+    except ValueError:
+        raise ValueError(f"is {text!r}, but must be {forms}") from None
+    if not (math.isfinite(value) and value >= 0):
+        raise ValueError(f"is {text!r}, but must be a number from 0 on")
+    return value / 255 if is_plain else value
+
+
+def sure_amount(text: str, forms: str = _AMOUNT) -> float:
+    """Read it, but refuse plain numbers between 0 and 1, which may be of 255 or of full scale."""
+    value = amount(text, forms)
+    if value > 1:
+        raise ValueError(f"is {text.strip()}, but must be at most 255 (of 255), or 100%")
+    if 0 < value < 1 / 255 and not set(text) & set("/%"):
+        number = text.strip()
+        remedy = f"write {number}/255 or {100 * float(number):g}%"
+        raise ValueError(f"is {number}, which may be of 255 or of full scale; {remedy}")
+    return value
+
+
 _SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", re.IGNORECASE)
 _UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
 _LARGEST_SIZE = 1 << 60  # bytes; accepted by the system as a limit

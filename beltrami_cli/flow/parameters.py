@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, get_args
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.fields import BYTE_STEP, check, described, number_in, parameter
+from beltrami_cli.fields import BYTE_STEP, check, described, parameter, sure_amount
 
 Weights = Literal["uniform", "area"]
 Units = Literal["spacing", "world"]
@@ -62,26 +62,27 @@ class GivenNoise:
         return self.shot > 0 or self.read > 0
 
 
+_NOISE_FORMS = (
+    "a number of 255 such as 12 or 0.9/255, a share of full scale such as 4.7%, "
+    "shot:A,read:B such as shot:0.01,read:0.005, or a file of standard deviations such as sigma.exr, "
+    "frame:FILE or attribute:NAME"
+)
+
+
 def given_noise(text: str) -> GivenNoise:
-    """Read "12" or "12/255" of 255, "0.047" or "4.7%" of full scale, "shot:A,read:B", or a source; or ValueError."""
+    """Read "12" or "12/255" of 255, "4.7%" of full scale, "shot:A,read:B", or a source; or ValueError."""
     camera, source = _CAMERA.fullmatch(text.strip()), _SOURCE.fullmatch(text)
+    if camera is None:
+        if source is None:
+            return GivenNoise(sure_amount(text, _NOISE_FORMS))
+        return GivenNoise(source=source[2] or source[4], kind=source[1] or "")
     try:
-        if camera:
-            found = GivenNoise(shot=float(camera[1]), read=float(camera[2]))
-        elif source:
-            found = GivenNoise(source=source[2] or source[4], kind=source[1] or "")
-        else:
-            value, is_plain = number_in(text)
-            found = GivenNoise(value / 255 if is_plain and value >= 1 else value)
+        shot, read = map(float, camera.groups())
     except ValueError:
-        raise ValueError(
-            f"is {text!r}, but must be a number of 255 such as 12, a share of full scale such as 0.047 or 4.7%, "
-            "shot:A,read:B such as shot:0.01,read:0.005, or a file of standard deviations such as sigma.exr, "
-            "frame:FILE or attribute:NAME"
-        ) from None
-    if not (0 <= found.sigma <= 1 and 0 <= found.shot <= 1 and 0 <= found.read <= 1):
-        raise ValueError(f"is {text!r}, but noise is at least 0, and at most 255 or a full scale of 1")
-    return found
+        raise ValueError(f"is {text!r}, but must be {_NOISE_FORMS}") from None
+    if not (0 <= shot <= 1 and 0 <= read <= 1):
+        raise ValueError(f"is {text!r}, but shot and read are between 0 and 1, of full scale")
+    return GivenNoise(shot=shot, read=read)
 
 
 def file_of_noise(text: str) -> str:

@@ -20,7 +20,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeVar, get_args
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.fields import Checked, check, described, number_in, parameter, share_in
+from beltrami_cli.fields import Checked, amount, check, described, parameter, share_in, sure_amount
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 
 if TYPE_CHECKING:
@@ -275,29 +275,6 @@ _SMALLEST_SIDE, _LARGEST_SIDE = 16, 16384  # of a texture: less is of no use, gr
 Kind = Literal["gaussian", "salt-pepper", "speckle", "poisson", "white", "camera", "grain", "jpeg"]
 _WITHOUT_SIGMA = ("camera", "jpeg")
 _OF_ONE_KIND = {"shot": "camera", "read": "camera", "size": "grain", "quality": "jpeg"}
-
-
-def amount(text: str) -> float:
-    """Read a part of full scale: 20 is 20/255, and 20/255, 1310/65535 and 8% are what they say; or ValueError."""
-    try:
-        value, is_plain = number_in(text)
-    except ValueError:
-        raise ValueError(f"is {text!r}, but must be an amount such as 20 (of 255), 20/255 or 8%") from None
-    if not (math.isfinite(value) and value >= 0):
-        raise ValueError(f"is {text!r}, but must be a number from 0 on")
-    return value / 255 if is_plain else value
-
-
-def sure_amount(text: str) -> float:
-    """Read it, but refuse plain numbers between 0 and 1, which may be of 255 or of 1."""
-    value = amount(text)
-    if value > 1:
-        raise ValueError(f"is {text.strip()}, but must be at most 255 (of 255), or 100%")
-    if 0 < value < 1 / 255 and not set(text) & set("/%"):
-        number = text.strip()
-        remedy = f"write {number}/255 or {100 * float(number):g}%"
-        raise ValueError(f"is {number}, which may be of 255 or of full scale; {remedy}")
-    return value
 
 
 @dataclass(frozen=True)

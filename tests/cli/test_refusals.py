@@ -114,6 +114,14 @@ REFUSED = [
     ("noise @terrain-noisy.ply out.ply --sigma 300", 2, "beltrami: --sigma is 300, but must be at most 255"),
     ("noise @terrain-noisy.ply out.ply --sigma 5 --quality 50", 2, "--quality is of jpeg noise, not of gaussian"),
     ("noise @terrain-noisy.ply out.ply --sigma 0.08", 2, "8%"),
+    *(
+        (f"{command} 0.9", 2, "may be of 255 or of full scale; write 0.9/255 or 90%")
+        for command in (
+            "smooth @terrain-noisy.ply out.ply --noise", "info @terrain-noisy.ply --noise",
+            "sweep @terrain-noisy.ply a.gif --noise", "batch @terrain-noisy.ply --out-dir out --noise",
+            "noise @terrain-noisy.ply out.ply --sigma", "view @terrain-noisy.ply --noise",
+        )
+    ),
     ("noise @terrain-noisy.ply out.ply --sigma=-1", 2, "from 0"),
     ("noise @terrain-noisy.ply out.ply --sigma nan", 2, "from 0"),
     ("noise @terrain-noisy.ply out.ply --sigma 1/0", 2, "amount"),

@@ -45,7 +45,7 @@ def grey(seed=0):
         ("a 1/b.exr", GivenNoise(source="a 1/b.exr"), "a 1/b.exr"),
         ("frame:dark.tif", GivenNoise(source="dark.tif", kind="frame"), "dark.tif"),
         ("attribute:error", GivenNoise(source="error", kind="attribute"), ""),
-        ("0.05", GivenNoise(0.05), ""),
+        ("5%", GivenNoise(0.05), ""),
     ],
 )
 def test_a_file_is_known_by_its_extension(text, found, file):

@@ -76,7 +76,7 @@ def test_noise_by_level_is_found_where_there_is_such_and_only_there():
     assert noise_of_image(shot(clean) - 0.5).stabiliser is None  # numbers below 0 are no levels
 
 
-AMOUNTS = {"12": 12 / 255, "12/255": 12 / 255, "0.047": 0.047, "4.7%": 0.047, "1": 1 / 255}
+AMOUNTS = {"12": 12 / 255, "12/255": 12 / 255, "0.047/1": 0.047, "4.7%": 0.047, "1": 1 / 255}
 
 
 @pytest.mark.parametrize(("text", "sigma"), AMOUNTS.items())
@@ -84,7 +84,7 @@ def test_given_noise_is_of_255_or_of_full_scale(text, sigma):
     assert given_noise(text).sigma == pytest.approx(sigma)
 
 
-NO_AMOUNTS = ["", "much", "-3", "300", "nan", "1/0", "shot:1", "shot:x,read:1", "shot:2,read:0"]
+NO_AMOUNTS = ["", "much", "-3", "300", "nan", "1/0", "shot:1", "shot:x,read:1", "shot:2,read:0", "0.9"]
 
 
 @pytest.mark.parametrize("text", NO_AMOUNTS)

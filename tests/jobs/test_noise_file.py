@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
+from beltrami_cli.fields import amount, sure_amount
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.jobs.inspect import check_files
-from beltrami_cli.jobs.job import NoiseSettings, amount, sure_amount
+from beltrami_cli.jobs.job import NoiseSettings
 from beltrami_cli.jobs.noise import NoiseTargets, add_noise, noise_file
 from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
 from cli.commands import SAMPLES, beltrami
