@@ -75,12 +75,11 @@ def info(sources: tuple[str, ...], as_json: bool, verbose: int, **smoothing: Any
 
 
 def _parts_of(source: str, facts: dict[str, Any]) -> Iterator[list[str]]:
-    surface, image = facts.get("surface", {}), facts.get("image", {})
+    surface, image = facts.get("surface") or facts.get("cloud") or {}, facts.get("image", {})
     parts = [(each["slot"], each.get("covered"), each) for each in facts.get("textures", [])]
     if "smooth" in facts:
-        count = surface.get("samples") or surface.get("points") or facts.get("points", {}).get("points")
         pixels = image.get("width", 0) * image.get("height", 0)
-        parts.append(("pixels" if image else "vertices", pixels or count, facts))
+        parts.append(("pixels" if image else "vertices", pixels or surface.get("samples"), facts))
     for what, samples, part in parts:
         plan, noise = part.get("smooth") or {}, part.get("noise") or {}
         iterations = plan.get("iterations")
@@ -107,7 +106,7 @@ def _summary(facts: dict[str, Any]) -> Iterator[str]:
         ]
         rows += [("", f"and {len(images) - _SHOWN_IMAGES} more")] if len(images) > _SHOWN_IMAGES else []
         rows += _answer(slot)
-        if slot.get("exposure", {}).get("is_exposure"):
+        if (slot["exposure"] or {}).get("is_exposure"):
             step = f"median step {noise_of_255(slot['exposure']['step'])} at seams; `beltrami level` removes them"
             rows.append(("exposure", step))
     if "smooth" in facts:
@@ -152,9 +151,10 @@ def _put_choices_in_words(facts: dict[str, Any], settings: SmoothSettings) -> No
     slots: Any = facts.get("textures", [])
     image: Any = facts.get("image", {"width": 1, "height": 1, "holes": 0})
     samples = image["width"] * image["height"] - image["holes"]
-    is_flat = facts.get("surface", {}).get("mean_edge_length") == 0 and not facts["smooth"]["iterations"]
+    smooth: Any = facts.get("smooth") or {}  # empty if only textures are smoothed
+    is_flat = facts.get("surface", {}).get("mean_edge_length") == 0 and not smooth.get("iterations")
     planned: list[Any] = [
-        (facts.get("smooth"), NO_AREA if is_flat else "" if samples else _NO_SAMPLES),
+        (smooth, NO_AREA if is_flat else "" if samples else _NO_SAMPLES),
         *((slot["smooth"], "" if slot["covered"] else _NO_SAMPLES) for slot in slots),
     ]
     for smooth, obstacle in planned:

@@ -10,8 +10,11 @@ import pytest
 from beltrami_cli import SmoothSettings, inspect_file
 from beltrami_cli.cli.commands import notes_on
 from beltrami_cli.fields import override
+from beltrami_cli.layers.settings import SLOTS
 from cli.commands import SAMPLES, beltrami, colours_in, copy_samples
+from formats.gltf_files import Textured
 from formats.image_files import encode
+from formats.volume_files import sphere_file
 from oracles.paintings import photograph
 from small_models import COLOURED, ply, textured_squares
 
@@ -186,3 +189,83 @@ def test_kernel_info_and_smooth_say_the_same_parameters_of_a_file(name, at, opti
     assert f"in iteration 1 of {planned['iterations']}," in shown
     assert f"beta {planned['beta']:.3g}\n" in shown
     assert f"beta {planned['beta']:.3g}," in smooth.stderr.decode()
+
+
+def write_textured(path, slots, *, is_flat=False, colours=False):
+    """Write a square with one image in the given slots; `is_flat`: with all of its vertices at one place."""
+    model = Textured("data")
+    shown = model.texture(model.image(encode((200 * photograph(64)).astype(np.uint8), "png")))
+    corners = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0)], "<f4")
+    attributes = {"TEXCOORD_0": model.packed(corners[:, :2].copy())}
+    if colours:
+        attributes["COLOR_0"] = model.packed(np.full((4, 3), 0.5, "<f4"))
+    positions, material = corners * (not is_flat), model.material("m", **dict.fromkeys(slots, shown))
+    model.triangles(positions, attributes, material, corners=[0, 1, 2, 1, 3, 2])
+    path.write_bytes(model.glb())
+
+
+def write_of_kind(folder, kind):
+    """Write a small file whose parts are of a kind of layer; return its path."""
+    rng, path = np.random.default_rng(0), folder / "a.ply"
+    if kind in SLOTS:
+        write_textured(folder / "a.glb", [kind])
+        return folder / "a.glb"
+    if kind.startswith("both"):
+        write_textured(folder / "a.glb", ["baseColor", "normal"], is_flat="flat" in kind, colours=True)
+        return folder / "a.glb"
+    if kind == "image":
+        return shutil.copy(SAMPLES / "torus-two-clean-dough.png", folder / "a.png")
+    if kind == "level set":
+        return sphere_file(folder, 0.3)
+    if kind == "range image":
+        y, x = np.mgrid[:8, :8]
+        places = np.dstack([x, y, 0 * x]).astype(float)
+        np.savez(folder / "a.npz", positions=places, colours=rng.random((8, 8, 3)))
+        return folder / "a.npz"
+    y, x = np.divmod(np.arange(64), 8)
+    rows = [[*p, 0, *c] for p, c in zip(zip(x, y, strict=True), rng.integers(0, 255, (64, 3)), strict=True)]
+    faces = [[8 * i + j, 8 * i + j + 1, 8 * i + j + 9, 8 * i + j + 8] for i in range(7) for j in range(7)]
+    if kind == "flat vertices":
+        rows = [[0, 0, 0, *row[3:]] for row in rows]
+    path.write_bytes(ply(COLOURED, rows, [] if kind == "points" else faces))
+    return path
+
+
+KINDS = (
+    "vertices",
+    "flat vertices",
+    "points",
+    "level set",
+    "range image",
+    "image",
+    "both",
+    "both flat",
+    *SLOTS,
+)
+CHOICES = {"both": ("auto", "both", "vertices", "texture"), "both flat": ("auto", "texture")}
+
+
+@pytest.mark.parametrize(
+    ("kind", "on"), [(kind, on) for kind in KINDS for on in CHOICES.get(kind, ("auto",))]
+)
+def test_every_key_of_every_kind_of_layer_and_slot_is_shown(kind, on, tmp_path):
+    source = write_of_kind(tmp_path, kind)
+    options = [
+        "--fast",
+        *(["--slots", kind] if kind in SLOTS else []),
+        *(["--on", on] if on != "auto" else []),
+    ]
+    facts = info(source, *options)
+    long, short = (beltrami("info", source, *options, *more).stdout.decode() for more in (["-v"], []))
+    table = beltrami("info", source, source, *options).stdout.decode()
+    parts = [*facts.get("textures", []), *([facts] if "smooth" in facts else [])]
+    assert len(parts) == {"both": 2}.get(on, 1)
+    assert short.count("\nnoise ") == len(parts)
+    for part in parts:
+        assert {"noise", "noise_model", "smooth"} <= part.keys()
+    for name, value in [*facts.items(), *(each for part in parts for each in part.items())]:
+        assert name.replace("_", " ") in long or value in (None, {}, [])
+    rows = table.splitlines()[1:]
+    assert len(rows) == len(parts)
+    for row in rows:
+        assert int(re.split(r"  +", row)[3]) > 0  # samples
