@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import sys
 
 _LONGEST = 1000  # characters; what a file has for a name may be a million
 
@@ -72,6 +74,19 @@ _OTHERS = (
     "SIGBUS", "SIGEMT", "SIGFPE", "SIGILL", "SIGSEGV", "SIGSYS", "SIGTRAP",
 )  # fmt: skip
 ENDING_SIGNALS = frozenset(map(int, signal.valid_signals() - {getattr(signal, each, 0) for each in _OTHERS}))
+
+
+_PR_SET_PDEATHSIG = 1  # of <sys/prctl.h>
+
+
+def end_with_parent(parent: int, number: int = signal.SIGKILL) -> None:
+    """End this process by a signal when the one that started it, whose number is given, is gone; on Linux alone."""
+    if sys.platform == "linux":
+        import ctypes
+
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
+        if os.getppid() != parent:  # it was gone before
+            os.kill(os.getpid(), number)
 
 
 def unhandled_endings() -> set[int]:

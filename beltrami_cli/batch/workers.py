@@ -28,7 +28,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from beltrami_cli.arrays import Array
-from beltrami_cli.errors import ProcessingError, unhandled_endings
+from beltrami_cli.errors import ProcessingError, end_with_parent, unhandled_endings
 from beltrami_cli.formats.image.reading import scratch_file
 from beltrami_cli.jobs.job import at_intervals
 
@@ -235,6 +235,8 @@ def serve(pipe: Connection[Any, Any], path: Path) -> None:
     """Do the tasks that come through a channel until it is closed."""
     for number in unhandled_endings():
         signal.signal(number, lambda number, _: sys.exit(128 + number))
+    if (leader := multiprocessing.parent_process()) is not None and leader.pid is not None:
+        end_with_parent(leader.pid, signal.SIGTERM)  # which lets it remove its files
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all; who leads decides
     channel, held = Channel(pipe, path), dict[int, Any]()
 

@@ -54,7 +54,7 @@ class Run:
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=self._said,
-                env=os.environ | {"BELTRAMI_PROGRESS": "lines"},
+                env=os.environ | {"BELTRAMI_PROGRESS": "lines", "BELTRAMI_PARENT": str(os.getpid())},
             )
         except BaseException as error:
             self._temporary.cleanup()

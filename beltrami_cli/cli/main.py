@@ -15,7 +15,7 @@ import click
 
 from beltrami_cli.cli.commands import notes_on, spelled, variable_behind, with_variables, write_notes
 from beltrami_cli.cli.console import Interruption, ReaderGoneError, SignalGuard, prepare_streams, printable
-from beltrami_cli.errors import BeltramiError, InputError
+from beltrami_cli.errors import BeltramiError, InputError, end_with_parent
 
 if TYPE_CHECKING:
     from beltrami_cli.cli.config import Configuration
@@ -140,6 +140,8 @@ def main() -> NoReturn:
     """Run the command line and exit with the documented code."""
     # OpenBLAS reserves some 30 MB a processor for products of large matrices, and this program computes none.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    if os.environ.pop("BELTRAMI_PARENT", "") == str(os.getppid()):
+        end_with_parent(os.getppid(), signal.SIGTERM)
     sys.exit(SignalGuard().run(_run))
 
 

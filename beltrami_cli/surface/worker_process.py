@@ -20,12 +20,13 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.arrays import Array
-from beltrami_cli.errors import ProcessingError
+from beltrami_cli.errors import ProcessingError, end_with_parent
 from beltrami_cli.import_path import safe_environment
 
 Message = tuple[Any, dict[str, Array]]
 """Words, as JSON has them, and arrays by name."""
 
+PARENT = "BELTRAMI_PARENT"  # the variable with the number of the process that waits
 _POLL = 0.1  # seconds between looks at whether a process is done or the user wants to stop
 
 
@@ -81,7 +82,7 @@ def ask(
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         start_new_session=True,  # so that it does not see Ctrl-C, which is for this process
-        env=safe_environment(),
+        env=safe_environment() | {PARENT: str(os.getpid())},
     ) as process, ThreadPoolExecutor(1) as pool:  # fmt: skip
         try:
             # One call in a thread: after a timeout, another call would send nothing more of what the pipe did not hold.
@@ -107,7 +108,8 @@ def ask(
 
 def serve(answer: Callable[[Any, dict[str, Array]], Message], seconds: int) -> None:
     """Answer the question of the process that waits, within some seconds."""
-    if hasattr(signal, "alarm"):  # so that it ends even where the process that waits for it was killed
+    end_with_parent(int(os.environ[PARENT]))
+    if hasattr(signal, "alarm"):  # where the system cannot tell that the process that waits for it was killed
         signal.alarm(seconds)
     # What a library prints must not come between the numbers.
     out = os.fdopen(os.dup(1), "wb")

@@ -183,6 +183,47 @@ def crate(section):
     return make
 
 
+def scan(suffix, count=1 << 24):
+    """A scan of a few points that announces many more, of 30 bytes each."""
+
+    def make(folder):
+        laspy = pytest.importorskip("laspy", reason="laspy is not installed")
+        cloud = laspy.LasData(laspy.LasHeader(point_format=3, version="1.2"))
+        cloud.xyz, cloud.red = np.zeros((9, 3)), np.arange(9)
+        cloud.write(path := folder / f"a.{suffix}")
+        data = bytearray(path.read_bytes())
+        struct.pack_into("<I", data, 107, count)
+        path.write_bytes(data)
+        return path
+
+    return make
+
+
+def equal_scan(folder, count=1 << 22):
+    """A scan of many points in one place, of which each takes no bit, and more than 20 bytes in memory."""
+    pytest.importorskip("pye57", reason="pye57 is not installed")
+    from pye57 import libe57
+
+    file = libe57.ImageFile(str(folder / "a.e57"), "w")
+    scan, prototype = libe57.StructureNode(file), libe57.StructureNode(file)
+    for name in ("cartesianX", "cartesianY", "cartesianZ"):
+        prototype.set(name, libe57.ScaledIntegerNode(file, 0, 0, 0, 1.0, 0.0))
+    points = libe57.CompressedVectorNode(file, prototype, libe57.VectorNode(file, True))
+    scans = libe57.VectorNode(file, True)
+    file.root().set("data3D", scans)
+    scan.set("points", points)
+    scans.append(scan)
+    nothing, buffers = np.zeros(count, np.int64), libe57.VectorSourceDestBuffer()
+    for name in ("cartesianX", "cartesianY", "cartesianZ"):
+        buffers.append(libe57.SourceDestBuffer(file, name, nothing, count, True, False))
+    writer = points.writer(buffers)
+    writer.write(count)
+    writer.close()
+    file.close()
+    return folder / "a.e57"
+
+
+PCD = b"VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 9999999\nHEIGHT 1\nPOINTS 9999999\n"
 SCENE = b"""#usda 1.0
 def Mesh "a"
 {
@@ -246,6 +287,11 @@ BOMBS = {
     "text": with_texture(lambda: png(4, 4, b"", png_chunk(b"zTXt", b"a\0\0" + zeros(1 << 28)))),
     "archive": file("a.obj", b"PK\x03\x04" + bytes(100)),
     "compressed": file("a.ply", lambda: gzip.compress(bytes(1 << 24))),
+    "points of LAS": scan("las"),
+    "points of LAZ": scan("laz"),
+    "points of E57": equal_scan,
+    "points of PCD": file("a.pcd", PCD + b"DATA binary\n" + bytes(120)),
+    "lines of PCD": file("a.pcd", PCD + b"DATA ascii\n" + b"1 2 3\n" * 3),
     **{f"entries of {section}": file("a.usdc", crate(section)) for section in SECTIONS},
 }
 
@@ -253,7 +299,8 @@ BOMBS = {
 # What the longest line and the largest ratio of archives keep out where memory is not limited, and so where it is.
 UNLIMITED = [
     "points in one place", "a line of corners", "a line of coordinates", "continued lines", "a line of points",
-    "a line of OFF", "a member of blanks", "packed elements", *(f"entries of {section}" for section in SECTIONS),
+    "a line of OFF", "points of LAS", "points of LAZ", "points of E57", "a member of blanks", "packed elements",
+    *(f"entries of {section}" for section in SECTIONS),
 ]  # fmt: skip
 
 

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.arrays import Array
+from beltrami_cli.formats.access import most_unpacked
 from beltrami_cli.formats.archives import NpzArchive
 from beltrami_cli.formats.document import Changes, Naming, Written
 from beltrami_cli.formats.foreign_library import ForeignLibrary, serve_files
@@ -105,6 +106,12 @@ def _replaced(new: Array, rgb: tuple[str, ...]) -> Columns:
     return dict(zip(rgb if new.shape[1] > 1 else ("intensity",), new.T, strict=True))
 
 
+def _require_held(count: int, size: int, held: int) -> None:
+    """Raise ValueError if a number of points of a size in bytes take more than a file holds, or unpacks to."""
+    if count * size > held:
+        raise ValueError(f"there is no room for the {count} points that it announces")
+
+
 class _Las:
     """The points are records of the specification, and all else stays as bytes, so that nothing is lost."""
 
@@ -113,7 +120,11 @@ class _Las:
     def __init__(self, data: bytes) -> None:
         import laspy
 
-        self._data, self._las = data, laspy.read(io.BytesIO(data))
+        with laspy.open(io.BytesIO(data)) as reader:
+            about = reader.header
+            held = most_unpacked(len(data)) if _is_laz(data) else len(data) - about.offset_to_point_data
+            _require_held(about.point_count, about.point_format.size, held)
+            self._data, self._las = data, reader.read()
         self._points = self._las.points.array
         # Where extended records and waveforms start: places of data behind the points.
         self._places = (_AT_WAVEFORMS, _AT_RECORDS)[: max(0, self._las.header.version.minor - 2)]
@@ -203,7 +214,8 @@ class _Pcd:
             lines = (b" ".join(line.split()) + b"\n" for line in data[self._body :].splitlines())
             data = data[: self._body] + b"".join(lines)
         cloud = pypcd4.PointCloud.from_fileobj(io.BytesIO(data))
-        self._points, self._about = cloud.pc_data, cloud.metadata
+        self._points, self._about = np.atleast_1d(cloud.pc_data), cloud.metadata
+        _require_held(self._about.points, 1, self._points.size)
         self._names = self._points.dtype.names or ()
         known = {name.lower(): name for name in self._names}
         self._axes = [known[axis] for axis in "xyz"]
@@ -280,6 +292,8 @@ class _E57:
         self._scans = [self._file.get_header(number) for number in range(self._file.scan_count)]
 
     def arrays(self) -> Columns:
+        size = sum(scan.point_count * (len(self._children(scan.points)) + 3) for scan in self._scans)
+        _require_held(size, 8, most_unpacked(len(self._data)))  # numbers of 8 bytes, and three of a place
         known = [self._raw(scan.points) for scan in self._scans]
         places = [self._places(*each) for each in zip(self._scans, known, strict=True)]
         found = {"positions": np.concatenate(places), "xml": np.frombuffer(self._xml(), np.uint8)}
