@@ -4,13 +4,14 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN     = $(VENV)/bin
 
-.PHONY: demo figures gallery viewer docs build-docs man quick test test-minimum test-blender lint bench run-bench wheel build-wheel release-check check-release sanitize fuzz fuzz-readers fuzz-core survey samples noise-model run-noise-model clean help
+.PHONY: dev demo figures gallery viewer docs build-docs man quick test test-minimum test-blender lint bench run-bench wheel build-wheel release-check check-release sanitize fuzz fuzz-readers fuzz-core survey samples noise-model run-noise-model clean help ALWAYS
 .DELETE_ON_ERROR:
 
 help:
 	@echo "make demo      smooth a sample mesh, with a before/after picture"
 	@echo "make figures   reproduce the figures of the paper, with their numbers in docs/figures.md"
 	@echo "make gallery   make the pictures of docs/gallery.md again"
+	@echo "make dev       the environment .venv, in which pytest tests the sources as they are"
 	@echo "make quick     in under a minute, the tests that a change most likely breaks, and the import layers"
 	@echo "make test      all tests, in an environment of their own"
 	@echo "make test-minimum  the same with the oldest versions of what it depends on"
@@ -30,10 +31,12 @@ help:
 	@echo "make clean     remove what was built"
 	@echo "make x.clean.ply   smooth x.ply (likewise .obj, .glb); make -j smooths many at once"
 
-SOURCES := pyproject.toml $(shell find beltrami_cli -name '*.py' -o -name '*.cpp' -o -name '*.hpp' -o -name CMakeLists.txt) \
-           $(wildcard docs/*.md)
+SOURCES := pyproject.toml README.md LICENSE $(wildcard docs/*.md) \
+           $(shell find beltrami_cli -type f ! -path '*/__pycache__/*' ! -path '*/.*' ! -name '*.so')
 VERSION := $(shell sed -n 's/^version = "\(.*\)"/\1/p' pyproject.toml)
-PACKAGE := build/package-$(shell $(PYTHON) -c "import sys; print(sys.implementation.cache_tag)")
+PYTHON_TAG := $(shell $(PYTHON) -c "import sys; print(sys.implementation.cache_tag)")
+PACKAGE := build/package-$(PYTHON_TAG)
+TOOLS   := build/tools-$(PYTHON_TAG)
 
 # Prints a line every 8 s while the rest of the recipe runs, so that slow compilers and downloads do not look dead.
 BEAT = while sleep 8 >/dev/null 2>&1 && kill -0 $$$$ 2>/dev/null; do echo "... $@ is still being made"; done & beat=$$!; \
@@ -43,22 +46,43 @@ $(VENV)/.pip:
 	@$(BEAT) $(PYTHON) -m venv $(VENV)
 	@touch $@
 
-# Compiled once for all environments of a Python; not at all if dist/ has a wheel for it that is newer than the sources.
-$(PACKAGE)/.built: $(SOURCES) | $(VENV)/.pip
-	@rm -rf $(PACKAGE) && mkdir -p $(PACKAGE)
-	@$(BEAT) wheel="$$(ls -t dist/*.whl 2>/dev/null | head -n 1)" && \
-	if [ -n "$$wheel" ] && [ -z "$$(find $(SOURCES) -newer "$$wheel")" ] && $(BIN)/python -m pip download --quiet \
-	  --no-index --no-deps --find-links dist --dest $(PACKAGE) 'beltrami-cli==$(VERSION)' 2>/dev/null; \
-	then echo "Taking the wheel in dist/"; \
-	else echo "Compiling, which takes about a minute of a processor" && \
-	  $(BIN)/python -m pip wheel --disable-pip-version-check --no-deps --wheel-dir $(PACKAGE) .; fi
+# What compiles the package: kept, so that only what changed is compiled again, and apart from what is tested.
+$(TOOLS)/.installed: pyproject.toml tests/requirements.py
+	@$(BEAT) $(PYTHON) -m venv $(TOOLS) && $(PYTHON) tests/requirements.py > $(TOOLS)/requirements.txt && \
+	$(TOOLS)/bin/python -m pip install --quiet --disable-pip-version-check -r $(TOOLS)/requirements.txt cmake ninja
 	@touch $@
 
-# One environment for each set of extras, installed again when the package changes. Python compiles modules when they run.
-$(VENV)/.installed-%: $(PACKAGE)/.built | $(VENV)/.pip
-	@$(BIN)/python -m pip uninstall --quiet --yes beltrami-cli 2>/dev/null
-	@$(BEAT) $(BIN)/python -m pip install --no-compile --disable-pip-version-check --upgrade $(RESTRAIN) "$$(ls $(PACKAGE)/*.whl)[$*]"
+# Changes when a source is added or removed.
+$(PACKAGE)/.sources: ALWAYS
+	@mkdir -p $(PACKAGE) && echo $(SOURCES) > $@.now
+	@if cmp -s $@.now $@; then rm $@.now; else mv $@.now $@; fi
+
+# Made once for all environments of a Python, and C++ compiled as far as it changed; nothing is if dist/ has a wheel for
+# this Python that is newer than the sources. The stamp has the time of the start: what is edited meanwhile is newer.
+$(PACKAGE)/.built: $(SOURCES) $(PACKAGE)/.sources $(TOOLS)/.installed
+	@rm -f $(PACKAGE)/*.whl && touch $@.started
+	@$(BEAT) wheel="$$(ls -t dist/*.whl 2>/dev/null | head -n 1)" && \
+	if [ -n "$$wheel" ] && [ -z "$$(find $(SOURCES) -newer "$$wheel")" ] && $(TOOLS)/bin/python -m pip download --quiet \
+	  --no-index --no-deps --find-links dist --dest $(PACKAGE) 'beltrami-cli==$(VERSION)' 2>/dev/null; \
+	then echo "Taking the wheel in dist/"; \
+	else $(TOOLS)/bin/python -m pip wheel --quiet --disable-pip-version-check --no-deps --no-build-isolation \
+	  --config-settings=build-dir=$(PACKAGE)/native --wheel-dir $(PACKAGE) .; fi
+	@mv $@.started $@
+
+# One environment for each set of extras. What they need is installed when pyproject.toml changes, the package whenever it
+# does. Python compiles modules when they run.
+$(VENV)/.needs-%: pyproject.toml tests/requirements.py | $(VENV)/.pip
+	@$(BEAT) $(PYTHON) tests/requirements.py $* > $@.txt && \
+	$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check $(RESTRAIN) -r $@.txt
 	@touch $@
+
+.PRECIOUS: $(VENV)/.needs-%
+$(VENV)/.installed-%: $(PACKAGE)/.built $(VENV)/.needs-%
+	@$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check --no-deps --force-reinstall $(PACKAGE)/*.whl
+	@touch $@
+
+dev: $(VENV)/.installed-test
+	@echo "$(BIN)/pytest tests/... tests the sources as they are"
 
 demo: $(VENV)/.installed-render
 	@mkdir -p demo
@@ -118,7 +142,7 @@ test-blender: $(VENV)/.installed-test
 	$(VENV)-blender/bin/python -m pip install --quiet --disable-pip-version-check '$(BLENDER)' pytest
 	BELTRAMI=$(abspath $(BIN))/beltrami $(VENV)-blender/bin/python -m pytest -q -s --noconftest -c /dev/null -o pythonpath=$(abspath tests) tests/blender benchmarks/bench_blender.py
 
-lint: $(VENV)/.installed-test
+lint: $(VENV)/.needs-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
@@ -174,12 +198,7 @@ check-release:
 	@echo "     $$(sha256sum dist/*$(VERSION).tar.gz)"
 	@echo "  4. beltrami blender-extension beltrami.zip, and upload that to the extensions of Blender."
 
-# CMake has an environment of its own, so that the core can be built while the other one is installed.
-CMAKE := build/cmake/bin/cmake
-
-$(CMAKE):
-	$(PYTHON) -m venv build/cmake
-	build/cmake/bin/python -m pip install --quiet --disable-pip-version-check cmake
+CMAKE := $(TOOLS)/bin/cmake
 
 # The runtime of the sanitizers has to come before all libraries, and that of C++ with it, whose exceptions it watches.
 RUNTIMES  = $(if $(findstring clang,$(CXX)),libclang_rt.asan-$(shell uname -m).so,libasan.so) libstdc++.so
@@ -187,11 +206,10 @@ SANITIZED = tests/properties tests/surface/test_atlas_*.py $(addprefix tests/sur
   $(addprefix tests/flow/test_,clipping.py core_passes.py high_valence.py moving_positions.py noise_by_level.py patches.py)
 
 # The tests of the core, most of them in Python, with a copy of the package whose core is instrumented.
-sanitize: $(CMAKE) $(VENV)/.installed-test
-	build/cmake/bin/python -m pip install --quiet --disable-pip-version-check nanobind
+sanitize: $(TOOLS)/.installed $(VENV)/.needs-test
 	$(CMAKE) -S beltrami_cli/native -B build/sanitize -DCMAKE_CXX_FLAGS="-O1 -g1" -DBELTRAMI_TESTS=ON \
-	  -DBELTRAMI_SANITIZE=ON -DBELTRAMI_WARNINGS_FAIL=ON -DPython_EXECUTABLE=$(abspath build/cmake/bin/python) \
-	  -Dnanobind_DIR=$$(build/cmake/bin/python -m nanobind --cmake_dir)
+	  -DBELTRAMI_SANITIZE=ON -DBELTRAMI_WARNINGS_FAIL=ON -DPython_EXECUTABLE=$(abspath $(TOOLS)/bin/python) \
+	  -Dnanobind_DIR=$$($(TOOLS)/bin/python -m nanobind --cmake_dir)
 	MAKEFLAGS= $(CMAKE) --build build/sanitize --parallel 2
 	$(dir $(CMAKE))ctest --test-dir build/sanitize --output-on-failure --no-tests=error
 	rm -rf build/sanitize/package && mkdir build/sanitize/package && cp -R beltrami_cli build/sanitize/package/
@@ -210,7 +228,7 @@ viewer:
 
 # What is found is kept under build/fuzz, to go on from next time.
 FUZZ_SECONDS ?= 60
-FUZZ_TARGETS ?= ply obj gltf off stl 3mf usd usdz xyz npz volume image arrays configuration manifest record report
+FUZZ_TARGETS ?= $(filter-out core,$(notdir $(wildcard tests/fuzz/corpus/*)))
 CLANG        ?= clang++
 
 fuzz: fuzz-readers fuzz-core
@@ -218,7 +236,7 @@ fuzz: fuzz-readers fuzz-core
 fuzz-readers: $(VENV)/.installed-fuzz
 	for target in $(FUZZ_TARGETS); do $(BIN)/python tests/fuzz/run.py $$target --seconds $(FUZZ_SECONDS) || exit 1; done
 
-fuzz-core: $(CMAKE)
+fuzz-core: $(TOOLS)/.installed
 	@command -v $(CLANG) > /dev/null || { echo "the core is fuzzed with clang++; name it with CLANG=..."; exit 1; }
 	$(CMAKE) -S beltrami_cli/native -B build/fuzz-core -DCMAKE_CXX_COMPILER=$(CLANG) -DCMAKE_BUILD_TYPE=RelWithDebInfo \
 	  -DBELTRAMI_PYTHON=OFF -DBELTRAMI_FUZZ=ON

@@ -11,6 +11,11 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from installation import ensure_current
+
+if "PYTEST_XDIST_WORKER" not in os.environ:
+    ensure_current()
+
 # A shell that starts tests in the background has them ignore these signals, as would the commands that they start.
 for number, handler in (
     (signal.SIGINT, signal.default_int_handler),

@@ -11,6 +11,7 @@ from packaging.version import Version
 
 import beltrami_cli
 from beltrami_cli.cli.main import COMMANDS, group
+from requirements import requirements
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -51,6 +52,12 @@ def test_lower_bounds_are_the_versions_that_are_tested_as_the_oldest():
     assert {name: Version(each.version) for name, each in bounds.items()} == {
         name: Version(version) for name, version in pinned.items()
     }
+
+
+def test_environments_get_what_the_extras_of_an_extra_need():
+    needed = {*requirements(PROJECT, "fuzz")}
+    assert {*EXTRAS["textures"], *PROJECT["dependencies"], "pytest>=8.2", "atheris>=2.3"} <= needed
+    assert not any(line.startswith(PROJECT["name"]) for line in needed)
 
 
 def test_extras_that_messages_name_are_there_and_in_all():
