@@ -17,6 +17,7 @@ from beltrami_cli.surface.records import (
     limits_of,
     linear_to_srgb,
     require_finite,
+    require_single,
     srgb_to_linear,
 )
 
@@ -188,6 +189,7 @@ def check_polygons(found: ColouredPolygons, name: str) -> None:
     if found.corners.min() < 0 or found.corners.max() >= vertices:
         raise InputError(name, f"a polygon names a vertex that is none of the {vertices}", "export it again")
     require_finite(found.positions, name, "the position of vertex")
+    require_single(np.where(np.isnan(found.colours), 0, found.colours), name, "the colour of corner")
     if not np.isfinite(found.colours).all(axis=1).any():
         if "textures" in found.left_out:
             cause = "its colours are textures, which are not read in files of this format"

@@ -22,6 +22,7 @@ from beltrami_cli.surface.records import (
     TexturedSurface,
     check_scale,
     require_finite,
+    require_single,
 )
 
 _ARRAYS = "the arrays"  # as messages call them
@@ -245,8 +246,8 @@ def colour_table(colours: ArrayLike) -> Float32s:
     if table.ndim == 1:
         table = table[:, None] if len(table) else table.reshape(0, 3)
     if _numbers(table, "colours", ("V", "C")).dtype.kind == "f":
-        with np.errstate(over="ignore"):
-            return np.ascontiguousarray(table, np.float32)
+        require_single(table, _ARRAYS, "the colour of sample", holes=True)
+        return np.ascontiguousarray(table, np.float32)
     # The full scale of other integers is unknown: a list of 0 to 255 becomes int64.
     if table.dtype not in (np.uint8, np.uint16, np.uint32):
         remedy = "give uint8, as 0 to 255, or floats, as 0 to 1"
@@ -310,8 +311,7 @@ def guide_table(values: ArrayLike, shape: tuple[int, ...], name: str = "guide") 
         table[..., None] if table.shape == shape else table, f"the {name}", (*shape, "G"), "buif"
     )
     rows = table.reshape(-1, table.shape[-1]).astype(np.float64)
-    if not np.isfinite(rows).all():
-        raise UsageError(f"row {int(np.argmin(np.isfinite(rows).all(axis=1)))} of the {name} is not finite")
+    require_single(rows, _ARRAYS, f"the {name} of sample")
     return rows
 
 

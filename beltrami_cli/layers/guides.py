@@ -25,7 +25,7 @@ from beltrami_cli.layers.picture_layer import PictureColours
 from beltrami_cli.layers.settings import SLOTS, SmoothSettings
 from beltrami_cli.surface.atlas import Atlas, texels_by_texture
 from beltrami_cli.surface.baking import look_up
-from beltrami_cli.surface.records import Slot, Texture, TexturedSurface, require_finite
+from beltrami_cli.surface.records import Slot, Texture, TexturedSurface, require_single
 
 _MOST_NUMBERS = 1 << 31  # of an array, before it is known that it fits
 _ONE_ROW = "it needs one row for each coloured vertex, in the order of the file"
@@ -43,7 +43,7 @@ def _values(document: Document, name: str, access: Access) -> Float64s:
     known = document.attributes()
     if name.lower() in {attribute.lower() for attribute in known}:
         values = document.attribute(name)
-        require_finite(values, document.name, "its vertex")
+        require_single(values, document.name, "its vertex")
         return values
     if not _exists(name):
         attributes = ", ".join(known) or "no others"
@@ -73,7 +73,7 @@ def read_table(path: str, rows: int, model: str, access: Access) -> Float64s:
         shape = " x ".join(map(str, table.shape))
         raise InputError(path, f"its {shape} numbers do not fit the {rows} vertices of {model}", _ONE_ROW)
     numbers = table.astype(np.float64)
-    require_finite(numbers, path, "its row")
+    require_single(numbers, path, "its row")
     return numbers
 
 
@@ -150,7 +150,7 @@ class GuidedTexels:
                 f"{path} guides one texture, but several are smoothed ({names}); choose one by --texture or --material"
             )
         values = read_map(path, self.pictures[0], self.access)[self.atlas.owned_texels]
-        require_finite(values, path, "its pixel")
+        require_single(values, path, "its pixel")
         return values
 
     def _of_slot(self, slot: Slot) -> Float32s:
@@ -254,7 +254,7 @@ def deviation_in_frame(frame: Float32s) -> Float32s:
 
 
 def _check(deviations: Float32s | Float64s, name: str, row: str) -> None:
-    require_finite(deviations, name, f"its {row}")
+    require_single(deviations, name, f"its {row}")
     low, high = deviations.min(initial=0), deviations.max(initial=0)
     if low < 0 or high > 1:
         extreme = f"down to {low:g}" if low < 0 else f"up to {high:g}"

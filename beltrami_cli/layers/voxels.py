@@ -17,7 +17,7 @@ from beltrami_cli.formats.registry import open_bytes
 from beltrami_cli.formats.volume import read_colours, read_volume, require_package
 from beltrami_cli.layers.settings import Inside, LevelSetSettings
 from beltrami_cli.surface import reconstruction
-from beltrami_cli.surface.records import Encoding, MeshContents, PaintedVertices
+from beltrami_cli.surface.records import Encoding, MeshContents, PaintedVertices, require_single
 
 Source = reconstruction.GridColours | reconstruction.NearColours
 
@@ -64,6 +64,8 @@ def _scaled(
 ) -> tuple[Float32s, Float32s | None, list[str]]:
     """Return colours and opacity of full scale 1, white where nothing is found, and what users should know."""
     width = 3 if stored.shape[1] >= 3 else 1
+    samples = source.samples.reshape(-1, source.samples.shape[-1])
+    require_single(samples, name, "the colour of sample", holes=True)
     kind = source.samples.dtype.name
     notices: list[str] = []
     if isinstance(source, reconstruction.NearColours) and source.stored:

@@ -261,10 +261,37 @@ def require_finite(rows: Array, name: str, what: str, numbers: Int64s | None = N
         raise InputError(name, f"{what} {number} is not finite", "repair the file")
 
 
+# Half of what single precision holds, so that the difference of any two numbers is finite in it, too.
+_LARGEST = np.float64(np.finfo(np.float32).max) / 2
+
+
+def fits_single(values: Array) -> Bools:
+    """Whether numbers of any type are finite in single precision, in which surfaces are smoothed."""
+    return np.asarray((values >= -_LARGEST) & (values <= _LARGEST))
+
+
+def require_single(
+    rows: Array, name: str, what: str, numbers: Int64s | None = None, *, holes: bool = False
+) -> None:
+    """Raise InputError as `require_finite` does, or if a number is too large for single precision.
+
+    `holes`: rows with numbers that are not finite are allowed.
+    """
+    if not holes:
+        require_finite(rows, name, what, numbers)
+    large = np.isfinite(rows) & ~fits_single(rows)
+    if large.any():
+        bad = int(np.argmax(large.any(axis=1)))
+        number, value = bad if numbers is None else numbers[bad], rows[bad][large[bad]][0]
+        cause = f"{what} {number} is {value:.3g}, which is too large for single precision"
+        raise InputError(name, cause, "repair the file, or scale its numbers down")
+
+
 def check_scale(positions: Float64s, faces: Int32s, name: str) -> None:
-    """Refuse a surface whose median edge is too small or too large to be squared in single precision."""
+    """Refuse a surface whose median edge is too small or too large to be squared in single precision, or a position."""
     typical = typical_edge(positions, faces)
     if typical == 0 or _LEAST <= typical <= _MOST:
+        require_single(positions, name, "the position of vertex", holes=True)
         return
     shown = f"{typical:.0e}" if np.isfinite(typical) else "more than 1e+308"
     what = "edges are" if len(faces) else "points are apart"
@@ -381,9 +408,19 @@ def to_space(colours: Float32s, encoding: Encoding, space: str) -> Float32s:
         return colours
     if space == "oklab":
         _require_three(colours)
-        linear = srgb_to_linear(colours) if encoding == "srgb" else colours
+        linear = _light_of(colours) if encoding == "srgb" else colours
         return np.asarray(np.cbrt(linear @ _CONES.T) @ _LAB.T, np.float32)
-    return np.asarray(srgb_to_linear(colours) if space == "linear" else linear_to_srgb(colours), np.float32)
+    return np.asarray(_light_of(colours) if space == "linear" else linear_to_srgb(colours), np.float32)
+
+
+def _light_of(colours: Float32s) -> Float32s:
+    """Return sRGB colours as linear light; InputError where that power of 2.4 leaves single precision."""
+    with np.errstate(over="ignore"):
+        linear = np.asarray(srgb_to_linear(colours), np.float32)
+    require_finite(
+        np.where(np.isfinite(colours), linear, 0), "the colours", "in linear light, that of sample"
+    )
+    return linear
 
 
 def from_space(colours: Float32s, encoding: Encoding, space: str) -> Float32s:

@@ -149,7 +149,7 @@ def of_colours(kind, value, encoding="ascii", row=slice(None)):
     ("data", "message"),
     [
         (of_colours("char", 10), "no more than 127"), (of_colours("float", 1000.0), "neither 1 nor 255"),
-        (of_colours("double", -1e130, "binary_little_endian"), "go from -1e+130 to -1e+130"),
+        (of_colours("double", -1e130, "binary_little_endian"), "colour of vertex 0 is -1e+130, which is too large"),
         (of_colours("float", np.inf, "binary_big_endian", slice(2, 3)), "colour of vertex 2 is not finite"),
         (b"solid cube", "not a PLY file"), (b"ply\nformat ascii 1.0\n", "no line 'end_header'"),
         (change(b"format ascii 1.0\n", b""), "no line 'format'"),

@@ -59,7 +59,7 @@ def test_off_with_colours_of_faces_gives_vertices_their_mean(alpha):
         (b"COFF\n2 0 0\n0 0 0 1 0 0 1\n0 0 0\n", "vertex 1 has 3 numbers, not 7"),
         (b"COFF\n1 1 0\n0 0 x 1 0 0 1\n3 0 0 0\n", "line 3: 'x' is no number"),
         (b"COFF\n1 1 0\n0 0 nan 1 0 0 1\n3 0 0 0\n", "position of vertex 0 is not finite"),
-        (b"COFF\n1 1 0\n0 0 0 nan 0 0 1\n3 0 0 0\n", "a colour is not finite"),
+        (b"COFF\n1 1 0\n0 0 0 nan 0 0 1\n3 0 0 0\n", "the colour of row 0 is not finite"),
         (b"COFF\n1 1 0\n0 0 0 1 0 0 1\n3 0 0\n", "face 0 does not name the vertices"),
         (b"COFF\n1 1 0\n0 0 0 1 0 0 1\n3 0 0 1\n", "names a vertex that is none of the 1"),
         (b"COFF\n1 1 0\n0 0 0 1 0 0 1\n3 0 0 -1\n", "names a vertex that is none of the 1"),

@@ -25,6 +25,7 @@ from beltrami_cli.formats.colours import quantised
 from beltrami_cli.formats.tokens import Lines, NewNumbers, most_decimals, without_comments
 from beltrami_cli.surface.geometry import polygons_of, polygons_with, unit_vectors
 from beltrami_cli.surface.large_arrays import blocks
+from beltrami_cli.surface.records import fits_single
 
 _INDICES = {
     b"v": (0, "vertex", "is no vertex index"),
@@ -58,9 +59,11 @@ class Statements(Lines):
         return np.repeat(firsts - offsets[:-1], sizes) + np.arange(offsets[-1]), offsets
 
     def require_finite(self, tokens: Int64s, values: Float64s, rows: Int64s) -> None:
-        finite = np.isfinite(values[rows])
+        finite = fits_single(values[rows])
         if not finite.all():
-            raise self.error(tokens[rows[int(np.argmin(finite))]], "is not a finite number")
+            raise self.error(
+                tokens[rows[int(np.argmin(finite))]], "is not a finite number of single precision"
+            )
 
     def corners(self, keyword: bytes) -> tuple[Int64s, Int64s, Int64s]:
         """Return the rows of a keyword (v, vt, vn) at K corners, -1: none, their tokens, and polygon offsets."""

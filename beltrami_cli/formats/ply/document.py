@@ -38,7 +38,7 @@ from beltrami_cli.formats.ply.tables import (
 )
 from beltrami_cli.formats.textured_mesh import Scene
 from beltrami_cli.surface.geometry import dual, unit_vectors
-from beltrami_cli.surface.records import MeshContents, MovedVertices, Slot
+from beltrami_cli.surface.records import MeshContents, MovedVertices, Slot, require_single
 
 _MEANS = "Vertices get the mean of the colours of their faces."
 
@@ -315,9 +315,9 @@ class PlyDocument(Document):
     def _normals(self) -> Float32s | None:
         if not self._has_normals:
             return None
-        largest = np.finfo(np.float32).max
         normals = elements.finite_columns(self._vertices, elements.NORMAL, "normal")
-        return np.clip(normals, -largest, largest).astype(np.float32)
+        require_single(normals, self.name, "the normal of vertex")
+        return normals.astype(np.float32)
 
 
 def _patch_body(data: bytes, header: Header, changes: Sequence[_Change]) -> list[Bytes]:

@@ -21,7 +21,7 @@ from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.colours import full_scale, integer_scale, intensity_scale
 from beltrami_cli.formats.ply.tables import COLOUR_PROPERTIES, Header, Table, plain
 from beltrami_cli.surface.geometry import unrolled
-from beltrami_cli.surface.records import require_finite
+from beltrami_cli.surface.records import require_finite, require_single
 
 POSITION = ("x", "y", "z")
 NORMAL = ("nx", "ny", "nz")
@@ -127,6 +127,7 @@ def read_colours(vertices: Table, paint: Paint) -> Colours:
     values = np.empty((vertices.element.count, len(paint.names)), np.float32)
     if paint.any_range or paint.type[0] == "f":
         stored = finite_columns(vertices, paint.names, "colour")
+        require_single(stored, vertices.body.name, f"the colour of {vertices.element.name}")
         scale, notice = intensity_scale(stored) if paint.any_range else full_scale(stored, vertices.body.name)
         columns = list(stored.T)
     else:

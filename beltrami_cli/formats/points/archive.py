@@ -43,7 +43,7 @@ from beltrami_cli.formats.colours import (
 )
 from beltrami_cli.formats.document import Changes, Document, Fingerprint, Naming, Written, not_converted
 from beltrami_cli.surface.geometry import shortest_type, triangulate
-from beltrami_cli.surface.records import MeshContents, require_finite
+from beltrami_cli.surface.records import MeshContents, require_single
 
 _COLOUR_KEYS = ("colours", "colors", "rgb", "rgba", "point_colours", "point_colors")
 _INTENSITY_KEYS = ("intensity", "intensities")
@@ -125,7 +125,11 @@ class PointsDocument(Document):
         if len(self._measured) < tables.count:
             dropped.append("points without a place")
         alpha = opacity(self._stored[self._measured, -1], self._scale) if tables.has_alpha else None
-        normals = self.attribute("normal").astype(np.float32) if tables.normals else None
+        normals = None
+        if tables.normals:
+            stored = self.attribute("normal")
+            require_single(stored, self.name, "the normal of point", self._measured, holes=True)
+            normals = stored.astype(np.float32)
         return replace(self._mesh, alpha=alpha, normals=normals, left_out=tuple(dropped))
 
     def _recoloured(self, colours: Float32s | None) -> Array | None:
@@ -165,7 +169,7 @@ class PointsDocument(Document):
     @cached_property
     def _numbers(self) -> Float64s:
         numbers = self._stored[self._measured, : self._tables.channels].astype(np.float64)
-        require_finite(numbers, self.name, "the colour of point", self._measured)
+        require_single(numbers, self.name, "the colour of point", self._measured)
         return numbers
 
     @cached_property

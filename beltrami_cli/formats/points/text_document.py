@@ -262,7 +262,8 @@ def _are_normals(triple: Float64s) -> bool:
     """Whether all vectors have length 1, or 0 where none is known."""
     finite = triple[np.isfinite(triple).all(axis=1)]
     for vectors in (finite[:_SAMPLE], finite):
-        lengths = np.linalg.norm(vectors, axis=1)
+        with np.errstate(over="ignore"):
+            lengths = np.linalg.norm(vectors, axis=1)
         if not ((np.abs(lengths - 1) < _UNIT) | (lengths == 0)).all():
             return False
     return bool(lengths.any())

@@ -42,7 +42,7 @@ from beltrami_cli.formats.colours import (
 from beltrami_cli.formats.document import Changes, Document, Naming, Written
 from beltrami_cli.formats.foreign_library import ForeignLibrary, serve_files
 from beltrami_cli.formats.tokens import Lines, without_comments
-from beltrami_cli.surface.records import Frame, MeshContents
+from beltrami_cli.surface.records import Frame, MeshContents, require_single
 from beltrami_cli.surface.worker_process import Message
 
 _STARTS_XML = re.compile(rb"(?:\xef\xbb\xbf)?\s*<|\xff\xfe<|\xfe\xff\0<")  # UTF-8 or UTF-16
@@ -205,7 +205,7 @@ def _of_faces(lines: Lines, rows: slice, sizes: Int64s) -> tuple[Float32s, float
         given = np.flatnonzero(behind == count)
         tokens = firsts[given, None] + np.arange(count)
         found[given, :count] = lines.numbers(tokens.ravel()).reshape(-1, count)
-    painted = np.isfinite(found[:, :3]).all(axis=1)
+    painted = ~np.isnan(found[:, :3]).any(axis=1)
     if not painted.any():
         return np.full((len(sizes), 3), np.nan, np.float32), 1.0
     result = np.full((len(sizes), 4), np.nan, np.float32)
@@ -216,8 +216,7 @@ def _of_faces(lines: Lines, rows: slice, sizes: Int64s) -> tuple[Float32s, float
 
 
 def _scaled(colours: Float64s, name: str) -> tuple[Float32s, float]:
-    if not np.isfinite(colours).all():
-        raise InputError(name, "a colour is not finite", "export it again")
+    require_single(colours, name, "the colour of row")
     scale, _ = full_scale(colours[:, :3], name)
     values = colours / scale
     if colours.shape[1] == 4 and colours[:, 3].max() <= 1:  # colours of 0..255 with opacity of 0..1

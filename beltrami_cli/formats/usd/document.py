@@ -37,7 +37,16 @@ from beltrami_cli.formats.model_folder import (
 )
 from beltrami_cli.formats.textured_mesh import SLOTS, Scene, ShownMap
 from beltrami_cli.formats.usd.layers import IMAGES, Layers
-from beltrami_cli.surface.records import AlphaMode, Frame, ImageFile, Material, MeshContents, Slot
+from beltrami_cli.surface.records import (
+    AlphaMode,
+    Frame,
+    ImageFile,
+    Material,
+    MeshContents,
+    Slot,
+    require_finite,
+    require_single,
+)
 
 _COUNTS = {
     "instanced": "{} mesh(es) are instances of others; each is smoothed once, at its first place.",
@@ -165,14 +174,15 @@ class UsdDocument(Document):
             cause = "its meshes have no colours of vertices (displayColor)"
             raise UnpaintedError(self.name, cause, "paint them first")
         positions = self._arrays["positions"][self._arrays["colour_vertex"]]
-        colours = self._arrays["colours"].astype(np.float32)
-        for values, what in ((positions, "places"), (colours, "colours")):
-            if not np.isfinite(values).all():
-                raise InputError(self.name, f"some {what} of its vertices are no finite numbers")
+        colours = self._arrays["colours"]
+        require_finite(positions, self.name, "the place of vertex")
+        require_single(colours, self.name, "the colour of vertex")
         kinds = {block["type"] for block in self._words["blocks"]}
         stored = kinds.pop() if len(kinds) == 1 else "float32"
         polygons = self._coloured_polygons
-        return MeshContents(positions, *polygons, colours, "linear", stored, frame=self.frame)
+        return MeshContents(
+            positions, *polygons, colours.astype(np.float32), "linear", stored, frame=self.frame
+        )
 
     @cached_property
     def _coloured_polygons(self) -> tuple[Int32s, Int64s]:
@@ -194,8 +204,7 @@ class UsdDocument(Document):
         words, arrays = self._words, self._arrays
         if not len(arrays.get("sizes", ())):
             raise InputError(self.name, "it has no polygons, so there is nothing to show a texture")
-        if not np.isfinite(arrays["positions"]).all():
-            raise InputError(self.name, "some places of its vertices are no finite numbers")
+        require_finite(arrays["positions"], self.name, "the place of vertex")
         known, corners, (paths, reasons) = (
             words["materials"],
             arrays["corners"].astype(np.int32),
