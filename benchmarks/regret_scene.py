@@ -1,0 +1,266 @@
+"""What `bench_regret` judges: kinds of noise on pictures, vertices, clouds and light, and clean pictures.
+
+Noise is drawn independently of `noise_model`, so that training does not set its own examination.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from itertools import islice
+from typing import Any
+from zlib import crc32
+
+import numpy as np
+from bench_camera_noise import Smoothed, colours_of, smoothed, stored, with_noise
+from patch_scenes import PHOTOGRAPHS, on_sphere, photograph
+from regret_pictures import SIDE, halved, label, paint, pixel_art, plaster, rendered, textures, weave
+from scene import icosphere, patches
+from scipy.ndimage import gaussian_filter
+
+import beltrami_cli
+from beltrami_cli.jobs.noise import jpeg_file
+from beltrami_cli.surface.records import linear_to_srgb
+
+SIGMAS = tuple(sigma / 255 for sigma in (6, 12, 20))
+PHOTONS = 25  # a texel at full scale
+RAYS = 16  # a texel of a light map
+SQUARES = 8, 12, 16  # of a chequer round the sphere
+SUBDIVISIONS = 5  # of the sphere: 10,242 vertices
+EXACT = 1e-5  # errors below this count as such: 100 dB
+OF_FOLDER = {"noisy": 2, "clean": 12}  # pictures
+
+
+def clipped(colours):
+    return np.clip(colours, 0, 1)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A picture as it is given, its truth and the noise between; how it is smoothed, and which samples count."""
+
+    name: str
+    given: Any  # colours, or the bytes of a JPEG file
+    truth: Any
+    rms: float = 0.0  # of the noise, before it is clipped: what the program is told
+    smooth: Callable[..., Smoothed] = smoothed
+    counted: Any = ...
+    display: Callable[[Any], Any] = clipped
+
+    def psnr(self, colours):
+        """Return the PSNR of colours, or of a file, as they are shown."""
+        error = self.display(colours_of(colours)).astype(np.float64) - self.display(self.truth)
+        return -20 * float(np.log10(max(rms(error[self.counted]), EXACT)))
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def kinds(folders):
+    """Return iterators over the cases of each kind."""
+    noisy, clean = (
+        {f"{folder.name}/{name}": crop for folder in folders for name, crop in textures(folder, count)}
+        for count in OF_FOLDER.values()
+    )
+    photographs = {name: halved(photograph(name)) for name in PHOTOGRAPHS}
+    generated = {"paint": paint(), "label": label(0)}
+    bases = dict(interleaved(photographs, generated, noisy))
+    found = {kind: on_pictures(kind, noise, bases) for kind, noise in NOISES.items()}
+    found |= {kind: of_cameras(kind, bases, **camera) for kind, camera in CAMERAS.items()}
+    found |= {"chequers on vertices": chequers(), "vertices": painted("vertices", photographs, faces=True)}
+    found |= {"cloud": painted("cloud", photographs, faces=False)}
+    found |= {"light": light("light", 0), "light with fireflies": light("light with fireflies", 0.002)}
+    found["clean: photographs"] = untouched(photographs)
+    found["clean: textures"] = untouched({"weave": weave(), "plaster": plaster(), **clean})
+    found["clean: labels"] = untouched({str(seed): label(seed) for seed in range(4)})
+    found["clean: pixel art"] = untouched({str(seed): pixel_art(seed) for seed in range(4)})
+    found["clean: paint"] = untouched({"grid": paint()})
+    found["clean: vertices"] = (on_mesh(name, colours) for name, colours in surfaces(photographs))
+    found["clean: light"] = (of_light(str(seed), *2 * [rendered(seed)]) for seed in range(3))
+    return found
+
+
+def interleaved(*tables):
+    """Yield the first entry of each table, then the second ones."""
+    for rank in range(max(map(len, tables))):
+        for table in tables:
+            yield from islice(table.items(), rank, rank + 1)
+
+
+def seeded(kind, name):
+    """Return random numbers that do not depend on what else is judged."""
+    return np.random.default_rng(crc32(f"{kind} {name}".encode()))
+
+
+def strength(number):
+    """Return the strengths of noise in turn, in an order that shifts, as tables of pictures are interleaved."""
+    return SIGMAS[(number + number // 3) % 3]
+
+
+def untouched(clean):
+    """Yield clean pictures as they are."""
+    return (Case(name, stored(image), stored(image)) for name, image in clean.items())
+
+
+def on_pictures(kind, noise, bases):
+    """Yield pictures with one kind of noise of several strengths."""
+    for number, (name, clean) in enumerate(bases.items()):
+        drawn = noise(clean, strength(number), seeded(kind, name))
+        drawn = np.broadcast_to(drawn, clean.shape)
+        yield Case(name, stored(clean + drawn), stored(clean), rms(drawn))
+
+
+def of_cameras(kind, bases, *, shot, read, blur, quality):
+    """Yield JPEG files of a camera that counts photons on a mosaic, and blurs their noise away."""
+    for number, (name, clean) in enumerate(bases.items()):
+        noisy, truth = (
+            gaussian_filter(
+                with_noise(clean, "camera", shot=scale * shot, read=scale * read, seed=number), blur
+            )
+            for scale in (1.0, 0.0)
+        )
+        file = jpeg_file(noisy, quality)
+        yield Case(name, file, stored(truth), rms(colours_of(file) - truth))
+
+
+CAMERAS = {
+    "camera, JPEG 92": {"shot": 0.01, "read": 0.01, "blur": 0, "quality": 92},
+    "camera with denoising, JPEG 85": {"shot": 0.02, "read": 0.02, "blur": (0.7, 0.7, 0), "quality": 85},
+}
+
+
+def mixed(share, clean, random):
+    """Draw noise of variance 1, of which a share is equal in all channels."""
+    equal = random.standard_normal((*clean.shape[:2], 1))
+    return np.sqrt(share) * equal + np.sqrt(1 - share) * random.standard_normal(clean.shape)
+
+
+def with_share(share):
+    return lambda clean, sigma, random: sigma * mixed(share, clean, random)
+
+
+def photon(clean, sigma, random):
+    del sigma
+    return random.poisson(PHOTONS * clean) / PHOTONS - clean
+
+
+def by_level(power, clean, sigma, random):
+    """Noise in proportion to a power of the level, of `sigma` at half of full scale; equal or not in all channels."""
+    return sigma * (2 * clean) ** power * mixed(random.integers(2), clean, random)
+
+
+def heavy_tailed(clean, sigma, random):
+    return sigma * random.standard_t(3, clean.shape) / np.sqrt(3)
+
+
+def chroma(clean, sigma, random):
+    drawn = random.standard_normal(clean.shape)
+    return np.sqrt(1.5) * sigma * (drawn - drawn.mean(axis=2, keepdims=True))
+
+
+def opposite(clean, sigma, random):
+    return sigma * random.standard_normal((*clean.shape[:2], 1)) * np.array([1, -1, 0])
+
+
+def monochrome(clean, sigma, random):
+    """Draw grain that is equal in all channels, and three times as strong at one corner as at the other."""
+    down, across = (np.linspace(0, 0.5, size) for size in clean.shape[:2])
+    grain = gaussian_filter(random.standard_normal(clean.shape[:2]), 0.5)
+    return (sigma * (0.5 + down[:, None] + across) * grain / grain.std())[..., None]
+
+
+def in_part(clean, sigma, random):
+    """Draw noise of half as much again in a tenth of the picture, in a quarter, or in some tiles, by its strength."""
+    rows, columns = clean.shape[:2]
+    where = np.zeros((rows, columns, 1))
+    if sigma == SIGMAS[2]:
+        where[: rows // 2, : columns // 5] = 1
+    elif sigma == SIGMAS[1]:
+        where[: rows // 2, : columns // 2] = 1
+    else:
+        tiles = random.random((rows // 32 + 1, columns // 32 + 1)) < 0.25
+        where = np.kron(tiles, np.ones((32, 32)))[:rows, :columns, None]
+    return 1.5 * sigma * where * random.standard_normal(clean.shape)
+
+
+def ramp(clean, sigma, random):
+    return 2 * sigma * np.linspace(0, 1, clean.shape[1])[:, None] * random.standard_normal(clean.shape)
+
+
+def filtered(clean, sigma, random):
+    grain = gaussian_filter(random.standard_normal(clean.shape), (0.8, 0.8, 0))
+    return sigma * grain / grain.std()
+
+
+NOISES = {
+    "white, independent": with_share(0), "white, equal": with_share(1), "white, mostly grey": with_share(0.7),
+    "photon": photon, "proportional": partial(by_level, 1), "root": partial(by_level, 0.5),
+    "heavy-tailed": heavy_tailed, "chroma": chroma, "opposite": opposite, "monochrome by place": monochrome,
+    "part": in_part, "ramp": ramp, "filtered": filtered,
+}  # fmt: skip
+
+
+def on_mesh(name, clean, noise=0, *, faces=True):
+    """Return a case of a coloured sphere, or of its vertices alone."""
+    sphere = icosphere(SUBDIVISIONS)
+
+    def smooth(colours, **parameters):
+        result = beltrami_cli.smooth(sphere.positions, sphere.faces if faces else None, colours, **parameters)
+        interval = None if result.choice is None else result.choice.interval
+        return Smoothed(result.colours, np.array([*result.noise.values()]), interval)
+
+    return Case(name, stored(clean + noise), stored(clean), rms(noise), smooth)
+
+
+def chequered(squares):
+    """Return the colours of a chequer on a sphere."""
+    x, y, z = icosphere(SUBDIVISIONS).positions.T
+    angles = np.arctan2(y, x) + np.pi, np.arccos(z.clip(-1, 1))
+    odd = sum(np.floor(angle * squares / (2 * np.pi)) for angle in angles) % 2
+    return np.where(odd[:, None] > 0, [0.75, 0.6, 0.35], [0.2, 0.25, 0.4])
+
+
+def surfaces(photographs):
+    """Yield coloured spheres."""
+    positions = icosphere(SUBDIVISIONS).positions
+    yield "paint", patches(positions)
+    for name, image in photographs.items():
+        yield name, on_sphere(halved(image), positions)  # about a pixel a vertex
+    for squares in SQUARES:
+        yield f"{squares} squares", chequered(squares)
+
+
+def chequers():
+    """Yield chequers of all sizes with noise of all strengths."""
+    for number in range(len(SQUARES) * len(SIGMAS)):
+        squares = SQUARES[number // 3]
+        name, clean = f"{squares} squares", chequered(squares)
+        yield on_mesh(name, clean, strength(number) * seeded("chequers", number).standard_normal(clean.shape))
+
+
+def painted(kind, photographs, *, faces):
+    """Yield spheres under paint and photographs with independent noise."""
+    for number, (name, clean) in enumerate(islice(surfaces(photographs), 1 + len(photographs))):
+        noise = strength(number) * seeded(kind, name).standard_normal(clean.shape)
+        yield on_mesh(name, clean, noise, faces=faces)
+
+
+def of_light(name, given, truth, counted=...):
+    """Return a case of linear light as halves, which is judged as it is shown."""
+    given, truth = (each.astype(np.float16).astype(np.float32) for each in (given, truth))
+    noise = rms((linear_to_srgb(given) - linear_to_srgb(truth))[counted])
+    return Case(name, given, truth, noise, partial(smoothed, encoding="linear"), counted, linear_to_srgb)
+
+
+def light(kind, fireflies):
+    """Yield light of few rays a texel with a relative noise of a half; a share of bright texels does not count."""
+    for seed in range(4):
+        random, truth = seeded(kind, seed), rendered(seed)
+        # One ray has a relative noise of 2: so has the gamma distribution of shape a quarter.
+        size = (SIDE, SIDE, 3) if seed % 2 else (SIDE, SIDE, 1)
+        noisy = truth * random.gamma(RAYS / 4, 4 / RAYS, size)
+        hit = random.random((SIDE, SIDE)) < fireflies
+        noisy[hit] = random.uniform(10, 100, (hit.sum(), 1))
+        yield of_light(f"{seed}, {'independent' if seed % 2 else 'equal'}", noisy, truth, ~hit)
