@@ -49,10 +49,6 @@ _UNREAD: dict[str, tuple[tuple[str, ...], bytes, str]] = {
     "tar archive": ((), rb"[\0-\xff]{257}ustar", _UNPACK),
 }
 _HEAD = 512  # bytes in which a file says what it is
-_READABLE = (
-    "beltrami reads PLY, OBJ, glTF (.gltf), GLB and USD files, points in .xyz, .asc, .txt, .csv, .pts, .npz, .las, "
-    ".laz, .e57 and .pcd, and the colours of OFF, STL, 3MF and DAE files"
-)
 _JSON = rb"(?:\xef\xbb\xbf)?[ \t\r\n]*\{"
 _PCD = rb"# \.PCD|VERSION 0?\.7"
 _COMMON = (".png", ".jpg", ".jpeg")
@@ -160,6 +156,15 @@ FORMATS = (
     Format("foreign", _is_foreign, "read_only", "document.ReadOnlyDocument", aliases=READ_ONLY),
 )  # fmt: skip
 
+
+def _extensions(*packages: str) -> str:
+    return ", ".join(s for line in FORMATS if line.module.split(".")[0] in packages for s in line.suffixes)
+
+
+_READABLE = (
+    f"beltrami reads {_extensions('ply', 'obj', 'gltf', 'usd')}; points in {_extensions('points')}; and the colours of "
+    f".{', .'.join(READ_ONLY)}"
+)
 _WRITERS = {line.name: line for line in FORMATS if line.writer}
 OUTPUT_FORMATS = {name: name for name in _WRITERS} | {
     alias: line.name for line in _WRITERS.values() for alias in line.aliases

@@ -14,7 +14,7 @@ from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, missing_package
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.jobs.smooth import smooth_file
-from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
+from beltrami_cli.layers.settings import SLOTS, SmoothSettings, TextureSettings
 from formats.gltf_comparison import (
     EXTENSIONS,
     byte_differences,
@@ -71,7 +71,6 @@ def test_only_colours_change_in_a_file_with_everything(tmp_path, place, form, mo
     assert byte_differences(before, after) <= {"COLOR_0", "image"}
 
 
-SLOTS = ("baseColor", "emissive", "normal", "occlusion", "metallicRoughness")
 ONCE = SmoothSettings(KernelParameters(iterations=1, beta=1), textures=TextureSettings(slots=SLOTS))
 COLOURS = np.random.default_rng(7).integers(0, 256, (len(GRID), 4)).astype("u1")
 INVALID = (

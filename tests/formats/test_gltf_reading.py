@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.gltf.document import GltfDocument
 from beltrami_cli.formats.registry import open_document
+from beltrami_cli.layers.settings import SLOTS
 from formats.gltf_files import JPEG, KTX2, Model, Textured, picture
 from formats.gltf_showcase import showcase
 
@@ -180,7 +181,6 @@ def test_what_is_dropped_is_listed():
     }  # fmt: skip
 
 
-SLOTS = ("baseColor", "emissive", "normal", "occlusion", "metallicRoughness")
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], "<f4")
 CORNERS = np.array([[0, 1, 2], [0, 2, 3]])
 UV = np.array([[0.125, 0.25], [0.5, -1], [2, 0.75], [0, 1]], "<f4")

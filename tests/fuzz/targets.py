@@ -22,7 +22,7 @@ from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.image import read_image, write_image
 from beltrami_cli.formats.model_folder import ModelFolder
-from beltrami_cli.formats.registry import held_images, open_bytes, sidecars_of, write_mesh
+from beltrami_cli.formats.registry import FORMATS, held_images, open_bytes, sidecars_of, write_mesh
 from beltrami_cli.formats.usd.layers import Package
 from beltrami_cli.formats.volume import is_volume, read_volume
 from beltrami_cli.layers.settings import DEFAULTS
@@ -34,6 +34,7 @@ SEPARATOR = b"\n=== "
 
 ACCESS = Access(memory=1 << 28)
 MOST_SAMPLES = 1 << 20
+TEXTURED = [line for line in FORMATS if line.has_textures]
 _MOST_KERNEL = 300  # vertices, so that a run takes milliseconds
 _SCRATCH = "/dev/shm" if Path("/dev/shm").is_dir() else None  # so that files never reach a disk
 
@@ -73,7 +74,7 @@ def _use_vertices(document, folder):
             document.attribute(name)
     # What numbers mean that can mean two things may look otherwise in the result; the user sees a notice.
     doubtful = any("taken for" in notice for notice in document.notices)
-    if document.format in ("ply", "obj", "gltf", "glb", "usda") and not doubtful:
+    if any(document.format == line.name for line in TEXTURED) and not doubtful:
         colours = np.clip(painted.colours * np.float32(0.5), 0, 1)
         _compare(document, document.patch(colours, Naming("out", keeps=True)), folder)
 
@@ -84,7 +85,7 @@ def _convert(document):
         document.patch(None, Naming("out"), form="glb")
     if document.slots():
         mesh = document.textured_mesh()
-        for form in ("glb", "obj", "ply"):
+        for form in (line.name for line in TEXTURED if line.module != "usd"):  # which is slow to write
             held, names = held_images(form), sidecars_of(mesh, form, "out")
             assert held is not None
             assert len({*names}) == len(names)

@@ -21,9 +21,8 @@ from cli.commands import beltrami
 from formats.image_files import encode
 from formats.tile_files import tiled_model
 from hostile.folders import snapshot
-from hostile.textured_models import ONCE, OTHER, PICTURE, write_model
+from hostile.textured_models import KINDS, ONCE, OTHER, PICTURE, write_model
 
-KINDS = ("obj", "ply", "gltf")
 OUTSIDE = Access(outside=True)
 
 
@@ -221,7 +220,7 @@ def model_in(folder, kind):
 @pytest.mark.parametrize(
     ("run", "kind"),
     [
-        *(("smooth", kind) for kind in ("obj", "ply", "gltf", "tiles")),
+        *(("smooth", kind) for kind in (*KINDS, "tiles")),
         *(("check", kind) for kind in ("gltf", "tiles")),
         ("copy", "tiles"), ("convert", "ply"), ("bake", "gltf"),
         ("info", "obj"), ("compare", "tiles"), ("render", "ply"),

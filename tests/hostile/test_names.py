@@ -11,9 +11,7 @@ from beltrami_cli.jobs.smooth import smooth_file
 from cli.commands import beltrami
 from hostile.folders import snapshot
 from hostile.test_hostile_values import MESH
-from hostile.textured_models import ONCE, PICTURE, write_model
-
-KINDS = ("obj", "ply", "gltf")
+from hostile.textured_models import KINDS, ONCE, PICTURE, write_model
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,10 @@ _SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nu
 _CORNERS = [[0, 0, 0, 0, 0], [1, 0, 0, 1, 0], [1, 1, 0, 1, 1], [0, 1, 0, 0, 1]]
 
 
+KINDS = ("obj", "ply", "gltf")
+"""The kinds of models that `write_model` writes: each format refers to images in another way."""
+
+
 def write_model(folder, kind, image, library="m.mtl"):
     """Write model.KIND, and for OBJ its library, so that the texture has some name; return the model."""
     folder.mkdir(parents=True, exist_ok=True)

@@ -16,7 +16,7 @@ from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.inspect import check_files
 from cli.commands import SAMPLES, beltrami, copy_samples
 from formats.ply_files import ENCODINGS, Table, build, coloured
-from hostile.textured_models import OTHER, PICTURE, write_model
+from hostile.textured_models import KINDS, OTHER, PICTURE, write_model
 
 
 def saved(written, path):
@@ -160,7 +160,7 @@ def test_bytes_behind_accessors_count(tmp_path):
         assert report.faithful == (index in accessors_of_colours(tree))
 
 
-@pytest.mark.parametrize("kind", ["obj", "ply", "gltf"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_images_may_differ_in_pixels_but_not_in_size(kind, tmp_path):
     before = write_model(tmp_path / "a", kind, "a.png")
     (tmp_path / "a" / "a.png").write_bytes(PICTURE)

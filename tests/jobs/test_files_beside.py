@@ -17,10 +17,9 @@ from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
 from cli.commands import SAMPLES
 from formats.image_files import encode
-from hostile.textured_models import OTHER, PICTURE, write_model
+from hostile.textured_models import KINDS, OTHER, PICTURE, write_model
 
 KERNEL = KernelParameters(iterations=1, t=1.0, beta=3.0, metric_steps=0, beta_growth=1.0)
-KINDS = ["obj", "ply", "gltf"]
 
 
 def smooth(source, target, **textures):

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from beltrami_cli.formats.registry import FORMATS
+from beltrami_cli.layers.settings import SLOTS
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "beltrami_cli"
@@ -56,6 +57,26 @@ def test_names_that_developers_read_of_exist(page):
     texts = (path.read_text(encoding="utf-8") for path in (ROOT / "Makefile", *sources))
     known = set(re.findall(r"\w+", " ".join(texts)))
     assert {word for word in quoted(page) if re.fullmatch(r"[A-Za-z_]\w*", word)} - known == set()
+
+
+def families():
+    """Names that pages list together: the slots, and the extensions of formats that share a module."""
+    extensions = {}
+    for line in FORMATS:
+        if line.kind == "model":
+            extensions.setdefault(line.module, set()).update((line.name, *line.aliases))
+    extensions["read_only"] -= {"foreign", "zae"}  # a .zae file is a compressed .dae file
+    return [{*SLOTS}, *(names for names in extensions.values() if len(names) > 2)]
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md", *PAGES], ids=lambda page: page.name)
+def test_what_a_page_lists_is_complete(page):
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    for block in re.split(r"\n\n|\n(?=\|)", text.replace("COLLADA", "DAE")):
+        words = {*re.findall(r"\w+", block)}
+        words |= {word.lower() for word in words}
+        for family in families():
+            assert len(family & words) < 3 or family <= words, (block, family - words)
 
 
 def test_commands_for_developers_are_targets_of_make():
