@@ -1,10 +1,11 @@
-"""What OpenImageIO does not write: Basis Universal textures (KTX2) by alktx2, AVIF and exact WebP by Pillow.
+"""Encoders in memory: of Basis Universal textures (KTX2) by alktx2, of AVIF, exact WebP and JPEG by Pillow.
 
 References
 ----------
 .. [1] KTX File Format Specification, version 2.0, Khronos: section 3, header and level index.
 .. [2] KHR_texture_basisu, in the registry of glTF extensions: two dimensions, ETC1S or UASTC.
 .. [3] AV1 Image File Format, AOMedia; AV1 Codec ISO Media File Format Binding, section 2.3: av1C.
+.. [4] ITU-T T.81 (JPEG), annexes C and F.
 """
 
 from __future__ import annotations
@@ -218,6 +219,27 @@ def encoded_webp(pixels: Uint8s, *, quality: int, method: int, lossless: bool, p
     buffer = io.BytesIO()
     options = {"quality": quality, "method": method, "lossless": lossless, "icc_profile": profile}
     Image.fromarray(pixels).save(buffer, "WEBP", exact=True, **options)
+    return buffer.getvalue()
+
+
+# Samples of luma in a row and in two rows for each sample of chroma. Pillow does not know the other two.
+_SUBSAMPLINGS = {"4:4:4": "4:4:4", "4:2:2": "4:2:2", "4:2:0": "4:2:0", "4:1:1": "4:2:2", "4:2:1": "4:2:2"}
+# At most, of a sample: a coefficient has a code of up to 16 bits and 11 more [4]_.
+_JPEG_BYTES = 4
+
+
+def encoded_jpeg(
+    pixels: Uint8s, *, quality: int, subsampling: str, progressive: bool, profile: bytes
+) -> bytes:
+    """Encode pixels, shape (H, W, 1 or 3), as JPEG."""
+    from PIL import Image, ImageFile
+
+    if progressive:  # is written at once; in Pillow's own buffer noise of a high quality has no room
+        ImageFile.MAXBLOCK = max(ImageFile.MAXBLOCK, _JPEG_BYTES * pixels.size)
+    buffer = io.BytesIO()
+    options = {"quality": quality, "progressive": progressive, "icc_profile": profile}
+    image = Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels)
+    image.save(buffer, "JPEG", subsampling=_SUBSAMPLINGS.get(subsampling, "4:4:4"), **options)
     return buffer.getvalue()
 
 

@@ -357,9 +357,9 @@ def _jpeg_header(data: bytes | memoryview) -> Any:
 FORMATS_WITH_EXIF = ("png", "jpeg", "webp", "tiff")
 """Formats that have a place for EXIF data."""
 
-_APP0, _APP1 = 0xE0, 0xE1
-_EXIF_START = b"Exif\0\0"
-_LONGEST_EXIF = 0xFFFF - 2 - len(_EXIF_START)  # bytes in a segment of JPEG, whose length counts itself
+_APP0, _APP1, _COMMENT = 0xE0, 0xE1, 0xFE
+_EXIF_START, _XMP_START = b"Exif\0\0", b"http://ns.adobe.com/xap/1.0/\0"
+_LONGEST_SEGMENT = 0xFFFF - 2  # bytes in a segment of JPEG, whose length counts itself
 
 
 def carry_exif(source: bytes, source_format: str, encoded: bytes, known: str, made: bytes) -> bytes:
@@ -397,13 +397,26 @@ def with_exif(exif: bytes, encoded: bytes, known: str) -> bytes:
         case "webp":
             metadata = [chunk for chunk in webp_metadata(encoded) if chunk[0] != b"EXIF"]
             return webp_with([*metadata, (b"EXIF", exif)], encoded)
-        case "jpeg" if len(exif) <= _LONGEST_EXIF:
-            segments = [segment for _, segment in jpeg_segments(encoded) if not _is_exif(segment)]
-            payload = _EXIF_START + exif
-            segment = bytes([0xFF, _APP1]) + (2 + len(payload)).to_bytes(2) + payload
-            at = 1 if segments[0][1] == _APP0 else 0
-            return encoded[:2] + b"".join([*segments[:at], segment, *segments[at:]])
+        case "jpeg":
+            others = b"".join(segment for _, segment in jpeg_segments(encoded) if not _is_exif(segment))
+            return _with_segment(encoded[:2] + others, _APP1, _EXIF_START + exif)
     return encoded
+
+
+def jpeg_with(encoded: bytes, *, comment: bytes, xmp: bytes) -> bytes:
+    """Return a JPEG image with a comment and XMP data, as far as each is given and fits into a segment."""
+    encoded = _with_segment(encoded, _APP1, _XMP_START + xmp) if xmp else encoded
+    return _with_segment(encoded, _COMMENT, comment) if comment else encoded
+
+
+def _with_segment(encoded: bytes, marker: int, payload: bytes) -> bytes:
+    """Return a JPEG image with a segment in front, but behind that of JFIF; the same image if it is too long."""
+    if len(payload) > _LONGEST_SEGMENT:
+        return encoded
+    segments = [segment for _, segment in jpeg_segments(encoded)]
+    at = 1 if segments[0][1] == _APP0 else 0
+    segment = bytes([0xFF, marker]) + (2 + len(payload)).to_bytes(2) + payload
+    return encoded[:2] + b"".join([*segments[:at], segment, *segments[at:]])
 
 
 def _is_exif(segment: bytes | memoryview) -> bool:

@@ -88,6 +88,12 @@ def exif_tags(data: bytes) -> dict[str, bytes]:
     return _flat(_of_exif(_Directories(data or _EMPTY).first))
 
 
+def value_of(data: bytes, tag: int) -> bytes:
+    """Return the value of a tag of the first image, or nothing."""
+    entry = _Directories(data).first.get(tag)
+    return b"" if entry is None else entry.values
+
+
 def _of_exif(entries: dict[int, _Entry]) -> dict[int, _Entry]:
     return {tag: entry for tag, entry in entries.items() if tag in _OF_EXIF}
 

@@ -9,9 +9,17 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.arrays import Array
-from beltrami_cli.errors import InputError, ProcessingError, UsageError
+from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.image import extra_codecs, headers, metadata, tiff_tags
 from beltrami_cli.formats.image.conversion import TECHNICAL, converted
+from beltrami_cli.formats.image.encoding import (
+    LOSSY_EXR,
+    NEEDS_SUFFIX,
+    described,
+    encoded,
+    reading_back,
+    unwritten,
+)
 from beltrami_cli.formats.image.metadata import FORMATS_WITH_EXIF, carry_exif, exif_of
 from beltrami_cli.formats.image.picture import (
     FORMATS,
@@ -21,14 +29,12 @@ from beltrami_cli.formats.image.picture import (
     format_of_suffix,
     full_scale_one,
     label_of,
-    plugin_of,
 )
-from beltrami_cli.formats.image.reading import error_of, opened, read_image, scratch_file
+from beltrami_cli.formats.image.reading import opened, read_image
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.records import ImageFile
 
 _ROWS = 64  # that are compared at a time
-_LOSSY = ("b44", "b44a", "dwaa", "dwab", "pxr24")  # compressions of EXR; TIFF is written without any
 _SPLICED = ("png", "jpeg", "webp")  # formats whose metadata are carried over as bytes
 
 
@@ -38,7 +44,7 @@ def is_exact(picture: Picture) -> bool:
         return metadata.is_lossless_webp(picture.source)
     if picture.format in ("jpeg", *extra_codecs.EXTRA_CODECS):
         return False
-    return picture.spec.get_string_attribute("compression") not in _LOSSY
+    return picture.spec.get_string_attribute("compression") not in LOSSY_EXR
 
 
 def noise_losses(picture: Picture, suffix: str | None, remedy: str) -> tuple[str, ...]:
@@ -58,9 +64,7 @@ _NOT_KEPT = (
 )  # fmt: skip
 _STORAGE_IN_TIFF = ("tiff:", "oiio:", "compression", "planarconfig")
 _LEAST_JPEG_2000 = 32  # pixels: images are halved five times, and readers reject smaller ones
-_NEEDS_SUFFIX = ("jpeg2000", "j2k")  # which OpenImageIO writes in two ways, by the name
 _CHOICES = f"{', '.join(WRITABLE)} as the ending of OUTPUT or, of textures, with --texture-format"
-_PNG_FILTER_UP = 0x20  # as libpng numbers them
 _FROM_TOP = 0x20  # bit of byte 17 of a TGA file: the first row is the top one
 
 
@@ -81,15 +85,14 @@ def write_image(
         return _write_extra(picture, pixels, known, jpeg_quality, as_data=as_data)
     if known != picture.format:
         values, spec = converted(picture, pixels, known, as_data=as_data)
-        data = _encode(spec, values, known, picture.name, jpeg_quality, small=small)
+        data = encoded(spec, values, known, picture.name, jpeg_quality, small=small)
         data = metadata.without_additions(data, known)
-        if known in FORMATS_WITH_EXIF:  # OpenImageIO writes some fields of it, to WebP files none
-            is_webp = known == "webp"
-            made = exif_of(_one_pixel(spec, picture.name), "jpeg") if is_webp else exif_of(data, known)
+        if known in FORMATS_WITH_EXIF:  # OpenImageIO writes some fields of it
+            data, made = described(data, spec, known, picture.name)
             data = carry_exif(picture.source, picture.format, data, known, made)
         notices = [*lost_metadata(picture, data, known)]
         if known == "webp":
-            again = read_image(data, picture.name).pixels
+            again = _decoded(data, picture.name)
             notices += extra_codecs.encoding_cost(known, values, again, picture.name)
         return ImageFile(data, FORMATS[known].suffixes[0], tuple(notices))
     notices = []
@@ -101,7 +104,7 @@ def write_image(
     spec = _bare_spec(picture) if known in _SPLICED else _kept_spec(picture)
     exact = is_exact(picture)
     encode = partial(
-        _encode, spec, known=known, name=picture.name, quality=jpeg_quality, small=small, lossless=exact
+        encoded, spec, known=known, name=picture.name, quality=jpeg_quality, small=small, lossless=exact
     )
     data = encode(pixels)
     if known == "targa" and (data[17] ^ picture.source[17]) & _FROM_TOP:
@@ -110,7 +113,7 @@ def write_image(
         turned[17] ^= _FROM_TOP
         data = bytes(turned)
     if not exact:
-        again = read_image(data, picture.name).pixels
+        again = _decoded(data, picture.name)
         if _square_error(again, pixels) > _square_error(picture.pixels, pixels) > 0:
             what = f"coded as {label_of(known)} again, it would be further from the result than it is"
             notice = f"{picture.name} stays as it is: {what}; a format without loss would hold the result."
@@ -118,6 +121,11 @@ def write_image(
         if known == "webp":
             notices = extra_codecs.encoding_cost(known, pixels, again, picture.name)
     return _with_metadata(picture, data, notices)
+
+
+def _decoded(data: bytes, name: str) -> Array:
+    with reading_back():
+        return read_image(data, name).pixels
 
 
 def _square_error(some: Array, others: Array) -> float:
@@ -139,19 +147,10 @@ def _with_metadata(picture: Picture, encoded: bytes, notices: list[str]) -> Imag
     return ImageFile(data, picture.suffix, (*notices, *lost_metadata(picture, data, picture.format)))
 
 
-def _one_pixel(spec: Any, name: str) -> bytes:
-    import OpenImageIO
-
-    bare = OpenImageIO.ImageSpec(1, 1, 3, "uint8")
-    bare.extra_attribs = spec.extra_attribs
-    bare.attribute("compression", "jpeg:90")
-    return _encode_by_openimageio(bare, np.zeros((1, 1, 3), np.uint8), "jpeg", name)
-
-
 def check_writable(picture: Picture, suffix: str | None) -> str:
     """Return the format of a suffix (None: the picture's own); UsageError if it cannot hold this image."""
     known = picture.format if suffix is None else format_of_suffix(suffix)
-    if known in _NEEDS_SUFFIX and min(picture.pixels.shape[:2]) < _LEAST_JPEG_2000:
+    if known in NEEDS_SUFFIX and min(picture.pixels.shape[:2]) < _LEAST_JPEG_2000:
         cause = f"an image of fewer than 32 pixels a side cannot be written as {label_of(known)}"
         raise UsageError(f"{picture.name}: {cause}")
     missing = extra_codecs.missing_package(known) if known in extra_codecs.EXTRA_CODECS else None
@@ -175,8 +174,9 @@ def _write_extra(picture: Picture, pixels: Array, known: str, quality: int, *, a
     try:
         data = extra_codecs.encoded(known, values, quality, source, as_data=as_data)
     except extra_codecs.FAILURES as error:
-        raise _unwritten(picture.name, known, str(error)) from None
-    again = extra_codecs.decoded(data, known, picture.name)[0]
+        raise unwritten(picture.name, known, str(error)) from None
+    with reading_back():
+        again = extra_codecs.decoded(data, known, picture.name)[0]
     cost = extra_codecs.encoding_cost(known, values, again, picture.name)
     return ImageFile(data, FORMATS[known].suffixes[0], (*cost, *lost_metadata(picture, data, known)))
 
@@ -207,71 +207,6 @@ def _kept_spec(picture: Picture) -> Any:
     if picture.format not in ("tiff", "openexr"):  # Those two store, and say, whether alpha is multiplied in.
         spec.attribute("oiio:UnassociatedAlpha", 1)
     return spec
-
-
-def _encode(
-    spec: Any, pixels: Array, known: str, name: str, quality: int, *, small: bool, lossless: bool = False
-) -> bytes:
-    """Encode pixels by their spec; of lossy WebP and JPEG with a quality, and WebP without loss if asked to."""
-    quality = min(max(quality, 1), 100)
-    if known != "webp":
-        _set_options(spec, known, quality, small=small)
-        return _encode_by_openimageio(spec, pixels, known, name)
-    profile = spec.getattribute("ICCProfile")
-    try:
-        return extra_codecs.encoded_webp(
-            pixels,
-            quality=(100 if small else 50) if lossless else quality,
-            method=6 if small else 3 if lossless else 4,
-            lossless=lossless,
-            profile=b"" if profile is None else bytes(np.asarray(profile, np.uint8)),
-        )
-    except extra_codecs.FAILURES as error:
-        raise _unwritten(name, known, str(error)) from None
-
-
-def _unwritten(name: str, known: str, error: str) -> ProcessingError:
-    cause = error.strip() or "no reason given"
-    return ProcessingError(f"{name}: the {label_of(known)} image cannot be written ({cause})")
-
-
-def _set_options(spec: Any, known: str, quality: int, *, small: bool) -> None:
-    match known:
-        case "png":
-            spec.attribute("png:compressionLevel", 9 if small else 1)
-            # Differences of rows repeat little but runs. To look for more gains next to nothing and takes time, as it
-            # does to try all filters on each row.
-            spec.attribute("compression", "filtered" if small else "rle")
-            if not small:
-                spec.attribute("png:filter", _PNG_FILTER_UP)
-        case "jpeg":
-            spec.attribute("compression", f"jpeg:{quality}")
-        case "jpegxl":  # without loss
-            spec.attribute("compression", "jpegxl:100")
-        case "tiff":
-            spec.attribute("tiff:half", 1)
-    if known in ("tiff", "openexr") and not spec.get_string_attribute("DateTime"):
-        # Otherwise it would be the time of writing, and two runs would differ. A pair of numbers is not written at all.
-        nothing = ("int[2]", (0, 0)) if known == "tiff" else ("string", "")
-        spec.attribute("DateTime", *nothing)
-
-
-def _encode_by_openimageio(spec: Any, pixels: Array, known: str, name: str) -> bytes:
-    import OpenImageIO
-
-    file = OpenImageIO.ImageOutput.create(plugin_of(known))
-    if file is None:
-        raise ProcessingError(f"{name}: this OpenImageIO cannot write {known} images")
-    if str(spec.format) == "half" and not spec.channelformats:
-        pixels = pixels.astype(np.float16)
-    with scratch_file(suffix=FORMATS[known].suffixes[0] if known in _NEEDS_SUFFIX else "") as path:
-        written = file.open(str(path), spec) and file.write_image(np.ascontiguousarray(pixels))
-        closed = file.close()
-        error = error_of(file)  # TIFF reports a missing EXIF directory though all is written.
-        error_of(OpenImageIO)
-        if not (written and closed):
-            raise _unwritten(name, known, error.replace(str(path), "it"))
-        return path.read_bytes()
 
 
 # Attributes of OpenImageIO about samples in a file's own format.
@@ -319,7 +254,9 @@ def _lost_attributes(picture: Picture, data: bytes, known: str) -> set[str]:
     """Return the names of the attributes in OpenImageIO's view that the new file lacks."""
     now = set[str]()
     if known not in extra_codecs.EXTRA_CODECS:
-        with opened(data) as (file, _):
+        with reading_back(), opened(data, name=picture.name) as (file, _):
+            if file is None:
+                raise unwritten(picture.name, known, "it is not read back")
             now = {each.name.lower() for each in file.spec().extra_attribs}
     exif, new_exif = (
         tiff_tags.exif_tags(exif_of(*each)) for each in ((picture.source, picture.format), (data, known))

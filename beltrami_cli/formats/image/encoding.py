@@ -1,0 +1,177 @@
+"""Pixels to the bytes of an image file: JPEG and WebP by Pillow in memory, all else by OpenImageIO in temporary files.
+
+OpenImageIO may report success where a temporary file could not be written in full, and of its JPEG encoder libjpeg ends
+the process then. So what it has written is decoded and compared with the pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from beltrami_cli.arrays import Array
+from beltrami_cli.errors import InputError, OutputError, ProcessingError
+from beltrami_cli.formats.image import extra_codecs, metadata, tiff_tags
+from beltrami_cli.formats.image.picture import FORMATS, label_of, plugin_of
+from beltrami_cli.formats.image.reading import error_of, opened, scratch_file
+from beltrami_cli.surface import large_arrays
+
+NEEDS_SUFFIX = ("jpeg2000", "j2k")  # which OpenImageIO writes in two ways, by the name
+LOSSY_EXR = ("b44", "b44a", "dwaa", "dwab", "pxr24")  # compressions
+_PNG_FILTER_UP = 0x20  # as libpng numbers them
+_ROWS = 64  # compared at a time
+# RGBE has 8 bits for the fraction of the largest channel of a pixel, which may be half of its full scale.
+_RGBE_STEP = 2.0**-7
+_XMP = 700  # a tag of TIFF
+# Ends of files whose pixels are decoded without them; all others are not.
+_ENDS = {"png": b"IEND\xaeB`\x82", "targa": metadata.TARGA_END}
+
+
+def encoded(
+    spec: Any, pixels: Array, known: str, name: str, quality: int, *, small: bool, lossless: bool = False
+) -> bytes:
+    """Encode pixels by their spec; of lossy WebP and JPEG with a quality, and WebP without loss if asked to.
+
+    OutputError if that fails, such as on a full disk.
+    """
+    quality = min(max(quality, 1), 100)
+    if known not in ("jpeg", "webp"):
+        _set_options(spec, known, small=small)
+        return _encoded_by_openimageio(spec, pixels, known, name)
+    profile = spec.getattribute("ICCProfile")
+    kept = b"" if profile is None else bytes(np.asarray(profile, np.uint8))
+    try:
+        if known == "jpeg":
+            return extra_codecs.encoded_jpeg(
+                pixels,
+                quality=quality,
+                subsampling=spec.get_string_attribute("jpeg:subsampling"),
+                progressive=bool(spec.get_int_attribute("jpeg:progressive")),
+                profile=kept,
+            )
+        return extra_codecs.encoded_webp(
+            pixels,
+            quality=(100 if small else 50) if lossless else quality,
+            method=6 if small else 3 if lossless else 4,
+            lossless=lossless,
+            profile=kept,
+        )
+    except extra_codecs.FAILURES as error:
+        raise unwritten(name, known, str(error)) from None
+
+
+def unwritten(name: str, known: str, error: str) -> OutputError:
+    """Return the error that an encoder fails."""
+    return OutputError(
+        name, f"the {label_of(known)} image cannot be written ({error.strip() or 'no reason given'})"
+    )
+
+
+def described(encoded: bytes, spec: Any, known: str, name: str) -> tuple[bytes, bytes]:
+    """Return an image with the texts of its spec, and the EXIF data that OpenImageIO makes of that."""
+    if known not in ("jpeg", "webp"):
+        return encoded, metadata.exif_of(encoded, known)
+    if known == "jpeg":
+        # OpenImageIO's XMP data hold also what IPTC data would.
+        xmp = tiff_tags.value_of(_one_pixel(spec, "tiff", name), _XMP)
+        comment = spec.get_string_attribute("ImageDescription").encode()
+        encoded = metadata.jpeg_with(encoded, comment=comment, xmp=xmp)
+    return encoded, metadata.exif_of(_one_pixel(spec, "png", name), "png")
+
+
+def _one_pixel(spec: Any, known: str, name: str) -> bytes:
+    import OpenImageIO
+
+    bare = OpenImageIO.ImageSpec(1, 1, 3, "uint8")
+    bare.extra_attribs = spec.extra_attribs
+    _set_options(bare, known, small=False)
+    return _encoded_by_openimageio(bare, np.zeros((1, 1, 3), np.uint8), known, name)
+
+
+def _set_options(spec: Any, known: str, *, small: bool) -> None:
+    match known:
+        case "png":
+            spec.attribute("png:compressionLevel", 9 if small else 1)
+            # Differences of rows repeat little but runs. To look for more gains next to nothing and takes time, as it
+            # does to try all filters on each row.
+            spec.attribute("compression", "filtered" if small else "rle")
+            if not small:
+                spec.attribute("png:filter", _PNG_FILTER_UP)
+        case "jpegxl":  # without loss
+            spec.attribute("compression", "jpegxl:100")
+        case "tiff":
+            spec.attribute("tiff:half", 1)
+    if known in ("tiff", "openexr") and not spec.get_string_attribute("DateTime"):
+        # Otherwise it would be the time of writing, and two runs would differ. A pair of numbers is not written at all.
+        nothing = ("int[2]", (0, 0)) if known == "tiff" else ("string", "")
+        spec.attribute("DateTime", *nothing)
+
+
+def _encoded_by_openimageio(spec: Any, pixels: Array, known: str, name: str) -> bytes:
+    import OpenImageIO
+
+    file = OpenImageIO.ImageOutput.create(plugin_of(known))
+    if file is None:
+        raise ProcessingError(f"{name}: this OpenImageIO cannot write {known} images")
+    if str(spec.format) == "half" and not spec.channelformats:
+        pixels = pixels.astype(np.float16)
+    with scratch_file(suffix=FORMATS[known].suffixes[0] if known in NEEDS_SUFFIX else "") as path:
+        written = file.open(str(path), spec) and file.write_image(np.ascontiguousarray(pixels))
+        closed = file.close()
+        error = error_of(file)  # TIFF reports a missing EXIF directory though all is written.
+        error_of(OpenImageIO)
+        if not (written and closed):
+            raise unwritten(name, known, error.replace(str(path), "it"))
+        data = path.read_bytes()
+    _require_whole(data, spec, pixels, known, name)
+    return data
+
+
+@contextmanager
+def reading_back() -> Iterator[None]:
+    """Let a file, just encoded, that cannot be read be an OutputError."""
+    try:
+        yield
+    except InputError as error:
+        raise OutputError(error.name, error.cause, error.remedy) from error
+
+
+def _require_whole(data: bytes, spec: Any, pixels: Array, known: str, name: str) -> None:
+    """Raise OutputError unless an image, just encoded, has these pixels."""
+    import OpenImageIO
+
+    config = OpenImageIO.ImageSpec()
+    config.attribute("oiio:UnassociatedAlpha", 1)
+    with reading_back(), opened(data, config, name) as (file, path):
+        if file is None or not data.endswith(_ENDS.get(known, b"")):
+            raise unwritten(name, known, error_of(OpenImageIO).replace(str(path), "it"))
+        for rows, again in _decoded(file):
+            if again is None:
+                raise unwritten(name, known, error_of(file).replace(str(path), "it"))
+            if not _is_same(again, pixels[rows], spec, known):
+                raise unwritten(name, known, "what was written is not what is read back")
+
+
+def _decoded(file: Any) -> Iterator[tuple[slice, Array | None]]:
+    """Give the rows of an OpenImageIO.ImageInput block by block, and their pixels; None if they cannot be read."""
+    spec = file.spec()
+    if spec.tile_width:
+        yield slice(None), file.read_image(spec.format)
+        return
+    for rows in large_arrays.blocks(spec.height, _ROWS):
+        begin, end = spec.y + rows.start, spec.y + rows.stop
+        yield rows, file.read_scanlines(begin, end, 0, 0, spec.nchannels, spec.format)
+
+
+def _is_same(again: Array, pixels: Array, spec: Any, known: str) -> bool:
+    """Whether decoded pixels are those that were encoded, as far as the format keeps them."""
+    if again.shape != pixels.shape:
+        return False
+    if known == "hdr":
+        return bool((np.abs(again - pixels) <= _RGBE_STEP * pixels.max(axis=2, keepdims=True)).all())
+    if spec.get_string_attribute("compression").partition(":")[0] in LOSSY_EXR:
+        return True
+    return np.array_equal(again, pixels.astype(again.dtype), equal_nan=again.dtype.kind == "f")
