@@ -20,10 +20,11 @@ import stat
 import sys
 import threading
 import time
+import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, BinaryIO
 
 from beltrami_cli.errors import ENDING_SIGNALS
 from beltrami_cli.formats.access import parse_json
@@ -39,6 +40,7 @@ _OPENING = (
     os.O_RDWR | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 )
 
+_BLOCK = 1 << 20  # bytes that are read back at a time
 _PATIENCE, _PAUSE = 30.0, 0.02  # seconds that a run waits for another, and between two looks
 
 
@@ -82,9 +84,10 @@ class Journal:
         flags = os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_BINARY", 0)
         descriptor = os.open(file.temporary, flags, 0o666 if mode is None else mode)
         with os.fdopen(descriptor, "wb") as opened:
-            opened.writelines(pieces)
+            checksum = _write_all(opened, pieces)
             opened.flush()
             os.fsync(descriptor)
+        _require_whole(file.temporary, checksum)
         if mode is not None:
             file.temporary.chmod(mode)
         return file
@@ -133,6 +136,25 @@ class Journal:
         left = memoryview(json.dumps(value).encode() + b"\n")
         while left:
             left = left[os.write(self._descriptor, left) :]
+
+
+def _write_all(file: BinaryIO, pieces: Iterable[Bytes]) -> int:
+    """Write pieces to a file; return the checksum of all."""
+    checksum = 0
+    for piece in pieces:
+        file.write(piece)
+        checksum = zlib.crc32(piece, checksum)
+    return checksum
+
+
+def _require_whole(path: Path, checksum: int) -> None:
+    """Raise OSError unless a file is read back as it was written, whatever the file system says of that."""
+    again = 0
+    with path.open("rb") as file:
+        while block := file.read(_BLOCK):
+            again = zlib.crc32(block, again)
+    if again != checksum:
+        raise OSError(errno.EIO, "what was written is not what is read back", str(path))
 
 
 def recover(folder: Path) -> None:

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from beltrami_cli.arrays import Array, Int8s
-from beltrami_cli.errors import ProcessingError
+from beltrami_cli.errors import OutputError
 
 AnyArray = TypeVar("AnyArray", bound=np.ndarray[Any, Any])
 
@@ -106,12 +106,12 @@ def chunk_memory() -> int | None:
 
 
 def zeros(shape: int | Sequence[int], dtype: DTypeLike) -> Array:
-    """Return an array of zeros, like `numpy.zeros`; ProcessingError if the disk is full where it belongs."""
+    """Return an array of zeros, like `numpy.zeros`; OutputError if the disk is full where it belongs."""
     return _made(np.zeros, shape, dtype)
 
 
 def empty(shape: int | Sequence[int], dtype: DTypeLike) -> Array:
-    """Return an array whose values mean nothing yet, like `numpy.empty`; ProcessingError as for `zeros`."""
+    """Return an array whose values mean nothing yet, like `numpy.empty`; OutputError as for `zeros`."""
     return _made(np.empty, shape, dtype)
 
 
@@ -160,10 +160,8 @@ def _in_file(limit: _Limit, size: int) -> Array:
     except OSError as error:
         if limit.folder is None:
             raise unwritable(error.strerror or str(error)) from error
-        raise ProcessingError(
-            f"{limit.folder}: there is no room for {size >> 20} MB of working space ({error.strerror}); "
-            "free some, or raise --max-memory"
-        ) from error
+        cause = f"there is no room for {size >> 20} MB of working space ({error.strerror})"
+        raise OutputError(str(limit.folder), cause, "free some, or raise --max-memory") from error
     limit.maps.add(pages)
     return np.frombuffer(pages, np.uint8)
 

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.arrays import Array
-from beltrami_cli.errors import ProcessingError, end_with_parent
+from beltrami_cli.errors import OutputError, end_with_parent
 from beltrami_cli.import_path import safe_environment
 
 Message = tuple[Any, dict[str, Array]]
@@ -40,7 +40,7 @@ class WorkerError(Exception):
 
 @contextmanager
 def writing_temporary_files() -> Iterator[None]:
-    """Let a file that cannot be written, such as on a full disk, be a ProcessingError."""
+    """Let a file that cannot be written, such as on a full disk, be an OutputError."""
     try:
         yield
     except OSError as error:
@@ -49,7 +49,7 @@ def writing_temporary_files() -> Iterator[None]:
 
 @contextmanager
 def temporary_folder() -> Iterator[Path]:
-    """Make a folder for temporary files, and remove it in the end; ProcessingError if it cannot be made."""
+    """Make a folder for temporary files, and remove it in the end; OutputError if it cannot be made."""
     from tempfile import TemporaryDirectory
 
     with ExitStack() as stack:
@@ -58,11 +58,10 @@ def temporary_folder() -> Iterator[Path]:
         yield Path(folder)
 
 
-def unwritable(cause: str) -> ProcessingError:
+def unwritable(cause: str) -> OutputError:
     """Return the error that temporary files cannot be written."""
-    return ProcessingError(
-        f"temporary files cannot be written ({cause}); free space, or name another folder in the variable TMPDIR"
-    )
+    remedy = "free space, or name another folder in the variable TMPDIR"
+    return OutputError("temporary files", f"cannot be written ({cause})", remedy)
 
 
 def ask(

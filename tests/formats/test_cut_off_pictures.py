@@ -45,11 +45,9 @@ def test_a_picture_that_is_cut_off_is_refused(suffix, in_memory, monkeypatch):
         expected = write_image(source, pixels, suffix=convert).data
         outcomes = []
         for share in SHARES:
-            with files_of_at_most(max(0, int(share * len(expected)) - 1)):
-                try:
-                    outcomes.append(write_image(source, pixels, suffix=convert).data)
-                except OutputError as error:
-                    assert source.name in str(error)
-                    outcomes.append(None)
+            made = None
+            with files_of_at_most(max(0, int(share * len(expected)) - 1)), contextlib.suppress(OutputError):
+                made = write_image(source, pixels, suffix=convert).data
+            outcomes.append(made)
         assert all(each in (None, expected) for each in outcomes), outcomes
         assert (outcomes[0] is None) == (suffix not in WITHOUT_FILES)

@@ -10,7 +10,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from beltrami_cli.errors import InputError, ProcessingError, UsageError
+from beltrami_cli.errors import InputError, OutputError, UsageError
 from beltrami_cli.flow.beltrami_flow import smooth
 from beltrami_cli.flow.noise.grid_squares import Grid
 from beltrami_cli.flow.noise.reading import read_noise
@@ -142,7 +142,7 @@ def test_tiles_that_do_not_fit_are_refused_by_name(tmp_path):
 def test_a_full_disk_is_reported_and_leaves_nothing(tmp_path, monkeypatch, on_disk):
     full = Mock(side_effect=OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
     monkeypatch.setattr(os, "posix_fallocate", full)
-    with pytest.raises(ProcessingError, match=r"no room for \d+ MB of working space \(No space left"):
+    with pytest.raises(OutputError, match=r"no room for \d+ MB of working space \(No space left"):
         smoothed(SAMPLES / "head-tex-noisy.obj", tmp_path / "out", 1 << 30)
     assert not list((tmp_path / "out").iterdir())
 
