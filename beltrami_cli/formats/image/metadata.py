@@ -398,8 +398,8 @@ def with_exif(exif: bytes, encoded: bytes, known: str) -> bytes:
             metadata = [chunk for chunk in webp_metadata(encoded) if chunk[0] != b"EXIF"]
             return webp_with([*metadata, (b"EXIF", exif)], encoded)
         case "jpeg":
-            others = b"".join(segment for _, segment in jpeg_segments(encoded) if not _is_exif(segment))
-            return _with_segment(encoded[:2] + others, _APP1, _EXIF_START + exif)
+            segments = [segment for _, segment in jpeg_segments(encoded) if not _is_exif(segment)]
+            return _with_segment(encoded[:2] + b"".join(segments), _APP1, _EXIF_START + exif)
     return encoded
 
 
