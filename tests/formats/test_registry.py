@@ -188,7 +188,10 @@ def announced(monkeypatch):
 
 def add_noise(source, target, image_suffix=None):
     """Change the image of each slot in another way."""
-    settings = SmoothSettings(textures=TextureSettings(slots=SLOTS, image_suffix=image_suffix))
+    slots = tuple(
+        slot for slot in SLOTS if slot != "metallicRoughness"
+    )  # which shares the image of occlusion
+    settings = SmoothSettings(textures=TextureSettings(slots=slots, image_suffix=image_suffix))
     noise_file(source, target, NoiseSettings(sigma=0.1), settings, Job(overwrite=True))
 
 
@@ -404,7 +407,7 @@ def test_polygons_of_less_than_three_corners_are_no_triangles_of_gltf():
     assert len(open_bytes(data, "x.glb", None).painted().faces) == 3
 
 
-@pytest.mark.parametrize("form", MESHES)
+@pytest.mark.parametrize("form", [form for form in MESHES if form != "gltf"])  # whose buffer is another file
 def test_another_reader_finds_the_same(form):
     contents = mesh((3,) * 200)
     data = joined(write_mesh(contents, form, "x"))
