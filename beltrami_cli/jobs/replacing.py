@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING, BinaryIO
 
 from beltrami_cli.errors import ENDING_SIGNALS
 from beltrami_cli.formats.access import parse_json
+from beltrami_cli.jobs.file_rights import PRIVATE, take_over
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Bytes
@@ -76,20 +77,20 @@ class Journal:
         _try_lock(self._descriptor)
 
     def write_aside(self, path: Path, pieces: Iterable[Bytes], *, overwrite: bool) -> TemporaryFile:
-        """Write a file under a temporary name, with the mode of a new file, or of the file that it replaces."""
+        """Write a file under a temporary name, with the rights of a new file, or of the file that it replaces."""
         file = TemporaryFile(path.with_name(f"{self._path.stem}.{len(self._files)}.tmp"), path, overwrite)
         self._files.append(file)
         self._list(file)
-        mode = stat.S_IMODE(path.stat().st_mode) if overwrite and path.exists() else None
+        replaces = overwrite and path.exists()
         flags = os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_BINARY", 0)
-        descriptor = os.open(file.temporary, flags, 0o666 if mode is None else mode)
+        descriptor = os.open(file.temporary, flags, PRIVATE if replaces else 0o666)
         with os.fdopen(descriptor, "wb") as opened:
             checksum = _write_all(opened, pieces)
             opened.flush()
             os.fsync(descriptor)
         _require_whole(file.temporary, checksum)
-        if mode is not None:
-            file.temporary.chmod(mode)
+        if replaces:
+            take_over(path, file.temporary)
         return file
 
     def put_together(self, files: list[TemporaryFile]) -> None:
@@ -324,11 +325,20 @@ def _put(file: TemporaryFile, *, keep: bool) -> None:
             try:
                 os.link(file.path, file.previous)
             except OSError:  # where files cannot have two names
-                shutil.copy2(file.path, file.previous)
+                _copy(file.path, file.previous)
         file.temporary.replace(file.path)
     except OSError as error:
         error.filename = str(file.path)
         raise
+
+
+def _copy(path: Path, copy: Path) -> None:
+    """Copy a file with its rights and times."""
+    os.close(os.open(copy, os.O_CREAT | os.O_EXCL | os.O_WRONLY, PRIVATE))
+    shutil.copyfile(path, copy)
+    take_over(path, copy)
+    status = path.stat()
+    os.utime(copy, ns=(status.st_atime_ns, status.st_mtime_ns))
 
 
 def _put_new(temporary: Path, path: Path) -> None:

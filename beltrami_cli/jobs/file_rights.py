@@ -1,0 +1,81 @@
+"""Who may do what with a file that replaces another one: as before where the system allows it, and never more."""
+
+from __future__ import annotations
+
+import errno
+import logging
+import os
+import stat
+from pathlib import Path
+
+LOG = logging.getLogger(__name__)
+PRIVATE = 0o600
+"""Mode of a file until it has the rights of the one that it replaces."""
+
+_OWNER = 0o700  # bits of a mode
+# Beginnings of the names of attributes that are kept: what users say of a file, access lists, and labels.
+_KEPT = ("user.", "system.", "security.selinux")
+_ACCESS_LISTS = "system."
+
+
+def take_over(old: Path, new: Path) -> None:
+    """Give a new file of mode `PRIVATE` the owner, group, access list, attributes and mode of another one.
+
+    Where the group or the access list cannot be kept, others have the rights only that all of them had before.
+    """
+    before, mode = old.stat(), stat.S_IMODE(old.stat().st_mode)
+    has_owner, has_group = _take_owner(before, new)
+    if not has_owner:
+        mode &= ~stat.S_ISUID
+    if not has_group:
+        shared = mode >> 3 & mode & 0o7
+        mode = mode & (_OWNER | stat.S_ISUID | stat.S_ISVTX) | shared << 3 | shared
+    if hasattr(os, "listxattr") and not _take_attributes(old, new, has_group=has_group):
+        mode &= _OWNER
+    new.chmod(mode)
+
+
+def _take_owner(before: os.stat_result, new: Path) -> tuple[bool, bool]:
+    """Return whether the new file has the owner, and the group, of the old one."""
+    wanted = before.st_uid, before.st_gid
+    # Without privileges a file may still change to another group of the user's.
+    for user, group in (wanted, (-1, wanted[1])) if hasattr(os, "chown") else ():
+        now = new.stat()
+        if (now.st_uid, now.st_gid) == wanted:
+            break
+        try:
+            os.chown(new, user, group)
+        except OSError:
+            continue
+    now = new.stat()
+    return now.st_uid == wanted[0], now.st_gid == wanted[1]
+
+
+def _take_attributes(old: Path, new: Path, *, has_group: bool) -> bool:
+    """Copy attributes; return whether the access lists of both files are the same."""
+    names, is_same = _attributes(old), True
+    for name in _attributes(new) - names:  # inherited from the folder
+        try:
+            os.removexattr(new, name)
+        except OSError:
+            is_same &= not name.startswith(_ACCESS_LISTS)
+    for name in sorted(names):
+        is_list = name.startswith(_ACCESS_LISTS)
+        if is_list and not has_group:  # its entry of the group would mean another one
+            is_same = False
+            continue
+        try:
+            os.setxattr(new, name, os.getxattr(old, name))
+        except OSError as error:
+            is_same &= not is_list
+            LOG.warning("the attribute %s of %s cannot be kept (%s)", name, old, error.strerror)
+    return is_same
+
+
+def _attributes(path: Path) -> set[str]:
+    try:
+        return {name for name in os.listxattr(path) if name.startswith(_KEPT)}
+    except OSError as error:
+        if error.errno in (errno.ENOTSUP, errno.ENOSYS):
+            return set()
+        raise
