@@ -28,6 +28,7 @@ from beltrami_cli.errors import OutputError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_regular
 from beltrami_cli.formats.registry import OUTPUT_FORMATS, READ_ONLY
 from beltrami_cli.jobs import replacing
+from beltrami_cli.jobs.file_rights import take_over
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Bytes, Written
@@ -70,6 +71,8 @@ class Output:
         self.folder = None if self.is_stdout or self.is_device else self.path.parent
         self._sidecars: tuple[str, ...] = ()
         self.replaceable: frozenset[str] = frozenset()  # sidecar files of an old OUTPUT
+        # What reads the names of the sidecar files of the OUTPUT that is there now.
+        self.references: Callable[[], frozenset[str]] = frozenset
         self._is_alone = files is None
         self.files = FileSet(reads) if files is None else files
         self.files.add(self)
@@ -196,6 +199,7 @@ class FileSet:
         self._guarded: set[str] = set()
         self._staged: dict[Path, replacing.TemporaryFile] = {}
         self._names: dict[Path, str] = {}  # that the user knows them by
+        self._replacing: dict[Path, Output] = {}  # outputs that replace files, by the paths of these
         # What writes to standard output or devices, before anything is put in place.
         self.streams: list[Callable[[], None]] = []
         self._journal: replacing.Journal | None = None
@@ -279,6 +283,8 @@ class FileSet:
                         self._journal = replacing.Journal(main.path.parent)
                 self._make_folder(path.parent)
                 self._staged[path] = self._journal.write_aside(path, pieces, overwrite=may_replace)
+                if output.overwrite:
+                    self._replacing[path] = output
             except OSError as error:
                 raise _unwritable(output.target, error) from error
             leave_memory()
@@ -290,6 +296,7 @@ class FileSet:
 
     def keep_equal(self) -> None:
         """Replace nothing: leave files that have the same bytes already; OutputError if one has others."""
+        self._replacing.clear()
         for path, staged in list(self._staged.items()):
             try:
                 if path.exists():
@@ -311,7 +318,7 @@ class FileSet:
         try:
             with replacing.folders_locked(path.parent for path in order), replacing.endings_held():
                 if self._journal is not None:
-                    self._journal.put_together([self._staged[path] for path in order])
+                    self._journal.put_together([self._replacing_newer(self._staged[path]) for path in order])
                 self._made_folders.clear()
                 self._remove_temporary()
         except OSError as error:
@@ -320,6 +327,16 @@ class FileSet:
                 raise _existing(self._names[blamed]) from error
             raise _unwritable(self._names[blamed], error) from error
         self.streams.clear()
+
+    def _replacing_newer(self, file: replacing.TemporaryFile) -> replacing.TemporaryFile:
+        """Let a file replace one that another run with the same OUTPUT has put in place meanwhile."""
+        output = self._replacing.get(file.path)
+        if file.overwrite or output is None or not os.path.lexists(file.path):
+            return file
+        if file.path not in {output.path.parent / name for name in output.references()}:
+            return file
+        take_over(file.path, file.temporary)
+        return dataclasses.replace(file, overwrite=True)
 
 
 def _collision(output: Output, name: str, other: str) -> OutputError:

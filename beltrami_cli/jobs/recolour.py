@@ -167,13 +167,18 @@ def _naming_of(file: FileJob) -> Naming:
     if output is not None and keeps:
         output.replaceable = frozenset(file.document.references())
 
+    def references() -> frozenset[str]:
+        with suppress(BeltramiError):  # there may be no output yet, or none that names files
+            return frozenset(registry.open_document(target, replace(file.job.access, note=None)).references())
+        return frozenset()
+
+    if output is not None:
+        output.references = references
+
     def is_taken(name: str) -> bool:
         if output is None or folder is None or not os.path.lexists(folder / name):
             return False
-        if not output.replaceable:
-            with suppress(BeltramiError):  # there may be no output yet, or none that names files
-                there = registry.open_document(target, replace(file.job.access, note=None))
-                output.replaceable = frozenset(there.references())
+        output.replaceable = output.replaceable or references()
         if name in output.replaceable:
             return False
         file.occupied[name] = None

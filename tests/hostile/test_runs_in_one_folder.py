@@ -15,9 +15,13 @@ import pytest
 from beltrami_cli.errors import OutputError
 from beltrami_cli.formats.document import Written
 from beltrami_cli.jobs import replacing
-from beltrami_cli.jobs.output import Output
+from beltrami_cli.jobs.job import Job, NoiseSettings
+from beltrami_cli.jobs.noise import noise_file
+from beltrami_cli.jobs.output import FileSet, Output
 from beltrami_cli.jobs.replacing import recover
 from cli.commands import COMMAND, SAMPLES
+from hostile.folders import snapshot
+from hostile.textured_models import KINDS, PICTURE, write_model
 
 # Starts writing when the parent says so, as if all before it had been computed already.
 WRITER = """
@@ -101,6 +105,42 @@ def test_of_two_that_replace_files_at_the_same_time_one_whole_set_stays(tmp_path
         assert codes == [0, 0]
         assert set(letters) == {"out.obj", "a.mtl", "maps/a.png"}
         assert len(set(letters.values())) == 1
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_of_two_that_replace_a_new_output_the_last_one_wins(kind, tmp_path, monkeypatch):
+    """The second run starts and ends while the first one computes; both have seen that there is no OUTPUT."""
+    source = write_model(tmp_path / "in", kind, "skin.png")
+    (source.parent / "skin.png").write_bytes(PICTURE)
+    folder, put = tmp_path / "out", FileSet.put_in_place
+    folder.mkdir()
+
+    def run(seed):
+        noise = NoiseSettings(sigma=0.1, seed=seed)
+        noise_file(source, folder / source.name, noise, job=Job(overwrite=True))
+        return snapshot(folder)
+
+    def put_second(files):
+        monkeypatch.setattr(FileSet, "put_in_place", put)
+        run(2)
+        put(files)
+
+    first = run(1)
+    for path in folder.iterdir():
+        path.unlink()
+    monkeypatch.setattr(FileSet, "put_in_place", put_second)
+    assert run(1) == first
+    assert len(first) > 1
+    # A file that the OUTPUT of another run does not name is left alone.
+    for path in folder.iterdir():
+        path.unlink()
+    image = next(name for name in first if name.endswith(".png"))
+    monkeypatch.setattr(
+        FileSet, "put_in_place", lambda files: ((folder / image).write_text("precious"), put(files))
+    )
+    with pytest.raises(OutputError, match="exists already"):
+        run(1)
+    assert {name: content for name, (_, content) in snapshot(folder).items()} == {image: b"precious"}
 
 
 def test_a_run_that_waits_for_another_for_too_long_leaves_all_as_it_was(tmp_path, monkeypatch):
