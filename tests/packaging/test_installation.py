@@ -75,6 +75,7 @@ def test_sources_that_are_added_or_removed_are_noticed_though_they_are_older(che
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_pytest_runs_the_installation_and_refuses_one_that_is_stale(checkout, tmp_path):
     site = tmp_path / "site"
     installed_from(checkout, site)
