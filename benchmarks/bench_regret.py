@@ -76,6 +76,8 @@ def main():
                 rows.append(judged(kind, case))
                 if options.readings:
                     show_reading(rows[-1])
+    if not rows:
+        parser.error(f"no kind begins with {options.kinds!r}")
     figures = {"kinds": by_kind(rows), "lost": total(rows), "rows": [asdict(row) for row in rows]}
     show(figures)
     print(f"\n{time.process_time() - start:.0f} s of processor time")

@@ -126,8 +126,8 @@ def of_cameras(kind, bases, *, shot, read, blur, quality):
 
 
 CAMERAS = {
-    "camera, JPEG 92": {"shot": 0.01, "read": 0.01, "blur": 0, "quality": 92},
-    "camera with denoising, JPEG 85": {"shot": 0.02, "read": 0.02, "blur": (0.7, 0.7, 0), "quality": 85},
+    "camera JPEG 92": {"shot": 0.01, "read": 0.01, "blur": 0, "quality": 92},
+    "camera with denoising JPEG 85": {"shot": 0.02, "read": 0.02, "blur": (0.7, 0.7, 0), "quality": 85},
 }
 
 
@@ -195,7 +195,7 @@ def filtered(clean, sigma, random):
 
 
 NOISES = {
-    "white, independent": with_share(0), "white, equal": with_share(1), "white, mostly grey": with_share(0.7),
+    "white independent": with_share(0), "white equal": with_share(1), "white mostly grey": with_share(0.7),
     "photon": photon, "proportional": partial(by_level, 1), "root": partial(by_level, 0.5),
     "heavy-tailed": heavy_tailed, "chroma": chroma, "opposite": opposite, "monochrome by place": monochrome,
     "part": in_part, "ramp": ramp, "filtered": filtered,
