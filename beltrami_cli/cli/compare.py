@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -174,8 +175,14 @@ def _worst(worst: dict[str, Any]) -> str:
     return f"{place}, off by {255 * worst['error']:.1f}/255{looks}: {change}"
 
 
+_ONE_SCALAR = {
+    "channels": {"help": "The scalar of the vertices of PLY files that was smoothed, such as quality."}
+}
+
+
 @command("check", before="BEFORE", after="AFTER")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@options.options_of(SmoothSettings, only=("channels",), changed=_ONE_SCALAR)
 @options.reading
 @options.quiet
 @options.verbose
@@ -184,10 +191,9 @@ def check(before: str, after: str, as_json: bool, quiet: bool, verbose: int, **r
     from beltrami_cli.jobs.inspect import check_files
 
     with options.reading_from(reading, before) as access:
-        report = check_files(before, after, access)
+        channels = options.record_from(SmoothSettings, reading).channels or ()
+        report = check_files(before, after, replace(access, channels=channels))
     if as_json:
-        from dataclasses import asdict
-
         click.echo(json.dumps({**asdict(report), "faithful": report.faithful}, indent=2))
     elif not quiet:
         for difference in report.differences:

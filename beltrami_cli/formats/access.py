@@ -54,6 +54,8 @@ class Access(Checked):
         Files that are read instead of others, by their resolved path: new files that are not in place yet.
     columns : tuple of str
         Of points in text files: the names of all columns, where neither names in the file nor values decide.
+    channels : tuple of str
+        Of vertices in PLY files: the channels that are smoothed, one of which may be a scalar.
     """
 
     group: ClassVar[str] = "Files and memory"
@@ -74,6 +76,7 @@ class Access(Checked):
     note: Callable[[Path, bytes], None] | None = field(default=None, compare=False)
     bring: Callable[[Path], None] | None = field(default=None, compare=False)
     instead: Mapping[Path, Path] = field(default_factory=dict, compare=False)
+    channels: tuple[str, ...] = ()
     columns: tuple[str, ...] = parameter(
         (),
         "For points in text files: the names of all columns, in their order, such as x,y,z,r,g,b,scalar. "

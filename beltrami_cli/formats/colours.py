@@ -90,7 +90,7 @@ def intensity_scale(values: Float64s) -> tuple[float, str]:
     scale = _scale_of_whole(values, _INTENSITY_SCALES)
     if scale is not None:
         return scale, ""
-    return largest, f"Intensities go from {low:g} to {high:g}; {largest:g} is taken as full scale."
+    return largest, f"Values go from {low:g} to {high:g}; {largest:g} is taken as full scale."
 
 
 def _scale_of_whole(values: Float64s, scales: Sequence[float]) -> float | None:

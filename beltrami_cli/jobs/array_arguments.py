@@ -26,8 +26,9 @@ from beltrami_cli.surface.records import (
 )
 
 _ARRAYS = "the arrays"  # as messages call them
-# Positions, triangles and colours of a TriangleMesh and a PointCloud of Open3D.
+# Positions, triangles and colours of a TriangleMesh and a PointCloud of Open3D, and where tensor-based ones have them.
 _OPEN3D = (("vertices", "triangles", "vertex_colors"), ("points", "", "colors"))
+_OPEN3D_TENSORS = (("vertex", "triangle"), ("point", ""))
 
 
 class MeshArrays(NamedTuple):
@@ -108,7 +109,19 @@ def mesh_arrays(mesh: Any) -> MeshArrays | None:
         if hasattr(mesh, names[0]) and hasattr(mesh, names[2]):
             places, faces, colours = (np.asarray(getattr(mesh, name, [])) for name in names)
             return MeshArrays(places, faces if len(faces) else None, colours if len(colours) else None)
+    for of_vertices, of_faces in _OPEN3D_TENSORS:
+        vertices, triangles = getattr(mesh, of_vertices, {}), getattr(mesh, of_faces, {})
+        if "positions" in vertices:
+            own, uv = _from_tensor(vertices, "colors"), _from_tensor(triangles, "texture_uvs")
+            return MeshArrays(
+                vertices["positions"].cpu().numpy(), _from_tensor(triangles, "indices"), own, uv
+            )
     return None
+
+
+def _from_tensor(table: Any, key: str) -> Array | None:
+    """Return a tensor of Open3D, which may be on a graphics card, as an array; None if it is not there."""
+    return table[key].cpu().numpy() if key in table else None
 
 
 def unpacked(
@@ -185,7 +198,6 @@ def painted_arrays(
     if len(places) != len(shades):
         raise InputError(_ARRAYS, f"there are {len(places)} positions but {len(shades)} colours")
     require_finite(places, _ARRAYS, "the position of vertex")
-    require_finite(shades, _ARRAYS, "the colour of vertex")
     check_scale(places, triangles, _ARRAYS)
     return PaintedVertices(places, triangles, shades, names, encoding, stored)
 

@@ -34,7 +34,7 @@ from beltrami_cli.layers.image_surface import ImageSurface
 from beltrami_cli.layers.layer import SlotReport, VertexReport
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings
 from beltrami_cli.layers.texture_layer import TextureLayer
-from beltrami_cli.layers.vertex_layer import CloudCounts, GridLayer, VertexLayer, count_cloud
+from beltrami_cli.layers.vertex_layer import CloudCounts, GridLayer, VertexLayer, count_cloud, without_others
 from beltrami_cli.surface.records import Encoding, PaintedVertices, Slot
 
 Progress = Callable[[int, int], None]
@@ -151,17 +151,18 @@ def smooth(
     ----------
     positions : array_like, shape (V, M), or a mesh
         Vertices in a space of any dimension M, finite. Or a whole mesh or cloud of points, with its triangles and
-        colours: `MeshArrays`, ``trimesh.Trimesh`` or ``PointCloud``, Open3D's ``TriangleMesh`` or ``PointCloud`` (not
-        the tensor-based ones), or PyVista's ``PolyData``, whose colours are an array of uint8 in ``point_data``, the
-        active one or else the first. Its opacity, a fourth channel, stays. The mesh is not changed; the result can be
+        colours: `MeshArrays`, ``trimesh.Trimesh`` or ``PointCloud``, Open3D's ``TriangleMesh`` or ``PointCloud`` (also
+        of ``open3d.t``), or PyVista's ``PolyData``, whose colours are an array of uint8 in ``point_data``, the active
+        one or else the first. Its opacity, a fourth channel, stays. The mesh is not changed; the result can be
         assigned to its colours.
     faces : array_like of int, shape (F, 3), or None
         Triangles as vertex indices; any set of triangles, non-manifold ones included. None: a cloud of points, M at
         most 3, which is triangulated locally around each point.
     colours : array_like, shape (V, C) or (V,)
-        Colours of the vertices; may be left out for a mesh that has some. Any number of channels, finite. uint8, uint16
-        and uint32 are divided by their full scale, floats are used as they are (full scale 1); other integers are
-        refused, since their full scale is unknown.
+        Colours of the vertices; may be left out for a mesh that has some. Any number of channels. Vertices with a
+        number that is not finite are holes: they stay, and lend nothing to others. uint8, uint16 and uint32 are divided
+        by their full scale, floats are used as they are (full scale 1); other integers are refused, since their full
+        scale is unknown.
     parameters : SmoothSettings
         The kernel's parameters, the working space and the embedding. By default the parameters of the kernel are chosen
         from the data, by the estimated error of the result.
@@ -188,7 +189,7 @@ def smooth(
         If a parameter is unknown or out of its range, the shape or type of an array is wrong, a face refers to a
         vertex that does not exist, or a mesh has no colours of vertices, or faces that are no triangles.
     InputError
-        If positions or colours are not finite, or differ in number.
+        If positions are not finite, or positions and colours differ in number.
 
     Notes
     -----
@@ -211,24 +212,37 @@ def smooth(
         raise UsageError(f"smooth_geometry needs positions in 3 dimensions, not {dimensions}")
     if faces is None and dimensions > 3:
         raise UsageError(f"positions in {dimensions} dimensions need faces")
+    rows = np.flatnonzero(np.isfinite(painted.colours).all(axis=1))
     layer = VertexLayer(
-        painted=painted, settings=settings, guides=guides, noise=noise, fits_surface=faces is None
-    )
+        painted=without_others(painted, rows), settings=settings, fits_surface=faces is None,
+        guides=[replace(guide, values=guide.values[rows]) for guide in guides],
+        noise=None if noise is None else noise[rows],
+    )  # fmt: skip
     done = smooth_layer(layer, progress)
     report, repainted = done.report, done.repainted
     assert isinstance(report, VertexReport)
     assert repainted.colours is not None
     counts, geometry = report.counts, report.geometry or {}
-    new = in_type_of(array_of(colours, "colours"), painted.colours, repainted.colours)
+    after = _with_rows(painted.colours, rows, repainted.colours)
+    moved = repainted.positions
+    moved = None if moved is None else _with_rows(painted.positions, rows, moved)
+    new = in_type_of(array_of(colours, "colours"), painted.colours, after)
     new = new if opacity is None else np.concatenate([new, opacity], axis=1)
     return SmoothResult(
         colours=new, beta=report.beta, spacing=report.spacing, noise=report.noise,
         samples=int(counts["samples"]), hard_edge_samples=int(counts["hard_edge_samples"]),
         samples_per_kernel=done.samples_per_kernel, truncated=int(counts["truncated_kernels"]),
-        iterations=report.iterations, guide_betas=report.guides, positions=repainted.positions,
+        iterations=report.iterations, guide_betas=report.guides, positions=moved,
         normal_noise=geometry.get("normal_noise"), normal_beta=geometry.get("normal_beta"),
         cloud=count_cloud(layer.joined) if faces is None else None, choice=done.choice, patches=report.patches,
     )  # fmt: skip
+
+
+def _with_rows(table: Array, rows: Array, new: Array) -> Array:
+    """Return a table with new rows; the others are holes."""
+    result = table.copy()
+    result[rows] = new
+    return result
 
 
 def smooth_image(

@@ -150,7 +150,7 @@ def require_level_set(settings: SmoothSettings, *documents: Document) -> None:
 
 def open_any(source: str, settings: SmoothSettings, access: Access) -> Document:
     """Open a file as `open_input`, whether or not options of level sets mean anything for it."""
-    data = read_source(source, access)
+    data, access = read_source(source, access), replace(access, channels=settings.channels or ())
     name, folder = ("<stdin>", None) if source == "-" else (source, Path(source).parent)
     line = registry.recognised(data, name)
     if line is not None and line.kind == "volume":

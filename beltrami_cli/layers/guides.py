@@ -66,7 +66,9 @@ def read_table(path: str, rows: int, model: str, access: Access) -> Float64s:
         table = archive.array(archive.names[0], _MOST_NUMBERS)
     else:
         # The given columns belong to the smoothed points, not to a guide.
-        table = document_of(data, path, dataclasses.replace(access, columns=())).painted().colours
+        table = (
+            document_of(data, path, dataclasses.replace(access, columns=(), channels=())).painted().colours
+        )
     if table.ndim == 1:
         table = table[:, None]
     if table.ndim != 2 or table.shape[0] != rows or not table.shape[1]:

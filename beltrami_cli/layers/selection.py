@@ -279,13 +279,13 @@ def _no_such_textures(document: Document, present: Sequence[Slot], wanted: Seque
 
 def _nothing_to_smooth(document: Document, present: Sequence[Slot], *, textures_only: bool) -> InputError:
     """Return the error that there are no colours of the requested kind, or that they are damaged."""
-    why = ""
+    why = remedy = ""
     if textures_only and not present and document.has_vertex_colours():
         return UnpaintedError(document.name, "it has no textures, only vertex colours", "use --on vertices")
     try:
         document.painted()
     except UnpaintedError as error:
-        why = error.cause
+        why, remedy = error.cause, error.remedy
     except InputError as error:
         return error
     kinds = "no textures" if textures_only else "neither vertex colours nor textures"
@@ -295,7 +295,9 @@ def _nothing_to_smooth(document: Document, present: Sequence[Slot], *, textures_
         return UnpaintedError(document.name, cause, f"give --slots {present[0]}")
     reason = document.notices[0] if document.notices else why
     reason = reason.removesuffix(LEFT_ALONE).rstrip(".")
-    return UnpaintedError(document.name, cause + (f" ({reason})" if reason else ""), remedy_for(reason))
+    return UnpaintedError(
+        document.name, cause + (f" ({reason})" if reason else ""), remedy_for(reason) or remedy
+    )
 
 
 def _with_chosen_textures(

@@ -295,7 +295,8 @@ class SmoothSettings:
     channels: tuple[str, ...] | None = parameter(
         None,
         "Only these channels, such as r,g; the others stay and do not enter distances. `beltrami info` "
-        "shows the names of image channels; the name of a layer of an EXR file stands for its colours.",
+        "shows the names of image channels; the name of a layer of an EXR file stands for its colours. Of PLY files "
+        "it may be any scalar of the vertices, such as quality.",
         kind=str, several=True, unset="the colours", metavar="LIST", parse=names_in,
     )  # fmt: skip
     on: Target = parameter(

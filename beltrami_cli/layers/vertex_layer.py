@@ -358,6 +358,16 @@ def coloured_rows(painted: PaintedVertices, *, in_triangles: bool = False) -> ND
     return np.flatnonzero(valid)
 
 
+def without_others(painted: PaintedVertices, rows: NDArray[np.intp]) -> PaintedVertices:
+    """Return some of the vertices, in ascending order, with the triangles that have all corners among them."""
+    if len(rows) == len(painted.positions):
+        return painted
+    number = np.full(len(painted.positions), -1, np.int32)
+    number[rows] = np.arange(len(rows))
+    faces = number[painted.faces]
+    return only_rows(painted, rows, faces[(faces >= 0).all(axis=1)])
+
+
 def only_rows(
     painted: PaintedVertices, rows: NDArray[np.integer[Any]], faces: Int32s | None = None
 ) -> PaintedVertices:

@@ -6,9 +6,11 @@ import re
 import numpy as np
 import pytest
 
+from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.registry import open_document
 from cli.commands import SAMPLES, beltrami, colours_in
 from formats.image_files import encode
+from oracles.surfaces import icosphere
 from small_models import COLOURED, ply, textured_squares
 
 NOISY = SAMPLES / "terrain-noisy.ply"
@@ -86,3 +88,36 @@ def test_an_image_kept_as_coding_it_again_would_be_worse_has_no_change(source, t
     assert colours_in(report)["change"] == {"mean": 0, "rms": 0, "largest": 0}
     (image,) = (path for path in target.parent.iterdir() if path.suffix in (".jpg", ".webp"))
     assert image.read_bytes() == (tmp_path / f"a{image.suffix}").read_bytes()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "options"), [("intensity", ()), ("quality", ("--channels", "quality"))])
+def test_a_scalar_of_a_mesh_is_smoothed_alike_in_any_unit_and_nothing_else_changes(name, options, tmp_path):
+    positions, faces = icosphere(4)
+    clean = 2.5 + np.sin(3 * positions[:, 0]) * positions[:, 1]
+    noisy = clean + 0.2 * np.random.default_rng(0).standard_normal(len(clean))
+    results = []
+    for unit in (1, 1024):  # a power of two, so that no digit is rounded
+        source, target = tmp_path / f"{unit}.ply", tmp_path / f"{unit}-out.ply"
+        rows = np.column_stack([positions, unit * noisy, noisy]).tolist()
+        layout = f"float x y z {name} label"
+        source.write_bytes(ply(layout, rows, faces.tolist(), "binary_little_endian"))
+        beltrami("smooth", source, target, "--fast", *options)
+        assert beltrami("check", source, target, *options, text=True).stdout.endswith(
+            "nothing else differs\n"
+        )
+        beltrami("compare", source, target, *options)
+        facts = json.loads(beltrami("info", source, "--fast", "--json", *options).stdout)
+        assert list(facts["noise"]) == [name]
+        document = open_document(str(target), Access(channels=(name,)))
+        painted = document.painted()
+        results.append(painted.colours[:, 0].astype(np.float64) * painted.full_scale / unit)
+    np.testing.assert_allclose(results[0], results[1], rtol=1e-6)
+    assert np.sqrt(np.mean(np.square(results[0] - clean))) < 0.07  # of 0.2
+
+
+def test_a_file_that_has_scalars_alone_says_how_to_name_one(tmp_path):
+    (tmp_path / "a.ply").write_bytes(ply("float x y z quality", np.eye(3, 4).tolist(), [[0, 1, 2]]))
+    said = beltrami("smooth", "a.ply", "out.ply", cwd=tmp_path, code=3, text=True).stderr
+    assert "x, y, z, quality" in said
+    assert "--channels" in said

@@ -8,6 +8,7 @@ import pytest
 from trimesh.exchange.ply import load_ply
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.ply.document import PlyDocument
 from beltrami_cli.formats.registry import open_bytes, open_document
@@ -42,15 +43,44 @@ def test_strips_are_unrolled_with_one_orientation(encoding):
     assert faces.tolist() == [[0, 1, 2], [1, 3, 2], [2, 3, 4], [5, 6, 7]]
 
 
-def test_grey_intensity_in_range_is_a_colour_and_elsewhere_a_scalar():
+def test_intensity_in_range_is_grey_and_elsewhere_a_scalar_whose_full_scale_is_its_largest():
     tables = coloured(colour="float", value=0.25)
     tables[0].properties[3:] = [(name, "float") for name in ("intensity", "quality", "r")]
     painted = PlyDocument(build(tables).data, "x.ply").painted()
     assert painted.channels == ("grey",)
     np.testing.assert_array_equal(painted.colours, 0.25)
-    tables[0].rows[1][3] = 1.5
-    with pytest.raises(Exception, match="no vertex colours among the vertex properties x, y, z, intensity"):
-        PlyDocument(build(tables).data, "x.ply").painted()
+    tables[0].rows[1][3] = -2.5
+    painted = PlyDocument(build(tables).data, "x.ply").painted()
+    assert (painted.channels, painted.full_scale) == (("intensity",), 2.5)
+    np.testing.assert_allclose(painted.colours[:2, 0], [0.1, -1])
+
+
+def asked_for(tables, *channels):
+    """Open a file with the channels that are asked for."""
+    return PlyDocument(build(tables).data, "x.ply", access=Access(channels=channels))
+
+
+@pytest.mark.parametrize("kind", ["float", "double", "short", "ushort"])
+def test_one_scalar_that_is_named_is_smoothed_in_place_of_colours(kind):
+    tables = coloured()
+    tables[0].properties += [("Quality", kind), ("label", "uchar")]
+    for number, row in enumerate(tables[0].rows):
+        row += [100 * number, 7]
+    document = asked_for(tables, "quality")
+    painted = document.painted()
+    assert painted.channels == ("quality",)
+    values = [row[-2] for row in tables[0].rows]
+    np.testing.assert_allclose(painted.colours[:, 0] * painted.full_scale, values, rtol=1e-6)
+    assert patched(document, painted.colours) == document.data
+    changed = painted.colours.copy()
+    changed[1] = 0.5 * 100 / painted.full_scale
+    result = PlyDocument(patched(document, changed), "x.ply", access=document.access)
+    values[1] = 50
+    again = result.painted()
+    np.testing.assert_allclose(again.colours[:, 0] * again.full_scale, values, rtol=1e-6)
+    assert result.fingerprint().parts == document.fingerprint().parts
+    for channels in [("red",), ("r",), ("x",), ("quality", "label"), ()]:
+        assert asked_for(tables, *channels).painted().channels == ("red", "green", "blue")
 
 
 def test_what_conversion_drops_is_listed():
@@ -98,11 +128,11 @@ def test_intensities_of_points_are_of_any_type_and_range(encoding, kind, values,
 
 
 @pytest.mark.parametrize("name", ["scalar_Intensity", "reflectance", "Intensity"])
-def test_intensities_count_where_there_are_neither_faces_nor_colours(name):
+def test_intensities_count_where_there_are_no_colours(name):
     tables = scan("float", [3, 5, 9], name)
-    assert PlyDocument(build(tables).data, "x.ply").painted().channels == ("intensity",)
     faces = Table("face", [("vertex_indices", "uchar int")], [[[0, 1, 2]]])
-    assert not PlyDocument(build([*tables, faces]).data, "x.ply").has_vertex_colours()
+    for both in (tables, [*tables, faces]):
+        assert PlyDocument(build(both).data, "x.ply").painted().channels == ("intensity",)
     tables[0].properties += [("red", "uchar"), ("green", "uchar"), ("blue", "uchar")]
     for row in tables[0].rows:
         row += [1, 2, 3]

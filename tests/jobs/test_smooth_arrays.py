@@ -94,6 +94,27 @@ def test_colours_come_back_in_their_type_and_stay_bit_identical_where_nothing_ch
     assert np.array_equal(smoothed[..., 1:], colours[..., 1:])
 
 
+@pytest.mark.parametrize("faces", [TRIANGLES, None], ids=["mesh", "points"])
+def test_vertices_without_a_finite_colour_stay_as_they_are_and_lend_nothing(faces):
+    colours = np.random.default_rng(4).uniform(0.2, 0.8, (42, 3))
+    colours[[3, 17]], colours[29, 1] = np.nan, np.inf
+    known = np.isfinite(colours).all(axis=1)
+    guide = np.arange(42.0)
+    own = {"beta": 3, "iterations": 2, "noise": np.full(42, 0.1), "guide": guide, "guide_betas": (0.01,)}
+    result = beltrami_cli.smooth(SPHERE, faces, colours, **own)
+    number = np.cumsum(known) - 1
+    left = None if faces is None else number[[face for face in TRIANGLES if known[face].all()]]
+    own |= {"noise": np.full(known.sum(), 0.1), "guide": guide[known]}
+    alone = beltrami_cli.smooth(SPHERE[known], left, colours[known], **own)
+    assert np.array_equal(result.colours[~known], colours[~known], equal_nan=True)
+    np.testing.assert_allclose(result.colours[known], alone.colours, rtol=1e-6)
+    assert result.samples == known.sum()
+    if faces is not None:
+        moved = beltrami_cli.smooth(SPHERE, faces, colours, beta=3, iterations=2, smooth_geometry=True)
+        assert np.array_equal(moved.positions[~known], SPHERE[~known])
+        assert (moved.positions[known] != SPHERE[known]).any()
+
+
 def as_trimesh(faces, colours):
     if faces is None:
         return trimesh.PointCloud(SPHERE, colors=colours)
@@ -105,6 +126,27 @@ def as_open3d(faces, colours):
     return SimpleNamespace(**dict(zip(names, (SPHERE, colours[:, :3] / 255), strict=True)), triangles=faces)
 
 
+class Tensor:
+    """A tensor of Open3D, which NumPy takes only from the memory of the processor."""
+
+    def __init__(self, values, *, is_on_host=False):
+        self._values, self._is_on_host = values, is_on_host
+
+    def cpu(self):
+        return Tensor(self._values, is_on_host=True)
+
+    def numpy(self):
+        assert self._is_on_host
+        return np.array(self._values)
+
+
+def as_open3d_tensors(faces, colours):
+    places = {"positions": Tensor(SPHERE), "colors": Tensor(colours[:, :3])}
+    if faces is None:
+        return SimpleNamespace(point=places)
+    return SimpleNamespace(vertex=places, triangle={"indices": Tensor(faces)})
+
+
 def as_pyvista(faces, colours):
     padded = [] if faces is None else np.insert(faces, 0, 3, axis=1).ravel()
     tables = {"Normals": SPHERE, "other": 255 - colours, "RGBA": colours}
@@ -112,7 +154,7 @@ def as_pyvista(faces, colours):
     return SimpleNamespace(points=SPHERE, faces=padded, n_strips=0, **named)
 
 
-@pytest.mark.parametrize("convert", [as_trimesh, as_open3d, as_pyvista])
+@pytest.mark.parametrize("convert", [as_trimesh, as_open3d, as_open3d_tensors, as_pyvista])
 @pytest.mark.parametrize("faces", [TRIANGLES, None], ids=["mesh", "points"])
 def test_meshes_of_libraries_are_taken_with_their_colours_and_opacity(convert, faces):
     colours = np.random.default_rng(1).integers(0, 256, (42, 4)).astype(np.uint8)
@@ -120,6 +162,8 @@ def test_meshes_of_libraries_are_taken_with_their_colours_and_opacity(convert, f
     expected = beltrami_cli.smooth(SPHERE, faces, colours[:, :3], beta=3, iterations=1).colours
     if convert is as_open3d:  # floats, which are not rounded
         assert np.abs(255 * result - expected).max() <= 0.5 + 1e-3
+    elif convert is as_open3d_tensors:
+        assert np.array_equal(result, expected)
     else:
         assert np.array_equal(result, np.hstack([expected, colours[:, 3:]]))
 

@@ -262,7 +262,8 @@ class PlyDocument(Document):
 
     @cached_property
     def _paint(self) -> elements.Paint:
-        return elements.find_paint(self._header, self._vertices, self._tables.get("face"))
+        tables = self._header, self._vertices, self._tables.get("face")
+        return elements.find_paint(*tables, self.access.channels)
 
     @property
     def _coloured(self) -> Table:

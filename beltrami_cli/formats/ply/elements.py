@@ -10,7 +10,7 @@ References
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -39,7 +39,7 @@ _COLOURS = (
     (("grey",), "alpha"),
 )
 _INTENSITY = "intensity"  # a colour in scans, any scalar elsewhere
-_INTENSITIES_OF_POINTS = (_INTENSITY, "reflectance")
+_INTENSITIES = (_INTENSITY, "reflectance")
 # Gaussian splats as trained, and as PlayCanvas packs them.
 _SPLATS = ({"f_dc_0", "rot_0"}, {"packed_rotation", "packed_scale"})
 
@@ -52,33 +52,46 @@ class Paint:
     alpha: str  # the property of the opacity, or empty
     type: str  # NumPy code of the type that all colours have
     element: str = "vertex"
-    any_range: bool = False  # whether they are intensities, whose full scale may be any number
+    any_range: bool = (
+        False  # whether they are a scalar, such as an intensity, whose full scale may be any number
+    )
 
     @property
     def channels(self) -> tuple[str, ...]:
         if len(self.names) == 3:
             return ("red", "green", "blue")
-        return ("intensity",) if self.any_range else ("grey",)
+        is_named = self.any_range and plain(self.names[0]) not in _INTENSITIES
+        return (self.names[0].lower() if is_named else "intensity",) if self.any_range else ("grey",)
 
 
-def find_paint(header: Header, vertices: Table, faces: Table | None) -> Paint:
-    """Find the colour properties; InputError if there are none, or they are of type char or of several types."""
+def find_paint(header: Header, vertices: Table, faces: Table | None, wanted: Sequence[str] = ()) -> Paint:
+    """Find the colour properties; InputError if there are none, or they are of type char or of several types.
+
+    `wanted`: channels that are asked for; one that is no colour may be any scalar.
+    """
     types, name = vertices.element.scalars, vertices.body.name
-    if (paint := _by_name(vertices)) is not None:
+    if (paint := _scalar(types, wanted) or _by_name(vertices)) is not None:
         return paint
     has_faces = any(element.count for element in header.elements if element.name in VERTEX_LISTS)
     if _INTENSITY in types and _is_grey(vertices, types[_INTENSITY], "iu" if has_faces else "u"):
         return Paint((_INTENSITY,), "alpha" if "alpha" in types else "", types[_INTENSITY])
-    if not has_faces:
-        for known in types:
-            if plain(known) in _INTENSITIES_OF_POINTS:
-                return Paint((known,), "alpha" if "alpha" in types else "", types[known], any_range=True)
     if faces is not None and faces.element.count and (paint := _by_name(faces)) is not None:
         return paint
+    for known in types:
+        if plain(known) in _INTENSITIES:
+            return Paint((known,), "alpha" if "alpha" in types else "", types[known], any_range=True)
     among = ", ".join(known.name for known in vertices.element.properties)[:300]
     cause = f"no vertex colours among the vertex properties {among}"
-    remedy = "export the mesh with vertex colours, which are the properties red, green, blue"
+    remedy = "export the mesh with vertex colours, which are red, green, blue, or name a scalar by --channels"
     raise UnpaintedError(name, cause, remedy)
+
+
+def _scalar(types: Mapping[str, str], wanted: Sequence[str]) -> Paint | None:
+    """Return the only wanted channel if a property has its name, which is none of positions and colours."""
+    taken = {*POSITION, *_INTENSITIES, *(word for words, _ in _COLOURS for word in words)}
+    named = {known.lower(): known for known in types if plain(known) not in taken}
+    known = named.get(wanted[0].lower()) if len(wanted) == 1 else None
+    return None if known is None else Paint((known,), "", types[known], any_range=True)
 
 
 def _by_name(table: Table) -> Paint | None:
