@@ -90,6 +90,8 @@ nb::dict build_atlas(const Matrix<double>& positions, const Matrix<Index>& faces
   if (positions.shape(1) != 3 || faces.shape(1) != 3) throw nb::value_error("three coordinates, three corners");
   if (uv.shape(0) != faces.shape(0) || texture_of.shape(0) != faces.shape(0))
     throw nb::value_error("one row a face is needed");
+  require_finite(positions);
+  require_finite(uv);
   atlas::Surface surface{positions.data(), static_cast<Index>(positions.shape(0)), {faces.data(), faces.size()},
                          uv.data(), {texture_of.data(), texture_of.size()}, textures_of(grids)};
   atlas::Atlas made;
@@ -102,6 +104,7 @@ nb::dict build_atlas(const Matrix<double>& positions, const Matrix<Index>& faces
 auto nearest_marked(const Matrix<bool>& marked, const Matrix<bool>& wanted, std::int64_t reach, unsigned threads) {
   const std::size_t height = marked.shape(0), width = marked.shape(1);
   if (wanted.shape(0) != height || wanted.shape(1) != width) throw nb::value_error("both must have one shape");
+  require(reach >= 0, "the reach must be 0 or more");
   atlas::NearestMarks found;
   {
     const nb::gil_scoped_release unlock;

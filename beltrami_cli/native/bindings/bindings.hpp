@@ -5,6 +5,7 @@
 #include <nanobind/ndarray.h>
 
 #include <algorithm>
+#include <cmath>
 #include <cstdint>
 #include <initializer_list>
 #include <memory>
@@ -36,6 +37,30 @@ using Plane = Matrix<float>;
 template <class T, class Shape>
 using Result = nb::ndarray<nb::numpy, T, Shape, nb::c_contig>;
 
+inline void require(bool holds, const char* what) {
+  if (!holds) throw nb::value_error(what);
+}
+
+template <class Array>
+void require_finite(const Array& array) {
+  require(std::all_of(array.data(), array.data() + array.size(), [](auto x) { return std::isfinite(x); }),
+          "all positions must be finite");
+}
+
+// Of a kernel; a window's slots are numbered by int.
+inline void require_metric(double beta) { require(beta >= 0 && std::isfinite(beta), "beta must be a number, 0 or more"); }
+inline void require_radius(double radius) { require(radius >= 0, "the radius must be a number, 0 or more"); }
+inline void require_time_step(double t) { require(t > 0 && std::isfinite(t), "the time step must be a positive number"); }
+inline void require_window(std::int64_t radius) { require(radius >= 0 && radius < 1 << 14, "a window has no such radius"); }
+
+// A part of a list or tuple.
+template <class T>
+T part(const nb::handle& given) {
+  T array;
+  if (!nb::try_cast(given, array)) throw nb::type_error("an array or a number of another type is needed");
+  return array;
+}
+
 // Channels, along the first axis, of samples in the others, which follow each other in memory in even steps.
 template <class Value>
 using Channels = nb::ndarray<Value, nb::device::cpu>;
@@ -48,21 +73,27 @@ std::size_t samples_of(const Channels<Value>& channels) {
 }
 
 template <class Value>
-Layout<Value> layout_of(const Channels<Value>& channels, std::size_t least, std::size_t samples) {
-  if (channels.ndim() < 2 || channels.shape(0) < least || samples_of(channels) != samples)
+std::size_t channels_of(const Channels<Value>& channels) {
+  require(channels.ndim() > 1, "channels lie along the first axis, and samples along others");
+  return channels.shape(0);
+}
+
+template <class Value>
+Layout<Value> layout_of(const Channels<Value>& stack, std::size_t channels, std::size_t samples) {
+  if (stack.ndim() < 2 || stack.shape(0) != channels || samples_of(stack) != samples)
     throw nb::value_error("all stacks must have one shape");
   // Steps along axes of one sample do not matter, and are whatever NumPy has set them to.
   std::int64_t step = 0, next = 0;
   bool is_last = true;
-  for (std::size_t axis = channels.ndim() - 1; axis > 0; --axis) {
-    if (channels.shape(axis) == 1) continue;
-    if (is_last) step = channels.stride(axis);
-    if (!is_last && channels.stride(axis) != next)
+  for (std::size_t axis = stack.ndim() - 1; axis > 0; --axis) {
+    if (stack.shape(axis) == 1) continue;
+    if (is_last) step = stack.stride(axis);
+    if (!is_last && stack.stride(axis) != next)
       throw nb::value_error("samples must follow each other in even steps");
-    next = channels.stride(axis) * static_cast<std::int64_t>(channels.shape(axis));
+    next = stack.stride(axis) * static_cast<std::int64_t>(stack.shape(axis));
     is_last = false;
   }
-  return {channels.data(), channels.stride(0), step};
+  return {stack.data(), stack.stride(0), step};
 }
 
 // Hands memory to NumPy without a copy.

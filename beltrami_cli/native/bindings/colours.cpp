@@ -38,10 +38,11 @@ auto store_colours(const Pixels<Sample>& table, const Vector<Index>& pixels, con
 
 colours::Table table_of(const Vector<double>& at, const Vector<double>& values) {
   if (at.size() < 2 || values.size() != at.size()) throw nb::value_error("a table needs two places, and a value at each");
+  for (std::size_t i = 1; i < at.size(); ++i) require(at.data()[i - 1] < at.data()[i], "the places of a table must ascend");
   return {{at.data(), at.size()}, {values.data(), values.size()}};
 }
 
-// Replaces places, which must not be NaN, by the values there.
+// Replaces places by the values there.
 void interpolate(nb::ndarray<float, nb::ndim<1>, nb::c_contig, nb::device::cpu>& places, const Vector<double>& at,
                  const Vector<double>& table) {
   const colours::Table found = table_of(at, table);
@@ -53,6 +54,7 @@ void interpolate(nb::ndarray<float, nb::ndim<1>, nb::c_contig, nb::device::cpu>&
 using CutOffParts = std::tuple<float, bool, bool>;
 
 colours::CutOff cut_off_of(const CutOffParts& parts) {
+  require(std::get<0>(parts) >= 0, "the noise must be a number, 0 or more");
   return {std::get<0>(parts), std::get<1>(parts), std::get<2>(parts)};
 }
 
@@ -63,9 +65,11 @@ void restore_cut_off(const Channels<float>& averages, const Channels<const float
   const std::size_t count = samples_of(averages);
   const auto to = layout_of(averages, 1, count);
   const auto own = layout_of(share, 1, count), variances = layout_of(relative, 1, count);
+  require(trusted >= 0, "the trusted noise must be a number, 0 or more");
+  const colours::CutOff how = cut_off_of(cut);
   const colours::Table alphas = table_of(at, alpha), gaps = table_of(at, gap);
   const nb::gil_scoped_release unlock;
-  colours::restore(to, own, cut_off_of(cut), trusted, alphas, gaps, {variances, count}, threads);
+  colours::restore(to, own, how, trusted, alphas, gaps, {variances, count}, threads);
 }
 
 // See impute.
@@ -76,8 +80,9 @@ void impute_cut_off(const Channels<float>& colours, const Channels<const float>&
   const auto to = layout_of(colours, 1, count);
   const auto own = layout_of(estimate, 1, count), variances = layout_of(relative, 1, count);
   const colours::Table table = table_of(at, beyond);
+  const colours::CutOff how = cut_off_of(cut);
   const nb::gil_scoped_release unlock;
-  colours::impute(to, own, cut_off_of(cut), table, {variances, count}, threads);
+  colours::impute(to, own, how, table, {variances, count}, threads);
 }
 
 template <class Sample, class Index>

@@ -23,7 +23,7 @@ class PlanesOfGrid {
  public:
   PlanesOfGrid(const nb::object& planes, const Cells& like) {
     for (const nb::handle plane : planes) {
-      arrays_.push_back(nb::cast<Plane>(plane));
+      arrays_.push_back(part<Plane>(plane));
       if (arrays_.back().shape(0) != like.shape(0) || arrays_.back().shape(1) != like.shape(1))
         throw nb::value_error("planes must have the grid's shape");
       pointers_.push_back(arrays_.back().data());
@@ -49,7 +49,12 @@ Grid grid_of(const Cells& kind, const Planes& squared_lengths, const std::option
   return grid;
 }
 
-Scheme march_of(const std::string& scheme) { return scheme == "metric" ? Scheme::metric : Scheme::triangles; }
+// None: sweeps.
+std::optional<Scheme> march_of(const std::string& scheme) {
+  if (scheme == "sweep") return {};
+  require(scheme == "metric" || scheme == "triangles", "a scheme is sweep, triangles or metric");
+  return scheme == "metric" ? Scheme::metric : Scheme::triangles;
+}
 
 // One kernel iteration on a grid. scheme: "sweep" (window of the given radius), "triangles" or "metric" (heap march).
 auto smooth_grid(const Cells& kind, const nb::object& squared_lengths, const std::optional<Plane>& scale,
@@ -59,15 +64,20 @@ auto smooth_grid(const Cells& kind, const nb::object& squared_lengths, const std
   const PlanesOfGrid lengths(squared_lengths, kind), of_metric(metric, kind), of_colours(colours, kind);
   const Grid grid = grid_of(kind, lengths.get(), scale, repeats);
   const Planes metric_planes = of_metric.get(), colour_planes = of_colours.get();
+  const auto march = march_of(scheme);
+  require_metric(beta);
+  require_radius(radius);
+  require_time_step(time_step);
+  require_window(window_radius);
   const SweepParameters parameters{time_step, radius, beta};
   std::unique_ptr<float[]> smoothed(new float[colour_planes.channels * grid.cells()]);
   std::int64_t samples = 0;
   run_polled(progress, [&](const Poll& poll) {
-    if (scheme == "sweep")
+    if (!march)
       samples = smooth_by_sweeps(grid, metric_planes, colour_planes, parameters, make_window_program(window_radius),
                                  smoothed.get(), threads, poll);
     else
-      samples = smooth_by_marching(grid, metric_planes, colour_planes, parameters, window_radius, march_of(scheme),
+      samples = smooth_by_marching(grid, metric_planes, colour_planes, parameters, window_radius, *march,
                                    smoothed.get(), threads, poll);
   });
   return std::make_tuple(give<float, nb::ndim<3>>(std::move(smoothed), {colour_planes.channels, grid.rows, grid.columns}), samples);
@@ -80,16 +90,20 @@ auto grid_distances(const Cells& kind, const nb::object& squared_lengths, const 
   const Grid grid = grid_of(kind, lengths.get(), scale);
   const Planes metric_planes = of_metric.get();
   if (cell >= grid.cells() || grid.kind[cell] != owned) throw nb::index_error("the cell holds no sample");
-  if (window_radius < 1) throw nb::value_error("the window must have a radius");
+  require_window(window_radius);
+  require(window_radius > 0, "the window must have a radius");
+  require_metric(beta);
+  require_radius(radius);
+  const auto march = march_of(scheme);
   const SweepParameters parameters{1, radius, beta};
   const auto side = 2 * static_cast<std::size_t>(window_radius) + 1;
   std::unique_ptr<float[]> distances(new float[side * side]);
   {
     const nb::gil_scoped_release unlock;
-    if (scheme == "sweep")
+    if (!march)
       distances_by_sweeps(grid, metric_planes, parameters, make_window_program(window_radius), cell, distances.get());
     else
-      distances_by_marching(grid, metric_planes, parameters, window_radius, march_of(scheme), cell, distances.get());
+      distances_by_marching(grid, metric_planes, parameters, window_radius, *march, cell, distances.get());
   }
   return give<float, nb::ndim<2>>(std::move(distances), {side, side});
 }
@@ -117,6 +131,7 @@ auto convolve_planes(const Bands& planes, const Vector<float>& taps, unsigned th
 auto local_scale_of(const Plane& right, const Plane& below, int window_radius) {
   const std::size_t rows = right.shape(0), columns = right.shape(1);
   if (below.shape(0) != rows || below.shape(1) != columns) throw nb::value_error("both planes must have one shape");
+  require_window(window_radius);
   std::unique_ptr<float[]> scale(new float[rows * columns]);
   {
     const nb::gil_scoped_release unlock;
@@ -130,6 +145,8 @@ auto halo_repeats(std::size_t rows, std::size_t columns, const Vector<std::int64
                   const Vector<std::int64_t>& sources, const Vector<std::int32_t>& seams, int reach, unsigned threads) {
   if (sources.size() != cells.size() || seams.size() != cells.size())
     throw nb::value_error("one row a halo cell is needed");
+  require_window(reach);
+  require(std::max(rows, columns) < std::size_t{1} << 31, "the grid is too large");  // their product is a size, too
   for (std::size_t i = 0; i < cells.size(); ++i)
     if (cells.data()[i] < 0 || static_cast<std::size_t>(cells.data()[i]) >= rows * columns)
       throw nb::index_error("a halo cell lies outside the grid");

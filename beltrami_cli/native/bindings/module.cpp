@@ -1,4 +1,4 @@
-// The Python face of the core. Bindings check shapes and types, release the interpreter lock, and translate; no more.
+// The Python face of the core. Bindings check all arguments, release the interpreter lock, and translate; no more.
 #include "bindings/bindings.hpp"
 
 NB_MODULE(_native, module) {

@@ -15,6 +15,12 @@ namespace beltrami::bindings {
 namespace {
 
 using namespace beltrami::patches;
+
+const nb::tuple& parts_of(const nb::tuple& parts, std::size_t count) {
+  require(parts.size() == count, "a tuple has other parts");
+  return parts;
+}
+
 template <class Stacks>
 void check_shape(const Stack& like, const Stacks& other) {
   for (std::size_t axis = 0; axis < 3; ++axis)
@@ -28,9 +34,10 @@ struct MixingArrays {
   Mixing mixing;
 
   MixingArrays(const nb::tuple& parts, std::size_t channels)
-      : forth(nb::cast<Matrix<float>>(parts[0])), back(nb::cast<Matrix<float>>(parts[1])),
-        variances(nb::cast<Vector<float>>(parts[2])), shrinkage(nb::cast<Vector<float>>(parts[3])),
-        mixing{forth.data(), back.data(), variances.data(), shrinkage.data(), nb::cast<float>(parts[4]), nb::cast<float>(parts[5])} {
+      : forth(part<Matrix<float>>(parts_of(parts, 6)[0])), back(part<Matrix<float>>(parts[1])),
+        variances(part<Vector<float>>(parts[2])), shrinkage(part<Vector<float>>(parts[3])),
+        mixing{forth.data(), back.data(), variances.data(), shrinkage.data(), part<float>(parts[4]), part<float>(parts[5])} {
+    require(mixing.least_ratio >= 0 && mixing.strength >= 0, "ratio and strength must be numbers, 0 or more");
     for (const auto* matrix : {&forth, &back})
       if (matrix->shape(0) != channels || matrix->shape(1) != channels) throw nb::value_error("mixing must be square");
     for (const auto* values : {&variances, &shrinkage})
@@ -70,6 +77,8 @@ void make_surface_patches(SurfacePatches* surface, const Matrix<double>& positio
   for (std::size_t i = 0; i < edges.size(); ++i)
     if (edges.data()[i] < 0 || static_cast<std::size_t>(edges.data()[i]) >= positions.shape(0))
       throw nb::index_error("an edge ends at no vertex");
+  require_finite(positions);
+  require_finite(axes);
   const auto* directions = reinterpret_cast<const Position*>(axes.data());
   const nb::object no_progress = nb::none();
   run_polled(no_progress, [&](const Poll& poll) {
@@ -109,17 +118,18 @@ void in_ranges(std::size_t count, unsigned threads, F f) {
 class NoiseOfBlend {
  public:
   explicit NoiseOfBlend(const nb::tuple& parts, std::size_t channels, std::size_t samples)
-      : rows_(nb::cast<Matrix<float>>(parts[0])),
-        lost_(nb::cast<Vector<float>>(parts[2])),
-        share_(nb::cast<Vector<float>>(parts[3])),
-        relative_(nb::cast<Channels<const float>>(parts[4])) {
+      : rows_(part<Matrix<float>>(parts_of(parts, 5)[0])),
+        lost_(part<Vector<float>>(parts[2])),
+        share_(part<Vector<float>>(parts[3])),
+        relative_(part<Channels<const float>>(parts[4])) {
     if (rows_.shape(0) != channels || rows_.shape(1) != 4) throw nb::value_error("a row of 4 a channel is needed");
     if (lost_.size() < 2 || share_.size() != lost_.size()) throw nb::value_error("both tables need as many values");
     for (std::size_t k = 0; k < channels; ++k) {
       const float* row = rows_.data() + 4 * k;
       noise_.push_back({row[0], row[1], row[2] != 0, row[3] != 0});
     }
-    const NormalTables tables{nb::cast<float>(parts[1]), {lost_.data(), lost_.size()}, {share_.data(), share_.size()}};
+    const NormalTables tables{part<float>(parts[1]), {lost_.data(), lost_.size()}, {share_.data(), share_.size()}};
+    require(tables.furthest > 0, "the tables must reach further than 0");
     blend_ = {noise_, tables, layout_of(relative_, 1, samples)};
   }
 
@@ -136,12 +146,13 @@ class NoiseOfBlend {
 // See blend_terms; `estimates`: both estimates, and both after the perturbation.
 void write_blend_terms(const Channels<const float>& noisy, const Channels<const float>& probe, const nb::tuple& estimates,
                        const nb::tuple& noise, const Channels<float>& terms, unsigned threads) {
-  const std::size_t channels = noisy.shape(0), count = samples_of(noisy);
+  const std::size_t channels = channels_of(noisy), count = samples_of(noisy);
   const NoiseOfBlend own(noise, channels, count);
+  parts_of(estimates, 4);
   std::array<Channels<const float>, 4> stacks;
   std::array<Values, 4> values;
   for (std::size_t i = 0; i < 4; ++i) {
-    stacks[i] = nb::cast<Channels<const float>>(estimates[i]);
+    stacks[i] = part<Channels<const float>>(estimates[i]);
     values[i] = layout_of(stacks[i], channels, count);
   }
   const Values z = layout_of(noisy, channels, count), b = layout_of(probe, channels, count);
@@ -155,7 +166,7 @@ void write_blend_terms(const Channels<const float>& noisy, const Channels<const 
 // See blend_residual.
 void write_blend_residual(const Channels<const float>& noisy, const Channels<const float>& estimate, const nb::tuple& noise,
                           const Channels<float>& residual, unsigned threads) {
-  const std::size_t channels = noisy.shape(0), count = samples_of(noisy);
+  const std::size_t channels = channels_of(noisy), count = samples_of(noisy);
   const NoiseOfBlend own(noise, channels, count);
   const Values z = layout_of(noisy, channels, count), p = layout_of(estimate, channels, count);
   const Layout<float> to = layout_of(residual, channels, count);
@@ -167,7 +178,7 @@ void write_blend_residual(const Channels<const float>& noisy, const Channels<con
 // See blend_share_within.
 void write_blend_share_within(const Channels<const float>& estimate, const nb::tuple& noise, const Channels<float>& share,
                               unsigned threads) {
-  const std::size_t channels = estimate.shape(0), count = samples_of(estimate);
+  const std::size_t channels = channels_of(estimate), count = samples_of(estimate);
   const NoiseOfBlend own(noise, channels, count);
   const Values p = layout_of(estimate, channels, count);
   const Layout<float> to = layout_of(share, channels, count);

@@ -12,6 +12,7 @@ using namespace beltrami::points;
 
 void make(LocalTriangulation* triangulation, const Matrix<double>& positions) {
   if (positions.shape(1) != 3) throw nb::value_error("positions must have three columns");
+  require_finite(positions);
   new (triangulation) LocalTriangulation({positions.data(), positions.size()});
 }
 

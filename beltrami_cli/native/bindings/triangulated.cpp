@@ -48,8 +48,10 @@ class MarchKernel {
       : topology_(make_topology(face_corners, vertex_count)), stencils_(make_stencils(topology_)) {}
 
   Index vertex_count() const { return topology_.vertex_count; }
+  bool has_metric() const { return has_metric_; }
 
   void update_metric(Rows<double> positions, Rows<float> colours, double beta, const float* scales, unsigned threads) {
+    has_metric_ = true;
     update_stencils(stencils_, topology_, squared_edge_lengths(topology_, positions, colours, beta, scales, threads), threads);
   }
 
@@ -69,11 +71,13 @@ class MarchKernel {
  private:
   Topology topology_;
   Stencils stencils_;
+  bool has_metric_ = false;
 };
 
 template <class Kernel>
 void make_kernel(Kernel* kernel, const Matrix<Index>& faces, Index vertex_count) {
   const auto corners = corners_of(faces);
+  require(vertex_count >= 0, "the number of vertices must be 0 or more");
   const nb::gil_scoped_release unlock;
   new (kernel) Kernel(corners, vertex_count);
 }
@@ -84,8 +88,17 @@ void update_metric(Kernel& kernel, const Matrix<double>& positions, const Matrix
   require_rows(positions.shape(0), kernel.vertex_count());
   require_rows(colours.shape(0), kernel.vertex_count());
   require_rows(scales, kernel.vertex_count());
+  require_finite(positions);
+  require_metric(beta);
   const nb::gil_scoped_release unlock;
   kernel.update_metric(rows_of(positions), rows_of(colours), beta, data_of(scales), threads);
+}
+
+template <class Kernel>
+void require_march(const Kernel& kernel, float radius, std::size_t max_samples) {
+  require(kernel.has_metric() || kernel.vertex_count() == 0, "update_metric comes first");
+  require_radius(radius);
+  require(max_samples > 0, "a kernel has at least one sample");
 }
 
 // The rows of smoothed colours, the samples that all kernels held, and the kernels cut short; without a meaning the rows
@@ -96,8 +109,11 @@ auto smooth_manifold(Kernel& kernel, const Matrix<float>& colours, const Numbers
                      std::optional<Index> last) {
   require_rows(colours.shape(0), kernel.vertex_count());
   require_rows(weights, kernel.vertex_count());
-  std::unique_ptr<float[]> smoothed(new float[colours.size()]);
+  require_time_step(time_step);
+  require_march(kernel, radius, max_samples);
   const KernelParameters parameters{time_step, radius, max_samples, first, last.value_or(kernel.vertex_count())};
+  require(0 <= first && first <= parameters.last && parameters.last <= kernel.vertex_count(), "there are no such vertices");
+  std::unique_ptr<float[]> smoothed(new float[colours.size()]);
   KernelStatistics statistics;
   run_polled(progress, [&](const Poll& poll) {
     statistics = kernel.smooth(rows_of(colours), data_of(weights), parameters, smoothed.get(), threads, poll);
@@ -110,6 +126,7 @@ auto smooth_manifold(Kernel& kernel, const Matrix<float>& colours, const Numbers
 template <class Kernel>
 auto manifold_distances(const Kernel& kernel, Index source, float radius, std::size_t max_samples) {
   if (source < 0 || source >= kernel.vertex_count()) throw nb::index_error("the source is not a vertex");
+  require_march(kernel, radius, max_samples);
   const auto reached = kernel.distances(source, radius, max_samples);
   std::vector<Index> vertices;
   std::vector<float> distances;
@@ -121,10 +138,12 @@ auto manifold_distances(const Kernel& kernel, Index source, float radius, std::s
 }
 
 auto morton_order_of(const Matrix<double>& positions) {
+  require_finite(positions);
   return give_copy(morton_order(rows_of(positions), static_cast<Index>(positions.shape(0))));
 }
 
 auto vertex_order_of(const Matrix<double>& positions, const Matrix<Index>& faces) {
+  require_finite(positions);
   return give_copy(vertex_order(rows_of(positions), corners_of(faces), static_cast<Index>(positions.shape(0))));
 }
 

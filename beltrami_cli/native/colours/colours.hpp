@@ -17,11 +17,10 @@ class Table {
   Table(std::span<const double> at, std::span<const double> values)
       : at_(at), values_(values), steps_(static_cast<double>(at.size() - 1) / (at.back() - at.front())) {}
 
-  // The place is a number.
   float operator()(float where) const {
     const std::size_t last = at_.size() - 1;
     const double place = std::clamp(static_cast<double>(where), at_[0], at_[last]);
-    std::size_t k = std::min(last - 1, static_cast<std::size_t>((place - at_[0]) * steps_));
+    std::size_t k = std::min(last - 1, static_cast<std::size_t>(std::max(0.0, (place - at_[0]) * steps_)));  // NaN: 0
     // Rounding may lead to a neighbour of the interval that holds the place.
     k -= k > 0 && place < at_[k] ? 1 : 0;
     k += k + 2 <= last && place >= at_[k + 1] ? 1 : 0;

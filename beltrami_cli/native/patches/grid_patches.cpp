@@ -85,7 +85,7 @@ void collaborate(const Canvas& canvas, bool has_pilot, float* estimates, unsigne
   std::size_t total = 0, before = 0;
   for (const auto& row : rows) total += row[0].size() + row[1].size();
   const auto counted = [&](std::size_t done) { return poll((before + done) * canvas.rows * canvas.columns / std::max<std::size_t>(1, total)); };
-  std::vector<TileScratch> scratch(threads);
+  std::vector<TileScratch> scratch(std::max(1U, threads));
   Band band{};
   // The canvas is worked on from above. An odd row of tiles waits for the even ones above and below it, and tiles of one
   // colour lie so far apart that no two add to the same cell: the order in which a cell's estimates are added depends

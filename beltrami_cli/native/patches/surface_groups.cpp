@@ -241,7 +241,7 @@ void SurfacePatches::collaborate(const Colours& colours, bool has_pilot, const S
                         BELTRAMI_VARIANT_OF(take_rows, set), BELTRAMI_VARIANT_OF(add_rows, set)};
   const std::size_t n = colours.channels, count = patches_.size(), parts = parts_.size();
   std::vector<PartSums> wave(std::min(parts, parts_in_wave));
-  std::vector<Worker> workers(threads);
+  std::vector<Worker> workers(std::max(1U, threads));
   for (std::size_t first = 0; first < parts; first += wave.size()) {
     const std::size_t here = std::min(wave.size(), parts - first);
     const Poll counted = poll ? Poll([&](std::size_t done) { return poll((first + done) * count / parts); }) : Poll();

@@ -161,7 +161,7 @@ SurfacePatches::SurfacePatches(std::span<const Position> positions, std::span<co
     neighbours_[next[static_cast<std::size_t>(a)]++] = b;
     neighbours_[next[static_cast<std::size_t>(b)]++] = a;
   }
-  std::vector<VertexRings> rings(threads);
+  std::vector<VertexRings> rings(std::max(1U, threads));
   find_patches(positions, axes, priorities, rings, poll);
   std::vector<std::int32_t> starts = choose_starts(priorities);
   if (blocks != nullptr) std::erase_if(starts, [&](std::int32_t start) { return blocks[start] < 0; });

@@ -85,6 +85,7 @@ class SegmentKernel {
  public:
   SegmentKernel(std::span<const Index> face_corners, Index vertex_count);
 
+  bool has_metric() const { return !groups_.members.empty(); }
   Index vertex_count() const { return lengths_.segments().vertex_count(); }
   const std::vector<std::array<Index, 2>>& edges() const { return lengths_.edges(); }
 
