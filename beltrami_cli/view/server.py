@@ -54,6 +54,8 @@ class PageServer(ThreadingHTTPServer):
     """
 
     daemon_threads = True
+    # Clients that may wait to be accepted; Linux cuts this to net.core.somaxconn.
+    request_queue_size = 1024
 
     def __init__(self, files: Mapping[str, tuple[str, bytes]], answer: Callable[..., None]) -> None:
         super().__init__(("127.0.0.1", 0), PageRequest)

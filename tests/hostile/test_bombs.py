@@ -287,6 +287,7 @@ BOMBS = {
     "text": with_texture(lambda: png(4, 4, b"", png_chunk(b"zTXt", b"a\0\0" + zeros(1 << 28)))),
     "archive": file("a.obj", b"PK\x03\x04" + bytes(100)),
     "compressed": file("a.ply", lambda: gzip.compress(bytes(1 << 24))),
+    "columns of points": file("a.csv", b"1," * MANY + b"1\n" + b"2," * MANY + b"1\n"),
     "points of LAS": scan("las"),
     "points of LAZ": scan("laz"),
     "points of E57": equal_scan,

@@ -275,6 +275,15 @@ def test_only_those_with_the_token_and_from_its_own_origin_get_anything(page_ser
     assert answered(page_server, "POST", f"/{token}/other", body)[0].status == 400
 
 
+def test_clients_wait_for_a_server_that_is_busy():
+    """A queue that is full drops connections, which clients try again after seconds."""
+    waiting = PageServer({}, lambda *request: None)
+    with contextlib.ExitStack() as clients:
+        clients.callback(waiting.server_close)
+        for _ in range(200):
+            clients.enter_context(socket.create_connection(waiting.server_address, timeout=0.5))
+
+
 def test_the_address_that_a_browser_is_started_with_is_good_once(page_server):
     path = page_server.first_address.removeprefix(f"http://{page_server.host}")
     for expected in (303, 404):
