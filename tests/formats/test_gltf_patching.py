@@ -265,6 +265,23 @@ def repainted(source, new, key="image 0", **naming):
     return open_document(str(source)).patch(None, Naming("out", **naming), images={("baseColor", key): new})
 
 
+@pytest.mark.parametrize("name", ["sheenColorTexture", "shadeMultiplyTexture", "diffuseTexture", "albedoMap"])
+@pytest.mark.parametrize("is_data_elsewhere", [False, True])
+def test_colours_of_extensions_follow_the_slot_that_shows_their_image(name, is_data_elsewhere, tmp_path):
+    model = with_images()
+    place = ("materials", 0, "extensions", "UNKNOWN_shader")
+    model.tree = put(model.tree, (*place, name), {"index": 0})
+    if is_data_elsewhere:
+        model.tree = put(model.tree, (*place, "maskTexture"), {"index": 0})
+    written = repainted(model.written_to(tmp_path), new_image(1))
+    tree, *_ = opened(save(written, "o.glb", tmp_path))
+    material, shader = tree["materials"][0], tree["materials"][0]["extensions"]["UNKNOWN_shader"]
+    assert shader[name] == material["pbrMetallicRoughness"]["baseColorTexture"]
+    assert len(tree["textures"]) == 1 + is_data_elsewhere
+    said = [each for each in written.notices if "maskTexture" in each and "keeps the old" in each]
+    assert len(said) == len(written.notices) == is_data_elsewhere
+
+
 @pytest.mark.parametrize("path", INDICES)
 def test_only_what_shows_a_texture_keeps_it_as_it_was(tmp_path, path):
     model = with_images()

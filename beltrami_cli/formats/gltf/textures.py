@@ -1,12 +1,14 @@
 """The images and textures of a glTF file, and new images put in the place of old ones, in one slot and nowhere else.
 
 An image whose every use is replaced by the same new file just gets other bytes. Where it is still used by another
-slot, another texture or an extension, the new file becomes a new image, and only what belongs to the slot is
-pointed at it. Textures are treated likewise: changed if all that name them follow, copied otherwise (`Edit.separate`).
+slot, or as data by an extension, the new file becomes a new image, and only what belongs to the slot is pointed at it,
+with colours of extensions that show the same image. Textures are treated likewise: changed if all that name them
+follow, copied otherwise (`Edit.separate`).
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Hashable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
@@ -54,6 +56,10 @@ SLOT_PATHS: dict[Slot, tuple[tuple[str, ...], ...]] = {
 WRAPS: dict[Wrap, int] = {"repeat": 10497, "mirror": 33648, "clamp": 33071}
 """The numbers by which samplers say what lies beyond an image."""
 
+# Members of extensions, of any vendor, that name colours, as KHR_materials_sheen and VRMC_materials_mtoon do.
+_COLOURS = re.compile(
+    r".*(albedo|colou?r|diffuse|emissive|matcap|rimMultiply|shade|shadeMultiply)(map|texture)", re.IGNORECASE
+)
 _NEAREST = 9728  # the filter of samplers that blends no texels
 _KINDS = {number: kind for kind, number in WRAPS.items()}
 _WITHOUT_TEXTURES = ("accessors", "animations", "bufferViews", "buffers", "images", "skins", "textures")
@@ -201,11 +207,20 @@ def repaint(edit: Edit, images: Images, new: NewImages) -> None:
     for index in range(len(images.textures)):
         with suppress(UnfitReferenceError):
             shown[index] = images.canonical(images.shown(index))
-    infos = [
-        (info, "index", None if slot is None else wanted.get((slot, shown.get(info["index"], -1))))
-        for info, slot in _infos(tree)
-    ]
-    changed = edit.separate("textures", infos)
+    uses_of_textures, left = list[tuple[Any, Any, ImageFile | None]](), dict[str, str]()
+    for place, info, slot in _infos(tree):
+        image = shown.get(info["index"], -1)
+        files_of_it = [wanted[each, image] for each in SLOT_PATHS if (each, image) in wanted]
+        if slot is not None:
+            file = wanted.get((slot, image))
+        elif files_of_it and not _COLOURS.fullmatch(place.rpartition(".")[2]):
+            file, left[re.sub(r"\[\d+\]", "", place)] = None, images.name(image)
+        else:
+            file = next(iter(files_of_it), None)
+        uses_of_textures.append((info, "index", file))
+    for place, name in left.items():
+        edit.notices.append(f"{place} shows {name}, too, and keeps the old one: it may not be a colour.")
+    changed = edit.separate("textures", uses_of_textures)
     replaced = {(shown[texture], file) for texture, file in changed}
     if replaced != {(image, file) for (_, image), file in wanted.items()}:
         raise ValueError("an image is not used in the slot that it was handed back for")
@@ -331,8 +346,8 @@ def _declare(tree: Tree, before: set[str]) -> None:
             del tree[key]
 
 
-def _infos(tree: Tree) -> Iterator[tuple[Tree, Slot | None]]:
-    """Find all textureInfos, also in extensions, each with the slot that it belongs to if any."""
+def _infos(tree: Tree) -> Iterator[tuple[str, Tree, Slot | None]]:
+    """Find all textureInfos, also in extensions, each with its place and the slot that it belongs to if any."""
     slots: dict[int, Slot] = {}
     for material in objects(tree.get("materials")):
         for slot, paths in SLOT_PATHS.items():
@@ -343,8 +358,8 @@ def _infos(tree: Tree) -> Iterator[tuple[Tree, Slot | None]]:
                 slots[id(holder)] = slot
     for key, value in tree.items():
         if key not in _WITHOUT_TEXTURES:
-            for _, info in texture_infos(value, key):
-                yield info, slots.get(id(info))
+            for place, info in texture_infos(value, key):
+                yield place, info, slots.get(id(info))
 
 
 def _recoloured(images: Images, image: int, shown: ImageFile) -> ImageFile | None:
