@@ -14,6 +14,7 @@ from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.records import (
     Frame,
     MeshContents,
+    PaintedVertices,
     limits_of,
     linear_to_srgb,
     require_finite,
@@ -131,6 +132,14 @@ def quantised(values: Float32s, kind: DTypeLike, scale: float | None = None) -> 
     return np.rint(np.clip(values.astype(np.float64) * full, limits.min, min(limits.max, full))).astype(
         stored
     )
+
+
+def as_in_file(painted: PaintedVertices, colours: Float32s) -> Float32s:
+    """Return new colours of painted vertices, rounded to what their file holds of them."""
+    if not painted.stored.startswith(("uint", "int")):
+        return colours
+    full = painted.full_scale
+    return (quantised(colours, painted.stored, full) / full).astype(np.float32)
 
 
 def display_colours(contents: MeshContents) -> tuple[Float32s, list[str]]:

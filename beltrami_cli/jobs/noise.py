@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -19,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-from beltrami_cli.errors import UsageError
+from beltrami_cli.errors import ProcessingError, UsageError
 from beltrami_cli.flow.canvas import painted as on_canvas
 from beltrami_cli.flow.domain import NewColours
 from beltrami_cli.flow.parameters import Space
@@ -30,11 +31,11 @@ from beltrami_cli.formats.image.writing import noise_losses
 from beltrami_cli.jobs.job import PLAIN_JOB, Job, NoiseSettings
 from beltrami_cli.jobs.recolour import FileReport, Painted, Painter, recolour
 from beltrami_cli.layers.image_layer import ImageLayer
-from beltrami_cli.layers.layer import Change, Layer, Repainted
+from beltrami_cli.layers.layer import Layer, Repainted
 from beltrami_cli.layers.picture_layer import PictureLayer
 from beltrami_cli.layers.settings import DEFAULTS, SLOTS, SmoothSettings
 from beltrami_cli.layers.texture_layer import TextureLayer, all_texel_colours
-from beltrami_cli.layers.vertex_layer import PaintedLayer, coloured_rows
+from beltrami_cli.layers.vertex_layer import PaintedLayer, change_of, coloured_rows
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.baking import Cells, places_of_texels
 from beltrami_cli.surface.grouping import group_places
@@ -46,7 +47,7 @@ _LATTICE = 1 << 16  # random numbers, which points of a lattice share by a hash
 
 @dataclass(frozen=True)
 class Added:
-    """What noise changed: which colours, how many samples, and the root mean square change, of full scale 1."""
+    """What noise changed: which colours, how many samples, and the root mean square change in the file."""
 
     what: str
     samples: int
@@ -106,11 +107,15 @@ class Noising(Painter[Noisy]):
         del job
         targets = _targets_of(layer)
         after = _with_noise(layer, targets, self.noise)
-        change = np.square(after - targets.colours, dtype=np.float64)
-        rms = float(np.sqrt(np.mean(change))) if change.size else 0.0
+        made = _repainted(layer, targets, after)
         what = "vertex colours" if isinstance(layer, PaintedLayer) else layer.label
-        added = Added(what, len(change), rms)
-        return Noisy(repainted=_repainted(layer, targets, after), added=added)
+        return Noisy(repainted=made, added=Added(what, len(after), made.change.summary()["rms"]))
+
+    def check_painted(self, source: str, painted: Sequence[Noisy]) -> None:
+        changes = [each.repainted.change for each in painted]
+        if any(each.count for each in changes) and not any(each.largest for each in changes):
+            remedy = "add more, or choose a format without loss"
+            raise ProcessingError(f"{source}: nothing of the noise would be left in the file; {remedy}")
 
 
 def noise_file(
@@ -181,7 +186,7 @@ def _repainted(layer: Layer, targets: NoiseTargets, after: Float32s) -> Repainte
         # Conversion to the working space and back is not exact: unchanged colours keep their bits.
         back = from_space(after, painted.encoding, targets.space)
         colours[places] = np.where(after != targets.colours, back, colours[places])
-        return Repainted(Change.between(painted.colours, colours), colours)
+        return Repainted(change_of(painted, colours), colours)
     if isinstance(layer, ImageLayer):
         new = NewColours.of(after, np.flatnonzero(layer.valid))
         remedy = "an OUTPUT in .png keeps all"

@@ -23,7 +23,7 @@ from beltrami_cli.errors import BeltramiError, UsageError
 from beltrami_cli.fields import given_options
 from beltrami_cli.formats import registry
 from beltrami_cli.formats.access import Access, peak_memory, read_source
-from beltrami_cli.formats.colours import quantised
+from beltrami_cli.formats.colours import as_in_file
 from beltrami_cli.formats.document import Document, ImageDocument, Naming, Written
 from beltrami_cli.formats.image.picture import suffix_for
 from beltrami_cli.formats.registry import OutputFormat, choose_format
@@ -235,6 +235,9 @@ class Painter(ABC, Generic[AnyPainted]):
     def paint(self, layer: Layer, job: Job) -> AnyPainted:
         """Give a layer new colours."""
 
+    def check_painted(self, source: str, painted: Sequence[AnyPainted]) -> None:
+        """Raise errors about what was painted, before it is written."""
+
 
 def recolour(
     source: str, target: str, settings: SmoothSettings, painter: Painter[AnyPainted], job: Job
@@ -252,6 +255,7 @@ def recolour(
     with selection.within_memory(place, in_files=painter.works_in_files):
         with watch.stage("smooth"):
             painted = paint(selection, painter, file.job, kind.suffix)
+            painter.check_painted(source, painted)
         with watch.stage("write"):
             new = [each.repainted for each in painted]
             images, said = all_images(new)
@@ -388,8 +392,6 @@ def with_new_colours(document: Document, painted: Sequence[Repainted]) -> Docume
     if new is None or new.colours is None:
         return document.repainted(None, images)
     vertices, colours = document.painted(), new.colours
-    if vertices.stored.startswith(("uint", "int")):
-        full = vertices.full_scale
-        colours = (quantised(colours, vertices.stored, full) / full).astype(np.float32)
+    colours = as_in_file(vertices, colours)
     positions = vertices.positions if new.positions is None else new.positions
     return document.repainted(replace(vertices, colours=colours, positions=positions), images)

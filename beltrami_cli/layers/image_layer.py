@@ -92,6 +92,10 @@ class ImageLayer(PictureLayer):
     def picture(self) -> Picture:
         return self.pictures[0]
 
+    @property
+    def as_data(self) -> bool:
+        return self.settings.space == "data"
+
     def _canvas(self) -> tuple[Make, Atlas, KernelParameters]:
         return canvas_of_image(
             self.surface, partial(self.colours.working, self.picture), self.settings.kernel,
@@ -139,10 +143,10 @@ class ImageLayer(PictureLayer):
             notices.append(f"{self.picture.name}: {label} is not exact, so holes change slightly as well.")
         pixels, change = self.new_pixels(0, new)
         pixels, turned = upright(self.picture, pixels, self.suffix)
-        wanted, as_data = self.settings.textures, self.settings.space == "data"
-        file, said = rewritten(self.picture, pixels, wanted, self.suffix, as_data=as_data)
+        wanted = self.settings.textures
+        file, said = rewritten(self.picture, pixels, wanted, self.suffix, as_data=self.as_data)
         image = dataclasses.replace(file, suffix=self.suffix or Path(self.picture.name).suffix)
-        change = change.in_file(file, self.picture)
+        change = self.change_in(image, 0, new, change)
         return Repainted(change, images={("baseColor", ""): image}, notices=(*said, *turned, *notices))
 
     def places(self) -> Cells:

@@ -217,10 +217,6 @@ class Change:
         counts, totals, squares, largest = zip(*parts, strict=True) if parts else ((), (), (), (0.0,))
         return cls(sum(counts), sum(totals), sum(squares), max(largest))
 
-    def in_file(self, file: ImageFile, picture: Picture) -> Change:
-        """Return the change that the file shows: none if it is the picture's own, which may be kept."""
-        return Change(self.count) if file.content == picture.source else self
-
     def summary(self) -> dict[str, float]:
         count = max(1, self.count)
         return {"mean": self.total / count, "rms": (self.squares / count) ** 0.5, "largest": self.largest}

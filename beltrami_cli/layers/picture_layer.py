@@ -20,6 +20,7 @@ from beltrami_cli.flow.grid_manifold import GridManifold, grid_manifold
 from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.flow.parameters import KernelParameters, Space
 from beltrami_cli.formats.image import Picture, check_writable
+from beltrami_cli.formats.image.conversion import upright
 from beltrami_cli.formats.image.metadata import JpegTables
 from beltrami_cli.formats.image.picture import (
     coloured_layers,
@@ -32,11 +33,12 @@ from beltrami_cli.formats.image.picture import (
     with_colours_of,
     without_alpha,
 )
+from beltrami_cli.formats.image.writing import colours_in_file, is_kept
 from beltrami_cli.layers.layer import Change, Layer, choose_channels, store
 from beltrami_cli.layers.settings import COLOUR_SLOTS, SmoothSettings
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas, Indices, texels_by_texture
-from beltrami_cli.surface.records import Slot, from_space, to_space
+from beltrami_cli.surface.records import ImageFile, Slot, from_space, to_space
 
 COLOURS = ("red", "green", "blue", "grey")
 # The channels that a data slot uses; others of the same image belong to another slot.
@@ -50,6 +52,7 @@ Make = Callable[[Float32s | None, NoiseModel | None], GridManifold]
 # How often pictures are decoded before patches, which take remaining ringing for detail, as it repeats itself.
 # The mean of two pilots gains 0.5 to 0.7 dB on paint, and keeps detail that the second alone loses.
 _PILOTS = 2
+_ROWS = 64  # compared at a time
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,6 +69,11 @@ class PictureLayer(Layer):
     atlas: Atlas | None = None  # of textures
     noise: Float32s | None = None  # standard deviations, with a row for each sample or, in images, pixel
     suffix: str | None = None  # of another image format that is written
+
+    @property
+    @abstractmethod
+    def as_data(self) -> bool:
+        """Whether the pictures hold numbers, which no change of encoding may touch."""
 
     @abstractmethod
     def _canvas(self) -> tuple[Make, Atlas, KernelParameters]:
@@ -88,6 +96,27 @@ class PictureLayer(Layer):
         """
         pixels = large_arrays.copy_of(self.pictures[index].pixels)
         return pixels, self._paint(pixels, index, new.places, new.take, is_dithered=is_dithered)
+
+    def change_in(self, file: ImageFile, index: int, new: NewColours, change: Change) -> Change:
+        """Return the change of a picture's samples in the file that was written, where that does not hold all of it."""
+        picture, as_data = self.pictures[index], self.as_data
+        if file.content == picture.source:
+            return Change(change.count)
+        if is_kept(picture, file):
+            return change
+        before, after = colours_in_file(picture, file, as_data=as_data)
+        before, _ = upright(picture, before, self.suffix if self.atlas is None else None)
+        where = np.zeros((*picture.pixels.shape[:2], 1), bool)
+        for block in large_arrays.blocks(len(new.places)):
+            where.reshape(-1)[self._of_picture(new.places[block], index)[1]] = True
+        where = upright(picture, where, self.suffix if self.atlas is None else None)[0][..., 0]
+        channels = [i for i in self.colours.changing if i < after.shape[2]] or [*range(after.shape[2])]
+        return Change.joined(
+            Change.between(
+                *(full_scale_one(each[rows][where[rows]][:, channels]) for each in (before, after))
+            )
+            for rows in large_arrays.blocks(len(after), _ROWS)
+        )
 
     def _of_picture(self, texels: Indices, index: int) -> tuple[Bools | slice, Indices]:
         """Select the texels of one picture, and number them from its first."""

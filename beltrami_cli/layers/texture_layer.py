@@ -100,6 +100,10 @@ class TextureLayer(PictureLayer):
             noise=None if noise is None else noise[atlas.owned_texels], suffix=settings.textures.image_suffix,
         )  # fmt: skip
 
+    @property
+    def as_data(self) -> bool:
+        return self.slot not in COLOUR_SLOTS
+
     def _canvas(self) -> tuple[Make, Atlas, KernelParameters]:
         make = maker_of_manifolds(
             self.atlas, self.settings.kernel, len(self.names), self._colours_of, self.noise,
@@ -174,8 +178,7 @@ class TextureLayer(PictureLayer):
             if gutter is not None:
                 self._refill_gutter(pixels, index, new, gutter, is_dithered=is_dithered)
             large_arrays.leave_memory()
-            as_data = self.slot not in COLOUR_SLOTS
-            write = partial(layer.rewritten, picture, wanted=wanted, suffix=self.suffix, as_data=as_data)
+            write = partial(layer.rewritten, picture, wanted=wanted, suffix=self.suffix, as_data=self.as_data)
             if texture.key in self.shared:
                 columns = self.colours.columns(picture)
                 shared.append(layer.SharedImage(self.slot, texture.key, pixels, columns, write))
@@ -183,7 +186,7 @@ class TextureLayer(PictureLayer):
                 continue
             file, said = write(pixels)
             images[self.slot, texture.key] = file
-            changes.append(change.in_file(file, picture))
+            changes.append(self.change_in(file, index, new, change))
             notices += said
         change = layer.Change.joined(changes)
         return layer.Repainted(change, images=images, shared=tuple(shared), notices=tuple(notices))

@@ -19,6 +19,7 @@ from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.manifold import Guide
 from beltrami_cli.flow.mesh_manifold import MeshManifold, mesh_manifold, samples_per_kernel
 from beltrami_cli.flow.moving_positions import GeometryParameters
+from beltrami_cli.formats.colours import as_in_file
 from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image
 from beltrami_cli.layers.layer import (
     Change,
@@ -103,7 +104,15 @@ class PaintedLayer(Layer):
         for block in blocks(len(vertices)):
             back = from_space(after[rows[block]], painted.encoding, self.settings.space)
             colours[vertices[block, None], changing] = np.clip(back, low, high)
-        return Repainted(Change.between(painted.colours, colours), colours, positions)
+        return Repainted(change_of(painted, colours), colours, positions)
+
+
+def change_of(painted: PaintedVertices, colours: Float32s) -> Change:
+    """Return how new colours of vertices change them in the file."""
+    return Change.joined(
+        Change.between(as_in_file(painted, painted.colours[block]), as_in_file(painted, colours[block]))
+        for block in blocks(len(colours))
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

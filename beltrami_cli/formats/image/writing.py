@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import partial
+from pathlib import PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -121,6 +122,22 @@ def write_image(
         if known == "webp":
             notices = extra_codecs.encoding_cost(known, pixels, again, picture.name)
     return _with_metadata(picture, data, notices)
+
+
+def is_kept(picture: Picture, file: ImageFile) -> bool:
+    """Whether a file, written by `write_image`, has all new values of a picture: in its own format, without loss."""
+    is_own = format_of_suffix(file.suffix) == format_of_suffix(picture.suffix)
+    return is_own and is_exact(picture) and picture.format != "hdr"
+
+
+def colours_in_file(picture: Picture, file: ImageFile, *, as_data: bool) -> tuple[Array, Array]:
+    """Return the colours of a picture, shape (H, W, K), as they were and as a file has them, in the file's encoding."""
+    with reading_back():
+        again = read_image(file.data, str(PurePosixPath(picture.name).with_suffix(file.suffix)))
+    if again.format == picture.format:
+        return picture.pixels[..., picture.colour], again.pixels[..., picture.colour]
+    after = again.pixels[..., again.colour]
+    return converted(picture, picture.pixels, again.format, as_data=as_data)[0][..., : after.shape[2]], after
 
 
 def _decoded(data: bytes, name: str) -> Array:
