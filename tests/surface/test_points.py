@@ -126,6 +126,20 @@ def test_only_wide_gaps_part_a_surface(positions, pieces):
     assert components(len(positions), found)[0] == pieces
 
 
+@pytest.mark.parametrize("sizes", [(9, 12), (12, 12), (20, 15), (9, 9, 9, 9), (12, 500)], ids=str)
+@pytest.mark.parametrize("gap", [30, 1000])
+def test_small_clouds_far_apart_are_not_joined(sizes, gap):
+    """Not even if the neighbours that spacing is measured by are in another one; in 20 samples of each."""
+    cloud_of = np.repeat(np.arange(len(sizes)), sizes)
+    for seed in range(20):
+        random = np.random.default_rng(seed)
+        parts = [random.uniform(0, 1, (size, 3)) * [size**0.5, size**0.5, 0.05] for size in sizes]
+        positions = np.concatenate(parts) + np.multiply.outer(cloud_of, [gap, 0, 0])
+        found = triangulate_points(positions)
+        assert len(found)
+        assert (np.ptp(cloud_of[found], axis=1) == 0).all()
+
+
 def test_points_strewn_around_a_surface_are_outliers():
     rng = np.random.default_rng(8)
     surface = lifted(grid(40, 40, 0.3))

@@ -113,6 +113,10 @@ constexpr double highest = 1;
 // coincide would have so small a spacing that they lose the others. Of points spread evenly it is 0.38 of that.
 constexpr double least_spacing = 0.25;
 
+// The `many`-th neighbour counts at most as so many times as far as the `few`-th: on a line, where points are spread the most
+// unevenly, it is 11 / 4 times as far. Beyond that, a cloud of fewer points ends, and another begins.
+constexpr double most_uneven = 3;
+
 struct Neighbour {
   Vector offset;
   double squared;
@@ -218,7 +222,8 @@ class Finder {
     if (squared_radii_.empty()) return 0;
     const auto fourth = squared_radii_.begin() + static_cast<std::ptrdiff_t>(squared_radii_.size() / 4);
     std::nth_element(squared_radii_.begin(), fourth, squared_radii_.end());
-    const double least = around_.size() < many ? 0 : least_spacing * std::sqrt(around_[many - 1].squared);
+    const auto distance = [&](std::size_t rank) { return std::sqrt(around_[rank - 1].squared); };
+    const double least = around_.size() < many ? 0 : least_spacing * std::min(distance(many), most_uneven * distance(few));
     return std::isfinite(*fourth) ? std::max(std::sqrt(2 * *fourth), least) : least;
   }
 
