@@ -276,13 +276,20 @@ SlotsByPath = dict[tuple[str, tuple[tuple[str, ImageFile], ...]], list[Slot]]
 _LONGEST = 255  # bytes of a name, on all usual file systems
 
 
+def still_shown(what: str, image: str) -> str:
+    """Return the notice that something outside of the slots shows an image, and does not follow its new colours."""
+    return f"{what} shows {image}, too, and keeps the old one: it may not be a colour."
+
+
 class NewFiles:
     """Names the sidecar files of one output, each once, and collects them."""
 
     def __init__(self, naming: Naming, source: str, present: Iterable[str], missing: Iterable[str]) -> None:
         """`source` is the model's own name; `present` and `missing` are the files that it refers to."""
         self.copies = naming.copies
-        self.notices: dict[str, None] = {}  # of files that stay where they are, for another folder
+        self.notices: dict[
+            str, None
+        ] = {}  # of files that stay where they are, and of old images that stay in use
         self.sidecars: dict[str, Bytes] = {}  # and copies, as in `Written`
         self.copied: dict[str, str] = {}
         self._naming, self._source = naming, Path(source).stem
@@ -315,6 +322,10 @@ class NewFiles:
         """Leave a file outside the folder where it is, and have the output name it as before."""
         if self.copies:
             self.notices[f"'{name}' {_STAYS}"] = None
+
+    def keep_shown(self, what: str, path: str) -> None:
+        """Say that something goes on to show the old one of an image that is replaced."""
+        self.notices[still_shown(what, path)] = None
 
     def written(self, main: Sequence[Bytes] = (), notices: Iterable[str] = ()) -> Written:
         """Return the collected files with a main file, or without it."""

@@ -139,6 +139,19 @@ def test_an_image_in_two_slots_is_replaced_in_one(tmp_path):
         assert "a.png" not in written.sidecars
 
 
+def test_colours_that_show_the_image_of_the_base_colour_follow_and_other_maps_are_named(tmp_path):
+    mtl = "newmtl one\nmap_Kd a.png\nmap_Ks a.png\nmap_Ns {}.png\nrefl {}.png\n"
+    written = model(tmp_path, mtl.format("a", "a")).patch(
+        None, Naming("out"), images={("baseColor", "a.png"): NEW}
+    )
+    assert written.sidecars["out.mtl"].decode().split("\n")[1:3] == ["map_Kd out_a.png", "map_Ks out_a.png"]
+    for notice, keyword in zip(written.notices, ("map_ns", "refl"), strict=True):
+        assert f"{keyword} of material one shows a.png" in notice
+    (tmp_path / "apart").mkdir()
+    apart = model(tmp_path / "apart", mtl.format("b", "b"))
+    assert not apart.patch(None, Naming("out"), images={("baseColor", "a.png"): NEW}).notices
+
+
 COLOURED = "v 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 1 1 0 0 0 1\nv 0 1 0 0.5 0.5 0.5\n"
 
 

@@ -310,6 +310,16 @@ def test_files_that_nothing_shows_are_copied_beside_the_output(tmp_path):
     assert check_files(tmp_path / "in" / "a.usda", tmp_path / "out" / "b.usda").faithful
 
 
+def test_what_goes_on_to_show_an_image_of_the_base_colour_is_named(tmp_path):
+    rough = shader("rough", "UsdUVTexture", "asset inputs:file = @a.png@", "float outputs:r")
+    write(
+        tmp_path, {"a.usda": scene(mesh_text(BOUND), material_text("a.png", extra=rough)), "a.png": PICTURE}
+    )
+    result = smooth_file(tmp_path / "a.usda", tmp_path / "b.usda", GIVEN)
+    (notice,) = [each for each in result.warnings if "keeps the old" in each]
+    assert "rough.inputs:file shows a.png" in notice
+
+
 def glowing(shader, extra=""):
     """Return a material that glows with what a shader reads."""
     return material_text("a.png", extra=extra).replace(

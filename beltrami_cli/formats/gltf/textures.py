@@ -24,7 +24,7 @@ from beltrami_cli.formats.gltf.edit import Edit
 from beltrami_cli.formats.image import format_of, label_of, read_image, write_image
 from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, INSTALL, missing_package
 from beltrami_cli.formats.image.picture import FORMATS, suffix_for
-from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError
+from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError, still_shown
 from beltrami_cli.surface.records import ImageFile, PlannedImage, Slot, Wrap
 
 WEBP = "EXT_texture_webp"
@@ -219,7 +219,7 @@ def repaint(edit: Edit, images: Images, new: NewImages) -> None:
             file = next(iter(files_of_it), None)
         uses_of_textures.append((info, "index", file))
     for place, name in left.items():
-        edit.notices.append(f"{place} shows {name}, too, and keeps the old one: it may not be a colour.")
+        edit.notices.append(still_shown(place, name))
     changed = edit.separate("textures", uses_of_textures)
     replaced = {(shown[texture], file) for texture, file in changed}
     if replaced != {(image, file) for (_, image), file in wanted.items()}:

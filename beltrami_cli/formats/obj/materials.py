@@ -40,7 +40,11 @@ SLOTS: dict[str, Slot] = {
 """The slot of each map keyword; the first keyword that a material has counts."""
 
 PAINTED = tuple(dict.fromkeys(SLOTS.values()))  # the slots that maps are painted in
-ALONG = ("map_ka", "map_d")  # keywords of maps that go along with the base colour where they show its image
+ALONG = (
+    "map_ka",
+    "map_ks",
+    "map_d",
+)  # keywords of maps that go along with the base colour where they show its image
 # Possessive (++), so that lines of a million blanks or digits are not tried again from each of them.
 _STATEMENT = re.compile(
     rb"^(?:\xef\xbb\xbf)?[ \t]*+(newmtl|(?!map_aat\b)map_\w+|bump|disp|decal|refl|norm)[ \t]++([^\r\n]*[^\s])",
@@ -274,6 +278,11 @@ def _take_images(materials: Materials, images: NewImages, names: NewFiles) -> di
         # Equal images of two slots are one file; maps of the base colour may be of other slots, too.
         maps = [each for slot in slots for each in materials.affected(slot, path)]
         affected = list({id(found): (library, found) for library, found in maps}.values())
+        followed = {id(found) for _, found in affected}
+        for library in materials.libraries:
+            for found, used in library.maps:
+                if used == path and id(found) not in followed and found.keyword not in SLOTS:
+                    names.keep_shown(f"{found.keyword} of material {found.material}", path)
         # Its name is free only if no map that keeps the old image has it.
         is_replaced = len(affected) == materials.uses(path)
         suffix = common_suffix(image.suffix for _, image in files)
