@@ -40,11 +40,8 @@ SLOTS: dict[str, Slot] = {
 """The slot of each map keyword; the first keyword that a material has counts."""
 
 PAINTED = tuple(dict.fromkeys(SLOTS.values()))  # the slots that maps are painted in
-ALONG = (
-    "map_ka",
-    "map_ks",
-    "map_d",
-)  # keywords of maps that go along with the base colour where they show its image
+ALONG = ("map_ka", "map_d")  # maps that the base colour stands for where they show its image
+_FOLLOWING = (*ALONG, "map_ks")  # and those that show its new image, too
 # Possessive (++), so that lines of a million blanks or digits are not tried again from each of them.
 _STATEMENT = re.compile(
     rb"^(?:\xef\xbb\xbf)?[ \t]*+(newmtl|(?!map_aat\b)map_\w+|bump|disp|decal|refl|norm)[ \t]++([^\r\n]*[^\s])",
@@ -179,7 +176,7 @@ class Materials:
         """Yield all maps through which an image is visible in a slot."""
         for library in self.libraries:
             painted = {m.material for m, p in library.maps if p == path and SLOTS.get(m.keyword) == slot}
-            along = ALONG if slot == "baseColor" else ()
+            along = _FOLLOWING if slot == "baseColor" else ()
             for found, its_path in library.maps:
                 goes_along = found.keyword in along and found.material in painted
                 if its_path == path and (goes_along or SLOTS.get(found.keyword) == slot):
