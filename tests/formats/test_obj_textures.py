@@ -147,6 +147,10 @@ def test_colours_that_show_the_image_of_the_base_colour_follow_and_other_maps_ar
     assert written.sidecars["out.mtl"].decode().split("\n")[1:3] == ["map_Kd out_a.png", "map_Ks out_a.png"]
     for notice, keyword in zip(written.notices, ("map_ns", "refl"), strict=True):
         assert f"{keyword} of material one shows a.png" in notice
+    shiny = model(tmp_path, mtl.format("a", "a"), **{"a.png": PICTURE})
+    assert {"map_ks maps", "map_ns maps"} <= {
+        *shiny.textured_mesh().left_out
+    }  # which other formats lose all the same
     (tmp_path / "apart").mkdir()
     apart = model(tmp_path / "apart", mtl.format("b", "b"))
     assert not apart.patch(None, Naming("out"), images={("baseColor", "a.png"): NEW}).notices
