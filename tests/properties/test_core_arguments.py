@@ -220,6 +220,8 @@ def test_kernels_without_a_sample_a_time_or_vertices_are_refused(manifold, wrong
 
 def test_sizes_whose_product_is_no_size_are_refused():
     with pytest.raises(ValueError, match="too large"):
+        core.build_atlas(**CALLS["build_atlas"] | {"margin": 1 << 40})
+    with pytest.raises(ValueError, match="too large"):
         core.halo_repeats(**CALLS["halo_repeats"] | {"rows": (1 << 63) + 5, "columns": 2})
 
 

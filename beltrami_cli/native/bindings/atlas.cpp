@@ -90,6 +90,7 @@ nb::dict build_atlas(const Matrix<double>& positions, const Matrix<Index>& faces
   if (positions.shape(1) != 3 || faces.shape(1) != 3) throw nb::value_error("three coordinates, three corners");
   if (uv.shape(0) != faces.shape(0) || texture_of.shape(0) != faces.shape(0))
     throw nb::value_error("one row a face is needed");
+  require(margin < 1 << 20, "the margin is too large");  // so that areas of charts are 64-bit numbers
   require_finite(positions);
   require_finite(uv);
   atlas::Surface surface{positions.data(), static_cast<Index>(positions.shape(0)), {faces.data(), faces.size()},
