@@ -211,6 +211,12 @@ def amount(text: str, forms: str = _AMOUNT) -> float:
     return value / 255 if is_plain else value
 
 
+def of_255(share: float) -> str:
+    """Write a share of full scale as a number of 255; with two digits where it is of values that are far smaller."""
+    value = 255 * share
+    return f"{value:.1f}" if value >= 0.05 or value == 0 else f"{value:.2g}"
+
+
 def sure_amount(text: str, forms: str = _AMOUNT) -> float:
     """Read it, but refuse plain numbers between 0 and 1, which may be of 255 or of full scale."""
     value = amount(text, forms)

@@ -17,7 +17,7 @@ from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import GroupedOption, command, options_by_name, values_for
 from beltrami_cli.cli.console import Messages, printable, show_table
 from beltrami_cli.errors import OutputError, ProcessingError, UsageError
-from beltrami_cli.fields import parameters
+from beltrami_cli.fields import of_255, parameters
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import Access, default_memory, is_file
 from beltrami_cli.jobs.job import NoiseSettings
@@ -324,4 +324,4 @@ def _row(outcome: Outcome) -> list[str]:
     result: str = outcome.status
     if is_left and result == "done":  # it may be changed by levelling
         result = "not smoothed" if change else "left as it is"
-    return [outcome.output, result, seconds, f"{255 * noise:.1f}/255", f"{255 * change:.1f}/255"]
+    return [outcome.output, result, seconds, f"{of_255(noise)}/255", f"{of_255(change)}/255"]

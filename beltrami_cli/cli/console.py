@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TextIO
 import click
 
 from beltrami_cli.errors import OutputError, one_line, unhandled_endings
+from beltrami_cli.fields import of_255
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
@@ -147,7 +148,7 @@ def _in_words(value: Any) -> str:
 
 def noise_of_255(share: float) -> str:
     """Write noise as `beltrami noise` takes it."""
-    return f"{255 * share:.1f}/255"
+    return f"{of_255(share)}/255"
 
 
 def _progress_in_lines() -> Callable[[str, float], None]:

@@ -15,7 +15,7 @@ from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import command, overwrite_at
 from beltrami_cli.cli.console import ALL_THE_SAME, NO_AREA, NO_NOISE, Messages, counted, lines_on
 from beltrami_cli.errors import OutputError, UsageError
-from beltrami_cli.fields import show_size
+from beltrami_cli.fields import of_255, show_size
 from beltrami_cli.jobs.job import BakeSettings, Job, NoiseSettings
 from beltrami_cli.layers.settings import NO_NOISE_FOUND, BakeTo, LevelSettings, SmoothSettings
 
@@ -110,7 +110,7 @@ def _show_done(
         messages.say(f"{what}, so the colours are left as they are")
         return
     strongest = 255 * max(done.noise.values(), default=0)
-    noise = f"{what}, noise {strongest:.1f}/255" if strongest else f"{what}, {NO_NOISE_FOUND}"
+    noise = f"{what}, noise {of_255(strongest / 255)}/255" if strongest else f"{what}, {NO_NOISE_FOUND}"
     if not done.iterations:
         reason = "which smoothing would not reduce, "
         if strongest <= 0.5:
@@ -120,7 +120,7 @@ def _show_done(
     iterations = f" on average over {done.iterations} iterations" if done.iterations > 1 else ""
     messages.say(
         f"{noise}, beta {done.beta:.3g}, {samples:.0f} samples a kernel{iterations}, "
-        f"mean change {255 * done.change['mean']:.1f}/255"
+        f"mean change {of_255(done.change['mean'])}/255"
     )
 
 

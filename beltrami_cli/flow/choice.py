@@ -196,6 +196,13 @@ class Choice:
         most, least = found + math.hypot(chance, self.doubt[0]), found - math.hypot(chance, self.doubt[1])
         return -10 * math.log10(most), -10 * math.log10(least) if least > 0 else None
 
+    def in_unit(self, unit: float) -> Choice:
+        """Return the choice for colours that are multiplied by a unit."""
+        chosen = {name: value / unit if name == "beta" else value for name, value in self.chosen.items()}
+        psnr = None if self.psnr is None else self.psnr - 20 * math.log10(unit)
+        low, high = self.doubt
+        return dataclasses.replace(self, chosen=chosen, psnr=psnr, doubt=(low * unit**2, high * unit**2))
+
     def improved(self, gain: float) -> Choice:
         """Return the same with less mean square error, where it was estimated."""
         if self.psnr is None or self.error is None or self.gain is None:

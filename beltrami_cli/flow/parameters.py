@@ -242,6 +242,20 @@ class KernelParameters:
         check(self)
         _ = self.given_noise
 
+    def in_unit(self, unit: float, of_light: float) -> KernelParameters:
+        """Return parameters for colours that are divided by a unit, which divides their light by another."""
+        given, noise = self.given_noise, self.noise
+        if unit == 1:
+            return self
+        if (
+            given is not None and given.is_by_level
+        ):  # var(L / u) = (A / u) (L / u) + (B / u)^2, and L is light
+            shot, read = (min(1.0, each / of_light) for each in (given.shot, given.read))
+            noise = f"shot:{shot!r},read:{read!r}"
+        elif given is not None and not given.source:
+            noise = f"{100 * min(1.0, given.sigma / unit)!r}%"
+        return replace(self, noise=noise, beta=None if self.beta is None else self.beta * unit)
+
     @property
     def given_noise(self) -> GivenNoise | None:
         """The noise that is given; UsageError if it is none."""

@@ -29,7 +29,7 @@ _BRIGHTEST = 16.0  # four stops above white: float colours beyond this are taken
 # Full scales of 8, 10, 12 and 16 bit, and of intensities of 14 bit, too. Colours up to 16383 may as well be a
 # dark picture of 16 bit, which would be four times too bright in another format; colours up to 4095 would be black.
 _COLOUR_SCALES = (BYTE, 1023.0, 4095.0, 65535.0)
-_INTENSITY_SCALES = (BYTE, 1023.0, 4095.0, 16383.0, 65535.0)
+INTEGER_SCALES = (BYTE, 1023.0, 4095.0, 16383.0, 65535.0)
 
 # Quantile of the colours other than 0 that gives the range of float colours: larger ones may be spikes of a renderer.
 _USUAL_SHARE = 0.99
@@ -63,7 +63,7 @@ def integer_scale(largest: int, kind: DTypeLike, *, is_intensity: bool = False) 
     """Return the full scale of numbers of an integer type by the largest magnitude among them, and a notice or ""."""
     stored = np.dtype(kind)
     full = float(np.iinfo(stored).max)
-    scales = _INTENSITY_SCALES if is_intensity else _COLOUR_SCALES
+    scales = INTEGER_SCALES if is_intensity else _COLOUR_SCALES
     scale = next((each for each in scales if largest <= each), full)
     if scale >= full:
         return full, ""
@@ -88,7 +88,7 @@ def intensity_scale(values: Float64s) -> tuple[float, str]:
     largest = max(-low, high)
     if largest <= 1:
         return 1.0, ""
-    scale = _scale_of_whole(values, _INTENSITY_SCALES)
+    scale = _scale_of_whole(values, INTEGER_SCALES)
     if scale is not None:
         return scale, ""
     return largest, f"Values go from {low:g} to {high:g}; {largest:g} is taken as full scale."

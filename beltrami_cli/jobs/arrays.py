@@ -217,7 +217,7 @@ def smooth(
         painted=without_others(painted, rows), settings=settings, fits_surface=faces is None,
         guides=[replace(guide, values=guide.values[rows]) for guide in guides],
         noise=None if noise is None else noise[rows],
-    )  # fmt: skip
+    ).normalised()  # fmt: skip
     done = smooth_layer(layer, progress)
     report, repainted = done.report, done.repainted
     assert isinstance(report, VertexReport)
@@ -314,7 +314,7 @@ def smooth_image(
             colours=table if valid.all() else table[valid],
             channels=channels,
             encoding=encoding,
-            stored="float32",
+            stored=str(given.dtype),
         ),
         grid=grid,
         surface=place,

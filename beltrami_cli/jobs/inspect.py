@@ -107,7 +107,7 @@ def _describe_layers(selection: Selection, job: Job) -> tuple[dict[Part, list[di
         job.begin("laying out")
         for layer in selection.layers(in_groups=settings.fits_parts):
             job.begin(f"{layer.label}: choosing parameters")
-            facts, exposure = layer.describe(), describe_exposure(layer)
+            facts, exposure = layer.normalised().describe(), describe_exposure(layer)
             described[layer.part].append(facts if exposure is None else {**facts, "exposure": exposure})
             notices += layer.notices
         for slot in selection.slots:
@@ -142,7 +142,7 @@ def _describe_under_textures(selection: Selection) -> dict[str, object]:
     if settings.on == "auto" and document.grid() is None and document.has_vertex_colours():
         # They stay as they are, so no parameters are chosen for them.
         plain = dataclasses.replace(DEFAULTS, kernel=dataclasses.replace(settings.kernel, free=()))
-        facts = vertex_layer(document, plain, selection.access).describe()
+        facts = vertex_layer(document, plain, selection.access).normalised().describe()
         return {key: facts[key] for key in facts if key != "smooth"}
     surface = document.textured(selection.slots[0])
     place_of, first = group_places(surface.positions, surface.space_of, surface.faces)

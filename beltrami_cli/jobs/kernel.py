@@ -66,7 +66,7 @@ def kernel_file(
         remedy = "choose --on vertices, or --on texture and one of --slots"
         raise UsageError(f"{document.name}: a kernel is of one image; {remedy}")
     selection.require_memory("smoothed" if selection.image else "painted")
-    (samples,) = selection.layers()
+    (samples,) = (layer.normalised() for layer in selection.layers())
     where = samples.places()
     on_mesh = isinstance(where, SampledVertices)
     if suffix != ".csv" and (suffix == ".ply") != on_mesh:
@@ -88,7 +88,7 @@ def kernel_file(
     channels = ("L", "a", "b", *samples.names[3:]) if settings.space == "oklab" else samples.names
     table = {column: values[kernel.samples] for column, values in columns.items()}
     table |= {"distance": kernel.distances, "weight": kernel.weights}
-    table |= dict(zip(channels, kernel.colours.T, strict=True))
+    table |= dict(zip(channels, samples.unit * kernel.colours.T, strict=True))
     parameters = plan.parameters
     nearness = 1 - kernel.distances / max(np.float32(parameters.radius), np.finfo(np.float32).tiny)
     if suffix == ".csv":
@@ -101,7 +101,7 @@ def kernel_file(
     else:
         written = _picture(manifold, index, kernel, nearness, samples, suffix)
     output.write(written)
-    beta = plan.beta * parameters.growth(iteration - 1)
+    beta = plan.beta / samples.unit * parameters.growth(iteration - 1)
     cut_short = on_mesh and len(kernel.samples) == parameters.max_samples
     return ShownKernel(name, parameters.iterations, beta, parameters.radius, cut_short, table)
 

@@ -61,6 +61,7 @@ def smooth_layer(
 
     If all was chosen from the data, and the result is estimated to be worse than the input, the colours stay.
     """
+    layer = layer.normalised()
     plan = layer.plan(tick)
     result = smooth(plan, progress)
     is_worse = _is_worse(result.choice, layer.settings.kernel)
@@ -73,7 +74,8 @@ def smooth_layer(
     warnings, is_smoothed = report.warnings(plan.parameters.max_samples), plan.parameters.iterations > 0
     if is_worse:
         warnings.append(f"{layer.label}: smoothing was estimated to make the colours worse, so they stay.")
-    choice, samples_per_kernel = result.choice, result.samples_per_kernel
+    choice = None if result.choice is None else result.choice.in_unit(layer.unit)
+    samples_per_kernel = result.samples_per_kernel
     del plan, result  # before images as large are made
     repainted = layer.repaint(new, is_smoothed=is_smoothed)
     return Smoothed(

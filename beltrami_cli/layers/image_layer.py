@@ -98,8 +98,8 @@ class ImageLayer(PictureLayer):
 
     def _canvas(self) -> tuple[Make, Atlas, KernelParameters]:
         return canvas_of_image(
-            self.surface, partial(self.colours.working, self.picture), self.settings.kernel,
-            guides=self.guides, metric_channels=self.colours.metric_channels, noise=self.noise,
+            self.surface, partial(self.colours.working, self.picture), self.kernel,
+            guides=self.guides, metric_channels=self.colours.metric_channels, noise=self.deviations,
         )  # fmt: skip
 
     @property

@@ -20,6 +20,7 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import FlowResult, Plan
 from beltrami_cli.flow.choice import Choice
 from beltrami_cli.flow.domain import NewColours
+from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.image import Picture, is_unchanged, losses, write_image
 from beltrami_cli.formats.image.picture import as_stored
 from beltrami_cli.layers.settings import COLOUR_SLOTS, LevelSettings, SmoothSettings, TextureSettings
@@ -116,8 +117,33 @@ class Layer(ABC):
     label: str  # their name in messages
     names: tuple[str, ...]  # of the sampled channels: changing ones, and ones that only enter the metric
     settings: SmoothSettings
+    noise: Float32s | None = None  # given standard deviations, with a row for each sample
     level_report: LevelReport | None = None  # what was done to exposure steps, if they were looked for
     notices: Sequence[str] = ()  # what users should know about how they are stored, and where they lie
+
+    def normalised(self) -> Self:
+        """Return the layer with colours in a unit of their own, so that what counts as noise depends on no unit."""
+        return self
+
+    def unit_in(self, space: str) -> float:
+        """Return what colours of this layer, in a space, are divided by in plans."""
+        del space
+        return 1.0
+
+    @property
+    def unit(self) -> float:
+        """What colours in the working space are divided by in plans."""
+        return self.unit_in(self.settings.space)
+
+    @property
+    def kernel(self) -> KernelParameters:
+        """The wanted parameters, for the unit of plans."""
+        return self.settings.kernel.in_unit(self.unit, self.unit_in("linear"))
+
+    @property
+    def deviations(self) -> Float32s | None:
+        """The given standard deviations of samples, in the unit of plans."""
+        return None if self.noise is None else self.noise / np.float32(self.unit)
 
     @abstractmethod
     def plan(self, tick: Callable[[], None] | None = None) -> Plan[Any]:
@@ -154,19 +180,27 @@ class Layer(ABC):
     def _used(self, plan: Plan[Any], result: FlowResult[Any]) -> dict[str, Any]:
         """Return the fields that all reports have in common."""
         return {
-            "beta": plan.beta,
+            "beta": plan.beta / self.unit,
             "iterations": plan.parameters.iterations,
-            "noise": named(self.names, plan.noise),
-            "noise_model": plan.described_noise,
+            **self._noise(plan),
             "guides": plan.guide_betas,
-            "choice": describe_choice(result.choice),
+            "choice": describe_choice(result.choice, self.unit),
             "patches": result.patches,
         }
 
+    def _noise(self, plan: Plan[Any]) -> dict[str, dict[str, float]]:
+        model = {
+            name: value if name == "grain" else self.unit * value
+            for name, value in plan.described_noise.items()
+        }
+        return {"noise": named(self.names, self.unit * plan.noise), "noise_model": model}
+
     def _planned(self, plan: Plan[Any]) -> dict[str, Any]:
         """Return the noise, and the parameters of the kernel as planned, for `describe`."""
-        choice = describe_choice(plan.choice)
-        used = dataclasses.asdict(dataclasses.replace(plan.parameters, beta=plan.beta))
+        choice, given = describe_choice(plan.choice, self.unit), self.settings.kernel.noise
+        used = dataclasses.asdict(
+            dataclasses.replace(plan.parameters, beta=plan.beta / self.unit, noise=given)
+        )
         del used["free"]  # nothing is any more
         smooth = {
             **used,
@@ -176,8 +210,7 @@ class Layer(ABC):
             **({"guide_betas": plan.guide_betas} if plan.guide_betas else {}),
             **({"choice": choice} if choice else {}),
         }
-        noise = named(self.names, plan.noise)
-        return {"noise": noise, "noise_model": plan.described_noise, "smooth": smooth}
+        return {**self._noise(plan), "smooth": smooth}
 
 
 def named(names: Sequence[str], values: Float64s) -> dict[str, float]:
@@ -185,10 +218,11 @@ def named(names: Sequence[str], values: Float64s) -> dict[str, float]:
     return {name: float(value) for name, value in zip(names, values, strict=True)}
 
 
-def describe_choice(choice: Choice | None) -> dict[str, object] | None:
-    """Describe the choice of parameters in JSON types."""
+def describe_choice(choice: Choice | None, unit: float) -> dict[str, object] | None:
+    """Describe the choice of parameters for colours that were divided by a unit, in JSON types."""
     if choice is None:
         return None
+    choice = choice.in_unit(unit)
     interval = None if choice.interval is None else list(choice.interval)
     return {**dataclasses.asdict(choice), "doubt": list(choice.doubt), "interval": interval}
 
@@ -233,6 +267,20 @@ def store(
             table[pixels[moved], channel] = as_stored(new[moved], picture.kinds[channel])
         return Change.between(before, table[pixels[:, None], channels])
     return Change(values.size, *store_integers(table, pixels, values, channels, threads))
+
+
+def dithered(values: Float32s, texels: Indices, width: int) -> Float32s:
+    """Add a pattern of half a step of 8 bits to some texels, so that rounding spreads what it takes away.
+
+    Multiples of a step stay. The pattern is interleaved gradient noise: J. Jimenez, "Next generation post
+    processing in Call of Duty: Advanced Warfare", SIGGRAPH 2014.
+    """
+    row, column = np.divmod(texels.astype(np.int32), np.int32(width))
+    pattern = (52.9829189 * ((0.06711056 * column + 0.00583715 * row) % 1)) % 1
+    steps = values * np.float32(255)
+    is_whole = np.abs(steps - np.rint(steps)) < 2e-3
+    spread = (steps + (0.98 * (pattern - 0.5)).astype(np.float32)[:, None]) / np.float32(255)
+    return np.where(is_whole, values, spread)
 
 
 def rewritten(

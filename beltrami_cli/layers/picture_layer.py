@@ -6,7 +6,7 @@ import dataclasses
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -34,11 +34,12 @@ from beltrami_cli.formats.image.picture import (
     without_alpha,
 )
 from beltrami_cli.formats.image.writing import colours_in_file, is_kept
-from beltrami_cli.layers.layer import Change, Layer, choose_channels, store
+from beltrami_cli.layers.layer import Change, Layer, choose_channels, dithered, store
 from beltrami_cli.layers.settings import COLOUR_SLOTS, SmoothSettings
+from beltrami_cli.layers.units import unit_of_pictures
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas, Indices, texels_by_texture
-from beltrami_cli.surface.records import ImageFile, Slot, from_space, to_space
+from beltrami_cli.surface.records import ImageFile, Slot, from_space, to_space, unit_in_space
 
 COLOURS = ("red", "green", "blue", "grey")
 # The channels that a data slot uses; others of the same image belong to another slot.
@@ -62,13 +63,17 @@ class PictureLayer(Layer):
     names: tuple[str, ...]
     settings: SmoothSettings
     pictures: Sequence[Picture]
-    tables: Sequence[
-        JpegTables | None
-    ]  # of pictures that are JPEG files, and whose colours are as these have them
+    tables: Sequence[JpegTables | None]  # of JPEG files with these colours
     colours: PictureColours
     atlas: Atlas | None = None  # of textures
     noise: Float32s | None = None  # standard deviations, with a row for each sample or, in images, pixel
     suffix: str | None = None  # of another image format that is written
+
+    def normalised(self) -> Self:
+        return dataclasses.replace(self, colours=self.colours.normalised(self.pictures))
+
+    def unit_in(self, space: str) -> float:
+        return unit_in_space(self.colours.unit, self.pictures[0].encoding, space)
 
     @property
     @abstractmethod
@@ -157,12 +162,11 @@ class PictureColours:
     width: int  # colour channels of the pictures; in grey ones among coloured ones red = green = blue
     kept: list[int]  # which of these are sampled
     changing: list[int]  # which of these change
-    others: dict[
-        str, int
-    ]  # the sampled channels of an image that are neither colours nor opacity, by their names
+    others: dict[str, int]  # the sampled channels that are neither colours nor opacity, by their names
     has_alpha: bool  # whether opacity is sampled
     hides: bool  # whether transparent pixels supply no colour
     is_normal: bool  # whether colours are normals, of length 1
+    unit: float = 1.0  # the stored number that is 1 in the working space
 
     @classmethod
     def of(
@@ -211,21 +215,34 @@ class PictureColours:
         """Return the colours of some pixels (row * width + column) of a picture in the working space, shape (T, N)."""
         return self._working(picture, np.take(_table(picture), pixels, axis=0))
 
+    def normalised(self, pictures: Sequence[Picture]) -> PictureColours:
+        """Return the conversion to a unit of the colours; of further channels where no colour is sampled."""
+        plain, first = dataclasses.replace(self, space="data", unit=1.0), len(self.kept) or None
+        unit = unit_of_pictures(
+            pictures, lambda *where: plain.working(*where)[~self.hidden(*where), :first],
+            are_data=self.space == "data",
+        )  # fmt: skip
+        return dataclasses.replace(self, unit=unit)
+
     def shown(self, picture: Picture, stored: Array) -> Float32s:
         """Return the channels that are written of some pixels of a picture, shape (K, C), in the working space."""
         return self._working(picture, stored)[:, self.written]
 
     def _working(self, picture: Picture, stored: Array) -> Float32s:
         pixels = self._straight(picture, full_scale_one(stored))
-        colours = to_space(self._widened(picture, pixels), picture.encoding, self.space)
+        colours = to_space(self._widened(picture, pixels), picture.encoding, self.space, self.unit)
         columns = [colours if len(self.kept) == self.width else colours[:, self.kept]]
         if self.others:
             columns.append(pixels[:, list(self.others.values())])
-        if self.has_alpha and picture.alpha is None:
-            columns.append(np.ones((len(pixels), 1), np.float32))
-        elif self.has_alpha:
-            columns.append(pixels[:, picture.alpha, None])
+        if self.has_alpha:
+            alpha = 1 if picture.alpha is None else pixels[:, picture.alpha, None]
+            columns.append(np.broadcast_to(np.float32(alpha), (len(pixels), 1)))
+        columns[1:] = (column / self._unit_of_others(picture) for column in columns[1:])
         return columns[0] if len(columns) == 1 else np.concatenate(columns, axis=1)
+
+    def _unit_of_others(self, picture: Picture) -> np.float32:
+        # Differences of channels of all kinds keep their ratio.
+        return np.float32(unit_in_space(self.unit, picture.encoding, self.space))
 
     def finite(self, picture: Picture) -> Bools:
         """Return which pixels of a picture have finite numbers in all sampled channels, shape (H, W)."""
@@ -259,9 +276,8 @@ class PictureColours:
         columns, count = self.columns(picture), len(self.changing)
         new = samples if self.written == list(range(samples.shape[1])) else samples[:, self.written]
         is_plain = self.space in ("data", picture.encoding) and len(picture.colour) == self.width
-        if (
-            is_plain and not self.is_normal and not self._is_divided(picture)
-        ):  # the numbers are stored as they are
+        is_plain = is_plain and not self.is_normal and not self._is_divided(picture)
+        if is_plain and self.unit == 1:  # the numbers are stored as they are
             return new[:, : len(columns)]
         rows = np.take(table, pixels, axis=0)
         moved = self.shown(picture, rows) != new
@@ -270,15 +286,16 @@ class PictureColours:
         if colours.shape[1] < count or self.is_normal or self.space == "oklab":  # which mixes the channels
             moved[:, :count] = moved[:, :count].any(axis=1, keepdims=True)
         first = count - colours.shape[1]
-        after = np.concatenate([colours, new[:, count:]], axis=1)[:, : len(columns)]
+        others = new[:, count:] * self._unit_of_others(picture)
+        after = np.concatenate([colours, others], axis=1)[:, : len(columns)]
         return np.where(moved[:, first : first + len(columns)], after, before[:, columns])
 
     def _colours(self, picture: Picture, values: Float32s, new: Float32s) -> Float32s:
         """Convert new colours of pixels that had values of full scale 1, shape (K, C), to stored values."""
         whole = self._widened(picture, self._straight(picture, values))
-        working = to_space(whole, picture.encoding, self.space).copy()
+        working = to_space(whole, picture.encoding, self.space, self.unit).copy()
         working[:, self.changing] = new
-        stored = from_space(working, picture.encoding, self.space)
+        stored = from_space(working, picture.encoding, self.space, self.unit)
         if self.is_normal:  # stored as (n + 1) / 2
             normals = 2 * stored - 1
             length = np.linalg.norm(normals, axis=1, keepdims=True)
@@ -377,20 +394,6 @@ def maker_of_manifolds(
         return grid_manifold(atlas, planes, kernel, noise=noise if found is None else found, **options)
 
     return make
-
-
-def dithered(values: Float32s, texels: Indices, width: int) -> Float32s:
-    """Add a pattern of half a step of 8 bits to some texels, so that rounding spreads what it takes away.
-
-    Multiples of a step stay. The pattern is interleaved gradient noise: J. Jimenez, "Next generation post
-    processing in Call of Duty: Advanced Warfare", SIGGRAPH 2014.
-    """
-    row, column = np.divmod(texels.astype(np.int32), np.int32(width))
-    pattern = (52.9829189 * ((0.06711056 * column + 0.00583715 * row) % 1)) % 1
-    steps = values * np.float32(255)
-    is_whole = np.abs(steps - np.rint(steps)) < 2e-3
-    spread = (steps + (0.98 * (pattern - 0.5)).astype(np.float32)[:, None]) / np.float32(255)
-    return np.where(is_whole, values, spread)
 
 
 def plan_on_pictures(

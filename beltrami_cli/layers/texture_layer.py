@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatch
 from functools import partial
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -104,12 +104,17 @@ class TextureLayer(PictureLayer):
     def as_data(self) -> bool:
         return self.slot not in COLOUR_SLOTS
 
+    def normalised(self) -> Self:
+        # Numbers of data slots mean something from 0 to 1; exposures are as stored.
+        return self if self.as_data or self.levelled_colours is not None else super().normalised()
+
     def _canvas(self) -> tuple[Make, Atlas, KernelParameters]:
+        kernel = self.kernel
         make = maker_of_manifolds(
-            self.atlas, self.settings.kernel, len(self.names), self._colours_of, self.noise,
+            self.atlas, kernel, len(self.names), self._colours_of, self.deviations,
             guides=self.guided.guides() if self.guided else (), metric_channels=self.colours.metric_channels,
         )  # fmt: skip
-        return make, self.atlas, self.settings.kernel
+        return make, self.atlas, kernel
 
     def _colours_of(self, block: slice) -> Float32s:
         """Return the colours of a block of the owned cells, levelled if they were, shape (T, N)."""
@@ -151,7 +156,7 @@ class TextureLayer(PictureLayer):
             own = plan.manifold if len(described) == 1 else _manifold_alone(self, index)
             atlas, noise = own.geometry.atlas, plan.noise if len(described) == 1 else own.noise.of_input
             facts |= {"charts": atlas.charts, "seams": atlas.seams, "overlapped": atlas.overlapped}
-            facts |= {"pitch": own.geometry.spacing, "noise": layer.named(self.names, noise)}
+            facts |= {"pitch": own.geometry.spacing, "noise": layer.named(self.names, self.unit * noise)}
             seams += atlas.seams
         return {
             "slot": self.slot,
@@ -249,7 +254,7 @@ class TextureLayer(PictureLayer):
 def _manifold_alone(textures: TextureLayer, index: int) -> GridManifold:
     """Return the manifold of one of several textures."""
     surface, pictures = only_textures(textures.surface, [index]), [textures.pictures[index]]
-    kernel, colours = dataclasses.replace(textures.settings.kernel, free=()), textures.colours
+    kernel, colours = dataclasses.replace(textures.kernel, free=()), textures.colours
     atlas = _without_transparent(atlas_of(surface, pictures, kernel), colours, pictures, surface.textures)
     colours_of = partial(texel_colours, colours, pictures, atlas)
     return maker_of_manifolds(atlas, kernel, len(textures.names), colours_of, None)(None, None)

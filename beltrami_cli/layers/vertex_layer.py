@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,12 +34,19 @@ from beltrami_cli.layers.layer import (
 )
 from beltrami_cli.layers.levelled_charts import level_photographs
 from beltrami_cli.layers.settings import LevelSettings, SmoothSettings
+from beltrami_cli.layers.units import unit_of_vertices
 from beltrami_cli.surface.atlas import Indices
 from beltrami_cli.surface.geometry import bounds, count_topology
 from beltrami_cli.surface.grouping import VertexSampling, sample_vertices
 from beltrami_cli.surface.large_arrays import blocks, copy_of, kept
 from beltrami_cli.surface.reconstruction import faces_of_points
-from beltrami_cli.surface.records import PaintedVertices, SampledSurface, from_space, to_space
+from beltrami_cli.surface.records import (
+    PaintedVertices,
+    SampledSurface,
+    from_space,
+    to_space,
+    unit_in_space,
+)
 
 # Kernels from which the mean number of samples is estimated, within a few per cent, in milliseconds.
 _PROBED_KERNELS = 1000
@@ -69,6 +76,7 @@ class PaintedLayer(Layer):
     guides: Sequence[Guide] = ()
     noise: Float32s | None = None  # standard deviations, with a row for each vertex
     in_triangles: bool = False  # vertices in no triangle have no colour
+    stored_unit: float = 1.0  # the number that is 1 in the working space
     channels: ChosenChannels = field(init=False)
     names: tuple[str, ...] = field(init=False)
 
@@ -76,6 +84,13 @@ class PaintedLayer(Layer):
         channels = choose_channels(self.painted.channels, self.settings, "the colours have")
         object.__setattr__(self, "channels", channels)
         object.__setattr__(self, "names", tuple(self.painted.channels[each] for each in channels.sampled))
+
+    def normalised(self) -> Self:
+        found = unit_of_vertices(self.painted, self.channels.sampled, are_data=self.settings.space == "data")
+        return self if found == self.stored_unit else dataclasses.replace(self, stored_unit=found)
+
+    def unit_in(self, space: str) -> float:
+        return unit_in_space(self.stored_unit, self.painted.encoding, space)
 
     def _report(self, plan: Plan[Any], result: FlowResult[Any], counts: dict[str, float]) -> VertexReport:
         return VertexReport(
@@ -102,7 +117,7 @@ class PaintedLayer(Layer):
         if len(vertices):
             low, high = (limit(axis=0)[changing] for limit in (painted.colours.min, painted.colours.max))
         for block in blocks(len(vertices)):
-            back = from_space(after[rows[block]], painted.encoding, self.settings.space)
+            back = from_space(after[rows[block]], painted.encoding, self.settings.space, self.stored_unit)
             colours[vertices[block, None], changing] = np.clip(back, low, high)
         return Repainted(change_of(painted, colours), colours, positions)
 
@@ -145,9 +160,13 @@ class VertexLayer(PaintedLayer):
     def _stored(self) -> Float32s:
         """The colours of the samples as the file has them, in the working space, shape (S, N)."""
         colours = to_space(
-            self.joined.colours[:, self.channels.sampled], self.joined.encoding, self.settings.space
-        )
+            self.joined.colours[:, self.channels.sampled], self.joined.encoding, self.settings.space,
+            self.stored_unit,
+        )  # fmt: skip
         return kept(np.ascontiguousarray(colours[self.sampling.first_vertex]))
+
+    def normalised(self) -> Self:
+        return self if self.levelled_colours is not None else super().normalised()
 
     def surface(self) -> SampledSurface:
         """Return the sampled surface; it is made when it is needed, since it is as large as the file."""
@@ -156,16 +175,16 @@ class VertexLayer(PaintedLayer):
         return surface if levelled is None else dataclasses.replace(surface, colours=levelled)
 
     def plan(self, tick: Callable[[], None] | None = None) -> Plan[MeshManifold]:
-        own, sampling = self.settings, self.sampling
+        own, kernel, sampling = self.settings, self.kernel, self.sampling
         geometry = None
         if own.embedding.smooth_geometry:
             geometry = GeometryParameters(sampling.place_of, own.embedding.normal_beta)
         manifold = mesh_manifold(
-            self.surface(), own.kernel, metric_channels=self.channels.metric, geometry=geometry,
+            self.surface(), kernel, metric_channels=self.channels.metric, geometry=geometry,
             guides=[Guide(guide.name, sampling.means(guide.values), guide.beta) for guide in self.guides],
-            deviations=None if self.noise is None else sampling.means(self.noise),
+            deviations=None if self.deviations is None else sampling.means(self.deviations),
         )  # fmt: skip
-        return choose_parameters(manifold, own.kernel, tick)
+        return choose_parameters(manifold, kernel, tick)
 
     def report(self, plan: Plan[MeshManifold], result: FlowResult[MeshManifold]) -> VertexReport:
         counts: dict[str, float] = {"triangles": len(self.painted.faces)}
@@ -257,10 +276,10 @@ class GridLayer(PaintedLayer):
             positions[measured] = self.painted.positions[self.grid[measured]]
             surface = ImageSurface(positions=positions, valid=measured)
         return plan_on_image(
-            surface, self._working, self.settings.kernel, metric_channels=self.channels.metric, tick=tick,
+            surface, self._working, self.kernel, metric_channels=self.channels.metric, tick=tick,
             light_in=space if self.painted.encoding == "linear" and space != "data" else None,
             guides=[dataclasses.replace(each, values=self._by_pixel(each.values)) for each in self.guides],
-            noise=None if self.noise is None else self._by_pixel(self.noise),
+            noise=None if self.deviations is None else self._by_pixel(self.deviations),
         )  # fmt: skip
 
     def _by_pixel(self, values: Array) -> Array:
@@ -273,7 +292,7 @@ class GridLayer(PaintedLayer):
     def _working(self, places: Int64s) -> Float32s:
         """Return the colours at some places of the grid in the working space, shape (T, N)."""
         colours = self.painted.colours[self.grid.reshape(-1)[places]][:, self.channels.sampled]
-        return to_space(colours, self.painted.encoding, self.settings.space)
+        return to_space(colours, self.painted.encoding, self.settings.space, self.stored_unit)
 
     def report(self, plan: Plan[GridManifold], result: FlowResult[GridManifold]) -> VertexReport:
         samples = len(plan.manifold.geometry.atlas.owned_texels)

@@ -402,8 +402,10 @@ _LAB = np.array(
 )
 
 
-def to_space(colours: Float32s, encoding: Encoding, space: str) -> Float32s:
-    """Convert stored colours, shape (S, C), full scale 1, to the working space; "data" keeps the numbers."""
+def to_space(colours: Float32s, encoding: Encoding, space: str, unit: float = 1.0) -> Float32s:
+    """Convert stored colours, shape (S, C), to the working space, where `unit` is 1; "data" keeps the numbers."""
+    if unit != 1:
+        colours = colours / np.float32(unit)
     if space in ("data", encoding):
         return colours
     if space == "oklab":
@@ -423,8 +425,10 @@ def _light_of(colours: Float32s) -> Float32s:
     return linear
 
 
-def from_space(colours: Float32s, encoding: Encoding, space: str) -> Float32s:
+def from_space(colours: Float32s, encoding: Encoding, space: str, unit: float = 1.0) -> Float32s:
     """Convert working colours, shape (S, C), back to what the file stores; the inverse of `to_space`."""
+    if unit != 1:
+        return from_space(colours, encoding, space) * np.float32(unit)
     if space in ("data", encoding):
         return colours
     if space == "oklab":
@@ -434,6 +438,17 @@ def from_space(colours: Float32s, encoding: Encoding, space: str) -> Float32s:
     else:
         converted = linear_to_srgb(colours) if encoding == "srgb" else srgb_to_linear(colours)
     return np.asarray(converted, np.float32)
+
+
+def unit_in_space(unit: float, encoding: Encoding, space: str) -> float:
+    """Return the factor by which working colours are divided where stored ones are divided by a unit.
+
+    In sRGB this holds above the linear part of the curve, which ends at 0.04.
+    """
+    if space in ("data", encoding):
+        return unit
+    light = unit if encoding == "linear" else unit**_EXPONENT
+    return float(light ** {"linear": 1, "srgb": 1 / _EXPONENT, "oklab": 1 / 3}[space])
 
 
 def _require_three(colours: Float32s) -> None:

@@ -142,7 +142,7 @@ class LayerView:
     ) -> list[Patch]:
         kernel = settings.kernel
         if self._pixels is None or dataclasses.replace(self._pixels.settings, kernel=kernel) != settings:
-            self._pixels = ImageLayer.read(self._document, settings, self._access)
+            self._pixels = ImageLayer.read(self._document, settings, self._access).normalised()
         rows, columns = self._pixels.valid.shape
         around = _window((rows, columns), focus.origin[1::-1] * (rows, columns), budget)
         top, left = (slice(axis.start // CODED_TOGETHER * CODED_TOGETHER, axis.stop) for axis in around)
@@ -190,6 +190,7 @@ class LayerView:
             space_of=None if surface.space_of is None else surface.space_of[rows],
         )  # fmt: skip
         layer = TextureLayer.read(part, self._textures, settings, guided=(self._document, self._access))
+        layer = layer.normalised()
         new = _smooth(layer, progress)
         offsets, patches = layer.atlas.texture_offsets, []
         keys = [each.key for each in surface.textures]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, get_args
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.fields import check, override, parameter, parameters
+from beltrami_cli.fields import check, of_255, override, parameter, parameters
 from beltrami_cli.flow.parameters import STRENGTHS, TUNABLE
 from beltrami_cli.layers.settings import DEFAULTS, NO_NOISE_FOUND, SLOTS, SmoothSettings, describe_settings
 
@@ -268,12 +268,10 @@ def noise_in_words(noise: dict[str, float], model: dict[str, float]) -> str:
     strongest = max(noise.values(), default=0.0)
     if not strongest:
         return NO_NOISE_FOUND
-    parts = [f"{name} {255 * sigma:.1f}" for name, sigma in noise.items()] if len(noise) > 1 else []
-    words = f"{255 * strongest:.1f}/255" + (f" ({', '.join(parts)})" if parts else "")
+    parts = [f"{name} {of_255(sigma)}" for name, sigma in noise.items()] if len(noise) > 1 else []
+    words = f"{of_255(strongest)}/255" + (f" ({', '.join(parts)})" if parts else "")
     names = {"quiet": "quiet places", "loud": "loud places"}
-    details = [
-        f"{names.get(name, name)} {255 * sigma:.1f}" for name, sigma in model.items() if name != "grain"
-    ]
+    details = [f"{names.get(name, name)} {of_255(sigma)}" for name, sigma in model.items() if name != "grain"]
     if model.get("grain", 1.0) >= 1.05:  # rounds to more than one sample
         details.append(f"shared over {model['grain']:.1f} samples")
     return ", ".join([words, *details])
@@ -284,7 +282,7 @@ def _measured(given: str | None, done: dict[str, Any]) -> Iterator[list[str]]:
     how = "measured" if given is None else f"given as {given}"
     yield ["noise", noise_in_words(done["noise"], done["noise_model"]), how]
     if done["change"]:
-        yield ["mean change", f"{255 * done['change']['mean']:.1f}/255", "measured"]
+        yield ["mean change", f"{of_255(done['change']['mean'])}/255", "measured"]
     choice = done["choice"]
     if choice and choice["psnr"] is not None:
         gain = f"{choice['psnr']:.1f} dB, {choice['gain']:+.1f} dB against the input"

@@ -13,7 +13,7 @@ from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.inspect import check_files
 from beltrami_cli.jobs.job import PLAIN_JOB
 from beltrami_cli.jobs.recolour import Painter, recolour
-from beltrami_cli.layers.picture_layer import dithered
+from beltrami_cli.layers.layer import dithered
 from beltrami_cli.layers.settings import DEFAULTS
 from cli.commands import SAMPLES
 from cli.commands import beltrami as run_beltrami
