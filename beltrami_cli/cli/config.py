@@ -138,18 +138,27 @@ def may_be_found(option: click.Parameter, value: object = None) -> bool:
 
 
 def candidates() -> Iterator[Path]:
-    """Give the places of a configuration, nearest first: up to the home folder, a repository's root or a border."""
+    """Give the places of a configuration, nearest first: up to the home folder, a repository's root or a border.
+
+    None lies in a folder that must not be looked into; InputError if one cannot be.
+    """
     try:
-        here = Path.cwd()
-    except OSError:  # the folder was removed
+        yield from _candidates(Path.cwd())
+    except (PermissionError, FileNotFoundError):  # the working folder was removed
         return
+    except OSError as error:
+        cause = f"no configuration can be looked for there ({error.strerror})"
+        raise InputError(str(error.filename), cause, "check the disk") from error
+
+
+def _candidates(here: Path) -> Iterator[Path]:
     home, device = None, here.stat().st_dev
     with contextlib.suppress(OSError, RuntimeError):
         home = Path.home().resolve()
     for folder in (here, *here.parents):
         if folder.stat().st_dev != device:
             return
-        yield from (path for path in (folder / OWN_NAME, folder / SHARED_NAME) if path.is_file())
+        yield from [path for path in (folder / OWN_NAME, folder / SHARED_NAME) if path.is_file()]
         if folder == home or (folder / ".git").exists():
             return
 

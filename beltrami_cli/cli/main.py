@@ -181,6 +181,9 @@ def _run() -> int:
             os.getcwd()  # noqa: PTH109
         except OSError:
             return _failure(InputError.exit_code, "the working folder was removed; change to one that exists")
+        if isinstance(error, OSError) and isinstance(error.filename, str | bytes):
+            cause = f"cannot be used ({error.strerror})"
+            return _failure(InputError.exit_code, str(InputError(os.fsdecode(error.filename), cause)))
         cause = " ".join(f"{type(error).__name__}: {error}".split())
         return _failure(1, f"unexpected error: {cause}; run again with -vv and report it")
 

@@ -128,9 +128,12 @@ def require_ratio(name: str, what: str, packed: int, unpacked: int) -> None:
 def open_regular(path: Path) -> BufferedReader:
     """Open a regular file, never waiting for a writer; OSError if it cannot be opened, or is none."""
     file = os.fdopen(os.open(path, _OPENING), "rb")
-    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+    try:
+        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            raise NotRegularError(errno.EINVAL, "it is not a regular file")
+    except OSError:
         file.close()
-        raise NotRegularError(errno.EINVAL, "it is not a regular file")
+        raise
     return file
 
 

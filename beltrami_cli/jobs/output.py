@@ -364,7 +364,8 @@ def shared_files(folder: Path, target: Path, names: Iterable[str]) -> list[str]:
     replaced, heads = [name for name in names if os.path.lexists(folder / name)], dict[str, bytes]()
     if not replaced:
         return []
-    with os.scandir(folder) as entries:
+    files = list[str]()
+    with contextlib.suppress(OSError), os.scandir(folder) as entries:  # some folders must not be listed
         files = sorted(entry.name for entry in entries if _may_refer(entry.name))
     for name in files[:_MOST_FILES]:
         with contextlib.suppress(OSError):

@@ -125,7 +125,7 @@ class Journal:
 
     def close(self) -> list[OSError]:
         """Remove the temporary files, unless the next run needs them to undo the set; return why some stay."""
-        os.close(self._descriptor)
+        _close(self._descriptor)
         return [] if self._is_needed else _remove(self._files, self._path)
 
     def _list(self, file: TemporaryFile) -> None:
@@ -271,7 +271,7 @@ def folders_locked(folders: Iterable[Path]) -> Iterator[None]:
                 descriptor = os.open(folder, os.O_RDONLY | getattr(os, "O_DIRECTORY", 0))
             except OSError:  # as on Windows, or without the right to list it
                 continue
-            locks.callback(os.close, descriptor)  # which unlocks it
+            locks.callback(_close, descriptor)  # which unlocks it
             end = time.monotonic() + _PATIENCE
             while _try_lock(descriptor) is False:
                 if time.monotonic() > end:
@@ -279,6 +279,12 @@ def folders_locked(folders: Iterable[Path]) -> Iterator[None]:
                     raise OSError(errno.EBUSY, cause, str(folder))
                 time.sleep(_PAUSE)
         yield
+
+
+def _close(descriptor: int) -> None:
+    """Close a file or folder that nothing was written to since it was synchronised."""
+    with contextlib.suppress(OSError):
+        os.close(descriptor)
 
 
 def _try_lock(descriptor: int) -> bool | None:
@@ -334,7 +340,7 @@ def _put(file: TemporaryFile, *, keep: bool) -> None:
 
 def _copy(path: Path, copy: Path) -> None:
     """Copy a file with its rights and times."""
-    os.close(os.open(copy, os.O_CREAT | os.O_EXCL | os.O_WRONLY, PRIVATE))
+    _close(os.open(copy, os.O_CREAT | os.O_EXCL | os.O_WRONLY, PRIVATE))
     shutil.copyfile(path, copy)
     take_over(path, copy)
     status = path.stat()
@@ -352,7 +358,7 @@ def _put_new(temporary: Path, path: Path) -> None:
         raise
     except OSError:  # no file can have two names there
         # Only one process can make the empty file, and may then replace it.
-        os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
+        _close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
         try:
             temporary.replace(path)
         except OSError:
