@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from beltrami_cli.errors import BeltramiError, UsageError
-from beltrami_cli.fields import override
+from beltrami_cli.fields import of_255, override
 from beltrami_cli.flow.parameters import TUNABLE
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import WRITABLE
@@ -225,7 +225,7 @@ class Live:
             request.send(
                 kind="whole", patches=[patch for layer in self._layers for patch in layer.whole(result)], chosen=chosen,
                 used=rendered("parameters.html", used=used), notices=[*dict.fromkeys([*self._document.notices, *said])],
-                noise=None if settings.kernel.noise or not levels else f"{255 * np.mean(levels):.1f}/255",
+                noise=None if settings.kernel.noise or not levels else f"{of_255(float(np.mean(levels)))}/255",
             )  # fmt: skip
 
     def _whole(self, change: _Change) -> tuple[Document, list[Smoothed]]:
