@@ -84,8 +84,10 @@ def test_nothing_crosses_a_wall_of_holes_one_pixel_thick(parameters, wall):
     other = image.copy()
     other[side] = noisy(24, 24, seed=9)[side] ** 2
     other[line] = 0.123
+    image, other = (np.rint(255 * each.clip(0, 1)).astype(np.uint8) / 255 for each in (image, other))
     height = hills(24, 24)
-    # What both sides have in common is the estimated noise, which beta and restored averages depend on.
+    # What both sides have in common is the estimated noise, which beta and restored averages depend on, and the unit of
+    # colours, which is 1 of levels of 8 bits.
     fixed = {"beta": 8, "clipping": "keep", **parameters}
     surface = ImageSurface(heights=height, valid=valid)
     one, two = (smooth_image(each, surface=surface, **fixed).colours for each in (image, other))
