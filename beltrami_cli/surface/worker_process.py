@@ -54,7 +54,9 @@ def temporary_folder() -> Iterator[Path]:
 
     with ExitStack() as stack:
         with writing_temporary_files():
-            folder = stack.enter_context(TemporaryDirectory(prefix="beltrami-"))
+            # The work is done when it is removed, and a file that stays there is no reason to lose it.
+            made = TemporaryDirectory(prefix="beltrami-", ignore_cleanup_errors=True)
+            folder = stack.enter_context(made)
         yield Path(folder)
 
 

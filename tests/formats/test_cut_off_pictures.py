@@ -1,9 +1,11 @@
 """A picture whose temporary file is cut off is refused, whatever its encoder says, and its old file stays."""
 
 import contextlib
+import errno
 import os
 import resource
 import signal
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -51,3 +53,12 @@ def test_a_picture_that_is_cut_off_is_refused(suffix, in_memory, monkeypatch):
             outcomes.append(made)
         assert all(each in (None, expected) for each in outcomes), outcomes
         assert (outcomes[0] is None) == (suffix not in WITHOUT_FILES)
+
+
+def test_a_temporary_file_that_cannot_be_read_names_the_picture(monkeypatch):
+    def fail(path):
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr(Path, "read_bytes", fail)
+    with pytest.raises(OutputError, match=r"skin\.png: .* cannot be read back"):
+        write_image(new_picture(NOISE, "skin.png"), NOISE)

@@ -125,7 +125,10 @@ def _encoded_by_openimageio(spec: Any, pixels: Array, known: str, name: str) -> 
         error_of(OpenImageIO)
         if not (written and closed):
             raise unwritten(name, known, error.replace(str(path), "it"))
-        data = path.read_bytes()
+        try:
+            data = path.read_bytes()
+        except OSError as failure:
+            raise unwritten(name, known, f"it cannot be read back: {failure.strerror}") from failure
     _require_whole(data, spec, pixels, known, name)
     return data
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -354,7 +354,8 @@ def scratch_file(data: bytes = b"", suffix: str = "", name: str = _UNNAMED) -> I
             _fill(path, data, name)
             yield path
         finally:
-            os.close(descriptor)
+            with suppress(OSError):  # its content is not needed any more
+                os.close(descriptor)
     else:
         from beltrami_cli.surface.worker_process import temporary_folder
 
