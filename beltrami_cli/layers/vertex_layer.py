@@ -86,7 +86,10 @@ class PaintedLayer(Layer):
         object.__setattr__(self, "names", tuple(self.painted.channels[each] for each in channels.sampled))
 
     def normalised(self) -> Self:
-        found = unit_of_vertices(self.painted, self.channels.sampled, are_data=self.settings.space == "data")
+        return self._in_unit_of(self.painted)
+
+    def _in_unit_of(self, painted: PaintedVertices) -> Self:
+        found = unit_of_vertices(painted, self.channels.sampled, are_data=self.settings.space == "data")
         return self if found == self.stored_unit else dataclasses.replace(self, stored_unit=found)
 
     def unit_in(self, space: str) -> float:
@@ -166,7 +169,11 @@ class VertexLayer(PaintedLayer):
         return kept(np.ascontiguousarray(colours[self.sampling.first_vertex]))
 
     def normalised(self) -> Self:
-        return self if self.levelled_colours is not None else super().normalised()
+        if self.levelled_colours is not None:
+            return self
+        made = self._in_unit_of(self.joined)
+        vars(made)["joined"] = self.joined  # which takes long to find
+        return made
 
     def surface(self) -> SampledSurface:
         """Return the sampled surface; it is made when it is needed, since it is as large as the file."""
