@@ -35,9 +35,10 @@ def unit_of_vertices(painted: PaintedVertices, channels: Sequence[int], *, are_d
     """Return the unit of chosen channels of vertices."""
     full, rows = painted.full_scale, painted.colours
     is_whole = painted.stored.startswith(("uint", "int")) or full in INTEGER_SCALES
-    if len(corners := painted.faces.reshape(-1)):  # vertices in no triangle stay
-        rows = rows[corners[:: 1 + len(corners) // _ENOUGH]]
-    values = rows[:: 1 + len(rows) // _ENOUGH, channels]
+    joined = np.full(len(rows), not len(painted.faces))
+    joined[painted.faces] = True  # vertices in no triangle stay
+    places = np.flatnonzero(joined)
+    values = rows[places[:: 1 + len(places) // _ENOUGH]][:, channels]
     return value_unit(
         values, 1 / full if is_whole else 0.0, is_display=painted.encoding == "srgb" and not are_data
     )
