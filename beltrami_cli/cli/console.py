@@ -47,6 +47,14 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun if number == 1 else plural}"
 
 
+def outliers_in_words(found: dict[str, Any], noun: str) -> str:
+    """Say how many samples were wrong, and what was done to them; empty: none were."""
+    if not found:
+        return ""
+    done = "replaced" if found["replaced"] else "kept"
+    return f"{counted(found['count'], f'wrong {noun}')} ({100 * found['share']:.2g} %) {done}"
+
+
 def choice_in_words(choice: dict[str, Any]) -> str:
     """Return what was chosen, by what estimate, and how sure that is."""
     chosen = ", ".join(f"{name.replace('_', ' ')} {value:.3g}" for name, value in choice["chosen"].items())

@@ -19,6 +19,7 @@ from beltrami_cli.cli.console import (
     counted,
     lines_on,
     noise_of_255,
+    outliers_in_words,
     printable,
     show_table,
 )
@@ -138,6 +139,8 @@ def _size_in_words(facts: dict[str, Any]) -> Iterator[str]:
 
 def _answer(part: dict[str, Any]) -> Iterator[tuple[str, str]]:
     """Give the noise of a part and what smoothing would do to it."""
+    if wrong := outliers_in_words(part.get("wrong_samples", {}), "sample"):
+        yield "outliers", wrong
     yield "noise", noise_in_words(part["noise"], part["noise_model"])
     smooth = part["smooth"]
     choice = (

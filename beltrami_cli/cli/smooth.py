@@ -13,7 +13,15 @@ import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import command, overwrite_at
-from beltrami_cli.cli.console import ALL_THE_SAME, NO_AREA, NO_NOISE, Messages, counted, lines_on
+from beltrami_cli.cli.console import (
+    ALL_THE_SAME,
+    NO_AREA,
+    NO_NOISE,
+    Messages,
+    counted,
+    lines_on,
+    outliers_in_words,
+)
 from beltrami_cli.errors import OutputError, UsageError
 from beltrami_cli.fields import of_255, show_size
 from beltrami_cli.jobs.job import BakeSettings, Job, NoiseSettings
@@ -92,7 +100,14 @@ def _show_result(messages: Messages, report: SmoothReport, *, dry_run: bool) -> 
         holes = f" with {counted(cast('int', facts['holes']), 'hole')}" if facts["holes"] else ""
         what = f"{facts['width']} x {facts['height']} pixels{holes}"
         is_empty = facts["holes"] == cast("int", facts["width"]) * cast("int", facts["height"])
-        _show_done(messages, name + what, report.image, report.image.samples_per_kernel, is_empty=is_empty)
+        _show_done(
+            messages,
+            name + what,
+            report.image,
+            report.image.samples_per_kernel,
+            is_empty=is_empty,
+            noun="pixel",
+        )
     for slot in report.textures:
         textures = counted(len(slot.textures), f"{slot.slot} texture")
         if sum(other.slot == slot.slot for other in report.textures) > 1:
@@ -100,22 +115,31 @@ def _show_result(messages: Messages, report: SmoothReport, *, dry_run: bool) -> 
         charts = counted(slot.counts["charts"], "chart")
         what = f"{textures}, {counted(slot.counts['covered'], 'texel')} in {charts}"
         is_empty = not slot.counts["covered"]
-        _show_done(messages, name + what, slot, slot.samples_per_kernel, is_empty=is_empty)
+        _show_done(messages, name + what, slot, slot.samples_per_kernel, is_empty=is_empty, noun="texel")
 
 
 def _show_done(
-    messages: Messages, what: str, done: LayerReport, samples: float, *, is_empty: bool = False
+    messages: Messages,
+    what: str,
+    done: LayerReport,
+    samples: float,
+    *,
+    is_empty: bool = False,
+    noun: str = "sample",
 ) -> None:
     if is_empty:  # `what` or a warning says why.
         messages.say(f"{what}, so the colours are left as they are")
         return
     strongest = 255 * max(done.noise.values(), default=0)
+    wrong = outliers_in_words(done.wrong_samples, noun)
+    what += f", {wrong}" if wrong else ""
     noise = f"{what}, noise {of_255(strongest / 255)}/255" if strongest else f"{what}, {NO_NOISE_FOUND}"
     if not done.iterations:
         reason = "which smoothing would not reduce, "
         if strongest <= 0.5:
             reason = f"{NO_NOISE} (0.5), " if strongest else ""
-        messages.say(f"{noise}, {reason}so the colours are left as they are; {ALL_THE_SAME}")
+        others = "all other colours" if done.wrong_samples.get("replaced") else "the colours"
+        messages.say(f"{noise}, {reason}so {others} are left as they are; {ALL_THE_SAME}")
         return
     iterations = f" on average over {done.iterations} iterations" if done.iterations > 1 else ""
     messages.say(

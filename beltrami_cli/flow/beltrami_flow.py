@@ -48,6 +48,12 @@ class Plan(Generic[AnyManifold]):
     def guide_betas(self) -> dict[str, float]:
         return {guide.name: guide.beta for guide in self.manifold.guides}
 
+    @property
+    def outliers(self) -> dict[str, object]:
+        """How many samples were outliers, their share of all, and whether they are replaced; empty: none were."""
+        own, is_replaced = self.manifold.outliers, self.parameters.outliers != "keep"
+        return {} if own is None else {"count": len(own.samples), "share": own.share, "replaced": is_replaced}
+
     def step(self, iteration: int) -> Step:
         """Return an iteration, counted from 0."""
         own = self.parameters

@@ -278,6 +278,18 @@ class NewColours:
             self, take=lambda block, inside: each(take(block, inside)), beyond=each(self.beyond)
         )
 
+    def with_kept(self, samples: Indices, channels: Bools, colours: Float32s) -> NewColours:
+        """Return the same with other colours in the marked channels of K samples, ascending."""
+        take, last = self.take, len(samples) - 1
+
+        def kept(block: slice, inside: Bools | slice) -> Float32s:
+            rows, numbers = take(block, inside), np.arange(len(self.places))[block][inside]
+            place = np.minimum(np.searchsorted(samples, numbers), last)
+            is_kept = channels[place] & (samples[place] == numbers)[:, None]
+            return np.where(is_kept, colours[place], rows)
+
+        return dataclasses.replace(self, take=kept)
+
     def table(self) -> Float32s:
         """Return all rows, shape (S, N)."""
         return self.take(slice(None), slice(None))

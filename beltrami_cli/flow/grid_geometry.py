@@ -143,6 +143,47 @@ class GridGeometry(Geometry):
         return planes
 
 
+@dataclass(frozen=True)
+class CanvasSamples:
+    """The owned cells of a canvas, and the cells around them; those of the halo are the owned ones that they show."""
+
+    atlas: Atlas
+
+    @property
+    def samples(self) -> Indices:
+        return self.atlas.owned_cells
+
+    def around(self, samples: Indices, reach: int) -> Int64s:
+        """Return the owned cells within some rows and columns of each cell, shape (B, W); -1: none."""
+        atlas, steps = self.atlas, np.arange(-reach, reach + 1)
+        own = np.asarray(samples, np.int64)[:, None]
+        others = (steps[:, None] * atlas.kind.shape[1] + steps).reshape(-1)
+        cells: Int64s = own + others[others != 0]
+        kind = atlas.kind.reshape(-1).take(cells, mode="clip")
+        if len(atlas.halo_cells):
+            halo = kind == HALO
+            cells[halo] = atlas.halo_nearest[np.searchsorted(atlas.halo_cells, cells[halo])]
+        cells[(kind == EMPTY) | (cells == own)] = -1
+        return cells
+
+    def standing_out(self, planes: Float32s, least: Float32s) -> Indices:
+        """Return the owned cells that differ from five of eight neighbours by more than `least` in a channel."""
+        kind, found = self.atlas.kind, [np.zeros(0, np.int64)]
+        for rows in large_arrays.blocks(len(kind), max(1, large_arrays.CACHED // kind.shape[1])):
+            around, stands_out = slice(max(0, rows.start - 1), rows.stop + 1), np.zeros(1, bool)
+            for plane, enough in zip(planes[:, around], least, strict=True):
+                count = np.zeros(plane.shape, np.uint8)
+                for step in STEPS:
+                    here, there = ends_of(step)
+                    differ = np.abs(plane[here] - plane[there]) > enough
+                    count[here] += differ
+                    count[there] += differ
+                stands_out = stands_out | (count > 4)
+            own = stands_out[rows.start - around.start :][: rows.stop - rows.start] & (kind[rows] == OWNED)
+            found.append(np.flatnonzero(own) + rows.start * kind.shape[1])
+        return np.concatenate(found)
+
+
 def pick(planes: Array, samples: Cells) -> Array:
     """Return some cells of an array of planes, of rows and rectangles without a copy."""
     if isinstance(samples, slice):

@@ -28,7 +28,15 @@ from beltrami_cli.flow.canvas import (
 )
 from beltrami_cli.flow.chunks import Chunk, Figures, Rectangle, chunking, chunks_of_canvas
 from beltrami_cli.flow.domain import Gaussian, Mixing, NewColours, Stack
-from beltrami_cli.flow.grid_geometry import SUMMED_ROWS, Cells, GridGaussian, GridGeometry, guide_radius, pick
+from beltrami_cli.flow.grid_geometry import (
+    SUMMED_ROWS,
+    CanvasSamples,
+    Cells,
+    GridGaussian,
+    GridGeometry,
+    guide_radius,
+    pick,
+)
 from beltrami_cli.flow.manifold import (
     ON_GRIDS,
     RULE_ON_GRIDS,
@@ -46,6 +54,7 @@ from beltrami_cli.flow.manifold import (
 from beltrami_cli.flow.noise.grid_squares import Grid
 from beltrami_cli.flow.noise.model import NoiseModel, relative_to_mean
 from beltrami_cli.flow.noise.reading import estimate_noise
+from beltrami_cli.flow.outliers import replace_outliers
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.risk import choose_blocks, perturbations, tried_cells, wanted_probes, with_halo
 from beltrami_cli.surface import large_arrays
@@ -72,11 +81,17 @@ def grid_manifold(
     metric_channels: Sequence[int] | None = None,
     noise: NoiseModel | Float32s | None = None,
     unit: float | None = None,
+    is_light: bool = False,
 ) -> GridManifold:
     """Make the image manifold of an atlas with colours on its canvas, which are taken over.
 
     `noise`: of the colours, or the standard deviations of the owned cells, shape (T, K); None: it is estimated.
     """
+    outliers = None
+    if not isinstance(noise, NoiseModel):  # with which colours are given that have none
+        outliers = replace_outliers(planes, CanvasSamples(atlas), parameters, is_light=is_light)
+        if outliers is not None:
+            refresh_halo(planes, atlas)
     measured, known = None, None
     if isinstance(noise, NoiseModel):
         known = noise
@@ -104,7 +119,7 @@ def grid_manifold(
         geometry=grid, colours=planes, noise=model, parameters=parameters, unit=unit,
         metric_channels=slice(None) if metric_channels is None else list(metric_channels),
         guides=tuple(GuideStack.of(guide, _guide_on_canvas(guide, grid), grid, unit) for guide in guides),
-        jumps=int(np.count_nonzero(different)),
+        jumps=int(np.count_nonzero(different)), outliers=outliers,
     )  # fmt: skip
 
 
@@ -314,7 +329,9 @@ class GridManifold(Manifold):
         )
 
     def new_colours(self) -> NewColours:
-        return canvas_colours(self.geometry.atlas, self.colours).mapped(self.noise.to_input)
+        return self._with_outliers(
+            canvas_colours(self.geometry.atlas, self.colours).mapped(self.noise.to_input)
+        )
 
 
 def cut_blocks(whole: GridManifold, cells: Int64s, core: Bools, reach: int) -> GridManifold:

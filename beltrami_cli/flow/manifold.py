@@ -43,6 +43,7 @@ from beltrami_cli.flow.domain import (
     for_blocks,
 )
 from beltrami_cli.flow.noise.model import NoiseModel, choose_beta
+from beltrami_cli.flow.outliers import Outliers
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface.atlas import EMPTY
 from beltrami_cli.surface.large_arrays import Droppable
@@ -124,6 +125,7 @@ class Manifold(ABC):
     guides: tuple[GuideStack, ...] = ()
     moving: MovingPositions | None = None  # positions that are smoothed along with the colours
     is_in_one_block: bool = False  # averaged at once, whatever its size; stacks stay as they are
+    outliers: Outliers | None = None  # that were filled; their order is that of `new_colours`
 
     search_range: ClassVar[SearchRange]
     """The parameters that are tried when they are chosen from the data."""
@@ -193,6 +195,13 @@ class Manifold(ABC):
     @abstractmethod
     def new_colours(self) -> NewColours:
         """Return the colours block by block, with those beyond seams, to be written back to the document."""
+
+    def _with_outliers(self, new: NewColours) -> NewColours:
+        """Return new colours with the outliers as they were, if they are kept."""
+        own = self.outliers
+        if own is None or self.parameters.outliers != "keep":
+            return new
+        return new.with_kept(own.samples, own.channels, own.colours)
 
     def _regularising(self, step: Step, gaussian: Gaussian | None) -> Gaussian | None:
         if not step.regularised or (step.beta == 0 and self.moving is None):

@@ -16,7 +16,7 @@ from typing import ClassVar
 import numpy as np
 
 from beltrami_cli._native import SegmentManifold, TriangulatedManifold, vertex_order
-from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Uint8s
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
 from beltrami_cli.flow.clipping import ClippedChannels, find_clipped
 from beltrami_cli.flow.domain import ENOUGH_STEPS, Domain, Geometry, KernelWork, Stack
 from beltrami_cli.flow.parameters import KernelParameters
@@ -31,7 +31,7 @@ from beltrami_cli.surface.geometry import (
     mean_side,
     vertex_areas,
 )
-from beltrami_cli.surface.incidence import RowsOfSamples
+from beltrami_cli.surface.incidence import Neighbours, RowsOfSamples
 from beltrami_cli.surface.large_arrays import kept
 from beltrami_cli.surface.records import SampledSurface
 
@@ -203,6 +203,40 @@ class MeshGeometry(Geometry, Domain):
         joined = np.zeros(self.size, bool)
         joined[self.edges] = True
         return joined
+
+
+class MeshSamples:
+    """The samples of a mesh, and those around them; of hubs only the first."""
+
+    _MOST = 8  # neighbours of one sample: regular meshes have six
+
+    def __init__(self, mesh: MeshGeometry) -> None:
+        self.samples: Indices = np.arange(mesh.size)
+        self._edges = mesh.edges
+        self._neighbours = Neighbours(mesh.size, mesh.edges, mesh.scaled_lengths)
+
+    def around(self, samples: Indices, reach: int) -> Int64s:
+        """Return the samples within some steps along edges of each, shape (B, W), as often as they are reached."""
+        near = self._neighbours.first(samples, self._MOST)
+        if reach == 1:
+            return near
+        further = self._neighbours.first(np.maximum(near, 0).reshape(-1), self._MOST)
+        further = np.where(near[..., None] >= 0, further.reshape(*near.shape, -1), -1).reshape(len(near), -1)
+        further[further == np.asarray(samples)[:, None]] = -1
+        return np.concatenate([near, further], axis=1)
+
+    def standing_out(self, planes: Float32s, least: Float32s) -> Indices:
+        """Return the samples that differ from most neighbours by more than `least` in a channel."""
+        size = len(self.samples)
+        counts = np.zeros((len(planes), size))
+        for block in large_arrays.blocks(len(self._edges)):
+            low, high = self._edges[block].T
+            for plane, enough, count in zip(planes, least, counts, strict=True):
+                differ = np.abs(plane[low] - plane[high]) > enough
+                for ends in (low, high):
+                    count += np.bincount(ends, differ, minlength=size)
+        degrees = np.bincount(self._edges.reshape(-1), minlength=size)
+        return np.flatnonzero((2 * counts > degrees).any(axis=0))
 
 
 def rank_in(order: Int32s) -> Int32s:

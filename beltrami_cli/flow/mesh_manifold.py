@@ -29,11 +29,12 @@ from beltrami_cli.flow.manifold import (
     at_step,
     kernel_values,
 )
-from beltrami_cli.flow.mesh_geometry import MeshGeometry, coarse, rank_in, without_hubs
+from beltrami_cli.flow.mesh_geometry import MeshGeometry, MeshSamples, coarse, rank_in, without_hubs
 from beltrami_cli.flow.moving_positions import GeometryParameters, MovingPositions
 from beltrami_cli.flow.noise.clusters import VertexClusters
 from beltrami_cli.flow.noise.model import draw_noise_of_clusters, relative_to_mean, root_of
 from beltrami_cli.flow.noise.reading import estimate_noise
+from beltrami_cli.flow.outliers import replace_outliers
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.risk import choose_patches, fingerprints, random_signs, wanted_probes
 from beltrami_cli.flow.vertex_graph import Graph, Level, levels_of
@@ -63,10 +64,12 @@ def mesh_manifold(
     metric_channels: Sequence[int] | None = None,
     geometry: GeometryParameters | None = None,
     deviations: Float32s | None = None,
+    is_light: bool = False,
 ) -> MeshManifold:
     """Make the image manifold of a sampled surface; with `geometry`, positions are smoothed, too."""
     mesh = MeshGeometry.of(surface, parameters)
     colours = kept(surface.colours[mesh.order])
+    outliers = replace_outliers(colours.T, MeshSamples(mesh), parameters, is_light=is_light)
     noise = estimate_noise(
         colours.T,
         VertexClusters(mesh.graph(colours)),
@@ -92,7 +95,7 @@ def mesh_manifold(
         geometry=mesh, colours=colours, noise=noise, parameters=parameters, unit=unit,
         metric_channels=slice(None) if metric_channels is None else list(metric_channels),
         guides=tuple(GuideStack.of(guide, guide.values[mesh.order], mesh, unit) for guide in guides),
-        moving=moving,
+        moving=moving, outliers=None if outliers is None else outliers.numbered(mesh.order),
     )  # fmt: skip
 
 
@@ -235,7 +238,7 @@ class MeshManifold(Manifold):
 
     def new_colours(self) -> NewColours:
         mesh, moving = self.geometry, self.moving
-        new = NewColours.of(mesh.in_order(self.noise.to_input(self.colours)))
+        new = self._with_outliers(NewColours.of(mesh.in_order(self.noise.to_input(self.colours))))
         return new if moving is None else dataclasses.replace(new, positions=mesh.in_order(moving.positions))
 
     def _perturbations(self, colours: Float32s, around: NDArray[np.uint64], count: int) -> Float32s:

@@ -19,6 +19,7 @@ Space = Literal["srgb", "linear", "oklab", "data"]
 Clipping = Literal["restore", "keep"]
 Solver = Literal["auto", "fast-marching", "segments"]
 Patches = Literal["auto", "on", "off"]
+OnOutliers = Literal["auto", "replace", "keep"]
 Tunable = Literal["iterations", "t", "beta", "beta_growth", "metric_steps"]
 
 # The parameters that can be chosen from the data.
@@ -236,6 +237,14 @@ class KernelParameters:
         choices=get_args(Patches), is_daily=True,
     )  # fmt: skip
 
+    outliers: OnOutliers = parameter(
+        "auto",
+        "Single samples far from all their neighbours, as fireflies, salt and pepper, and dead texels are: auto "
+        "replaces those that are spread at random, unlike stars, text and dither; replace takes all; keep leaves "
+        "those that auto finds, and smooths the others without them.",
+        choices=get_args(OnOutliers),
+    )  # fmt: skip
+
     def __post_init__(self) -> None:
         if isinstance(self.strength, str):
             object.__setattr__(self, "strength", STRENGTHS.get(self.strength, self.strength))
@@ -303,6 +312,11 @@ class KernelParameters:
         if self.patches == "auto":
             return {"iterations", "t", "beta"} <= set(self.free) and self.is_open and not self.fast
         return self.patches == "on" and self.iterations > 0
+
+    @property
+    def looks_for_outliers(self) -> bool:
+        """Whether anything is changed at all."""
+        return self.iterations > 0 or self.is_open
 
     @property
     def is_open(self) -> bool:

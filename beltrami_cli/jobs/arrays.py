@@ -79,6 +79,8 @@ class SmoothResult:
         Parameters that were chosen from the data, and their estimated error, if any were.
     patches : float or None
         The share of the result that was taken from patches; None if only the kernel was run.
+    wrong_samples : dict
+        If any are outliers: their "count" and "share", and whether they were "replaced".
     """
 
     colours: Array
@@ -97,6 +99,7 @@ class SmoothResult:
     cloud: CloudCounts | None = None
     choice: Choice | None = None
     patches: float | None = None
+    wrong_samples: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -122,6 +125,8 @@ class ImageResult:
         Parameters that were chosen from the data, and their estimated error, if any were.
     patches : float or None
         The share of the result that was taken from patches; None if only the kernel was run.
+    wrong_samples : dict
+        As of `SmoothResult`.
     """
 
     colours: Array
@@ -132,6 +137,7 @@ class ImageResult:
     samples_per_kernel: float
     choice: Choice | None = None
     patches: float | None = None
+    wrong_samples: dict[str, Any] = field(default_factory=dict)
 
 
 def smooth(
@@ -235,6 +241,7 @@ def smooth(
         iterations=report.iterations, guide_betas=report.guides, positions=moved,
         normal_noise=geometry.get("normal_noise"), normal_beta=geometry.get("normal_beta"),
         cloud=count_cloud(layer.joined) if faces is None else None, choice=done.choice, patches=report.patches,
+        wrong_samples=report.wrong_samples,
     )  # fmt: skip
 
 
@@ -330,6 +337,7 @@ def smooth_image(
         colours=in_type_of(given, table, smoothed).reshape(*shape, -1), beta=report.beta, spacing=report.spacing,
         noise=np.array(list(report.noise.values())), samples=int(report.counts["samples"]),
         samples_per_kernel=done.samples_per_kernel, choice=done.choice, patches=report.patches,
+        wrong_samples=report.wrong_samples,
     )  # fmt: skip
 
 

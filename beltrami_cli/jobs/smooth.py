@@ -66,12 +66,15 @@ def smooth_layer(
     result = smooth(plan, progress)
     is_worse = _is_worse(result.choice, layer.settings.kernel)
     if is_worse:
-        settings = dataclasses.replace(layer.settings, kernel=unsmoothed(layer.settings.kernel))
+        # Outliers are replaced all the same.
+        kernel = dataclasses.replace(layer.settings.kernel, free=(), patches="off")
+        settings = dataclasses.replace(layer.settings, kernel=kernel)
         layer = dataclasses.replace(layer, settings=settings)  # type: ignore[type-var]  # each layer is a dataclass
-        plan = layer.plan()
+        plan = layer.plan().stopped_before(0)
         result = dataclasses.replace(smooth(plan), choice=result.choice)
     report, new = layer.report(plan, result), result.manifold.new_colours()
-    warnings, is_smoothed = report.warnings(plan.parameters.max_samples), plan.parameters.iterations > 0
+    warnings = report.warnings(plan.parameters.max_samples)
+    is_smoothed = plan.parameters.iterations > 0 or bool(plan.outliers.get("replaced"))
     if is_worse:
         warnings.append(f"{layer.label}: smoothing was estimated to make the colours worse, so they stay.")
     choice = None if result.choice is None else result.choice.in_unit(layer.unit)
@@ -188,8 +191,18 @@ def _joined(group: Sequence[Smoothed]) -> LayerReport:
         pitch=mean("pitch"),
         samples_per_kernel=round(mean("samples_per_kernel"), 2),
         patches=None if reports[0].patches is None else mean("patches"),
+        wrong_samples=_all_wrong(reports),
         change=Change.joined(each.repainted.change for each in group).summary(),
     )
+
+
+def _all_wrong(reports: Sequence[SlotReport]) -> dict[str, Any]:
+    found = [report.wrong_samples for report in reports if report.wrong_samples]
+    if not found:
+        return {}
+    count = sum(each["count"] for each in found)
+    samples = sum(report.counts["covered"] for report in reports)
+    return {**found[0], "count": count, "share": count / max(1, samples)}
 
 
 _HEAD = re.compile(rb'\{\n  "input": ".*",\n  "output": ".*",\n  "format": "\w+",\n  "parameters": \{')

@@ -100,6 +100,7 @@ class ImageLayer(PictureLayer):
         return canvas_of_image(
             self.surface, partial(self.colours.working, self.picture), self.kernel,
             guides=self.guides, metric_channels=self.colours.metric_channels, noise=self.deviations,
+            is_light=self.colours.light_space is not None,
         )  # fmt: skip
 
     @property

@@ -138,6 +138,7 @@ def canvas_of_image(
     guides: Sequence[Guide] = (),
     metric_channels: Sequence[int] | None = None,
     noise: NDArray[np.float32] | None = None,
+    is_light: bool = False,
 ) -> tuple[Make, Atlas, KernelParameters]:
     """Return how the manifold of an image is made, its atlas, and the parameters in its unit of length.
 
@@ -160,7 +161,7 @@ def canvas_of_image(
         None if noise is None else noise[own],
         stop_at_holes=atlas.covered < valid.size,
         guides=[dataclasses.replace(guide, values=guide.values[own]) for guide in guides],
-        metric_channels=metric_channels,
+        metric_channels=metric_channels, is_light=is_light,
         unit=None if surface.heights is None else 1.0,
     )  # fmt: skip
     return make, atlas, kernel
@@ -176,7 +177,9 @@ def plan_on_image(
     **options: Any,
 ) -> Plan[GridManifold]:
     """Plan the smoothing of an image that no file holds; options as for `canvas_of_image`."""
-    make, atlas, kernel = canvas_of_image(surface, colours_of, kernel, **options)
+    make, atlas, kernel = canvas_of_image(
+        surface, colours_of, kernel, is_light=light_in is not None, **options
+    )
     return plan_on_pictures(make, atlas, (), kernel, tick=tick, light_in=light_in)
 
 

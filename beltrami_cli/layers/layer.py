@@ -188,12 +188,13 @@ class Layer(ABC):
             "patches": result.patches,
         }
 
-    def _noise(self, plan: Plan[Any]) -> dict[str, dict[str, float]]:
+    def _noise(self, plan: Plan[Any]) -> dict[str, dict[str, Any]]:
         model = {
             name: value if name == "grain" else self.unit * value
             for name, value in plan.described_noise.items()
         }
-        return {"noise": named(self.names, self.unit * plan.noise), "noise_model": model}
+        noise = named(self.names, self.unit * plan.noise)
+        return {"noise": noise, "noise_model": model, "wrong_samples": plan.outliers}
 
     def _planned(self, plan: Plan[Any]) -> dict[str, Any]:
         """Return the noise, and the parameters of the kernel as planned, for `describe`."""
@@ -344,6 +345,8 @@ class LayerReport:
     # that were compared and of "samples" that they were compared on.
     choice: dict[str, object] | None
     patches: float | None  # the share of the result that is from patches; None: only the kernel was run
+    # If any: the "count" of samples that stand out at random, their "share" of all, and whether they were "replaced".
+    wrong_samples: dict[str, Any]
 
     def warnings(self, max_samples: int) -> list[str]:
         """Return warnings for users; kernels held at most `max_samples`."""

@@ -412,6 +412,8 @@ def plan_on_pictures(
     """
     pictures = _coded(atlas, coded) if kernel.evens_noise and not kernel.fast else []
     manifold, sigma = make(None, None), None
+    if manifold.outliers is not None:  # which the file's coefficients would bring back
+        pictures = []
     if pictures:
         given = kernel.given_noise
         sigma = sigma_before(pictures, manifold.noise) if given is None else given.sigma

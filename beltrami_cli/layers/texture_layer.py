@@ -113,6 +113,7 @@ class TextureLayer(PictureLayer):
         make = maker_of_manifolds(
             self.atlas, kernel, len(self.names), self._colours_of, self.deviations,
             guides=self.guided.guides() if self.guided else (), metric_channels=self.colours.metric_channels,
+            is_light=self.colours.light_space is not None,
         )  # fmt: skip
         return make, self.atlas, kernel
 

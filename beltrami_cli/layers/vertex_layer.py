@@ -149,6 +149,11 @@ class VertexLayer(PaintedLayer):
     def _is_cloud(self) -> bool:
         return self.fits_surface and not len(self.painted.faces)
 
+    @property
+    def _is_light(self) -> bool:
+        colours = self.painted.colours
+        return self.painted.encoding == "linear" and bool(colours.max(initial=0) > 1)
+
     @cached_property
     def joined(self) -> PaintedVertices:
         """The vertices with triangles: from the file, or of the surface that is fitted to points."""
@@ -189,7 +194,7 @@ class VertexLayer(PaintedLayer):
         manifold = mesh_manifold(
             self.surface(), kernel, metric_channels=self.channels.metric, geometry=geometry,
             guides=[Guide(guide.name, sampling.means(guide.values), guide.beta) for guide in self.guides],
-            deviations=None if self.deviations is None else sampling.means(self.deviations),
+            deviations=None if self.deviations is None else sampling.means(self.deviations), is_light=self._is_light,
         )  # fmt: skip
         return choose_parameters(manifold, kernel, tick)
 

@@ -62,6 +62,13 @@ class Neighbours:
         np.cumsum(self._offsets, out=self._offsets)
         self._lengths_of = lengths_of
 
+    def first(self, samples: Array, most: int) -> Int64s:
+        """Return up to as many neighbours of each of some samples, shape (B, most); -1: no more."""
+        starts, ends = self._offsets[samples, None], self._offsets[samples + 1, None]
+        places = starts + np.arange(most)
+        found = self._targets.take(places, mode="clip") if len(self._targets) else places
+        return np.where(places < ends, found, -1).astype(np.int64)
+
     def distances(self, first: int, last: int, limit: float) -> Float32s:
         """Return how far samples are from the ones in [first, last) along edges; infinite: beyond the limit."""
         found = np.full(len(self._offsets) - 1, np.inf, np.float32)
