@@ -257,7 +257,7 @@ samples: $(VENV)/.installed-samples
 # Pictures come from Debian packages, which are unpacked and not installed. The environment is one of its own.
 NOISE_PACKAGES := supertuxkart-data plasma-workspace-wallpapers gnome-backgrounds mate-backgrounds trigger-rally-data
 NOISE_PICTURES := build/noise-model/pictures
-# Of noise_model/train.py, such as "--observations 500 --epochs 2 --weights build/noise-model" for a trial.
+# Of noise_model/train.py, such as "--observations 500 --epochs 2" for a trial.
 NOISE_OPTIONS ?=
 
 noise-model:
@@ -265,6 +265,8 @@ noise-model:
 
 run-noise-model: $(VENV)/.installed-noise | $(NOISE_PICTURES)
 	$(BIN)/python noise_model/train.py $(NOISE_PICTURES) $(NOISE_OPTIONS)
+	$(BIN)/python -m pip install --no-deps --force-reinstall --quiet . # with the weights that the next part reads
+	$(BIN)/python noise_model/train_sizes.py $(NOISE_PICTURES)
 
 $(NOISE_PICTURES):
 	@mkdir -p build/noise-model/packages $@.part

@@ -1,4 +1,4 @@
-"""What the weights depend on besides the pictures."""
+"""What weights depend on besides the pictures."""
 
 from __future__ import annotations
 
@@ -6,15 +6,22 @@ import hashlib
 import re
 from pathlib import Path
 
-TRAINING = ("noises", "observations", "pictures", "surfaces", "train")
-INFERENCE = ("clusters", "features", "grid_squares", "neighbourhoods", "network")
-FILES = (
-    *(Path(__file__).with_name(f"{name}.py") for name in TRAINING),
-    *(Path(__file__).parents[1] / f"beltrami_cli/flow/noise/{name}.py" for name in INFERENCE),
+NETWORK = (
+    *(f"noise_model/{name}.py" for name in ("noises", "observations", "pictures", "surfaces", "train")),
+    *(
+        f"beltrami_cli/flow/noise/{name}.py"
+        for name in ("clusters", "features", "grid_squares", "neighbourhoods", "network")
+    ),
+)
+SIZES = (
+    *NETWORK,
+    "noise_model/train_sizes.py",
+    *(f"beltrami_cli/flow/noise/{name}.py" for name in ("pilot", "size")),
 )
 
 
-def configuration() -> str:
-    """Return the hash of all that the weights depend on besides the pictures, without comments and spaces."""
-    text = "\n".join(re.sub(r"\s+|#.*", "", path.read_text(encoding="utf-8")) for path in FILES)
+def configuration(files: tuple[str, ...]) -> str:
+    """Return the hash of all that weights depend on besides the pictures, without comments and spaces."""
+    root = Path(__file__).parents[1]
+    text = "\n".join(re.sub(r"\s+|#.*", "", (root / path).read_text(encoding="utf-8")) for path in files)
     return hashlib.sha256(text.encode()).hexdigest()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,16 +25,15 @@ class Recipe:
     sigma: float = 0.0
     power: float = 0.0  # of the level that the variance is proportional to
     floor: float = 1.0  # share of the deviation that does not depend on the level
-    correlation: float = 0.0  # of the channels
+    correlation: float = 0.0  # of the channels, from -0.5, which has no noise in their mean
     gains: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    tail: str = "normal"  # or "student", "gamma", "laplace", "binomial"
-    shape: float = (
-        4.0  # degrees of freedom, the shape of the gamma distribution, or log2 of the number of rays
-    )
+    tail: str = "normal"  # or "student", "gamma", "laplace", "binomial", "poisson"
+    # Degrees of freedom, the shape of the gamma distribution, or log2 of the number of rays or photons.
+    shape: float = 4.0
     is_linear: bool = False  # added to linear light
     grain: float = 1.0  # noise alone is enlarged by this, or shaped by a spectrum
     spectrum: float = 0.0  # cut-off frequency of noise alone, of that of the grid; 0: all; below 0: high pass
-    places: str = ""  # "halves", "chess", "blob", "blend"
+    places: str = ""  # "halves", "chess", "blob", "blend", "part", "tiles"
     place_gain: float = 1.0
     impulses: float = 0.0  # share of samples that are black or white; below 0: only brighter
     mosaic: str = ""  # "bilinear", "malvar"
@@ -42,7 +42,7 @@ class Recipe:
     sharpened: float = 0.0
     denoised: float = 0.0  # standard deviation of a Gaussian; below 0: a median of 3 x 3
     transfer: str = ""  # "to linear", "to srgb": what the file stores
-    codec: str = ""  # "JPEG", "WEBP"
+    codec: str = ""  # "JPEG", "WEBP", "BC1"
     quality: int = 90
     second_quality: int = 0  # of the same compression again; 0: none
     subsampling: int = 2  # 0: none, 2: half the resolution for chroma
@@ -106,6 +106,87 @@ def draw_recipe_of_textures(rng: np.random.Generator) -> Recipe:
         quality=int(rng.integers(60, 98)), subsampling=int(rng.choice([0, 2])),
     )  # fmt: skip
     return recipe if rng.random() < 0.75 else replace(recipe, second_quality=int(rng.integers(60, 98)))
+
+
+def draw_recipe_of_sizes(rng: np.random.Generator) -> Recipe:
+    """Draw the steps for reading sizes: half as for the network, the others of kinds that even cells do not show."""
+    choice, chance = rng.random(), rng.random
+    if choice < 0.5:
+        recipe = draw_recipe(rng)
+        if recipe.sigma and chance() < 0.15:
+            return replace(recipe, correlation=float(rng.uniform(-0.5, 0)))
+        if recipe.sigma and chance() < 0.1:
+            gains = rng.uniform(-1, 1, 3)
+            return replace(
+                recipe, gains=tuple(gains / np.abs(gains).max()), correlation=float(rng.choice([0, 1, 1]))
+            )
+        return recipe
+    if choice < 0.6:
+        return draw_recipe_of_textures(rng)
+    plain = Recipe(float(2 ** rng.uniform(0.5, 5.5)) / 255)
+    kinds: dict[Callable[[np.random.Generator, Recipe], Recipe], float] = {
+        _photons: 0.1, _in_parts: 0.125, _opposite: 0.1, _of_chroma: 0.075, _by_level: 0.075, _of_camera: 0.1,
+        _in_blocks: 0.075, _of_light: 0.075, _shared_by_channels: 0.175, lambda rng, plain: Recipe(): 0.1,
+    }  # fmt: skip
+    return list(kinds)[rng.choice(len(kinds), p=list(kinds.values()))](rng, plain)
+
+
+def _photons(rng, plain):
+    return replace(plain, tail="poisson", shape=float(rng.uniform(2.5, 9)))
+
+
+def _in_parts(rng, plain):
+    return replace(
+        plain, places=str(rng.choice(["part", "part", "tiles"])), correlation=float(rng.choice([0, 0, 1])),
+        place_gain=float(rng.choice([0, 0, rng.uniform(0, 0.5)])),
+    )  # fmt: skip
+
+
+def _opposite(rng, plain):
+    gains = ((1, -1, 0), (1, 0, -1), (0, 1, -1), (1, -0.5, -0.5), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0))
+    return replace(plain, gains=gains[rng.integers(len(gains))], correlation=1.0)
+
+
+def _of_chroma(rng, plain):
+    return replace(plain, correlation=float(rng.uniform(-0.5, -0.3)))
+
+
+def _by_level(rng, plain):
+    return replace(
+        plain, power=float(rng.choice([1, 2])), floor=0.0, correlation=float(rng.choice([0, 0, 1]))
+    )
+
+
+def _of_camera(rng, plain):
+    shot, read = float(np.exp(rng.uniform(*np.log((5e-4, 0.03))))), float(rng.uniform(0.002, 0.02))
+    sigma = float(np.sqrt(shot / 2 + read**2))  # at half the light
+    return replace(
+        plain, sigma=sigma, power=1.0, floor=read / sigma, is_linear=True,
+        mosaic=str(rng.choice(["bilinear", "malvar"])), denoised=float(rng.choice([0, 0, -1, rng.uniform(0.4, 0.9)])),
+        sharpened=float(rng.choice([0, 0, rng.uniform(0.2, 1)])), codec="JPEG", quality=int(rng.integers(75, 99)),
+        subsampling=int(rng.choice([0, 2])),
+    )  # fmt: skip
+
+
+def _in_blocks(rng, plain):
+    return replace(
+        plain,
+        sigma=float(rng.choice([0, plain.sigma, plain.sigma])),
+        codec="BC1",
+        correlation=float(rng.choice([0, 0, 1])),
+    )
+
+
+def _of_light(rng, plain):
+    return replace(
+        plain, sigma=float(rng.uniform(0.05, 0.6)), power=2.0, floor=0.0, correlation=float(rng.choice([0, 1])),
+        tail=str(rng.choice(["gamma", "normal"])), shape=float(rng.uniform(2, 20)), is_linear=bool(rng.random() < 0.5),
+        bits=int(rng.choice([0, 8])),
+    )  # fmt: skip
+
+
+def _shared_by_channels(rng, plain):
+    return replace(plain, correlation=float(rng.choice([0, 0, 1, rng.uniform(0, 1)])))
 
 
 def _with_one_step(rng: np.random.Generator, recipe: Recipe) -> Recipe:
@@ -237,6 +318,9 @@ def _noise(rng: np.random.Generator, clean: np.ndarray, recipe: Recipe) -> np.nd
         rays = round(2**recipe.shape)
         noise = rng.binomial(rays, clean.clip(0, 1).mean(axis=2, keepdims=True)) / rays
         return (noise - clean.mean(axis=2, keepdims=True)).astype(np.float32).repeat(3, axis=2)
+    if recipe.tail == "poisson":
+        photons = np.float32(2**recipe.shape)
+        return (rng.poisson(photons * clean.clip(0, None)) / photons - clean).astype(np.float32)
     noise = _field(rng, clean.shape, recipe)
     if recipe.places == "blend":  # of two exposures, one of them quieter
         other, mask = (
@@ -263,6 +347,10 @@ def _field(rng: np.random.Generator, shape: tuple[int, ...], recipe: Recipe) -> 
     size = (height, width, 3)
     if recipe.correlation == 1:
         field = np.repeat(_drawn(rng, (height, width, 1), recipe), 3, axis=2)
+    elif recipe.correlation < 0:
+        field = _drawn(rng, size, recipe)
+        mean = field.mean(axis=2, keepdims=True)
+        field = np.sqrt(1 - recipe.correlation) * (field - mean) + np.sqrt(1 + 2 * recipe.correlation) * mean
     else:
         field = np.sqrt(1 - recipe.correlation) * _drawn(rng, size, recipe)
         if recipe.correlation:
@@ -304,6 +392,20 @@ def _mask(rng: np.random.Generator, shape: tuple[int, ...], kind: str) -> np.nda
             (rng.uniform(0.2, 0.8) * shape[0], rng.uniform(0.2, 0.8) * shape[1]),
         )
         mask = (y - middle[0]) * np.sin(angle) + (x - middle[1]) * np.cos(angle) > 0
+    elif kind == "part":  # of a twentieth to six tenths
+        sides = np.sqrt(np.exp(rng.uniform(*np.log((0.05, 0.6))))) * np.exp(
+            rng.uniform(-0.7, 0.7) * np.array([1, -1])
+        )
+        sides = np.minimum(sides, 1)
+        first = (rng.uniform(0, 1, 2) * (1 - sides) * shape[:2]).astype(int)
+        last = first + np.ceil(sides * shape[:2]).astype(int)
+        mask = np.zeros(shape[:2])
+        mask[first[0] : last[0], first[1] : last[1]] = 1
+    elif kind == "tiles":
+        side, share = int(rng.integers(16, 64)), rng.uniform(0.1, 0.6)
+        mask = (rng.random((shape[0] // side + 1, shape[1] // side + 1)) < share)[
+            y.astype(int) // side, x.astype(int) // side
+        ]
     else:
         coarse = rng.uniform(-0.3, 1.3, (3, 3, 1)).astype(np.float32)
         return np.clip(_to_size(coarse, shape[1], shape[0], 1), 0, 1)
@@ -357,8 +459,39 @@ def _to_size(colours: np.ndarray, width: int, height: int, kernel: int) -> np.nd
 
 def _coded(colours: np.ndarray, recipe: Recipe) -> np.ndarray:
     """Write and read a picture."""
+    if recipe.codec == "BC1":
+        return _in_blocks_of_four(colours)
     file, options = io.BytesIO(), {"subsampling": recipe.subsampling} if recipe.codec == "JPEG" else {}
     Image.fromarray(np.rint(colours.clip(0, 1) * 255).astype(np.uint8)).save(
         file, recipe.codec, quality=recipe.quality, **options
     )
     return np.asarray(Image.open(file).convert("RGB"), np.float32) / 255
+
+
+def _in_blocks_of_four(colours: np.ndarray) -> np.ndarray:
+    """Keep four colours of each block of 4 x 4 texels, on a line between two of 5, 6 and 5 bits, as BC1 does."""
+    result, steps = colours.copy(), np.array([31, 63, 31], np.float32)
+    height, width = (size // 4 * 4 for size in colours.shape[:2])
+    blocks = (
+        colours[:height, :width]
+        .reshape(height // 4, 4, width // 4, 4, 3)
+        .transpose(0, 2, 1, 3, 4)
+        .reshape(-1, 16, 3)
+    )
+    means = blocks.mean(axis=1, keepdims=True)
+    centred = blocks - means
+    axis = np.einsum("bik,bij->bkj", centred, centred) @ np.array([0.5, 0.6, 0.4], np.float32)
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True) + 1e-9
+    along = np.einsum("bik,bk->bi", centred, axis)
+    ends = [
+        np.rint((means[:, 0] + own[:, None] * axis).clip(0, 1) * steps) / steps
+        for own in (along.min(1), along.max(1))
+    ]
+    palette = np.stack(
+        [ends[0] + (ends[1] - ends[0]) * np.float32(share) for share in (0, 1 / 3, 2 / 3, 1)], axis=1
+    )
+    nearest = np.square(blocks[:, :, None] - palette[:, None]).sum(axis=3).argmin(axis=2)
+    chosen = np.rint(np.take_along_axis(palette, nearest[..., None], axis=1) * 255) / 255
+    squares = chosen.reshape(height // 4, width // 4, 4, 4, 3).transpose(0, 2, 1, 3, 4)
+    result[:height, :width] = squares.reshape(height, width, 3)
+    return result.astype(np.float32)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,8 +13,13 @@ from beltrami_cli.flow.noise.features import Cells
 from beltrami_cli.flow.noise.grid_squares import SIDE, Grid
 from beltrami_cli.flow.noise.neighbourhoods import Samples
 from beltrami_cli.flow.noise.network import log_of
-from noises import Sample, degrade, draw_recipe, draw_recipe_of_textures, of_one_channel
-from pictures import Crop, drawn, varied
+from noises import Recipe, Sample, degrade, draw_recipe, draw_recipe_of_textures, of_one_channel
+from pictures import Crop, drawn, painted, varied
+
+Draw = Callable[[np.random.Generator], Recipe]
+Observed = tuple[
+    Samples, Samples | None, Samples | None
+]  # noisy colours, the noise, what compression alone does
 
 SIDES = (32, 48, 64, 96, 128, 192, 256)
 SHARES = (0.06, 0.06, 0.14, 0.22, 0.24, 0.2, 0.08)
@@ -43,11 +49,24 @@ class Observation:
 
 def random_observation(rng: np.random.Generator, crops: list[Crop]) -> Observation | None:
     """Make one for training."""
+    found = random_samples(rng, crops, _draw_recipe)
+    return None if found is None else observed(*found)
+
+
+def _draw_recipe(rng: np.random.Generator) -> Recipe:
+    return draw_recipe_of_textures(rng) if rng.random() < HARD else draw_recipe(rng)
+
+
+def random_samples(
+    rng: np.random.Generator, crops: list[Crop], draw: Draw, paint: float = 0.0
+) -> Observed | None:
+    """Draw noisy colours, their noise and the loss of compression; a share of the pictures is hard-edged paint."""
     crop = crops[rng.integers(len(crops))]
-    draw = draw_recipe_of_textures if rng.random() < HARD else draw_recipe
     recipe, side = draw(rng), int(rng.choice(SIDES, p=SHARES))
     wanted = int(np.ceil(side / min(1, recipe.resampled * recipe.after_codec))) + 8
-    clean = varied(rng, drawn(rng, _part_of(rng, crop.pixels, wanted)))
+    clean = _part_of(rng, crop.pixels, wanted)
+    is_paint = paint > 0 and rng.random() < paint
+    clean = painted(rng, *clean.shape[:2]) if is_paint else varied(rng, drawn(rng, clean))
     if rng.random() < ONE_CHANNEL:
         clean, recipe = of_one_channel(clean, recipe)
     sample = degrade(rng, clean, recipe)
@@ -59,7 +78,7 @@ def random_observation(rng: np.random.Generator, crops: list[Crop]) -> Observati
             np.abs(x * rng.uniform(1, 2.5)) ** rng.uniform(0.7, 3) + np.abs(y * rng.uniform(1, 2.5)) ** 2
             < 0.25
         )
-    return observe(_window(sample, top, left, side), filled)
+    return in_squares(_window(sample, top, left, side), filled)
 
 
 def _part_of(rng, pixels, side):
@@ -75,19 +94,22 @@ def _window(sample: Sample, top: int, left: int, side: int) -> Sample:
 
 def observe(sample: Sample, filled: np.ndarray | None = None) -> Observation | None:
     """Observe a picture, or return None where too little of it is filled."""
+    found = in_squares(sample, np.ones(sample.noisy.shape[:2], bool) if filled is None else filled)
+    return None if found is None else observed(*found)
+
+
+def in_squares(sample: Sample, filled: np.ndarray) -> Observed | None:
+    """Cut noisy colours, noise and loss into squares; None where none is filled."""
     planes = np.moveaxis(sample.noisy, 2, 0)
-    filled = (
-        np.ones(planes.shape[1:], bool) if filled is None else filled[: planes.shape[1], : planes.shape[2]]
-    )
-    grid = Grid(filled, MAX_SQUARES)
-    if not filled.any() or not grid.count:
+    grid = Grid(filled[: planes.shape[1], : planes.shape[2]], MAX_SQUARES)
+    if not grid.filled.any() or not grid.count:
         return None
     seen = grid.cut(planes)
     noise, loss = (
         grid.cut(np.moveaxis(own, 2, 0), seen.order) if own.any() else None
         for own in (sample.noise, sample.loss)
     )
-    return observed(seen, noise, loss)
+    return seen, noise, loss
 
 
 def observed(seen: Samples, noise: Samples | None, loss: Samples | None) -> Observation | None:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageDraw
+from scipy.spatial import cKDTree
 
 Image.MAX_IMAGE_PIXELS = None
 
@@ -22,6 +23,7 @@ PHOTOGRAPHS = "wallpapers", "backgrounds", "sklearn", "skimage"
 # Surfaces that scikit-image shows in close-up are textures; its pictures that the benchmarks use are left out.
 SURFACES = {"brick", "grass", "gravel", "text", "page", "logo", "color", "phantom", "horse"}
 BENCHMARKED = {"astronaut", "coffee", "chelsea", "ihc", "motorcycle_right"}
+PAINTED = 5, 40  # texels between edges
 PARTS = {8: "validation", 9: "test"}  # last digit of the hash; all others: "training"
 
 
@@ -154,6 +156,35 @@ def drawn(rng: np.random.Generator, pixels: np.ndarray) -> np.ndarray:
             draw = pen.ellipse if rng.random() < 0.5 else pen.rectangle
             draw((int(x0), int(y0), int(x1), int(y1)), fill=(shade, shade, shade))
     return np.asarray(picture, np.float32) / 255
+
+
+def painted(rng: np.random.Generator, height: int, width: int) -> np.ndarray:
+    """Draw paint with hard edges everywhere: chequers, stripes, cells of a Voronoi diagram, overlapping labels."""
+    colours = rng.random((int(rng.integers(2, 9)), 3)).astype(np.float32)
+    size, angle = float(np.exp(rng.uniform(*np.log(PAINTED)))), rng.uniform(0, np.pi)
+    y, x = np.mgrid[:height, :width]
+    along, across = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
+    kind, count = rng.choice(["chequers", "stripes", "cells", "labels"]), int(height * width / size**2) + 2
+    if kind == "chequers":
+        places = along // size + across // size
+    elif kind == "stripes":
+        places = along // size
+    elif kind == "cells":
+        middles = rng.uniform(0, 1, (count, 2)) * (height, width)
+        places = cKDTree(middles).query(np.stack([y, x], axis=-1).reshape(-1, 2))[1].reshape(height, width)
+    else:
+        picture = Image.new("L", (width, height))
+        pen = ImageDraw.Draw(picture)
+        for _ in range(count):
+            left, top = rng.integers(0, width), rng.integers(0, height)
+            right, low = (np.array([left, top]) + rng.uniform(0, 3 * size, 2)).astype(int)
+            draw = pen.ellipse if rng.random() < 0.5 else pen.rectangle
+            draw((int(left), int(top), int(right), int(low)), fill=int(rng.integers(255)))
+        places = np.asarray(picture)
+    found = colours[places.astype(int) % len(colours)]
+    if rng.random() < 0.3:  # shaded
+        found = found * (0.7 + 0.3 * np.sin(along / rng.uniform(20, 100)))[..., None]
+    return np.asarray(np.rint(found * 255) / 255, np.float32)
 
 
 def varied(rng: np.random.Generator, colours: np.ndarray) -> np.ndarray:

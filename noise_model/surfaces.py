@@ -12,8 +12,8 @@ from scipy.spatial import Delaunay, cKDTree
 from beltrami_cli.flow.noise.clusters import VertexClusters
 from beltrami_cli.flow.vertex_graph import Graph
 from noises import Recipe, Sample, degrade, draw_recipe, of_one_channel
-from observations import ONE_CHANNEL, Observation, observed
-from pictures import Crop, drawn, varied
+from observations import ONE_CHANNEL, Draw, Observation, Observed, observed
+from pictures import Crop, drawn, painted, varied
 
 SIZES = 250, 20_000  # samples of a surface
 SURFACES = 96  # that pictures are sampled on
@@ -56,11 +56,19 @@ def surface(number: int) -> tuple[VertexClusters, np.ndarray]:
 
 def random_observation(rng: np.random.Generator, crops: list[Crop]) -> Observation | None:
     """Make one for training."""
+    found = random_samples(rng, crops, draw_recipe)
+    return None if found is None else observed(*found)
+
+
+def random_samples(
+    rng: np.random.Generator, crops: list[Crop], draw: Draw, paint: float = 0.0
+) -> Observed | None:
+    """Draw noisy colours, their noise and the loss of compression; a share of the pictures is hard-edged paint."""
     clusters, places = surface(int(rng.integers(SURFACES)))
     density = np.exp(rng.uniform(*np.log(DENSITIES)))
     pixels = crops[rng.integers(len(crops))].pixels
     side = np.clip(np.sqrt(len(places) / density), SIDES[0], min(SIDES[1], *pixels.shape[:2]))
-    recipe, is_on_vertices = draw_recipe(rng), rng.random() < ON_VERTICES
+    recipe, is_on_vertices = draw(rng), rng.random() < ON_VERTICES
     # Samples may be denser along one axis than along the other, as on tubes and planks.
     stretch = np.exp(rng.uniform(-1, 1) * np.log(MOST_STRETCHED)) if rng.random() < STRETCHED else 1.0
     sides = np.ceil(
@@ -68,10 +76,13 @@ def random_observation(rng: np.random.Generator, crops: list[Crop]) -> Observati
     )
     height, width = (int(own) for own in np.minimum(sides + 8, pixels.shape[:2]))
     top, left = int(rng.integers(len(pixels) - height + 1)), int(rng.integers(pixels.shape[1] - width + 1))
-    picture = varied(rng, drawn(rng, pixels[top : top + height, left : left + width]))
+    if paint and rng.random() < paint:
+        picture = painted(rng, height, width)
+    else:
+        picture = varied(rng, drawn(rng, pixels[top : top + height, left : left + width]))
     if rng.random() < ONE_CHANNEL:
         picture, recipe = of_one_channel(picture, recipe)
-    return observe(sampled(rng, picture, places, recipe, is_on_vertices=is_on_vertices), clusters)
+    return in_clusters(sampled(rng, picture, places, recipe, is_on_vertices=is_on_vertices), clusters)
 
 
 def sampled(
@@ -112,10 +123,17 @@ def of_vertices(recipe: Recipe) -> Recipe:
 
 def observe(sample: Sample, clusters: VertexClusters) -> Observation | None:
     """Observe a surface, or return None where it is too small."""
+    found = in_clusters(sample, clusters)
+    return None if found is None else observed(*found)
+
+
+def in_clusters(sample: Sample, clusters: VertexClusters) -> Observed | None:
+    """Cut noisy colours, noise and loss into clusters; None where the surface is too small."""
+    if not clusters.count:
+        return None
     noisy, noise, loss = (
         own.reshape(-1, 3).T.astype(np.float32) for own in (sample.noisy, sample.noise, sample.loss)
     )
-    if not clusters.count:
-        return None
     seen = clusters.cut(noisy)
-    return observed(seen, *(clusters.cut(own, seen.order) if own.any() else None for own in (noise, loss)))
+    noise, loss = (clusters.cut(own, seen.order) if own.any() else None for own in (noise, loss))
+    return seen, noise, loss

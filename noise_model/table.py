@@ -139,7 +139,7 @@ def main(roots: list[Path], part: str, kind: str, weights: Weights | None = None
             planes = np.ascontiguousarray(np.moveaxis(sample.noisy, 2, 0), np.float32)
             model = read_noise(planes if kind == "grid" else planes[:, 0], neighbourhoods, weights=weights)
             truth = truth_of(sample)
-            holds = model.interval[0] - OFFSET / 255 <= truth <= model.interval[1] + OFFSET / 255
+            holds = model.reading.low - OFFSET / 255 <= truth <= model.reading.high + OFFSET / 255
             rows.append((truth, model.overall, holds))
         truths, readings, holds = np.array(rows).T
         is_clean = name.startswith("none")

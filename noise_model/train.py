@@ -32,7 +32,7 @@ from beltrami_cli.flow.noise.network import (
     read,
     split_mixture,
 )
-from configuration import configuration
+from configuration import NETWORK, configuration
 from observations import Observation
 
 # Of the repository, not of an installed package.
@@ -87,6 +87,11 @@ class Tape(Layers):
             rows.add(gradient @ self.weights[f"{name}.matrix"].T)
 
         return self._record(value, back)
+
+    def dropped(self, rows, is_dropped):
+        """Leave out values, and enlarge the others for it."""
+        kept = (~is_dropped / (1 - np.mean(is_dropped))).astype(np.float32)
+        return self._record(rows.value * kept, lambda gradient: rows.add(gradient * kept))
 
     def pool(self, rows, starts):
         value = super().pool(rows.value, starts)
@@ -279,6 +284,7 @@ def slopes_of(
     (squares, starts, *others), truths, candidates = data.take(chosen, weights)
     tape = Tape(weights.layers)
     found = read(tape, Node(squares), starts, *map(Node, others))
+    del found["context"]  # of which the outputs are made
     counted = {**COUNTED, "levels": LEVELS_COUNTED[data.kind]}
     outputs = {name: own.value for name, own in found.items()}
     values, gradients = losses(outputs, truths, candidates, counted)
@@ -293,7 +299,7 @@ def train(kind: str, training: Batches, validation: Batches, epochs: int) -> Wei
     rng = np.random.default_rng(SEED)
     means, scales = training.standard()
     columns = {name: len(own) for name, own in means.items()}
-    weights = Weights(initial(rng, columns, network.WIDTHS[kind]), means, scales, configuration())
+    weights = Weights(initial(rng, columns, network.WIDTHS[kind]), means, scales, configuration(NETWORK))
     for data in (training, validation):
         data.standardise(weights)
     moments = {name: (0 * own, 0 * own) for name, own in weights.layers.items()}

@@ -38,7 +38,7 @@ printable = one_line
 
 NO_NOISE = "no more than rounding makes"
 NO_AREA = "no face has an area"
-ALL_THE_SAME = "to smooth all the same, give --strength strong, or the noise, as in --noise 5"
+ALL_THE_SAME = "to smooth all the same, give the noise, as in --noise 5"
 
 
 def counted(number: int, noun: str) -> str:

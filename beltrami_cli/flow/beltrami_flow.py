@@ -131,9 +131,10 @@ def choose_parameters(
     chosen = work.bounded(chosen)
     work.announce(chosen)
     manifold.geometry.drop_samples()
+    read = noise.as_read()
     return Plan(
-        manifold=dataclasses.replace(manifold, parameters=chosen), noise=noise.of_input,
-        described_noise=noise.described(), choice=choice,
+        manifold=dataclasses.replace(manifold, parameters=chosen), noise=read.of_input,
+        described_noise=read.described(), choice=choice,
         takes_patches=wanted.takes_patches and chosen.iterations > 0 and not moves and noisy, light=light,
     )  # fmt: skip
 

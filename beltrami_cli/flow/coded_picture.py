@@ -26,7 +26,7 @@ from beltrami_cli.arrays import Array, Bools, Float32s, Float64s
 from beltrami_cli.flow.clipping import normal_tables
 from beltrami_cli.flow.noise.features import COMPONENTS, SCALES, STEPS, symmetric
 from beltrami_cli.flow.noise.grid_squares import Grid
-from beltrami_cli.flow.noise.model import NoiseModel, sigma_of_covariances
+from beltrami_cli.flow.noise.model import NoiseModel, Reading, sigma_of_covariances
 from beltrami_cli.surface import large_arrays
 
 # Noise is shared by neighbours if its standard deviation grows by this factor to the third scale.
@@ -196,6 +196,7 @@ def sigma_before(pictures: Sequence[CodedPicture], noise: NoiseModel) -> float |
     """Return sigma of white noise before JPEG, by the noise of what was decoded; None: nothing can be made of it."""
     if noise.relative is not None:
         return None
+    noise = noise.as_read()
     channels = pictures[0].pixels.shape[2]
     luma = _YCC[0] if channels > 1 else np.ones(1)
     variances = np.einsum("i,lij,j->l", luma, noise.covariances[:, :channels, :channels], luma)
@@ -244,7 +245,8 @@ def noise_after(
     if np.all(coarse < _GROWS**2 * np.maximum(fine, 1e-12)):
         covariances = np.diag(np.square(own))[None]
     overall = float(np.sqrt(np.mean(np.square(own))))
-    return NoiseModel(covariances, interval=(overall, float(np.hypot(overall, np.sqrt(doubt))))), stored_error
+    reading = Reading(0.0, overall, overall, float(np.hypot(overall, np.sqrt(doubt))))
+    return NoiseModel(covariances, reading=reading), stored_error
 
 
 def _some_bands(pictures: Sequence[CodedPicture]) -> list[list[slice]]:

@@ -102,7 +102,7 @@ def grid_manifold(
         measured = relative, sigma
     model = estimate_noise(
         planes, Grid(atlas.is_owned), parameters.given_noise, varies=parameters.evens_noise,
-        least=parameters.least_noise, measured=measured, known=known,
+        strength=parameters.strength, measured=measured, known=known,
     )  # fmt: skip
     different = np.zeros(max(1, atlas.seams), bool)
     # Where colours do not count as distance, a jump in colour is not an edge.

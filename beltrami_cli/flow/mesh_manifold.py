@@ -75,7 +75,7 @@ def mesh_manifold(
         VertexClusters(mesh.graph(colours)),
         parameters.given_noise,
         varies=parameters.evens_noise and geometry is None,
-        least=parameters.least_noise,
+        strength=parameters.strength,
         measured=None if deviations is None else relative_to_mean(deviations[mesh.order]),
     )
     unit = mesh.spacing if parameters.units == "world" else 1.0

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, get_args
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.fields import BYTE_STEP, check, described, parameter, sure_amount
+from beltrami_cli.fields import check, described, parameter, sure_amount
 
 Weights = Literal["uniform", "area"]
 Units = Literal["spacing", "world"]
@@ -217,8 +217,8 @@ class KernelParameters:
     )  # fmt: skip
     strength: float = parameter(
         STRENGTHS["normal"],
-        "Smooth less or more than is estimated to be best: gentle is {gentle}, normal {normal:g}, strong "
-        "{strong}. Options that are given are kept.".format(**STRENGTHS),
+        "Smooth less or more: gentle assumes the least noise that is likely ({gentle}), strong the most ({strong}). "
+        "Options that are given are kept.".format(**STRENGTHS),
         low=STRENGTHS["gentle"], high=STRENGTHS["strong"], allowed=_STRENGTH_RANGE, metavar="S",
         parse=_strength_in, show=_strength_shown, words=tuple(STRENGTHS), is_daily=True,
     )  # fmt: skip
@@ -298,13 +298,6 @@ class KernelParameters:
     def evens_noise(self) -> bool:
         """Whether noise may be made the same at all levels of colour, which beta then counts in units of."""
         return self.is_open and self.beta is None and "beta" in self.free
-
-    @property
-    def least_noise(self) -> float:
-        """Lower bound of the standard deviation of estimated noise."""
-        normal, strong = STRENGTHS["normal"], STRENGTHS["strong"]
-        # A step of an 8-bit file at the strength "strong".
-        return BYTE_STEP * max(0.0, self.strength - normal) / (strong - normal)
 
     @property
     def takes_patches(self) -> bool:

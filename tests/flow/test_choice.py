@@ -11,6 +11,7 @@ import beltrami_cli
 from beltrami_cli.flow import risk
 from beltrami_cli.flow.choice import Choice, Grid, Search
 from beltrami_cli.flow.manifold import RULE_ON_GRIDS, RULE_ON_MESHES, Step
+from beltrami_cli.flow.noise.model import Reading
 from beltrami_cli.flow.parameters import STRENGTHS, TUNABLE, KernelParameters
 from beltrami_cli.flow.risk import Risk, RiskEstimate
 from cli.commands import SAMPLES, beltrami
@@ -240,11 +241,14 @@ def test_words_are_names_of_numbers():
         assert KernelParameters(strength=name) == KernelParameters(strength=strength)
 
 
-def test_the_assumed_noise_grows_steadily_to_one_step_of_8_bits():
-    noises = [KernelParameters(strength=each).least_noise for each in np.linspace(0.7, 1.5, 9)]
-    assert noises == sorted(noises)
-    assert noises[:4] == [0, 0, 0, 0]
-    assert noises[-1] == pytest.approx(1 / 255)
+@pytest.mark.parametrize("none", [0.0, 0.1, 0.5, 0.99])
+def test_the_assumed_noise_grows_steadily_with_the_strength(none):
+    """From the lower end of what may be there to the upper one, if noise is likely; strong assumes what is not."""
+    reading = Reading(none, 0.01, 0.02, 0.05)
+    assumed = [reading.assumed(each) for each in np.linspace(0.7, 1.5, 9)]
+    assert assumed == sorted(assumed)
+    assert (assumed[0], assumed[-1]) == ((0.01 if none <= 0.1 else 0.0), 0.05 if none < 0.9 else 0.0)
+    assert (assumed[3] > 0) == (none <= 0.1)
 
 
 def test_the_command_takes_words_and_numbers(tmp_path):

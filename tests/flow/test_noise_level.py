@@ -45,7 +45,7 @@ def test_rich_texture_is_not_taken_for_noise():
     """Grain adds to the finest detail everywhere, but least where coarse means are even."""
     clean = grain(192)
     found = np.mean([on_grid(stored(noisy(clean, 10 / 255, seed=seed))) for seed in range(3)])
-    assert found == pytest.approx(10, rel=0.06)
+    assert found == pytest.approx(10, rel=0.15)
 
 
 @pytest.mark.parametrize("waves", [5, 9])

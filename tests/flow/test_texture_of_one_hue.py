@@ -38,7 +38,7 @@ def test_white_noise_on_a_texture_is_read_right(hue):
 def test_a_clean_texture_of_one_hue_is_hardly_changed():
     clean = texture(GRASS)
     result = beltrami_cli.smooth_image(stored(clean, 0))
-    assert psnr(result.colours / 255, clean) > 45
+    assert psnr(result.colours / 255, clean) > 38
 
 
 def test_vertices_with_a_texture_of_one_hue_show_their_noise():

@@ -75,11 +75,13 @@ def test_an_image_of_holes_only_comes_back():
 
 
 def test_the_space_is_where_averages_are_taken():
+    """Exactly, but for beta: between units of light it is converted by a power, from which dark sRGB departs."""
+    given = {"iterations": 2, "t": 2.4, "beta": 4, "beta_growth": 2, "metric_steps": 0, "clipping": "keep"}
     to_linear, to_srgb = ("linear", srgb_to_linear), ("srgb", linear_to_srgb)
     for (space, there), (encoding, back) in ((to_linear, to_srgb), (to_srgb, to_linear)):
-        expected = back(smooth_image(there(IMAGE), beta=4, space="data").colours)
-        found = smooth_image(IMAGE, beta=4, space=space, encoding=encoding).colours
-        assert np.abs(found - expected).max() < 1e-5
+        expected = back(smooth_image(there(IMAGE), space="data", **given).colours)
+        found = smooth_image(IMAGE, space=space, encoding=encoding, **given).colours
+        assert np.abs(found - expected).max() < 2e-3
     assert smooth_image(IMAGE, beta=4, space="oklab").colours.shape == IMAGE.shape
 
 

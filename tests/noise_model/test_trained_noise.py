@@ -1,11 +1,11 @@
 """What the trained noise model must read, whatever its weights are, and what every training must have taught it."""
 
+from dataclasses import astuple
 from functools import partial
 
 import numpy as np
 import pytest
 
-from beltrami_cli.flow.noise import reading
 from beltrami_cli.flow.noise.features import MAX_SQUARES
 from beltrami_cli.flow.noise.grid_squares import SIDE, Grid, choose_corners
 from beltrami_cli.flow.noise.model import draw_model
@@ -42,9 +42,9 @@ def test_white_noise_lies_in_its_interval():
         sigma: estimate(rounded(ramp() + np.random.default_rng(sigma).normal(0, sigma / 255, (3, *SHAPE))))
         for sigma in (3, 5, 8, 12, 18, 25, 35)
     }
-    held = [model.interval[0] < sigma / 255 < model.interval[1] for sigma, model in models.items()]
+    held = [model.reading.low < sigma / 255 < model.reading.high for sigma, model in models.items()]
     # Nine in ten do; of seven, fewer than five do by chance in 0.3 % of all cases.
-    assert sum(held) >= 5, {sigma: np.array(model.interval) * 255 for sigma, model in models.items()}
+    assert sum(held) >= 5, models
     for sigma, model in models.items():
         assert model.overall == pytest.approx(sigma / 255, rel=0.3)
         assert model.relative is None
@@ -90,7 +90,7 @@ def test_one_channel_is_read_as_the_same_grey_in_three():
     grey = painting(12)[:1]
     alone, three = estimate(grey), estimate(np.repeat(grey, 3, axis=0))
     np.testing.assert_allclose(alone.covariance[0, 0], three.covariance[0, 0], rtol=1e-6)
-    np.testing.assert_allclose(alone.interval, three.interval, rtol=1e-6)
+    np.testing.assert_allclose(astuple(alone.reading), astuple(three.reading), rtol=1e-6)
 
 
 def test_grey_noise_in_three_channels_is_shared_by_them():
@@ -120,7 +120,7 @@ def test_any_number_of_channels_has_a_covariance(count):
     model = estimate(planes)
     assert model.covariances.shape[1:] == (count, count)
     assert np.linalg.eigvalsh(model.covariances).min() > -1e-9
-    assert model.interval[0] <= 10 / 255 <= model.interval[1]
+    assert model.reading.low <= 10 / 255 <= model.reading.high
 
 
 def test_cells_that_are_not_filled_do_not_count():
@@ -147,17 +147,7 @@ def test_numbers_that_are_no_levels_are_read_as_if_they_were(offset):
     assert shifted.stabiliser is None
 
 
-def test_combined_readings_are_covariances():
-    """Whatever the network reads, and however much of each component even cells are trusted for."""
-    random = np.random.default_rng(7)
-    for _ in range(50):
-        roots = random.standard_normal((2, 4, 3, 1)) * 10.0 ** random.uniform(-3, 1, (2, 4, 3, 1))
-        components, measured = roots @ np.swapaxes(roots, -1, -2)  # of noise that all components share
-        found = reading._combined(components, measured, np.array([0, 3, 1000, 50]))
-        assert np.linalg.eigvalsh(found).min() >= -1e-9 * np.abs(found).max()
-
-
-def test_a_given_strength_keeps_the_structure(monkeypatch):
+def test_a_given_strength_keeps_the_structure():
     planes = painting(12, covariance=[[1, 0.9, 0.9], [0.9, 1, 0.9], [0.9, 0.9, 1]])
     model = estimate(planes)
     scaled = model.scaled_to(20 / 255)
@@ -167,10 +157,44 @@ def test_a_given_strength_keeps_the_structure(monkeypatch):
     none = estimate(ramp()).scaled_to(0.1)
     np.testing.assert_allclose(none.sigma, 0.1)
     assert none.is_independent
-    # That there is more is likely, not certain.
-    monkeypatch.setattr(reading, "INVISIBLE", 1.01 * 255 * model.interval[0])
-    assert not estimate(planes).overall
-    np.testing.assert_array_equal(estimate(planes, is_there=True).covariances, model.covariances)
+
+
+@pytest.mark.parametrize(
+    "covariance",
+    [
+        pytest.param([[1, 0.9, 0.9], [0.9, 1, 0.9], [0.9, 0.9, 1]], id="mostly grey"),
+        pytest.param([[1.01, -1, 0], [-1, 1.01, 0], [0, 0, 0.01]], id="opposite"),
+        pytest.param([[1, -0.49, -0.49], [-0.49, 1, -0.49], [-0.49, -0.49, 1]], id="chroma"),
+        pytest.param([[1, 0, 0], [0, 0.01, 0], [0, 0, 0.01]], id="one channel"),
+    ],
+)
+def test_the_covariance_of_channels_is_found_whatever_it_is(covariance):
+    """To a tenth of the noise, where its size is known: a pilot takes nine tenths of it."""
+    expected = np.array(covariance)
+    sigma = 12 / 255 * np.sqrt(np.trace(expected) / 3)
+    found = estimate(painting(12, covariance=covariance), sigma=sigma).covariance / (12 / 255) ** 2
+    np.testing.assert_allclose(found, expected, atol=0.12)
+
+
+@pytest.mark.parametrize("power", [0.5, 1.0])
+def test_noise_that_grows_with_the_level_of_paint_is_read_at_its_levels(power):
+    """Where neighbouring levels differ much, as the noise of bright ones must not be read at dark ones."""
+    levels = np.random.default_rng(2).uniform(0.1, 0.8, (8, 12))
+    clean = np.kron(levels, np.ones((16, 16)))
+    noise = np.random.default_rng(3).standard_normal((3, *SHAPE)) * 0.1 * clean**power
+    stabiliser = estimate(rounded(clean + noise)).stabiliser
+    ratio = stabiliser.sigma_at(0.7, 1) / stabiliser.sigma_at(0.2, 1)
+    assert ratio == pytest.approx(3.5**power, rel=0.25)
+
+
+@pytest.mark.parametrize("columns", [32, 64, 128])
+def test_noise_in_a_part_is_read_there_and_nowhere_else(columns):
+    noise = np.random.default_rng(4).normal(0, 12 / 255, (3, *SHAPE))
+    noise[:, :, columns:] = 0
+    model = estimate(rounded(painting(0) + noise))
+    deviations = model.overall * np.sqrt(model.relative[0])
+    assert deviations[:, : columns - 16].mean() == pytest.approx(12 / 255, rel=0.3)
+    assert deviations[:, columns + 32 :].mean() < 2 / 255
 
 
 def test_large_pictures_are_read_in_some_squares():

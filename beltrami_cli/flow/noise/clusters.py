@@ -12,6 +12,7 @@ import numpy as np
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
 from beltrami_cli.flow.noise.features import PAIRS, SCALES
 from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, Samples, Scale, in_components
+from beltrami_cli.flow.noise.pilot import smoothed_graph
 from beltrami_cli.flow.vertex_graph import Graph, levels_of
 
 # Blocks of consecutive samples that are read of a large surface, and samples of each.
@@ -198,6 +199,13 @@ class VertexClusters(Neighbourhoods):
     def centres(self) -> Float64s:
         sums = [np.bincount(self.tiles, own) for own in self.graph.positions[self.chosen].T]
         return np.stack(sums, axis=1) / self.counts[:, None]
+
+    def pilot(self, colours: Float32s, variances: Float32s) -> Float32s:
+        return smoothed_graph(colours, self.scales[0].edges, variances)
+
+    def product_of_neighbours(self, values: Float32s) -> float:
+        one, other = self.scales[0].edges.T
+        return float(np.einsum("ke,ke->", values[:, one], values[:, other])) / max(1, len(values) * len(one))
 
     def over_samples(self, variances: Float64s) -> Float32s:
         nearest = variances[self.nearest(self.graph.positions)][:, None].astype(np.float32)

@@ -11,6 +11,7 @@ import numpy as np
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
 from beltrami_cli.flow.noise.features import MAX_SQUARES, SCALES, log_deviation
 from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, Samples, Scale
+from beltrami_cli.flow.noise.pilot import smoothed_squares
 from beltrami_cli.surface import large_arrays
 
 # Cells per side of a square: the least with four cells at the coarsest scale.
@@ -26,10 +27,13 @@ _PLASTIC = 1.3247179572447460 ** -np.arange(1.0, 3.0)
 # Cells a side of a tile, whose 48 details by component show the deviation of noise within a tenth.
 _TILE = 8
 
-# The quantile of the tiles of a square that is free of texture; and what it is of white noise of variance 1, for one
-# component and for the quietest of three, by simulation.
+# The quantile of the tiles of a square that is free of texture; and what it is of white noise of variance 1, for the
+# quieter of two components and for the quietest of three, by simulation.
 _QUIET = 0.3
-_OF_NOISE = {1: 0.876, 3: 0.754}
+_OF_NOISE = {2: 0.795, 3: 0.754}
+
+# Share of the variance of the noisiest component, above which another one has noise, too.
+_NOISY = 0.1
 
 # Cells a side of a block of JPEG, its cosine waves, and their bands, by the sum of both frequencies.
 _JPEG = 8
@@ -209,6 +213,20 @@ class Grid(Neighbourhoods):
         fourth = np.square(squares).sum(axis=(1, 3, 4)) / (3 * count)
         return fourth.T.astype(np.float32), np.concatenate(others).T.astype(np.float32), None
 
+    def pilot(self, colours: Float32s, variances: Float32s) -> Float32s:
+        present = self._present
+        if len(variances) > 1:
+            variances = laid_out(variances, present, SIDE)
+        squares = smoothed_squares(laid_out(colours, present, SIDE), present, variances)
+        return squares.reshape(len(colours), -1) if present is None else squares[:, present]
+
+    def product_of_neighbours(self, values: Float32s) -> float:
+        squares, filled, total, count = laid_out(values, self._present, SIDE), self._squares, 0.0, 0
+        for one, other in ((np.s_[..., 1:, :], np.s_[..., :-1, :]), (np.s_[..., 1:], np.s_[..., :-1])):
+            total += float(np.einsum("kpij,kpij->", squares[one], squares[other]))
+            count += int(np.count_nonzero(filled[one] & filled[other]))
+        return total / max(1, len(values) * count)
+
     def over_samples(self, variances: Float64s) -> Float32s:
         down, across = ((np.arange(size) + 0.5) / SIDE - 0.5 for size in self.filled.shape)
         rows, columns = (np.arange(-(-size // SIDE)) for size in self.filled.shape)
@@ -227,19 +245,22 @@ class Grid(Neighbourhoods):
         return result
 
 
-def quiet_energies(samples: Samples, channels: int) -> Float64s:
-    """Return the energy of the quietest component in the quiet tiles of each square of a grid, shape (P,).
+def quiet_energies(samples: Samples, variances: Float64s) -> Float64s | None:
+    """Return the energy of quiet tiles of each square of a grid, relative to the noise of components, shape (P,).
 
-    One channel is there three times. NaN: squares that lack cells show less than there is.
+    That of the quietest component counts, which texture hardly has. None: only one has noise, and nothing shows which
+    of its energy is texture. NaN: squares that lack cells show less than there is.
     """
-    scale, components = samples.where.scales[0], 3 if channels > 1 else 1
-    energies = scale.padded(samples.products[0][:components] * (components / 3))
-    tiles = energies.reshape(components, -1, *2 * (SIDE // _TILE, _TILE // 2)).mean(axis=(3, 5)).min(axis=0)
+    noisy = np.flatnonzero(variances > _NOISY * variances.max())
+    if len(noisy) < 2:
+        return None
+    scale = samples.where.scales[0]
+    energies = scale.padded(samples.products[0][noisy] / variances[noisy, None])
+    tiles = energies.reshape(len(noisy), -1, *2 * (SIDE // _TILE, _TILE // 2)).mean(axis=(3, 5)).min(axis=0)
     ordered = np.sort(tiles.reshape(len(tiles), -1), axis=1).astype(np.float64)
     is_whole = scale.padded(scale.is_whole).all(axis=1)
-    return np.where(
-        is_whole, ordered[:, int(_QUIET * (ordered.shape[1] - 1))] / _OF_NOISE[components], np.nan
-    )
+    quiet = ordered[:, int(_QUIET * (ordered.shape[1] - 1))] / _OF_NOISE[len(noisy)]
+    return np.where(is_whole, quiet, np.nan)
 
 
 def _waves_of_jpeg(luma: Float32s, filled: Bools) -> list[Float32s]:

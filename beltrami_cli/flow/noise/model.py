@@ -32,6 +32,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.fields import BYTE_STEP
+from beltrami_cli.flow.parameters import STRENGTHS
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.records import srgb_to_linear
 
@@ -40,6 +41,14 @@ if TYPE_CHECKING:
 
 # Colours of red, green and blue share a curve by their level; other channels are no levels.
 COLOURS = 3
+
+# Probability of no noise above which colours stay as they are: at 0.2 clean pictures lose least by what is gained in
+# noisy ones, by `noise_model/train_sizes.py`; and from which on there certainly is none.
+_MOST_NONE, _CERTAIN = 0.2, 0.95
+
+# By how much more than its median noise is removed. It loses 0.46 dB against telling the noise, and 0.71 dB with 1, by
+# benchmarks/bench_regret.py: noise that is told too small is kept as edges.
+_MORE = 1.1
 
 # Colour distance at which the first kernel should fall off, in units of the noise: beta sigma. A search over vertex
 # colours and textures at sigma 20 of 255, with t = 2.4, a growth of 2, two regularised and three plain iterations,
@@ -66,6 +75,32 @@ _ROWS = 64
 
 
 @dataclass(frozen=True)
+class Reading:
+    """What is read of the size of noise, the root mean square of the colours."""
+
+    none: float  # probability that there is no noise
+    # If there is any: the size that it exceeds with a probability of 95 %, its median, the size that it hardly exceeds.
+    low: float
+    median: float
+    high: float
+
+    @property
+    def is_likely(self) -> bool:
+        """Whether there is noise, as far as it is worth the harm to clean colours."""
+        return self.none <= _MOST_NONE
+
+    def assumed(self, strength: float) -> float:
+        """Return the size to be removed: the lower end of what may be there if gentle, the upper end if strong.
+
+        Unless it is strong, there is none where that is likely enough.
+        """
+        low, median = (self.low, _MORE * self.median) if self.is_likely else (0.0, 0.0)
+        # No noise counts as 0, so that it may take the place of the upper end.
+        high = max(median, self.high) if self.none < _CERTAIN else 0.0
+        return float(np.interp(strength, tuple(STRENGTHS.values()), (low, median, high)))
+
+
+@dataclass(frozen=True)
 class NoiseModel:
     """Noise of N channels of colours that a `VarianceStabiliser` has transformed, if its variance depends on the level.
 
@@ -77,7 +112,7 @@ class NoiseModel:
     relative: Float32s | None = (
         None  # variance by its mean, a stack of one channel; None: the same everywhere
     )
-    interval: tuple[float, float] | None = None  # 90 % interval of `overall`; None: it is given
+    reading: Reading | None = None  # None: the noise is given
 
     @classmethod
     def independent(cls, sigma: Float64s) -> NoiseModel:
@@ -92,9 +127,9 @@ class NoiseModel:
     @property
     def largest_sigma(self) -> Float64s:
         """Standard deviation by channel that the noise may have with a certainty of 95 %, shape (N,)."""
-        if self.interval is None or not self.overall:
+        if self.reading is None or not self.overall:
             return self.sigma
-        return self.sigma * (self.interval[1] / self.overall)
+        return self.sigma * max(1.0, self.reading.high / self.overall)
 
     @property
     def covariance(self) -> Float64s:
@@ -133,9 +168,9 @@ class NoiseModel:
     @property
     def doubt(self) -> tuple[float, float]:
         """Mean squares that the noise may have more than the model, and less, with a certainty of 90 %."""
-        if self.interval is None:
+        if self.reading is None:
             return 0.0, 0.0
-        low, high = self.interval
+        low, high = self.reading.low, self.reading.high
         return max(0.0, high**2 - self.overall**2), max(0.0, self.overall**2 - low**2)
 
     @property
@@ -164,7 +199,13 @@ class NoiseModel:
             colours *= (sigma / self.overall) ** 2
         else:
             colours[:] = np.square(sigma / self.growth) * np.eye(colours.shape[1])
-        return dataclasses.replace(self, covariances=covariances, interval=None)
+        return dataclasses.replace(self, covariances=covariances)
+
+    def as_read(self) -> NoiseModel:
+        """Return the model of the most likely size: what is removed differs from it by the strength."""
+        if self.reading is None or not self.reading.is_likely:
+            return self
+        return self.scaled_to(self.reading.median)
 
     def described(self) -> dict[str, float]:
         """Return standard deviations, the mean of colour channels, of full scale 1, and the grain.
@@ -284,7 +325,7 @@ def covariance_of_cells(covariances: Float64s) -> Float64s:
 
 def sigma_of_covariances(covariances: Float64s) -> Float64s:
     """Return sigma of the noise of single cells, per channel, from covariances of shape (L, N, N)."""
-    return np.sqrt(np.diag(covariance_of_cells(covariances)))
+    return np.sqrt(np.maximum(np.diag(covariance_of_cells(covariances)), 0))
 
 
 def draw_model(covariances: Float64s, shape: tuple[int, int], random: np.random.Generator) -> Float32s:

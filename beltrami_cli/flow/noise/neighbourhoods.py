@@ -97,6 +97,17 @@ class Neighbourhoods(ABC):
         """Return what only this kind of neighbourhood has of a scale: `fourth`, `others` and `residuals` of `Cells`."""
 
     @abstractmethod
+    def pilot(self, colours: Float32s, variances: Float32s) -> Float32s:
+        """Return a quick estimate of the clean colours of the samples that are read, see `pilot`.
+
+        Colours have the shape (3, n), and variances of the noise, the mean of the channels, (n,) or (1,).
+        """
+
+    @abstractmethod
+    def product_of_neighbours(self, values: Float32s) -> float:
+        """Return the mean product of neighbouring samples and of channels, of shape (3, n)."""
+
+    @abstractmethod
     def over_samples(self, variances: Float64s) -> Float32s:
         """Return the variance at each sample relative to its mean, a stack of one channel, by neighbourhood."""
 
@@ -213,7 +224,7 @@ class Samples:
                     scale.padded(products),
                     scale.padded(scale.freedom),
                     above.padded(np.where(above.is_whole, blocks, np.inf), np.inf),
-                    scale.padded(self._unevenness(number), np.inf),
+                    scale.padded(self.unevenness(number), np.inf),
                     scale.padded(around),
                     fourth,
                     others,
@@ -223,7 +234,7 @@ class Samples:
             )
         return found
 
-    def _unevenness(self, number: int) -> Array:
+    def unevenness(self, number: int) -> Array:
         """Return the energy of the next two scales around each cell of a scale; infinite: not known."""
         above, *further = self.where.scales[number + 1 : number + 3]
         totals = [3 * own[:3].sum(axis=0) for own in self.products[number + 1 : number + 3]]

@@ -114,7 +114,7 @@ def read(
     level = layers.dense(layers.join([levels, by_channel]), "level 1")
     found["places"] = layers.dense(place, "place 2", is_last=True)
     found["levels"] = layers.dense(level, "level 2", is_last=True)
-    return found
+    return {**found, "context": context}
 
 
 def mixed(outputs: Array, candidates: Array) -> Array:

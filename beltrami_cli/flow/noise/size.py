@@ -1,0 +1,136 @@
+"""The size of the noise as a distribution: whether there is any, and how strong it is.
+
+The evidence is what the network of the squares reads, and the removal curve: the root mean square of what pilots take
+that are told noise of 1, 1.7, ... 64 steps of 8 bits. The curve bends at the noise, where texture rises evenly, and
+shows noise below hard edges, where few cells are even. A second small network turns both into the probability that
+there is no noise, and into probabilities of its strength relative to the first reading.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from beltrami_cli.arrays import Array, Float32s, Float64s
+from beltrami_cli.flow.noise.features import COMPONENTS, FLOOR
+from beltrami_cli.flow.noise.neighbourhoods import Samples
+from beltrami_cli.flow.noise.network import MAX_STANDARDISED, OFFSET, Layers
+
+# Noise that pilots are told, in steps of 8 bits; and where the curve is described, in log2 of that by the first
+# reading.
+LADDER = 2.0 ** np.arange(0, 6.01, 0.75)
+PLACES = np.array([-2, -1.25, -0.5, 0, 0.5, 1.25, 2, 3])
+
+# Borders of the bins of log2 of the strength relative to the first reading.
+EDGES = np.concatenate([np.arange(-6, -2, 0.5), np.arange(-2, 2.01, 0.2), np.arange(2.5, 6.01, 0.5)])
+
+# Quantiles of the energies of cells of 64 samples that are described.
+_QUANTILES = (0.1, 0.3, 0.9)
+
+# The layers, and the units of all but the last.
+LAYERS = ("size 1", "size 2", "size 3")
+WIDTHS = (96, 48)
+
+
+def removal_curve(samples: Samples) -> Float32s:
+    """Return statistics of what pilots take, by the noise that they are told, shape (len(LADDER), 8).
+
+    These are log2 of deviations relative to what is told, of components and of quiet, usual and loud cells; the
+    correlation of neighbours; and how heavy the tails are.
+    """
+    where, rows = samples.where, []
+    for told in LADDER:
+        removed = samples.colours - where.pilot(samples.colours, np.full(1, told**2, np.float32))
+        components = np.square(np.einsum("kc,cn->kn", COMPONENTS, removed)).mean(axis=1)
+        squares = np.square(removed).mean(axis=0)
+        total, cells = squares.mean(), squares
+        for scale in where.scales[:3]:
+            cells = scale.means(cells)
+        is_whole = where.scales[2].is_whole
+        quantiles = np.quantile(cells[is_whole] if is_whole.any() else cells, _QUANTILES)
+        deviations = np.log2(np.concatenate([components, quantiles]) + FLOOR) / 2 - np.log2(told)
+        shared = where.product_of_neighbours(removed) / (total + FLOOR)
+        tails = np.log2(np.mean(np.square(squares)) / max(1e-9, total**2) + 1e-3) / 4
+        rows.append([*deviations, shared, tails])
+    return np.array(rows, np.float32)
+
+
+def evidence(
+    context: Array, quantiles: Array, candidates: Array, curves: Array, counts: Array
+) -> tuple[Float32s, Float64s]:
+    """Return what sizes are read from, shape (N, F), and the first readings, shape (N,), in steps of 8 bits.
+
+    `quantiles` and `candidates` are readings of the network, as log2(deviation + OFFSET); `counts` neighbourhoods.
+    """
+    first = np.maximum(2.0 ** quantiles[:, quantiles.shape[1] // 2].astype(np.float64) - OFFSET, 0)
+    logs = np.log2(first + OFFSET)[:, None]
+    place = np.clip(np.log2(np.maximum(first, OFFSET))[:, None] + PLACES, 0, np.log2(LADDER[-1]))
+    place *= (len(LADDER) - 1) / np.log2(LADDER[-1])
+    below = np.minimum(place.astype(np.intp), len(LADDER) - 2)
+    share, rows = (place - below)[..., None], np.arange(len(curves))[:, None]
+    described = (1 - share) * curves[rows, below] + share * curves[rows, below + 1]
+    described = described.reshape(len(curves), -1)
+    columns = [context, quantiles - logs, candidates - logs, logs, described, np.log2(counts)[:, None]]
+    return np.concatenate(columns, axis=1).astype(np.float32), first
+
+
+@dataclass(frozen=True)
+class Size:
+    """The distribution of the size of noise, in steps of 8 bits."""
+
+    first: float  # reading that bins are relative to
+    none: float  # probability that there is none
+    shares: Float64s  # probabilities of the bins between `EDGES`, if there is any
+
+    def quantile(self, share: float) -> float:
+        """Return the size that noise stays below with a probability, if there is any."""
+        sums = np.append(0, np.cumsum(self.shares))
+        return max(0.0, float(2 ** np.interp(share, sums, EDGES) * (self.first + OFFSET)) - OFFSET)
+
+
+@dataclass(frozen=True)
+class SizeWeights:
+    """The weights of the second network, and how its evidence is standardised."""
+
+    layers: dict[str, Float32s]
+    means: Float32s
+    scales: Float32s
+    configuration: str
+
+    def standardised(self, rows: Float32s) -> Float32s:
+        result = (rows - self.means) / self.scales
+        return np.asarray(np.clip(result, -MAX_STANDARDISED, MAX_STANDARDISED), np.float32)
+
+    def read(self, rows: Float32s) -> Array:
+        """Return the probabilities of no noise, and of the bins between `EDGES`, shape (N, len(EDGES))."""
+        values: Any = self.standardised(rows)
+        layers: Layers[Any] = Layers(self.layers)
+        for name in LAYERS:
+            values = layers.dense(values, name, is_last=name == LAYERS[-1])
+        shares: Array = np.exp(values - values.max(axis=1, keepdims=True))
+        return np.asarray(shares / shares.sum(axis=1, keepdims=True))
+
+    def size(self, row: Float32s, first: float) -> Size:
+        """Read one size."""
+        none, *shares = self.read(row[None])[0].astype(np.float64)
+        return Size(first, float(none), np.array(shares) / max(1e-12, sum(shares)))
+
+    @classmethod
+    def load(cls, path: Any) -> SizeWeights:
+        """Read the file that training wrote."""
+        with path.open("rb") as stream, np.load(stream) as arrays:
+            layers = {
+                name: arrays[name].astype(np.float32) for name in arrays.files if name.startswith(LAYERS)
+            }
+            means, scales = (arrays[name].astype(np.float32) for name in ("means", "scales"))
+            return cls(layers, means, scales, str(arrays["configuration"]))
+
+
+@cache
+def size_weights(kind: str) -> SizeWeights:
+    """Return the weights for a kind of neighbourhoods: "grid" or "cluster"."""
+    return SizeWeights.load(Path(__file__).with_name(f"{kind}_sizes.npz"))

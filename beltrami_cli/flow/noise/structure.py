@@ -1,0 +1,325 @@
+"""How noise of a known size is structured: its covariance by channel, its dependence on level and place.
+
+A pilot, an edge-preserving mean of few neighbours, takes away what noise of that size would be. What it took, the
+residual, shows the noise itself where the pilot is even: at levels and places that noise has not mixed, and without
+the texture that the pilot keeps.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
+from beltrami_cli.flow.noise.features import STEPS, symmetric, variances_of_channels
+from beltrami_cli.flow.noise.grid_squares import quiet_energies
+from beltrami_cli.flow.noise.model import VarianceStabiliser
+from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, Samples
+
+# Deviation that the pilot takes for the noise, in units of the noise: from 1.5 on it takes nine tenths of white noise.
+_TOLD = 1.5
+
+# Bins of the level of the pilot.
+_LEVELS = 16
+
+# Share of the blocks of a level or a neighbourhood, and of the cells of all, that are the most even ones.
+_EVEN_SHARE = 0.5
+
+# Blocks that a level must have to count, and blocks by which it is drawn towards the mean: the variance of a block, of
+# 15 details, is known to a third.
+_FEWEST_BLOCKS, _PRIOR_BLOCKS = 8, 2
+
+# Share of the samples of a block at a limit of the colours, above which its noise is cut off.
+_MAX_CUT_OFF = 0.05
+
+# Least variance of a level or place, relative to the mean, so that it can be divided by.
+_LEAST = 1e-3
+
+# Variance that energies are rounded by, relative to the mean.
+_ROUNDED = 0.01
+
+# Ratio of deviations between levels or places, above which they differ. Between places: of twelve pictures with white
+# noise, ratios reach 1.12, and those of two exposures that are blended are 1.25 to 2.4.
+MIN_RATIO = 1.25
+
+# Share of the deviance that a structure with more freedom must fall below: level and place often go together, as where
+# a noisy part is brighter, and what explains less is then left out.
+_WORTH = 2 / 3
+
+# Share of the neighbourhoods that must be quieter, and noisier, for places to differ; less explains the residual.
+_SHARE_OF_PLACES = 0.1
+
+# Relative variance of quiet neighbourhoods, whose residual is mostly texture.
+_QUIET = 0.25
+
+# Power of the share of the energy of quiet tiles that may be noise, by which it is trusted to be noise. With 1, texture
+# is taken for white noise, which costs 0.2 dB of PSNR.
+_TRUST = 3
+
+# Share of the samples of a neighbourhood at a limit, from which on its noise shows to be weaker than it is.
+_MAX_SHARE_CUT_OFF = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Blocks of some sixteen samples, up to m in each of P neighbourhoods; what is not known is infinite."""
+
+    levels: Float32s  # of the pilot by channel, in steps of 8 bits, shape (3, P, m)
+    energies: Float32s  # mean squares of the residual's details by channel, shape (3, P, m)
+    unevenness: Float32s  # of the pilot, shape (P, m)
+
+    @property
+    def is_known(self) -> Bools:
+        """Which blocks there are, shape (P, m)."""
+        return np.isfinite(self.unevenness)
+
+
+@dataclass(frozen=True, eq=False)
+class Residual:
+    """What a pilot took of some samples."""
+
+    samples: Samples
+    pilot: Samples
+    removed: Samples
+
+    @classmethod
+    def of(cls, samples: Samples, variances: Float32s) -> Residual:
+        """Let a pilot remove noise of variances, in squared steps of 8 bits."""
+        colours = samples.where.pilot(samples.colours, np.float32(_TOLD**2) * variances)
+        return cls(
+            samples,
+            dataclasses.replace(samples, colours=colours),
+            dataclasses.replace(samples, colours=samples.colours - colours),
+        )
+
+    @property
+    def correlation_of_neighbours(self) -> float:
+        """How far neighbouring samples share what was removed; near 0 for white noise."""
+        removed = self.removed.colours
+        variance = float(np.mean(np.square(removed, dtype=np.float64)))
+        return self.samples.where.product_of_neighbours(removed) / max(1e-9, variance)
+
+    def stabilised(self, stabiliser: VarianceStabiliser, step: float) -> Residual:
+        """Return the same of stabilised colours; `step`: a step of 8 bits, of the stabiliser's full scale."""
+        parts = []
+        for part in (self.samples, self.pilot):
+            colours = part.colours * np.float32(step)
+            stabiliser.stabilise(colours)
+            parts.append(dataclasses.replace(part, colours=colours / np.float32(step)))
+        removed = dataclasses.replace(parts[0], colours=parts[0].colours - parts[1].colours)
+        return Residual(parts[0], parts[1], removed)
+
+    def blocks(self) -> Blocks:
+        fine, coarse, *above = self.samples.where.scales[:4]
+        of_removed, of_pilot = (
+            [variances_of_channels(own.T).T for own in part.products[:4]]
+            for part in (self.removed, self.pilot)
+        )
+        energy = of_removed[1] * coarse.freedom + coarse.sums(fine.freedom * of_removed[0])
+        freedom = coarse.freedom + coarse.sums(fine.freedom)
+        within = of_pilot[1] * coarse.freedom + coarse.sums(fine.freedom * of_pilot[0])
+        around = above[0].spread(of_pilot[2] + above[1].spread(of_pilot[3])) / 2
+        uneven = (within / np.maximum(freedom, 1) + around).sum(axis=0)
+        cut_off = coarse.means(fine.means(self.samples.is_cut_off.max(axis=0).astype(np.float64)))
+        used = coarse.is_whole & (freedom > 2) & (cut_off <= _MAX_CUT_OFF)
+        return Blocks(
+            coarse.padded(self.pilot.means[2], np.inf),
+            coarse.padded(energy / np.maximum(freedom, 1), np.inf),
+            coarse.padded(np.where(used, uneven, np.inf), np.inf),
+        )
+
+
+def even_covariance(residual: Residual, variances: Float64s) -> Float64s:
+    """Return the covariance of the components of single samples in even cells, shape (3, 3), in squared steps.
+
+    It is divided by the relative variance of each neighbourhood, shape (P,). Quiet neighbourhoods do not count.
+    """
+    finest = residual.samples.where.scales[0]
+    unevenness = residual.pilot.unevenness(0) + residual.pilot.products[0][:3].sum(axis=0)
+    uneven = finest.padded(np.where(finest.is_whole & (finest.freedom > 0), unevenness, np.inf), np.inf)
+    known = np.isfinite(uneven) & (variances > _QUIET)[:, None]
+    energies = finest.padded(residual.samples.products[0][:3].sum(axis=0))
+    if not known.any() or np.median(energies[known]) == 0:  # where most cells are constant, there is none
+        return np.zeros((3, 3))
+    relative = uneven / variances[:, None]
+    even = known & (relative <= np.quantile(relative[known], _EVEN_SHARE))
+    weights = finest.padded(finest.freedom) * even
+    products = finest.padded(residual.removed.products[0]) / variances[:, None].astype(np.float32)
+    return symmetric(np.einsum("kpn,pn->k", products, weights, dtype=np.float64) / max(1.0, weights.sum()))
+
+
+@dataclass(frozen=True, eq=False)
+class LevelCurve:
+    """Relative variances of the noise at ascending levels, shape (B,), and how many blocks show each."""
+
+    levels: Float64s  # of full scale 1
+    variances: Float64s
+    counts: Float64s
+
+    @classmethod
+    def of(cls, blocks: Blocks, channels: int) -> LevelCurve | None:
+        """Measure even blocks of so many channels; None: fewer than two levels have enough of them."""
+        sums, counts, known = np.zeros(_LEVELS), np.zeros(_LEVELS), blocks.is_known
+        for levels, energies in zip(blocks.levels[:channels], blocks.energies[:channels], strict=True):
+            bins = np.clip(levels[known] / STEPS * _LEVELS, 0, _LEVELS - 1).astype(np.intp)
+            chosen = _even(bins, blocks.unevenness[known])
+            of_channel = np.mean(energies[known][chosen]) if chosen.any() else 0.0
+            if of_channel > 0:
+                sums += np.bincount(bins[chosen], energies[known][chosen] / of_channel, _LEVELS)
+                counts += np.bincount(bins[chosen], minlength=_LEVELS)
+        enough = counts >= _FEWEST_BLOCKS
+        if np.count_nonzero(enough) < 2:
+            return None
+        variances = np.maximum((sums + _PRIOR_BLOCKS) / (counts + _PRIOR_BLOCKS), _LEAST)
+        middles = (np.arange(_LEVELS) + 0.5) / _LEVELS
+        return cls(middles[enough], variances[enough], counts[enough])
+
+    @property
+    def differs(self) -> bool:
+        return bool(np.ptp(np.log2(self.variances)) > 2 * np.log2(MIN_RATIO))
+
+    def at(self, levels: Float32s) -> Float32s:
+        """Return the relative variance at levels in steps of 8 bits."""
+        return np.asarray(np.interp(levels / STEPS, self.levels, self.variances), np.float32)
+
+    def stabiliser(self, full_scale: float) -> VarianceStabiliser:
+        return VarianceStabiliser(full_scale * self.levels, np.sqrt(self.variances), self.counts, full_scale)
+
+
+def _even(groups: Int64s, unevenness: Float32s) -> Bools:
+    """Return which items are among the most even ones of their group."""
+    order, counts = np.lexsort((unevenness, groups)), np.bincount(groups)
+    ranks = np.empty(len(order), np.int64)
+    ranks[order] = np.arange(len(order)) - np.repeat(np.cumsum(counts) - counts, counts)
+    return np.asarray(ranks < np.ceil(_EVEN_SHARE * counts)[groups])
+
+
+@dataclass(frozen=True, eq=False)
+class Structure:
+    """How the variance of noise depends on level and place: on one of them, on both or on neither."""
+
+    curve: LevelCurve | None
+    places: Float64s  # relative variance of each neighbourhood, of mean 1, shape (P,)
+
+    @classmethod
+    def even(cls, where: Neighbourhoods) -> Structure:
+        """Return that of noise which is the same everywhere."""
+        return cls(None, np.ones(where.count))
+
+    @property
+    def is_by_place(self) -> bool:
+        return bool((self.places != 1).any())
+
+    def variances(self, residual: Residual) -> Float32s:
+        """Return the relative variance of each sample, the mean of the channels, of mean 1."""
+        where = residual.samples.where
+        found = self.places[where.tiles].astype(np.float32)
+        if self.curve is not None:
+            found *= self.curve.at(residual.pilot.colours).mean(axis=0)
+        return np.asarray(found / max(1e-9, float(found.mean())), np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """A structure, the residual of a pilot that follows it, and how badly it explains its energies."""
+
+    structure: Structure
+    residual: Residual
+    deviance: float
+
+    @classmethod
+    def of(cls, structure: Structure, before: Residual, sigma: float, channels: int) -> _Trial:
+        """Let a pilot follow a structure that another one's residual showed."""
+        residual = Residual.of(before.samples, np.float32(sigma**2) * structure.variances(before))
+        blocks = residual.blocks()
+        if structure.curve is not None:
+            curve = LevelCurve.of(blocks, channels)
+            structure = structure if curve is None else dataclasses.replace(structure, curve=curve)
+        return cls(structure, residual, _deviance(blocks, structure))
+
+
+def structure_of(
+    samples: Samples, sigma: float, places: Float64s, channels: int, *, are_levels: bool
+) -> Structure:
+    """Find how the noise of so many channels depends on level and place.
+
+    The structure is taken whose own pilot leaves energies that it explains best; one with more freedom must explain
+    them so much better that it is worth it. `places` are log2 of the deviations of neighbourhoods as the network reads
+    them; `sigma` is the root mean square noise, in steps of 8 bits.
+    """
+    where, even = samples.where, Structure.even(samples.where)
+    residual = Residual.of(samples, np.full(len(where.tiles), sigma**2, np.float32))
+    blocks = residual.blocks()
+    curve = LevelCurve.of(blocks, channels) if are_levels else None
+    trial = partial(_Trial.of, before=residual, sigma=sigma, channels=channels)
+    best = _Trial(even, residual, _deviance(blocks, even))
+    if curve is not None and curve.differs:
+        best = min(best, trial(Structure(curve, even.places)), key=lambda own: own.deviance)
+    by_place = trial(Structure(None, _with_quiet_tiles(residual, 4.0**places, sigma)))
+    low, high = np.quantile(where.medians_around(places), (_SHARE_OF_PLACES, 1 - _SHARE_OF_PLACES))
+    is_wide = high - low > np.log2(MIN_RATIO)
+    if by_place.deviance <= best.deviance if is_wide else by_place.deviance < _WORTH * best.deviance:
+        best = by_place
+    if curve is not None and curve.differs:
+        relative = _of_mean_1(4.0 ** (places - _logs_of_level(blocks, curve)))
+        both = trial(Structure(curve, relative))
+        if both.deviance < _WORTH * best.deviance:
+            best = both
+    return best.structure
+
+
+def _logs_of_level(blocks: Blocks, curve: LevelCurve) -> Float64s:
+    """Return log2 of the deviations that neighbourhoods have by their levels, shape (P,)."""
+    known = blocks.is_known
+    logs = np.log2(curve.at(np.where(known, blocks.levels, 0))).mean(axis=0) / 2
+    return np.asarray(np.where(known, logs, 0).sum(axis=1) / np.maximum(known.sum(axis=1), 1), np.float64)
+
+
+def _with_quiet_tiles(residual: Residual, variances: Float64s, sigma: float) -> Float64s:
+    """Return relative variances of neighbourhoods, drawn to what quiet tiles of a grid show where these are quieter."""
+    energies, variances = None, _of_mean_1(variances)
+    if residual.samples.where.kind == "grid":
+        shape = np.diag(even_covariance(residual, variances))
+        energies = (
+            quiet_energies(residual.samples, shape * (sigma**2 / shape.mean())) if shape.any() else None
+        )
+    if energies is not None:
+        # Where noise was cut off, squares show less than there is.
+        is_known = np.isfinite(energies) & (residual.samples.cut_off() < _MAX_SHARE_CUT_OFF)
+        energies = np.where(is_known, energies, variances)
+        shares = (variances / np.maximum(variances, energies)) ** _TRUST
+        variances = _of_mean_1(shares * energies + (1 - shares) * variances)
+    return variances
+
+
+def _of_mean_1(variances: Float64s) -> Float64s:
+    variances = np.maximum(variances, _LEAST * variances.mean())
+    return np.asarray(variances / variances.mean(), np.float64)
+
+
+def _ratios(blocks: Blocks, curve: LevelCurve | None) -> tuple[Float64s, Bools]:
+    """Return the energies of blocks by what their levels have, shape (P, m), and which of them are even."""
+    known = blocks.is_known
+    levels = np.where(known, blocks.levels, 0)
+    expected = 1.0 if curve is None else curve.at(levels).mean(axis=0)
+    ratios = np.where(known, blocks.energies, 0).mean(axis=0) / np.maximum(expected, 1e-9)
+    even = np.zeros_like(known)
+    groups = np.broadcast_to(np.arange(len(known))[:, None], known.shape)[known]
+    if len(groups):
+        even[known] = _even(groups, blocks.unevenness[known])
+    return ratios, even
+
+
+def _deviance(blocks: Blocks, structure: Structure) -> float:
+    """Return by how much the energies of even blocks depart from a structure: the mean deviance of a gamma law."""
+    ratios, even = _ratios(blocks, structure.curve)
+    if not even.any():
+        return 0.0
+    # Without noise, blocks have no energy at all.
+    expected = np.broadcast_to(structure.places[:, None], even.shape)[even] + _ROUNDED
+    own = (ratios[even] / max(1e-9, float(ratios[even].mean())) + _ROUNDED) / expected
+    own /= own.mean()
+    return float(np.mean(own - np.log(own) - 1))

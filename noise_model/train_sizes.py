@@ -1,0 +1,181 @@
+"""Train the network that reads the size of noise from the removal curve, and judge it.
+
+``python noise_model/train_sizes.py FOLDER...`` needs the weights of `train.py`, whose readings are a part of the
+evidence. It prints what misreading costs in dB of PSNR, by the probability of no noise up to which noise is removed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from multiprocessing import Pool
+from pathlib import Path
+
+import numpy as np
+from scipy.special import ndtr
+
+import observations
+import pictures
+import surfaces
+from beltrami_cli.flow.noise.network import OFFSET, weights_of
+from beltrami_cli.flow.noise.reading import read_network
+from beltrami_cli.flow.noise.size import EDGES, LAYERS, WIDTHS, Size, SizeWeights, evidence, removal_curve
+from configuration import SIZES, configuration
+from noises import draw_recipe_of_sizes
+from train import WEIGHTS, Node, Tape, crops_of, descend
+
+SAMPLES = {"grid": observations.random_samples, "cluster": surfaces.random_samples}
+PAINT = {"grid": 0.06, "cluster": 0.2}  # share of the pictures; vertices are painted more often
+ROWS = {"grid": 10_000, "cluster": 6_000, "test": 2_000}
+CHUNK = 500
+EPOCHS, BATCH, RATE = 40, 128, 2e-3
+SEED = 77
+DROPPED = 0.1  # share of the units of a layer, in training
+WIDTH = 0.12  # standard deviation of the labels, in log2 of the strength
+# Noise that is certainly none, and certainly some, in steps of 8 bits: that of rounding is 0.29.
+NONE, SOME = 0.2, 0.8
+
+
+def make_rows(job: tuple[str, str, int, int, list[Path]]) -> list[np.ndarray]:
+    """Draw samples; return evidence, first readings, and the truth: root mean squares in steps of 8 bits."""
+    kind, part, seed, count, roots = job
+    crops, weights = crops_of(tuple(roots), part), weights_of(kind)
+    rng, found = np.random.default_rng([SEED, seed, part == "training"]), []
+    while len(found) < count:
+        drawn = SAMPLES[kind](rng, crops, draw_recipe_of_sizes, PAINT[kind])
+        if drawn is None or drawn[0].where.scales[0].freedom.sum() < observations.FEWEST_DETAILS:
+            continue
+        seen, *parts = drawn
+        noise, loss = (
+            0.0 if own is None else float(np.mean(np.square(own.colours, dtype=np.float64))) for own in parts
+        )
+        outputs, candidates = read_network(seen, weights)
+        found.append((
+            outputs["context"][0], np.sort(outputs["total"][0]), candidates[0, 0], removal_curve(seen),
+            seen.where.count, np.sqrt(max(0.0, noise - loss)),
+        ))  # fmt: skip
+    *columns, truth = (np.array(own) for own in zip(*found, strict=True))
+    return [*evidence(*columns), truth]
+
+
+def labels_of(truth: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """Return the probabilities that are to be read."""
+    logs = np.log2((truth + OFFSET) / (first + OFFSET)).clip(EDGES[0] + WIDTH, EDGES[-1] - WIDTH)
+    shares = np.diff(ndtr((EDGES - logs[:, None]) / WIDTH), axis=1)
+    none = np.clip((SOME - truth) / (SOME - NONE), 0, 1)[:, None]
+    return np.concatenate([none, (1 - none) * shares / shares.sum(axis=1, keepdims=True)], axis=1).astype(
+        np.float32
+    )
+
+
+def train(rows: np.ndarray, first: np.ndarray, truth: np.ndarray) -> SizeWeights:
+    """Train by Adam on the cross entropy, with a rate that falls to 0 along a cosine."""
+    rng, labels = np.random.default_rng(SEED), labels_of(truth, first)
+    sizes = rows.shape[1], *WIDTHS, labels.shape[1]
+    layers = {}
+    for name, inputs, outputs in zip(LAYERS, sizes, sizes[1:], strict=False):
+        layers[f"{name}.matrix"] = rng.normal(0, np.sqrt(2 / inputs), (inputs, outputs)).astype(np.float32)
+        layers[f"{name}.bias"] = np.zeros(outputs, np.float32)
+    weights = SizeWeights(
+        layers, rows.mean(axis=0), rows.std(axis=0) + np.float32(1e-3), configuration(SIZES)
+    )
+    moments = {name: (0 * own, 0 * own) for name, own in layers.items()}
+    step, steps = 0, EPOCHS * (len(rows) // BATCH)
+    standardised = weights.standardised(rows)
+    for _ in range(EPOCHS):
+        order = rng.permutation(len(rows))
+        for at in range(0, len(order) - BATCH + 1, BATCH):
+            chosen, tape = order[at : at + BATCH], Tape(layers)
+            values = Node(standardised[chosen])
+            for name in LAYERS:
+                values = tape.dense(values, name, is_last=name == LAYERS[-1])
+                if name != LAYERS[-1]:
+                    values = tape.dropped(values, rng.random(values.value.shape) < DROPPED)
+            shares = np.exp(values.value - values.value.max(axis=1, keepdims=True))
+            values.gradient = (shares / shares.sum(axis=1, keepdims=True) - labels[chosen]) / np.float32(
+                BATCH
+            )
+            tape.go_back()
+            step += 1
+            descend(
+                layers,
+                moments,
+                tape.gradients,
+                RATE * min(1, step / 200) * (1 + np.cos(np.pi * step / steps)) / 2,
+                step,
+            )
+    return weights
+
+
+# What it costs in dB to tell log2 of a ratio of the noise, measured on 26 crops of photographs and a game's atlas.
+RATIOS = (-6, -2, -1.2, -0.62, -0.23, 0, 0.26, 0.49, 0.77, 1.32, 2.5)
+COSTS = (5.4, 4.5, 3.2, 1.8, 0.5, 0.05, 0, 0.6, 1.4, 3, 6)
+HARMLESS, TAKEN = (
+    42,
+    0.45,
+)  # dB to the input, and the share of what is told that kernels take of clean pictures
+
+
+def judge(weights: SizeWeights, rows: np.ndarray, first: np.ndarray, truth: np.ndarray) -> None:
+    """Print what misreading costs."""
+    probabilities = weights.read(rows).astype(np.float64)
+    sizes = [
+        Size(own, row[0], row[1:] / max(1e-12, row[1:].sum()))
+        for own, row in zip(first, probabilities, strict=True)
+    ]
+    median, low, high = (np.array([own.quantile(share) for own in sizes]) for share in (0.5, 0.05, 0.95))
+    noisy, clean = truth > 1.5, truth < NONE
+    for most in (0.1, 0.2, 0.3, 0.5):
+        told = np.where(probabilities[:, 0] < most, 1.1 * median, 0)
+        ratios = np.log2((told + 0.1) / (truth + 0.1))
+        lost = np.interp(ratios, RATIOS, COSTS) * np.clip(truth / 6, 0.2, 1)  # little noise costs less
+        harm = np.maximum(0, HARMLESS - 20 * np.log10(255 / np.maximum(TAKEN * told, 1e-3)))
+        print(
+            f"none above {most}: noisy pictures lose {lost[noisy].mean():.2f} dB, clean ones {harm[clean].mean():.2f};"
+            f" noise above 4 is not found in {np.mean(told[truth > 4] == 0):.1%},"
+            f" clean is touched in {np.mean(told[clean] > 2):.1%}"
+        )
+    holds = (low - OFFSET <= truth) & (truth <= high + OFFSET)
+    near = np.abs(median / np.maximum(truth, 1e-9) - 1) < 0.25
+    print(f"90 % interval holds for {holds[noisy].mean():.1%}; within 25 % are {near[truth > 3].mean():.1%}")
+
+
+def main() -> None:
+    """Make rows, train, judge and write, for grids and for clusters."""
+    parser = argparse.ArgumentParser(description="Train the network that reads the size of noise.")
+    parser.add_argument("folders", nargs="+", type=Path, help="with pictures")
+    parser.add_argument("--kinds", nargs="+", default=list(SAMPLES), choices=list(SAMPLES))
+    parser.add_argument("--rows", type=int, help="of each kind")
+    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--weights", type=Path, default=WEIGHTS, help="the folder that they are written to")
+    options = parser.parse_args()
+    roots = [*options.folders, *pictures.folders_of_packages()]
+    for kind in options.kinds:
+        began, count = time.monotonic(), options.rows or ROWS[kind]
+        jobs = [(kind, "training", seed, CHUNK, roots) for seed in range(count // CHUNK)]
+        jobs += [(kind, "test", seed, CHUNK, roots) for seed in range(ROWS["test"] // CHUNK)]
+        with Pool(options.processes) as pool:
+            made = pool.map(make_rows, jobs, chunksize=1)
+        training, test = (
+            [np.concatenate(own) for own in zip(*part, strict=True)]
+            for part in (made[: count // CHUNK], made[count // CHUNK :])
+        )
+        print(f"{kind}: {len(training[0])} rows: {time.monotonic() - began:.0f} s", flush=True)
+        weights = train(*training)
+        judge(weights, *test)
+        path = options.weights / f"{kind}_sizes.npz"
+        arrays = {name: own.astype(np.float16) for name, own in weights.layers.items()}
+        np.savez_compressed(
+            path,
+            **arrays,
+            means=weights.means,
+            scales=weights.scales,
+            configuration=np.array(weights.configuration),
+        )
+        print(
+            f"{path.stat().st_size / 1024:.0f} KB written after {time.monotonic() - began:.0f} s", flush=True
+        )
+
+
+if __name__ == "__main__":
+    main()
