@@ -17,6 +17,7 @@ SIZES = (
     *NETWORK,
     "noise_model/train_sizes.py",
     *(f"beltrami_cli/flow/noise/{name}.py" for name in ("pilot", "size")),
+    *(f"beltrami_cli/native/noise/{name}" for name in ("pilot.cpp", "pilot.hpp", "pilot_of_squares.cpp")),
 )
 
 

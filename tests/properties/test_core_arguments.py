@@ -67,6 +67,11 @@ CALLS = {
         "values": numbers(V, 3), "edges": EDGES, "weights": numbers(len(EDGES)), "totals": numbers(V, kind=F64),
         "threads": 2,
     },
+    "pilot_of_graph": {"colours": numbers(3, V), "edges": EDGES.astype(I64), "variances": numbers(V)},
+    "pilot_of_squares": {
+        "colours": numbers(3, 2, SIDE, SIDE), "filled": numbers(2, SIDE, SIDE) > 0.4,
+        "variances": numbers(2 * SIDE * SIDE),
+    },
     "vertex_order": {"positions": POSITIONS, "faces": FACES},
     "local_scale": {"right": PLANES[0], "below": PLANES[1], "window_radius": 2},
     "halo_repeats": {
@@ -114,7 +119,7 @@ FREE = {
         means_of_squares.planes convolve.planes convolve.taps morton_order.positions vertex_order.positions
         vertex_order.faces build_atlas.positions build_atlas.grids interpolate.places store_colours.table
         smooth_grid.colours smooth_grid.metric grid_distances.metric SurfacePatches.edges LocalTriangulation.positions
-        TriangulatedManifold.faces SegmentManifold.faces medians_around.colours
+        TriangulatedManifold.faces SegmentManifold.faces medians_around.colours pilot_of_graph.edges
     """,
     "one more on axis 1": """
         medians_around.colours medians_around.around

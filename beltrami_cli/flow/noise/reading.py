@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -165,7 +166,7 @@ def read_noise(
         # Where there are two colours, both have the structure of the first.
         first, are_levels = colours[0], all(own.are_levels for own in colours)
         structure = structure_of(
-            first.samples, first.sigma, first.places, len(first.order), are_levels=are_levels
+            first.residual, first.sigma, first.places, len(first.order), are_levels=are_levels
         )
     covariances, parts = np.zeros((SCALES, count, count)), []
     for own, size in zip(groups, sizes, strict=True):
@@ -227,12 +228,10 @@ class _Colours:
         """Return the same for a root mean square noise that is known."""
         return dataclasses.replace(self, sigma=sigma * float(STEPS) / self.full_scale)
 
-    def residual(self, structure: Structure, before: Residual | None = None) -> Residual:
-        """Let a pilot remove the noise, whose structure an earlier pilot may have shown."""
-        variances = np.full(len(self.samples.where.tiles), self.sigma**2, np.float32)
-        return Residual.of(
-            self.samples, variances if before is None else variances * structure.variances(before)
-        )
+    @cached_property
+    def residual(self) -> Residual:
+        """What a pilot takes for even noise."""
+        return Residual.of(self.samples, np.full(1, self.sigma**2, np.float32))
 
     def covariances(self, structure: Structure) -> tuple[Float64s, float]:
         """Return the covariances of stabilised channels by scale, and by what factor the noise differs from `sigma`.
@@ -243,7 +242,9 @@ class _Colours:
         if not self.sigma:
             return np.zeros((SCALES, len(self.order), len(self.order))), 1.0
         step, size, factor = self.full_scale / float(STEPS), self.sigma, 1.0
-        residual = self.residual(structure, self.residual(structure))
+        residual = self.residual
+        if not structure.is_even:
+            residual = Residual.of(self.samples, np.float32(size**2) * structure.variances(residual))
         if structure.curve is not None:
             stabiliser = structure.curve.stabiliser(self.full_scale)
             residual, size = residual.stabilised(stabiliser, step), size * stabiliser.scale

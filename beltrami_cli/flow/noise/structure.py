@@ -13,8 +13,9 @@ from functools import partial
 
 import numpy as np
 
-from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
-from beltrami_cli.flow.noise.features import STEPS, symmetric, variances_of_channels
+from beltrami_cli._native import interpolate
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
+from beltrami_cli.flow.noise.features import STEPS, symmetric
 from beltrami_cli.flow.noise.grid_squares import quiet_energies
 from beltrami_cli.flow.noise.model import VarianceStabiliser
 from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, Samples
@@ -22,8 +23,9 @@ from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, Samples
 # Deviation that the pilot takes for the noise, in units of the noise: from 1.5 on it takes nine tenths of white noise.
 _TOLD = 1.5
 
-# Bins of the level of the pilot.
+# Bins of the level of the pilot, and their middles.
 _LEVELS = 16
+_MIDDLES = (np.arange(_LEVELS) + 0.5) / _LEVELS
 
 # Share of the blocks of a level or a neighbourhood, and of the cells of all, that are the most even ones.
 _EVEN_SHARE = 0.5
@@ -114,22 +116,34 @@ class Residual:
 
     def blocks(self) -> Blocks:
         fine, coarse, *above = self.samples.where.scales[:4]
-        of_removed, of_pilot = (
-            [variances_of_channels(own.T).T for own in part.products[:4]]
-            for part in (self.removed, self.pilot)
-        )
-        energy = of_removed[1] * coarse.freedom + coarse.sums(fine.freedom * of_removed[0])
         freedom = coarse.freedom + coarse.sums(fine.freedom)
-        within = of_pilot[1] * coarse.freedom + coarse.sums(fine.freedom * of_pilot[0])
-        around = above[0].spread(of_pilot[2] + above[1].spread(of_pilot[3])) / 2
-        uneven = (within / np.maximum(freedom, 1) + around).sum(axis=0)
+        energies = coarse.sums(fine.sums(_squares_in_blocks(self.removed))) / np.maximum(freedom, 1)
+        within = coarse.sums(fine.sums(_squares_in_blocks(self.pilot).sum(axis=0))) / np.maximum(freedom, 1)
+        around = _energies(self.pilot, 2) + above[1].spread(_energies(self.pilot, 3))
+        uneven = within + above[0].spread(around) / 2
         cut_off = coarse.means(fine.means(self.samples.is_cut_off.max(axis=0).astype(np.float64)))
         used = coarse.is_whole & (freedom > 2) & (cut_off <= _MAX_CUT_OFF)
         return Blocks(
             coarse.padded(self.pilot.means[2], np.inf),
-            coarse.padded(energy / np.maximum(freedom, 1), np.inf),
+            coarse.padded(energies, np.inf),
             coarse.padded(np.where(used, uneven, np.inf), np.inf),
         )
+
+
+def _squares_in_blocks(samples: Samples) -> Array:
+    """Return the squared differences of samples from the means of their blocks, shape (3, n).
+
+    Their sums are those of the squared details of the finest two scales in each block.
+    """
+    fine, coarse = samples.where.scales[:2]
+    return np.asarray(np.square(samples.means[0] - fine.spread(coarse.spread(samples.means[2]))))
+
+
+def _energies(samples: Samples, number: int) -> Array:
+    """Return the mean squares of the details in each cell of a scale, the sum of the channels."""
+    scale = samples.where.scales[number]
+    squares = np.square(scale.details(*samples.means[number : number + 2])).sum(axis=0)
+    return np.asarray(scale.sums_of_details(squares) / np.maximum(scale.freedom, 1))
 
 
 def even_covariance(residual: Residual, variances: Float64s) -> Float64s:
@@ -174,8 +188,7 @@ class LevelCurve:
         if np.count_nonzero(enough) < 2:
             return None
         variances = np.maximum((sums + _PRIOR_BLOCKS) / (counts + _PRIOR_BLOCKS), _LEAST)
-        middles = (np.arange(_LEVELS) + 0.5) / _LEVELS
-        return cls(middles[enough], variances[enough], counts[enough])
+        return cls(_MIDDLES[enough], variances[enough], counts[enough])
 
     @property
     def differs(self) -> bool:
@@ -183,7 +196,10 @@ class LevelCurve:
 
     def at(self, levels: Float32s) -> Float32s:
         """Return the relative variance at levels in steps of 8 bits."""
-        return np.asarray(np.interp(levels / STEPS, self.levels, self.variances), np.float32)
+        found = levels.ravel() / STEPS
+        # Levels are some of the middles, so that the curve is the same through all of them, which have even steps.
+        interpolate(found, _MIDDLES, np.interp(_MIDDLES, self.levels, self.variances))
+        return np.asarray(found.reshape(levels.shape), np.float32)
 
     def stabiliser(self, full_scale: float) -> VarianceStabiliser:
         return VarianceStabiliser(full_scale * self.levels, np.sqrt(self.variances), self.counts, full_scale)
@@ -208,6 +224,10 @@ class Structure:
     def even(cls, where: Neighbourhoods) -> Structure:
         """Return that of noise which is the same everywhere."""
         return cls(None, np.ones(where.count))
+
+    @property
+    def is_even(self) -> bool:
+        return self.curve is None and not self.is_by_place
 
     @property
     def is_by_place(self) -> bool:
@@ -242,17 +262,17 @@ class _Trial:
 
 
 def structure_of(
-    samples: Samples, sigma: float, places: Float64s, channels: int, *, are_levels: bool
+    residual: Residual, sigma: float, places: Float64s, channels: int, *, are_levels: bool
 ) -> Structure:
     """Find how the noise of so many channels depends on level and place.
 
     The structure is taken whose own pilot leaves energies that it explains best; one with more freedom must explain
-    them so much better that it is worth it. `places` are log2 of the deviations of neighbourhoods as the network reads
-    them; `sigma` is the root mean square noise, in steps of 8 bits.
+    them so much better that it is worth it. `residual` is that of a pilot which took the noise to be even; `places` are
+    log2 of the deviations of neighbourhoods as the network reads them; `sigma` is the root mean square noise, in steps
+    of 8 bits.
     """
-    where, even = samples.where, Structure.even(samples.where)
-    residual = Residual.of(samples, np.full(len(where.tiles), sigma**2, np.float32))
-    blocks = residual.blocks()
+    where = residual.samples.where
+    even, blocks = Structure.even(where), residual.blocks()
     curve = LevelCurve.of(blocks, channels) if are_levels else None
     trial = partial(_Trial.of, before=residual, sigma=sigma, channels=channels)
     best = _Trial(even, residual, _deviance(blocks, even))

@@ -22,6 +22,7 @@ namespace nb = nanobind;
 void bind_atlas(nb::module_& module);
 void bind_colours(nb::module_& module);
 void bind_grid(nb::module_& module);
+void bind_noise(nb::module_& module);
 void bind_patches(nb::module_& module);
 void bind_points(nb::module_& module);
 void bind_triangulated(nb::module_& module);

@@ -6,6 +6,7 @@ NB_MODULE(_native, module) {
   beltrami::bindings::bind_grid(module);
   beltrami::bindings::bind_colours(module);
   beltrami::bindings::bind_atlas(module);
+  beltrami::bindings::bind_noise(module);
   beltrami::bindings::bind_patches(module);
   beltrami::bindings::bind_points(module);
 }
