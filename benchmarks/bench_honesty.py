@@ -80,7 +80,7 @@ def judged(noisy, truth, vertices):
     relief = np.column_stack([places, 6 * np.sin(places[:, 0] / 30)])
     seen, sought = (image[row, column].astype(np.float32) for image in (pixels, truth))
     result = beltrami_cli.smooth(relief, Delaunay(places).simplices, seen)
-    interval = None if result.choice is None else result.choice.interval
+    interval = None if result.choice is None else result.choice.interval or ()
     return Judged(result.colours, [*result.noise.values()], interval, seen, sought)
 
 

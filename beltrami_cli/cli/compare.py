@@ -132,7 +132,7 @@ def _show(comparison: Comparison) -> None:
     around = comparison.overall["around_charts"]
     if around is not None and around["worst"] > 0:
         off = f"PSNR {around['psnr']:.2f}, off by up to {255 * around['worst']:.1f}/255"
-        click.echo(f"around charts: {around['samples']} texels that faces look up, {off}")
+        click.echo(f"in the gutter: {around['samples']} texels that faces look up, {off}")
     if comparison.geometry is not None and comparison.geometry.is_rounding:
         click.echo("geometry: equal")
     for verdict in comparison.limits:

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TextIO
 import click
 
 from beltrami_cli.errors import OutputError, one_line, unhandled_endings
-from beltrami_cli.fields import of_255
+from beltrami_cli.view.words import choice_in_words, noise_of_255, reading_in_words
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
@@ -36,9 +36,9 @@ if TYPE_CHECKING:
 printable = one_line
 """Text that moves no cursor and fits any terminal."""
 
-NO_NOISE = "no more than rounding makes"
+_LABELS = {"pitch": "distance of neighbouring samples", "patches": "share from similar patches"}
+
 NO_AREA = "no face has an area"
-ALL_THE_SAME = "to smooth all the same, give the noise, as in --noise 5"
 
 
 def counted(number: int, noun: str) -> str:
@@ -55,25 +55,9 @@ def outliers_in_words(found: dict[str, Any], noun: str) -> str:
     return f"{counted(found['count'], f'wrong {noun}')} ({100 * found['share']:.2g} %) {done}"
 
 
-def choice_in_words(choice: dict[str, Any]) -> str:
-    """Return what was chosen, by what estimate, and how sure that is."""
-    chosen = ", ".join(f"{name.replace('_', ' ')} {value:.3g}" for name, value in choice["chosen"].items())
-    if not choice["candidates"]:
-        return f"{chosen}; by the fixed rule of --fast"
-    if choice["psnr"] is None and choice["samples"] == 1:
-        return f"{chosen}; PSNR is undefined for a single sample"
-    if choice["psnr"] is None:
-        plain = "most colours are plain, as where JPEG took the noise, or at a limit"
-        return f"{chosen}; {plain}, so no PSNR can be estimated: give --noise"
-    least, most = choice["interval"]
-    within = f"at least {least:.1f}" if most is None else f"{least:.1f} to {most:.1f}"
-    shared = (
-        "; less certain, since neighbours share noise: give --noise if you know it"
-        if choice["correlated"]
-        else ""
-    )
-    before = choice["psnr"] - choice["gain"]
-    return f"{chosen}; estimated PSNR {before:.1f} -> {choice['psnr']:.1f} dB (90 %: {within}){shared}"
+def output_name(path: str) -> str:
+    """Return the name of an output in messages."""
+    return "<stdout>" if path == "-" else path
 
 
 def show_table(head: Sequence[str], rows: Sequence[Sequence[str]], *, err: bool = False) -> None:
@@ -112,9 +96,11 @@ def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
 
 def lines_on(facts: dict[str, Any]) -> Iterator[str]:
     """Give a line for each fact, or of a report for each figure; what belongs together is indented below its name."""
-    shown = {key.replace("_", " "): value for key, value in facts.items() if not _is_empty(value)}
+    shown = {label_of(key): value for key, value in facts.items() if not _is_empty(value)}
     if isinstance(shown.get("choice"), dict):
         shown["choice"] = choice_in_words(shown["choice"])
+    if isinstance(shown.get("reading"), dict):
+        shown["reading"] = reading_in_words(shown["reading"])
     width = max((len(label) for label, value in shown.items() if not _parts_in(value)), default=0)
     for label, value in shown.items():
         if label == "notices":
@@ -127,6 +113,11 @@ def lines_on(facts: dict[str, Any]) -> Iterator[str]:
             )
         if not _parts_in(value):
             yield f"{label:<{width}}  {_in_words(value)}"
+
+
+def label_of(key: str) -> str:
+    """Return what people call the value of a key of a report, or of `info`."""
+    return _LABELS.get(key, key.replace("_", " "))
 
 
 def _is_empty(value: Any) -> bool:
@@ -152,11 +143,6 @@ def _in_words(value: Any) -> str:
             f"({_in_words(each)})" if isinstance(each, list) else _in_words(each) for each in value
         )
     return f"{value:.5g}" if isinstance(value, float) else str(value)
-
-
-def noise_of_255(share: float) -> str:
-    """Write noise as `beltrami noise` takes it."""
-    return f"{of_255(share)}/255"
 
 
 def _progress_in_lines() -> Callable[[str, float], None]:

@@ -12,20 +12,26 @@ import click
 from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import command
 from beltrami_cli.cli.console import (
-    ALL_THE_SAME,
     NO_AREA,
     Messages,
-    choice_in_words,
     counted,
     lines_on,
-    noise_of_255,
     outliers_in_words,
+    output_name,
     printable,
     show_table,
 )
 from beltrami_cli.errors import BeltramiError, InputError
-from beltrami_cli.layers.settings import NO_NOISE_FOUND, SmoothSettings
-from beltrami_cli.view.settings import noise_in_words
+from beltrami_cli.layers.settings import SmoothSettings
+from beltrami_cli.view.words import (
+    choice_in_words,
+    doubt_in_words,
+    noise_in_words,
+    noise_of,
+    noise_of_255,
+    way_out,
+    why_left,
+)
 
 _SUMMARY = 20  # lines
 _SHOWN_IMAGES = 6
@@ -102,9 +108,7 @@ def _summary(facts: dict[str, Any]) -> Iterator[str]:
         charts = f"{slot['covered']} texels in {counted(slot['charts'], 'chart')}"
         rows += [(f"{slot['slot']} textures", f"{counted(len(slot['images']), 'image')}, {charts}")]
         images = slot["images"] if len(slot["images"]) > 1 else []
-        rows += [
-            ("", f"{each['name']}: {noise_in_words(each['noise'], {})}") for each in images[:_SHOWN_IMAGES]
-        ]
+        rows += [("", f"{each['name']}: {noise_of(each)}") for each in images[:_SHOWN_IMAGES]]
         rows += [("", f"and {len(images) - _SHOWN_IMAGES} more")] if len(images) > _SHOWN_IMAGES else []
         rows += _answer(slot)
         if (slot["exposure"] or {}).get("is_exposure"):
@@ -141,8 +145,8 @@ def _answer(part: dict[str, Any]) -> Iterator[tuple[str, str]]:
     """Give the noise of a part and what smoothing would do to it."""
     if wrong := outliers_in_words(part.get("wrong_samples", {}), "sample"):
         yield "outliers", wrong
-    yield "noise", noise_in_words(part["noise"], part["noise_model"])
     smooth = part["smooth"]
+    yield "noise", noise_in_words(part, is_smoothed=smooth["iterations"] > 0)
     choice = (
         smooth.get("choice")
         or f"iterations {smooth['iterations']}, t {smooth['t']:.3g}, beta {smooth['beta']:.3g}"
@@ -154,27 +158,30 @@ def _put_choices_in_words(facts: dict[str, Any], settings: SmoothSettings) -> No
     slots: Any = facts.get("textures", [])
     image: Any = facts.get("image", {"width": 1, "height": 1, "holes": 0})
     samples = image["width"] * image["height"] - image["holes"]
-    smooth: Any = facts.get("smooth") or {}  # empty if only textures are smoothed
-    is_flat = facts.get("surface", {}).get("mean_edge_length") == 0 and not smooth.get("iterations")
+    iterations = (facts.get("smooth") or {}).get("iterations")
+    is_flat = facts.get("surface", {}).get("mean_edge_length") == 0 and not iterations
     planned: list[Any] = [
-        (smooth, NO_AREA if is_flat else "" if samples else _NO_SAMPLES),
-        *((slot["smooth"], "" if slot["covered"] else _NO_SAMPLES) for slot in slots),
+        (facts, NO_AREA if is_flat else "" if samples else _NO_SAMPLES),
+        *((slot, "" if slot["covered"] else _NO_SAMPLES) for slot in slots),
     ]
-    for smooth, obstacle in planned:
+    for part, obstacle in planned:
+        smooth = part.get("smooth") or {}  # empty if only textures are smoothed
         if smooth and settings.kernel.iterations:
-            smooth["choice"] = f"nothing to smooth: {obstacle}" if obstacle else _choice(smooth)
+            smooth["choice"] = f"nothing to smooth: {obstacle}" if obstacle else _choice(part)
         if smooth and "samples_per_kernel" in smooth:  # `smooth` gives the mean over all iterations
             smooth["samples_per_kernel"] = f"{smooth['samples_per_kernel']:.5g} in the first iteration"
 
 
-def _choice(smooth: dict[str, Any]) -> str | None:
+def _choice(part: dict[str, Any]) -> str | None:
     """Say what would be chosen, and by what; None: all is given."""
-    if "choice" in smooth:
+    smooth = part["smooth"]
+    if "choice" in smooth and smooth["iterations"]:
         return choice_in_words(smooth["choice"])
     if smooth["iterations"]:
         return None
-    why = "smoothing would not reduce the noise" if smooth.get("noise") else NO_NOISE_FOUND
-    return f"nothing to smooth: {why}; {ALL_THE_SAME}"
+    if doubt_in_words(part, is_smoothed=False):  # which the noise is described by
+        return "nothing to smooth"
+    return f"nothing to smooth: {why_left(part)}{way_out(part)}"
 
 
 # Parameters that concern the averages, while this command looks at the kernel only.
@@ -206,7 +213,7 @@ def kernel(source: str, target: str, at: str, iteration: int, messages: Messages
     held = len(shown.table["distance"])
     furthest = f"{shown.table['distance'].max():.3g} of {shown.radius:.3g}"
     messages.say(
-        f"{target}: kernel of the {shown.at} in iteration {iteration} of {shown.iterations}, "
+        f"{output_name(target)}: kernel of the {shown.at} in iteration {iteration} of {shown.iterations}, "
         f"{counted(held, 'sample')} up to {furthest} away, beta {shown.beta:.3g}"
     )
     if shown.cut_short:

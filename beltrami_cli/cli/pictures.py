@@ -14,7 +14,7 @@ import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import command
-from beltrami_cli.cli.console import Messages, counted
+from beltrami_cli.cli.console import Messages, counted, output_name
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import Parameter, parameters
 from beltrami_cli.flow.parameters import KernelParameters
@@ -36,7 +36,7 @@ def render(sources: tuple[str, ...], target: str, no_labels: bool, messages: Mes
 
     with options.job_from(values, sources[0], messages) as job:
         width, height = render_file(sources, target, settings, job)
-    messages.say(f"{target}: {width} x {height} pixels")
+    messages.say(f"{output_name(target)}: {width} x {height} pixels")
 
 
 _SWEPT = ("beta", "t", "iterations", "metric_scale", "metric_steps")
@@ -101,7 +101,7 @@ def sweep(
         messages.detail(trial.label)
     best = best_of(done)
     shown = "" if best is None else f", best {done[best].label}"
-    messages.say(f"{target}: {counted(len(done), 'trial')}{shown}")
+    messages.say(f"{output_name(target)}: {counted(len(done), 'trial')}{shown}")
 
 
 def _trials(given: dict[str, Any]) -> tuple[list[tuple[dict[str, float], SmoothSettings]], int]:
@@ -151,7 +151,7 @@ def report(
         )
     for notice in found["notices"]:
         messages.warn(notice)
-    messages.say(f"{target}: {counted(found['samples'], 'sample')}, {_result(found)}")
+    messages.say(f"{output_name(target)}: {counted(found['samples'], 'sample')}, {_result(found)}")
 
 
 def _result(found: dict[str, Any]) -> str:

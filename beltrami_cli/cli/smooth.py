@@ -13,19 +13,12 @@ import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import command, overwrite_at
-from beltrami_cli.cli.console import (
-    ALL_THE_SAME,
-    NO_AREA,
-    NO_NOISE,
-    Messages,
-    counted,
-    lines_on,
-    outliers_in_words,
-)
+from beltrami_cli.cli.console import NO_AREA, Messages, counted, lines_on, outliers_in_words, output_name
 from beltrami_cli.errors import OutputError, UsageError
 from beltrami_cli.fields import of_255, show_size
 from beltrami_cli.jobs.job import BakeSettings, Job, NoiseSettings
-from beltrami_cli.layers.settings import NO_NOISE_FOUND, BakeTo, LevelSettings, SmoothSettings
+from beltrami_cli.layers.settings import BakeTo, LevelSettings, SmoothSettings
+from beltrami_cli.view.words import doubt_in_words, noise_of, way_out, why_left
 
 if TYPE_CHECKING:
     from beltrami_cli.jobs.output import Output
@@ -66,14 +59,15 @@ def smooth(source: str, target: str, messages: Messages, **smoothing: Any) -> No
 
     carry_out = partial(smooth_file, source, target, settings, unwrap=unwrap)
     report = _written(smoothing, (source, target), settings, messages, carry_out)
-    _show_levelled(messages, report.levelled, f"{report.output}: ")
+    name = output_name(report.output)
+    _show_levelled(messages, report.levelled, f"{name}: ")
     if settings.kernel.iterations:
         _show_result(messages, report, dry_run=dry_run)
     elif not settings.level_seams:
         _show_unchanged(messages, report, unwrapped=unwrap is not None, dry_run=dry_run)
     if report.new_texture:
         unwritten = "not written (dry run), " if dry_run else ""
-        messages.say(f"{report.output}: {unwritten}{report.new_texture}")
+        messages.say(f"{name}: {unwritten}{report.new_texture}")
     details = asdict(report)
     for line in lines_on({key: details[key] for key in ("stages", "vertices", "image", "textures")}):
         messages.detail(line)
@@ -84,14 +78,14 @@ def _show_result(messages: Messages, report: SmoothReport, *, dry_run: bool) -> 
     if report.peak_memory is not None:
         show = messages.say if dry_run else messages.detail
         show(f"peak memory: {show_size(report.peak_memory)}")
-    name = f"{report.output}: {'not written (dry run), ' if dry_run else ''}"
+    name = f"{output_name(report.output)}: {'not written (dry run), ' if dry_run else ''}"
     if report.vertices is not None:
         done = report.vertices
         what = counted(int(done.counts["vertices"]), "point" if "outliers" in done.counts else "vertex")
         # A kernel with given parameters averages what lies at one place.
         is_empty = not (done.spacing or done.iterations) and done.counts.get("triangles", 0) > 0
         what += f", {NO_AREA}" if is_empty else ""
-        _show_done(messages, name + what, done, done.counts["samples_per_kernel"], is_empty=is_empty)
+        _show_done(messages, name + what, done, is_empty=is_empty)
         if done.geometry is not None:
             share = done.geometry["mean_move"] / done.spacing if done.spacing else 0.0
             messages.say(f"{name}positions too, by {share:.2f} sample spacings on average")
@@ -100,14 +94,7 @@ def _show_result(messages: Messages, report: SmoothReport, *, dry_run: bool) -> 
         holes = f" with {counted(cast('int', facts['holes']), 'hole')}" if facts["holes"] else ""
         what = f"{facts['width']} x {facts['height']} pixels{holes}"
         is_empty = facts["holes"] == cast("int", facts["width"]) * cast("int", facts["height"])
-        _show_done(
-            messages,
-            name + what,
-            report.image,
-            report.image.samples_per_kernel,
-            is_empty=is_empty,
-            noun="pixel",
-        )
+        _show_done(messages, name + what, report.image, is_empty=is_empty, noun="pixel")
     for slot in report.textures:
         textures = counted(len(slot.textures), f"{slot.slot} texture")
         if sum(other.slot == slot.slot for other in report.textures) > 1:
@@ -115,37 +102,32 @@ def _show_result(messages: Messages, report: SmoothReport, *, dry_run: bool) -> 
         charts = counted(slot.counts["charts"], "chart")
         what = f"{textures}, {counted(slot.counts['covered'], 'texel')} in {charts}"
         is_empty = not slot.counts["covered"]
-        _show_done(messages, name + what, slot, slot.samples_per_kernel, is_empty=is_empty, noun="texel")
+        _show_done(messages, name + what, slot, is_empty=is_empty, noun="texel")
 
 
 def _show_done(
-    messages: Messages,
-    what: str,
-    done: LayerReport,
-    samples: float,
-    *,
-    is_empty: bool = False,
-    noun: str = "sample",
+    messages: Messages, what: str, done: LayerReport, *, is_empty: bool = False, noun: str = "sample"
 ) -> None:
     if is_empty:  # `what` or a warning says why.
         messages.say(f"{what}, so the colours are left as they are")
         return
-    strongest = 255 * max(done.noise.values(), default=0)
     wrong = outliers_in_words(done.wrong_samples, noun)
     what += f", {wrong}" if wrong else ""
-    noise = f"{what}, noise {of_255(strongest / 255)}/255" if strongest else f"{what}, {NO_NOISE_FOUND}"
-    if not done.iterations:
-        reason = "which smoothing would not reduce, "
-        if strongest <= 0.5:
-            reason = f"{NO_NOISE} (0.5), " if strongest else ""
-        others = "all other colours" if done.wrong_samples.get("replaced") else "the colours"
-        messages.say(f"{noise}, {reason}so {others} are left as they are; {ALL_THE_SAME}")
+    part, is_smoothed = asdict(done), done.iterations > 0
+    if is_smoothed and not done.change["largest"]:
+        messages.say(f"{what}, noise {noise_of(part)}, but no colour of the written file changes")
         return
-    iterations = f" on average over {done.iterations} iterations" if done.iterations > 1 else ""
-    messages.say(
-        f"{noise}, beta {done.beta:.3g}, {samples:.0f} samples a kernel{iterations}, "
-        f"mean change {of_255(done.change['mean'])}/255"
-    )
+    moved = f" (colours moved by {of_255(done.change['mean'])}/255 on average)"
+    if doubt := doubt_in_words(part, is_smoothed=is_smoothed, moved=moved):
+        messages.say(f"{what}, {doubt}")
+        return
+    if not is_smoothed:
+        others = "all other colours" if done.wrong_samples.get("replaced") else "the colours"
+        messages.say(f"{what}, {why_left(part)}, so {others} are left as they are{way_out(part)}")
+    elif any(done.noise.values()):
+        messages.say(f"{what}, noise {noise_of(part)} removed{moved}")
+    else:
+        messages.say(f"{what}, {why_left(part)}, smoothed all the same{moved}")
 
 
 def _show_unchanged(messages: Messages, report: SmoothReport, *, unwrapped: bool, dry_run: bool) -> None:
@@ -160,7 +142,7 @@ def _show_unchanged(messages: Messages, report: SmoothReport, *, unwrapped: bool
     else:
         names = ", but for the names of its images and other files" if len(report.written) > 1 else ""
         result = f"the file {what} copied unchanged{names}"
-    messages.say(f"{report.output}: no iterations, so {result}")
+    messages.say(f"{output_name(report.output)}: no iterations, so {result}")
 
 
 @command("level", source="INPUT", target="OUTPUT")
@@ -184,7 +166,7 @@ def level(source: str, target: str, messages: Messages, **values: Any) -> None:
     report = _written(values, (source, target), settings, messages, carry_out)
     messages.warn_of(source, report.warnings)
     unwritten = "not written (dry run), " if values["dry_run"] else ""
-    _show_levelled(messages, report.levelled, f"{target}: {unwritten}")
+    _show_levelled(messages, report.levelled, f"{output_name(target)}: {unwritten}")
 
 
 def _show_levelled(messages: Messages, reports: Sequence[LevelReport], name: str) -> None:
@@ -270,7 +252,7 @@ def bake(source: str, target: str, to: BakeTo, messages: Messages, **values: Any
     for path in report.written[1:]:
         messages.detail(f"written with it: {path}")
     made = ", ".join(counted(number, noun) for noun, number in report.counts.items())
-    messages.say(f"{report.output}: {made}" + (f", {report.texture}" if report.texture else ""))
+    messages.say(f"{output_name(report.output)}: {made}" + (f", {report.texture}" if report.texture else ""))
 
 
 @command("noise", source="INPUT", target="OUTPUT")
@@ -289,8 +271,8 @@ def noise(source: str, target: str, messages: Messages, **values: Any) -> None:
     messages.warn_of(source, report.warnings)
     for added in report.added:
         messages.say(
-            f"{target}: {added.what}, {counted(added.samples, 'sample')}, {noise.kind} noise, "
+            f"{output_name(target)}: {added.what}, {counted(added.samples, 'sample')}, {noise.kind} noise, "
             f"root mean square change {255 * added.rms:.1f}/255, seed {noise.seed}"
         )
     if not report.added:
-        messages.say(f"{target}: no noise, so the colours are unchanged")
+        messages.say(f"{output_name(target)}: no noise, so the colours are unchanged")

@@ -18,6 +18,7 @@ from beltrami_cli.flow.clipping import ClippedChannels
 from beltrami_cli.flow.coarse_levels import denoise_means
 from beltrami_cli.flow.manifold import Averaged, Manifold, Step, mark_clipped, restore_clipped
 from beltrami_cli.flow.mean_light import MeanLight
+from beltrami_cli.flow.noise.model import Reading
 from beltrami_cli.flow.parameters import KernelParameters, Space
 from beltrami_cli.flow.patches import PASSES, blend_with_patches
 
@@ -31,6 +32,7 @@ class Plan(Generic[AnyManifold]):
     manifold: AnyManifold  # with these parameters
     noise: Float64s  # standard deviation in the input's colours by channel, shape (N,)
     described_noise: dict[str, float]  # see `NoiseModel.described`
+    reading: Reading | None = None  # None: the noise is given
     choice: Choice | None = None  # None where no parameter was chosen from the data
     takes_patches: bool = False
     light: MeanLight | None = None  # whose mean stays
@@ -59,16 +61,22 @@ class Plan(Generic[AnyManifold]):
         own = self.parameters
         return Step(self.manifold.beta * own.growth(iteration), own.t, own.is_regularised(iteration))
 
-    def with_noise(self, sigma: Float64s) -> Plan[AnyManifold]:
-        """Return the plan for colours with other noise, root mean square differences from the truth by channel."""
+    def with_noise(self, sigma: Float64s, reading: Reading | None) -> Plan[AnyManifold]:
+        """Return the plan for colours with other noise, root mean square differences from the truth by channel.
+
+        No PSNR is predicted for it.
+        """
         more = float(np.sqrt(np.mean(np.square(sigma)) / np.mean(np.square(self.noise))))
         described = {
             name: value if name == "grain" else more * value for name, value in self.described_noise.items()
         }
         choice = self.choice
         if choice is not None and choice.gain is not None:
-            choice = dataclasses.replace(choice, gain=choice.gain + 20 * float(np.log10(more)))
-        return dataclasses.replace(self, noise=sigma, described_noise=described, choice=choice)
+            gain = choice.gain + 20 * float(np.log10(more))
+            choice = dataclasses.replace(choice, gain=gain, predicted=None)
+        return dataclasses.replace(
+            self, noise=sigma, described_noise=described, choice=choice, reading=reading
+        )
 
     def stopped_before(self, iteration: int) -> Plan[AnyManifold]:
         """Return the plan of the iterations before one, counted from 0, and of nothing after them."""
@@ -123,7 +131,7 @@ def choose_parameters(
         chosen = dataclasses.replace(chosen, iterations=max(1, chosen.iterations))
     if choice is not None:
         variance = float(np.mean(np.square(noise.of_input)))
-        choice = dataclasses.replace(choice.improved(-error), doubt=noise.doubt)
+        choice = choice.improved(-error)
         if corrects and choice.psnr is not None:
             # Until here the gain is over colours whose shared noise is removed already.
             choice = dataclasses.replace(choice, gain=choice.psnr + 10 * math.log10(variance))
@@ -134,7 +142,7 @@ def choose_parameters(
     read = noise.as_read()
     return Plan(
         manifold=dataclasses.replace(manifold, parameters=chosen), noise=read.of_input,
-        described_noise=read.described(), choice=choice,
+        described_noise=read.described(), reading=noise.reading, choice=choice,
         takes_patches=wanted.takes_patches and chosen.iterations > 0 and not moves and noisy, light=light,
     )  # fmt: skip
 

@@ -181,7 +181,7 @@ class KernelWork:
 
     def announce(self, parameters: KernelParameters) -> None:
         LOG.info(
-            "work: %d kernels in each of %d iterations, at most some %.2g million samples",
+            "%d samples are averaged in each of %d iterations, with at most some %.2g million neighbours in all",
             self.kernels, parameters.iterations, parameters.iterations * self.samples(parameters) / 1e6,
         )  # fmt: skip
 

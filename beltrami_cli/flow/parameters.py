@@ -27,6 +27,10 @@ TUNABLE: tuple[Tunable, ...] = get_args(Tunable)
 
 # Weight of smoothness against closeness to the input, by name. Other strengths lie between these weights.
 STRENGTHS = {"gentle": 0.7, "normal": 1.0, "strong": 1.5}
+
+# Probability of no noise, or of some, below which it is left out of account: one in ten.
+NEGLIGIBLE = 0.1
+
 _STRENGTH_RANGE = "{}, or a number between {gentle} and {strong}".format(", ".join(STRENGTHS), **STRENGTHS)
 
 # The error of distances along segments stays the same on ever finer meshes, that of fast marching shrinks: on level

@@ -280,7 +280,7 @@ def _of_images(
         amount = _amount(*(p.pixels.reshape(-1, len(p.channels)) for p in (before, after)))
         return f"{names}: pixels, {amount}", True
     on, off = (_amount(before.pixels[part], after.pixels[part]) for part in (mask, ~mask))
-    return f"{names}: on the surface {on}; around charts {off}", True
+    return f"{names}: on the surface {on}; in the gutter {off}", True
 
 
 def _cleared(before: Picture, after: Picture) -> int:

@@ -20,6 +20,7 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import FlowResult, Plan
 from beltrami_cli.flow.choice import Choice
 from beltrami_cli.flow.domain import NewColours
+from beltrami_cli.flow.noise.model import Reading
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.image import Picture, is_unchanged, losses, write_image
 from beltrami_cli.formats.image.picture import as_stored
@@ -188,13 +189,17 @@ class Layer(ABC):
             "patches": result.patches,
         }
 
-    def _noise(self, plan: Plan[Any]) -> dict[str, dict[str, Any]]:
+    def _noise(self, plan: Plan[Any]) -> dict[str, Any]:
         model = {
             name: value if name == "grain" else self.unit * value
             for name, value in plan.described_noise.items()
         }
-        noise = named(self.names, self.unit * plan.noise)
-        return {"noise": noise, "noise_model": model, "wrong_samples": plan.outliers}
+        return {
+            "noise": named(self.names, self.unit * plan.noise),
+            "noise_model": model,
+            "reading": describe_reading(plan.reading, self.unit),
+            "wrong_samples": plan.outliers,
+        }
 
     def _planned(self, plan: Plan[Any]) -> dict[str, Any]:
         """Return the noise, and the parameters of the kernel as planned, for `describe`."""
@@ -225,7 +230,15 @@ def describe_choice(choice: Choice | None, unit: float) -> dict[str, object] | N
         return None
     choice = choice.in_unit(unit)
     interval = None if choice.interval is None else list(choice.interval)
-    return {**dataclasses.asdict(choice), "doubt": list(choice.doubt), "interval": interval}
+    return {**dataclasses.asdict(choice), "interval": interval}
+
+
+def describe_reading(reading: Reading | None, unit: float) -> dict[str, float] | None:
+    """Describe what was read of the size of noise, of colours that were divided by a unit; None: it was given."""
+    if reading is None:
+        return None
+    sizes = {name: unit * getattr(reading, name) for name in ("low", "median", "high")}
+    return {"none": reading.none, "visible": reading.visible, **sizes}
 
 
 @dataclass(frozen=True)
@@ -333,7 +346,11 @@ class LayerReport:
 
     beta: float  # as used
     iterations: int  # how many were run: none if there is no noise, and no number was asked for
-    noise: dict[str, float]  # estimated standard deviation per channel
+    noise: dict[str, float]  # standard deviation per channel, as estimated or given; 0 where none is removed
+    # What was read of the size of the noise, root mean squares of full scale 1: the probabilities that there is "none",
+    # and that there is some that people see ("visible"); and if there is any, its "median", and "low" and "high", which
+    # it lies between with a certainty of 90 %. None: the noise is given.
+    reading: dict[str, float] | None
     # Standard deviations at "dark", "middle" and "bright" levels (0.1, 0.5, 0.9), if they differ; of "quiet" and "loud"
     # places, if they do; and "grain", the width in samples of what samples share of it.
     noise_model: dict[str, float]
@@ -341,8 +358,10 @@ class LayerReport:
     change: dict[str, float] = field(default_factory=dict)
     guides: dict[str, float]  # the beta used for each guide, by its name
     # If parameters were chosen from the data: "chosen" with their values, and estimates of the result: its
-    # estimated "psnr" in dB, the standard "error" of that, the "gain" over the input, and the numbers of "candidates"
-    # that were compared and of "samples" that they were compared on.
+    # estimated "psnr" in dB, the standard "error" of that if the noise is right, the "gain" over the input, and the
+    # numbers of "candidates" that were compared and of "samples" that they were compared on. "predicted" has the PSNR
+    # "before", the "psnr" after, and its "least" and "most" with a certainty of 90 %, as messages do; None: the noise
+    # is not known well enough.
     choice: dict[str, object] | None
     patches: float | None  # the share of the result that is from patches; None: only the kernel was run
     # If any: the "count" of samples that stand out at random, their "share" of all, and whether they were "replaced".

@@ -419,6 +419,7 @@ def plan_on_pictures(
         sigma = sigma_before(pictures, manifold.noise) if given is None else given.sigma
     if not sigma or not is_changed(pictures, sigma):
         return choose_parameters(manifold, kernel, tick, light_in=light_in)
+    reading = manifold.noise.reading
     del manifold
     planes, noise, before = None, None, None
     for _ in range(_PILOTS if kernel.takes_patches else 1):
@@ -433,7 +434,7 @@ def plan_on_pictures(
     plan = choose_parameters(make(planes, noise), kernel, tick)
     if not plan.parameters.iterations:  # colours without iterations stay as they are
         return choose_parameters(make(None, None), kernel, tick)
-    return plan.with_noise(stored)
+    return plan.with_noise(stored, reading)
 
 
 def _smoothed(manifold: GridManifold, kernel: KernelParameters, tick: Callable[[], None] | None) -> Float32s:

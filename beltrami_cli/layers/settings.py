@@ -28,7 +28,6 @@ IMAGE_SUFFIXES = (
     ".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".exr", ".tga", ".bmp", ".hdr", ".ktx2", ".avif",
 )  # fmt: skip
 
-NO_NOISE_FOUND = "no noise detected"
 
 MOST_VOXELS = 1 << 31  # rows and columns of the marching cubes are counted in 32 bits
 _WIDEST_GUTTER = 99_999

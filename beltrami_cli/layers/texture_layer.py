@@ -155,9 +155,15 @@ class TextureLayer(PictureLayer):
         seams = 0
         for index, facts in enumerate(described):
             own = plan.manifold if len(described) == 1 else _manifold_alone(self, index)
-            atlas, noise = own.geometry.atlas, plan.noise if len(described) == 1 else own.noise.of_input
+            atlas = own.geometry.atlas
+            noise, read = (
+                (plan.noise, plan.reading)
+                if own is plan.manifold
+                else (own.noise.of_input, own.noise.reading)
+            )
             facts |= {"charts": atlas.charts, "seams": atlas.seams, "overlapped": atlas.overlapped}
             facts |= {"pitch": own.geometry.spacing, "noise": layer.named(self.names, self.unit * noise)}
+            facts["reading"] = layer.describe_reading(read, self.unit)
             seams += atlas.seams
         return {
             "slot": self.slot,

@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from beltrami_cli.errors import BeltramiError, UsageError
-from beltrami_cli.fields import of_255, override
+from beltrami_cli.fields import override
 from beltrami_cli.flow.parameters import TUNABLE
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import WRITABLE
@@ -44,6 +44,7 @@ from beltrami_cli.view.settings import (
     used_parameters,
 )
 from beltrami_cli.view.views import image_files, require_memory_to_draw
+from beltrami_cli.view.words import noise_of
 
 Command = Callable[[SmoothSettings, str], str]
 Part = TypeVar("Part")
@@ -217,7 +218,10 @@ class Live:
             return
         choices = [done.report.choice for done in painted if done.report.choice is not None]
         said = [each for done in painted for each in (*done.warnings, *done.repainted.notices)]
-        levels = [level for each in painted for level in each.report.noise.values()]
+        noisiest = max(
+            (each.report for each in painted), key=lambda own: max(own.noise.values(), default=0.0)
+        )
+        noise = noise_of(dataclasses.asdict(noisiest)) if any(noisiest.noise.values()) else "none"
         with self._previewing:
             request.check()
             chosen = dict(choices[0]["chosen"]) if choices else {}  # type: ignore[call-overload]
@@ -225,7 +229,7 @@ class Live:
             request.send(
                 kind="whole", patches=[patch for layer in self._layers for patch in layer.whole(result)], chosen=chosen,
                 used=rendered("parameters.html", used=used), notices=[*dict.fromkeys([*self._document.notices, *said])],
-                noise=None if settings.kernel.noise or not levels else f"{of_255(float(np.mean(levels)))}/255",
+                noise=None if settings.kernel.noise else noise,
             )  # fmt: skip
 
     def _whole(self, change: _Change) -> tuple[Document, list[Smoothed]]:

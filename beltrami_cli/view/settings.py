@@ -14,7 +14,8 @@ from typing import Any, ClassVar, Literal, get_args
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import check, of_255, override, parameter, parameters
 from beltrami_cli.flow.parameters import STRENGTHS, TUNABLE
-from beltrami_cli.layers.settings import DEFAULTS, NO_NOISE_FOUND, SLOTS, SmoothSettings, describe_settings
+from beltrami_cli.layers.settings import DEFAULTS, SLOTS, SmoothSettings, describe_settings
+from beltrami_cli.view.words import noise_in_words, psnr_in_words
 
 Axis = Literal["x", "y", "z"]
 Colour = tuple[float, float, float, float]  # display values and opacity from 0 to 1
@@ -256,37 +257,22 @@ def _kernel(requested: dict[str, Any], done: dict[str, Any]) -> Iterator[list[st
         elif name == "beta" and value is None:
             how = "from the noise"
         elif name == "iterations" and name in requested["free"] and not done["iterations"]:
-            how = "no more noise than rounding makes"
+            how = "as no noise is removed"
         else:
             how = "default" if value == _plain(defaults[name]) and name in may_be_default else "given"
         if how != "default" or name in _ALWAYS:
             yield [_WORDS.get(name, name.replace("_", " ")), _in_words(used[name]), how]
 
 
-def noise_in_words(noise: dict[str, float], model: dict[str, float]) -> str:
-    """Describe the `noise` and `noise_model` of a report, of 255: the strongest channel first."""
-    strongest = max(noise.values(), default=0.0)
-    if not strongest:
-        return NO_NOISE_FOUND
-    parts = [f"{name} {of_255(sigma)}" for name, sigma in noise.items()] if len(noise) > 1 else []
-    words = f"{of_255(strongest)}/255" + (f" ({', '.join(parts)})" if parts else "")
-    names = {"quiet": "quiet places", "loud": "loud places"}
-    details = [f"{names.get(name, name)} {of_255(sigma)}" for name, sigma in model.items() if name != "grain"]
-    if model.get("grain", 1.0) >= 1.05:  # rounds to more than one sample
-        details.append(f"shared over {model['grain']:.1f} samples")
-    return ", ".join([words, *details])
-
-
 def _measured(given: str | None, done: dict[str, Any]) -> Iterator[list[str]]:
     """Give the noise of a part, its mean change, and the estimated error by which its parameters were chosen."""
     how = "measured" if given is None else f"given as {given}"
-    yield ["noise", noise_in_words(done["noise"], done["noise_model"]), how]
+    yield ["noise", noise_in_words(done, is_smoothed=done["iterations"] > 0), how]
     if done["change"]:
         yield ["mean change", f"{of_255(done['change']['mean'])}/255", "measured"]
     choice = done["choice"]
     if choice and choice["psnr"] is not None:
-        gain = f"{choice['psnr']:.1f} dB, {choice['gain']:+.1f} dB against the input"
-        yield ["PSNR", gain, f"estimated, the best of {choice['candidates']}"]
+        yield ["result", psnr_in_words(choice), f"the best of {choice['candidates']}"]
 
 
 def _given(requested: dict[str, Any]) -> Iterator[tuple[str, str]]:

@@ -87,7 +87,7 @@ def test_texels_that_faces_look_up_around_charts_have_figures_of_their_own(tmp_p
     assert around["psnr"] == pytest.approx(psnr_of(0.1), abs=1e-3)
     assert around["worst"] == pytest.approx(0.1, abs=1e-4)
     shown = beltrami("compare", one, other).stdout.decode()
-    said = f"around charts: {around['samples']} texels that faces look up, PSNR 20.00, off by up to 25.5/255"
+    said = f"in the gutter: {around['samples']} texels that faces look up, PSNR 20.00, off by up to 25.5/255"
     assert said in shown
 
 

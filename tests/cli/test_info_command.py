@@ -9,6 +9,7 @@ import pytest
 
 from beltrami_cli import SmoothSettings, inspect_file
 from beltrami_cli.cli.commands import notes_on
+from beltrami_cli.cli.console import label_of
 from beltrami_cli.fields import override
 from beltrami_cli.layers.settings import SLOTS
 from cli.commands import SAMPLES, beltrami, colours_in, copy_samples
@@ -27,7 +28,7 @@ def info(name, *options):
 def test_the_keys_in_the_examples_of_help_are_there():
     samples = {"ply": "nonmanifold-noisy.ply", "glb": "tiled-noisy.glb", "obj": "mirrored-noisy.obj"}
     examples = re.findall(r"scan\.(\w+) --json \| jq '?\.([.\w\[\]]+)", notes_on("info"))
-    assert len(examples) == 3
+    assert len(examples) == 4
     for suffix, path in examples:
         values = [info(samples[suffix], "--fast")]
         for key in path.split("."):
@@ -177,7 +178,7 @@ def test_noise_that_samples_share_is_that_which_smooth_finds(tmp_path):
 @pytest.mark.slow
 def test_kernel_info_and_smooth_say_the_same_parameters_of_a_file(name, at, options, tmp_path):
     source, record = SAMPLES / name, tmp_path / "run.json"
-    smooth = beltrami("smooth", source, tmp_path / name, "--dry-run", "--report", record, *options)
+    smooth = beltrami("smooth", source, tmp_path / name, "-v", "--dry-run", "--report", record, *options)
     shown = beltrami("kernel", source, tmp_path / "kernel.csv", "--at", at, *options, text=True).stderr
     done, info = colours_in(record), json.loads(beltrami("info", source, "--json", *options).stdout)
     planned = info["smooth"] if "smooth" in info else info["textures"][0]["smooth"]
@@ -188,7 +189,9 @@ def test_kernel_info_and_smooth_say_the_same_parameters_of_a_file(name, at, opti
         assert planned["samples_per_kernel"] == pytest.approx(done["counts"]["samples_per_kernel"], rel=0.05)
     assert f"in iteration 1 of {planned['iterations']}," in shown
     assert f"beta {planned['beta']:.3g}\n" in shown
-    assert f"beta {planned['beta']:.3g}," in smooth.stderr.decode()
+    assert re.search(rf"^  beta +{planned['beta']:.5g}$", smooth.stderr.decode(), re.MULTILINE)
+    predicted = (planned.get("choice") or {}).get("predicted")
+    assert predicted == (done["choice"] or {}).get("predicted")
 
 
 def write_textured(path, slots, *, is_flat=False, colours=False):
@@ -262,9 +265,9 @@ def test_every_key_of_every_kind_of_layer_and_slot_is_shown(kind, on, tmp_path):
     assert len(parts) == {"both": 2}.get(on, 1)
     assert short.count("\nnoise ") == len(parts)
     for part in parts:
-        assert {"noise", "noise_model", "smooth"} <= part.keys()
+        assert {"noise", "noise_model", "reading", "smooth"} <= part.keys()
     for name, value in [*facts.items(), *(each for part in parts for each in part.items())]:
-        assert name.replace("_", " ") in long or value in (None, {}, [])
+        assert label_of(name) in long or value in (None, {}, [])
     rows = table.splitlines()[1:]
     assert len(rows) == len(parts)
     for row in rows:

@@ -53,19 +53,10 @@ def test_beside_the_source_no_files_pile_up(name, square):
 def test_a_clean_file_comes_out_as_it_was_and_the_report_says_why(name, tmp_path):
     result, report = tmp_path / name, tmp_path / "report.json"
     run = beltrami("smooth", SAMPLES / name, result, "--report", report)
-    assert b"left as they are" in run.stderr
+    assert re.search(rb"left as (they are|it is)", run.stderr)
     assert result.read_bytes() == (SAMPLES / name).read_bytes()
     done = colours_in(report)
     assert done["iterations"] == 0
-    # One line says what was measured and what to give, and that does it.
-    (line,) = run.stderr.decode().splitlines()
-    what = r"(?:noise ([\d.]+)/255|no noise detected), "
-    way_out = what + ".*; to smooth all the same, give the noise, as in (.*)"
-    noise, *ways = re.search(way_out, line).groups()
-    assert float(noise or 0) == pytest.approx(255 * max(done["noise"].values()), abs=0.05)
-    for options in ways:
-        beltrami("smooth", SAMPLES / name, result, "--overwrite", *options.split())
-        assert result.read_bytes() != (SAMPLES / name).read_bytes()
 
 
 @pytest.mark.slow
@@ -73,7 +64,7 @@ def test_the_table_of_a_batch_and_info_say_it_too(tmp_path):
     common = "batch", SAMPLES / "head-clean.ply", "-j", 1, "--out-dir"
     assert b"left as it is" in beltrami(*common, "out", cwd=tmp_path).stderr
     assert b"left as it is" not in beltrami(*common, "given", "-n", 0, cwd=tmp_path).stderr
-    assert b"give the noise" in beltrami("info", SAMPLES / "head-clean.ply").stdout
+    assert b"nothing to smooth" in beltrami("info", SAMPLES / "head-clean.ply").stdout
 
 
 def test_where_there_are_no_samples_no_strength_is_advised(tmp_path):

@@ -39,12 +39,12 @@ def smoothed(source, *options):
 def test_the_share_of_patches_is_said_and_reported(kind, request):
     source = request.getfixturevalue(kind)
     said, part, result = smoothed(source)
-    assert said.startswith("work: parameters are tried on ")  # which comes before it starts
-    (share,) = re.findall(r"^  patches +([\d.]+)$", said, re.MULTILINE)
+    assert said.startswith("parameters are tried on ")  # which comes before it starts
+    (share,) = re.findall(r"^  share from similar patches +([\d.]+)$", said, re.MULTILINE)
     assert 0 < part["patches"] <= 1
     assert float(share) == pytest.approx(part["patches"], rel=1e-4)
     assert smoothed(source, "--patches", "auto")[2] == result
     said, part, kernel = smoothed(source, "--patches", "off")
-    assert " patches " not in said
+    assert " similar patches " not in said
     assert part["patches"] is None
     assert kernel != result

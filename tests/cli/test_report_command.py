@@ -77,7 +77,7 @@ def test_parameters_are_shown_as_they_were_used_and_how_they_came_about(tmp_path
     assert shown["time step, t"] == ("0.5", "given")
     assert shown["beta"] == (f"{done['beta']:.4g}", "from the noise")
     shown, _ = parameters_shown(SAMPLES / "nonmanifold-clean.ply", tmp_path, "--on", "vertices")
-    assert shown["iterations"] == ("0", "no more noise than rounding makes")
+    assert shown["iterations"] == ("0", "as no noise is removed")
     assert shown["smoothed, --on"] == ("vertices", "given")
     assert "beta" not in shown
 
@@ -86,7 +86,7 @@ def test_parameters_were_chosen_also_where_no_error_can_be_estimated(tmp_path):
     record = tmp_path / "run.json"
     beltrami("smooth", SAMPLES / "knot-noisy.ply", tmp_path / "out.ply", "--report", record)
     run = json.loads(record.read_text())
-    run["vertices"]["choice"] |= {"psnr": None, "error": None, "gain": None, "interval": None}
+    run["vertices"]["choice"] |= {"psnr": None, "error": None, "gain": None, "predicted": None}
     shown = str(used_parameters(run))
     assert "by the fixed rule" not in shown
     assert "chosen from the data" in shown

@@ -9,9 +9,9 @@ from scipy.ndimage import gaussian_filter
 
 import beltrami_cli
 from beltrami_cli.flow import risk
-from beltrami_cli.flow.choice import Choice, Grid, Search
+from beltrami_cli.flow.choice import Choice, Grid, Search, _predicted
 from beltrami_cli.flow.manifold import RULE_ON_GRIDS, RULE_ON_MESHES, Step
-from beltrami_cli.flow.noise.model import Reading
+from beltrami_cli.flow.noise.model import NoiseModel, Reading
 from beltrami_cli.flow.parameters import STRENGTHS, TUNABLE, KernelParameters
 from beltrami_cli.flow.risk import Risk, RiskEstimate
 from cli.commands import SAMPLES, beltrami
@@ -196,17 +196,43 @@ def test_parameters_know_what_is_open():
     assert not dataclasses.replace(CHOSEN, beta=0.0).is_open
 
 
-def test_the_interval_holds_the_estimate_and_widens_with_the_doubt_of_the_noise():
-    sure = Choice({}, 35.0, 0.2, 10.0)
-    doubts = (0.0, 0.0), (1e-4, 1e-5), (1e-3, 1e-3)
-    intervals = [dataclasses.replace(sure, doubt=doubt).interval for doubt in doubts]
-    for least, most in intervals:
-        assert least < 35
-        assert most is None or most > 35
-    assert [least for least, _ in intervals] == sorted((least for least, _ in intervals), reverse=True)
-    assert intervals[1][1] is not None
-    assert intervals[2][1] is None  # where the doubt is as large as the error, there is no limit
+def predicted(noise, read=None, *, none=0.0, shared=False, patches=True):
+    """Predict the result of an estimate that leaves a tenth of noise of a tenth, by its divergence."""
+    model = NoiseModel.independent(np.full(3, noise))
+    if shared:
+        model = dataclasses.replace(
+            model, covariances=np.concatenate([model.covariances, 4 * model.covariances])
+        )
+    reading = None if read is None else Reading(none, *(noise * factor for factor in read))
+    risk = Risk(0.1 * noise**2, 0.01 * noise**2, 0.2 * noise**2)
+    return _predicted(risk, noise**2, dataclasses.replace(model, reading=reading), patches=patches)
+
+
+def test_the_interval_holds_the_prediction_and_widens_with_the_doubt_of_the_noise():
+    widths = []
+    for read in (None, (0.9, 1, 1.1), (0.8, 1, 1.2)):
+        told = predicted(0.1, read)
+        assert told.before == pytest.approx(20)
+        assert told.before < told.least < told.psnr < told.most
+        assert told.psnr == pytest.approx(30)
+        widths.append(told.most - told.least)
+    assert widths == sorted(widths)
+    assert widths[-1] <= 8
     assert Choice({}).interval is None
+
+
+@pytest.mark.parametrize(
+    "doubt", [{"read": (0.4, 1, 2)}, {"read": (0.9, 1, 1.1), "none": 0.15}, {"shared": True}]
+)
+def test_nothing_is_predicted_where_the_noise_may_be_other(doubt):
+    assert predicted(0.1, **doubt) is None
+
+
+def test_a_result_that_is_too_smooth_is_not_predicted_by_its_divergence():
+    """Without patches, whose noise is all gone, the error is what Stein's estimate says."""
+    noise = NoiseModel.independent(np.full(3, 0.1))
+    told = _predicted(Risk(0.005, 1e-4, 0.0), 0.01, noise, patches=False)
+    assert told.psnr == pytest.approx(23, abs=0.3)
 
 
 SIZE = 80

@@ -70,17 +70,14 @@ def test_drawn_noise_has_the_details_of_what_was_found(sphere):
     assert noise.std(axis=0) == pytest.approx(sigma_of_covariances(covariances), rel=0.1)
 
 
-def test_noise_that_vertices_share_is_removed_and_the_psnr_is_told(sphere):
+def test_noise_that_vertices_share_is_removed_and_no_psnr_is_predicted(sphere):
     positions, faces = sphere
     clean = painted(positions)
     noisy = with_grain(positions, clean, SIGMA)
     result = smooth(positions, faces, noisy)
-    reached = psnr(result.colours, clean)
-    assert reached > psnr(noisy, clean) + 5
-    least, most = result.choice.interval
+    assert psnr(result.colours, clean) > psnr(noisy, clean) + 5
     assert result.choice.correlated
-    assert least <= reached
-    assert most is None or reached <= most
+    assert result.choice.predicted is None
 
 
 @pytest.mark.slow

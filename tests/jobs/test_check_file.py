@@ -184,7 +184,7 @@ def test_texels_on_the_surface_are_counted_apart_from_those_around_charts(tmp_pa
     beltrami("smooth", source, tmp_path / "o.gltf", "-n", 1, "--beta", 5, "--gutter", "keep", "--fast")
     lines = beltrami("check", source, tmp_path / "o.gltf", text=True).stdout.splitlines()
     assert sum("on the surface" in line for line in lines) == 2
-    assert all("around charts none of" in line for line in lines if "on the surface" in line)
+    assert all("in the gutter none of" in line for line in lines if "on the surface" in line)
 
 
 def test_the_command_lists_and_exits_as_it_says(tmp_path):

@@ -32,7 +32,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.fields import BYTE_STEP
-from beltrami_cli.flow.parameters import STRENGTHS
+from beltrami_cli.flow.parameters import NEGLIGIBLE, STRENGTHS
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.records import srgb_to_linear
 
@@ -49,6 +49,9 @@ _MOST_NONE, _CERTAIN = 0.2, 0.95
 # By how much more than its median noise is removed. It loses 0.46 dB against telling the noise, and 0.71 dB with 1, by
 # benchmarks/bench_regret.py: noise that is told too small is kept as edges.
 _MORE = 1.1
+
+# Noise that people see, of full scale: of less, most samples are within a step of 8 bits of their value.
+_VISIBLE = 2 * BYTE_STEP
 
 # Colour distance at which the first kernel should fall off, in units of the noise: beta sigma. A search over vertex
 # colours and textures at sigma 20 of 255, with t = 2.4, a growth of 2, two regularised and three plain iterations,
@@ -98,6 +101,17 @@ class Reading:
         # No noise counts as 0, so that it may take the place of the upper end.
         high = max(median, self.high) if self.none < _CERTAIN else 0.0
         return float(np.interp(strength, tuple(STRENGTHS.values()), (low, median, high)))
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether there may be no noise."""
+        return self.none > NEGLIGIBLE
+
+    @property
+    def visible(self) -> float:
+        """Probability that there is noise that people see."""
+        places = np.log(np.maximum((self.low, self.median, self.high), 1e-9))
+        return (1 - self.none) * float(np.interp(math.log(_VISIBLE), places, (0.95, 0.5, 0.05)))
 
 
 @dataclass(frozen=True)
@@ -164,14 +178,6 @@ class NoiseModel:
         """Root mean square of the noise of the input's colours."""
         colours = self.of_input[:COLOURS]
         return float(np.sqrt(np.mean(np.square(colours)))) if len(colours) else 0.0
-
-    @property
-    def doubt(self) -> tuple[float, float]:
-        """Mean squares that the noise may have more than the model, and less, with a certainty of 90 %."""
-        if self.reading is None:
-            return 0.0, 0.0
-        low, high = self.reading.low, self.reading.high
-        return max(0.0, high**2 - self.overall**2), max(0.0, self.overall**2 - low**2)
 
     @property
     def grain(self) -> float:

@@ -1,0 +1,156 @@
+"""What is known of noise, and of the result, in words: the same in messages, `info`, reports and the live view."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from beltrami_cli.fields import BYTE_STEP, of_255
+from beltrami_cli.flow.parameters import NEGLIGIBLE
+
+NO_NOISE_FOUND = "no noise detected"
+
+# Ratio of the ends of an interval of the noise from which on it is shown. Where it is less, the median is off by a
+# factor of 1.22 at most, which costs about half a decibel: see `_MORE` in flow/noise/size.py.
+_WIDE = 1.5
+
+_CHANNELS_OF_COLOUR = 3
+
+
+def noise_of_255(share: float) -> str:
+    """Write noise as `--noise` and `beltrami noise` take it."""
+    return f"{of_255(share)}/255"
+
+
+def noise_of(part: Mapping[str, Any]) -> str:
+    """Return the noise of a part of a report, or of `info`, as a quantity, with its interval where that is wide."""
+    reading = part["reading"]
+    if reading is None:
+        return noise_of_255(_root_mean_square(part["noise"]))
+    low, median, high = (reading[key] for key in ("low", "median", "high"))
+    if high <= _WIDE * low:
+        return noise_of_255(median)
+    return f"about {_rounded(median)}/255 ({_rounded(low)} to {_rounded(high)})"
+
+
+def noise_in_words(part: Mapping[str, Any], *, is_smoothed: bool) -> str:
+    """Say of a part of a report, or of `info`, how noisy it is, how sure that is, and which channels and levels are."""
+    if doubt := doubt_in_words(part, is_smoothed=is_smoothed):
+        return doubt
+    if not any(part["noise"].values()):
+        return "none" if part["reading"] is None else NO_NOISE_FOUND
+    return ", ".join([noise_of(part), *_details(part)])
+
+
+def doubt_in_words(part: Mapping[str, Any], *, is_smoothed: bool, moved: str = "") -> str:
+    """Say that grain may be noise or texture, what is done about it, and what else could be; empty: it is clear.
+
+    `moved` says by how much colours changed.
+    """
+    reading = part["reading"]
+    if reading is None or reading["none"] <= NEGLIGIBLE:
+        return ""
+    is_removed = is_smoothed and any(part["noise"].values())
+    if is_clean(reading) and not is_removed:
+        return ""
+    grain = f"grain of about {_rounded(reading['median'])}/255 may be noise or texture"
+    if is_removed:
+        return f"{grain}: removed{moved}; --noise 0 keeps it"
+    if is_smoothed:
+        return f"{grain}: smoothed as the options say{moved}"
+    return f"{grain}: left as it is; --noise {noise_to_give(reading)} removes it"
+
+
+def why_left(part: Mapping[str, Any]) -> str:
+    """Say why a part that is not smoothed is left as it is."""
+    strongest = max(part["noise"].values(), default=0.0)
+    if not strongest:
+        return "no noise" if part["reading"] is None else NO_NOISE_FOUND
+    is_less_than_rounding = strongest <= BYTE_STEP / 2 and not _choice_of(part)
+    why = "no more than rounding makes" if is_less_than_rounding else "which smoothing would not reduce"
+    return f"noise {noise_of(part)}, {why}"
+
+
+def way_out(part: Mapping[str, Any]) -> str:
+    """Advise how to smooth a part that was left, if there is a way that would be seen."""
+    reading, choice = part["reading"], _choice_of(part)
+    was_worse = bool(choice and choice["chosen"].get("iterations"))
+    if reading is None or (any(part["noise"].values()) and not was_worse):
+        return ""
+    if reading["visible"] < 0.5 * (1 - reading["none"]):
+        return ""
+    return f"; to smooth all the same, give --noise {noise_to_give(reading)}"
+
+
+def _choice_of(part: Mapping[str, Any]) -> Any:
+    """Return what was chosen, of a part of a report, or of `info`; None: nothing."""
+    return part["choice"] if "choice" in part else part["smooth"].get("choice")
+
+
+def is_clean(reading: Mapping[str, float]) -> bool:
+    """Whether fewer than one in ten such pictures have noise that people see."""
+    return reading["visible"] < NEGLIGIBLE
+
+
+def noise_to_give(reading: Mapping[str, float]) -> str:
+    """Return what `--noise` is to be if there is noise; plain numbers below 1 would be ambiguous."""
+    number = _rounded(reading["median"])
+    return number if float(number) >= 1 else f"{number}/255"
+
+
+def _root_mean_square(noise: Mapping[str, float]) -> float:
+    colours = [*noise.values()][:_CHANNELS_OF_COLOUR]
+    return math.sqrt(sum(sigma**2 for sigma in colours) / max(1, len(colours)))
+
+
+def _rounded(share: float) -> str:
+    return f"{255 * share:.0f}" if 255 * share >= 9.95 else of_255(share).removesuffix(".0")
+
+
+def _details(part: Mapping[str, Any]) -> Iterator[str]:
+    """Give the noise by channel, level and place, and how many samples share it."""
+    noise, model, reading = part["noise"], part["noise_model"], part["reading"]
+    # If strong, more is removed than the median.
+    share = (
+        reading["median"] / _root_mean_square(noise) if reading is not None and any(noise.values()) else 1.0
+    )
+    if len(noise) > 1:
+        yield ", ".join(f"{name} {of_255(share * sigma)}" for name, sigma in noise.items())
+    names = {"quiet": "quiet places", "loud": "loud places"}
+    for name, sigma in model.items():
+        if name != "grain":
+            yield f"{names.get(name, name)} {of_255(share * sigma)}"
+    if model.get("grain", 1.0) >= 1.05:  # rounds to more than one sample
+        yield f"shared over {model['grain']:.1f} samples"
+
+
+def reading_in_words(reading: Mapping[str, float]) -> str:
+    """Write the probabilities of a reading."""
+    low, median, high = (_rounded(reading[key]) for key in ("low", "median", "high"))
+    return (
+        f"{median}/255 ({low} to {high}) with a probability of {100 * (1 - reading['none']):.0f} %, else none"
+    )
+
+
+def choice_in_words(choice: Mapping[str, Any]) -> str:
+    """Return what was chosen, by what estimate, and what is expected of it."""
+    chosen = ", ".join(f"{name.replace('_', ' ')} {value:.3g}" for name, value in choice["chosen"].items())
+    if not choice["candidates"]:
+        return f"{chosen}; by the fixed rule of --fast"
+    return f"{chosen}; {psnr_in_words(choice)}"
+
+
+def psnr_in_words(choice: Mapping[str, Any]) -> str:
+    """Return the PSNR that is predicted, or why there is none."""
+    if choice["psnr"] is None and choice["samples"] == 1:
+        return "PSNR is undefined for a single sample"
+    if choice["psnr"] is None:
+        return (
+            "no PSNR can be predicted, as most colours are plain, as where JPEG took the noise, or at a limit"
+        )
+    if (predicted := choice["predicted"]) is None:
+        cause = "neighbours share noise" if choice["correlated"] else "the noise is not known well enough"
+        return f"no PSNR can be predicted, as {cause}"
+    before, psnr, least, most = (f"{predicted[key]:.1f}" for key in ("before", "psnr", "least", "most"))
+    return f"predicted PSNR {before} -> {psnr} dB (90 %: {least} to {most})"
