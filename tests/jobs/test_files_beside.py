@@ -187,7 +187,7 @@ def test_an_image_that_comes_out_as_it_was_replaces_no_other(tmp_path):
 def test_an_old_image_that_something_else_shows_is_copied_though(tmp_path):
     source = model(tmp_path / "a", "obj", PICTURE)
     library = source.parent / "m.mtl"
-    library.write_text(library.read_text() + "map_Ks skin.png\n")
+    library.write_text(library.read_text() + "map_Ns skin.png\n")
     target = tmp_path / "out" / "model.obj"
     smooth(source, target, image_suffix=".jpg")
     assert contents(target.parent)["model_skin.png"] == PICTURE
