@@ -45,12 +45,6 @@ def store_colours(
     threads: int,
 ) -> tuple[int, int, int]: ...
 def interpolate(places: NDArray[np.float32], at: NDArray[np.float64], table: NDArray[np.float64]) -> None: ...
-def medians_around(
-    colours: NDArray[np.float32],
-    samples: NDArray[np.int64],
-    around: NDArray[np.int64],
-    threads: int,
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
 def restore_cut_off(
     averages: NDArray[np.float32],
     share: NDArray[np.float32],

@@ -279,14 +279,13 @@ class NewColours:
         )
 
     def with_kept(self, samples: Indices, channels: Bools, colours: Float32s) -> NewColours:
-        """Return the same with other colours in the marked channels of K samples, ascending."""
-        take, last = self.take, len(samples) - 1
+        """Return the same with other colours in the marked channels of K samples."""
+        take, row_of = self.take, np.full(len(self.places), -1, np.int32)
+        row_of[samples] = np.arange(len(samples))
 
         def kept(block: slice, inside: Bools | slice) -> Float32s:
-            rows, numbers = take(block, inside), np.arange(len(self.places))[block][inside]
-            place = np.minimum(np.searchsorted(samples, numbers), last)
-            is_kept = channels[place] & (samples[place] == numbers)[:, None]
-            return np.where(is_kept, colours[place], rows)
+            row = row_of[block][inside]
+            return np.where(channels[row] & (row >= 0)[:, None], colours[row], take(block, inside))
 
         return dataclasses.replace(self, take=kept)
 

@@ -125,7 +125,7 @@ class Manifold(ABC):
     guides: tuple[GuideStack, ...] = ()
     moving: MovingPositions | None = None  # positions that are smoothed along with the colours
     is_in_one_block: bool = False  # averaged at once, whatever its size; stacks stay as they are
-    outliers: Outliers | None = None  # that were filled; their order is that of `new_colours`
+    outliers: Outliers | None = None  # that were filled
 
     search_range: ClassVar[SearchRange]
     """The parameters that are tried when they are chosen from the data."""
@@ -196,12 +196,13 @@ class Manifold(ABC):
     def new_colours(self) -> NewColours:
         """Return the colours block by block, with those beyond seams, to be written back to the document."""
 
-    def _with_outliers(self, new: NewColours) -> NewColours:
-        """Return new colours with the outliers as they were, if they are kept."""
+    def _with_outliers(self, new: NewColours, order: Array | None = None) -> NewColours:
+        """Return new colours, those of samples in an order, with the outliers as they were, if they are kept."""
         own = self.outliers
         if own is None or self.parameters.outliers != "keep":
             return new
-        return new.with_kept(own.samples, own.channels, own.colours)
+        samples = own.samples if order is None else order[own.samples]
+        return new.with_kept(samples, own.channels, own.colours)
 
     def _regularising(self, step: Step, gaussian: Gaussian | None) -> Gaussian | None:
         if not step.regularised or (step.beta == 0 and self.moving is None):

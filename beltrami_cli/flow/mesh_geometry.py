@@ -227,16 +227,12 @@ class MeshSamples:
 
     def standing_out(self, planes: Float32s, least: Float32s) -> Indices:
         """Return the samples that differ from most neighbours by more than `least` in a channel."""
-        size = len(self.samples)
-        counts = np.zeros((len(planes), size))
-        for block in large_arrays.blocks(len(self._edges)):
-            low, high = self._edges[block].T
-            for plane, enough, count in zip(planes, least, counts, strict=True):
-                differ = np.abs(plane[low] - plane[high]) > enough
-                for ends in (low, high):
-                    count += np.bincount(ends, differ, minlength=size)
+        size, stands_out = len(self.samples), np.zeros(len(self.samples), bool)
         degrees = np.bincount(self._edges.reshape(-1), minlength=size)
-        return np.flatnonzero((2 * counts > degrees).any(axis=0))
+        for plane, enough in zip(planes, least, strict=True):
+            differ = np.abs(np.subtract(*plane[self._edges.T])) > enough
+            stands_out |= 2 * np.bincount(self._edges[differ].reshape(-1), minlength=size) > degrees
+        return np.flatnonzero(stands_out)
 
 
 def rank_in(order: Int32s) -> Int32s:

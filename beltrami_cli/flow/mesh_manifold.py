@@ -95,7 +95,7 @@ def mesh_manifold(
         geometry=mesh, colours=colours, noise=noise, parameters=parameters, unit=unit,
         metric_channels=slice(None) if metric_channels is None else list(metric_channels),
         guides=tuple(GuideStack.of(guide, guide.values[mesh.order], mesh, unit) for guide in guides),
-        moving=moving, outliers=None if outliers is None else outliers.numbered(mesh.order),
+        moving=moving, outliers=outliers,
     )  # fmt: skip
 
 
@@ -238,7 +238,7 @@ class MeshManifold(Manifold):
 
     def new_colours(self) -> NewColours:
         mesh, moving = self.geometry, self.moving
-        new = self._with_outliers(NewColours.of(mesh.in_order(self.noise.to_input(self.colours))))
+        new = self._with_outliers(NewColours.of(mesh.in_order(self.noise.to_input(self.colours))), mesh.order)
         return new if moving is None else dataclasses.replace(new, positions=mesh.in_order(moving.positions))
 
     def _perturbations(self, colours: Float32s, around: NDArray[np.uint64], count: int) -> Float32s:

@@ -159,7 +159,9 @@ def smooth_report(made: FileReport, done: Sequence[Smoothed], settings: SmoothSe
     for number, each in enumerate(done):
         report = each.report
         key = (
-            (report.slot, str(report.choice), str(report.noise)) if isinstance(report, SlotReport) else number
+            (report.slot, str(report.choice), str(report.noise), str(report.wrong_samples))
+            if isinstance(report, SlotReport)
+            else number
         )
         groups.setdefault(key, []).append(each)
     reports: dict[Part, list[Any]] = {"vertices": [], "textures": [], "image": []}
@@ -191,18 +193,8 @@ def _joined(group: Sequence[Smoothed]) -> LayerReport:
         pitch=mean("pitch"),
         samples_per_kernel=round(mean("samples_per_kernel"), 2),
         patches=None if reports[0].patches is None else mean("patches"),
-        wrong_samples=_all_wrong(reports),
         change=Change.joined(each.repainted.change for each in group).summary(),
     )
-
-
-def _all_wrong(reports: Sequence[SlotReport]) -> dict[str, Any]:
-    found = [report.wrong_samples for report in reports if report.wrong_samples]
-    if not found:
-        return {}
-    count = sum(each["count"] for each in found)
-    samples = sum(report.counts["covered"] for report in reports)
-    return {**found[0], "count": count, "share": count / max(1, samples)}
 
 
 _HEAD = re.compile(rb'\{\n  "input": ".*",\n  "output": ".*",\n  "format": "\w+",\n  "parameters": \{')

@@ -121,3 +121,23 @@ def test_a_file_that_has_scalars_alone_says_how_to_name_one(tmp_path):
     said = beltrami("smooth", "a.ply", "out.ply", cwd=tmp_path, code=3, text=True).stderr
     assert "x, y, z, quality" in said
     assert "--channels" in said
+
+
+@pytest.mark.parametrize("mode", ["auto", "keep"])
+def test_wrong_samples_are_counted_in_messages_reports_and_info(tmp_path, mode):
+    source, peppered = SAMPLES / "torus-two-clean-dough.png", tmp_path / "peppered.png"
+    beltrami("noise", source, peppered, "--kind", "salt-pepper", "--sigma", "3%")
+    output, report, done = (
+        tmp_path / "out.png",
+        tmp_path / "report.json",
+        {"auto": "replaced"}.get(mode, "kept"),
+    )
+    said = beltrami("smooth", peppered, output, "--outliers", mode, "--report", report, text=True).stderr
+    found = json.loads(report.read_text())["image"]["wrong_samples"]
+    assert found["replaced"] == (mode == "auto")
+    words = f"{found['count']} wrong pixels ({100 * found['share']:.2g} %) {done}"
+    assert words in said
+    assert (
+        words.replace("pixels", "samples") in beltrami("info", peppered, "--outliers", mode, text=True).stdout
+    )
+    assert (output.read_bytes() == peppered.read_bytes()) == (mode == "keep")

@@ -52,9 +52,6 @@ CALLS = {
     "impute_cut_off": {
         "colours": ONE, "estimate": ONE, "cut_off": CUT_OFF, "at": AT, "beyond": AT, "relative": ONE, "threads": 2,
     },
-    "medians_around": {
-        "colours": PLANES, "samples": np.arange(4), "around": np.arange(24).reshape(4, 6), "threads": 2,
-    },
     "convolve": {"planes": PLANES, "taps": numbers(3), "threads": 2},
     "means_of_squares": {"kind": KIND, "kinds": KIND[:3, :3].copy(), "planes": PLANES, "side": 2, "threads": 2},
     "add_enlarged": {
@@ -119,18 +116,16 @@ FREE = {
         means_of_squares.planes convolve.planes convolve.taps morton_order.positions vertex_order.positions
         vertex_order.faces build_atlas.positions build_atlas.grids interpolate.places store_colours.table
         smooth_grid.colours smooth_grid.metric grid_distances.metric SurfacePatches.edges LocalTriangulation.positions
-        TriangulatedManifold.faces SegmentManifold.faces medians_around.colours pilot_of_graph.edges
+        TriangulatedManifold.faces SegmentManifold.faces pilot_of_graph.edges
     """,
     "one more on axis 1": """
-        medians_around.colours medians_around.around
         convolve.planes store_colours.table morton_order.positions vertex_order.positions
         TriangulatedManifold.update_metric.positions SegmentManifold.update_metric.positions
         TriangulatedManifold.update_metric.colours SegmentManifold.update_metric.colours neighbour_means.values
         TriangulatedManifold.smooth.colours SegmentManifold.smooth.colours LocalTriangulation.add_stars.neighbours
     """,
-    "one more on axis 2": "convolve.planes medians_around.colours",
+    "one more on axis 2": "convolve.planes",
     "no index": """
-        medians_around.around
         SurfacePatches.blocks SurfacePatches.priorities halo_repeats.sources halo_repeats.seams build_atlas.texture_of
     """,
     "beyond all": """
@@ -138,7 +133,7 @@ FREE = {
     """,
     "another axis": """
         restore_cut_off.averages restore_cut_off.share restore_cut_off.relative impute_cut_off.colours
-        impute_cut_off.estimate impute_cut_off.relative medians_around.colours
+        impute_cut_off.estimate impute_cut_off.relative
     """,
     "another axis in 4": "blend_terms.noise blend_residual.noise blend_share_within.noise",
     "NaN": """

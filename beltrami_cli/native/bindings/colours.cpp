@@ -1,4 +1,4 @@
-// Colours for Python: compared with their neighbours, stored among the pixels of an image, and cut off at limits.
+// Colours for Python: stored among the pixels of an image, and cut off at limits.
 #include <nanobind/stl/tuple.h>
 
 #include <cstdint>
@@ -85,29 +85,6 @@ void impute_cut_off(const Channels<float>& colours, const Channels<const float>&
   colours::impute(to, own, how, table, {variances, count}, threads);
 }
 
-// See take_medians; `around` has a row of neighbours for each of the samples.
-auto medians_around(const Channels<const float>& colours, const Vector<std::int64_t>& samples,
-                    const Matrix<std::int64_t>& around, unsigned threads) {
-  require(colours.ndim() >= 2, "colours have channels along the first axis");
-  const std::size_t count = samples_of(colours), channels = colours.shape(0), rows = samples.size();
-  const auto from = layout_of(colours, channels, count);
-  const auto size = static_cast<std::int64_t>(count);
-  const std::size_t width = around.shape(1);
-  if (around.shape(0) != rows) throw nb::value_error("a row of neighbours is needed for each sample");
-  bool outside = false;
-  std::unique_ptr<float[]> medians(new float[rows * channels]), deviations(new float[rows * channels]);
-  {
-    const nb::gil_scoped_release unlock;
-    for (std::size_t i = 0; i < rows; ++i) outside |= samples.data()[i] < 0 || samples.data()[i] >= size;
-    for (std::size_t i = 0; i < rows * width; ++i) outside |= around.data()[i] >= size;
-    const colours::Around table{samples.data(), around.data(), rows, width};
-    if (!outside) colours::take_medians(from, channels, table, medians.get(), deviations.get(), threads);
-  }
-  if (outside) throw nb::index_error("there is no such sample");
-  return std::make_tuple(give<float, nb::ndim<2>>(std::move(medians), {rows, channels}),
-                         give<float, nb::ndim<2>>(std::move(deviations), {rows, channels}));
-}
-
 template <class Sample, class Index>
 void bind_store(nb::module_& module) {
   using namespace nb::literals;
@@ -127,7 +104,6 @@ void bind_colours(nb::module_& module) {
              "alpha"_a, "gap"_a, "relative"_a, "threads"_a);
   module.def("impute_cut_off", &impute_cut_off, "colours"_a.noconvert(), "estimate"_a, "cut_off"_a, "at"_a, "beyond"_a,
              "relative"_a, "threads"_a);
-  module.def("medians_around", &medians_around, "colours"_a, "samples"_a, "around"_a, "threads"_a);
   module.def("interpolate", &interpolate, "places"_a.noconvert(), "at"_a, "table"_a);
 }
 

@@ -1,5 +1,5 @@
 // Tables of functions; samples whose noise was cut off at 0 or 1: replacing them by what noise is beyond the limit, and
-// correcting averages of them; medians of neighbours; and colours stored as integers among the pixels of an image.
+// correcting averages of them; and colours stored as integers among the pixels of an image.
 #pragma once
 
 #include <algorithm>
@@ -59,18 +59,6 @@ void impute(const Layout<float>& colours, const Layout<const float>& estimate, c
 struct Moved {
   std::uint64_t total = 0, squares = 0, largest = 0;
 };
-
-// Samples and the neighbours of each, -1: none.
-struct Around {
-  const std::int64_t* samples;
-  const std::int64_t* neighbours;
-  std::size_t count, width;
-};
-
-// Takes the medians of the neighbours' colours, and of their distances from those, a row a sample. Fewer neighbours than
-// four say nothing: then the sample itself is the median.
-void take_medians(const Layout<const float>& colours, std::size_t channels, const Around& around, float* medians,
-                  float* deviations, unsigned threads);
 
 // Colours of full scale 1, a row a pixel; a column of them for each entry of `channels`.
 struct Rows {

@@ -1,0 +1,85 @@
+"""How wrong samples are told from what is thin but real: ``python benchmarks/bench_outliers.py FOLDER...``.
+
+No PNG or JPEG file of the folders has wrong samples: in how many are some found, with what values of the constants? And
+of pixels that are made black and white, or red, 0.5, 2 and 10 % of the four most colourful pictures, with and without
+noise of 10 of 255, how many are missed, and how many others are replaced?
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from beltrami_cli.flow import outliers
+from beltrami_cli.flow.grid_geometry import CanvasSamples
+from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.formats.image.picture import full_scale_one
+from beltrami_cli.formats.image.reading import read_image
+from beltrami_cli.surface.atlas import grid_atlas
+
+LARGEST = 512  # pixels a side that are looked at
+PHOTOGRAPHS = 4  # the most colourful ones take impulses
+TRIED = {
+    "_FAR": [(2.5, 0.1), (4, 0.1), (5, 0.1), (3, 0.07), (3, 0.15)], "_WEAK": [0.2, 0.5], "_ALIKE": [0.03, 0.12],
+    "_FEWEST": [10, 30], "_MOST": [0.5, 0.8],
+}  # fmt: skip
+
+
+def found_in(image: np.ndarray) -> np.ndarray:
+    """Return which pixels of an image, shape (H, W, N), are wrong."""
+    atlas = grid_atlas(image.shape[:2], 2, None, np.ones(image.shape[:2], bool))
+    planes = np.zeros((image.shape[2], *atlas.kind.shape), np.float32)
+    planes[:, 2:-2, 2:-2] = np.moveaxis(image, 2, 0)
+    made = outliers.replace_outliers(planes, CanvasSamples(atlas), KernelParameters(), is_light=False)
+    wrong = np.zeros(image.shape[0] * image.shape[1], bool)
+    if made is not None:
+        wrong[made.samples] = True
+    return wrong.reshape(image.shape[:2])
+
+
+def with_impulses(clean: list[np.ndarray]) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return pictures with impulses, and where these are."""
+    rng, made = np.random.default_rng(0), []
+    for image in clean:
+        for share in (0.005, 0.02, 0.1):
+            for sigma in (0, 10):
+                noisy = np.rint(255 * image + rng.normal(0, sigma, image.shape)).clip(0, 255) / 255
+                where = rng.random(image.shape[:2]) < share
+                for values in ((rng.random(where.sum()) < 0.5)[:, None], np.array([220, 20, 20]) / 255):
+                    spoiled = noisy.copy()
+                    spoiled[where] = values
+                    made.append((spoiled, where))
+    return made
+
+
+def judge(clean: list[np.ndarray], spoiled: list[tuple[np.ndarray, np.ndarray]]) -> str:
+    harmed = sum(bool(found_in(image).any()) for image in clean)
+    missed = false = every = 0
+    for image, where in spoiled:
+        found = found_in(image)
+        missed, false, every = (
+            missed + int((where & ~found).sum()), false + int((found & ~where).sum()), every + int(where.sum()),
+        )  # fmt: skip
+    return f"{harmed} of {len(clean)} changed, missed {100 * missed / every:.2f} %, false {100 * false / every:.2f} %"
+
+
+def main(folders: list[str]) -> int:
+    paths = sorted(path for folder in folders for path in Path(folder).rglob("*.[jp][pn]g"))
+    pictures = [read_image(path.read_bytes(), path.name) for path in paths]
+    clean = [full_scale_one(each.pixels[:LARGEST, :LARGEST, list(each.colour)]) for each in pictures]
+    coloured = sorted((each for each in clean if each.shape[2] == 3), key=lambda each: -len(np.unique(each)))
+    spoiled = with_impulses(coloured[:PHOTOGRAPHS])
+    print("as they are:", judge(clean, spoiled), flush=True)
+    for name, values in TRIED.items():
+        kept = getattr(outliers, name)
+        for value in values:
+            setattr(outliers, name, value)
+            print(name, value, judge(clean, spoiled), flush=True)
+        setattr(outliers, name, kept)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
