@@ -137,6 +137,7 @@ FREE = {
     """,
     "another axis in 4": "blend_terms.noise blend_residual.noise blend_share_within.noise",
     "NaN": """
+        build_atlas.uv
         interpolate.table restore_cut_off.alpha restore_cut_off.gap impute_cut_off.beyond neighbour_means.totals
     """,
 }

@@ -92,7 +92,6 @@ nb::dict build_atlas(const Matrix<double>& positions, const Matrix<Index>& faces
     throw nb::value_error("one row a face is needed");
   require(margin < 1 << 20, "the margin is too large");  // so that areas of charts are 64-bit numbers
   require_finite(positions);
-  require_finite(uv);
   atlas::Surface surface{positions.data(), static_cast<Index>(positions.shape(0)), {faces.data(), faces.size()},
                          uv.data(), {texture_of.data(), texture_of.size()}, textures_of(grids)};
   atlas::Atlas made;
