@@ -14,7 +14,7 @@ import click
 from click.core import ParameterSource
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.commands import GroupedOption, command, options_by_name, values_for
+from beltrami_cli.cli.commands import GroupedOption, command, complete_files, options_by_name, values_for
 from beltrami_cli.cli.console import Messages, printable, show_table
 from beltrami_cli.errors import OutputError, ProcessingError, UsageError
 from beltrami_cli.fields import of_255, parameters
@@ -73,7 +73,7 @@ _CLUSTER = "Many machines"
     help="Print which files would be smoothed, where to, and with which options of their own; read and write nothing.",
 )  # fmt: skip
 @click.option(
-    "--report", "report_path", metavar="FILE.jsonl",
+    "--report", "report_path", metavar="FILE.jsonl", shell_complete=complete_files,
     help="Where a line of JSON for each file is written.  [default: batch.jsonl in DIR]",
 )  # fmt: skip
 @click.option(

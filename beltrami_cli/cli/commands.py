@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
+from click.shell_completion import CompletionItem
 
 from beltrami_cli.errors import UsageError
 
@@ -20,6 +22,9 @@ if TYPE_CHECKING:
     from beltrami_cli.jobs.output import Overwrite
 
 _PREFIX = "BELTRAMI"
+
+# How the help shows values that are files or folders.
+_NAMES_FILES = re.compile(r"FILE|OUT\.|DIR")
 
 
 def long_name(option: click.Parameter) -> str:
@@ -148,12 +153,25 @@ _EXAMPLES = 8  # lines of examples in the short help
 DAILY = "Options"  # the group of options without one
 
 
+def complete_files(_context: click.Context, _parameter: click.Parameter, typed: str) -> list[CompletionItem]:
+    """Let the shell complete the name of a file or folder."""
+    return [CompletionItem(typed, type="file")]
+
+
 class GroupedOption(click.Option):
     """An option with the group under which `--help-all` shows it; without a group it matters daily."""
 
     def __init__(self, *arguments: Any, group: str = "", **attributes: Any) -> None:
         super().__init__(*arguments, **attributes)
         self.group = group
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Return words, and file names where the help shows that they are taken."""
+        files = _NAMES_FILES.search(self.metavar or "")
+        return [
+            *super().shell_complete(ctx, incomplete),
+            *(complete_files(ctx, self, incomplete) if files else []),
+        ]
 
 
 class HelpfulCommand(click.Command):
@@ -222,9 +240,9 @@ def command(called: str, /, **arguments: str) -> Callable[[Callable[..., Any]], 
     def decorate(function: Callable[..., Any]) -> HelpfulCommand:
         for name, metavar in reversed(arguments.items()):
             nargs = -1 if metavar.endswith("...") else 1
-            function = click.argument(name, metavar=metavar, nargs=nargs, required=metavar[0] != "[")(
-                function
-            )
+            function = click.argument(
+                name, metavar=metavar, nargs=nargs, required=metavar[0] != "[", shell_complete=complete_files
+            )(function)
         return click.command(called, cls=HelpfulCommand)(function)
 
     return decorate

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.commands import command, overwrite_at
+from beltrami_cli.cli.commands import command, complete_files, overwrite_at
 from beltrami_cli.cli.console import Messages, counted, printable, show_table
 from beltrami_cli.flow.parameters import KernelParameters, Weights
 from beltrami_cli.jobs.job import Limits
@@ -43,11 +43,11 @@ _JUNIT_HEAD = _XML + f'<testsuite name="{_SUITE}"'.encode()
 @options.options_of(SmoothSettings, only=options.COLOURS, changed=options.COMPARED)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option(
-    "--map", "map_to", metavar="OUT.png|OUT.ply",
+    "--map", "map_to", metavar="OUT.png|OUT.ply", shell_complete=complete_files,
     help="Draw where colours differ: a picture, or a mesh of vertices.",
 )  # fmt: skip
 @click.option(
-    "--junit", "junit_to", metavar="FILE.xml",
+    "--junit", "junit_to", metavar="FILE.xml", shell_complete=complete_files,
     help="Write a JUnit report, which CI services show, with a test case for each limit and part.",
 )  # fmt: skip
 @options.writing

@@ -13,7 +13,14 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from beltrami_cli.cli.commands import notes_on, spelled, variable_behind, with_variables, write_notes
+from beltrami_cli.cli.commands import (
+    complete_files,
+    notes_on,
+    spelled,
+    variable_behind,
+    with_variables,
+    write_notes,
+)
 from beltrami_cli.cli.console import Interruption, ReaderGoneError, SignalGuard, prepare_streams, printable
 from beltrami_cli.errors import BeltramiError, InputError, end_with_parent
 
@@ -100,7 +107,12 @@ class LazyGroup(click.Group):
     },
 )
 @click.option(
-    "--config", "config_path", envvar="BELTRAMI_CONFIG", metavar="FILE", help="A TOML file with options."
+    "--config",
+    "config_path",
+    envvar="BELTRAMI_CONFIG",
+    metavar="FILE",
+    shell_complete=complete_files,
+    help="A TOML file with options.",
 )
 @click.version_option(None, "-V", "--version", package_name="beltrami-cli", prog_name="beltrami")
 @click.pass_context

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import click
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.commands import command
+from beltrami_cli.cli.commands import command, complete_files
 from beltrami_cli.cli.console import Messages, counted, output_name
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import Parameter, parameters
@@ -67,7 +67,10 @@ _LISTS = [_listed(each) for each in parameters(KernelParameters) if each.name in
 
 @command("sweep", source="INPUT", target="OUT.png|OUT.html|OUT")
 @click.option(
-    "--reference", metavar="FILE", help="The same without noise: measure how near to it each result is."
+    "--reference",
+    metavar="FILE",
+    shell_complete=complete_files,
+    help="The same without noise: measure how near to it each result is.",
 )
 @click.option(
     "--format", "kind", type=click.Choice(["csv", "json"]),
@@ -122,7 +125,7 @@ def _trials(given: dict[str, Any]) -> tuple[list[tuple[dict[str, float], SmoothS
 
 @command("report", before="BEFORE", after="AFTER", target="OUT.html")
 @click.option(
-    "--parameters", metavar="FILE.json",
+    "--parameters", metavar="FILE.json", shell_complete=complete_files,
     help="Also show the parameters, from what `beltrami smooth --report` wrote.",
 )  # fmt: skip
 @click.option(

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast, get_args
 import click
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.commands import command, overwrite_at
+from beltrami_cli.cli.commands import command, complete_files, overwrite_at
 from beltrami_cli.cli.console import NO_AREA, Messages, counted, lines_on, outliers_in_words, output_name
 from beltrami_cli.errors import OutputError, UsageError
 from beltrami_cli.fields import of_255, show_size
@@ -30,10 +30,14 @@ Report = TypeVar("Report", "SmoothReport", "LevelFileReport")
 
 _dry_run = click.option("--dry-run", is_flag=True, help="Compute and report, but write no OUTPUT.")
 _report = click.option(
-    "--report", "report_path", metavar="FILE.json", help="Write parameters, counts, timings and changes."
+    "--report",
+    "report_path",
+    metavar="FILE.json",
+    shell_complete=complete_files,
+    help="Write parameters, counts, timings and changes.",
 )
 _preview = click.option(
-    "--preview", "preview_path", metavar="FILE.png",
+    "--preview", "preview_path", metavar="FILE.png", shell_complete=complete_files,
     help="Draw INPUT and OUTPUT side by side, with a detail; `beltrami render` draws others.",
 )  # fmt: skip
 
