@@ -16,10 +16,12 @@ from installation import ensure_current
 if "PYTEST_XDIST_WORKER" not in os.environ:
     ensure_current()
 
-# A shell that starts tests in the background has them ignore these signals, as would the commands that they start.
+# A shell that starts tests in the background has them ignore these signals, and nohup the third, as would the commands
+# that they start.
 for number, handler in (
     (signal.SIGINT, signal.default_int_handler),
     (getattr(signal, "SIGQUIT", 0), signal.SIG_DFL),
+    (getattr(signal, "SIGHUP", 0), signal.SIG_DFL),
 ):
     if number and signal.getsignal(number) == signal.SIG_IGN:
         signal.signal(number, handler)
