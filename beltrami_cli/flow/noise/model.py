@@ -46,8 +46,8 @@ COLOURS = 3
 # noisy ones, by `noise_model/train_sizes.py`; and from which on there certainly is none.
 _MOST_NONE, _CERTAIN = 0.2, 0.95
 
-# By how much more than its median noise is removed. It loses 0.46 dB against telling the noise, and 0.71 dB with 1, by
-# benchmarks/bench_regret.py: noise that is told too small is kept as edges.
+# By how much more than its median noise is removed. Noisy pictures lose 0.53 dB against telling the noise, and 0.72 dB
+# with 1, by benchmarks/bench_regret.py: noise that is told too small is kept as edges.
 _MORE = 1.1
 
 # Noise that people see, of full scale: of less, most samples are within a step of 8 bits of their value.
