@@ -268,6 +268,9 @@ def _measured(given: str | None, done: dict[str, Any]) -> Iterator[list[str]]:
     """Give the noise of a part, its mean change, and the estimated error by which its parameters were chosen."""
     how = "measured" if given is None else f"given as {given}"
     yield ["noise", noise_in_words(done, is_smoothed=done["iterations"] > 0), how]
+    if wrong := done.get("wrong_samples"):
+        what = "replaced" if wrong["replaced"] else "kept"
+        yield ["wrong samples", f"{wrong['count']} ({100 * wrong['share']:.2g} %) {what}", "measured"]
     if done["change"]:
         yield ["mean change", f"{of_255(done['change']['mean'])}/255", "measured"]
     choice = done["choice"]

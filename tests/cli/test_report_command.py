@@ -82,6 +82,20 @@ def test_parameters_are_shown_as_they_were_used_and_how_they_came_about(tmp_path
     assert "beta" not in shown
 
 
+@pytest.mark.parametrize("outliers", ["auto", "keep"])
+def test_the_page_says_how_many_samples_were_wrong(outliers, tmp_path):
+    clean = tmp_path / "clean.ppm"
+    clean.write_bytes(
+        encode(np.full((96, 96, 3), 90, np.uint8) + np.arange(96, dtype=np.uint8)[:, None], "ppm")
+    )
+    beltrami("noise", clean, tmp_path / "dots.png", "--kind", "salt-pepper", "--sigma", "2%")
+    shown, done = parameters_shown(tmp_path / "dots.png", tmp_path, "--outliers", outliers)
+    count = done["wrong_samples"]["count"]
+    assert count > 100
+    what = "kept" if outliers == "keep" else "replaced"
+    assert re.fullmatch(rf"{count} \(\S+ %\) {what}", shown["wrong samples"][0])
+
+
 def test_parameters_were_chosen_also_where_no_error_can_be_estimated(tmp_path):
     record = tmp_path / "run.json"
     beltrami("smooth", SAMPLES / "knot-noisy.ply", tmp_path / "out.ply", "--report", record)
