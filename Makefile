@@ -202,7 +202,8 @@ CMAKE := $(TOOLS)/bin/cmake
 
 # The runtime of the sanitizers has to come before all libraries, and that of C++ with it, whose exceptions it watches.
 RUNTIMES  = $(if $(findstring clang,$(CXX)),libclang_rt.asan-$(shell uname -m).so,libasan.so) libstdc++.so
-SANITIZED = tests/properties tests/surface/test_atlas_*.py $(addprefix tests/surface/test_,baking.py colour_values.py points.py) \
+# Units of values are found in Python.
+SANITIZED = $(filter-out %/test_units.py,$(wildcard tests/properties/test_*.py)) tests/surface/test_atlas_*.py $(addprefix tests/surface/test_,baking.py colour_values.py points.py) \
   $(addprefix tests/flow/test_,clipping.py core_passes.py high_valence.py moving_positions.py noise_by_level.py patches.py)
 
 # The tests of the core, most of them in Python, with a copy of the package whose core is instrumented.
