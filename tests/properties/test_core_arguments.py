@@ -7,6 +7,8 @@ import pytest
 
 from beltrami_cli import _native as core
 
+pytestmark = pytest.mark.slow  # 8 s of processor time for all, and only changes of bindings break them
+
 RANDOM = np.random.default_rng(5)
 F32, F64, I32, I64 = np.float32, np.float64, np.int32, np.int64
 
