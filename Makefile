@@ -12,7 +12,7 @@ help:
 	@echo "make figures   reproduce the figures of the paper, with their numbers in docs/figures.md"
 	@echo "make gallery   make the pictures of docs/gallery.md again"
 	@echo "make dev       the environment .venv, in which pytest tests the sources as they are"
-	@echo "make quick     in under a minute, the tests that a change most likely breaks, and the import layers"
+	@echo "make quick     in a minute and a half, the tests that a change most likely breaks, and the import layers"
 	@echo "make test      all tests, in an environment of their own"
 	@echo "make test-minimum  the same with the oldest versions of what it depends on"
 	@echo "make test-blender  test the extension in Blender itself, which is a Python package of 370 MB"
