@@ -11,9 +11,11 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from installation import ensure_current
+from installation import ensure_current, imported_distribution
 
-if "PYTEST_XDIST_WORKER" not in os.environ:
+if "PYTEST_XDIST_WORKER" in os.environ:
+    imported_distribution()  # which takes the checkout off the path
+else:
     ensure_current()
 
 # A shell that starts tests in the background has them ignore these signals, and nohup the third, as would the commands

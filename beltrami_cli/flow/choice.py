@@ -185,10 +185,10 @@ _SHARED_BY_NEIGHBOURS = 1.5
 
 # By how many dB predictions are off at most, with a certainty of 90 %, if the noise is known. With the doubt of the
 # noise it makes intervals that hold 60 of 63 results of `benchmarks/bench_regret.py`, and 93 of 125 with pictures of
-# four packages: more would make most intervals too wide to be told.
+# four packages: a larger value would make most intervals wider than `_WIDEST`.
 _OFF = 2.5
 
-# A prediction is told if its interval is no wider than this, in dB.
+# A prediction is reported if its interval is at most this wide, in dB.
 _WIDEST = 8.0
 
 

@@ -44,7 +44,7 @@ COLOURS = 3
 
 # Probability of no noise above which colours stay as they are: at 0.2 clean pictures lose least by what is gained in
 # noisy ones, by `noise_model/train_sizes.py`; and from which on there certainly is none.
-_MOST_NONE, _CERTAIN = 0.2, 0.95
+MOST_NONE, _CERTAIN = 0.2, 0.95
 
 # By how much more than its median noise is removed. Noisy pictures lose 0.53 dB against telling the noise, and 0.72 dB
 # with 1, by benchmarks/bench_regret.py: noise that is told too small is kept as edges.
@@ -90,7 +90,7 @@ class Reading:
     @property
     def is_likely(self) -> bool:
         """Whether there is noise, as far as it is worth the harm to clean colours."""
-        return self.none <= _MOST_NONE
+        return self.none <= MOST_NONE
 
     def assumed(self, strength: float) -> float:
         """Return the size to be removed: the lower end of what may be there if gentle, the upper end if strong.

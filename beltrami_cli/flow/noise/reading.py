@@ -18,6 +18,7 @@ from beltrami_cli.flow.noise import features
 from beltrami_cli.flow.noise.features import COMPONENTS, SCALES, STEPS, even_covariances
 from beltrami_cli.flow.noise.model import (
     COLOURS,
+    MOST_NONE,
     NoiseModel,
     Reading,
     VarianceStabiliser,
@@ -37,11 +38,15 @@ from beltrami_cli.flow.noise.network import (
     weights_of,
 )
 from beltrami_cli.flow.noise.size import Size, evidence, removal_curve, size_weights
-from beltrami_cli.flow.noise.structure import Residual, Structure, even_covariance, structure_of
+from beltrami_cli.flow.noise.structure import (
+    MAX_SHARE_CUT_OFF,
+    Residual,
+    Structure,
+    even_covariance,
+    shares_of_noise,
+    structure_of,
+)
 from beltrami_cli.flow.parameters import GivenNoise
-
-# Noise below this deviation, in steps of 8 bits, is invisible: it is less than that of rounding.
-INVISIBLE = 0.29
 
 # Difference of the covariances of the finest two scales, of the smaller one, above which neighbours share noise: that
 # of readings of white noise is 0.29 at most, and that of filtered noise 1 or more, but for mosaics.
@@ -57,16 +62,9 @@ MIN_CORRELATION = 0.2
 _CERTAIN_DIFFERENCE_OF_SCALES = 1.0
 _MAX_CORRELATION_OF_NEIGHBOURS = 0.12
 
-# Power of the share of the energy of even cells that may be noise, by which it is trusted to be noise. With 1, texture
-# is taken for white noise, which costs 0.2 dB of PSNR.
-_TRUST = 3
-
 # Details whose mean square is as uncertain as the variance that the network reads, by 28 %, or 0.2 of log2 of a
 # deviation.
 _DETAILS_OF_READING = 26
-
-# Share of the samples of a neighbourhood at a limit, from which on its noise shows to be weaker than it is.
-_MAX_SHARE_CUT_OFF = 0.01
 
 # Samples that the smallest pictures of the training have: with fewer, paint cannot be told from noise.
 _FEWEST = 256
@@ -249,11 +247,12 @@ class _Colours:
             stabiliser = structure.curve.stabiliser(self.full_scale)
             residual, size = residual.stabilised(stabiliser, step), size * stabiliser.scale
         finest = even_covariance(residual, structure.places)
-        found = self.components if self._is_shared(residual) else np.repeat(finest[None], SCALES, axis=0)
+        is_shared = self._is_shared(residual)
+        found = self.components if is_shared else np.repeat(finest[None], SCALES, axis=0)
         total = float(np.trace(covariance_of_cells(found))) if finest.any() else 0.0
         found = found * (COLOURS * size**2 / total) if total else 0 * found
-        if total and self._is_shared(residual):
-            is_whole = self.samples.cut_off() < _MAX_SHARE_CUT_OFF
+        if total and is_shared:
+            is_whole = self.samples.cut_off() < MAX_SHARE_CUT_OFF
             combined = _combined(
                 found, *even_covariances(residual.samples.cells(), is_whole, structure.places)
             )
@@ -277,18 +276,12 @@ def _combined(components: Float64s, measured: Float64s, counts: Float64s) -> Flo
     Plain colours show the noise more exactly than it is read. The more details even cells have, the more certain it is.
     The more their energy exceeds what the network reads, the more texture is in it.
     """
-    shares = _shares_of_noise(*(np.einsum("lkk->lk", own) for own in (components, measured)))
+    shares = shares_of_noise(*(np.einsum("lkk->lk", own) for own in (components, measured)))
     shares *= (counts / (counts + _DETAILS_OF_READING))[:, None]
     found = np.zeros_like(components)
     for share, own in ((shares, measured), (1 - shares, components)):
         found += own * np.sqrt(share[:, :, None] * share[:, None])
     return found
-
-
-def _shares_of_noise(variances: Float64s, energies: Float64s) -> Float64s:
-    """Return how far energies are trusted to be noise that the network reads as variances."""
-    most = np.maximum(np.maximum(variances, energies), np.finfo(np.float64).tiny)
-    return np.asarray((variances / most) ** _TRUST, np.float64)
 
 
 def _read_size(planes: Float32s, where: Neighbourhoods, weights: Weights) -> _Colours:
@@ -305,7 +298,7 @@ def _read_size(planes: Float32s, where: Neighbourhoods, weights: Weights) -> _Co
     places = _medians(found["places"])
     if len(where.tiles) < _FEWEST:
         size = dataclasses.replace(size, none=1.0)
-    sigma = size.quantile(0.5) if Reading(size.none, 0, 0, 0).is_likely else 0.0
+    sigma = size.quantile(0.5) if size.none <= MOST_NONE else 0.0
     return _Colours(samples, order, size, sigma, _components(found), places, scale, are_levels)
 
 

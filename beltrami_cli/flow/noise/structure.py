@@ -57,12 +57,12 @@ _SHARE_OF_PLACES = 0.1
 # Relative variance of quiet neighbourhoods, whose residual is mostly texture.
 _QUIET = 0.25
 
-# Power of the share of the energy of quiet tiles that may be noise, by which it is trusted to be noise. With 1, texture
-# is taken for white noise, which costs 0.2 dB of PSNR.
+# Power of the share of the energy of quiet tiles or even cells that may be noise, by which it is trusted to be noise.
+# With 1, texture is taken for white noise, which costs 0.2 dB of PSNR.
 _TRUST = 3
 
 # Share of the samples of a neighbourhood at a limit, from which on its noise shows to be weaker than it is.
-_MAX_SHARE_CUT_OFF = 0.01
+MAX_SHARE_CUT_OFF = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,21 +244,19 @@ class Structure:
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """A structure, the residual of a pilot that follows it, and how badly it explains its energies."""
+    """A structure, and how badly it explains the energies that a pilot leaves which follows it."""
 
     structure: Structure
-    residual: Residual
     deviance: float
 
     @classmethod
     def of(cls, structure: Structure, before: Residual, sigma: float, channels: int) -> _Trial:
         """Let a pilot follow a structure that another one's residual showed."""
-        residual = Residual.of(before.samples, np.float32(sigma**2) * structure.variances(before))
-        blocks = residual.blocks()
+        blocks = Residual.of(before.samples, np.float32(sigma**2) * structure.variances(before)).blocks()
         if structure.curve is not None:
             curve = LevelCurve.of(blocks, channels)
             structure = structure if curve is None else dataclasses.replace(structure, curve=curve)
-        return cls(structure, residual, _deviance(blocks, structure))
+        return cls(structure, _deviance(blocks, structure))
 
 
 def structure_of(
@@ -275,7 +273,7 @@ def structure_of(
     even, blocks = Structure.even(where), residual.blocks()
     curve = LevelCurve.of(blocks, channels) if are_levels else None
     trial = partial(_Trial.of, before=residual, sigma=sigma, channels=channels)
-    best = _Trial(even, residual, _deviance(blocks, even))
+    best = _Trial(even, _deviance(blocks, even))
     if curve is not None and curve.differs:
         best = min(best, trial(Structure(curve, even.places)), key=lambda own: own.deviance)
     by_place = trial(Structure(None, _with_quiet_tiles(residual, 4.0**places, sigma)))
@@ -308,11 +306,17 @@ def _with_quiet_tiles(residual: Residual, variances: Float64s, sigma: float) -> 
         )
     if energies is not None:
         # Where noise was cut off, squares show less than there is.
-        is_known = np.isfinite(energies) & (residual.samples.cut_off() < _MAX_SHARE_CUT_OFF)
+        is_known = np.isfinite(energies) & (residual.samples.cut_off() < MAX_SHARE_CUT_OFF)
         energies = np.where(is_known, energies, variances)
-        shares = (variances / np.maximum(variances, energies)) ** _TRUST
+        shares = shares_of_noise(variances, energies)
         variances = _of_mean_1(shares * energies + (1 - shares) * variances)
     return variances
+
+
+def shares_of_noise(variances: Float64s, energies: Float64s) -> Float64s:
+    """Return how far energies are trusted to be noise that is read as variances."""
+    most = np.maximum(np.maximum(variances, energies), np.finfo(np.float64).tiny)
+    return np.asarray((variances / most) ** _TRUST, np.float64)
 
 
 def _of_mean_1(variances: Float64s) -> Float64s:
