@@ -42,7 +42,7 @@ def render(sources: tuple[str, ...], target: str, no_labels: bool, messages: Mes
 _SWEPT = ("beta", "t", "iterations", "metric_scale", "metric_steps")
 _SHOWN = {"iterations": "n", "metric_scale": "metric scale", "metric_steps": "metric steps"}
 # Options of a single picture, or that follow from the options of smoothing.
-_NOT_LOOKS = ("slot", "on", "side_by_side", "turntable", "fps", "labels")
+_NOT_LOOKS = ("slot", "on", "side_by_side", "labels")
 
 
 def _listed(declared: Parameter) -> Parameter:

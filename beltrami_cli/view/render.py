@@ -1,24 +1,20 @@
-"""Draw files in one picture, or in a moving one: any files, or what a smoothing reads and writes.
+"""Draw files in one picture: any files, or what a smoothing reads and writes.
 
-Cameras are placed, wholes and details drawn, and arranged in one picture with labels. Turntables are GIF or WebP by
-Pillow, or MP4 by PyAV.
+Cameras are placed, wholes and details drawn, and arranged in one picture with labels.
 """
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
-import io
-import itertools
 import os
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from fractions import Fraction
 from functools import partial
 from os.path import commonprefix
 from pathlib import Path, PurePath, PurePosixPath
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from PIL import Image, ImageDraw
@@ -35,18 +31,14 @@ from beltrami_cli.jobs.output import FileSet, Output, Overwrite
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.records import LUMINANCE, as_bytes, linear_to_srgb, srgb_to_linear
 from beltrami_cli.view.settings import DEFAULT_RENDER, MOST_PIXELS, Colour, Crop, RenderSettings
-from beltrami_cli.view.tracing import Camera, Window, fitted, imported, orientation, part_of, require_embree
+from beltrami_cli.view.tracing import Camera, Window, fitted, orientation, part_of, require_embree
 from beltrami_cli.view.views import Drawable, ImageView, framed, open_views, require_memory_to_draw
-
-Frames = Sequence[Uint8s]  # of one size, (H, W, 3), or (H, W, 4) with opacity
 
 # A preview has no mark, and its bytes shall stay. But all have this head: their size, 8 bits of RGB, and no metadata.
 _SIZE = (1288, 1013)
 _PNG = struct.pack(">8sI4sIIBBBBB", b"\x89PNG\r\n\x1a\n", 13, b"IHDR", *_SIZE, 8, 2, 0, 0, 0)
 _KIND = slice(37, 41)  # of the second block of a PNG file
 _HEAD = 1 << 16  # bytes that distinguish images from other files
-_WEBP_QUALITY = 90
-_MP4_QUALITY = "16"  # constant rate factor of H.264: what cannot be distinguished from the original
 
 # Frames of details, distinct for the colour-blind too. M. Okabe, K. Ito, "Color universal design" (2008).
 _FRAMES = [(230, 159, 0), (0, 158, 115), (86, 180, 233), (204, 121, 167), (213, 94, 0)]
@@ -73,44 +65,23 @@ def render_file(
 ) -> tuple[int, int]:
     """Draw models, points and images side by side, write the picture, and return its width and height."""
     names, path = [os.fspath(source) for source in sources], os.fspath(target)
-    suffix = _suffix_of(path, settings)
+    suffix = picture_suffix(path, settings)
     labels = [*(settings.labels or [])]
     if settings.labels is None and len(names) > 1:
         labels = distinct_labels(names)
     if labels and len(labels) != len(names):
         raise UsageError(f"there are {len(labels)} labels for {len(names)} files; give one --label for each")
     labels = labels or [""] * len(names)
-    pixels = len(names) * max(1, settings.turntable) * settings.size[0] * settings.size[1]
+    pixels = len(names) * settings.size[0] * settings.size[1]
     if pixels > MOST_PIXELS:
         cause = f"all views have {pixels} pixels together, but at most {MOST_PIXELS} are drawn"
         raise UsageError(f"{cause}; lower --size")
     output, progress = Output(path, overwrite=job.overwrite, what="picture", reads=names), job.progress
     access = output.files.watching(job.access)
     views = open_views(names, settings, access, progress=progress)
-    if settings.turntable > 1 and suffix in ANIMATIONS:
-        frames = _draw_turns(views, labels, settings, progress)
-        output.write(Written(main=[_ENCODERS[suffix](frames, settings.fps)]))
-        return frames[0].shape[1], frames[0].shape[0]
     picture = draw_views(views, labels, settings, progress)
     output.write(encoded(picture, path, suffix))
     return picture.shape[1], picture.shape[0]
-
-
-def _suffix_of(target: str, settings: RenderSettings) -> str:
-    """Return the extension of a picture, or of a turntable that moves; errors if it cannot be written."""
-    suffix = Path(target).suffix.lower()
-    if suffix not in ANIMATIONS:
-        return picture_suffix(target, settings)
-    if settings.turntable > 1:
-        if suffix == ".mp4":
-            _av()
-        if suffix == ".mp4" and settings.background == "transparent":
-            raise UsageError("an .mp4 file has no transparent background; choose .webp or .gif, or a colour")
-    elif suffix != ".webp":
-        raise UsageError(
-            f"{target}: {suffix} is for turntables; add --turntable 24, or call it .png for a still picture"
-        )
-    return suffix
 
 
 class Preview:
@@ -156,25 +127,8 @@ def draw_views(
 ) -> Uint8s:  # fmt: skip
     """Draw all views, each with a label that may be empty, and arrange them: sRGB, with opacity on no background."""
     panels = draw_panels(views, labels, settings, progress)
-    rows = panels if settings.turntable else [*zip(*panels, strict=True)]
-    return _placed(rows, fixed_looks(settings, *itertools.chain(*panels)))
-
-
-def _draw_turns(
-    views: Sequence[Drawable], labels: Sequence[str], settings: RenderSettings, progress: Progress | None
-) -> list[Uint8s]:
-    """Draw all views at each turn of a turntable, as pictures of one size."""
-    panels = draw_panels(views, labels, settings, progress)
-    settings, frames = fixed_looks(settings, *itertools.chain(*panels)), []
-    for turn in zip(*panels, strict=True):
-        row = [dataclasses.replace(panel, label=label) for panel, label in zip(turn, labels, strict=True)]
-        frames.append(_placed([row], settings))
-    return frames
-
-
-def _placed(rows: Sequence[Sequence[Panel]], settings: RenderSettings) -> Uint8s:
-    placed = rows if settings.side_by_side else [*zip(*rows, strict=True)]
-    return arranged(placed, settings.background_colour())
+    rows = [panels] if settings.side_by_side else [[panel] for panel in panels]
+    return arranged(rows, fixed_looks(settings, *panels).background_colour())
 
 
 @dataclass(frozen=True)
@@ -188,48 +142,42 @@ class Panel:
 
 
 def draw_panels(
-    views: Sequence[Drawable], labels: Sequence[str], settings: RenderSettings, progress: Progress | None = None
-) -> list[list[Panel]]:  # fmt: skip
-    """Draw all views with their details; return the turns of each."""
-    turns = max(1, settings.turntable)
-    nowhere = np.zeros((0, 3))
-    frames = [
-        nowhere if isinstance(view, ImageView) else framed(view.positions, view.faces) for view in views
-    ]
-    azimuths = [settings.angles[0] + 360 * turn / turns for turn in range(turns)]
-    turned = [dataclasses.replace(settings, azimuth=azimuth) for azimuth in azimuths]
-    drawers = [drawer for each in turned for drawer in _drawers(views, frames, each)]
+    views: Sequence[Drawable],
+    labels: Sequence[str],
+    settings: RenderSettings,
+    progress: Progress | None = None,
+) -> list[Panel]:
+    """Draw all views with their details."""
+    drawers = _drawers(views, settings)
     half = 0.5 / settings.zoom
     whole = 0.5 - half, 0.5 - half, 0.5 + half, 0.5 + half
-    drawn = []
-    for draw in tracked(drawers, "drawing", progress):
-        drawn.append(draw(settings.size, whole))
+    drawn = [draw(settings.size, whole) for draw in tracked(drawers, "drawing", progress)]
     (width, height), count, windows = settings.size, len(settings.crops), list[Window]()
     for crop in settings.crops:
         if crop.centre is None:  # automatic ones are chosen in the view of the last file
-            windows.append(richest_window(drawn[len(views) - 1], crop.side))
+            windows.append(richest_window(drawn[-1], crop.side))
             continue
         (x, y), half = crop.centre, crop.side * min(width, height) / 2
         windows.append((x - half / width, y - half / height, x + half / width, y + half / height))
     side = int((width - (count - 1) * _gap(width)) // max(count, 2))
-    panels: list[list[Panel]] = [[] for _ in views]
-    for at, (draw, view) in enumerate(zip(drawers, drawn, strict=True)):
-        turn, number = divmod(at, len(views))
+    panels = []
+    for draw, view, label in zip(drawers, drawn, labels, strict=True):
         details = [draw((side, side), part_of(whole, window)) for window in windows]
-        panels[number].append(Panel(view, labels[number] if turn == 0 else "", details, windows))
+        panels.append(Panel(view, label, details, windows))
     return panels
 
 
-def _drawers(views: Sequence[Drawable], frames: Sequence[Float64s], settings: RenderSettings) -> list[Draw]:
+def _drawers(views: Sequence[Drawable], settings: RenderSettings) -> list[Draw]:
     """Return what draws each view; models that lie in one place are seen by one camera."""
     rotation = orientation(*settings.angles, settings.up)
     aspect = settings.size[0] / settings.size[1]
     shared: tuple[Camera, Float64s] | None = None
     drawers: list[Draw] = []
-    for view, shown in zip(views, frames, strict=True):
+    for view in views:
         if isinstance(view, ImageView):
             drawers.append(view.draw)
             continue
+        shown = framed(view.positions, view.faces)
         box = np.stack([shown.min(axis=0), shown.max(axis=0)])
         if shared is None or np.abs(box - shared[1]).max() > _ALIKE * np.ptp(shared[1], axis=0).max():
             camera = fitted(shown, rotation, settings.fov, aspect)
@@ -404,39 +352,3 @@ def encoded(picture: Uint8s, target: str, suffix: str) -> Written:
     """Return a picture as the file that it is written as."""
     file = write_image(new_picture(picture, target), picture, suffix=suffix, small=True)
     return Written(main=[file.data])
-
-
-def _by_pillow(frames: Frames, rate: int, kind: str, **options: Any) -> bytes:
-    first, *others = [Image.fromarray(frame) for frame in frames]
-    data = io.BytesIO()
-    duration = round(1000 / rate)
-    first.save(data, kind, save_all=True, append_images=others, duration=duration, loop=0, **options)
-    return data.getvalue()
-
-
-def _av() -> Any:
-    return imported("av", "PyAV", "animation", "to write turntables as .mp4")
-
-
-def _mp4(frames: Frames, rate: int) -> bytes:
-    av = _av()
-    height, width = frames[0].shape[:2]
-    data = io.BytesIO()
-    with av.open(data, "w", format="mp4") as container:
-        stream = container.add_stream("libx264", rate=Fraction(rate), options={"crf": _MP4_QUALITY})
-        # Players want half the resolution of colour, and so even sides.
-        stream.width, stream.height, stream.pix_fmt = width + width % 2, height + height % 2, "yuv420p"
-        for frame in frames:
-            even = np.pad(frame[..., :3], [(0, height % 2), (0, width % 2), (0, 0)], mode="edge")
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(even), "rgb24")))
-        container.mux(stream.encode())
-    return data.getvalue()
-
-
-_ENCODERS: dict[str, Callable[[Frames, int], bytes]] = {
-    ".gif": partial(_by_pillow, kind="GIF", disposal=2),
-    ".webp": partial(_by_pillow, kind="WEBP", quality=_WEBP_QUALITY),
-    ".mp4": _mp4,
-}
-ANIMATIONS = tuple(_ENCODERS)
-"""Suffixes of turntables that move."""

@@ -114,12 +114,6 @@ class RenderSettings:
         "Of models that have both: the texture or the vertex colours; auto: the texture.",
         choices=("auto", "vertices", "texture"), flags=("--show", "on"),
     )  # fmt: skip
-    turntable: int = parameter(
-        0,
-        "Views all around in equal steps, in a row for each file; as .gif, .webp or .mp4 they move; 0: one view.",
-        low=0, high=360, metavar="N", is_daily=True,
-    )  # fmt: skip
-    fps: int = parameter(12, "Views a second of a moving --turntable.", low=1, high=60, metavar="N")
     crops: tuple[Crop, ...] = parameter(
         (),
         "Draw an enlarged square detail below each view: its middle in fractions of the view from the "

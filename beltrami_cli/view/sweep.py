@@ -189,7 +189,7 @@ class _Sheet:
 
     def add(self, label: str, document: Document, progress: Progress | None = None) -> None:
         """Draw a document; the first says where details lie, and what background it is seen on."""
-        ((panel,),) = draw_panels([view_of(document, self._looks)], [label], self._looks, progress)
+        (panel,) = draw_panels([view_of(document, self._looks)], [label], self._looks, progress)
         self._looks = fixed_looks(self._looks, panel)
         self._panels.append(panel)
         if self._page is not None:

@@ -239,19 +239,13 @@ _STEP = 1e-5  # behind a transparent surface the ray goes on, in sizes of the mo
 
 
 def require_embree() -> tuple[Any, Any]:
-    """Import the two modules that cast rays."""
-    about = "embreex", "render", "to draw surfaces"
-    return imported("embreex.rtcore_scene", *about), imported("embreex.mesh_construction", *about)
-
-
-def imported(module: str, package: str, extra: str, purpose: str) -> Any:
-    """Import a module of a package that is not always there; ProcessingError says what to install if it is missing."""
+    """Import the two modules that cast rays; ProcessingError says what to install if they are missing."""
     try:
-        return importlib.import_module(module)
+        scenes = importlib.import_module("embreex.rtcore_scene")
+        return scenes, importlib.import_module("embreex.mesh_construction")
     except ImportError as error:
-        raise ProcessingError(
-            f"{purpose}, the package {package} is needed; install it with: pip install 'beltrami-cli[{extra}]'"
-        ) from error
+        remedy = "install it with: pip install 'beltrami-cli[render]'"
+        raise ProcessingError(f"to draw surfaces, the package embreex is needed; {remedy}") from error
 
 
 class SurfaceView:

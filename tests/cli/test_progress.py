@@ -23,7 +23,7 @@ COMMANDS = {
     "noise": (["noise", SMALL, "x.ply", "--sigma", "5"], {"reading", "laying out", "writing"}),
     "compare": (["compare", NOISY, CLEAN], {"reading", "comparing", "measuring"}),
     "report": (["report", NOISY, CLEAN, "page.html"], {"comparing", "counting changes", "drawing seams"}),
-    "render": (["render", SMALL, SMALL, "x.png", "--size", "40", "--turntable", "2"], {"reading", "drawing"}),
+    "render": (["render", SMALL, SMALL, "x.png", "--size", "40"], {"reading", "drawing"}),
     "sweep": (["sweep", SMALL, "x.png", "--size", "40", "-n", "1,2", "--fast"], {"trials"}),
 }  # fmt: skip
 

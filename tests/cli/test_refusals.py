@@ -129,7 +129,7 @@ REFUSED = [
     ("render @head-clean.ply a.png --crop 2,3", 2, "X,Y,SIDE"),
     ("render @head-clean.ply a.png --background blue", 2, "#rrggbb"),
     ("render @head-clean.ply a.png --label a --label ''", 2, "2 labels for 1 files"),
-    ("render @head-clean.ply a.png --turntable 360 --size 2000", 2, "lower --size"),
+    ("render @head-clean.ply a.png --size 10000", 2, "lower --size"),
     ("sweep @nonmanifold-noisy.ply a.png --beta 1,x", 2, "list of numbers"),
     (f"sweep @nonmanifold-noisy.ply a.png -n {','.join(map(str, range(300)))}", 2, "too many"),
     # options that need, or contradict, each other
@@ -152,7 +152,6 @@ REFUSED = [
     ("bake @nonmanifold-noisy.ply out.glb", 2, "--to"),
     ("bake @nonmanifold-noisy.glb out.vrm --to texture", 2, ".vrm files are not made from a new mesh"),
     ("bake @head-tex-noisy.glb out.vrm --to vertices", 2, ".vrm files are not made from a new mesh"),
-    ("render @nonmanifold-noisy.ply a.gif", 2, "--turntable"),
     ("render @nonmanifold-noisy.ply a.jpg --background transparent", 2, "no transparent background"),
     ("sweep - a.png --beta 1", 2, "not a pipe"),
     ("report - @knot-clean.ply page.html", 2, "pipe"),
@@ -258,7 +257,6 @@ def hide(module, monkeypatch):
     ("module", "extra", "words", "code"),
     [
         ("embreex", "render", "render @head-clean.ply a.png", 1),
-        ("av", "animation", "render @head-clean.ply a.mp4 --turntable 4", 1),
         ("distributed", "cluster", "batch @knot-noisy.ply --out-dir out --scheduler tcp://127.0.0.1:1", 1),
         ("fsspec", "cluster", "batch memory://x/a.ply --out-dir out", 3),
         ("skimage.measure", "volumes", "smooth volume.nrrd out.ply", 3),
@@ -273,7 +271,7 @@ def test_an_extra_that_is_not_installed_is_named(module, extra, words, code, tmp
     assert f"pip install 'beltrami-cli[{extra}]'" in line
 
 
-@pytest.mark.parametrize("module", ["av", "dask", "distributed", "embreex", "fsspec", "nrrd", "skimage"])
+@pytest.mark.parametrize("module", ["dask", "distributed", "embreex", "fsspec", "nrrd", "skimage"])
 def test_nothing_else_misses_an_extra(module, tmp_path, monkeypatch):
     hide(module, monkeypatch)
     (tmp_path / "p.xyz").write_text("0 0 0 255 0 0\n1 0 0 255 0 0\n1 1 0 255 0 0\n0 1 0 255 0 0\n")

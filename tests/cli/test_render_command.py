@@ -1,7 +1,5 @@
 """`beltrami render`: a picture of every kind of file, the same at every run, or nothing happens at all."""
 
-import itertools
-
 import numpy as np
 import pytest
 
@@ -41,42 +39,3 @@ def test_views_stand_side_by_side_with_labels_details_and_one_camera(tmp_path):
     stacked = tmp_path / "stacked.png"
     beltrami("render", *files, stacked, *looks, "--stacked", "--no-labels")
     assert (pixels(stacked)[122:] == alone).all()
-
-
-def test_a_turntable_goes_all_around(tmp_path):
-    around, back = tmp_path / "around.png", tmp_path / "back.png"
-    sample = SAMPLES / "head-clean.ply"
-    beltrami("render", sample, around, "--turntable", 4, "--size", 64)
-    beltrami("render", sample, back, "--view", "back", "--size", 64)
-    assert (pixels(around)[:, 2 * 66 : 2 * 66 + 64] == pixels(back)).all()
-    assert (pixels(around)[:, :64] != pixels(back)).any()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["gif", "webp", "mp4"])
-def test_turntables_move_where_the_extension_asks(kind, tmp_path):
-    pytest.importorskip("embreex")
-    target = tmp_path / f"a.{kind}"
-    if kind == "mp4":
-        av = pytest.importorskip("av")
-    sample = SAMPLES / "head-clean.ply"
-    arguments = ["render", sample, sample, target, "--turntable", "6", "--fps", "10", "--size", "61"]
-    beltrami(*arguments)
-    if kind == "gif":
-        beltrami(*arguments, "--background", "transparent", "--overwrite")
-    if kind == "mp4":
-        with av.open(str(target)) as file:
-            frames = [frame.to_ndarray(format="rgb24") for frame in file.decode(video=0)]
-            assert file.streams.video[0].average_rate == 10
-    else:
-        frames = []
-        with pytest.importorskip("PIL.Image").open(target) as image:
-            for number in range(image.n_frames):
-                image.seek(number)
-                frames.append(np.asarray(image.convert("RGB")))
-                assert image.info["duration"] == 100
-            assert image.info["loop"] == 0
-    assert len(frames) == 6
-    assert len({frame.shape for frame in frames}) == 1
-    assert frames[0].shape[1] >= 122  # both, side by side
-    assert all(np.abs(one.astype(int) - two).mean() > 1 for one, two in itertools.pairwise(frames))
