@@ -114,7 +114,7 @@ def best(measure):
 
 
 def main() -> None:
-    """Print the table of docs/cluster.md."""
+    """Print a table of the times."""
     cases = {
         f"{FILES} meshes of 5,000 vertices": many_files,
         "a mesh of 490,000 vertices in 8 pieces": in_eight_chunks(mesh),

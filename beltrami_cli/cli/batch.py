@@ -79,7 +79,7 @@ _CLUSTER = "Many machines"
 @click.option(
     "--scheduler", metavar="ADDRESS", cls=GroupedOption, group=_CLUSTER,
     help="Do the files on the workers of this Dask scheduler: tcp://HOST:PORT, or the file (.json) in which it wrote "
-    "where it is. Inputs and outputs lie on storage that all share, or are URLs. See beltrami docs cluster.",
+    "where it is. Inputs and outputs lie on storage that all share, or are URLs. See beltrami docs batch.",
 )  # fmt: skip
 @click.option(
     "--pieces", type=click.IntRange(1, 100_000), metavar="COUNT", cls=GroupedOption, group=_CLUSTER,

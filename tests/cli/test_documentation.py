@@ -39,7 +39,7 @@ def typed(text):
 
 
 def shell_blocks(page):
-    return "".join(re.findall(r"```sh\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL))
+    return "\n".join(re.findall(r"```sh\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL))
 
 
 WRITTEN = [(page.name, words) for page in PAGES for words in typed(shell_blocks(page))]
@@ -107,13 +107,15 @@ def stand_ins(tmp_path_factory):
     return folder
 
 
-RUN_PAGES = {"README.md", "configuration.md", "images.md", "index.md", "pictures.md", "tuning.md"}
+RUN_PAGES = {"README.md", "configuration.md", "index.md", "tuning.md"}
 # Of the page of commands the first example of each.
 FIRST = {words[0]: words for page, words in reversed(WRITTEN) if page == "commands.md"}
+# Of the page of inputs the first block, which is about images.
+IMAGES = [*typed(shell_blocks(ROOT / "docs" / "inputs.md").partition("\n\n")[0])]
 # Neither calls with pipes nor the live view, which runs until its page is closed; tests/view has its tests.
 FOUND = [
     words
-    for words in (*FIRST.values(), *(words for page, words in WRITTEN if page in RUN_PAGES))
+    for words in (*FIRST.values(), *IMAGES, *(words for page, words in WRITTEN if page in RUN_PAGES))
     if not {"-", "{}", "view"} & set(words)
 ]
 RUN = list({" ".join(words): words for words in FOUND}.values())
