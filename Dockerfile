@@ -3,7 +3,7 @@
 FROM python:3.12-slim AS build
 RUN apt-get update && apt-get install --yes --no-install-recommends g++
 COPY . /source
-RUN python -m venv /opt/beltrami && /opt/beltrami/bin/pip install --no-cache-dir '/source[render,usd,volumes]'
+RUN python -m venv /opt/beltrami && /opt/beltrami/bin/pip install --no-cache-dir '/source[usd,volumes]'
 
 FROM python:3.12-slim
 COPY --from=build /opt/beltrami /opt/beltrami

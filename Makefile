@@ -84,12 +84,16 @@ $(VENV)/.installed-%: $(PACKAGE)/.built $(VENV)/.needs-%
 dev: $(VENV)/.installed-test
 	@echo "$(BIN)/pytest tests/... tests the sources as they are"
 
-demo: $(VENV)/.installed-render
+# What is installed already; otherwise an environment of its own.
+INSTALLED := $(shell command -v beltrami)
+BELTRAMI  := $(or $(INSTALLED),$(BIN)/beltrami)
+
+demo: $(if $(INSTALLED),,$(VENV)/.installed-package)
 	@mkdir -p demo
-	$(BIN)/beltrami smooth sample_data/head-noisy.ply demo/head-smooth.ply --overwrite
-	$(BIN)/beltrami render sample_data/head-noisy.ply demo/head-smooth.ply demo/before-after.png --crop auto --overwrite
-	$(BIN)/beltrami smooth sample_data/head-tex-noisy.glb demo/head-tex-smooth.glb --overwrite
-	$(BIN)/beltrami render sample_data/head-tex-noisy.glb demo/head-tex-smooth.glb demo/before-after-texture.png \
+	$(BELTRAMI) smooth sample_data/head-noisy.ply demo/head-smooth.ply --overwrite
+	$(BELTRAMI) render sample_data/head-noisy.ply demo/head-smooth.ply demo/before-after.png --crop auto --overwrite
+	$(BELTRAMI) smooth sample_data/head-tex-noisy.glb demo/head-tex-smooth.glb --overwrite
+	$(BELTRAMI) render sample_data/head-tex-noisy.glb demo/head-tex-smooth.glb demo/before-after-texture.png \
 	  --crop auto --overwrite
 	@echo "Vertex colours: demo/head-smooth.ply,     before and after in demo/before-after.png"
 	@echo "Texture:        demo/head-tex-smooth.glb, before and after in demo/before-after-texture.png"
@@ -292,9 +296,9 @@ man: $(VENV)/.installed-test
 
 # The batch rule. In a Makefile of your own, copy it and write `beltrami` for $(BIN)/beltrami; options for all files go into
 # BELTRAMI_FLAGS, for one into a target-specific variable:  face.clean.ply: BELTRAMI_FLAGS = -n 2
-%.clean.ply: %.ply | $(VENV)/.installed-render
+%.clean.ply: %.ply | $(VENV)/.installed-package
 	$(BIN)/beltrami smooth $(BELTRAMI_FLAGS) --overwrite $< $@
-%.clean.obj: %.obj | $(VENV)/.installed-render
+%.clean.obj: %.obj | $(VENV)/.installed-package
 	$(BIN)/beltrami smooth $(BELTRAMI_FLAGS) --overwrite $< $@
-%.clean.glb: %.glb | $(VENV)/.installed-render
+%.clean.glb: %.glb | $(VENV)/.installed-package
 	$(BIN)/beltrami smooth $(BELTRAMI_FLAGS) --overwrite $< $@

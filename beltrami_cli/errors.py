@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import shlex
+import shutil
 import signal
 import sys
 
@@ -13,6 +15,13 @@ def one_line(text: str) -> str:
     """Return text as one line that fits any terminal; files may hold names with control characters."""
     line = "".join(character if character.isprintable() else "?" for character in text)
     return line if len(line) <= _LONGEST else f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 2 :]}"
+
+
+def install_hint(requirement: str) -> str:
+    """Return the command that installs a package for the Python that runs this process, as a remedy."""
+    is_same = os.path.dirname(shutil.which("pip") or "") == os.path.dirname(sys.executable)  # noqa: PTH120
+    pip = "pip" if is_same else f"{shlex.quote(sys.executable)} -m pip"
+    return f"install it with: {pip} install {shlex.quote(requirement)}"
 
 
 class BeltramiError(Exception):

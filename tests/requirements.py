@@ -1,4 +1,4 @@
-"""Prints what an environment needs apart from this package, for the Makefile: of an extra, or to build the package."""
+"""Prints what an environment needs, for the Makefile: with an extra, to run the package, or to build it."""
 
 from __future__ import annotations
 
@@ -13,9 +13,12 @@ PROJECT = Path(__file__).parents[1] / "pyproject.toml"
 
 
 def requirements(project: dict[str, Any], extra: str) -> Iterator[str]:
-    """Yield the dependencies of the package and of an extra, those of the extras that it names among them."""
+    """Yield the dependencies of the package and of an extra, those of the extras that it names among them.
+
+    `package` has no extra.
+    """
     yield from project["dependencies"]
-    for requirement in project["optional-dependencies"][extra]:
+    for requirement in {**project["optional-dependencies"], "package": []}[extra]:
         if names := re.fullmatch(rf"{project['name']}\[(.*)\]", requirement):
             for name in names[1].split(","):
                 yield from requirements(project, name.strip())

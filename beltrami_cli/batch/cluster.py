@@ -22,7 +22,7 @@ import numpy as np
 from beltrami_cli.batch.item import Attempt, Item, do_item
 from beltrami_cli.batch.storage import is_url, place_of
 from beltrami_cli.batch.workers import Lost, Pool, Task
-from beltrami_cli.errors import ProcessingError
+from beltrami_cli.errors import ProcessingError, install_hint
 from beltrami_cli.fields import with_files
 from beltrami_cli.formats.access import CONFIGURATION, is_file, parse_json, read_bounded
 from beltrami_cli.jobs.job import Progress, at_intervals
@@ -40,7 +40,7 @@ def connected(address: str) -> Iterator[Any]:
         from distributed import Client
         from distributed.security import Security
     except ImportError as error:
-        message = "--scheduler needs Dask, which is not installed; pip install 'beltrami-cli[cluster]'"
+        message = f"--scheduler needs Dask, which is not installed; {install_hint('beltrami-cli[cluster]')}"
         raise ProcessingError(message) from error
     # What goes wrong is reported by us, in one line.
     for name in ("asyncio", "distributed", "distributed.client", "distributed.comm", "distributed.core"):

@@ -17,7 +17,7 @@ from pathlib import Path, PurePath, PurePosixPath
 from typing import Any
 from urllib.parse import unquote
 
-from beltrami_cli.errors import InputError, OutputError
+from beltrami_cli.errors import InputError, OutputError, install_hint
 from beltrami_cli.formats.access import is_file, is_there, open_regular
 from beltrami_cli.surface.worker_process import temporary_folder
 
@@ -70,7 +70,7 @@ def filesystem(url: str) -> tuple[Any, str]:
         from fsspec.core import url_to_fs
     except ImportError as error:
         cause = "URLs need fsspec, which is not installed"
-        raise InputError(url, cause, "pip install 'beltrami-cli[cluster]'") from error
+        raise InputError(url, cause, install_hint("beltrami-cli[cluster]")) from error
     try:
         files, path = url_to_fs(url)
     except (ImportError, ValueError) as error:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from beltrami_cli.arrays import Array
-from beltrami_cli.errors import InputError
+from beltrami_cli.errors import InputError, install_hint
 from beltrami_cli.formats.access import most_unpacked
 from beltrami_cli.surface.worker_process import Message, WorkerError, ask, serve
 
@@ -43,9 +43,8 @@ class ForeignLibrary:
         except TimeoutError:
             raise InputError(name, f"it could not be read within {seconds} s", self.advice) from None
         except WorkerError as error:
-            install = f"install it with: pip install 'beltrami-cli[{self.extra}]'"
             exhausted = "raise --max-memory" if allowed < most else self.advice
-            remedies = {_MISSING: install, _EXHAUSTED: exhausted}
+            remedies = {_MISSING: install_hint(f"beltrami-cli[{self.extra}]"), _EXHAUSTED: exhausted}
             raise InputError(name, str(error)[:300], remedies.get(error.code, self.advice)) from error
 
 

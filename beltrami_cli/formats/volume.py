@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float64s
-from beltrami_cli.errors import InputError
+from beltrami_cli.errors import InputError, install_hint
 from beltrami_cli.formats.archives import LEVEL_SET_KEYS, NpzArchive, is_npz
 from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.surface.reconstruction import GridColours, Lattice, NearColours, Volume
@@ -368,4 +368,4 @@ def require_package(module: str, package: str, name: str, purpose: str) -> Any:
         return importlib.import_module(module)
     except ImportError as error:
         cause = f"{purpose}, the package {package} is needed"
-        raise InputError(name, cause, "install it with: pip install 'beltrami-cli[volumes]'") from error
+        raise InputError(name, cause, install_hint("beltrami-cli[volumes]")) from error

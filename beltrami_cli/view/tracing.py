@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
-from beltrami_cli.errors import ProcessingError
+from beltrami_cli.errors import ProcessingError, install_hint
 from beltrami_cli.formats.access import memory_reserved
 from beltrami_cli.surface.baking import look_up
 from beltrami_cli.surface.geometry import unit_vectors, vertex_normals
@@ -244,8 +244,9 @@ def require_embree() -> tuple[Any, Any]:
         scenes = importlib.import_module("embreex.rtcore_scene")
         return scenes, importlib.import_module("embreex.mesh_construction")
     except ImportError as error:
-        remedy = "install it with: pip install 'beltrami-cli[render]'"
-        raise ProcessingError(f"to draw surfaces, the package embreex is needed; {remedy}") from error
+        # Linux on ARM, where this package does not ask for it.
+        cause = "to draw surfaces, the package embreex is needed"
+        raise ProcessingError(f"{cause}; {install_hint('embreex')}") from error
 
 
 class SurfaceView:

@@ -4,9 +4,12 @@ import os
 import shlex
 import shutil
 import sys
+from importlib.metadata import packages_distributions, requires
 
 import numpy as np
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 from batch.batches import without_workers
 from cli.commands import SAMPLES, beltrami, refused
@@ -256,19 +259,46 @@ def hide(module, monkeypatch):
 @pytest.mark.parametrize(
     ("module", "extra", "words", "code"),
     [
-        ("embreex", "render", "render @head-clean.ply a.png", 1),
         ("distributed", "cluster", "batch @knot-noisy.ply --out-dir out --scheduler tcp://127.0.0.1:1", 1),
         ("fsspec", "cluster", "batch memory://x/a.ply --out-dir out", 3),
         ("skimage.measure", "volumes", "smooth volume.nrrd out.ply", 3),
         ("nrrd", "volumes", "smooth volume.nrrd out.ply", 3),
     ],
 )
-def test_an_extra_that_is_not_installed_is_named(module, extra, words, code, tmp_path, monkeypatch):
+def test_the_command_that_installs_a_missing_extra_is_named(
+    module, extra, words, code, tmp_path, monkeypatch
+):
     hide(module, monkeypatch)
+    monkeypatch.setenv("PATH", str(tmp_path))  # another pip would install for another Python
     (tmp_path / "volume.nrrd").write_bytes(nrrd_file(sphere(0.4)[0]))
     words = words.replace("@", f"{SAMPLES}/").split()
     (line,) = beltrami(*words, code=code, cwd=tmp_path, text=True).stderr.splitlines()
-    assert f"pip install 'beltrami-cli[{extra}]'" in line
+    assert f"{shlex.quote(sys.executable)} -m pip install 'beltrami-cli[{extra}]'" in line
+
+
+def test_pictures_of_surfaces_need_no_extra(tmp_path, monkeypatch):
+    pytest.importorskip("embreex")
+    needed = [Requirement(text) for text in requires("beltrami-cli")]
+    (extras,) = (
+        each.extras for each in needed if each.name == "beltrami-cli" and 'extra == "all"' in str(each.marker)
+    )
+
+    def installed_with(extra):
+        return {
+            canonicalize_name(each.name)
+            for each in needed
+            if each.marker is None or each.marker.evaluate({"extra": extra})
+        }
+
+    optional = set.union(*map(installed_with, extras)) - installed_with("")
+    for module, distributions in packages_distributions().items():
+        if {*map(canonicalize_name, distributions)} <= optional:
+            hide(module, monkeypatch)
+    source = f"{SAMPLES}/nonmanifold-noisy.ply"
+    beltrami("smooth", source, "a.ply", "--fast", "--preview", "a.png", cwd=tmp_path)
+    beltrami("render", source, "b.png", "--size", "30", cwd=tmp_path)
+    beltrami("sweep", source, "c.png", "--fast", "--beta", "4,8", "--size", "30", cwd=tmp_path)
+    assert all((tmp_path / f"{name}.png").exists() for name in "abc")
 
 
 @pytest.mark.parametrize("module", ["dask", "distributed", "embreex", "fsspec", "nrrd", "skimage"])

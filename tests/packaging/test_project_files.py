@@ -1,7 +1,10 @@
 """Files at the root name commands, options and extras that exist, and the versions that are tested."""
 
+import os
 import re
 import shlex
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -65,6 +68,23 @@ def test_extras_that_messages_name_are_there_and_in_all():
     named = set(re.findall(r"beltrami-cli\[(\w+)\]", sources))
     assert len(named) >= 5
     assert named <= ALL <= set(EXTRAS)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="make is not there")
+def test_the_demo_takes_what_is_installed(tmp_path):
+    (tmp_path / "beltrami").write_text("#!/bin/sh\n")
+    (tmp_path / "beltrami").chmod(0o700)
+    path = os.pathsep.join([str(tmp_path), os.environ["PATH"]])
+    demo = subprocess.run(
+        ["make", "-n", "demo"],
+        cwd=ROOT,
+        env={**os.environ, "PATH": path},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert f"{tmp_path}/beltrami render" in demo.stdout
+    assert "pip" not in demo.stdout
 
 
 @pytest.mark.parametrize("name", beltrami_cli.__all__)

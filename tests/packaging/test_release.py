@@ -29,7 +29,7 @@ def test_the_conda_recipe_needs_what_the_package_needs():
     of_conda = {"OpenImageIO": "py-openimageio", "xatlas": "xatlas-python"}
 
     def listed(section):
-        return set(re.findall(r"- (.*)", sections[section]))
+        return set(re.findall(r"- (.*?) *(?:#.*)?$", sections[section], re.MULTILINE))
 
     def renamed(requirements):
         parsed = [Requirement(text) for text in requirements]

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s, Uint8s
+from beltrami_cli.errors import install_hint
 from beltrami_cli.formats.document import Bytes
 from beltrami_cli.formats.gltf.buffers import Buffers, View, read_views
 from beltrami_cli.formats.gltf.container import Entry
@@ -312,7 +313,7 @@ def _draco_mesh(packed: Entry, data: bytes) -> Any:
         import DracoPy
     except ImportError:
         cause = f"to decode {DRACO}, the package DracoPy is needed"
-        raise packed.fault("", cause, "install it with: pip install 'beltrami-cli[draco]'") from None
+        raise packed.fault("", cause, install_hint("beltrami-cli[draco]")) from None
     # Points could claim to be any number, and would be given the memory for it.
     if data[:5] == _DRACO_MAGIC and data[7:8] != _DRACO_MESH:
         raise packed.fault("bufferView", "holds points, not triangles")

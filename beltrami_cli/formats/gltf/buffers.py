@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Array
+from beltrami_cli.errors import install_hint
 from beltrami_cli.formats.access import is_too_dense
 from beltrami_cli.formats.document import Bytes
 from beltrami_cli.formats.gltf.container import TRUNCATED, Container, Entry, Tree, objects, objects_within
@@ -318,7 +319,7 @@ def _library(packed: Packed) -> Any:
         import meshoptimizer
     except ImportError:
         cause = f"to decode {packed.extension}, the package meshoptimizer is needed"
-        raise packed.entry.fault("", cause, "install it with: pip install 'beltrami-cli[meshopt]'") from None
+        raise packed.entry.fault("", cause, install_hint("beltrami-cli[meshopt]")) from None
     return meshoptimizer
 
 

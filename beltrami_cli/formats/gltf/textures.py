@@ -15,14 +15,14 @@ from dataclasses import replace
 from pathlib import PurePosixPath
 from typing import Any
 
-from beltrami_cli.errors import BeltramiError, OutputError
+from beltrami_cli.errors import BeltramiError, OutputError, install_hint
 from beltrami_cli.formats.document import NewImages
 from beltrami_cli.formats.gltf.accessors import Accessors
 from beltrami_cli.formats.gltf.buffers import data_uri, file_key, is_data, located, read, short
 from beltrami_cli.formats.gltf.container import Entry, Tree, objects, objects_within
 from beltrami_cli.formats.gltf.edit import Edit
 from beltrami_cli.formats.image import format_of, label_of, read_image, write_image
-from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, INSTALL, missing_package
+from beltrami_cli.formats.image.extra_codecs import EXTRA, EXTRA_CODECS, missing_package
 from beltrami_cli.formats.image.picture import FORMATS, suffix_for
 from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError, still_shown
 from beltrami_cli.surface.records import ImageFile, PlannedImage, Slot, Wrap
@@ -156,7 +156,7 @@ class Images:
         package = missing_package(known) if known in EXTRA_CODECS else None
         if package is not None:
             raise UnfitReferenceError(
-                f"is a {label_of(known)} image and needs the package {package}; {INSTALL}"
+                f"is a {label_of(known)} image and needs the package {package}; {install_hint(EXTRA)}"
             )
         return data
 

@@ -21,11 +21,11 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.arrays import Uint8s
-from beltrami_cli.errors import InputError
+from beltrami_cli.errors import InputError, install_hint
 
 _PACKAGES = {"ktx2": ("alktx2", "alktx2"), "avif": ("PIL._avif", "Pillow 11.3 or later")}
+EXTRA = "beltrami-cli[textures]"
 EXTRA_CODECS = tuple(_PACKAGES)  # the formats of `picture.FORMATS` that are read and written here
-INSTALL = "install it with: pip install 'beltrami-cli[textures]'"
 _LARGEST_SIDE = 1 << 14  # of AV1 images and of textures on graphics cards
 _BLOCK, _BLOCK_BYTES = 4, 16  # of UASTC
 _HEADER = struct.Struct("<12x9I4I2Q")
@@ -60,7 +60,7 @@ def measured(data: bytes, known: str, name: str) -> tuple[int, int, int]:
     """Return width, height and channels by the header; InputError if it promises what cannot be."""
     package = missing_package(known)
     if package is not None:
-        raise InputError(name, f"{known.upper()} images need the package {package}", INSTALL)
+        raise InputError(name, f"{known.upper()} images need the package {package}", install_hint(EXTRA))
     if known == "ktx2":
         return _measured_ktx2(data, name)
     with _opened_avif(data, name) as image:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.arrays import Array
-from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.errors import InputError, UsageError, install_hint
 from beltrami_cli.formats.image import extra_codecs, headers, metadata, tiff_tags
 from beltrami_cli.formats.image.conversion import TECHNICAL, converted
 from beltrami_cli.formats.image.encoding import (
@@ -172,8 +172,8 @@ def check_writable(picture: Picture, suffix: str | None) -> str:
         raise UsageError(f"{picture.name}: {cause}")
     missing = extra_codecs.missing_package(known) if known in extra_codecs.EXTRA_CODECS else None
     if known is not None and missing is not None:
-        cause = f"{picture.name}: to write {label_of(known)} the package {missing} is needed; {extra_codecs.INSTALL}"
-        raise UsageError(cause)
+        cause = f"{picture.name}: to write {label_of(known)} the package {missing} is needed"
+        raise UsageError(f"{cause}; {install_hint(extra_codecs.EXTRA)}")
     if known is not None and len(picture.colour) > max(FORMATS[known].channels):
         cause = f"{label_of(known)} holds grey only, but the image has colours"
         raise UsageError(f"{picture.name}: {cause}; choose .ppm")
