@@ -149,6 +149,7 @@ def write_notes(formatter: click.HelpFormatter, text: str) -> None:
 
 _FEW = 12  # up to this many options are shown at once
 _EXAMPLES = 8  # lines of examples in the short help
+_OPTION = re.compile(r"(?<=\s)--?[a-zA-Z][\w-]*")
 
 DAILY = "Options"  # the group of options without one
 
@@ -183,7 +184,7 @@ class HelpfulCommand(click.Command):
         self._is_long = len(options) > _FEW and any(getattr(each, "group", "") for each in options)
         help_all = click.Option(
             ["--help-all"], is_flag=True, expose_value=False, is_eager=True, callback=_show_all,
-            hidden=not self._is_long, help="Show all options, examples and notes, and exit.",
+            hidden=not self._is_long, help="Show all options, examples and notes.",
         )  # fmt: skip
         self.params.append(help_all)
 
@@ -218,17 +219,33 @@ class HelpfulCommand(click.Command):
         groups = self.option_groups(ctx)
         for title, options in groups.items():
             if title == DAILY or self._is_full(ctx):
-                records = [option.get_help_record(ctx) for option in options]
+                records = filter(None, (option.get_help_record(ctx) for option in options))
                 with formatter.section(title):
-                    formatter.write_dl([record for record in records if record is not None])
+                    formatter.write_dl(
+                        [(name, text if self._is_full(ctx) else _in_short(text)) for name, text in records]
+                    )
         if not self._is_full(ctx):
             others = ", ".join(title for title in groups if title != DAILY).lower()
             formatter.write_paragraph()
-            formatter.write_text(f"--help-all shows more options: {others}.")
+            formatter.write_text(f"--help-all says more, and shows more options: {others}.")
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         text = notes_on(str(self.name))
-        write_notes(formatter, text if self._is_full(ctx) else _first_examples(text))
+        write_notes(formatter, text if self._is_full(ctx) else self._first_examples(text, ctx))
+
+    def _first_examples(self, text: str, context: click.Context) -> str:
+        """Return the first examples, with whole commands, that take no option but those of the short help."""
+        head, title, *lines = text.partition("\n\n")[0].split("\n")
+        shown = {
+            name
+            for option in self.option_groups(context)[DAILY]
+            for name in option.opts + option.secondary_opts
+        }
+        chosen: list[str] = []
+        for example in re.findall(r"(?:.*\\\n)*.+", "\n".join(lines)):
+            if len(chosen) < _EXAMPLES and {*_OPTION.findall(example.partition(" #")[0])} <= shown:
+                chosen += example.split("\n")
+        return "\n".join([head, title, *chosen])
 
     def _is_full(self, context: click.Context) -> bool:
         return not self._is_long or bool(context.meta.get(HELP_ALL))
@@ -271,10 +288,6 @@ def _show_all(context: click.Context, option: click.Parameter, wanted: bool) -> 
         context.exit()
 
 
-def _first_examples(text: str) -> str:
-    """Return the first lines of the examples, and of a command in several lines all of them."""
-    head, *lines = text.partition("\n\n")[0].split("\n")
-    count = min(_EXAMPLES + 1, len(lines))  # after the heading
-    while count < len(lines) and lines[count - 1].endswith("\\"):
-        count += 1
-    return "\n".join([head, *lines[:count]])
+def _in_short(text: str) -> str:
+    """Return the first sentence of the help of an option, and its notes in brackets."""
+    return re.sub(r"(?<=\.) (?! ).*?(?=  \[|$)", "", text, count=1, flags=re.DOTALL)

@@ -117,12 +117,7 @@ class LazyGroup(click.Group):
 @click.version_option(None, "-V", "--version", package_name="beltrami-cli", prog_name="beltrami")
 @click.pass_context
 def group(context: click.Context, config_path: str | None) -> None:
-    """Smooth the colours painted on 3-D meshes: on the surface itself, keeping edges.
-
-    Each colour becomes a point (x, y, z, beta R, beta G, beta B) of a surface in six dimensions, and is averaged
-    with its neighbours by their geodesic distance there. So noise is averaged away, edges stay, and nothing else in the
-    file changes.
-    """
+    """Smooth the colours painted on 3-D meshes: on the surface itself, keeping edges."""
     from beltrami_cli.cli.config import load
 
     context.obj = load(config_path)

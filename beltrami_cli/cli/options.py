@@ -253,7 +253,7 @@ def unwrapping_from(values: Mapping[str, Any]) -> BakeSettings | None:
 overwrite = click.option(
     "--overwrite",
     is_flag=True,
-    help="Replace OUTPUT, and the images and other files that it names, if they exist.",
+    help="Replace OUTPUT and the files that it names.",
 )
 output_format = click.option(
     "--format", "output_format", type=click.Choice([*OUTPUT_FORMATS, *IMAGE_FORMATS]),
@@ -261,7 +261,7 @@ output_format = click.option(
     help="Format of OUTPUT where its name does not say it, as with -.",
 )  # fmt: skip
 quiet = click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
-verbose = click.option("-v", "--verbose", count=True, help="Print details; twice: also where an error arose.")
+verbose = click.option("-v", "--verbose", count=True, help="Print details; twice: with tracebacks.")
 
 
 def messages(command: Callable[..., Any]) -> Callable[..., Any]:

@@ -34,7 +34,7 @@ _report = click.option(
     "report_path",
     metavar="FILE.json",
     shell_complete=complete_files,
-    help="Write parameters, counts, timings and changes.",
+    help="Write parameters, counts and changes.",
 )
 _preview = click.option(
     "--preview", "preview_path", metavar="FILE.png", shell_complete=complete_files,

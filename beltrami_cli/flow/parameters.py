@@ -114,6 +114,26 @@ class KernelParameters:
 
     group: ClassVar[str] = "Kernel"
 
+    strength: float = parameter(
+        STRENGTHS["normal"],
+        "Smooth less or more: gentle assumes the least noise that is likely, strong the most. "
+        "Options that are given are kept.",
+        low=STRENGTHS["gentle"], high=STRENGTHS["strong"], allowed=_STRENGTH_RANGE, metavar="S",
+        parse=_strength_in, show=_strength_shown, words=tuple(STRENGTHS), is_daily=True,
+    )  # fmt: skip
+    noise: str | None = parameter(
+        None,
+        "The noise if it is known: 12 (of 255), 4.7%, or a FILE with that of each sample. That of a camera is "
+        "shot:A,read:B (variance A L + B^2 of light L); frame:FILE and attribute:NAME see beltrami docs tuning.",
+        kind=str, unset="estimated", metavar="S|FILE", is_daily=True, file_in=file_of_noise,
+    )  # fmt: skip
+    fast: bool = parameter(
+        False,
+        "Search nothing: parameters that are not given follow a fixed rule for the noise. It takes no "
+        "time, and results are some 0.2 dB worse on vertices, and 1.1 dB on textures and images. --beta 0, "
+        "--preset and --smooth-geometry search nothing either.",
+        is_daily=True,
+    )  # fmt: skip
     iterations: int = parameter(
         5,
         "Kernel iterations; more smooth further. 0 leaves every byte unchanged.",
@@ -121,7 +141,7 @@ class KernelParameters:
     )  # fmt: skip
     t: float = parameter(
         2.4,
-        "Time step of an iteration: away from edges it is a Gaussian of variance 2T on the surface. On "
+        "Time step of an iteration: away from edges, a Gaussian of variance 2T. On "
         "textures and images the window bounds the kernel, so that it is this Gaussian only if the window "
         "holds it: raise --window for a large T.",
         low=0, is_open=True, unit="squared units of length, see --units", unset=_CHOSEN,
@@ -129,8 +149,8 @@ class KernelParameters:
     )  # fmt: skip
     beta: float | None = parameter(
         None,
-        "How strongly edges are kept (full scale of colour is 1). 0 is a plain Gaussian on the surface; 5 "
-        "to 40 suits strong to slight noise.",
+        "How strongly edges are kept: 5 to 40 suits strong to slight noise, 0 is a plain Gaussian on the surface. "
+        "Full scale of colour is 1.",
         kind=float, low=0, unit="units of length per unit of colour", unset="chosen from the data", metavar="B",
         is_daily=True,
     )  # fmt: skip
@@ -212,28 +232,6 @@ class KernelParameters:
         "values are used where there is no noise. With a beta of 0 or 0 iterations nothing is chosen.",
         choices=TUNABLE, flags=(),
     )  # fmt: skip
-    fast: bool = parameter(
-        False,
-        "Search nothing: parameters that are not given follow a fixed rule for the noise. It takes no "
-        "time, and results are some 0.2 dB worse on vertices, and 1.1 dB on textures and images. --beta 0, "
-        "--preset and --smooth-geometry search nothing either.",
-        is_daily=True,
-    )  # fmt: skip
-    strength: float = parameter(
-        STRENGTHS["normal"],
-        "Smooth less or more: gentle assumes the least noise that is likely ({gentle}), strong the most ({strong}). "
-        "Options that are given are kept.".format(**STRENGTHS),
-        low=STRENGTHS["gentle"], high=STRENGTHS["strong"], allowed=_STRENGTH_RANGE, metavar="S",
-        parse=_strength_in, show=_strength_shown, words=tuple(STRENGTHS), is_daily=True,
-    )  # fmt: skip
-
-    noise: str | None = parameter(
-        None,
-        "The noise if it is known: 12 (of 255), 4.7%, a camera's shot:A,read:B (variance A L + B^2 of light L), or for "
-        "each sample FILE, frame:FILE or attribute:NAME, see beltrami docs tuning.",
-        kind=str, unset="estimated", metavar="S|FILE", is_daily=True, file_in=file_of_noise,
-    )  # fmt: skip
-
     patches: Patches = parameter(
         "auto",
         "After the kernel, estimate similar patches together, and blend both by their estimated error. "
