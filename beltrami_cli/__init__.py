@@ -31,14 +31,14 @@ if TYPE_CHECKING:
     from beltrami_cli.jobs.inspect import CheckReport as CheckReport
     from beltrami_cli.jobs.inspect import check_files as check_files
     from beltrami_cli.jobs.inspect import inspect_file as inspect_file
-    from beltrami_cli.jobs.job import BakeSettings as BakeSettings
     from beltrami_cli.jobs.job import Job as Job
-    from beltrami_cli.jobs.job import Limits as Limits
-    from beltrami_cli.jobs.job import NoiseSettings as NoiseSettings
     from beltrami_cli.jobs.new_texture import BakeReport as BakeReport
     from beltrami_cli.jobs.new_texture import bake_file as bake_file
     from beltrami_cli.jobs.noise import NoiseReport as NoiseReport
     from beltrami_cli.jobs.noise import noise_file as noise_file
+    from beltrami_cli.jobs.settings import BakeSettings as BakeSettings
+    from beltrami_cli.jobs.settings import Limits as Limits
+    from beltrami_cli.jobs.settings import NoiseSettings as NoiseSettings
     from beltrami_cli.jobs.smooth import LevelFileReport as LevelFileReport
     from beltrami_cli.jobs.smooth import SmoothReport as SmoothReport
     from beltrami_cli.jobs.smooth import level_file as level_file
@@ -63,9 +63,10 @@ _NAMES_IN = {
     "jobs.arrays": "ImageResult SmoothResult TexturedResult smooth smooth_image smooth_textured",
     "jobs.compare.files": "Comparison compare_files",
     "jobs.inspect": "CheckReport check_files inspect_file",
-    "jobs.job": "BakeSettings Job Limits NoiseSettings",
+    "jobs.job": "Job",
     "jobs.new_texture": "BakeReport bake_file",
     "jobs.noise": "NoiseReport noise_file",
+    "jobs.settings": "BakeSettings Limits NoiseSettings",
     "jobs.smooth": "LevelFileReport SmoothReport level_file smooth_file",
     "layers.image_surface": "ImageSurface",
     "layers.settings": "EmbeddingSettings ImageSettings LevelSetSettings LevelSettings SmoothSettings TextureSettings",

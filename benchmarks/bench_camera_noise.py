@@ -20,8 +20,8 @@ import texture_peers
 
 import beltrami_cli
 from beltrami_cli.formats.image import read_image
-from beltrami_cli.jobs.job import NoiseSettings
 from beltrami_cli.jobs.noise import NoiseTargets, add_grain, jpeg_file, seen_by_camera
+from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.surface.baking import Cells
 
 SIDE = 224

@@ -27,8 +27,9 @@ from peers import PeerError
 import beltrami_cli
 from beltrami_cli.flow.parameters import parameters_with
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.jobs.job import Job, NoiseSettings
+from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.noise import noise_file
+from beltrami_cli.jobs.settings import NoiseSettings
 
 SIGMAS = (20, 10, 40)
 SIDE = 224  # texels a side of what is judged

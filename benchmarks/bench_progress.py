@@ -1,4 +1,4 @@
-"""The processor time of each phase of progress, on a small and a large texture: `_SECONDS` of jobs/job.py."""
+"""The processor time of each phase of progress, on a small and a large texture: `_SECONDS` of jobs/progress.py."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.jobs.compare.files import compare_files
 from beltrami_cli.jobs.inspect import inspect_file
 from beltrami_cli.jobs.job import Job
+from beltrami_cli.jobs.progress import phase_of
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.view.report import report_file
 
@@ -44,7 +45,7 @@ class Times:
         now = time.process_time()
         if self._label:
             self.seconds[self._label] = self.seconds.get(self._label, 0.0) + now - self._last
-        self._label, self._last = label.rpartition(": ")[2], now
+        self._label, self._last = phase_of(label), now
 
 
 def write(folder: Path, name: str, side: int, noise: float) -> Path:

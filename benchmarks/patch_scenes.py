@@ -19,8 +19,9 @@ from texture_scene import NEAR, TexturedScene
 
 from beltrami_cli.errors import BeltramiError
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.jobs.job import Job, NoiseSettings
+from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.noise import noise_file
+from beltrami_cli.jobs.settings import NoiseSettings
 
 PHOTOGRAPHS = ("astronaut", "coffee", "chelsea", "immunohistochemistry")
 MATERIALS = ("brick", "grass", "gravel")  # without a flat place, and grey

@@ -25,7 +25,7 @@ from beltrami_cli.batch.workers import Lost, Pool, Task
 from beltrami_cli.errors import ProcessingError, install_hint
 from beltrami_cli.fields import with_files
 from beltrami_cli.formats.access import CONFIGURATION, is_file, parse_json, read_bounded
-from beltrami_cli.jobs.job import Progress, at_intervals
+from beltrami_cli.jobs.progress import Progress, at_intervals
 
 _LOST = "the connection to the scheduler was lost"
 _PATIENCE = 10.0  # seconds for a scheduler to accept a connection, and again to say what it is

@@ -20,8 +20,10 @@ from beltrami_cli.batch.storage import exists, hash_at, is_url, place_of, requir
 from beltrami_cli.errors import BeltramiError, InputError, OutputError
 from beltrami_cli.formats.access import Access, is_there, limited_memory, open_regular, parse_json
 from beltrami_cli.formats.document import Written
-from beltrami_cli.jobs.job import BakeSettings, Job, NoiseSettings, Progress, Share
+from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.output import FileSet, Output
+from beltrami_cli.jobs.progress import Progress, Share
+from beltrami_cli.jobs.settings import BakeSettings, NoiseSettings
 
 if TYPE_CHECKING:
     from beltrami_cli.jobs.recolour import FileReport

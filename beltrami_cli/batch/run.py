@@ -27,7 +27,7 @@ from beltrami_cli.batch.workers import Lost, Pool, Processes, Task
 from beltrami_cli.errors import OutputError, ProcessingError
 from beltrami_cli.flow.chunks import Answers, Chunk, Figures, Operation, in_chunks
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.jobs.job import Progress, at_intervals
+from beltrami_cli.jobs.progress import Progress, at_intervals
 
 # Attempts at a chunk before its file fails: a machine that restarts loses a few workers, and a chunk that is too large
 # for the memory kills every worker. A choice.

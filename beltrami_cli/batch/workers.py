@@ -30,7 +30,7 @@ import numpy as np
 from beltrami_cli.arrays import Array
 from beltrami_cli.errors import ProcessingError, end_with_parent, unhandled_endings
 from beltrami_cli.formats.image.reading import scratch_file
-from beltrami_cli.jobs.job import at_intervals
+from beltrami_cli.jobs.progress import at_intervals
 
 _GRACE = 5.0  # seconds: enough to remove files that were not finished
 _PAUSE = 0.1  # seconds between two messages on progress

@@ -20,14 +20,14 @@ from beltrami_cli.errors import OutputError, ProcessingError, UsageError
 from beltrami_cli.fields import of_255, parameters
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import Access, default_memory, is_file
-from beltrami_cli.jobs.job import NoiseSettings
+from beltrami_cli.jobs.progress import Label, Work
+from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.layers.settings import SmoothSettings
 
 if TYPE_CHECKING:
     from beltrami_cli.batch.item import Attempt, Item, Outcome
     from beltrami_cli.batch.plan import Request
     from beltrami_cli.batch.run import Workers
-    from beltrami_cli.jobs.job import Work
 
 _OF_NOISE = [each.name for each in parameters(NoiseSettings)]
 
@@ -119,7 +119,7 @@ def batch(
         _show_plan(requests, resume=given["resume"], overwrite=overwrite)
         return
     path = _report_path(report_path, out_dir, inputs, jobs)
-    with messages.progress(time.monotonic) as work:  # others do the work, not this process
+    with messages.progress() as work:
         display = Display(jobs, messages, work)
         with _workers(scheduler, pieces, given, display) as workers:
             if report_path is None:
@@ -274,7 +274,7 @@ class Display:
         self._finished = self._skipped = 0
         self._shares: dict[int, float] = {}  # of the files in work that are done
         if work is not None:
-            work.expect([(_FILES, float(len(jobs)))], timed=False)
+            work.expect([(_FILES, float(len(jobs)))])
         self._show()
 
     def advanced(self, key: int, label: str, done: int, total: int) -> None:
@@ -285,7 +285,7 @@ class Display:
         # Files that are skipped take no time, and say nothing about that of others.
         count, done = len(self._jobs), self._finished - self._skipped + sum(self._shares.values())
         if self._work is not None:
-            label = f"{self._finished} of {count} {_FILES}"
+            label = Label(f"{self._finished} of {count} {_FILES}", _FILES)
             self._work(label, round(_STEPS * done), _STEPS * (count - self._skipped))
 
     def postponed(self, key: int) -> None:

@@ -12,7 +12,7 @@ from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import command, complete_files, overwrite_at
 from beltrami_cli.cli.console import Messages, counted, printable, show_table
 from beltrami_cli.flow.parameters import KernelParameters, Weights
-from beltrami_cli.jobs.job import Limits
+from beltrami_cli.jobs.settings import Limits
 from beltrami_cli.layers.settings import SmoothSettings
 
 if TYPE_CHECKING:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
     from rich.progress import Progress
 
-    from beltrami_cli.jobs.job import Work
+    from beltrami_cli.jobs.progress import Work
 
 printable = one_line
 """Text that moves no cursor and fits any terminal."""
@@ -159,34 +159,21 @@ def _progress_in_lines() -> Callable[[str, float], None]:
 
 
 def _progress_bar(work: Work) -> Progress:
-    """Return a bar that shows the state of some work, which is asked for ten times a second."""
+    """Return a bar that shows some work, which is asked for ten times a second how far it is."""
     from rich.console import Console, RenderableType
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
     class ProgressBar(Progress):
         def get_renderables(self) -> Iterable[RenderableType]:
-            state = work.state()
             for task in self.task_ids:
-                label, left = printable(state.label) or "starting", _left(state.seconds_left)
-                self.update(task, description=label, completed=state.share, left=left)
+                self.update(task, description=printable(work.label) or "starting", completed=work.share())
             yield from super().get_renderables()
 
     # Names of files may have brackets.
-    columns = (
-        TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(),
-        TextColumn("{task.fields[left]}"),
-    )  # fmt: skip
-    bar = ProgressBar(*columns, console=Console(stderr=True), transient=True)
-    bar.add_task("starting", total=1.0, left="")
+    columns = TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn()
+    bar = ProgressBar(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True)
+    bar.add_task("starting", total=1.0)
     return bar
-
-
-def _left(seconds: float | None) -> str:
-    if seconds is None:
-        return ""
-    if seconds < 90:
-        return f"{seconds:.0f} s left"
-    return f"{seconds / 60:.0f} min left" if seconds < 5400 else f"{seconds / 3600:.1f} h left"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -232,21 +219,21 @@ class Messages:
             log.setLevel(level)
 
     @contextmanager
-    def progress(self, clock: Callable[[], float] = time.process_time) -> Iterator[Work | None]:
+    def progress(self) -> Iterator[Work | None]:
         """Give what draws one bar with a label and the time left, on a terminal; or prints lines for programs."""
         if os.environ.get("BELTRAMI_PROGRESS") == "lines":
-            from beltrami_cli.jobs.job import Share
+            from beltrami_cli.jobs.progress import Share
 
             lines = _progress_in_lines()
-            yield Share(clock, forward=lines)
+            yield Share(forward=lines)
             lines("done", 1.0)
             return
         if self.quiet or not sys.stderr.isatty():
             yield None
             return
-        from beltrami_cli.jobs.job import Work
+        from beltrami_cli.jobs.progress import Work
 
-        work = Work(clock)
+        work = Work()
         with _progress_bar(work):
             yield work
 

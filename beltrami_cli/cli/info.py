@@ -48,7 +48,7 @@ def info(sources: tuple[str, ...], as_json: bool, verbose: int, **smoothing: Any
     """Show the coloured parts of FILE, how noisy they are, and what smoothing would do."""
     from beltrami_cli.batch.plan import find_sources
     from beltrami_cli.jobs.inspect import inspect_file
-    from beltrami_cli.jobs.job import one_of
+    from beltrami_cli.jobs.progress import one_of
 
     settings = options.settings_from(smoothing)
     is_one = len(sources) == 1 and (sources[0] == "-" or Path(sources[0]).is_file())

@@ -17,7 +17,7 @@ from beltrami_cli.cli.main import COMMANDS, group
 from beltrami_cli.fields import REQUIRED, Parameter, parameters
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import Access
-from beltrami_cli.jobs.job import BakeSettings, Limits, NoiseSettings
+from beltrami_cli.jobs.settings import BakeSettings, Limits, NoiseSettings
 from beltrami_cli.layers.settings import (
     EmbeddingSettings,
     ImageSettings,

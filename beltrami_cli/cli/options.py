@@ -19,7 +19,8 @@ from beltrami_cli.fields import REQUIRED, Parameter, parameters, parts
 from beltrami_cli.flow.parameters import PRESETS, TUNABLE, KernelParameters, parameters_with
 from beltrami_cli.formats.access import Access, default_memory, limited_memory
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
-from beltrami_cli.jobs.job import BakeSettings, Job
+from beltrami_cli.jobs.job import Job
+from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.layers.settings import IMAGE_FORMATS, SmoothSettings, TextureSettings
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]

@@ -16,7 +16,8 @@ from beltrami_cli.cli.commands import command, complete_files, overwrite_at
 from beltrami_cli.cli.console import NO_AREA, Messages, counted, lines_on, outliers_in_words, output_name
 from beltrami_cli.errors import OutputError, UsageError
 from beltrami_cli.fields import of_255, show_size
-from beltrami_cli.jobs.job import BakeSettings, Job, NoiseSettings
+from beltrami_cli.jobs.job import Job
+from beltrami_cli.jobs.settings import BakeSettings, NoiseSettings
 from beltrami_cli.layers.settings import BakeTo, LevelSettings, SmoothSettings
 from beltrami_cli.view.words import doubt_in_words, noise_of, way_out, why_left
 

@@ -23,7 +23,8 @@ from beltrami_cli.formats.image import Picture, read_image
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.formats.image.reading import measure_image, require_memory
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.jobs.job import Job, Progress, phases_of
+from beltrami_cli.jobs.job import Job
+from beltrami_cli.jobs.progress import Label, Progress, phases_of
 from beltrami_cli.jobs.recolour import open_input
 from beltrami_cli.layers.layer import Layer, Part
 from beltrami_cli.layers.selection import Selection, select, vertex_layer
@@ -106,7 +107,7 @@ def _describe_layers(selection: Selection, job: Job) -> tuple[dict[Part, list[di
     with selection.within_memory():
         job.begin("laying out")
         for layer in selection.layers(in_groups=settings.fits_parts):
-            job.begin(f"{layer.label}: choosing parameters")
+            job.begin(Label(f"{layer.label}: choosing parameters", "choosing parameters"))
             facts, exposure = layer.normalised().describe(), describe_exposure(layer)
             described[layer.part].append(facts if exposure is None else {**facts, "exposure": exposure})
             notices += layer.notices

@@ -15,8 +15,10 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, read_texture, to_float, without_alpha, write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.registry import write_mesh
-from beltrami_cli.jobs.job import PLAIN_JOB, BakeSettings, Job, Progress
+from beltrami_cli.jobs.job import PLAIN_JOB, Job
+from beltrami_cli.jobs.progress import Progress
 from beltrami_cli.jobs.recolour import FileReport, begin
+from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.layers.selection import Selection
 from beltrami_cli.layers.settings import DEFAULTS, BakeTo
 from beltrami_cli.surface.baking import (

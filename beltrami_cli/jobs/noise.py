@@ -28,8 +28,9 @@ from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.image.writing import noise_losses
-from beltrami_cli.jobs.job import PLAIN_JOB, Job, NoiseSettings
+from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.recolour import FileReport, Painted, Painter, recolour
+from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.layers.image_layer import ImageLayer
 from beltrami_cli.layers.layer import Layer, Repainted
 from beltrami_cli.layers.picture_layer import PictureLayer

@@ -7,9 +7,10 @@ are. The files of the result have the format that the output asks for; in memory
 from __future__ import annotations
 
 import os
+import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain
@@ -28,14 +29,33 @@ from beltrami_cli.formats.document import Document, ImageDocument, Naming, Writt
 from beltrami_cli.formats.image.picture import suffix_for
 from beltrami_cli.formats.registry import OutputFormat, choose_format
 from beltrami_cli.formats.textured_mesh import with_images, with_suffixes
-from beltrami_cli.jobs.job import Job, Stopwatch, phases_of
+from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.output import Output, shared_files
+from beltrami_cli.jobs.progress import phases_of
 from beltrami_cli.layers.layer import Layer, Repainted, all_images
 from beltrami_cli.layers.selection import Selection, select
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.geometry import vertex_normals
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.records import ImageFile, MovedVertices, PlannedImage, Slot
+
+
+class Stopwatch:
+    """Adds up the time of named stages."""
+
+    def __init__(self) -> None:
+        # "wall" and "cpu" seconds (all threads of the process), in the order of their start.
+        self.stages: dict[str, dict[str, float]] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        wall, cpu = time.perf_counter(), time.process_time()
+        times = self.stages.setdefault(name, {"wall": 0.0, "cpu": 0.0})
+        try:
+            yield
+        finally:
+            times["wall"] += time.perf_counter() - wall
+            times["cpu"] += time.process_time() - cpu
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -215,7 +235,7 @@ class Painter(ABC, Generic[AnyPainted]):
 
     @property
     def phases(self) -> Sequence[str]:
-        """Return the phases of `paint`, see `jobs/job.py`."""
+        """Return the phases of `paint`, see `jobs/progress.py`."""
         return ("painting",)
 
     @property

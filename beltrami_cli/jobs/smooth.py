@@ -19,8 +19,10 @@ from beltrami_cli.flow.choice import Choice
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.formats.registry import OutputFormat, write_mesh
-from beltrami_cli.jobs.job import PLAIN_JOB, BakeSettings, Job
+from beltrami_cli.jobs.job import PLAIN_JOB, Job
+from beltrami_cli.jobs.progress import Label
 from beltrami_cli.jobs.recolour import FileJob, FileReport, Painted, Painter, begin, paint, recolour
+from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.layers.layer import (
     Change,
     ImageReport,
@@ -101,7 +103,7 @@ def _is_worse(choice: Choice | None, wanted: KernelParameters) -> bool:
 
 def smooth_in_job(layer: Layer, job: Job, label: str) -> Smoothed:
     """Smooth a layer, whose name in progress is `label`."""
-    choosing, steps = job.progress_of(f"{label}: choosing parameters"), count()
+    choosing, steps = job.progress_of(Label(f"{label}: choosing parameters", "choosing parameters")), count()
 
     def tick() -> None:
         # The number of steps is not known before: shown is their share of it and of a usual number more.
@@ -110,7 +112,8 @@ def smooth_in_job(layer: Layer, job: Job, label: str) -> Smoothed:
 
     if choosing is not None:
         tick()
-    return smooth_layer(layer, job.progress_of(f"{label}: smoothing"), None if choosing is None else tick)
+    smoothing = job.progress_of(Label(f"{label}: smoothing", "smoothing"))
+    return smooth_layer(layer, smoothing, None if choosing is None else tick)
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,8 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import WRITABLE
 from beltrami_cli.formats.image.reading import pictures_kept
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
-from beltrami_cli.jobs.job import Job, Share, at_intervals
+from beltrami_cli.jobs.job import Job
+from beltrami_cli.jobs.progress import Share, at_intervals
 from beltrami_cli.jobs.recolour import FileReport, open_input, recolour_in_memory
 from beltrami_cli.jobs.smooth import Smoothed, Smoothing, smooth_file, smooth_report
 from beltrami_cli.layers.selection import select

@@ -26,8 +26,9 @@ from beltrami_cli.formats.document import Document, Written
 from beltrami_cli.formats.image import check_writable, format_of_suffix, write_image
 from beltrami_cli.formats.image.picture import FORMATS, is_image, new_picture
 from beltrami_cli.formats.image.reading import error_of
-from beltrami_cli.jobs.job import PLAIN_JOB, Job, Progress, tracked
+from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.output import FileSet, Output, Overwrite
+from beltrami_cli.jobs.progress import Progress, tracked
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.records import LUMINANCE, as_bytes, linear_to_srgb, srgb_to_linear
 from beltrami_cli.view.settings import DEFAULT_RENDER, MOST_PIXELS, Colour, Crop, RenderSettings

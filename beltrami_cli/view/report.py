@@ -15,8 +15,9 @@ from beltrami_cli.formats.access import REPORT, Access, parse_json, read_source,
 from beltrami_cli.formats.document import Document, Written
 from beltrami_cli.jobs.compare.figures import Measured, figures
 from beltrami_cli.jobs.compare.files import EVERYTHING, Compared, compare_documents, open_both
-from beltrami_cli.jobs.job import PLAIN_JOB, Job, Progress, tracked
+from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.output import Output
+from beltrami_cli.jobs.progress import Progress, tracked
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.records import Slot, as_bytes, colour_by_value
 from beltrami_cli.view import pages

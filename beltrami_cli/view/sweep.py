@@ -19,8 +19,9 @@ from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.document import Document, Written
 from beltrami_cli.formats.image.reading import pictures_kept
 from beltrami_cli.jobs.compare.files import compare_documents, open_both, require_samples
-from beltrami_cli.jobs.job import PLAIN_JOB, Job, Progress, one_of
+from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.output import Output
+from beltrami_cli.jobs.progress import Progress, one_of
 from beltrami_cli.jobs.recolour import open_input, recolour_in_memory
 from beltrami_cli.jobs.smooth import Smoothed, Smoothing
 from beltrami_cli.layers.settings import LevelSetSettings, SmoothSettings

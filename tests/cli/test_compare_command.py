@@ -16,8 +16,8 @@ from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.compare.figures import check_limits
 from beltrami_cli.jobs.compare.files import compare_files
-from beltrami_cli.jobs.job import Limits, NoiseSettings
 from beltrami_cli.jobs.noise import noise_file
+from beltrami_cli.jobs.settings import Limits, NoiseSettings
 from cli.commands import COMMAND, SAMPLES, beltrami
 from formats.image_files import encode, stored
 from formats.volume_files import sphere_file

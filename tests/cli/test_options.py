@@ -9,7 +9,7 @@ import pytest
 from beltrami_cli.cli import options
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import override, parameters
-from beltrami_cli.jobs.job import BakeSettings, Limits, NoiseSettings
+from beltrami_cli.jobs.settings import BakeSettings, Limits, NoiseSettings
 from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.view.settings import RenderSettings
 from cli.commands import SAMPLES, beltrami, command, run_command

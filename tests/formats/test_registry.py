@@ -23,9 +23,10 @@ from beltrami_cli.formats.registry import (
     sidecar_names,
     write_mesh,
 )
-from beltrami_cli.jobs.job import Job, NoiseSettings
+from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.noise import noise_file
 from beltrami_cli.jobs.output import Output
+from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.layers.settings import SLOTS, SmoothSettings, TextureSettings
 from beltrami_cli.surface.records import MeshContents, linear_to_srgb
 from formats.gltf_comparison import with_better_image

@@ -15,10 +15,11 @@ import pytest
 from beltrami_cli.errors import OutputError
 from beltrami_cli.formats.document import Written
 from beltrami_cli.jobs import replacing
-from beltrami_cli.jobs.job import Job, NoiseSettings
+from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.noise import noise_file
 from beltrami_cli.jobs.output import FileSet, Output
 from beltrami_cli.jobs.replacing import recover
+from beltrami_cli.jobs.settings import NoiseSettings
 from cli.commands import COMMAND, SAMPLES
 from hostile.folders import snapshot
 from hostile.textured_models import KINDS, PICTURE, write_model

@@ -9,7 +9,7 @@ import pytest
 from beltrami_cli.cli.console import table_lines
 from beltrami_cli.errors import InputError
 from beltrami_cli.jobs.compare.files import compare_files
-from beltrami_cli.jobs.job import Limits
+from beltrami_cli.jobs.settings import Limits
 from beltrami_cli.layers.settings import SmoothSettings
 from cli.commands import SAMPLES, beltrami
 from formats.image_files import encode

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.flow.parameters import Space
-from beltrami_cli.jobs.job import Limits
+from beltrami_cli.jobs.settings import Limits
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Indices, within
 from beltrami_cli.surface.records import srgb_to_linear

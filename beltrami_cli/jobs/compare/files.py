@@ -38,9 +38,11 @@ from beltrami_cli.jobs.compare.parts import (
     compare_vertices,
     moves_of,
 )
-from beltrami_cli.jobs.job import PLAIN_JOB, Job, Limits, phases_of, tracked
+from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.output import Output, Overwrite
+from beltrami_cli.jobs.progress import phases_of, tracked
 from beltrami_cli.jobs.recolour import open_any, require_level_set
+from beltrami_cli.jobs.settings import Limits
 from beltrami_cli.layers.selection import Selection, select
 from beltrami_cli.layers.settings import DEFAULTS, IMAGE_SUFFIXES, SLOTS, SmoothSettings
 from beltrami_cli.surface import large_arrays

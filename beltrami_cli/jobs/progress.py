@@ -1,0 +1,176 @@
+"""How far a job is: one share of the whole, which never falls.
+
+A job has phases, which it announces with the seconds that each is expected to take as soon as it knows how many samples
+there are. These are seconds of all cores together, so that neither their number nor other programs matter. Phases that
+report nothing while they work advance with the time that the process computes. Light enough to import anywhere.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, Self, TypeVar
+
+Progress = Callable[[str, int, int], None]  # a label, the work done and the work to do
+Expected = tuple[str, float]  # a phase, and the seconds that it is expected to take
+
+Item = TypeVar("Item")
+
+# Seconds of processor time that a phase takes in any case, and microseconds per texel, as
+# `python benchmarks/bench_progress.py` measures them on a small and a large texture.
+_SECONDS = {
+    "laying out": (0.02, 0.15),
+    "choosing parameters": (1.0, 0.45),
+    "smoothing": (0.05, 2.0),
+    "painting": (0.02, 0.3),
+    "writing": (0.02, 0.05),
+    "comparing": (0.02, 0.2),
+    "measuring": (0.02, 0.45),
+    "counting changes": (0.01, 0.05),
+    "drawing seams": (0.01, 0.01),
+    "packing models": (0.1, 0.5),
+}
+_UNANNOUNCED_PHASE = 1.0  # seconds of a phase that no job has announced
+_UNANNOUNCED_REST = 19.0  # seconds that follow it: it takes a twentieth of the whole
+_PRIOR = 1.0  # seconds by which expectations count against the times that phases took
+_STEPS = 1000  # of the work on one of several items
+
+
+class Label(str):
+    """The label of a phase that says more than its name."""
+
+    phase: str
+
+    def __new__(cls, text: str, phase: str = "") -> Self:
+        label = super().__new__(cls, text)
+        label.phase = phase
+        return label
+
+
+def phase_of(label: str) -> str:
+    """Return the phase that a progress reports; other labels than `Label` are its name."""
+    return label.phase if isinstance(label, Label) else label
+
+
+def phases_of(kinds: Sequence[str], samples: int) -> list[Expected]:
+    """Return phases with the seconds that they are expected to take for a number of samples."""
+    return [(kind, _SECONDS[kind][0] + 1e-6 * _SECONDS[kind][1] * samples) for kind in kinds]
+
+
+@dataclass
+class Work:
+    """A progress callback that joins the phases of a job to one share of the whole.
+
+    Without news the share comes ever closer to 1, at the pace of the seconds that are left.
+    """
+
+    # Clock and seconds left when phases were announced last.
+    _announced: tuple[float, float] = field(default_factory=lambda: (time.process_time(), _UNANNOUNCED_REST))
+    _ahead: list[Expected] = field(default_factory=list)  # phases to come
+    _rest: float = _UNANNOUNCED_REST  # expected seconds of what no job has announced
+    _label: str | None = None  # of the current phase
+    _expected: float = 0.0  # its seconds
+    _done: float = 0.0  # the share of it that is done
+    _first: tuple[float, float] = (0.0, 1.0)  # share of the whole and seconds left when it began
+    _last: tuple[float, float, float] = (0.0, 0.0, 0.0)  # share, seconds left and clock at the last report
+    _lock: Any = field(default_factory=threading.RLock, repr=False)  # a terminal is drawn by another thread
+
+    def expect(self, phases: Iterable[Expected]) -> None:
+        """End the current phase, and announce the next; where no times are known, seconds may be any unit."""
+        with self._lock:
+            self._ahead, self._rest, self._label, self._expected = list(phases), 0.0, None, 0.0
+            self._announced = time.process_time(), self._left()
+
+    def __call__(self, label: str, done: int, total: int) -> None:
+        """Report work of a phase; one of another phase than before ends that."""
+        with self._lock:
+            shown = self.share()
+            if self._label is None or phase_of(label) != phase_of(self._label):
+                self._start(phase_of(label), shown)
+            self._label = label
+            self._done = max(self._done, min(1.0, done / max(1, total)))
+            first, whole = self._first
+            left = self._left()
+            share = first + (1 - first) * (1 - left / whole if whole else 1.0)
+            now, (began, expected) = time.process_time(), self._announced
+            slowness = (_PRIOR + now - began) / (_PRIOR + max(0.0, expected - left))
+            self._last = max(shown, share), slowness * left, now
+
+    def _start(self, phase: str, shown: float) -> None:
+        number = next((n for n, (name, _) in enumerate(self._ahead) if name == phase), None)
+        self._expected = _UNANNOUNCED_PHASE if number is None else self._ahead[number][1]
+        if number is not None:
+            del self._ahead[: number + 1]
+        self._done = 0.0
+        self._first = shown, self._left()
+
+    def _left(self) -> float:
+        """Return the expected seconds of all that is left."""
+        return self._expected * (1 - self._done) + sum(seconds for _, seconds in self._ahead) + self._rest
+
+    @property
+    def label(self) -> str:
+        """The label of the current phase."""
+        return self._label or ""
+
+    def share(self) -> float:
+        """Return the share of the whole that is done now."""
+        with self._lock:
+            share, left, when = self._last
+            return 1 - (1 - share) * left / (left + time.process_time() - when) if left > 0 else share
+
+
+@dataclass
+class Share(Work):
+    """Progress of a part of a job; `forward` is called with a label and the share of the part."""
+
+    forward: Callable[[str, float], None] = lambda label, share: None
+
+    def __call__(self, label: str, done: int, total: int) -> None:
+        super().__call__(label, done, total)
+        self.forward(label, self.share())
+
+
+def one_of(
+    items: Sequence[Item], noun: str, progress: Progress | None
+) -> Iterator[tuple[Item, Progress | None]]:
+    """Give items one after the other, each with the progress of the work on it."""
+    count = len(items)
+    if isinstance(progress, Work):
+        progress.expect([(noun, float(count))])
+
+    def show(number: int, _: str, share: float) -> None:
+        if progress is not None:
+            label = Label(f"{min(number + 1, count)} of {count} {noun}", noun)
+            progress(label, round(_STEPS * (number + share)), _STEPS * count)
+
+    for number, item in enumerate(items):
+        show(number, "", 0.0)
+        yield item, None if progress is None else Share(forward=partial(show, number))
+    show(count, "", 0.0)
+
+
+def tracked(items: Sequence[Item], label: str, progress: Progress | None) -> Iterator[Item]:
+    """Give items one after the other, and show how many of them are done."""
+    for number, item in enumerate(items):
+        if progress is not None:
+            progress(label, number, len(items))
+        yield item
+    if progress is not None and items:
+        progress(label, len(items), len(items))
+
+
+def at_intervals(seconds: float, progress: Progress) -> Progress:
+    """Return a progress that drops what comes less than some seconds after what it passed on last."""
+    last = 0.0
+
+    def update(label: str, done: int, total: int) -> None:
+        nonlocal last
+        if time.monotonic() - last >= seconds:
+            last = time.monotonic()
+            progress(label, done, total)
+
+    return update
