@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 from beltrami_cli.batch.storage import exists, hash_at, is_url, place_of, require_name, staged
 from beltrami_cli.errors import BeltramiError, InputError, OutputError
 from beltrami_cli.formats.access import Access, is_there, limited_memory, open_regular, parse_json
-from beltrami_cli.formats.document import Written
+from beltrami_cli.formats.changes import Written
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.output import FileSet, Output
 from beltrami_cli.jobs.progress import Progress, Share

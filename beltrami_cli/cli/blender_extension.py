@@ -36,7 +36,7 @@ _SINCE = (1980, 1, 1, 0, 0, 0)  # the date of every file, so that equal programs
 def write_blender_extension(target: str, *, overwrite: bool) -> int:
     """Write the extension as a .zip file; return the number of its parameters."""
     # Later, since these need NumPy, and manual pages are written where only what builds the package is installed.
-    from beltrami_cli.formats.document import Written
+    from beltrami_cli.formats.changes import Written
     from beltrami_cli.jobs.output import Output
 
     output = Output(target, overwrite=overwrite, what="extension")

@@ -74,7 +74,7 @@ def compare(
             reference, test, limits, settings, weights=weights, map_to=map_to, overwrite=replaced, job=job
         )
     if junit is not None:
-        from beltrami_cli.formats.document import Written
+        from beltrami_cli.formats.changes import Written
 
         junit.write(Written(main=[_junit(comparison)]))
     if as_json:

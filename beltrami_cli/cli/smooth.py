@@ -197,7 +197,7 @@ def _written(
     carry_out: Callable[[Job], Report],
 ) -> Report:  # fmt: skip
     """Carry out a job from INPUT to OUTPUT, and put all that it writes in place together; return its report."""
-    from beltrami_cli.formats.document import Written
+    from beltrami_cli.formats.changes import Written
     from beltrami_cli.jobs.output import FileSet
 
     with options.job_from(values, ends[0], messages) as job, FileSet(ends) as files:

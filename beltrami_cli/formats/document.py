@@ -6,129 +6,33 @@ A format is a subclass of `Document`, in a folder of its own, and a line of `for
   standard input) and the `Access`, and calls `_open` with the folder. Files may be parsed lazily, and every count is
   held against the length of the data before anything is allocated.
 - `_mesh` (or `_painted` and `contents`), `_patched` and `facts` are required; the others have defaults for a format
-  without textures, sidecar files, range images, further attributes or movable vertices. With textures, `slots` and
-  `_scene` are required, too: a `Scene` of `formats/textured_mesh.py`, which makes their surfaces and meshes.
+  without textures, sidecar files, range images, further attributes or movable vertices. With textures, `slots`,
+  `textured_mesh` and `_scene` are required, too: a `Scene` of `formats/textured_mesh.py`, which makes their surfaces
+  and meshes.
 - `patch` with equal colours returns equal bytes. What changes is rounded once; every other byte stays.
 - Whatever is wrong with the file is an `InputError` with its name, the cause and a remedy.
 """
 
 from __future__ import annotations
 
-import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from copy import copy
-from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
-from itertools import chain, count
+from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, NoReturn, Self
-
-import numpy as np
+from typing import Any, ClassVar, Self
 
 from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
-from beltrami_cli.formats.colours import BYTE, holds_bytes
-from beltrami_cli.formats.image import Picture, read_image
+from beltrami_cli.formats.changes import NO_IMAGES, Changes, Naming, NewImages, PlannedImages, Written
+from beltrami_cli.formats.comparison import Fingerprint
+from beltrami_cli.formats.image import Picture
 from beltrami_cli.surface import records
 from beltrami_cli.surface.geometry import triangulate
 from beltrami_cli.surface.records import PaintedVertices
-
-NewImages = Mapping[tuple[records.Slot, str], records.ImageFile]  # by slot and `Texture.key`
-PlannedImages = Mapping[tuple[records.Slot, str], records.PlannedImage]
-
-Bytes = bytes | bytearray | memoryview
-NO_IMAGES: NewImages = {}
-# Characters that references in some format cannot spell, or that readers do not take for part of a file name.
-_UNFIT = re.compile(r'[\x00-\x1f\x7f"\\:<>\ud800-\udfff]|^[\s.-]+|\s+$|(?<=\s)#')
-
-
-@dataclass(frozen=True)
-class Naming:
-    """How the sidecar files of an output are named."""
-
-    stem: str  # of the output, without folder and extension
-    keeps: bool = False  # the output and its sidecar files replace the source's files
-    copies: bool = False  # the output lies in another folder, where it needs copies of unchanged files
-    # Whether a path in the output's folder belongs to another model.
-    is_taken: Callable[[str], bool] = lambda _: False
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "stem", _UNFIT.sub("_", self.stem))
-
-    def free_stem(self, sidecars: Callable[[str], Iterable[str]]) -> str:
-        """Return a stem, numbered from 2 on if need be, such that no sidecar file belongs to another model."""
-        stems = chain([self.stem], (f"{self.stem}-{number}" for number in count(2)))
-        return next(stem for stem in stems if not any(self.is_taken(name) for name in sidecars(stem)))
-
-
-@dataclass(frozen=True)
-class Written:
-    """The files of a document with new colours, or of a mesh converted to another format."""
-
-    main: Sequence[Bytes]  # pieces of the main file, in their order
-    # New or changed, by path relative to the main file.
-    sidecars: Mapping[str, Bytes] = field(default_factory=dict)
-    # For the user, one sentence each: what the format cannot hold, what was rounded.
-    notices: tuple[str, ...] = ()
-    # New paths, relative to the main file, of unchanged files, by their names in the source.
-    copies: Mapping[str, str] = field(default_factory=dict)
-
-    @property
-    def sidecar_names(self) -> list[str]:
-        return [*self.sidecars, *self.copies]
-
-
-def not_converted(
-    mesh: records.MeshContents,
-    others: Iterable[str] = (),
-    *,
-    keeps_frame: bool = False,
-) -> list[str]:
-    """Return the notice of what a conversion drops, or nothing."""
-    left = dict.fromkeys([*mesh.left_out, *others])
-    if mesh.frame.up != "Y" and not keeps_frame:
-        left |= {f"the axis that is up, which is {mesh.frame.up}": None}
-    if mesh.frame.unit != 1 and not keeps_frame:
-        left |= {f"the unit of {mesh.frame.unit:g} m": None}
-    return [f"Not converted: {'; '.join(left)}."] if left else []
-
-
-@dataclass(frozen=True)
-class Changes:
-    """Replacements in a document; every entry that equals the present one keeps its stored bytes."""
-
-    # Rows as in `painted().colours`, shape (V, C); None: unchanged. They are clipped to the range of the stored type
-    # and rounded to it once, to the nearest.
-    colours: Float32s | None
-    # By slot and `Texture.key`, of the same size in pixels: each replaces that image in that slot and nowhere else. The
-    # type of file may change.
-    images: NewImages = field(default_factory=dict)
-    # New positions, which `require_movable` has allowed; None: unchanged. They are rounded to the stored type once.
-    places: records.MovedVertices | None = None
-    form: str | None = None  # one of `Document.forms`; None: that of the document
-
-
-@dataclass(frozen=True)
-class Fingerprint:
-    """A file with colours and images separated from all the rest, so that two files can be compared."""
-
-    # Neither colours nor images, by place in the file; placeholders stand for these and for names of images, so that
-    # files that differ in nothing but colours have equal parts.
-    parts: Mapping[str, bytes]
-    colours: Mapping[str, Float32s] = field(default_factory=dict)  # full scale 1, shape (n, C)
-    images: Mapping[str, records.Texture] = field(default_factory=dict)  # by where they are used
-    faults: Sequence[str] = ()  # what some readers cannot do with; there may be fewer in the other file
-
-
-def labelled(files: Mapping[str, str], read: Callable[[str], bytes]) -> dict[str, records.Texture]:
-    """Return image files as a fingerprint has them, by where they are used."""
-    return {
-        label: records.Texture(file, file.rpartition("/")[2], partial(read, file))
-        for label, file in files.items()
-    }
 
 
 class Document(ABC):
@@ -302,35 +206,15 @@ class Document(ABC):
         return ()
 
     def contents(self) -> records.MeshContents:
-        """Return the mesh for conversion to another format; InputError as `painted`."""
+        """Return the mesh of the coloured vertices for another format; InputError as `painted`."""
         return self._mesh
 
-    def recoloured_contents(self, colours: Float32s | None) -> records.MeshContents:
-        """Return `contents` with other colours, rows as in `patch`; None: the present ones."""
-        contents = self.contents()
-        stored = self._type_of(contents.colours, contents.alpha, contents.stored)
-        return replace(contents, colours=contents.colours if colours is None else colours, stored=stored)
-
-    def _type_of(self, colours: Float32s, alpha: Float32s | None, stored: str) -> str:
-        """Return the type that another format needs for the present colours, where the stored one says little."""
-        says_little = stored == "text" or self._scale == BYTE
-        are_bytes = says_little and holds_bytes(colours) and (alpha is None or holds_bytes(alpha))
-        return "uint8" if are_bytes else stored
+    def colours_at_vertices(self, colours: Float32s) -> Float32s:
+        """Return colours, rows as in `patch`, with rows as in `contents`: others if the colours are of faces."""
+        return colours
 
     def textured_mesh(self, colours: Float32s | None = None) -> records.MeshContents:
-        """Return all polygons with materials and images, for conversion; `colours` as in `patch`."""
-        mesh = self._textured_mesh()
-        if not self.has_vertex_colours():
-            return mesh
-        shown = self.recoloured_contents(colours)
-        if not np.array_equal(shown.positions, mesh.positions):
-            lost = "vertex colours, which are not one for each vertex"
-            return replace(mesh, left_out=(*mesh.left_out, lost))
-        coding: dict[str, Any] = {"encoding": shown.encoding, "stored": shown.stored}
-        return replace(mesh, colours=shown.colours, alpha=shown.alpha, **coding)
-
-    def _textured_mesh(self) -> records.MeshContents:
-        """Return what `textured_mesh` does, without colours of vertices."""
+        """Return all polygons with materials and images for another format; `colours` as in `patch`."""
         raise InputError(self.name, f"the textures of a {self.format} file cannot be converted")
 
     def repainted(
@@ -359,27 +243,3 @@ class Document(ABC):
     @abstractmethod
     def facts(self) -> dict[str, object]:
         """Return facts about the file for `beltrami info`, in JSON types, in the order to be shown."""
-
-
-class ImageDocument(Document):
-    """An image, which is decoded when its picture is asked for."""
-
-    format: ClassVar[str] = "image"
-    kind: ClassVar[str] = "image"
-
-    @cached_property
-    def _picture(self) -> Picture:
-        return read_image(self.data, self.name, finite=False)
-
-    def picture(self) -> Picture:
-        return self._picture
-
-    @property
-    def _mesh(self) -> NoReturn:
-        raise InputError(self.name, "it is an image, and no model")
-
-    def facts(self) -> dict[str, object]:
-        return {"format": self._picture.format, "bytes": len(self.data)}
-
-    def _patched(self, new: Changes, naming: Naming) -> Written:
-        return Written([image.content for image in new.images.values()] or [self.data])

@@ -17,7 +17,8 @@ from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_source
 
 if TYPE_CHECKING:
-    from beltrami_cli.formats.document import Document, Written
+    from beltrami_cli.formats.changes import Written
+    from beltrami_cli.formats.document import Document
     from beltrami_cli.surface.records import MeshContents, Slot
 
     Recogniser = Callable[[bytes, str], bool]
@@ -128,7 +129,7 @@ def _textured(name: str, mark: Recogniser | None, reader: str, form: str = "", *
 _is_image = _asks("image.picture.is_image")
 # The first line whose mark a file has is taken; only then the names count.
 FORMATS = (
-    Format("image", _is_image, "document", "ImageDocument", kind="image"),
+    Format("image", _is_image, "image_document", "ImageDocument", kind="image"),
     Format("volume", _asks("volume.is_volume", *_VOLUMES), "volume", "read_volume", kind="volume"),
     _textured("ply", _starts(rb"ply[\n\r \t]"), "ply.PlyDocument", textured_sidecars=".*", slots=("baseColor",)),
     _textured(

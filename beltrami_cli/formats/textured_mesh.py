@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.access import LARGE
-from beltrami_cli.formats.document import Naming, NewImages
+from beltrami_cli.formats.changes import Naming, NewImages
 from beltrami_cli.formats.image.picture import suffix_for
 from beltrami_cli.formats.model_folder import NewFiles, TileSets, remedy_for, tile_name
 from beltrami_cli.surface import tiling

@@ -16,7 +16,7 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import smooth
 from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.manifold import SampledKernel
-from beltrami_cli.formats.document import Written
+from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.ply.writer import write_scalars_as_ply

@@ -11,6 +11,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.conversion import vertex_mesh
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, read_texture, to_float, without_alpha, write_image
 from beltrami_cli.formats.image.picture import new_picture
@@ -105,7 +106,7 @@ def texture_from_vertices(
 ) -> NewTexture:
     """Spread the vertex colours, or others, shape (V, C), in their stead, over the texels of a texture."""
     # They are interpolated as the numbers that are stored (in glTF linear light), and rounded once.
-    contents = document.recoloured_contents(colours)
+    contents = vertex_mesh(document, colours)
     faces = triangulate(contents.positions, contents.corners, contents.offsets)
     if not len(faces):
         remedy = "a texture needs a surface; mesh the points first"

@@ -31,7 +31,7 @@ from beltrami_cli.jobs import replacing
 from beltrami_cli.jobs.file_rights import take_over
 
 if TYPE_CHECKING:
-    from beltrami_cli.formats.document import Bytes, Written
+    from beltrami_cli.formats.changes import Bytes, Written
 
 LOG = logging.getLogger(__name__)
 # "own": only files that this program wrote, as far as that can be seen in them.

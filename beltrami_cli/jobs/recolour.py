@@ -24,9 +24,12 @@ from beltrami_cli.errors import BeltramiError, UsageError
 from beltrami_cli.fields import given_options
 from beltrami_cli.formats import registry
 from beltrami_cli.formats.access import Access, peak_memory, read_source
+from beltrami_cli.formats.changes import Naming, Written
 from beltrami_cli.formats.colours import as_in_file
-from beltrami_cli.formats.document import Document, ImageDocument, Naming, Written
+from beltrami_cli.formats.conversion import vertex_mesh
+from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.picture import suffix_for
+from beltrami_cli.formats.image_document import ImageDocument
 from beltrami_cli.formats.registry import OutputFormat, choose_format
 from beltrami_cli.formats.textured_mesh import with_images, with_suffixes
 from beltrami_cli.jobs.job import Job
@@ -336,7 +339,7 @@ def _files(
             )
         mesh = with_images(document.textured_mesh(colours), images)
     else:
-        mesh = document.recoloured_contents(colours)
+        mesh = vertex_mesh(document, colours)
     if moved is not None:
         normals = mesh.normals
         if normals is not None and moved.normals is not None:

@@ -31,7 +31,7 @@ from beltrami_cli.formats.access import parse_json
 from beltrami_cli.jobs.file_rights import PRIVATE, take_over
 
 if TYPE_CHECKING:
-    from beltrami_cli.formats.document import Bytes
+    from beltrami_cli.formats.changes import Bytes
 
 _JOURNAL = re.compile(r"\.beltrami-[0-9a-f]{12}\.tmp")
 _SETTLED = True  # as the last line of a journal: the set is complete, or undone

@@ -22,7 +22,8 @@ from PIL import Image, ImageDraw
 from beltrami_cli.arrays import Float32s, Float64s, Uint8s
 from beltrami_cli.errors import ProcessingError, UsageError, one_line
 from beltrami_cli.formats.access import Access, read_regular
-from beltrami_cli.formats.document import Document, Written
+from beltrami_cli.formats.changes import Written
+from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import check_writable, format_of_suffix, write_image
 from beltrami_cli.formats.image.picture import FORMATS, is_image, new_picture
 from beltrami_cli.formats.image.reading import error_of

@@ -12,7 +12,8 @@ import numpy as np
 
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import REPORT, Access, parse_json, read_source, text_in
-from beltrami_cli.formats.document import Document, Written
+from beltrami_cli.formats.changes import Written
+from beltrami_cli.formats.document import Document
 from beltrami_cli.jobs.compare.figures import Measured, figures
 from beltrami_cli.jobs.compare.files import EVERYTHING, Compared, compare_documents, open_both
 from beltrami_cli.jobs.job import PLAIN_JOB, Job

@@ -16,7 +16,8 @@ from typing import Literal
 from beltrami_cli.arrays import Uint8s
 from beltrami_cli.errors import OutputError, UsageError
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.formats.document import Document, Written
+from beltrami_cli.formats.changes import Written
+from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.reading import pictures_kept
 from beltrami_cli.jobs.compare.files import compare_documents, open_both, require_samples
 from beltrami_cli.jobs.job import PLAIN_JOB, Job

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.formats.document import Naming
+from beltrami_cli.formats.changes import Naming
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.compare.figures import check_limits
 from beltrami_cli.jobs.compare.files import compare_files

@@ -11,7 +11,7 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from beltrami_cli.formats.document import Naming
+from beltrami_cli.formats.changes import Naming
 from beltrami_cli.formats.gltf.document import GltfDocument
 from hostile.folders import write
 

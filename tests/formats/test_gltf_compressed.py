@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.document import Naming
+from beltrami_cli.formats.changes import Naming
 from beltrami_cli.formats.gltf.document import GltfDocument
 from beltrami_cli.surface.records import ImageFile
 from formats.gltf_comparison import byte_differences, json_differences

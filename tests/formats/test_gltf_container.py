@@ -14,7 +14,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.document import Naming
+from beltrami_cli.formats.changes import Naming
 from beltrami_cli.formats.gltf.container import parsed, revised
 from beltrami_cli.formats.gltf.document import GltfDocument
 from formats.gltf_compressed import DRACO, decompressed, draco_model, meshopt_model

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError, OutputError
-from beltrami_cli.formats.document import Naming
+from beltrami_cli.formats.changes import Naming
 from beltrami_cli.formats.gltf.document import GltfDocument
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.surface.records import ImageFile, MovedVertices

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.document import Naming
+from beltrami_cli.formats.changes import Naming
 from beltrami_cli.formats.gltf.document import GltfDocument
 from beltrami_cli.formats.obj.document import ObjDocument
 from beltrami_cli.formats.ply.document import PlyDocument

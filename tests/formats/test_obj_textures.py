@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.document import Naming
+from beltrami_cli.formats.changes import Naming
 from beltrami_cli.formats.obj.document import ObjDocument
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.inspect import check_files

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.document import Naming
+from beltrami_cli.formats.changes import Naming
 from beltrami_cli.formats.ply.document import PlyDocument
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.surface.records import ImageFile

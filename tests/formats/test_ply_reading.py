@@ -9,7 +9,7 @@ from trimesh.exchange.ply import load_ply
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import Access
-from beltrami_cli.formats.document import Naming
+from beltrami_cli.formats.changes import Naming
 from beltrami_cli.formats.ply.document import PlyDocument
 from beltrami_cli.formats.registry import open_bytes, open_document
 from beltrami_cli.surface.geometry import dual

@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError, UnpaintedError, UsageError
+from beltrami_cli.formats.changes import Naming
 from beltrami_cli.formats.colours import ColouredPolygons, colours_of_vertices
-from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.registry import open_bytes
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.surface.records import linear_to_srgb

@@ -14,6 +14,7 @@ import pytest
 import trimesh
 
 from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.formats.conversion import vertex_mesh
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.registry import (
     FORMATS,
@@ -366,7 +367,7 @@ def test_colours_become_bytes_where_these_hold_them(name, scale, digits, kept):
         )
         text = "\n".join(["ply", "format ascii 1.0", "element vertex 256", *shorts, "end_header", text, ""])
     document = open_bytes(text.encode(), name, None)
-    written = joined(write_mesh(document.recoloured_contents(None), "ply", "x"))
+    written = joined(write_mesh(vertex_mesh(document), "ply", "x"))
     found = open_bytes(written, "x.ply", None).painted()
     assert found.stored == kept
     np.testing.assert_allclose(found.colours, levels / (scale if scale > 1 else 255), atol=0.5e-5)
@@ -375,8 +376,8 @@ def test_colours_become_bytes_where_these_hold_them(name, scale, digits, kept):
 def test_opacity_is_not_rounded_to_bytes_with_colours_that_are_bytes():
     text = "v 0 0 0 0 0 1 0.123456\nv 1 0 0 0 1 0 0.5\n"
     document = open_bytes(text.encode(), "x.obj", None)
-    written = open_bytes(joined(write_mesh(document.recoloured_contents(None), "ply", "x")), "x.ply", None)
-    np.testing.assert_allclose(written.recoloured_contents(None).alpha, [0.123456, 0.5], atol=1e-7)
+    written = open_bytes(joined(write_mesh(vertex_mesh(document), "ply", "x")), "x.ply", None)
+    np.testing.assert_allclose(vertex_mesh(written).alpha, [0.123456, 0.5], atol=1e-7)
 
 
 @pytest.mark.parametrize("form", ["obj", "ply"])

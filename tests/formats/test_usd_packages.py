@@ -11,7 +11,7 @@ import pytest
 
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import Access
-from beltrami_cli.formats.document import Naming
+from beltrami_cli.formats.changes import Naming
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.formats.usd.layers import Package, layer_from

@@ -19,7 +19,7 @@ from beltrami_cli.cli.config import load
 from beltrami_cli.cli.main import group
 from beltrami_cli.errors import BeltramiError, InputError, UsageError
 from beltrami_cli.formats.access import Access
-from beltrami_cli.formats.document import Naming
+from beltrami_cli.formats.changes import Naming
 from beltrami_cli.formats.image import read_image, write_image
 from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.formats.registry import FORMATS, held_images, open_bytes, sidecars_of, write_mesh

@@ -48,7 +48,7 @@ def child(target, at, number, arguments, loaded):
     The modules that it loaded are written to a file, if one is given.
     """
     from beltrami_cli.cli import main as command
-    from beltrami_cli.formats.document import Written
+    from beltrami_cli.formats.changes import Written
     from beltrami_cli.jobs.output import Output
 
     def job(**_):

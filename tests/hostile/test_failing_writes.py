@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli.errors import OutputError
-from beltrami_cli.formats.document import Written
+from beltrami_cli.formats.changes import Written
 from beltrami_cli.jobs import replacing
 from beltrami_cli.jobs.output import Output
 from cli.commands import COMMAND, SAMPLES, refused, run_command

@@ -11,7 +11,7 @@ import pytest
 from beltrami_cli.errors import InputError, OutputError
 from beltrami_cli.formats import access
 from beltrami_cli.formats.access import Access
-from beltrami_cli.formats.document import Written
+from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.job import Job

@@ -233,7 +233,7 @@ import multiprocessing, sys, time
 from pathlib import Path
 from beltrami_cli.batch.workers import Channel, serve
 from beltrami_cli.formats.image.reading import scratch_file
-from beltrami_cli.formats.document import Written
+from beltrami_cli.formats.changes import Written
 from beltrami_cli.jobs.output import FileSet, Output
 
 def work(progress):

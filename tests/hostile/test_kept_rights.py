@@ -8,7 +8,7 @@ import struct
 import pytest
 
 from beltrami_cli.errors import OutputError
-from beltrami_cli.formats.document import Written
+from beltrami_cli.formats.changes import Written
 from beltrami_cli.jobs.output import Output
 
 pytestmark = pytest.mark.skipif(

@@ -13,7 +13,7 @@ from unittest.mock import Mock
 import pytest
 
 from beltrami_cli.errors import OutputError
-from beltrami_cli.formats.document import Written
+from beltrami_cli.formats.changes import Written
 from beltrami_cli.jobs import replacing
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.noise import noise_file
@@ -28,7 +28,7 @@ from hostile.textured_models import KINDS, PICTURE, write_model
 WRITER = """
 import sys
 from beltrami_cli.errors import OutputError
-from beltrami_cli.formats.document import Written
+from beltrami_cli.formats.changes import Written
 from beltrami_cli.jobs.output import Output
 
 if sys.argv[3] == "no links":
@@ -188,7 +188,7 @@ FILES = Written([b"new"], {"a.mtl": b"new", "maps/a.png": b"new"})
 # Writes files aside, says so, and waits.
 STAGING = """
 import sys
-from beltrami_cli.formats.document import Written
+from beltrami_cli.formats.changes import Written
 from beltrami_cli.jobs.output import FileSet, Output
 with FileSet() as files:
     Output(sys.argv[1], overwrite=True, files=files).write(

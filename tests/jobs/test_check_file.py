@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.formats.document import Naming
+from beltrami_cli.formats.changes import Naming
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.inspect import check_files
 from cli.commands import SAMPLES, beltrami, copy_samples

@@ -19,7 +19,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s, Uint8s
 from beltrami_cli.errors import install_hint
-from beltrami_cli.formats.document import Bytes
+from beltrami_cli.formats.changes import Bytes
 from beltrami_cli.formats.gltf.buffers import Buffers, View, read_views
 from beltrami_cli.formats.gltf.container import Entry
 from beltrami_cli.surface.geometry import unrolled

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from beltrami_cli.arrays import Array
 from beltrami_cli.errors import install_hint
 from beltrami_cli.formats.access import is_too_dense
-from beltrami_cli.formats.document import Bytes
+from beltrami_cli.formats.changes import Bytes
 from beltrami_cli.formats.gltf.container import TRUNCATED, Container, Entry, Tree, objects, objects_within
 from beltrami_cli.formats.model_folder import (
     ModelFolder,

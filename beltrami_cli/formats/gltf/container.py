@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.document import Bytes
+from beltrami_cli.formats.changes import Bytes
 
 Tree = dict[str, Any]
 T = TypeVar("T")

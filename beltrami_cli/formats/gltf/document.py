@@ -18,15 +18,9 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.document import (
-    Bytes,
-    Changes,
-    Document,
-    Fingerprint,
-    Naming,
-    PlannedImages,
-    Written,
-)
+from beltrami_cli.formats.changes import Bytes, Changes, Naming, PlannedImages, Written
+from beltrami_cli.formats.comparison import Fingerprint
+from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.gltf.accessors import DRACO, Accessors
 from beltrami_cli.formats.gltf.buffers import Buffers, SidecarFiles, data_uri, is_data, located, named_views
 from beltrami_cli.formats.gltf.container import (

@@ -24,7 +24,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Uint8s
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.document import Bytes
+from beltrami_cli.formats.changes import Bytes
 from beltrami_cli.formats.gltf.accessors import (
     DRACO,
     Accessor,

@@ -16,7 +16,7 @@ from pathlib import PurePosixPath
 from typing import Any
 
 from beltrami_cli.errors import BeltramiError, OutputError, install_hint
-from beltrami_cli.formats.document import NewImages
+from beltrami_cli.formats.changes import NewImages
 from beltrami_cli.formats.gltf.accessors import Accessors
 from beltrami_cli.formats.gltf.buffers import data_uri, file_key, is_data, located, read, short
 from beltrami_cli.formats.gltf.container import Entry, Tree, objects, objects_within

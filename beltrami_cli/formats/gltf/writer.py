@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.colours import linear_colours, quantised
-from beltrami_cli.formats.document import Written, not_converted
+from beltrami_cli.formats.conversion import not_converted
 from beltrami_cli.formats.gltf.accessors import COMPONENTS, Stored, padded_elements
 from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, Tree, glb_pieces
 from beltrami_cli.formats.gltf.edit import INDEX_DATA, VERTEX_DATA

@@ -16,16 +16,11 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError
+from beltrami_cli.formats.changes import Changes, Naming, PlannedImages, Written
 from beltrami_cli.formats.colours import full_scale, opacity
-from beltrami_cli.formats.document import (
-    Changes,
-    Document,
-    Fingerprint,
-    Naming,
-    PlannedImages,
-    Written,
-    labelled,
-)
+from beltrami_cli.formats.comparison import Fingerprint, labelled
+from beltrami_cli.formats.conversion import with_vertex_colours
+from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.formats.obj.materials import ALONG, SLOTS, Map, Materials, repainted
@@ -148,8 +143,9 @@ class ObjDocument(Document):
     def contents(self) -> MeshContents:
         return dataclasses.replace(self._mesh, alpha=self._alpha(), left_out=self._scan.dropped)
 
-    def _textured_mesh(self) -> MeshContents:
-        return _convert(self._scene, Statements(self.data, self.name), self._scan, self._materials)
+    def textured_mesh(self, colours: Float32s | None = None) -> MeshContents:
+        mesh = _convert(self._scene, Statements(self.data, self.name), self._scan, self._materials)
+        return with_vertex_colours(mesh, self, colours)
 
     def _alpha(self) -> Float32s | None:
         alpha = self._scan.vertices.alpha

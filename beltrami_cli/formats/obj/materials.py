@@ -14,7 +14,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 
-from beltrami_cli.formats.document import Naming, NewImages, Written
+from beltrami_cli.formats.changes import Naming, NewImages, Written
 from beltrami_cli.formats.model_folder import (
     LEFT_ALONE,
     ModelFolder,

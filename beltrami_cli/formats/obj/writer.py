@@ -11,8 +11,9 @@ from itertools import pairwise
 import numpy as np
 
 from beltrami_cli.arrays import Array, Int64s
+from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.colours import display_colours
-from beltrami_cli.formats.document import Written, not_converted
+from beltrami_cli.formats.conversion import not_converted
 from beltrami_cli.formats.textured_mesh import image_names, lost_repetition, material_names, plain_name
 from beltrami_cli.formats.tokens import number_lines
 from beltrami_cli.surface.geometry import polygons_with, shortest_type

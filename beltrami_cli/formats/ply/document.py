@@ -13,17 +13,11 @@ import numpy as np
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats import tokens
+from beltrami_cli.formats.changes import Bytes, Changes, Naming, PlannedImages, Written
 from beltrami_cli.formats.colours import ColouredPolygons, colours_of_vertices, quantised
-from beltrami_cli.formats.document import (
-    Bytes,
-    Changes,
-    Document,
-    Fingerprint,
-    Naming,
-    PlannedImages,
-    Written,
-    labelled,
-)
+from beltrami_cli.formats.comparison import Fingerprint, labelled
+from beltrami_cli.formats.conversion import with_vertex_colours
+from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.model_folder import LEFT_ALONE, ModelFolder, is_outside
 from beltrami_cli.formats.ply import elements, texturing
 from beltrami_cli.formats.ply.tables import (
@@ -167,37 +161,36 @@ class PlyDocument(Document):
         return list(dict.fromkeys(path for path in paths if path is not None and not is_outside(path)))
 
     def contents(self) -> MeshContents:
-        return self.recoloured_contents(None)
-
-    def recoloured_contents(self, colours: Float32s | None) -> MeshContents:
         of_faces = self._paint.names if self._paints_faces else ()
-        left_out = _left_out(self._header, self._converted, of_faces)
-        values, alpha = self._colours.values if colours is None else colours, self._alpha()
         corners, offsets = self._coloured_faces if self._paints_faces else self._polygons
-        if self._paints_faces:
-            sizes = np.diff(offsets)
-            polygons = (self._positions, corners.astype(np.int64), sizes)
-            found = ColouredPolygons(*polygons, np.repeat(values, sizes, axis=0), self._stored)
-            values, _ = colours_of_vertices(found)
-            self.notices += [_MEANS] if _MEANS not in self.notices else []
         return dataclasses.replace(
             self._mesh,
-            stored=self._type_of(self._colours.values, alpha, self._stored),
             positions=self._positions,
             corners=corners,
             offsets=offsets,
-            colours=values,
-            alpha=alpha,
+            colours=self.colours_at_vertices(self._colours.values),
+            alpha=self._alpha(),
             normals=self._normals(),
-            left_out=left_out,
+            left_out=_left_out(self._header, self._converted, of_faces),
         )
 
-    def _textured_mesh(self) -> MeshContents:
+    def colours_at_vertices(self, colours: Float32s) -> Float32s:
+        if not self._paints_faces:
+            return colours
+        self.notices += [_MEANS] if _MEANS not in self.notices else []
+        corners, offsets = self._coloured_faces
+        sizes = np.diff(offsets)
+        polygons = (self._positions, corners.astype(np.int64), sizes)
+        found = ColouredPolygons(*polygons, np.repeat(colours, sizes, axis=0), self._stored)
+        return colours_of_vertices(found)[0]
+
+    def textured_mesh(self, colours: Float32s | None = None) -> MeshContents:
         used = self._converted | {*texturing.find_coordinates(self._tables)}
         dropped = _left_out(self._header, used, {texturing.NUMBER, *used})
         others = self._header.comments > len(self._images)
         left_out = [what for what in dropped if what != "comments" or others]
-        return dataclasses.replace(self._scene.mesh(left_out), normals=self._normals())
+        mesh = dataclasses.replace(self._scene.mesh(left_out), normals=self._normals())
+        return with_vertex_colours(mesh, self, colours)
 
     @property
     def _converted(self) -> set[str]:

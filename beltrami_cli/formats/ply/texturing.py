@@ -18,7 +18,7 @@ import numpy as np
 from beltrami_cli.arrays import Array, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats import model_folder
-from beltrami_cli.formats.document import Naming, NewImages, Written
+from beltrami_cli.formats.changes import Naming, NewImages, Written
 from beltrami_cli.formats.ply.elements import finite_columns
 from beltrami_cli.formats.ply.tables import Table
 from beltrami_cli.formats.textured_mesh import Maps, Scene, ShownMap

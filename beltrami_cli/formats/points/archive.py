@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.archives import POSITION_KEYS, NpzArchive
+from beltrami_cli.formats.changes import Changes, Naming, Written
 from beltrami_cli.formats.colours import (
     display_colours,
     integer_scale,
@@ -41,7 +42,9 @@ from beltrami_cli.formats.colours import (
     point_colour_scale,
     quantised,
 )
-from beltrami_cli.formats.document import Changes, Document, Fingerprint, Naming, Written, not_converted
+from beltrami_cli.formats.comparison import Fingerprint
+from beltrami_cli.formats.conversion import not_converted
+from beltrami_cli.formats.document import Document
 from beltrami_cli.surface.geometry import shortest_type, triangulate
 from beltrami_cli.surface.records import MeshContents, require_single
 

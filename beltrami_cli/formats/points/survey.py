@@ -25,7 +25,7 @@ import numpy as np
 from beltrami_cli.arrays import Array
 from beltrami_cli.formats.access import most_unpacked
 from beltrami_cli.formats.archives import NpzArchive
-from beltrami_cli.formats.document import Changes, Naming, Written
+from beltrami_cli.formats.changes import Changes, Naming, Written
 from beltrami_cli.formats.foreign_library import ForeignLibrary, serve_files
 from beltrami_cli.formats.points.archive import NpzPointsDocument
 from beltrami_cli.formats.tokens import NewNumbers, find_tokens, renumbered

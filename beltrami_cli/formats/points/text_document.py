@@ -26,8 +26,10 @@ from numpy.typing import NDArray
 from beltrami_cli.arrays import Array, Bools, Float64s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.access import Access
+from beltrami_cli.formats.changes import Changes, Naming, Written
 from beltrami_cli.formats.colours import display_colours, quantised
-from beltrami_cli.formats.document import Changes, Fingerprint, Naming, Written, not_converted
+from beltrami_cli.formats.comparison import Fingerprint
+from beltrami_cli.formats.conversion import not_converted
 from beltrami_cli.formats.points.archive import PointsDocument, Tables
 from beltrami_cli.formats.tokens import (
     Lines,

@@ -32,6 +32,7 @@ from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.archives import Archive
+from beltrami_cli.formats.changes import Changes, Naming, Written
 from beltrami_cli.formats.colours import (
     ColouredPolygons,
     check_polygons,
@@ -39,7 +40,7 @@ from beltrami_cli.formats.colours import (
     full_scale,
     joined,
 )
-from beltrami_cli.formats.document import Changes, Document, Naming, Written
+from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.foreign_library import ForeignLibrary, serve_files
 from beltrami_cli.formats.tokens import Lines, without_comments
 from beltrami_cli.surface.records import Frame, MeshContents, require_single

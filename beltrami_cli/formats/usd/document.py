@@ -12,19 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Int32s, Int64s
+from beltrami_cli.arrays import Array, Float32s, Int32s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError, UsageError
+from beltrami_cli.formats.changes import Changes, Naming, NewImages, PlannedImages, Written
 from beltrami_cli.formats.colours import display_colour
-from beltrami_cli.formats.document import (
-    Changes,
-    Document,
-    Fingerprint,
-    Naming,
-    NewImages,
-    PlannedImages,
-    Written,
-    labelled,
-)
+from beltrami_cli.formats.comparison import Fingerprint, labelled
+from beltrami_cli.formats.conversion import with_vertex_colours
+from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.picture import format_of, format_of_suffix
 from beltrami_cli.formats.model_folder import (
     LEFT_ALONE,
@@ -326,9 +320,10 @@ class UsdDocument(Document):
         left_out = (*(what for what, found in held.items() if found), *self._left_out())
         return dataclasses.replace(mesh, alpha=alpha, left_out=left_out)
 
-    def _textured_mesh(self) -> MeshContents:
+    def textured_mesh(self, colours: Float32s | None = None) -> MeshContents:
         groups, normals = (tuple(self._words["meshes"]), self._arrays["mesh_of"]), self._arrays["normals"]
-        return dataclasses.replace(self._scene.mesh(self._left_out(), groups, normals), frame=self.frame)
+        mesh = dataclasses.replace(self._scene.mesh(self._left_out(), groups, normals), frame=self.frame)
+        return with_vertex_colours(mesh, self, colours)
 
     def _left_out(self) -> list[str]:
         words = self._words

@@ -26,7 +26,7 @@ from beltrami_cli.arrays import Array
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import Access, require_ratio
 from beltrami_cli.formats.archives import Archive
-from beltrami_cli.formats.document import Bytes
+from beltrami_cli.formats.changes import Bytes
 from beltrami_cli.formats.foreign_library import ForeignLibrary, serve_files
 from beltrami_cli.formats.model_folder import (
     ModelFolder,

@@ -16,8 +16,9 @@ from functools import partial
 import numpy as np
 
 from beltrami_cli.arrays import Array, Int32s
+from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.colours import linear_colours
-from beltrami_cli.formats.document import Written, not_converted
+from beltrami_cli.formats.conversion import not_converted
 from beltrami_cli.formats.textured_mesh import image_names, material_names, normals_of_corners, plain_name
 from beltrami_cli.formats.usd.layers import layer_from, packed
 from beltrami_cli.surface.geometry import shortest_type

@@ -18,7 +18,8 @@ import numpy as np
 from beltrami_cli.arrays import Float64s, Uint8s
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.parameters import Weights
-from beltrami_cli.formats.document import Document, Written
+from beltrami_cli.formats.changes import Written
+from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.ply.writer import write_scalars_as_ply

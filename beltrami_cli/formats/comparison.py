@@ -1,0 +1,30 @@
+"""Documents taken apart, so that two files can be compared: colours and images, and all the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+
+from beltrami_cli.arrays import Float32s
+from beltrami_cli.surface import records
+
+
+@dataclass(frozen=True)
+class Fingerprint:
+    """A file with colours and images separated from all the rest, so that two files can be compared."""
+
+    # Neither colours nor images, by place in the file; placeholders stand for these and for names of images, so that
+    # files that differ in nothing but colours have equal parts.
+    parts: Mapping[str, bytes]
+    colours: Mapping[str, Float32s] = field(default_factory=dict)  # full scale 1, shape (n, C)
+    images: Mapping[str, records.Texture] = field(default_factory=dict)  # by where they are used
+    faults: Sequence[str] = ()  # what some readers cannot do with; there may be fewer in the other file
+
+
+def labelled(files: Mapping[str, str], read: Callable[[str], bytes]) -> dict[str, records.Texture]:
+    """Return image files as a fingerprint has them, by where they are used."""
+    return {
+        label: records.Texture(file, file.rpartition("/")[2], partial(read, file))
+        for label, file in files.items()
+    }
