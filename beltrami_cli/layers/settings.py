@@ -23,7 +23,7 @@ BakeTo = Literal["texture", "vertices"]
 COLOUR_SLOTS = ("baseColor", "emissive")  # the others are data
 SLOTS = ("baseColor", "emissive", "normal", "occlusion", "metallicRoughness")
 # What --format can name besides; output names may end in every extension of a format that can be written.
-IMAGE_FORMATS = ("png", "jpg", "webp", "tif", "exr", "tga", "bmp", "hdr", "jxl", "jp2", "ppm")
+IMAGE_FORMATS = ("png", "jpg", "webp", "tif", "exr", "tga", "bmp", "hdr", "jxl", "ppm")
 IMAGE_SUFFIXES = (
     ".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".exr", ".tga", ".bmp", ".hdr", ".ktx2", ".avif",
 )  # fmt: skip

@@ -17,14 +17,17 @@ LOSSLESS = [
     *(("tiff", kind, channels) for kind in ("uint8", "uint16", "half", "float") for channels in (1, 2, 3, 4)),
     *(("openexr", kind, channels) for kind in ("half", "float") for channels in (1, 2, 3, 4)),
     *(("targa", "uint8", channels) for channels in (1, 2, 3, 4)),
-    *(("bmp", "uint8", channels) for channels in (1, 3, 4)),
+    *(("bmp", "uint8", channels) for channels in (3, 4)),
     *(("webp", "uint8", channels) for channels in (3, 4)),
 ]
 RARER = [
     *(("jpegxl", kind, channels) for kind in ("uint8", "uint16", "half", "float") for channels in (1, 3, 4)),
-    *((known, kind, n) for known in ("jpeg2000", "j2k") for kind in ("uint8", "uint16") for n in (1, 3, 4)),
     *((known, kind, n) for known, n in (("pgm", 1), ("ppm", 3)) for kind in ("uint8", "uint16")),
     *(("pfm", "float", channels) for channels in (1, 3)),
+]
+ONLY_READ = [
+    ("bmp", "uint8", 1),  # with a palette of greys
+    *((known, kind, n) for known in ("jpeg2000", "j2k") for kind in ("uint8", "uint16") for n in (1, 3, 4)),
     *(("dpx", kind, channels) for kind in ("uint8", "uint16", "float") for channels in (1, 3, 4)),
     *(("sgi", kind, channels) for kind in ("uint8", "uint16") for channels in (1, 3, 4)),
     *(("fits", kind, channels) for kind in ("uint8", "float") for channels in (1, 3, 4)),

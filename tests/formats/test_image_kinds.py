@@ -221,7 +221,7 @@ def test_formats_that_are_only_read_say_what_else_there_is(name):
     make, pixels = read_only()[name]
     picture = read_image(make(), name)
     np.testing.assert_array_equal(picture.pixels, pixels)
-    with pytest.raises(UsageError, match=f"images cannot be written as {name[2:].upper()}; choose .png"):
+    with pytest.raises(UsageError, match=f"images cannot be written as {name[2:].upper()}; choose .tif"):
         check_writable(picture, None)
     again = read_image(write_image(picture, picture.pixels, suffix=".tif").data, "x.tif")
     np.testing.assert_array_equal(again.pixels, pixels)
@@ -253,7 +253,9 @@ def test_a_palette_is_reported_and_becomes_full_colours(suffix, bits, is_transpa
         options["transparency"] = bytes(random.integers(0, 256, 1 << bits).tolist())
     source = saved(image, suffix, **options)
     picture = read_image(source, f"x{suffix}")
-    file = write_image(picture, picture.pixels[::-1, ::-1], suffix=".png" if suffix == ".gif" else None)
+    file = write_image(
+        picture, picture.pixels[::-1, ::-1], suffix=".png" if suffix in (".gif", ".bmp") else None
+    )
     assert any("palette" in notice for notice in (*picture.notices, *file.notices))
     with Image.open(io.BytesIO(file.data)) as new, Image.open(io.BytesIO(source)) as old:
         assert suffix != ".png" or new.info["dpi"] == pytest.approx((72, 72), abs=0.1)
@@ -318,10 +320,23 @@ def test_values_that_are_not_finite_can_be_asked_for_and_stay():
     assert png.pixels[0, 0].tolist() == [0, 0, 0]
 
 
-def test_jpeg_2000_is_refused_where_it_would_be_damaged():
-    picture = read_image(encode(noise("uint8", 3, 31, 40), "png"), "x.png")
-    with pytest.raises(UsageError, match="fewer than 32 pixels"):
-        write_image(picture, picture.pixels, suffix=".jp2")
+@pytest.mark.parametrize("kind", ["palette", "16 bits", "OS/2"])
+def test_rare_kinds_of_bmp_are_read_and_not_written(kind):
+    image = Image.fromarray(noise("uint8", 3))
+    plain = saved(image, ".bmp")
+    made = {
+        "palette": saved(image.quantize(16), ".bmp"),
+        "16 bits": plain[:28] + b"\x10" + plain[29:54] + bytes(16 * 5),
+        "OS/2": b"BM" + bytes(8) + struct.pack("<IIHHHH", 26, 12, 7, 5, 1, 24) + plain[54:],
+    }
+    picture = read_image(made[kind], "x.bmp")
+    for suffix in (None, ".bmp", ".dib"):
+        with pytest.raises(
+            UsageError, match=r"x\.bmp: images cannot be written as BMP with a palette.*; choose \.tif"
+        ):
+            check_writable(picture, suffix)
+    again = read_image(write_image(picture, picture.pixels, suffix=".png").data, "x.png")
+    np.testing.assert_array_equal(again.pixels, picture.pixels)
 
 
 def test_chunks_of_a_palette_go_with_it_and_are_reported():

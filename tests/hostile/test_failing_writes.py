@@ -233,7 +233,6 @@ def test_a_folder_that_must_not_be_written_to(tmp_path):
 @pytest.mark.parametrize(
     "words",
     [
-        "smooth -n 1 -t 1 --beta 9 photo.png out.jp2",
         "smooth -n 1 -t 1 --beta 9 --dry-run --max-memory 2M photo.png out.png",
         "smooth -n 1 -t 1 --beta 9 model.ply out.usdc",
     ],

@@ -22,7 +22,7 @@ ROWS, COLUMNS = 36, 44
 KINDS = [
     ("png", "uint8", 1), ("png", "uint16", 4), ("tiff", "uint8", 2), ("tiff", "half", 3), ("tiff", "uint16", 5),
     ("openexr", "float", 4), ("openexr", "half", 5), ("bmp", "uint8", 3), ("targa", "uint8", 4), ("jpegxl", "uint8", 3),
-    ("jpeg2000", "uint16", 3), ("pfm", "float", 3), ("dpx", "uint16", 3),
+    ("pfm", "float", 3),
 ]  # fmt: skip
 
 
@@ -104,6 +104,19 @@ def test_another_extension_converts_and_says_what_is_lost(tmp_path):
     assert load(tmp_path / "d.exr").encoding == "linear"
     smooth_file(source, tmp_path / "e", job=Job(format="tif"))
     assert load(tmp_path / "e").format == "tiff"
+
+
+def test_a_format_that_is_only_read_is_converted_or_refused_before_any_work(tmp_path):
+    source, phases = save(tmp_path / "a.fits", pixels_of("uint8", 3)), set()
+    job = Job(overwrite=True, progress=lambda phase, *_: phases.add(phase))
+    for target in (source, tmp_path / "b.fits"):
+        before = source.read_bytes()
+        with pytest.raises(UsageError, match=r"cannot be written as FITS; choose \.tif, \.png or \.exr"):
+            smooth_file(source, target, job=job)
+        assert source.read_bytes() == before
+    assert phases <= {"reading", "laying out"}
+    smooth_file(source, tmp_path / "b.tif", iterations=1, t=1, beta=9, job=job)
+    assert load(tmp_path / "b.tif").pixels.shape == (ROWS, COLUMNS, 3)
 
 
 def test_channels_beyond_colours_are_smoothed_too_unless_left_out(tmp_path):

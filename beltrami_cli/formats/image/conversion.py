@@ -126,7 +126,7 @@ def _type_in(stored: str, known: str) -> str:
 
 def _holds_any(known: str) -> bool:
     """Whether a format holds channels besides colours and alpha."""
-    return known in ("tiff", "openexr", "rla")
+    return known in ("tiff", "openexr")
 
 
 def _kept_channels(picture: Picture, known: str) -> list[int]:

@@ -15,11 +15,10 @@ import numpy as np
 from beltrami_cli.arrays import Array
 from beltrami_cli.errors import InputError, OutputError, ProcessingError
 from beltrami_cli.formats.image import extra_codecs, metadata, tiff_tags
-from beltrami_cli.formats.image.picture import FORMATS, label_of, plugin_of
+from beltrami_cli.formats.image.picture import label_of, plugin_of
 from beltrami_cli.formats.image.reading import error_of, opened, scratch_file
 from beltrami_cli.surface import large_arrays
 
-NEEDS_SUFFIX = ("jpeg2000", "j2k")  # which OpenImageIO writes in two ways, by the name
 LOSSY_EXR = ("b44", "b44a", "dwaa", "dwab", "pxr24")  # compressions
 _PNG_FILTER_UP = 0x20  # as libpng numbers them
 _ROWS = 64  # compared at a time
@@ -118,7 +117,7 @@ def _encoded_by_openimageio(spec: Any, pixels: Array, known: str, name: str) -> 
         raise ProcessingError(f"{name}: this OpenImageIO cannot write {known} images")
     if str(spec.format) == "half" and not spec.channelformats:
         pixels = pixels.astype(np.float16)
-    with scratch_file(suffix=FORMATS[known].suffixes[0] if known in NEEDS_SUFFIX else "") as path:
+    with scratch_file() as path:
         written = file.open(str(path), spec) and file.write_image(np.ascontiguousarray(pixels))
         closed = file.close()
         error = error_of(file)  # TIFF reports a missing EXIF directory though all is written.

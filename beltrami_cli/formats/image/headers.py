@@ -1,4 +1,4 @@
-"""Headers of EXR, Radiance HDR, Netpbm, FITS and JPEG 2000 files: what they say is copied from one file to another.
+"""Headers of EXR, Radiance HDR and Netpbm files: what they say is copied from one file to another.
 
 An EXR file may have several parts, each with a header and chunks of pixels of its own. OpenImageIO leaves out
 comments, and variables in text headers.
@@ -8,8 +8,6 @@ References
 .. [1] OpenEXR File Layout, Academy Software Foundation: version, headers of parts, tables of chunk addresses.
 .. [2] Radiance File Formats, Greg Ward: lines of text up to an empty one, then the resolution and the pixels.
 .. [3] ppm(5), Netpbm: comments reach from # to the end of a line, anywhere in the header.
-.. [4] FITS Standard 4.0, section 3.3: cards of 80 bytes, up to END, in blocks of 2880 bytes.
-.. [5] ITU-T T.800 (JPEG 2000), annex A: marker segments up to the first tile.
 """
 
 from __future__ import annotations
@@ -136,27 +134,14 @@ _GAP = rb"(?:\s|#[^\n]*\n)+"
 _NETPBM = re.compile(rb"P(?:[14]%b\d+%b\d+|[^14]%b\d+%b\d+%b(\S+))\s" % ((_GAP,) * 5))
 _AFTER_MARK = 3  # bytes: "P6" and the end of the line
 _NETPBM_TEXT, _NETPBM_FLOATS = (b"1", b"2", b"3"), (b"F", b"f")
-_CARD, _FITS_BLOCK = 80, 2880  # bytes
-_FITS_STRUCTURE = (b"SIMPLE", b"BITPIX", b"NAXIS", b"BZERO", b"BSCALE")
-_CODESTREAM, _COMMENT, _TILE = b"\xff\x4f\xff\x51", b"\xff\x64", b"\xff\x90"  # markers
-_OF_OPENJPEG = b"Created by OpenJPEG"  # a comment
 _MADE_BY_ENCODERS = (b"#?", b"FORMAT=")
 
 
 def with_header(source: bytes, encoded: bytes, known: str) -> bytes:
     """Return an image with the comments and variables of another file of its format."""
-    match known:
-        case "hdr":
-            head, end, _ = source.partition(_END)
-            return b"".join([head, end, encoded.partition(_END)[2]])
-        case "fits":
-            (old, place), (new, start) = _fits_cards(source), _fits_cards(encoded)
-            stored = [
-                [card[:30] for card in cards if card.startswith(_FITS_STRUCTURE)] for cards in (old, new)
-            ]
-            return source[:place] + encoded[start:] if stored[0] == stored[1] else encoded
-        case "jpeg2000" | "j2k":
-            return _with_comments(encoded, codestream_comments(source))
+    if known == "hdr":
+        head, end, _ = source.partition(_END)
+        return b"".join([head, end, encoded.partition(_END)[2]])
     comments, old_header, header = _comments(source), _NETPBM.match(source), _NETPBM.match(encoded)
     further = b""  # images, or other data
     if old_header and header and source[1:2] == encoded[1:2] not in _NETPBM_TEXT:
@@ -190,44 +175,6 @@ def has_usual_scale(data: bytes) -> bool:
         return False
     limits = np.finfo(np.float32)  # in which OpenImageIO multiplies
     return bool(limits.tiny <= scale <= limits.max)
-
-
-def _fits_cards(data: bytes) -> tuple[list[bytes], int]:
-    """Return the cards of the first header of a FITS file, and where it ends."""
-    cards = list[bytes]()
-    while not (cards and cards[-1].startswith(b"END ")) and len(cards) * _CARD < len(data):
-        cards.append(data[len(cards) * _CARD : (len(cards) + 1) * _CARD])
-    return cards, -(-len(cards) * _CARD // _FITS_BLOCK) * _FITS_BLOCK
-
-
-def _codestream(data: bytes) -> tuple[int, list[bytes], int]:
-    """Return where a stream of JPEG 2000 starts, the segments of its header, and where these end."""
-    start = data.index(_CODESTREAM)
-    at, segments = start + 2, list[bytes]()
-    while data[at : at + 2] != _TILE:
-        end = at + 2 + int.from_bytes(data[at + 2 : at + 4])
-        if end > len(data):
-            raise ValueError
-        segments.append(data[at:end])
-        at = end
-    return start, segments, at
-
-
-def codestream_comments(data: bytes) -> list[bytes]:
-    """Return the segments of comments in a JPEG 2000 image, except that of OpenImageIO's encoder."""
-    comments = (segment for segment in _codestream(data)[1] if segment.startswith(_COMMENT))
-    return [comment for comment in comments if not comment.startswith(_OF_OPENJPEG, 6)]
-
-
-def _with_comments(encoded: bytes, comments: list[bytes]) -> bytes:
-    """Return a JPEG 2000 image with these comments, if there are any, in the place of its own."""
-    start, segments, end = _codestream(encoded)
-    kept = [segment for segment in segments if not (comments and segment.startswith(_COMMENT))]
-    header = b"".join([encoded[start : start + 2], *kept, *comments])
-    before, box = bytearray(encoded[:start]), int.from_bytes(encoded[start - 8 : start - 4])
-    if before.endswith(b"jp2c") and box:  # with its length in bytes
-        before[-8:-4] = (box + start + len(header) - end).to_bytes(4)
-    return b"".join([before, header, encoded[end:]])
 
 
 def header_lines(data: bytes, known: str) -> list[str]:

@@ -72,7 +72,7 @@ def carry_over(source: bytes, encoded: bytes, known: str, part: int = 0) -> byte
             return tiff_tags.with_tags(source, encoded)
         case "openexr":
             return headers.with_attributes(source, encoded, part)
-        case "hdr" | "ppm" | "pgm" | "pfm" | "fits" | "jpeg2000" | "j2k":
+        case "hdr" | "ppm" | "pgm" | "pfm":
             return headers.with_header(source, encoded, known)
     return encoded
 
@@ -116,6 +116,12 @@ def has_usual_bits(data: bytes) -> bool:
     if header < _ALPHA_HEADER and packing != _BIT_FIELDS[1]:
         alpha = 0
     return alpha == 0 if bits == 16 else (colours == [0xFF0000, 0xFF00, 0xFF] and alpha in (0, 0xFF000000))
+
+
+def is_plain_bmp(data: bytes) -> bool:
+    """Whether a BMP file has 24 or 32 bits a pixel and a header of Windows: the kinds that are written."""
+    header, bits = (int.from_bytes(data[at : at + n], "little") for at, n in ((14, 4), (28, 2)))
+    return header >= _WINDOWS_HEADER and bits in (24, 32)
 
 
 def is_lossless_webp(data: bytes) -> bool:
@@ -198,13 +204,10 @@ def _carry_png(source: bytes, encoded: bytes) -> bytes:
 
 
 def _carry_bmp(source: bytes, encoded: bytes) -> bytes:
-    """Replace the pixels, if both files store them in the same way; a header may describe, and hold, a profile."""
-    (old, kind, *storage, packing), (new, _, *same, plain) = (
-        struct.unpack_from("<IIiiHHI", data, 10) for data in (source, encoded)
-    )
+    """Replace the pixels, unless the first row is the top one; a header may describe, and hold, a profile."""
+    (old, *storage), (new, *same) = (struct.unpack_from("<I4xiiHH", data, 10) for data in (source, encoded))
     width, height, _, bits = storage
-    is_same = packing == plain or (packing in _BIT_FIELDS and bits == 32)  # rare masks are refused
-    if kind < _WINDOWS_HEADER or storage != same or bits <= _MOST_BITS_OF_A_PALETTE or not is_same:
+    if storage != same:
         return encoded
     size = -(-width * bits // 32) * 4 * abs(height)  # rows are filled up to 4 bytes
     return source[:old] + encoded[new : new + size] + source[old + size :]

@@ -114,22 +114,23 @@ FORMATS = {
     "tiff": ImageFormat((".tif", ".tiff", ".tx"), _ANY, signatures=(b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")),
     "openexr": ImageFormat((".exr",), ("float16", "float32"), signatures=(b"v/1\x01",)),
     "targa": ImageFormat((".tga", ".targa", ".tpic"), ("uint8",)),
-    "bmp": ImageFormat((".bmp", ".dib"), ("uint8",), (1, 3), (b"BM",)),  # most programs ignore an alpha in it
+    "bmp": ImageFormat((".bmp", ".dib"), ("uint8",), (3,), (b"BM",)),  # most programs ignore an alpha in it
     "hdr": ImageFormat((".hdr", ".rgbe"), ("float32",), (3,), (b"#?",)),
     "jpegxl": ImageFormat((".jxl",), _ANY, (1, 3, 4), (b"\xff\x0a", b"\0\0\0\x0cJXL \r\n\x87\n")),
-    "jpeg2000": ImageFormat((".jp2",), ("uint8", "uint16"), (1, 3, 4), (b"\0\0\0\x0cjP  \r\n\x87\n",)),
-    "j2k": ImageFormat((".j2k", ".j2c"), ("uint8", "uint16"), (1, 3, 4), (b"\xff\x4f\xff\x51",)),
     "pnm": ImageFormat((".pnm",), ("uint8", "uint16"), (1, 3)),  # one of the next two
     "ppm": ImageFormat((".ppm", ".pnm"), ("uint8", "uint16"), (3,), _netpbm(b"36")),
     "pgm": ImageFormat((".pgm", ".pnm"), ("uint8", "uint16"), (1,), _netpbm(b"25")),
     "pfm": ImageFormat((".pfm",), ("float32",), (1, 3), _netpbm(b"Ff")),
-    "dpx": ImageFormat((".dpx",), ("uint8", "uint16", "float32"), (1, 3, 4), (b"SDPX", b"XPDS")),
-    "sgi": ImageFormat((".sgi", ".rgb", ".rgba", ".bw"), ("uint8", "uint16"), (1, 3, 4), (b"\x01\xda",)),
-    "fits": ImageFormat((".fits", ".fit", ".fts"), ("uint8", "float32"), (1, 3, 4), (b"SIMPLE  =",)),
-    "rla": ImageFormat((".rla",), ("uint8", "uint16", "float32")),
     "ktx2": ImageFormat((".ktx2",), ("uint8",), (3, 4), (b"\xabKTX 20\xbb",)),
     "avif": ImageFormat((".avif",), ("uint8",), (3, 4)),
-    # What these hold (two levels, palettes, layers, blocks, several sizes) would not come back as it was.
+    # What most of these hold (two levels, palettes, layers, blocks, several sizes) would not come back as it was; the
+    # first six are rare, and with them their headers.
+    "jpeg2000": ImageFormat((".jp2",), signatures=(b"\0\0\0\x0cjP  \r\n\x87\n",), writable=False),
+    "j2k": ImageFormat((".j2k", ".j2c"), signatures=(b"\xff\x4f\xff\x51",), writable=False),
+    "dpx": ImageFormat((".dpx",), signatures=(b"SDPX", b"XPDS"), writable=False),
+    "sgi": ImageFormat((".sgi", ".rgb", ".rgba", ".bw"), signatures=(b"\x01\xda",), writable=False),
+    "fits": ImageFormat((".fits", ".fit", ".fts"), signatures=(b"SIMPLE  =",), writable=False),
+    "rla": ImageFormat((".rla",), writable=False),
     "pbm": ImageFormat((".pbm",), signatures=_netpbm(b"14"), writable=False),
     "gif": ImageFormat((".gif",), signatures=(b"GIF87a", b"GIF89a"), writable=False),
     "psd": ImageFormat((".psd", ".psb"), signatures=(b"8BPS",), writable=False),

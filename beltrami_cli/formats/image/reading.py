@@ -342,12 +342,12 @@ def opened(data: bytes, config: Any = None, name: str = _UNNAMED) -> Iterator[tu
 
 
 @contextmanager
-def scratch_file(data: bytes = b"", suffix: str = "", name: str = _UNNAMED) -> Iterator[Path]:
-    """Give a file a name for a while: in memory on Linux if it needs no suffix, else among temporary files.
+def scratch_file(data: bytes = b"", name: str = _UNNAMED) -> Iterator[Path]:
+    """Give a file a name for a while: in memory on Linux, else among temporary files.
 
     Other processes can open it as well.
     """
-    if not suffix and hasattr(os, "memfd_create") and _OPEN_FILES.is_dir():
+    if hasattr(os, "memfd_create") and _OPEN_FILES.is_dir():
         descriptor = os.memfd_create("image")
         try:
             path = Path(f"/proc/{os.getpid()}/fd/{descriptor}")
@@ -360,7 +360,7 @@ def scratch_file(data: bytes = b"", suffix: str = "", name: str = _UNNAMED) -> I
         from beltrami_cli.surface.worker_process import temporary_folder
 
         with temporary_folder() as folder:
-            path = folder / f"image{suffix}"
+            path = folder / "image"
             _fill(path, data, name)
             yield path
 

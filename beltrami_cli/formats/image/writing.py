@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from functools import partial
 from pathlib import PurePosixPath
@@ -15,7 +16,6 @@ from beltrami_cli.formats.image import extra_codecs, headers, metadata, tiff_tag
 from beltrami_cli.formats.image.conversion import TECHNICAL, converted
 from beltrami_cli.formats.image.encoding import (
     LOSSY_EXR,
-    NEEDS_SUFFIX,
     described,
     encoded,
     reading_back,
@@ -25,7 +25,6 @@ from beltrami_cli.formats.image.metadata import FORMATS_WITH_EXIF, carry_exif, e
 from beltrami_cli.formats.image.picture import (
     FORMATS,
     TYPES,
-    WRITABLE,
     Picture,
     format_of_suffix,
     full_scale_one,
@@ -64,8 +63,7 @@ _NOT_KEPT = (
     "oiio:AverageColor", "oiio:ConstantColor",
 )  # fmt: skip
 _STORAGE_IN_TIFF = ("tiff:", "oiio:", "compression", "planarconfig")
-_LEAST_JPEG_2000 = 32  # pixels: images are halved five times, and readers reject smaller ones
-_CHOICES = f"{', '.join(WRITABLE)} as the ending of OUTPUT or, of textures, with --texture-format"
+_CHOICES = ".tif, .png or .exr as the ending of OUTPUT or, of textures, with --texture-format"
 _FROM_TOP = 0x20  # bit of byte 17 of a TGA file: the first row is the top one
 
 
@@ -167,9 +165,6 @@ def _with_metadata(picture: Picture, encoded: bytes, notices: list[str]) -> Imag
 def check_writable(picture: Picture, suffix: str | None) -> str:
     """Return the format of a suffix (None: the picture's own); UsageError if it cannot hold this image."""
     known = picture.format if suffix is None else format_of_suffix(suffix)
-    if known in NEEDS_SUFFIX and min(picture.pixels.shape[:2]) < _LEAST_JPEG_2000:
-        cause = f"an image of fewer than 32 pixels a side cannot be written as {label_of(known)}"
-        raise UsageError(f"{picture.name}: {cause}")
     missing = extra_codecs.missing_package(known) if known in extra_codecs.EXTRA_CODECS else None
     if known is not None and missing is not None:
         cause = f"{picture.name}: to write {label_of(known)} the package {missing} is needed"
@@ -177,9 +172,11 @@ def check_writable(picture: Picture, suffix: str | None) -> str:
     if known is not None and len(picture.colour) > max(FORMATS[known].channels):
         cause = f"{label_of(known)} holds grey only, but the image has colours"
         raise UsageError(f"{picture.name}: {cause}; choose .ppm")
-    if known is not None and FORMATS[known].writable:
-        return known
     what = label_of(known) if known is not None else suffix
+    if known == picture.format == "bmp" and not metadata.is_plain_bmp(picture.source):
+        what = "BMP with a palette, 16 bits or a header of OS/2"
+    elif known is not None and FORMATS[known].writable:
+        return known
     raise UsageError(f"{picture.name}: images cannot be written as {what}; choose {_CHOICES}")
 
 
@@ -244,12 +241,13 @@ _APP0, _APP14, _APP15, _COMMENT = 0xE0, 0xEE, 0xEF, 0xFE
 # Another notice reports that the pictures of an index (MPF) are dropped.
 _JPEG_READ = ("JFIF", "MPF", "Exif", "http://ns.adobe.com/xap/1.0/", "ICC_PROFILE", "Photoshop 3.0", "COM")
 _HEADER_BOX = b"jp2h"
-_BOXES = {
-    "jpeg2000": (
-        b"jP  ", b"ftyp", _HEADER_BOX, b"ihdr", b"bpcc", b"colr", b"pclr", b"cmap", b"cdef", b"jp2c",
-    ),
-    "jpegxl": (b"JXL ", b"ftyp", b"jxlc", b"jxlp", b"jxll", b"jxli"),
-}  # fmt: skip
+# That hold pixels, or how they are stored, in JPEG 2000 and JPEG XL.
+_BOXES = (
+    b"jP  ", b"ftyp", _HEADER_BOX, b"ihdr", b"bpcc", b"colr", b"pclr", b"cmap", b"cdef", b"jp2c",
+    b"JXL ", b"jxlc", b"jxlp", b"jxll", b"jxli",
+)  # fmt: skip
+_JPEG_2000_TILE = b"\xff\x90"
+_JPEG_2000_COMMENT = re.compile(rb"\xff\x64..\x00\x01(?!Created by OpenJPEG)", re.DOTALL)
 
 
 def lost_metadata(picture: Picture, data: bytes, known: str) -> tuple[str, ...]:
@@ -314,10 +312,11 @@ def _items(data: bytes, known: str) -> dict[str, bool]:
         case "openexr":
             return {f"EXR attribute {name}": is_read for name, is_read in headers.attributes(data).items()}
         case "jpeg2000" | "j2k" | "jpegxl":
-            unknown = (kind for kind in _boxes(data) if kind not in _BOXES[known])
-            comments = known != "jpegxl" and headers.codestream_comments(data)
-            boxes = {f"box {kind.decode('latin-1').strip()}": False for kind in unknown}
-            return boxes | ({"comment": False} if comments else {})
+            kinds = (kind.decode("latin-1").strip() for kind in _boxes(data) if kind not in _BOXES)
+            comment = known != "jpegxl" and _JPEG_2000_COMMENT.search(data.partition(_JPEG_2000_TILE)[0])
+            return dict.fromkeys(
+                (*(f"box {kind}" for kind in kinds), *(["comment"] if comment else [])), False
+            )
         case "hdr" | "ppm" | "pgm" | "pfm":
             return dict.fromkeys(headers.header_lines(data, known), False)
         case "targa" if data.endswith(metadata.TARGA_END) and any(data[-22:-18]):
