@@ -312,11 +312,10 @@ def _items(data: bytes, known: str) -> dict[str, bool]:
         case "openexr":
             return {f"EXR attribute {name}": is_read for name, is_read in headers.attributes(data).items()}
         case "jpeg2000" | "j2k" | "jpegxl":
-            kinds = (kind.decode("latin-1").strip() for kind in _boxes(data) if kind not in _BOXES)
-            comment = known != "jpegxl" and _JPEG_2000_COMMENT.search(data.partition(_JPEG_2000_TILE)[0])
-            return dict.fromkeys(
-                (*(f"box {kind}" for kind in kinds), *(["comment"] if comment else [])), False
-            )
+            boxes = (kind.decode("latin-1").strip() for kind in _boxes(data) if kind not in _BOXES)
+            lost = [f"box {box}" for box in boxes]
+            has_comment = known != "jpegxl" and _JPEG_2000_COMMENT.search(data.partition(_JPEG_2000_TILE)[0])
+            return dict.fromkeys([*lost, "comment"] if has_comment else lost, False)
         case "hdr" | "ppm" | "pgm" | "pfm":
             return dict.fromkeys(headers.header_lines(data, known), False)
         case "targa" if data.endswith(metadata.TARGA_END) and any(data[-22:-18]):
