@@ -41,7 +41,7 @@ _JUNIT_HEAD = _XML + f'<testsuite name="{_SUITE}"'.encode()
 @options.options_of(Limits)
 @options.options_of(KernelParameters, only=("weights",))
 @options.options_of(SmoothSettings, only=options.COLOURS, changed=options.COMPARED)
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@options.as_json
 @click.option(
     "--map", "map_to", metavar="OUT.png|OUT.ply", shell_complete=complete_files,
     help="Draw where colours differ: a picture, or a mesh of vertices.",
@@ -78,8 +78,6 @@ def compare(
 
         junit.write(Written(main=[_junit(comparison)]))
     if as_json:
-        from dataclasses import asdict
-
         click.echo(json.dumps(asdict(comparison), indent=2))
     elif not messages.quiet:
         _show(comparison)
@@ -181,7 +179,7 @@ _ONE_SCALAR = {
 
 
 @command("check", before="BEFORE", after="AFTER")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@options.as_json
 @options.options_of(SmoothSettings, only=("channels",), changed=_ONE_SCALAR)
 @options.reading
 @options.quiet

@@ -40,7 +40,7 @@ _COLUMNS = ("file", "format", "part", "samples", "noise", "n", "t", "beta")
 
 
 @command("info", sources="FILE...")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON; of several files a line each.")
+@options.as_json
 @options.smoothing
 @options.reading
 @options.verbose

@@ -261,6 +261,7 @@ output_format = click.option(
     cls=GroupedOption, group=Access.group,
     help="Format of OUTPUT where its name does not say it, as with -.",
 )  # fmt: skip
+as_json = click.option("--json", "as_json", is_flag=True, help="Print JSON on the standard output.")
 quiet = click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 verbose = click.option("-v", "--verbose", count=True, help="Print details; twice: with tracebacks.")
 

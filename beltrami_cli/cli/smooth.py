@@ -18,16 +18,17 @@ from beltrami_cli.errors import OutputError, UsageError
 from beltrami_cli.fields import of_255, show_size
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.settings import BakeSettings, NoiseSettings
-from beltrami_cli.layers.settings import BakeTo, LevelSettings, SmoothSettings
+from beltrami_cli.layers.settings import DEFAULTS, BakeTo, LevelSettings, SmoothSettings
 from beltrami_cli.view.words import doubt_in_words, noise_of, way_out, why_left
 
 if TYPE_CHECKING:
     from beltrami_cli.jobs.output import Output
-    from beltrami_cli.jobs.smooth import LevelFileReport, SmoothReport
+    from beltrami_cli.jobs.recolour import FileReport
+    from beltrami_cli.jobs.smooth import SmoothReport
     from beltrami_cli.layers.layer import LayerReport, LevelReport
     from beltrami_cli.view.render import Preview
 
-Report = TypeVar("Report", "SmoothReport", "LevelFileReport")
+Report = TypeVar("Report", bound="FileReport")
 
 _dry_run = click.option("--dry-run", is_flag=True, help="Compute and report, but write no OUTPUT.")
 _report = click.option(
@@ -35,7 +36,7 @@ _report = click.option(
     "report_path",
     metavar="FILE.json",
     shell_complete=complete_files,
-    help="Write parameters, counts and changes.",
+    help="Write parameters, counts and changes; - prints them.",
 )
 _preview = click.option(
     "--preview", "preview_path", metavar="FILE.png", shell_complete=complete_files,
@@ -43,9 +44,14 @@ _preview = click.option(
 )  # fmt: skip
 
 
+def _reporting(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options of a report."""
+    return options.as_json(_report(command))
+
+
 def _besides(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options of a dry run, a report and a preview."""
-    return _dry_run(_report(_preview(command)))
+    return _dry_run(_reporting(_preview(command)))
 
 
 @command("smooth", source="INPUT", target="OUTPUT")
@@ -63,7 +69,7 @@ def smooth(source: str, target: str, messages: Messages, **smoothing: Any) -> No
     from beltrami_cli.jobs.smooth import smooth_file
 
     carry_out = partial(smooth_file, source, target, settings, unwrap=unwrap)
-    report = _written(smoothing, (source, target), settings, messages, carry_out)
+    report = _written(smoothing, (source, target), messages, carry_out, settings)
     name = output_name(report.output)
     _show_levelled(messages, report.levelled, f"{name}: ")
     if settings.kernel.iterations:
@@ -168,7 +174,7 @@ def level(source: str, target: str, messages: Messages, **values: Any) -> None:
     from beltrami_cli.jobs.smooth import level_file
 
     carry_out = partial(level_file, source, target, wanted, settings)
-    report = _written(values, (source, target), settings, messages, carry_out)
+    report = _written(values, (source, target), messages, carry_out, settings)
     messages.warn_of(source, report.warnings)
     unwritten = "not written (dry run), " if values["dry_run"] else ""
     _show_levelled(messages, report.levelled, f"{output_name(target)}: {unwritten}")
@@ -193,37 +199,39 @@ def _show_levelled(messages: Messages, reports: Sequence[LevelReport], name: str
 
 
 def _written(
-    values: Mapping[str, Any], ends: tuple[str, str], settings: SmoothSettings, messages: Messages,
-    carry_out: Callable[[Job], Report],
+    values: Mapping[str, Any], ends: tuple[str, str], messages: Messages, carry_out: Callable[[Job], Report],
+    settings: SmoothSettings = DEFAULTS,
 ) -> Report:  # fmt: skip
-    """Carry out a job from INPUT to OUTPUT, and put all that it writes in place together; return its report."""
+    """Carry out a job from INPUT to OUTPUT, and put all that it writes in place together; return its report.
+
+    `settings`: for a preview.
+    """
     from beltrami_cli.formats.changes import Written
     from beltrami_cli.jobs.output import FileSet
 
     with options.job_from(values, ends[0], messages) as job, FileSet(ends) as files:
-        job = replace(job, dry_run=values["dry_run"], files=files)
-        report_file = _open_report(values["report_path"], job)
-        preview = _open_preview(values["preview_path"], ends, settings, job)
+        job = replace(job, dry_run=values.get("dry_run", False), files=files)
+        named = dict.fromkeys([values["report_path"], "-" if values["as_json"] else None])
+        report_files = [_open_report(path, ends[1], job) for path in named if path is not None]
+        preview = _open_preview(values.get("preview_path"), ends, settings, job)
         report = carry_out(job if preview is None else replace(job, check=preview.check))
         if preview is not None:
             preview.draw()
-        if report_file is not None:
-            report_file.write(Written(main=[(json.dumps(asdict(report), indent=2) + "\n").encode()]))
+        for file in report_files:
+            file.write(Written(main=[(json.dumps(asdict(report), indent=2) + "\n").encode()]))
         files.put_in_place()
     return report
 
 
-def _open_report(path: str | None, job: Job) -> Output | None:
-    """Check that a report can be written, if one is wanted, before anything is computed."""
+def _open_report(path: str, target: str, job: Job) -> Output:
+    """Check that a report can be written, before anything is computed."""
     from beltrami_cli.jobs.output import Output
     from beltrami_cli.jobs.smooth import is_report
 
-    if path is None:
-        return None
-    if path == "-":
-        raise OutputError(path, "the report is a file; standard output is for OUTPUT", "name a file")
+    if path == target == "-":
+        raise OutputError("<stdout>", "the report would mix with OUTPUT", "name a file for one of them")
     replaced = overwrite_at("report_path", overwrite=job.overwrite)
-    return Output(path, overwrite=replaced, what="report", is_own=is_report, files=job.files)
+    return Output(path, overwrite=replaced, is_text=True, what="report", is_own=is_report, files=job.files)
 
 
 def _open_preview(
@@ -245,14 +253,14 @@ def _open_preview(
 @click.option("--to", type=click.Choice(get_args(BakeTo)), required=True, help="Where the colours go.")
 @options.options_of(BakeSettings)
 @options.output_format
+@_reporting
 @options.writing
 def bake(source: str, target: str, to: BakeTo, messages: Messages, **values: Any) -> None:
     """Move the colours of INPUT from its vertices to a texture, or from its textures to the vertices."""
     settings = options.record_from(BakeSettings, values)
     from beltrami_cli.jobs.new_texture import bake_file
 
-    with options.job_from(values, source, messages) as job:
-        report = bake_file(source, target, to, settings, job)
+    report = _written(values, (source, target), messages, partial(bake_file, source, target, to, settings))
     messages.warn_of(report.input, report.warnings)
     for path in report.written[1:]:
         messages.detail(f"written with it: {path}")
@@ -264,6 +272,7 @@ def bake(source: str, target: str, to: BakeTo, messages: Messages, **values: Any
 @options.options_of(NoiseSettings)
 @options.options_of(SmoothSettings, only=(*options.COLOURS, *options.ENCODING), changed=options.UNMIXED)
 @options.output_format
+@_reporting
 @options.writing
 def noise(source: str, target: str, messages: Messages, **values: Any) -> None:
     """Add noise to the colours of INPUT, and write OUTPUT with nothing else changed: for tests and demonstrations."""
@@ -271,8 +280,9 @@ def noise(source: str, target: str, messages: Messages, **values: Any) -> None:
     noise = options.record_from(NoiseSettings, values)
     from beltrami_cli.jobs.noise import noise_file
 
-    with options.job_from(values, source, messages) as job:
-        report = noise_file(source, target, noise, settings, job)
+    report = _written(
+        values, (source, target), messages, partial(noise_file, source, target, noise, settings)
+    )
     messages.warn_of(source, report.warnings)
     for added in report.added:
         messages.say(

@@ -172,7 +172,17 @@ class Difference:
 
 @dataclass(frozen=True)
 class CheckReport:
-    """The outcome of a comparison; `dataclasses.asdict` gives JSON types."""
+    """The outcome of a comparison; `dataclasses.asdict` gives JSON types.
+
+    Attributes
+    ----------
+    before, after, format : str
+        Paths of the files, and their format.
+    differences : list of Difference
+        "what" differs, how ("detail"), and whether it is "of_colour" and so allowed.
+    faithful : bool
+        Whether nothing but colours and images differs.
+    """
 
     before: str
     after: str

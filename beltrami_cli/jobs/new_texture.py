@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -275,10 +276,20 @@ _FINENESS = ("uint8", "uint16", "float16", "float32")
 
 @dataclass(frozen=True, kw_only=True)
 class BakeReport(FileReport):
-    """What was done."""
+    """What was done to a file; `dataclasses.asdict` gives JSON types.
 
-    counts: dict[str, int]  # of triangles, charts or coloured vertices, by their names in the singular
-    texture: str  # what kind of texture was made, in words; empty if none was
+    Attributes
+    ----------
+    counts : dict
+        How many triangles, charts or coloured vertices were written, by their names in the singular.
+    texture : str
+        What kind of texture was made, in words; empty if none was.
+    input, output, format, parameters, stages, peak_memory, written, warnings
+        As for `SmoothReport`.
+    """
+
+    counts: dict[str, int]
+    texture: str
 
 
 def bake_file(
@@ -308,7 +319,8 @@ def bake_file(
             contents, notices = _colours_from_textures(document)
             counts = {"coloured vertex": len(contents.positions), "triangle": len(contents.offsets) - 1}
             written, texture = write_mesh(contents, kind, stem), ""
-    return BakeReport(**vars(file.write(written, notices)), counts=counts, texture=texture)
+    done = {**vars(file.write(written, notices)), "parameters": {"to": to, **dataclasses.asdict(settings)}}
+    return BakeReport(**done, counts=counts, texture=texture)
 
 
 def _colours_from_textures(document: Document) -> tuple[MeshContents, tuple[str, ...]]:

@@ -1,5 +1,6 @@
 """Results: data on standard output and messages on standard error, through a pipe as to a file, nothing replaced."""
 
+import dataclasses
 import json
 import re
 import shutil
@@ -7,6 +8,7 @@ import stat
 
 import pytest
 
+import beltrami_cli
 from cli.commands import SAMPLES, beltrami, refused
 from formats.volume_files import sphere_file
 
@@ -100,3 +102,31 @@ def test_a_dry_run_reports_and_writes_nothing(name, options, tmp_path):
     assert re.search(rb"peak memory: [1-9][0-9.]*M\n", run.stderr)
     assert [path.name for path in tmp_path.iterdir()] == ["report.json"]
     assert json.loads(report.read_text())["written"] == []
+
+
+RECORDS = {
+    "smooth": "SmoothReport", "level": "LevelFileReport", "bake": "BakeReport", "noise": "NoiseReport",
+    "compare": "Comparison", "check": "CheckReport",
+}  # fmt: skip
+CALLS = {**WRITERS, "compare": ("compare", NOISY, NOISY), "check": ("check", NOISY, NOISY)}
+
+
+@pytest.mark.parametrize("name", RECORDS)
+def test_json_has_the_documented_keys_and_nothing_else_is_printed_with_it(name, tmp_path):
+    record = getattr(beltrami_cli, RECORDS[name])
+    run = beltrami(*CALLS[name], "--json", cwd=tmp_path, text=True)
+    printed = json.loads(run.stdout)
+    assert {field.name for field in dataclasses.fields(record)} <= set(printed)
+    described = record.__doc__ + beltrami_cli.SmoothReport.__doc__ * ("SmoothReport" in record.__doc__)
+    assert [
+        key for key in printed if not re.search(rf"^    (?:\w+, )*{key}\b", described, re.MULTILINE)
+    ] == []
+
+
+@pytest.mark.parametrize("name", ["smooth", "level", "bake", "noise"])
+def test_the_report_is_the_same_in_a_file_and_printed(name, tmp_path):
+    run = beltrami(*WRITERS[name], "--report", "run.json", "--json", cwd=tmp_path, text=True)
+    assert run.stdout == (tmp_path / "run.json").read_text()
+    dashed = beltrami(*WRITERS[name], "--report", "-", "--overwrite", "-q", cwd=tmp_path, text=True)
+    assert json.loads(dashed.stdout).keys() == json.loads(run.stdout).keys()
+    assert dashed.stderr == ""

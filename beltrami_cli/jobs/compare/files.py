@@ -76,19 +76,40 @@ class Moves:
 
 @dataclass(frozen=True)
 class Comparison:
-    """How two files differ; `dataclasses.asdict` gives JSON types."""
+    """How two files differ; `dataclasses.asdict` gives JSON types.
+
+    Attributes
+    ----------
+    reference, test : str
+        Paths of the files.
+    weights, space : str
+        What a sample counts, and what colours were taken as.
+    parts : list of dict
+        "name", "kind" and figures of each texture, the image, or the vertices; "identical": equal, among several parts.
+    overall : dict
+        Figures of all parts together that are not identical.
+    geometry : Moves or None
+        How far vertices moved; None for images.
+    limits : list of Verdict
+        For each limit and part what was "measured" and "allowed", and whether it is "kept".
+    passed : bool
+        Whether each part keeps to each limit.
+    map_scale : float or None
+        The Delta E that the brightest colour of the map stands for.
+    notices : list of str
+        Messages for the user.
+    """
 
     reference: str
     test: str
-    weights: str  # what a sample counts
-    space: str  # what colours were taken as
-    # "name", "kind" and figures of each texture, the image, or the vertices; "identical": equal, among several parts
+    weights: str
+    space: str
     parts: list[dict[str, Any]]
-    overall: dict[str, Any]  # figures of all parts together that are not identical
-    geometry: Moves | None  # None: an image
+    overall: dict[str, Any]
+    geometry: Moves | None
     limits: list[Verdict]
-    passed: bool  # whether each part keeps to each limit
-    map_scale: float | None  # the Delta E that the brightest colour of the map stands for
+    passed: bool
+    map_scale: float | None
     notices: list[str]
 
 
