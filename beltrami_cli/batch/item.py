@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from beltrami_cli.batch.storage import exists, hash_at, is_url, place_of, require_name, staged
-from beltrami_cli.errors import BeltramiError, InputError, OutputError
+from beltrami_cli.errors import BeltramiError, InputError, OutputError, UnpaintedError
 from beltrami_cli.formats.access import Access, is_there, limited_memory, open_regular, parse_json
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.jobs.job import Job
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from beltrami_cli.layers.settings import SmoothSettings
 
 
-Status = Literal["started", "done", "skipped", "failed", "not started"]
+Status = Literal["started", "done", "skipped", "uncoloured", "failed", "not started"]
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,7 @@ class Item:
     noise: NoiseSettings | None = None  # that is added to the colours, which are not smoothed then
     outside: bool = False  # whether files are followed that the model names beyond its own folder
     overwrite: bool = False
+    skip_uncoloured: bool = False  # whether a file without the colours that are asked for is no failure
     columns: tuple[str, ...] = ()  # names of the columns of points in text files
     # Whether an attempt that was cut off may have written files; existing ones must then be equal.
     again: bool = False
@@ -134,6 +135,8 @@ def do_item(
         if item.source not in message and item.target not in message:
             message = f"{item.source}: {message}"
         outcome = failed(item, message, error.exit_code, time.monotonic() - start)
+        if item.skip_uncoloured and isinstance(error, UnpaintedError):
+            outcome = dataclasses.replace(outcome, status="uncoloured")
         return Attempt(outcome, wants_memory)
     except Exception as error:  # even a mistake of ours is of this file only
         cause = " ".join(f"{item.source}: unexpected error: {type(error).__name__}: {error}".split())

@@ -67,6 +67,7 @@ _CLUSTER = "Many machines"
     help="Go on from the report of an earlier run: skip what it has done, if neither the files nor the parameters have "
     "changed since.",
 )  # fmt: skip
+@click.option("--skip-uncoloured", is_flag=True, help="Files without colours are no failures.")
 @click.option("--fail-fast", is_flag=True, help="Stop at the first failure.")
 @click.option(
     "--dry-run", is_flag=True,
@@ -169,8 +170,9 @@ def _jobs_for(requests: Iterable[Request], values: dict[str, Any], *, overwrite:
         except (click.UsageError, UsageError, ValueError) as error:
             cause = error.format_message() if isinstance(error, click.UsageError) else str(error)
             raise UsageError(f"{request.origin}: {cause}") from error
-        how = {"outside": values["allow_outside"], "overwrite": overwrite}
-        jobs.append(replace(item, source=request.source, target=request.target, **how))
+        how = {"overwrite": overwrite, "skip_uncoloured": values["skip_uncoloured"]}
+        outside = values["allow_outside"]
+        jobs.append(replace(item, source=request.source, target=request.target, outside=outside, **how))
     return jobs
 
 
@@ -259,7 +261,7 @@ def _workers(
 
 def _counts(outcomes: Sequence[Outcome]) -> str:
     states = [outcome.status for outcome in outcomes]
-    kinds = ("done", "skipped", "failed", "not started")
+    kinds = ("done", "skipped", "uncoloured", "failed", "not started")
     return ", ".join(f"{states.count(kind)} {kind}" for kind in kinds if kind in states)
 
 
@@ -286,12 +288,14 @@ class Display:
         count, done = len(self._jobs), self._finished - self._skipped + sum(self._shares.values())
         if self._work is not None:
             label = Label(f"{self._finished} of {count} {_FILES}", _FILES)
-            self._work(label, round(_STEPS * done), _STEPS * (count - self._skipped))
+            # What remains of a file whose work is done, such as reading it back, takes some time too.
+            steps, whole = round(_STEPS * done), _STEPS * (count - self._skipped)
+            self._work(label, steps if self._finished == count else min(steps, whole - 1), whole)
 
     def postponed(self, key: int) -> None:
         self._shares.pop(key, None)
         if self.messages.verbose:
-            _print(f"{self._jobs[key].source}: wants more than its share of memory, so it waits")
+            self.messages.show(f"{self._jobs[key].source}: wants more than its share of memory, so it waits")
 
     def finished(self, key: int, attempt: Attempt) -> None:
         self._shares.pop(key, None)
@@ -300,20 +304,15 @@ class Display:
         self._skipped += outcome.status == "skipped"
         self._show()
         if attempt.traceback and self.messages.verbose >= 2:
-            _print(*attempt.traceback.splitlines())
+            self.messages.show(*attempt.traceback.splitlines())
         if outcome.status == "failed":  # also with --quiet, as every error
-            _print(f"failed: {outcome.error}")
+            self.messages.show(f"failed: {outcome.error}")
         elif not self.messages.quiet:
             warnings = (outcome.report or {}).get("warnings", ()) if outcome.status == "done" else ()
-            _print(*(f"warning: {outcome.input}: {text}" for text in warnings))
+            self.messages.show(*(f"warning: {outcome.input}: {text}" for text in warnings))
             if self.messages.verbose:
                 pieces = f", in {attempt.pieces} pieces" if attempt.pieces else ""
-                _print(f"{outcome.status}: {outcome.output}, {outcome.seconds:.1f} s{pieces}")
-
-
-def _print(*lines: str) -> None:
-    for line in lines:
-        click.echo(printable(line), err=True)
+                self.messages.show(f"{outcome.status}: {outcome.output}, {outcome.seconds:.1f} s{pieces}")
 
 
 def _row(outcome: Outcome) -> list[str]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import io
+import math
 import os
 import shutil
 import signal
@@ -18,7 +19,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence, Sized
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import FrameType
 from typing import TYPE_CHECKING, Any, ClassVar, TextIO
 
@@ -166,7 +167,8 @@ def _progress_bar(work: Work) -> Progress:
     class ProgressBar(Progress):
         def get_renderables(self) -> Iterable[RenderableType]:
             for task in self.task_ids:
-                self.update(task, description=printable(work.label) or "starting", completed=work.share())
+                done = math.floor(100 * work.share()) / 100  # 100 % is not shown before all is done
+                self.update(task, description=printable(work.label) or "starting", completed=done)
             yield from super().get_renderables()
 
     # Names of files may have brackets.
@@ -182,10 +184,19 @@ class Messages:
 
     quiet: bool
     verbose: int
+    _bars: list[Progress] = field(default_factory=list, init=False)  # the one that is drawn now
+
+    def show(self, *lines: str) -> None:
+        """Print lines whatever was asked for, above the bar."""
+        for line in map(printable, lines):
+            if self._bars:
+                self._bars[-1].console.out(line, highlight=False)
+            else:
+                click.echo(line, err=True)
 
     def say(self, text: str) -> None:
         if not self.quiet:
-            click.echo(printable(text), err=True)
+            self.show(text)
 
     def detail(self, text: str) -> None:
         if self.verbose:
@@ -234,8 +245,12 @@ class Messages:
         from beltrami_cli.jobs.progress import Work
 
         work = Work()
-        with _progress_bar(work):
-            yield work
+        with _progress_bar(work) as bar:
+            self._bars.append(bar)
+            try:
+                yield work
+            finally:
+                self._bars.pop()
 
 
 _SAME_WISH = 1.0  # seconds in which another signal would only disturb the tidying

@@ -21,6 +21,7 @@ from batch.batches import (
     report_of,
     smoothed,
     statuses,
+    without_workers,
     write_textured,
 )
 from beltrami_cli.formats.registry import open_document
@@ -373,3 +374,18 @@ def test_a_batch_that_finds_no_workers_makes_no_folder(is_installed, tmp_path, m
         said = batch(*words, *QUICK, code=1)
         assert "no Dask scheduler answers there" in said if is_installed else "not installed" in said
         assert not (tmp_path / "deep").exists()
+
+
+def test_files_without_colours_are_no_failures_if_they_may_be_skipped(tmp_path):
+    shutil.copy(SAMPLES / "nonmanifold-noisy.ply", tmp_path / "a.ply")
+    (tmp_path / "b.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    words = ("batch", tmp_path / "a.ply", tmp_path / "b.obj", "--out-dir", tmp_path / "out", *QUICK)
+    with without_workers():
+        assert "1 done, 1 failed" in beltrami(*words, code=1, text=True).stderr
+        again = beltrami(*words, "--resume", "--skip-uncoloured", text=True).stderr
+        assert "1 skipped, 1 uncoloured" in again
+        # It is tried again, since it may have colours now.
+        shutil.copy(SAMPLES / "nonmanifold-noisy.obj", tmp_path / "b.obj")
+        assert "1 done, 1 skipped" in beltrami(*words, "--resume", "--skip-uncoloured", text=True).stderr
+        (tmp_path / "a.ply").write_text("ply\n")
+        assert "1 failed" in beltrami(*words, "--resume", "--skip-uncoloured", code=1, text=True).stderr

@@ -10,6 +10,8 @@ from contextlib import contextmanager
 
 import pytest
 
+from beltrami_cli.batch.item import Attempt, Outcome
+from beltrami_cli.cli.batch import Display
 from beltrami_cli.cli.console import Messages
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.progress import Label, Share, Work, phase_of
@@ -150,14 +152,27 @@ def test_the_choice_of_parameters_says_how_far_it_is_and_can_be_stopped(name, tm
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="there are no pseudo terminals")
-def test_on_a_terminal_one_bar_shows_per_cent_and_is_gone_in_the_end(tmp_path):
+def test_a_batch_counts_files_that_are_finished_and_is_at_100_per_cent_only_then():
+    items, shown = [None] * 5, []
+    display = Display(
+        items, Messages(quiet=True, verbose=0), Share(forward=lambda *state: shown.append(state))
+    )
+    for key in range(5):
+        display.advanced(key, "writing", 1000, 1000)
+    assert shown[-1][0] == "0 of 5 files"
+    for key in range(5):
+        assert shown[-1][1] < 1
+        display.finished(key, Attempt(Outcome("a.ply", "b.ply", "done")))
+    assert shown[-1] == ("5 of 5 files", 1)
+
+
+def on_a_terminal(*arguments, cwd):
+    """Run a command whose standard error is a terminal; return its exit code, and what is drawn and printed."""
     import pty
 
     ours, theirs = pty.openpty()
-    command = [*COMMAND, "info", str(SMALL)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=theirs, cwd=tmp_path) as run:
+    command = [*COMMAND, *map(str, arguments)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=theirs, cwd=cwd) as run:
         os.close(theirs)
         drawn = bytearray()
         with contextlib.suppress(OSError):  # as Linux reports the end
@@ -165,8 +180,25 @@ def test_on_a_terminal_one_bar_shows_per_cent_and_is_gone_in_the_end(tmp_path):
                 drawn += part
         printed = run.stdout.read().decode()
     os.close(ours)
-    shown = drawn.decode()
-    assert run.returncode == 0
+    return run.returncode, drawn.decode(), printed
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="there are no pseudo terminals")
+def test_messages_stand_in_lines_of_their_own_while_a_bar_is_drawn(tmp_path):
+    for name in "abc":
+        (tmp_path / f"{name}.ply").write_text("ply\n")
+    _, drawn, _ = on_a_terminal("batch", ".", "--out-dir", "out", "-j", 1, cwd=tmp_path)
+    lines = [re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", line) for line in re.split(r"[\r\n]+", drawn)]
+    assert sum(line.startswith("failed: ") for line in lines) == 3
+    assert not any("failed: " in line[1:] for line in lines)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="there are no pseudo terminals")
+def test_on_a_terminal_one_bar_shows_per_cent_and_is_gone_in_the_end(tmp_path):
+    code, shown, printed = on_a_terminal("info", SMALL, cwd=tmp_path)
+    assert code == 0
     assert re.search(r"reading|choosing parameters", shown)
     assert "%" in shown
     assert "\x1b" not in printed
