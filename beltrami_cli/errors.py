@@ -7,6 +7,7 @@ import shlex
 import shutil
 import signal
 import sys
+from typing import NamedTuple
 
 _LONGEST = 1000  # characters; what a file has for a name may be a million
 
@@ -22,6 +23,13 @@ def install_hint(requirement: str) -> str:
     is_same = os.path.dirname(shutil.which("pip") or "") == os.path.dirname(sys.executable)  # noqa: PTH120
     pip = "pip" if is_same else f"{shlex.quote(sys.executable)} -m pip"
     return f"install it with: {pip} install {shlex.quote(requirement)}"
+
+
+class Obstacle(NamedTuple):
+    """Why something in a file is not used, and what can be done about it."""
+
+    cause: str
+    remedy: str = ""
 
 
 class BeltramiError(Exception):
@@ -63,6 +71,10 @@ class InputError(FileError):
     """The input cannot be read, is damaged, or contains nothing that can be smoothed."""
 
     exit_code = 3
+
+
+class MemoryLimitError(InputError):
+    """The input needs more memory than it may take."""
 
 
 class UnpaintedError(InputError):

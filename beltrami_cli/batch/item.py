@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from beltrami_cli.batch.storage import exists, hash_at, is_url, place_of, require_name, staged
-from beltrami_cli.errors import BeltramiError, InputError, OutputError, UnpaintedError
+from beltrami_cli.errors import BeltramiError, InputError, MemoryLimitError, OutputError, UnpaintedError
 from beltrami_cli.formats.access import Access, is_there, limited_memory, open_regular, parse_json
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.jobs.job import Job
@@ -129,15 +129,13 @@ def do_item(
             done = _done(item, local or item, memory, progress)
         return Attempt(dataclasses.replace(done, seconds=round(time.monotonic() - start, 3)))
     except BeltramiError as error:
-        # Whatever refuses a file for want of memory names the option as the way out.
-        wants_memory = isinstance(error, InputError) and "--max-memory" in error.remedy
         message = str(error)
         if item.source not in message and item.target not in message:
             message = f"{item.source}: {message}"
         outcome = failed(item, message, error.exit_code, time.monotonic() - start)
         if item.skip_uncoloured and isinstance(error, UnpaintedError):
             outcome = dataclasses.replace(outcome, status="uncoloured")
-        return Attempt(outcome, wants_memory)
+        return Attempt(outcome, isinstance(error, MemoryLimitError))
     except Exception as error:  # even a mistake of ours is of this file only
         cause = " ".join(f"{item.source}: unexpected error: {type(error).__name__}: {error}".split())
         message = f"{cause}; run again with -vv and report it"

@@ -22,7 +22,7 @@ from io import BufferedReader
 from pathlib import Path
 from typing import Any, BinaryIO, ClassVar
 
-from beltrami_cli.errors import InputError
+from beltrami_cli.errors import InputError, MemoryLimitError
 from beltrami_cli.fields import Checked, names_in, parameter, show_size, size_in
 
 # Without O_NONBLOCK, opening a FIFO without a writer would wait for ever.
@@ -162,9 +162,10 @@ def read_source(source: str, access: Access = EVERYTHING_INSIDE) -> bytes:
         remedy = "give a file, or pipe the model in and name it -"
         raise InputError(source, "it is not a regular file", remedy) from error
     except OSError as error:
-        too_large = error.errno == errno.EFBIG
-        remedy = "raise --max-memory" if too_large else "check the path and its permissions"
-        raise InputError(source, f"cannot be read ({error.strerror})", remedy) from error
+        cause = f"cannot be read ({error.strerror})"
+        if error.errno == errno.EFBIG:
+            raise MemoryLimitError(source, cause, "raise --max-memory") from error
+        raise InputError(source, cause, "check the path and its permissions") from error
 
 
 def _read_stdin(access: Access) -> bytes:
@@ -174,7 +175,8 @@ def _read_stdin(access: Access) -> bytes:
             blocks.append(block)
             size += len(block)
             if access.memory is not None and size > access.memory:
-                raise InputError("<stdin>", f"it has more than {access.memory} bytes", "raise --max-memory")
+                cause = f"it has more than {access.memory} bytes"
+                raise MemoryLimitError("<stdin>", cause, "raise --max-memory")
     except OSError as error:
         cause = f"cannot be read ({error.strerror or error})"
         raise InputError("<stdin>", cause, "pipe the model in, or give a file") from error
@@ -328,7 +330,7 @@ def limited_memory(size: int | None, name: str) -> Iterator[None]:
                 raise
             limit = "the memory of this machine" if size is None else f"{show_size(size)} of memory"
             remedy = "raise --max-memory, or give a smaller model"
-            raise InputError(name, f"needs more than {limit}", remedy) from error
+            raise MemoryLimitError(name, f"needs more than {limit}", remedy) from error
 
 
 @contextlib.contextmanager

@@ -20,7 +20,7 @@ from typing import IO, Any, Literal
 import numpy as np
 
 from beltrami_cli.arrays import Array
-from beltrami_cli.errors import InputError
+from beltrami_cli.errors import InputError, MemoryLimitError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, require_ratio
 
 _LARGEST = 1 << 30  # bytes of a member, where no memory limit is given
@@ -47,7 +47,7 @@ class Archive:
             raise InputError(self.name, f"the archive has no {member}", _DAMAGED)
         if known.file_size > self._most:
             cause = f"{member} in the archive has {known.file_size} bytes, more than the {self._most} that are read"
-            raise InputError(self.name, cause, "raise --max-memory, or give a smaller model")
+            raise MemoryLimitError(self.name, cause, "raise --max-memory, or give a smaller model")
         require_ratio(self.name, member, known.compress_size, known.file_size)
         return self._content(known)
 
@@ -149,7 +149,7 @@ class NpzArchive(Archive):
         if most is not None and header.count > most:
             has = f"has {header.count} numbers, and {most} are allowed"
             cause = f"the array {key} of shape {header.shape} {has}"
-            raise InputError(self.name, cause, "raise --max-voxels or --max-memory")
+            raise MemoryLimitError(self.name, cause, "raise --max-voxels or --max-memory")
         with self._opened(key) as file:
             file.read(header.offset)
             data = file.read(header.size)

@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Self
 
 from beltrami_cli.arrays import Float32s, Float64s, Int64s
-from beltrami_cli.errors import InputError, UnpaintedError
+from beltrami_cli.errors import InputError, Obstacle, UnpaintedError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.changes import NO_IMAGES, Changes, Naming, NewImages, PlannedImages, Written
 from beltrami_cli.formats.comparison import Fingerprint
@@ -54,6 +54,7 @@ class Document(ABC):
         self.name = name  # of the file as the user named it, for messages
         self._textured: dict[records.Slot, records.TexturedSurface] = {}
         self.notices: list[str] = []  # for the user, one sentence each, without the file's name
+        self.obstacles: list[Obstacle] = []  # why colours are not used; `notices` has them, too
         self._open(folder)
 
     def _open(self, folder: Path | None) -> None:
@@ -175,9 +176,9 @@ class Document(ABC):
         """Its polygons and materials, a `Scene`; InputError if it has no textures."""
         raise InputError(self.name, "it has no textures")
 
-    def _undefined(self) -> str:
-        """Return why a material may have no textures that can be known, or nothing."""
-        return ""
+    def _undefined(self) -> Obstacle | None:
+        """Return why a material may have no textures that can be known, or None."""
+        return None
 
     def patch(
         self,
@@ -222,7 +223,7 @@ class Document(ABC):
     ) -> Self:
         """Return a copy to look at, but not to patch, with other vertex colours (None: the same) and image files."""
         made = copy(self)
-        made.notices, made._textured = [], {}
+        made.notices, made.obstacles, made._textured = [], [], {}
         if vertices is not None:
             made._painted = vertices  # in place of what the property would cache
         for slot in dict.fromkeys(slot for slot, _ in images):

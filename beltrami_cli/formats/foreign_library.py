@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from beltrami_cli.arrays import Array
-from beltrami_cli.errors import InputError, install_hint
+from beltrami_cli.errors import InputError, MemoryLimitError, install_hint
 from beltrami_cli.formats.access import most_unpacked
 from beltrami_cli.surface.worker_process import Message, WorkerError, ask, serve
 
@@ -43,9 +43,12 @@ class ForeignLibrary:
         except TimeoutError:
             raise InputError(name, f"it could not be read within {seconds} s", self.advice) from None
         except WorkerError as error:
-            exhausted = "raise --max-memory" if allowed < most else self.advice
-            remedies = {_MISSING: install_hint(f"beltrami-cli[{self.extra}]"), _EXHAUSTED: exhausted}
-            raise InputError(name, str(error)[:300], remedies.get(error.code, self.advice)) from error
+            cause = str(error)[:300]
+            if error.code == _EXHAUSTED and allowed < most:
+                raise MemoryLimitError(name, cause, "raise --max-memory") from error
+            is_missing = error.code == _MISSING
+            remedy = install_hint(f"beltrami-cli[{self.extra}]") if is_missing else self.advice
+            raise InputError(name, cause, remedy) from error
 
 
 def serve_files(answer: Callable[[Any, dict[str, Array]], Message], files: str, package: str) -> None:

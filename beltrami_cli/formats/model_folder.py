@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import product
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
-from beltrami_cli.errors import InputError
+from beltrami_cli.errors import InputError, Obstacle
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_regular
 from beltrami_cli.formats.changes import Bytes, Naming, NewImages, Written
 from beltrami_cli.formats.image.picture import format_of_suffix
@@ -34,27 +34,26 @@ _HERE = PurePosixPath()
 _ENCODINGS = ("gbk", "cp932", "cp1252")  # in China, in Japan and in the West
 _MISSING, _TILES = "is missing", "stands for a set of tiles (UDIM), which are not read"
 _NOWHERE = "is a file in the folder of the model, which is not known"
-_REMEDIES = {
-    _MISSING: "keep the model's files together, under the names that it has for them",
-    _TILES: "give each tile a material and a name of its own",
-    _NOWHERE: "give the model as a file, not through a pipe",
-    "is no USD layer": "write the scene as one layer (usdcat --flatten), and give that",
-    "leaves the model's folder": "copy its files into the model's folder; for other formats than USD, --allow-outside "
-    "reads them as well",
-    "no library has its material": "correct the name at usemtl, or name the library that has it at mtllib",
-    "no MaterialX surface": "bake their colours into images, or paint the vertices",
-    "USD files there are not read": "copy all files of the scene into one folder, or write it as one package (usdzip)",
-}
+_KEEP_TOGETHER = "keep the model's files together, under the names that it has for them"
+_TILE_BY_TILE = "give each tile a material and a name of its own"
+_AS_A_FILE = "give the model as a file, not through a pipe"
+_COPY_INSIDE = (
+    "copy its files into the model's folder; for other formats than USD, --allow-outside reads them as well"
+)
 
 _TOKEN = re.compile(r"<(udim|UDIM|UVTILE|uvtile)>")
 _FIRST = 1001
 
-LEFT_ALONE = ", and is left alone."  # behind the reason why a file is not read
+LEFT_ALONE = ", and is left alone."  # behind the cause why a file is not read
 _STAYS = "lies outside the model's folder; the output names it as the input does, and it is not copied."
 
 
 class UnfitReferenceError(Exception):
-    """A name that is not followed; the message is the reason, to be put behind the name."""
+    """A name that is not followed; the message is the cause, to be put behind the name."""
+
+    def __init__(self, cause: str, remedy: str = "") -> None:
+        super().__init__(cause)
+        self.obstacle = Obstacle(cause, remedy)
 
 
 class ModelFolder:
@@ -62,7 +61,7 @@ class ModelFolder:
 
     def __init__(self, folder: Path | None, access: Access = EVERYTHING_INSIDE) -> None:
         self._folder = None if folder is None else folder.resolve()
-        self._known: dict[tuple[str, PurePosixPath], str | UnfitReferenceError] = {}
+        self._known: dict[tuple[str, PurePosixPath], str | Obstacle] = {}
         self._listings: dict[Path, dict[str, str]] = {}
         self.tiles: dict[str, dict[Tile, str]] = {}  # files of the sets that were located, by the set's path
         self.access = access
@@ -80,16 +79,16 @@ class ModelFolder:
             try:
                 self._known[key] = self._locate(name, within)
             except UnfitReferenceError as error:
-                self._known[key] = error
+                self._known[key] = error.obstacle
         found = self._known[key]
         if isinstance(found, str):
             return found
-        raise UnfitReferenceError(str(found))
+        raise UnfitReferenceError(*found)
 
     def _locate(self, name: str, within: PurePosixPath) -> str:
         path = checked_path(name, within, outside=self.access.outside)
         if self._folder is None:
-            raise UnfitReferenceError(_NOWHERE)
+            raise UnfitReferenceError(_NOWHERE, _AS_A_FILE)
         if self.access.bring is not None:
             self.access.bring(self._folder / path)
         try:
@@ -98,7 +97,7 @@ class ModelFolder:
         except (FileNotFoundError, NotADirectoryError):
             similar = None if is_outside(path) else self._like_named(path)
             hint = f" (there is '{similar}', but capitals and accents count)" if similar else ""
-            raise UnfitReferenceError(f"{_MISSING}{hint}") from None
+            raise UnfitReferenceError(f"{_MISSING}{hint}", _KEEP_TOGETHER) from None
         except (OSError, ValueError, RuntimeError):  # Names that no file can have: too long, or with a NUL.
             raise UnfitReferenceError("cannot be the name of a file") from None
         if not self.access.outside and not there.is_relative_to(self._folder):
@@ -135,7 +134,7 @@ class ModelFolder:
             return self.locate(pattern, within)
         path = checked_path(pattern, within, outside=self.access.outside, tiles=True)
         if self._folder is None:
-            raise UnfitReferenceError(_NOWHERE)
+            raise UnfitReferenceError(_NOWHERE, _AS_A_FILE)
         folder = PurePosixPath(path).parent
         if self.access.bring is not None:
             # The hundred tiles that a set has at most in practice, for storage that is not listed.
@@ -145,7 +144,7 @@ class ModelFolder:
         names |= {there.name for there in self.access.instead if there.parent == self._folder / folder}
         tiles = found_tiles(PurePosixPath(path).name, names)
         if not tiles:
-            raise UnfitReferenceError(f"{_MISSING} (no tile of it is there)")
+            raise UnfitReferenceError(f"{_MISSING} (no tile of it is there)", _KEEP_TOGETHER)
         self.tiles[path] = {tile: self.locate(str(folder / name)) for tile, name in tiles.items()}
         return path
 
@@ -212,18 +211,13 @@ def checked_path(name: str, within: PurePosixPath = _HERE, *, outside: bool, til
     if _NETWORK.match(plain) or (_SCHEME.match(plain) and not outside):
         raise UnfitReferenceError("is not a relative path; only files in the model's folder are read")
     if has_token(name) and not tiles:
-        raise UnfitReferenceError(_TILES)
+        raise UnfitReferenceError(_TILES, _TILE_BY_TILE)
     path = within / plain
     if any(part.startswith(".") and part != ".." for part in path.parts):
         raise UnfitReferenceError("is a hidden file, which is not read")
     if not outside and (path.is_absolute() or ".." in path.parts):
-        raise UnfitReferenceError("leaves the model's folder; only files inside it are read")
+        raise UnfitReferenceError("leaves the model's folder; only files inside it are read", _COPY_INSIDE)
     return posixpath.normpath(path) if outside else str(path)
-
-
-def remedy_for(reason: str) -> str:
-    """Return what can be done where a file is not read for a reason; "" if its name is not the cause."""
-    return next((remedy for known, remedy in _REMEDIES.items() if known in reason), "")
 
 
 def is_outside(path: str) -> bool:

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
-from beltrami_cli.errors import InputError, UnpaintedError
+from beltrami_cli.errors import InputError, Obstacle, UnpaintedError
 from beltrami_cli.formats.access import LARGE
 from beltrami_cli.formats.changes import Naming, NewImages
 from beltrami_cli.formats.image.picture import suffix_for
-from beltrami_cli.formats.model_folder import NewFiles, TileSets, remedy_for, tile_name
+from beltrami_cli.formats.model_folder import NewFiles, TileSets, tile_name
 from beltrami_cli.surface import tiling
 from beltrami_cli.surface.geometry import polygons_of, polygons_with, triangulate_corners
 from beltrami_cli.surface.records import (
@@ -40,18 +40,23 @@ from beltrami_cli.surface.tiling import Tile
 SLOTS: tuple[Slot, ...] = get_args(Slot)
 MaterialMaps = Mapping[Slot, MaterialMap]
 _LARGEST = 1e30  # texture coordinate that single precision holds with room for computing
+_UNREAD = Obstacle("cannot be read")
 _FIT = ".png"  # the suffix of images that a format cannot hold as they are
 
 
-def no_texture(slot: Slot, name: str, missing: Iterable[str], *, is_bare: bool, why: str = "") -> InputError:
+def no_texture(
+    slot: Slot, name: str, missing: Iterable[Obstacle], *, is_bare: bool, why: Obstacle | None = None
+) -> InputError:
     """Return the error that nothing shows an image: as one is missing, for lack of coordinates, or for a reason."""
-    for reason in missing:
-        return UnpaintedError(name, f"its {slot} texture cannot be read: {reason}", remedy_for(reason))
+    for cause, remedy in missing:
+        return UnpaintedError(name, f"its {slot} texture cannot be read: {cause}", remedy)
     if is_bare:
         cause = f"it has a {slot} texture, but no texture coordinates for it"
         return InputError(name, cause, "export it with them")
-    reason = f", because {why}" if why else ""
-    return UnpaintedError(name, f"it has no {slot} texture{reason}", remedy_for(reason))
+    cause = f"it has no {slot} texture"
+    if why is None:
+        return UnpaintedError(name, cause)
+    return UnpaintedError(name, f"{cause}, because {why.cause}", why.remedy)
 
 
 @dataclass
@@ -61,9 +66,7 @@ class _Shown:
     texture_of: Int32s  # of each material: -1 where it has none, -2 minus the index in `sets` for tiles
     textures: dict[str, Texture] = field(default_factory=dict)  # by their keys
     sets: list[dict[Tile, int]] = field(default_factory=list)  # numbers of the textures of tiles
-    missing: dict[str, list[str]] = field(
-        default_factory=dict
-    )  # materials by the reason why they show no image
+    missing: dict[Obstacle, list[str]] = field(default_factory=dict)  # materials by why they show no image
     mixed: dict[str, None] = field(default_factory=dict)  # names of images that are repeated in several ways
 
     def add(self, texture: Texture) -> int:
@@ -77,8 +80,8 @@ class _Shown:
 
     def notices(self, slot: Slot) -> list[str]:
         left = [
-            f"The {slot} texture of {', '.join(map(repr, materials))} is left as it is: {reason}."
-            for reason, materials in self.missing.items()
+            f"The {slot} texture of {', '.join(map(repr, materials))} is left as it is: {cause}."
+            for (cause, _), materials in self.missing.items()
         ]
         several = "is used with several wrap modes; the first is followed."
         return left + [f"The {slot} image {name!r} {several}" for name in self.mixed]
@@ -90,7 +93,7 @@ class ShownMap:
 
     name: str  # as the file spells it
     path: str | None  # of an image, or of a set of tiles; None: it is not read
-    reason: str = ""  # then: why, to be put behind the name
+    obstacle: Obstacle = _UNREAD  # then: why, to be put behind the name
     wrap: tuple[Wrap, Wrap] = ("repeat", "repeat")
     alpha_hides: bool = True  # as in `Texture`
 
@@ -119,7 +122,7 @@ class Scene:
     names: Mapping[str, str] = field(default_factory=dict)  # of images, where they are not files with names
     is_v_up: bool = True
 
-    def surface(self, slot: Slot, undefined: str = "") -> tuple[TexturedSurface, list[str]]:
+    def surface(self, slot: Slot, undefined: Obstacle | None = None) -> tuple[TexturedSurface, list[str]]:
         """Return all triangles, the images of one slot, and notices; `undefined`: why a material is not known."""
         cut, polygon = triangulate_corners(self.positions, self.corners, self.offsets)
         if not self._is_whole.all():
@@ -148,18 +151,19 @@ class Scene:
             found, material = self.maps[number].get(slot), self.materials[number].name
             if found is None:
                 continue
-            tiles, numbers, cause = self.tiles.get(found.path or "", {}), dict[str, int](), found.reason
+            tiles, numbers, why = self.tiles.get(found.path or "", {}), dict[str, int](), found.obstacle
             wrap: tuple[Wrap, Wrap] = ("clamp", "clamp") if tiles else found.wrap
             for file in [*tiles.values()] or ([] if found.path is None else [found.path]):
                 try:
                     content = self._content(file, shown.textures.get(file), is_tile=len(tiles) > 0)
                 except InputError as error:
-                    cause = error.cause
+                    why = Obstacle(error.cause)
                     continue
                 name = self._name_of(file)
                 numbers[file] = shown.add(Texture(file, name, content, (material,), wrap, found.alpha_hides))
             if not numbers:
-                materials = shown.missing.setdefault(f"'{found.name}' {cause}", [])
+                named = Obstacle(f"'{found.name}' {why.cause}", why.remedy)
+                materials = shown.missing.setdefault(named, [])
                 materials += [material] if material not in materials else []
             elif not tiles:
                 (shown.texture_of[number],) = numbers.values()

@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float64s
-from beltrami_cli.errors import InputError, install_hint
+from beltrami_cli.errors import InputError, MemoryLimitError, install_hint
 from beltrami_cli.formats.archives import LEVEL_SET_KEYS, NpzArchive, is_npz
 from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.surface.reconstruction import GridColours, Lattice, NearColours, Volume
@@ -206,7 +206,7 @@ def _read(data: bytes, name: str, folder: ModelFolder, most: int) -> tuple[Array
         raise InputError(name, f"its sizes are {sizes}", "give 2 or more samples along x, y and z")
     if voxels > most:
         cause = f"its sizes are {sizes}, and {most} voxels are allowed"
-        raise InputError(name, cause, "raise --max-voxels or --max-memory")
+        raise MemoryLimitError(name, cause, "raise --max-voxels or --max-memory")
     if listed is not None and not 1 <= sizes[listed] <= _LONGEST_LIST:
         cause = f"each sample is a list of {sizes[listed]} numbers"
         raise InputError(name, cause, f"give up to {_LONGEST_LIST}")

@@ -17,13 +17,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.arrays import Float64s, Int32s, Int64s
-from beltrami_cli.errors import InputError, UnpaintedError, UsageError
+from beltrami_cli.errors import InputError, Obstacle, UnpaintedError, UsageError
 from beltrami_cli.fields import given_options
 from beltrami_cli.flow.chunks import chunk_memory
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.reading import measure_image, require_memory, sizes_of, too_large
-from beltrami_cli.formats.model_folder import LEFT_ALONE, remedy_for
 from beltrami_cli.layers.layer import Layer
 from beltrami_cli.layers.settings import SLOTS, SmoothSettings
 from beltrami_cli.layers.texture_layer import TextureLayer, choose_textures, only_textures
@@ -187,13 +186,16 @@ def select(document: Document, settings: SmoothSettings, access: Access = EVERYT
     if not slots:
         raise _nothing_to_smooth(document, present, textures_only=settings.on == "texture")
     slots = _with_chosen_textures(document, slots, settings)
-    absent = (
-        [] if wanted == SLOTS else [f"it has no {slot} textures" for slot in wanted if slot not in present]
-    )
-    both = settings.on == "both"
+    absent, both = absent_slots(document, settings), settings.on == "both"
     if coloured and not both:
         absent.append("its vertex colours stay as they are; --on both smooths them too")
     return Selection(document, settings, access, both, slots, notices=tuple(absent))
+
+
+def absent_slots(document: Document, settings: SmoothSettings) -> list[str]:
+    """Return notices on the slots that are named one by one, and have no textures."""
+    wanted, present = settings.textures.slots, document.slots()
+    return [] if wanted == SLOTS else [f"it has no {slot} textures" for slot in wanted if slot not in present]
 
 
 def vertex_layer(document: Document, settings: SmoothSettings, access: Access) -> PaintedLayer:
@@ -279,13 +281,13 @@ def _no_such_textures(document: Document, present: Sequence[Slot], wanted: Seque
 
 def _nothing_to_smooth(document: Document, present: Sequence[Slot], *, textures_only: bool) -> InputError:
     """Return the error that there are no colours of the requested kind, or that they are damaged."""
-    why = remedy = ""
+    why = Obstacle("")
     if textures_only and not present and document.has_vertex_colours():
         return UnpaintedError(document.name, "it has no textures, only vertex colours", "use --on vertices")
     try:
         document.painted()
     except UnpaintedError as error:
-        why, remedy = error.cause, error.remedy
+        why = Obstacle(error.cause, error.remedy)
     except InputError as error:
         return error
     kinds = "no textures" if textures_only else "neither vertex colours nor textures"
@@ -293,11 +295,9 @@ def _nothing_to_smooth(document: Document, present: Sequence[Slot], *, textures_
     if present:
         cause = f"{cause}, but textures in the slots {', '.join(present)}"
         return UnpaintedError(document.name, cause, f"give --slots {present[0]}")
-    reason = document.notices[0] if document.notices else why
-    reason = reason.removesuffix(LEFT_ALONE).rstrip(".")
-    return UnpaintedError(
-        document.name, cause + (f" ({reason})" if reason else ""), remedy_for(reason) or remedy
-    )
+    if document.obstacles:
+        why = Obstacle(document.obstacles[0].cause, document.obstacles[0].remedy or why.remedy)
+    return UnpaintedError(document.name, cause + (f" ({why.cause})" if why.cause else ""), why.remedy)
 
 
 def _with_chosen_textures(

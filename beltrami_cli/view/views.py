@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image
 
 from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
-from beltrami_cli.errors import InputError
+from beltrami_cli.errors import InputError, MemoryLimitError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, read_texture, to_float, without_alpha
@@ -119,7 +119,7 @@ def require_memory_to_draw(
                 texels, largest = texels + size.texels, max(largest, size.decoded)
         if _SHEET_BYTES * texels + largest > access.memory:
             cause = f"{texels / 1e6:.3g} million texels do not fit into memory to be drawn"
-            raise InputError(document.name, cause, f"raise --max-memory{remedy}")
+            raise MemoryLimitError(document.name, cause, f"raise --max-memory{remedy}")
 
 
 def view_of(document: Document, settings: RenderSettings) -> Drawable:

@@ -104,3 +104,11 @@ def test_vertex_colours_do_not_need_a_missing_texture(name, text, target, tmp_pa
     view_of(before, RenderSettings())
     with pytest.raises(UnpaintedError, match=r"'gone\.png' is missing; keep the model's files together"):
         smooth_file(tmp_path / name, tmp_path / f"c{name}", SmoothSettings(on="texture"))
+
+
+@pytest.mark.parametrize("form", ["gltf", "obj", "ply"])
+def test_the_remedy_is_that_of_the_cause_whatever_a_file_is_called(form, tmp_path):
+    model = write_model(tmp_path, form, ".is missing.png")
+    with pytest.raises(UnpaintedError, match="is a hidden file") as refused:
+        smooth_file(model, tmp_path / f"o.{form}", SmoothSettings(on="texture"))
+    assert refused.value.remedy == ""

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Array
-from beltrami_cli.errors import install_hint
+from beltrami_cli.errors import Obstacle, install_hint
 from beltrami_cli.formats.access import is_too_dense
 from beltrami_cli.formats.changes import Bytes
 from beltrami_cli.formats.gltf.container import TRUNCATED, Container, Entry, Tree, objects, objects_within
@@ -32,7 +32,6 @@ from beltrami_cli.formats.model_folder import (
     UnfitReferenceError,
     checked_path,
     is_outside,
-    remedy_for,
 )
 
 MESHOPT = ("KHR_meshopt_compression", "EXT_meshopt_compression")
@@ -111,7 +110,7 @@ class SidecarFiles:
         self.any = False
         self.present: dict[str, None] = {}  # inside the folder
         self.missing: dict[str, None] = {}
-        self.notices: dict[str, None] = {}  # of the missing ones
+        self.obstacles: dict[Obstacle, None] = {}  # of the missing ones
         for entry in [*root.entries("buffers"), *root.entries("images")]:
             uri = entry.text("uri")
             if uri is None or is_data(uri):
@@ -121,7 +120,8 @@ class SidecarFiles:
                 path = located(uri, folder)
                 self.present |= {} if is_outside(path) else {path: None}
             except UnfitReferenceError as error:
-                self.notices[f"{entry.place}: {short(uri)} {error}."] = None
+                cause = f"{entry.place}: {short(uri)} {error}"
+                self.obstacles[Obstacle(cause, error.obstacle.remedy)] = None
                 with suppress(UnfitReferenceError):
                     self.missing[located(uri, folder, must_exist=False)] = None
 
@@ -217,7 +217,7 @@ class Buffers:
                 data: Bytes = read(uri, self._folder)
             except UnfitReferenceError as error:
                 name = "" if is_data(uri) else f"{short(uri)} "
-                raise entry.fault("uri", f"{name}{error}", remedy_for(str(error))) from None
+                raise entry.fault("uri", f"{name}{error}", error.obstacle.remedy) from None
         elif self.source(index) == "chunk":
             data = self._container.binary or b""
         else:

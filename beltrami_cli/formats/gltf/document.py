@@ -73,7 +73,8 @@ class GltfDocument(Document):
         self._files = SidecarFiles(self.root, self._folder)
         if self.container.has_bom:
             self.notices = ["The JSON starts with a byte order mark, which glTF does not allow; it is kept."]
-        self.notices += self._files.notices
+        self.obstacles += self._files.obstacles
+        self.notices += [f"{each.cause}." for each in self._files.obstacles]
 
     @cached_property
     def surface(self) -> Surface:

@@ -169,8 +169,9 @@ class _Parts:
             name = self._images.name(image)
             self._images.data(image)
         except UnfitReferenceError as error:
-            return ShownMap(name, None, str(error))
-        return ShownMap(name, image_key(image), "", self._images.wrap(use.texture), use.alpha_hides)
+            return ShownMap(name, None, error.obstacle)
+        wrap = self._images.wrap(use.texture)
+        return ShownMap(name, image_key(image), wrap=wrap, alpha_hides=use.alpha_hides)
 
     def drawn(self, primitive: Primitive, placement: Placement) -> tuple[Accessor, Int64s] | None:
         """Return the positions and the triangles of a primitive; None if it draws none."""
@@ -296,7 +297,7 @@ class _SurfaceParts(_Parts):
             if look and not is_shown:
                 if shown is not None:
                     left = f"The {self._slot} texture of {name!r} is left as it is"
-                    self.missing[f"{left}: '{shown.name}' {shown.reason}."] = None
+                    self.missing[f"{left}: '{shown.name}' {shown.obstacle.cause}."] = None
                 continue
             self.counts["instanced"] += not look and is_shown and (placement.nodes > 1 or key in self._seen)
             if key not in self._seen:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from beltrami_cli.errors import InputError
+from beltrami_cli.errors import InputError, MemoryLimitError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, decoded, measured
 from beltrami_cli.formats.image.headers import has_usual_scale
@@ -129,7 +129,7 @@ def require_memory(images: Iterable[tuple[str, bytes]], access: Access, work: st
 def too_large(name: str, size: ImageSize) -> InputError:
     """Return the error that an image, with those around it, needs more memory than there is."""
     cause = f"its {size.width} x {size.height} pixels of {size.channels} channels do not fit into memory"
-    return InputError(name, cause, "scale it down, or raise --max-memory")
+    return MemoryLimitError(name, cause, "scale it down, or raise --max-memory")
 
 
 _KEPT: ContextVar[dict[tuple[bytes, str, bool], Picture | None]] = ContextVar("pictures")
@@ -160,7 +160,7 @@ def read_texture(texture: Texture, data: bytes | None = None) -> Picture:
         return read_image(texture.data if data is None else data, texture.name)
     except InputError as error:
         cause = f"{error.name}: {error.cause}"
-        raise InputError(texture.model or error.name, cause, error.remedy) from error
+        raise type(error)(texture.model or error.name, cause, error.remedy) from error
 
 
 def _decoded(data: bytes, name: str, finite: bool) -> Picture:

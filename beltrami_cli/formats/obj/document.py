@@ -15,7 +15,7 @@ from typing import ClassVar
 import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
-from beltrami_cli.errors import InputError, UnpaintedError
+from beltrami_cli.errors import InputError, Obstacle, UnpaintedError
 from beltrami_cli.formats.changes import Changes, Naming, PlannedImages, Written
 from beltrami_cli.formats.colours import full_scale, opacity
 from beltrami_cli.formats.comparison import Fingerprint, labelled
@@ -89,10 +89,13 @@ class ObjDocument(Document):
     def _scene(self) -> Scene:
         return _read_scene(self._scan, self._coordinates, self._materials, self.name)
 
-    def _undefined(self) -> str:
+    def _undefined(self) -> Obstacle | None:
         defined = set[str]().union(*(library.materials for library in self._materials.libraries))
         unknown = next((name for name in self._coordinates.names if name not in defined), None)
-        return "" if unknown is None else f"no library has its material '{unknown}'"
+        if unknown is None:
+            return None
+        remedy = "correct the name at usemtl, or name the library that has it at mtllib"
+        return Obstacle(f"no library has its material '{unknown}'", remedy)
 
     def _patched(self, new: Changes, naming: Naming) -> Written:
         colours, places = new.colours, new.places
@@ -218,6 +221,7 @@ class ObjDocument(Document):
     def _materials(self) -> Materials:
         materials = Materials(self._folder, self._scan.libraries)
         self.notices += materials.notices
+        self.obstacles += materials.obstacles
         return materials
 
     @cached_property
@@ -303,7 +307,7 @@ def _shown(maps: _Found, materials: Materials) -> Maps:
     wraps: dict[bool, tuple[Wrap, Wrap]]
     wraps = {True: ("clamp", "clamp"), False: ("repeat", "repeat")}
     return {
-        slot: ShownMap(each.name, path, materials.reason(each.name), wraps[each.clamped])
+        slot: ShownMap(each.name, path, materials.obstacle(each.name), wraps[each.clamped])
         for slot, (each, path) in maps.items()
     }
 

@@ -14,6 +14,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 
+from beltrami_cli.errors import Obstacle
 from beltrami_cli.formats.changes import Naming, NewImages, Written
 from beltrami_cli.formats.model_folder import (
     LEFT_ALONE,
@@ -133,8 +134,9 @@ class Materials:
     def __init__(self, folder: ModelFolder, statements: Sequence[tuple[bytes, int]]) -> None:
         self.paths: list[str] = []  # of regular files inside the folder, relative to it, "/" separates
         self.notices: list[str] = []  # one sentence for each file that is missing
+        self.obstacles: list[Obstacle] = []  # of them
         self.folder = folder
-        self._reasons: dict[str, str] = {}
+        self._unread: dict[str, Obstacle] = {}
         self._listed: set[str] = set()
         mentions: dict[str, list[tuple[str, int, int]]] = {}
         for text, start in statements:
@@ -157,8 +159,8 @@ class Materials:
         """Return the map that a material has in each slot, and its file if that can be used."""
         return {slot: self._shown[material, slot] for slot in PAINTED if (material, slot) in self._shown}
 
-    def reason(self, name: str) -> str:
-        return self._reasons.get(name, "cannot be read").rstrip(".")
+    def obstacle(self, name: str) -> Obstacle:
+        return self._unread.get(name, Obstacle("cannot be read"))
 
     def named(self, file: str) -> list[str]:
         """Return the paths by which maps name a file: its own, and the sets that it is a tile of."""
@@ -200,15 +202,19 @@ class Materials:
         try:
             data = self.folder.read(path, _LARGEST + 1)
         except OSError as error:
-            self.notices.append(f"'{path}' cannot be read ({error.strerror}){LEFT_ALONE}")
+            self._leave_alone(Obstacle(f"'{path}' cannot be read ({error.strerror})"))
             data = b""
         if len(data) > _LARGEST:
-            self.notices.append(f"'{path}' has more than {_LARGEST} bytes{LEFT_ALONE}")
+            self._leave_alone(Obstacle(f"'{path}' has more than {_LARGEST} bytes"))
             data = b""
         materials, maps = read_maps(data)
         within = PurePosixPath(path).parent
         found = tuple((known, self._found(known.name, within)) for known in maps)
         return Library(path, data, frozenset(materials), found, tuple(mentions))
+
+    def _leave_alone(self, obstacle: Obstacle) -> None:
+        self.obstacles.append(obstacle)
+        self.notices.append(f"{obstacle.cause}{LEFT_ALONE}")
 
     def _found(self, name: str, within: PurePosixPath) -> str | None:
         """Return the path of a file or a set of tiles, adding it once, or None with a notice if it is not there."""
@@ -217,11 +223,11 @@ class Materials:
             notice = f"'{name}' {instead}"
             self.notices += [notice] if instead and notice not in self.notices else []
         except UnfitReferenceError as error:
-            if name not in self._reasons:
-                self._reasons[name] = str(error)
-                if len(self._reasons) <= _MOST_NOTICES:
-                    self.notices.append(f"'{name}' {error}{LEFT_ALONE}")
-                elif len(self._reasons) == _MOST_NOTICES + 1:  # a file may name a million
+            if name not in self._unread:
+                self._unread[name] = error.obstacle
+                if len(self._unread) <= _MOST_NOTICES:
+                    self._leave_alone(Obstacle(f"'{name}' {error}", error.obstacle.remedy))
+                elif len(self._unread) == _MOST_NOTICES + 1:  # a file may name a million
                     self.notices.append("Further files are missing as well.")
             return None
         if is_outside(path):

@@ -11,14 +11,14 @@ from typing import ClassVar
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
-from beltrami_cli.errors import InputError
+from beltrami_cli.errors import InputError, Obstacle
 from beltrami_cli.formats import tokens
 from beltrami_cli.formats.changes import Bytes, Changes, Naming, PlannedImages, Written
 from beltrami_cli.formats.colours import ColouredPolygons, colours_of_vertices, quantised
 from beltrami_cli.formats.comparison import Fingerprint, labelled
 from beltrami_cli.formats.conversion import with_vertex_colours
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.model_folder import LEFT_ALONE, ModelFolder, is_outside
+from beltrami_cli.formats.model_folder import ModelFolder, is_outside
 from beltrami_cli.formats.ply import elements, texturing
 from beltrami_cli.formats.ply.tables import (
     Header,
@@ -91,9 +91,8 @@ class PlyDocument(Document):
         there = self._images and self._header.element("vertex") and texturing.find_coordinates(self._tables)
         return ("baseColor",) if there else ()
 
-    def _undefined(self) -> str:
-        lost = [f"'{each.name}' {each.reason}" for each in self._images if each.path is None]
-        return [*lost, "no face shows one"][0].removesuffix(LEFT_ALONE)
+    def _undefined(self) -> Obstacle:
+        return next((each.obstacle for each in self._images if each.obstacle), Obstacle("no face shows one"))
 
     @cached_property
     def _scene(self) -> Scene:
@@ -236,7 +235,8 @@ class PlyDocument(Document):
     @cached_property
     def _images(self) -> list[texturing.TextureComment]:
         comments = texturing.read_comments(self.data[: self._header.end], self._folder)
-        self.notices += [f"'{comment.name}' {comment.reason}" for comment in comments if comment.reason]
+        self.notices += [comment.notice for comment in comments if comment.notice]
+        self.obstacles += [comment.obstacle for comment in comments if comment.obstacle]
         return comments
 
     @cached_property

@@ -16,7 +16,7 @@ from pathlib import PurePosixPath
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float64s, Int32s, Int64s
-from beltrami_cli.errors import InputError
+from beltrami_cli.errors import InputError, Obstacle
 from beltrami_cli.formats import model_folder
 from beltrami_cli.formats.changes import Naming, NewImages, Written
 from beltrami_cli.formats.ply.elements import finite_columns
@@ -52,7 +52,8 @@ class TextureComment:
     path: str | None  # relative to the model's folder, if it can be used
     start: int  # where the name stands in the PLY file
     end: int
-    reason: str = ""  # why it is not used, to be put behind its name; or empty
+    notice: str = ""  # a sentence on how it is used or why not, or empty
+    obstacle: Obstacle | None = None  # why it is not used
 
 
 def read_comments(header: bytes, folder: model_folder.ModelFolder) -> list[TextureComment]:
@@ -61,11 +62,12 @@ def read_comments(header: bytes, folder: model_folder.ModelFolder) -> list[Textu
     for match in _COMMENT.finditer(header):
         name = os.fsdecode(match[1])
         try:
-            path: str | None
-            path, reason = folder.locate_alike(name, tiles=False)
+            path, instead = folder.locate_alike(name, tiles=False)
+            found.append(TextureComment(name, path, *match.span(1), f"'{name}' {instead}" if instead else ""))
         except model_folder.UnfitReferenceError as error:
-            path, reason = None, f"{error}{model_folder.LEFT_ALONE}"
-        found.append(TextureComment(name, path, *match.span(1), reason))
+            why = Obstacle(f"'{name}' {error}", error.obstacle.remedy)
+            notice = f"{why.cause}{model_folder.LEFT_ALONE}"
+            found.append(TextureComment(name, None, *match.span(1), notice, why))
     return found
 
 

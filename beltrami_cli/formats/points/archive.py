@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
-from beltrami_cli.errors import InputError, UnpaintedError
+from beltrami_cli.errors import InputError, MemoryLimitError, UnpaintedError
 from beltrami_cli.formats.archives import POSITION_KEYS, NpzArchive
 from beltrami_cli.formats.changes import Changes, Naming, Written
 from beltrami_cli.formats.colours import (
@@ -234,7 +234,7 @@ class NpzPointsDocument(PointsDocument):
         if self.access.memory is not None:
             needed = sum(_COPIES * self._archive.header(key).count * 8 for key in keys)
             if needed > self.access.memory:
-                raise InputError(self.name, "its arrays do not fit into memory", "raise --max-memory")
+                raise MemoryLimitError(self.name, "its arrays do not fit into memory", "raise --max-memory")
         self._archive.require_ratio(tables.positions)
         return tables
 

@@ -19,7 +19,7 @@ from xml.parsers import expat
 import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s, Int64s
-from beltrami_cli.errors import InputError
+from beltrami_cli.errors import InputError, MemoryLimitError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.archives import Archive
 from beltrami_cli.formats.colours import ColouredPolygons
@@ -224,7 +224,9 @@ class _Building:
         triangles = np.array(thing.triangles, np.int64).reshape(-1, 6)[:, :3]
         self._triangles_left -= len(triangles)
         if self._triangles_left < 0:
-            raise InputError(self._name, "it has more triangles than fit into memory", "raise --max-memory")
+            raise MemoryLimitError(
+                self._name, "it has more triangles than fit into memory", "raise --max-memory"
+            )
         positions = np.array(thing.vertices, np.float64).reshape(-1, 3)
         if triangles.size and (triangles.min() < 0 or triangles.max() >= len(positions)):
             raise InputError(self._name, f"a triangle names a vertex that is none of the {len(positions)}")

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Int32s, Int64s
-from beltrami_cli.errors import InputError, UnpaintedError, UsageError
+from beltrami_cli.errors import InputError, Obstacle, UnpaintedError, UsageError
 from beltrami_cli.formats.changes import Changes, Naming, NewImages, PlannedImages, Written
 from beltrami_cli.formats.colours import display_colour
 from beltrami_cli.formats.comparison import Fingerprint, labelled
@@ -43,15 +43,16 @@ from beltrami_cli.surface.records import (
 )
 
 _COUNTS = {
-    "instanced": "{} mesh(es) are instances of others; each is smoothed once, at its first place.",
-    "hidden": "{} mesh(es) are invisible, or for proxies and guides, and are left as they are.",
-    "flat": "{} mesh(es) have one colour, or one for each face, which is left as it is.",
-    "unfit": "{} mesh(es) have colours that do not fit their points; these are left as they are.",
-    "animated": "{} mesh(es) have colours that change with time, which are left as they are.",
-    "no mesh": "{} prim(s) that are no meshes have colours of points, which are left as they are.",
-    "unread": "{} material(s) are no UsdPreviewSurface, and no MaterialX surface whose colour is an image.",
-    "bare": "{} part(s) have no texture coordinates for a texture.",
+    "instanced": "{} mesh(es) are instances of others; each is smoothed once, at its first place",
+    "hidden": "{} mesh(es) are invisible, or for proxies and guides, and are left as they are",
+    "flat": "{} mesh(es) have one colour, or one for each face, which is left as it is",
+    "unfit": "{} mesh(es) have colours that do not fit their points; these are left as they are",
+    "animated": "{} mesh(es) have colours that change with time, which are left as they are",
+    "no mesh": "{} prim(s) that are no meshes have colours of points, which are left as they are",
+    "unread": "{} material(s) are no UsdPreviewSurface, and no MaterialX surface whose colour is an image",
+    "bare": "{} part(s) have no texture coordinates for a texture",
 }
+_REMEDIES = {"unread": "bake their colours into images, or paint the vertices"}
 
 _HIDES = "Variants of another layer have colours of their own; the new ones hold whichever is selected."
 
@@ -94,8 +95,13 @@ class UsdDocument(Document):
     def _read(self) -> tuple[dict[str, Any], dict[str, Array]]:
         words, arrays = self._layers.scene(text=self._compared)
         counts = words["counts"]
-        self.notices += [f"'{path}' {why}{LEFT_ALONE}" for path, why in self._layers.reasons.items()]
-        self.notices += [sentence.format(n) for key, sentence in _COUNTS.items() if (n := counts.get(key))]
+        for path, (cause, remedy) in self._layers.obstacles.items():
+            self.obstacles.append(Obstacle(f"'{path}' {cause}", remedy))
+            self.notices.append(f"'{path}' {cause}{LEFT_ALONE}")
+        for key, cause in _COUNTS.items():
+            if number := counts.get(key):
+                self.obstacles.append(Obstacle(cause.format(number), _REMEDIES.get(key, "")))
+                self.notices.append(f"{cause.format(number)}.")
         return words, arrays
 
     @property
@@ -107,16 +113,16 @@ class UsdDocument(Document):
         return self._read[1]
 
     @cached_property
-    def _located(self) -> tuple[dict[str, str], dict[str, str]]:
+    def _located(self) -> tuple[dict[str, str], dict[str, Obstacle]]:
         """Paths of images, or of sets of tiles, by their names in the scene; and why others are not read."""
-        paths, reasons = dict[str, str](), dict[str, str]()
+        paths, obstacles = dict[str, str](), dict[str, Obstacle]()
         shown = (use["file"] for use in self._words["uses"])
         for file in dict.fromkeys([*shown, *self._words["images"].values()]):
             try:
                 paths[file] = self._layers.locate(file)
             except UnfitReferenceError as error:
-                reasons[file] = str(error)
-        return paths, reasons
+                obstacles[file] = error.obstacle
+        return paths, obstacles
 
     def _image_files(self) -> dict[str, str]:
         """Return every image file by where it is named, in a slot or elsewhere."""
@@ -199,7 +205,7 @@ class UsdDocument(Document):
         if not len(arrays.get("sizes", ())):
             raise InputError(self.name, "it has no polygons, so there is nothing to show a texture")
         require_finite(arrays["positions"], self.name, "the place of vertex")
-        known, corners, (paths, reasons) = (
+        known, corners, (paths, obstacles) = (
             words["materials"],
             arrays["corners"].astype(np.int32),
             self._located,
@@ -207,7 +213,8 @@ class UsdDocument(Document):
         maps: list[dict[Slot, ShownMap]] = [{} for _ in (*known, None)]
         for use in words["uses"]:
             file, wrap = use["file"], tuple(use["wrap"])
-            maps[use["material"]][use["slot"]] = ShownMap(file, paths.get(file), reasons.get(file, ""), wrap)
+            shown = ShownMap(file, paths.get(file), obstacles.get(file, Obstacle("")), wrap)
+            maps[use["material"]][use["slot"]] = shown
         bare = np.full((len(corners), 2), np.nan)
         return Scene(
             name=self.name,

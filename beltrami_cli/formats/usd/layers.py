@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.arrays import Array
-from beltrami_cli.errors import InputError
+from beltrami_cli.errors import InputError, MemoryLimitError, Obstacle
 from beltrami_cli.formats.access import Access, require_ratio
 from beltrami_cli.formats.archives import Archive
 from beltrami_cli.formats.changes import Bytes
@@ -125,7 +125,7 @@ class Layers:
     root: str
     contents: dict[str, bytes]  # by their paths from the folder of the root, the root first
     refused: list[tuple[str, str]] = field(default_factory=list)
-    reasons: dict[str, str] = field(default_factory=dict)  # why, by what the path is
+    obstacles: dict[str, Obstacle] = field(default_factory=dict)  # why, by what the path is
 
     @classmethod
     def of(cls, data: bytes, name: str, folder: Path | None, access: Access) -> Layers:
@@ -155,27 +155,33 @@ class Layers:
         try:
             wanted = posixpath.normpath(posixpath.join(posixpath.dirname(layer), path))
             if not wanted.lower().endswith(LAYERS):
-                raise UnfitReferenceError("is no USD layer; only .usd, .usda and .usdc are read")
+                remedy = "write the scene as one layer (usdcat --flatten), and give that"
+                raise UnfitReferenceError("is no USD layer; only .usd, .usda and .usdc are read", remedy)
             if wanted in self.contents:
                 raise UnfitReferenceError("names a layer in a way that is not understood")
             file = self.locate(wanted)
             if self.package is None and file not in self.contents:
                 self.contents[file] = self.folder.read(file)
-        except (UnfitReferenceError, OSError) as error:
-            self.reasons[path] = (
-                f"cannot be read ({error.strerror})" if isinstance(error, OSError) else str(error)
-            )
-            self.refused.append((layer, path))
+        except UnfitReferenceError as error:
+            self._refuse(layer, path, error.obstacle)
+        except OSError as error:
+            self._refuse(layer, path, Obstacle(f"cannot be read ({error.strerror})"))
         most, size = self.access.memory, sum(map(len, self.contents.values()))
         if len(self.contents) > _MOST_LAYERS or (most is not None and size > most):
-            raise InputError(self.name, "it has more layers than fit into memory", "raise --max-memory")
+            raise MemoryLimitError(self.name, "it has more layers than fit into memory", "raise --max-memory")
+
+    def _refuse(self, layer: str, path: str, why: Obstacle) -> None:
+        self.refused.append((layer, path))
+        self.obstacles[path] = why
 
     def locate(self, path: str) -> str:
         """Return the path of a file, or of a set of tiles, that the scene names; UnfitReferenceError if it is none."""
         if self.package is None:
             found = self.folder.locate_any(path)
             if is_outside(found):
-                raise UnfitReferenceError("lies outside the model's folder, and USD files there are not read")
+                cause = "lies outside the model's folder, and USD files there are not read"
+                remedy = "copy all files of the scene into one folder, or write it as one package (usdzip)"
+                raise UnfitReferenceError(cause, remedy)
             return found
         if has_token(path):
             pattern, names = PurePosixPath(path), map(PurePosixPath, self.package.members)

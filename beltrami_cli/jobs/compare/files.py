@@ -44,7 +44,7 @@ from beltrami_cli.jobs.output import Output, Overwrite
 from beltrami_cli.jobs.progress import phases_of, tracked
 from beltrami_cli.jobs.recolour import open_any, require_level_set
 from beltrami_cli.jobs.settings import Limits
-from beltrami_cli.layers.selection import Selection, select
+from beltrami_cli.layers.selection import Selection, absent_slots, select
 from beltrami_cli.layers.settings import DEFAULTS, IMAGE_SUFFIXES, SLOTS, SmoothSettings
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.records import Slot, as_bytes, colour_by_value
@@ -187,7 +187,7 @@ def choose_parts(documents: Documents, settings: SmoothSettings) -> tuple[Select
     notices: list[str] = []
     chosen = settings if settings.textures.slots else _everything(documents, settings, notices)
     selection = select(documents[0], chosen)
-    notices += [notice for notice in selection.notices if notice.startswith("it has no ")]
+    notices += absent_slots(documents[0], chosen) if selection.slots else []
     others = [f"{slot} textures" for slot in _slots_of(documents) if slot not in selection.slots]
     if not selection.vertices and any(document.has_vertex_colours() for document in documents):
         others.insert(0, "vertex colours")
