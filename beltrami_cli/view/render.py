@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import os
-import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -25,6 +24,7 @@ from beltrami_cli.formats.access import Access, read_regular
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import check_writable, format_of_suffix, write_image
+from beltrami_cli.formats.image.metadata import png_chunk
 from beltrami_cli.formats.image.picture import FORMATS, is_image, new_picture
 from beltrami_cli.formats.image.reading import error_of
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
@@ -36,10 +36,8 @@ from beltrami_cli.view.settings import DEFAULT_RENDER, MOST_PIXELS, Colour, Crop
 from beltrami_cli.view.tracing import Camera, Window, fitted, orientation, part_of, require_embree
 from beltrami_cli.view.views import Drawable, ImageView, framed, open_views, require_memory_to_draw
 
-# A preview has no mark, and its bytes shall stay. But all have this head: their size, 8 bits of RGB, and no metadata.
-_SIZE = (1288, 1013)
-_PNG = struct.pack(">8sI4sIIBBBBB", b"\x89PNG\r\n\x1a\n", 13, b"IHDR", *_SIZE, 8, 2, 0, 0, 0)
-_KIND = slice(37, 41)  # of the second block of a PNG file
+_MARK = png_chunk(b"tEXt", b"Software\0beltrami smooth --preview")  # of PNG files that are previews
+_MARKED = 33  # where it is: behind the signature and IHDR
 _HEAD = 1 << 16  # bytes that distinguish images from other files
 
 # Frames of details, distinct for the colour-blind too. M. Okabe, K. Ito, "Color universal design" (2008).
@@ -116,12 +114,16 @@ class Preview:
         before = open_views([self._source], self._looks, self._access, self._reading)
         after = open_views([self._target], self._looks, self._output.files.with_staged(self._access))
         picture = draw_views([*before, *after], ["before", "after"], self._looks)
-        self._output.write(encoded(picture, self._output.target, self._suffix))
+        drawn = encoded(picture, self._output.target, self._suffix)
+        if self._suffix == ".png":
+            (data,) = map(bytes, drawn.main)
+            drawn = Written(main=[data[:_MARKED], _MARK, data[_MARKED:]])
+        self._output.write(drawn)
 
 
 def is_preview(head: bytes) -> bool:
-    """Whether a file begins as previews do."""
-    return head.startswith(_PNG) and head[_KIND] == b"IDAT"
+    """Whether a file bears the mark of previews."""
+    return head.startswith(_MARK, _MARKED)
 
 
 def draw_views(

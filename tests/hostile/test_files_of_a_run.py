@@ -4,13 +4,16 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from batch.batches import without_workers
+from beltrami_cli.formats.image import read_image
 from beltrami_cli.jobs.compare.files import is_map
 from beltrami_cli.jobs.smooth import is_report
 from beltrami_cli.view.render import is_preview
 from cli.commands import SAMPLES, beltrami, copy_samples, refused
+from formats.image_files import encode
 
 NOISY = SAMPLES / "nonmanifold-noisy.ply"
 PHOTO = SAMPLES / "mirrored-noisy.png"
@@ -75,7 +78,11 @@ def test_a_preview_is_drawn_of_files_that_are_not_in_place_yet(textured):
     beltrami(*smooth, cwd=textured)
     drawn = ("render", before / "mirrored-noisy.obj", target, "expected.png", "--crop", "auto")
     beltrami(*drawn, "--label", "before", "--label", "after", cwd=textured)
-    assert (textured / "p.png").read_bytes() == (textured / "expected.png").read_bytes()
+    preview, expected = textured / "p.png", textured / "expected.png"
+    assert is_preview(preview.read_bytes())
+    assert not is_preview(expected.read_bytes())
+    shown, drawn = (read_image(file.read_bytes(), file.name).pixels for file in (preview, expected))
+    assert np.array_equal(shown, drawn)
     assert not list(textured.rglob("*.tmp"))
 
 
@@ -128,7 +135,10 @@ def test_a_file_of_others_is_replaced_only_if_the_command_line_names_it(kind, tm
 def test_what_is_like_one_of_ours_is_not_taken_for_one(tmp_path):
     photo = SAMPLES / "mirrored-noisy.png"
     beltrami("smooth", photo, "out.png", *QUICK, cwd=tmp_path)
-    for path in (NOISY, photo, tmp_path / "out.png"):
+    (tmp_path / "screen.png").write_bytes(
+        encode(np.zeros((1013, 1288, 3), np.uint8), "png")
+    )  # as large as a preview
+    for path in (NOISY, photo, tmp_path / "out.png", tmp_path / "screen.png"):
         assert not is_preview(path.read_bytes())
         assert not is_map(path.read_bytes())
     for text in ("{}", '{\n  "input": "a"\n}', "[]", "# ~/.bashrc", '{"input": "a", "output": "b"}'):
