@@ -92,6 +92,8 @@ def files() -> Iterator[tuple[str, bytes]]:
     for stem, model in textured_samples():
         for write in TEXTURED[stem.rsplit("-", 1)[0]][2]:
             yield from write(model, stem).items()
+        if stem == "scan-clean":
+            yield from textured_files.glb(scan.exposed(model), "scan-exposed").items()
 
 
 if __name__ == "__main__":

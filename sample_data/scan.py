@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 import head
-from baking import baked
+from baking import baked, covering, grown
 from charts import segmented
 from packing import unwrapped
 from samples import normalised
@@ -18,6 +20,7 @@ FREQUENCY, ROUNDS = 11, 6
 CHARTS = 114
 SIZE, SCALE, GUTTER = 512, 218.0, 4
 SEED = 31
+GAINS, OFFSET, EXPOSURE_SEED = (0.82, 1.12), 10 / 255, 1
 RIBS = 9
 STALK = 0.13  # radius, where the whole is 1 wide
 
@@ -37,6 +40,30 @@ def make() -> TexturedSample:
     pixels, painted = baked(paint, positions[faces], coordinates[corners], (SIZE, SIZE), GUTTER)
     painting = Painting("scan", pixels, painted, "jpeg")
     return TexturedSample(positions, coordinates, faces, corners, np.zeros(len(faces), np.int64), (painting,))
+
+
+def exposed(sample: TexturedSample) -> TexturedSample:
+    """Give every chart a gain and an offset in each channel, as photographs of differing exposure do.
+
+    Stored as PNG: JPEG would mix the colours of neighbouring charts at their borders.
+    """
+    (painting,) = sample.paintings
+    covered = covering(sample.coordinates[sample.corners] * (SIZE, SIZE), (SIZE, SIZE))
+    chart = connected(sample.corners, len(sample.coordinates))[grown(covered, GUTTER)]
+    random = np.random.Generator(np.random.PCG64(EXPOSURE_SEED))
+    gain = random.uniform(*GAINS, (chart.max() + 1, 3))
+    offset = random.uniform(-OFFSET, OFFSET, gain.shape)
+    pixels = np.where(painting.painted[:, :, None], painting.pixels * gain[chart] + offset[chart], 0)
+    return replace(sample, paintings=(replace(painting, pixels=pixels, kind="png8"),))
+
+
+def connected(corners: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    """Return the number of the chart of each triangle: triangles of a chart share rows of texture coordinates."""
+    lowest, before = np.arange(count), np.zeros(0)
+    while not np.array_equal(lowest, before):
+        before = lowest.copy()
+        np.minimum.at(lowest, corners, lowest[corners].min(axis=1, keepdims=True))
+    return np.unique(lowest[corners[:, 0]], return_inverse=True)[1]
 
 
 def irregular(random: np.random.Generator) -> tuple[Array, NDArray[np.int64]]:

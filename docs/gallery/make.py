@@ -1,8 +1,7 @@
 """Make the pictures of the gallery: ``make gallery``, or ``python docs/gallery/make.py [FOLDER]``.
 
-Every command is read from docs/gallery.md and run as it stands there, so that the page shows what it says. Models that
-others made are looked for in the folder that the environment variable BELTRAMI_EXTRA_MESHES names; without them their
-pictures stay.
+Every command is read from docs/gallery.md and run as it stands there, so that the page shows what it says. The statue is
+looked for in the folder that the environment variable BELTRAMI_EXTRA_MESHES names; without it its pictures stay.
 """
 
 from __future__ import annotations
@@ -15,24 +14,11 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
-
-import numpy as np
-
-from beltrami_cli.flow.canvas import painted
-from beltrami_cli.flow.grid_manifold import canvas_colours
-from beltrami_cli.jobs.job import PLAIN_JOB, Job
-from beltrami_cli.jobs.recolour import Painter, recolour
-from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
-from beltrami_cli.layers.texture_layer import all_texel_colours
 
 HERE = Path(__file__).resolve().parent
 PAGE = HERE.parent / "gallery.md"
 SAMPLES = HERE.parents[1] / "sample_data"
-# From the examples of PlayCanvas, and of plane-opt-rgbd by C. Wang.
-EXTRA = ("statue.glb", "copyroom_c2000_opt.obj")
-EXPOSED = {"scan-clean.glb": "scan-exposed.glb", "copyroom_c2000_opt.obj": "room-exposed.glb"}
+EXTRA = "statue.glb"  # from the examples of PlayCanvas
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 
@@ -45,18 +31,10 @@ def main(arguments: list[str]) -> int:
         for sample in SAMPLES.iterdir():
             if sample.is_file() and sample.suffix not in {".py", ".md"}:
                 shutil.copy(sample, folder)
-        missing = set(EXTRA)
-        for found in Path(os.environ.get("BELTRAMI_EXTRA_MESHES") or folder).rglob("*"):
-            if found.name in missing:
-                missing.remove(found.name)
-                # A model in several files has a folder of its own.
-                for file in found.parent.iterdir() if found.suffix == ".obj" else [found]:
-                    shutil.copyfile(file, Path(folder) / file.name)
-        for source, exposed in EXPOSED.items():
-            if source in missing:
-                missing.add(exposed)
-            else:
-                expose(Path(folder) / source, Path(folder) / exposed)
+        extra = next(Path(os.environ.get("BELTRAMI_EXTRA_MESHES") or folder).rglob(EXTRA), None)
+        if extra is not None:
+            shutil.copyfile(extra, Path(folder) / EXTRA)
+        missing = {EXTRA} if extra is None else set()
         for command in commands(text):
             words = shlex.split(command, comments=True)
             print(command)
@@ -104,27 +82,6 @@ def take(address: str, picture: Path, ready: str) -> None:
         page.wait_for_timeout(1000)  # until the models are drawn
         page.screenshot(path=picture)
         browser.close()
-
-
-class Exposing(Painter[Any]):
-    """A painter that gives every chart a gain and an offset in each channel, as a photograph of its own would."""
-
-    def paint(self, layer: Any, job: Job) -> Any:
-        """Expose the charts of a texture."""
-        del job
-        atlas, random = layer.atlas, np.random.default_rng(1)
-        colours = all_texel_colours(layer.colours, layer.pictures, atlas)
-        shape = (atlas.charts, colours.shape[1])
-        gain, offset = random.uniform(0.82, 1.12, shape), random.uniform(-10, 10, shape) / 255
-        exposed = colours * gain[atlas.chart_of] + offset[atlas.chart_of]
-        new = canvas_colours(atlas, painted(atlas, exposed.astype(np.float32)))
-        return SimpleNamespace(repainted=layer.repaint(new), warnings=())
-
-
-def expose(source: Path, target: Path) -> None:
-    """Write a model whose charts differ in exposure; as PNG, since JPEG mixes colours over the borders of charts."""
-    settings = SmoothSettings(textures=TextureSettings(image_suffix=".png"))
-    recolour(str(source), str(target), settings, Exposing(), PLAIN_JOB)
 
 
 def commands(page: str) -> list[str]:

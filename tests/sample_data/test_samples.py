@@ -88,6 +88,13 @@ def test_surfaces_are_as_stated(name, triangles, charts, euler):
         assert not (slot["exposure"] or {}).get("is_exposure")
 
 
+@pytest.mark.slow
+def test_the_exposed_scan_has_exposure_steps():
+    (slot,) = beltrami_cli.inspect_file(SAMPLES / "scan-exposed.glb", PLAIN)["textures"]
+    assert slot["charts"] == 100
+    assert slot["exposure"]["is_exposure"]
+
+
 @pytest.mark.parametrize("kind", ["clean", "noisy"])
 def test_glb_files_hold_the_same_images_as_the_files_beside_them(kind):
     for name, suffix in (("head-tex", ".png"), ("scan", ".jpg")):
