@@ -4,13 +4,14 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN     = $(VENV)/bin
 
-.PHONY: dev demo figures gallery viewer docs build-docs man quick test test-minimum test-blender lint bench run-bench wheel build-wheel release-check check-release sanitize fuzz fuzz-readers fuzz-core survey samples noise-model run-noise-model clean help ALWAYS
+.PHONY: dev demo figures gallery reference viewer docs build-docs man quick test test-minimum test-blender lint bench run-bench wheel build-wheel release-check check-release sanitize fuzz fuzz-readers fuzz-core survey samples noise-model run-noise-model clean help ALWAYS
 .DELETE_ON_ERROR:
 
 help:
 	@echo "make demo      smooth a sample mesh, with a before/after picture"
 	@echo "make figures   reproduce the figures of the paper, with their numbers in docs/figures.md"
 	@echo "make gallery   make the pictures of docs/gallery.md again"
+	@echo "make reference  write the options, parameters and Python names into docs/"
 	@echo "make dev       the environment .venv, in which pytest tests the sources as they are"
 	@echo "make quick     in a minute and a half, the tests that a change most likely breaks, and the import layers"
 	@echo "make test      all tests, in an environment of their own"
@@ -100,6 +101,9 @@ demo: $(if $(INSTALLED),,$(VENV)/.installed-package)
 
 figures: $(VENV)/.installed-figures
 	$(BIN)/python docs/figures/make.py
+
+reference: $(VENV)/.installed-test
+	$(BIN)/python -P docs/reference.py
 
 gallery: $(VENV)/.installed-samples
 	$(BIN)/python docs/gallery/make.py

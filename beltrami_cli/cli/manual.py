@@ -1,4 +1,4 @@
-"""The command `beltrami docs`, the manual pages, which the wheel holds, and the table of all parameters.
+"""The command `beltrami docs`, and the manual pages, which the wheel holds.
 
 `python -m beltrami_cli.cli.manual DIR VERSION` writes the manual.
 """
@@ -14,19 +14,6 @@ import click
 
 from beltrami_cli.cli.commands import DAILY, HELP_ALL, command, docs_folder
 from beltrami_cli.cli.main import COMMANDS, group
-from beltrami_cli.fields import REQUIRED, Parameter, parameters
-from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.formats.access import Access
-from beltrami_cli.jobs.settings import BakeSettings, Limits, NoiseSettings
-from beltrami_cli.layers.settings import (
-    EmbeddingSettings,
-    ImageSettings,
-    LevelSetSettings,
-    LevelSettings,
-    SmoothSettings,
-    TextureSettings,
-)
-from beltrami_cli.view.settings import RenderSettings
 
 _ENVIRONMENT = (
     "Every option has a variable: {}, with _ for - in the option. Options come from a file, too. The command "
@@ -39,13 +26,8 @@ _EXIT_STATUS = (
     ("0", "Done."), ("1", "Processing failed, or a limit is broken."), ("2", "Wrong usage."),
     ("3", "An input is unreadable or not fit."), ("4", "An output is not writable."), ("130", "Interrupted."),
 )  # fmt: skip
-_SECTIONS = (
-    KernelParameters, SmoothSettings, TextureSettings, ImageSettings, LevelSetSettings, EmbeddingSettings,
-    BakeSettings, LevelSettings, NoiseSettings, Limits, RenderSettings, Access,
-)  # fmt: skip
 _LEFT_OUT = {"index", "changelog"}  # they consist of links and of another file
-# Markup for the site alone: what its plug-ins insert, and marks for scripts.
-_FOR_THE_SITE = re.compile(r"^(?:::: .*\n(?: {4}.*\n)*|<!--.*-->\n)", re.MULTILINE)
+_MARKS = re.compile(r"^<!--.*-->\n", re.MULTILINE)
 
 
 def pages() -> dict[str, Path]:
@@ -54,11 +36,8 @@ def pages() -> dict[str, Path]:
 
 
 def page_text(path: Path) -> str:
-    """Return a page as Markdown without the markup that only the site can show, and with the table of parameters."""
-    text = _FOR_THE_SITE.sub("", path.read_text(encoding="utf-8"))
-    if path.stem == "parameters":
-        text += f"\n{parameter_table()}"
-    return text
+    """Return a page as Markdown without the marks for scripts."""
+    return _MARKS.sub("", path.read_text(encoding="utf-8"))
 
 
 @command("docs")
@@ -78,30 +57,6 @@ def docs(topic: str | None) -> None:
         with console.capture() as formatted:
             console.print(Markdown(page_text(pages()[topic]), hyperlinks=False))
         click.echo_via_pager(formatted.get())
-
-
-def parameter_table() -> str:
-    """All parameters in one table, with a row of its own for the name of each record."""
-    lines = [
-        "| name | option | default | allowed | unit | meaning |",
-        "| --- | --- | --- | --- | --- | --- |",
-    ]
-    for record in _SECTIONS:
-        lines.append(f"| **`{record.__name__}`** | **{record.group}** |  |  |  |  |")
-        for declared in parameters(record):
-            cells = [f"`{declared.name}`", *_cells(declared), declared.unit, declared.help]
-            lines.append(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |")
-    return "\n".join([*lines, ""])
-
-
-def _cells(declared: Parameter) -> tuple[str, str, str]:
-    flags = [flag for flag in declared.flags if flag.startswith("-")]
-    default = "required" if declared.default is REQUIRED else declared.default_in_words
-    return (
-        ", ".join(f"`{flag}`" for flag in flags),
-        default or ("off" if declared.kind is bool else ""),
-        "" if declared.kind is bool else declared.range,
-    )
 
 
 class _Roff(click.HelpFormatter):

@@ -181,6 +181,16 @@ def test_the_page_of_parameters_has_every_parameter_of_smooth():
     assert [name for name in named if f"| `{name}` |" not in shown] == []
 
 
+@pytest.mark.parametrize("name", ["api.md", "commands.md", "parameters.md"])
+def test_the_parts_of_pages_that_are_made_from_the_code_are_current(name, monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    import reference
+
+    # Compared as a whole, so that pytest does not search for a long difference.
+    is_current = reference.page(name) == (ROOT / "docs" / name).read_text(encoding="utf-8")
+    assert is_current, "run `make reference`"
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
 def test_docs_formats_pages_in_a_terminal():
     ours, theirs = os.openpty()
