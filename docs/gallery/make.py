@@ -1,7 +1,7 @@
 """Make the pictures of the gallery: ``make gallery``, or ``python docs/gallery/make.py [FOLDER]``.
 
-Every command is read from docs/gallery.md and run as it stands there, so that the page shows what it says. The statue is
-looked for in the folder that the environment variable BELTRAMI_EXTRA_MESHES names; without it its pictures stay.
+Every command is read from docs/gallery.md and run as it stands there, so that the page shows what it says. The statue
+is looked for in the folder that the environment variable BELTRAMI_EXTRA_MESHES names; without it its pictures stay.
 """
 
 from __future__ import annotations
