@@ -19,11 +19,14 @@ from batch.dask_cluster import Cluster
 from beltrami_cli.batch.cluster import OnDask, do_on_worker, portable
 from beltrami_cli.batch.item import Item, Record
 from beltrami_cli.batch.run import Batch, ChunkRunner, Workers
-from beltrami_cli.flow.beltrami_flow import choose_parameters, smooth
+from beltrami_cli.flow.beltrami_flow import smooth_in_place
 from beltrami_cli.flow.chunks import in_chunks
-from beltrami_cli.flow.mesh_manifold import mesh_manifold
+from beltrami_cli.flow.decoding import plan_on_canvas
+from beltrami_cli.flow.estimation import estimate_on_mesh
+from beltrami_cli.flow.mesh_manifold import ColouredMesh, mesh_manifold
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image
+from beltrami_cli.flow.plan import choose_parameters
+from beltrami_cli.layers.image_surface import ImageSurface, canvas_of_image
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.records import SampledSurface
 from cli.commands import SAMPLES
@@ -67,15 +70,18 @@ def mesh(side=700):
     surface = SampledSurface(
         flat, faces.astype(np.int32), np.zeros((0, 3), np.int32), colours.astype(np.float32)
     )
-    return choose_parameters(mesh_manifold(surface, FIXED), FIXED)
+    mesh = ColouredMesh.of(surface, FIXED)
+    return choose_parameters(mesh_manifold(mesh, estimate_on_mesh(mesh)), FIXED)
 
 
 def texture(side=2048):
     """Make the flow on a picture of four million pixels."""
     random = np.random.default_rng(0)
     colours = (0.5 + 20 / 255 * random.standard_normal((side * side, 3))).astype(np.float32)
-    return plan_on_image(
-        ImageSurface(valid=np.ones((side, side), bool)), lambda pixels: colours[pixels], FIXED
+    return plan_on_canvas(
+        canvas_of_image(
+            ImageSurface(valid=np.ones((side, side), bool)), lambda pixels: colours[pixels], FIXED
+        )
     )
 
 
@@ -86,7 +92,7 @@ def in_eight_chunks(make):
         with in_chunks(8, ChunkRunner(OnDask(client, per_worker=2))):
             plan = make()
             start = time.perf_counter()
-            smooth(plan)
+            smooth_in_place(plan)
             return time.perf_counter() - start
 
     return run
@@ -96,7 +102,7 @@ def whole(make):
     """Time the same on one thread without a cluster: on the clock, and of the processor."""
     plan = make()
     start, used = time.perf_counter(), time.process_time()
-    smooth(plan)
+    smooth_in_place(plan)
     return time.perf_counter() - start, time.process_time() - used
 
 

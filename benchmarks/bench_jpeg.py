@@ -21,12 +21,11 @@ from bench_textures import scenes
 from patch_scenes import PHOTOGRAPHS, photograph_in_charts
 
 import beltrami_cli.flow.parameters as kernel
-from beltrami_cli.flow.beltrami_flow import smooth
-from beltrami_cli.flow.canvas import painted
-from beltrami_cli.flow.grid_manifold import grid_manifold
+from beltrami_cli.flow.beltrami_flow import smooth_in_place
+from beltrami_cli.flow.decoding import decodes_again, plan_on_canvas
 from beltrami_cli.formats.image.metadata import read_jpeg_tables
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.layers.picture_layer import plan_on_pictures
+from beltrami_cli.layers.picture_layer import coded_pictures
 from beltrami_cli.surface.atlas import build_atlas
 
 SUBSAMPLINGS = {"4:4:4": 0x111111, "4:2:0": 0x221111}
@@ -99,12 +98,10 @@ def judge(scene, atlas, quality, subsampling, sigma):
     def reached(**parameters):
         own = kernel.KernelParameters(**parameters)
 
-        def manifold(planes, noise):
-            planes = painted(atlas, stored) if planes is None else planes
-            return grid_manifold(atlas, planes, own, noise=noise)
-
-        plan = plan_on_pictures(manifold, atlas, list(zip(pixels, tables, strict=True)), own)
-        return tuning_scene.psnr(smooth(plan).manifold.new_colours().table(), clean)
+        canvas = tuning_scene.canvas_of(atlas, stored, own)
+        coded = coded_pictures(atlas, list(zip(pixels, tables, strict=True))) if decodes_again(own) else ()
+        plan = plan_on_canvas(canvas, coded)
+        return tuning_scene.psnr(smooth_in_place(plan).manifold.new_colours().table(), clean)
 
     best = max(
         reached(iterations=count, t=8.0, beta=255 * contrast / sigma, beta_growth=growth, metric_steps=2)

@@ -32,7 +32,7 @@ def found_in(image: np.ndarray) -> np.ndarray:
     atlas = grid_atlas(image.shape[:2], 2, None, np.ones(image.shape[:2], bool))
     planes = np.zeros((image.shape[2], *atlas.kind.shape), np.float32)
     planes[:, 2:-2, 2:-2] = np.moveaxis(image, 2, 0)
-    made = outliers.replace_outliers(planes, CanvasSamples(atlas), KernelParameters(), is_light=False)
+    _, made = outliers.fill_outliers(planes, CanvasSamples(atlas), KernelParameters(), is_light=False)
     wrong = np.zeros(image.shape[0] * image.shape[1], bool)
     if made is not None:
         wrong[made.samples] = True

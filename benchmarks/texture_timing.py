@@ -16,7 +16,7 @@ from peers import PeerError
 from scene import ROOT, SIGMA, SMOOTH
 
 import beltrami_cli
-from beltrami_cli.flow.beltrami_flow import smooth
+from beltrami_cli.flow.beltrami_flow import smooth_in_place
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.layers.texture_layer import TextureLayer
@@ -89,7 +89,7 @@ def stage_seconds(source, guided):
     marks.append(time.process_time())
     plan = TextureLayer.read(surface, "baseColor", settings).plan()
     marks.append(time.process_time())
-    smooth(plan)
+    smooth_in_place(plan)
     decoding, setup, iteration = np.diff([*marks, time.process_time()])
     return setup - decoding, iteration
 

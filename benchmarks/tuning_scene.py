@@ -12,12 +12,14 @@ import numpy as np
 import texture_files
 from scene import ROOT
 
-from beltrami_cli.flow.beltrami_flow import choose_parameters, smooth
-from beltrami_cli.flow.canvas import painted
-from beltrami_cli.flow.grid_manifold import GridManifold, cut_blocks, grid_manifold
+from beltrami_cli.flow.beltrami_flow import smooth_in_place
+from beltrami_cli.flow.decoding import plan_on_canvas
+from beltrami_cli.flow.estimation import estimate_on_canvas, estimate_on_mesh
+from beltrami_cli.flow.grid_manifold import ColouredCanvas, GridManifold, cut_blocks, grid_manifold
 from beltrami_cli.flow.manifold import Step, mark_clipped, restore_clipped
-from beltrami_cli.flow.mesh_manifold import mesh_manifold
+from beltrami_cli.flow.mesh_manifold import ColouredMesh, mesh_manifold
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
+from beltrami_cli.flow.plan import choose_parameters
 from beltrami_cli.flow.risk import choose_blocks
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_document
@@ -50,8 +52,7 @@ class Texels:
     steps = (2.4, 4.0, 8.0)
 
     def plan(self, noisy, parameters):
-        manifold = grid_manifold(self.atlas, painted(self.atlas, noisy), parameters)
-        return choose_parameters(manifold, parameters)
+        return plan_on_canvas(canvas_of(self.atlas, noisy, parameters))
 
     def noisy(self, sigma):
         """Return colours with noise."""
@@ -89,7 +90,8 @@ class Vertices:
         sampling = sample_vertices(self.painted)
         surface = sampling.surface(self.painted, np.ascontiguousarray(colours[sampling.first_vertex]))
         self.rows = sampling.sample_of[self._first]
-        return choose_parameters(mesh_manifold(surface, parameters), parameters)
+        mesh = ColouredMesh.of(surface, parameters)
+        return choose_parameters(mesh_manifold(mesh, estimate_on_mesh(mesh)), parameters)
 
 
 def textures(scenes, most):
@@ -110,10 +112,21 @@ def textures(scenes, most):
         yield Texels(scene.name, atlas, clean)
 
 
+def canvas_of(atlas, colours, parameters):
+    """Return the canvas of an atlas with colours of its owned cells, shape (T, N)."""
+    return ColouredCanvas(
+        atlas=atlas,
+        parameters=parameters,
+        channels=colours.shape[1],
+        colours_of=colours.__getitem__,
+    )
+
+
 def blocks_of(atlas, clean, most):
     """Return blocks of an atlas that end at their borders, and the colours of their owned cells."""
     cells, core = choose_blocks(atlas, most, REACH)
-    whole = grid_manifold(atlas, painted(atlas, clean.astype(np.float32)), KernelParameters(beta=0.0))
+    canvas = canvas_of(atlas, clean.astype(np.float32), KernelParameters(beta=0.0))
+    whole = grid_manifold(canvas, estimate_on_canvas(canvas))
     part = cut_blocks(whole, cells, core, REACH).geometry.atlas
     kind = part.kind.copy()
     kept = np.zeros(kind.size, bool)
@@ -165,7 +178,7 @@ class Steps:
 def chosen(scene, noisy, **others):
     """Return the PSNR with parameters chosen from the data, and the plan."""
     plan = scene.plan(noisy, KernelParameters(free=TUNABLE, **others))
-    colours = smooth(plan).manifold.new_colours().table()
+    colours = smooth_in_place(plan).manifold.new_colours().table()
     if not isinstance(plan.manifold, GridManifold):
         colours = colours[scene.rows]
     return psnr(colours, scene.clean), plan

@@ -1,88 +1,22 @@
-"""N iterations of the short-time Beltrami kernel on an image manifold, with what was left open chosen from the data."""
+"""N iterations of the short-time Beltrami kernel on an image manifold, and patches, as planned.
+
+Smoothing takes three functions over values: `estimate_on_mesh` or `estimate_on_canvas`, `choose_parameters`,
+`smooth_in_place`. Only the last overwrites an array that it is given: colours may take half of the memory.
+"""
 
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic
 
-import numpy as np
-
-from beltrami_cli.arrays import Float32s, Float64s
-from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.choice import Choice, is_noisy, tune
-from beltrami_cli.flow.chunks import chunking
+from beltrami_cli.arrays import Float32s
+from beltrami_cli.flow.choice import Choice
 from beltrami_cli.flow.clipping import ClippedChannels
-from beltrami_cli.flow.coarse_levels import denoise_means
 from beltrami_cli.flow.manifold import Averaged, Manifold, Step, mark_clipped, restore_clipped
-from beltrami_cli.flow.mean_light import MeanLight
-from beltrami_cli.flow.noise.model import Reading
-from beltrami_cli.flow.parameters import KernelParameters, Space
 from beltrami_cli.flow.patches import PASSES, blend_with_patches
-
-AnyManifold = TypeVar("AnyManifold", bound=Manifold)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Plan(Generic[AnyManifold]):
-    """How a manifold is smoothed: parameters with nothing left open, and the noise that they are chosen for."""
-
-    manifold: AnyManifold  # with these parameters
-    noise: Float64s  # standard deviation in the input's colours by channel, shape (N,)
-    described_noise: dict[str, float]  # see `NoiseModel.described`
-    reading: Reading | None = None  # None: the noise is given
-    choice: Choice | None = None  # None where no parameter was chosen from the data
-    takes_patches: bool = False
-    light: MeanLight | None = None  # whose mean stays
-
-    @property
-    def parameters(self) -> KernelParameters:
-        return self.manifold.parameters
-
-    @property
-    def beta(self) -> float:
-        """Beta of the first iteration, in units of length per unit of the input's colours."""
-        return self.manifold.beta / self.manifold.noise.growth
-
-    @property
-    def guide_betas(self) -> dict[str, float]:
-        return {guide.name: guide.beta for guide in self.manifold.guides}
-
-    @property
-    def outliers(self) -> dict[str, object]:
-        """How many samples were outliers, their share of all, and whether they are replaced; empty: none were."""
-        own, is_replaced = self.manifold.outliers, self.parameters.outliers != "keep"
-        return {} if own is None else {"count": len(own.samples), "share": own.share, "replaced": is_replaced}
-
-    def step(self, iteration: int) -> Step:
-        """Return an iteration, counted from 0."""
-        own = self.parameters
-        return Step(self.manifold.beta * own.growth(iteration), own.t, own.is_regularised(iteration))
-
-    def with_noise(self, sigma: Float64s, reading: Reading | None) -> Plan[AnyManifold]:
-        """Return the plan for colours with other noise, root mean square differences from the truth by channel.
-
-        No PSNR is predicted for it.
-        """
-        more = float(np.sqrt(np.mean(np.square(sigma)) / np.mean(np.square(self.noise))))
-        described = {
-            name: value if name == "grain" else more * value for name, value in self.described_noise.items()
-        }
-        choice = self.choice
-        if choice is not None and choice.gain is not None:
-            gain = choice.gain + 20 * float(np.log10(more))
-            choice = dataclasses.replace(choice, gain=gain, predicted=None)
-        return dataclasses.replace(
-            self, noise=sigma, described_noise=described, choice=choice, reading=reading
-        )
-
-    def stopped_before(self, iteration: int) -> Plan[AnyManifold]:
-        """Return the plan of the iterations before one, counted from 0, and of nothing after them."""
-        first = dataclasses.replace(self.parameters, iterations=iteration, clipping="keep")
-        manifold = dataclasses.replace(self.manifold, parameters=first)
-        return dataclasses.replace(self, takes_patches=False, light=None, manifold=manifold)
+from beltrami_cli.flow.plan import AnyManifold, Plan
 
 
 @dataclass(frozen=True)
@@ -96,64 +30,14 @@ class FlowResult(Generic[AnyManifold]):
     patches: float | None = None  # the share taken from patches; None: only the kernel was run
 
 
-def choose_parameters(
-    manifold: AnyManifold,
-    wanted: KernelParameters,
-    tick: Callable[[], None] | None = None,
-    *,
-    light_in: Space | None = None,
-) -> Plan[AnyManifold]:
-    """Choose the open parameters by the estimated error of the result.
-
-    Where patches follow, noise that neighbouring samples share is first removed from the colours, in place, but for
-    its finest details. `tick` is called often, and may raise to stop. `light_in` is the space of colours that stand for
-    light, whose mean stays unless beta is given.
-    """
-    light = None
-    if light_in is not None and wanted.evens_noise:
-        light = MeanLight.of(manifold, light_in)
-        # Texels that no path has lit are black, and no noise was cut off there.
-        wanted = dataclasses.replace(wanted, clipping="keep")
-        kept = dataclasses.replace(manifold.parameters, clipping="keep")
-        manifold = dataclasses.replace(manifold, parameters=kept)
-    moves = manifold.moving is not None
-    if moves and chunking() is not None:
-        raise UsageError("vertices are not moved in pieces; leave out --pieces, or --smooth-geometry")
-    if moves:  # positions take the same iterations, for which the best parameters of colours are too strong
-        wanted = dataclasses.replace(wanted, free=())
-    noise, error = manifold.noise, 0.0
-    noisy = is_noisy(noise.of_input)
-    corrects = noisy and noise.is_shared and wanted.takes_patches and not moves
-    if corrects:
-        manifold, error = denoise_means(manifold, tick)
-    chosen, choice = tune(manifold, wanted, noisy=noisy, tick=tick)
-    if corrects and "iterations" in wanted.free:
-        chosen = dataclasses.replace(chosen, iterations=max(1, chosen.iterations))
-    if choice is not None:
-        variance = float(np.mean(np.square(noise.of_input)))
-        choice = choice.improved(-error)
-        if corrects and choice.psnr is not None:
-            # Until here the gain is over colours whose shared noise is removed already.
-            choice = dataclasses.replace(choice, gain=choice.psnr + 10 * math.log10(variance))
-    work = manifold.geometry.work(manifold.unit)
-    chosen = work.bounded(chosen)
-    work.announce(chosen)
-    manifold.geometry.drop_samples()
-    read = noise.as_read()
-    return Plan(
-        manifold=dataclasses.replace(manifold, parameters=chosen), noise=read.of_input,
-        described_noise=read.described(), reading=noise.reading, choice=choice,
-        takes_patches=wanted.takes_patches and chosen.iterations > 0 and not moves and noisy, light=light,
-    )  # fmt: skip
-
-
-def smooth(
+def smooth_in_place(
     plan: Plan[AnyManifold], progress: Callable[[int, int], None] | None = None
 ) -> FlowResult[AnyManifold]:
-    """Run the kernel and, if planned, patches, on the manifold's colours, which are taken over.
+    """Run the kernel and, if planned, patches, in the memory of the plan's colours, which are lost.
 
     `progress` is called with work done and total, and may raise to stop.
     """
+    plan.manifold.geometry.drop_samples()
     manifold, choice, share, run = plan.manifold, plan.choice, None, Averaged([], 0.0)
     iterations = plan.parameters.iterations
     passes = 2 * (iterations + sum(PASSES)) if plan.takes_patches else iterations

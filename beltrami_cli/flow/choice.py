@@ -379,7 +379,7 @@ def _chosen(
         "metric_steps": schedule.regularised,
     }
     chosen: dict[str, Any] = {name: values[name] for name in parameters.free}
-    given = chosen | ({"beta": chosen["beta"] / manifold.noise.growth} if "beta" in chosen else {})
+    given = chosen | ({"beta": manifold.noise.beta_to_input(chosen["beta"])} if "beta" in chosen else {})
     return dataclasses.replace(parameters, **chosen, free=()), given
 
 

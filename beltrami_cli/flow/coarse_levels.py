@@ -29,6 +29,7 @@ from beltrami_cli.flow.domain import CoarseLevel, Geometry, block_rows, in_block
 from beltrami_cli.flow.manifold import Manifold, relative_variance
 from beltrami_cli.flow.noise.model import sigma_of_covariances
 from beltrami_cli.flow.patches import PERTURBATION, mixing_of, with_pilot
+from beltrami_cli.surface import large_arrays
 
 AnyManifold = TypeVar("AnyManifold", bound=Manifold)
 
@@ -49,28 +50,30 @@ _OUTLIER, _PLAIN, _ROUNDS = 4.0, 1.4, 2
 _LEAST_SHARE = 1e-6
 
 
-def denoise_means(manifold: AnyManifold, tick: Callable[[], None] | None = None) -> tuple[AnyManifold, float]:
-    """Remove noise that neighbours share, but for their own details, from the colours, in place.
+def without_shared_noise(
+    manifold: AnyManifold, tick: Callable[[], None] | None = None
+) -> tuple[AnyManifold, float]:
+    """Return the manifold with colours whose noise neighbours do not share, but for its finest details.
 
-    Return the manifold with the noise that is left, and the estimated mean square error of what was removed. `tick` is
-    called often, and may raise to stop.
+    Return also the estimated mean square error of what was removed. `tick` is called often, and may raise to stop.
     """
     covariances = manifold.noise.covariances
+    manifold = dataclasses.replace(manifold, colours=large_arrays.copy_of(manifold.colours))
     if manifold.parameters.clipping == "restore":
-        _impute_cut_off(manifold)
+        _impute_cut_off_in_place(manifold)
     levels, error = manifold.levels(_coarsest(covariances), tick), 0.0
     if not levels:
         return manifold, 0.0
-    replace_outliers(manifold, levels[0], sigma_of_covariances(covariances))
+    fill_dark_outliers_in_place(manifold, levels[0], sigma_of_covariances(covariances))
     for number, level in reversed(list(enumerate(levels, 1))):
         noise = level.noise * _noise_of_level(covariances, number, is_coarsest=number == len(levels))
-        error += max(0.0, _estimate(level, manifold, noise))
+        error += max(0.0, _estimate_in_place(level, manifold, noise))
     left = dataclasses.replace(manifold.noise, covariances=_left_for_samples(covariances))
     return dataclasses.replace(manifold, noise=left), error
 
 
-def _impute_cut_off(manifold: Manifold) -> None:
-    """Replace samples at a limit, in place, by what noise beyond it would be on average, given those around them."""
+def _impute_cut_off_in_place(manifold: Manifold) -> None:
+    """Replace samples at a limit by what noise beyond it would be on average, given those around them."""
     geometry, regions = manifold.geometry, manifold.regions
     found = geometry.find_clipped(manifold.colours, manifold.noise.sigma)
     colours, relative = (
@@ -97,8 +100,8 @@ def _impute_cut_off(manifold: Manifold) -> None:
     geometry.refresh(manifold.colours)
 
 
-def replace_outliers(manifold: Manifold, level: CoarseLevel, sigma: Float64s) -> None:
-    """Replace single samples, in place, that lie further below the mean around than noise does in a plain place."""
+def fill_dark_outliers_in_place(manifold: Manifold, level: CoarseLevel, sigma: Float64s) -> None:
+    """Replace single samples that lie further below the mean around than noise does in a plain place."""
     geometry = manifold.geometry
     colours, relative = (
         np.moveaxis(each, geometry.axis, 0) for each in (manifold.colours, relative_variance(manifold))
@@ -143,8 +146,8 @@ def _coarsest(covariances: Float64s) -> int:
     return int(grows[-1]) + 1 if len(grows) else 0
 
 
-def _estimate(level: CoarseLevel, manifold: Manifold, noise: Float64s) -> float:
-    """Estimate means, in place; return their mean square error by SURE, see `risk`."""
+def _estimate_in_place(level: CoarseLevel, manifold: Manifold, noise: Float64s) -> float:
+    """Estimate means; return their mean square error by SURE, see `risk`."""
     first = mixing_of(manifold, manifold.colours, noise)
     second, means = with_pilot(first, manifold), level.means(manifold.colours)
     collaborate = partial(level.collaborate, shared=True)

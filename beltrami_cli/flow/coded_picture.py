@@ -135,8 +135,8 @@ class CodedPicture:
         return [luma, *(own / np.sqrt(self.span[0] * self.span[1]) for own in chroma)]
 
 
-def decode(picture: CodedPicture, pilot: Float32s, sigma: float) -> None:
-    """Replace a pilot, shape (H, W, 1 or 3), full scale 1, in place, by what pixels were before on average."""
+def decode_in_place(picture: CodedPicture, pilot: Float32s, sigma: float) -> None:
+    """Replace a pilot, shape (H, W, 1 or 3), full scale 1, by what pixels were before on average."""
     for rows in picture.bands:
         stored = picture.pixels[rows].astype(np.float32)
         decoded = expected(picture, stored, picture.stored_planes(rows), 255 * pilot[rows], sigma)
@@ -202,7 +202,7 @@ def sigma_before(pictures: Sequence[CodedPicture], noise: NoiseModel) -> float |
     variances = np.einsum("i,lij,j->l", luma, noise.covariances[:, :channels, :channels], luma)
     # JPEG keeps most of the noise of luma in means of 2 x 2 pixels, where its steps are small.
     fine, middle, coarse = (variances[min(scale, len(variances) - 1)] for scale in range(3))
-    sigma = noise.growth * float(np.sqrt(middle / np.square(luma).sum()))
+    sigma = noise.difference_to_input(float(np.sqrt(middle / np.square(luma).sum())))
     is_white = coarse < _GROWS**2 * middle and middle < _MOST_TAKEN**2 * fine
     return sigma if is_white and sigma >= _LEAST_SIGMA else None
 
@@ -218,7 +218,7 @@ def is_changed(pictures: Sequence[CodedPicture], sigma: float) -> bool:
 def noise_after(
     pictures: Sequence[CodedPicture], pilots: Sequence[Float32s], sigma: float
 ) -> tuple[NoiseModel, Float64s]:
-    """Find what `decode` leaves of noise, and the root mean square of what stored pixels differ by, per channel.
+    """Find what decoding leaves of noise, and the root mean square of what stored pixels differ by, per channel.
 
     Both on the pilots, noise added and coded.
     """

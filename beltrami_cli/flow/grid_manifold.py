@@ -20,8 +20,6 @@ from beltrami_cli.flow.canvas import (
     canvas_colours,
     collaborate_on_canvas,
     end_at_seams,
-    find_colour_jumps,
-    halo_beyond,
     kernel_margin,
     painted,
     squares_for,
@@ -29,8 +27,6 @@ from beltrami_cli.flow.canvas import (
 from beltrami_cli.flow.chunks import Chunk, Figures, Rectangle, chunking, chunks_of_canvas
 from beltrami_cli.flow.domain import Gaussian, Mixing, NewColours, Stack
 from beltrami_cli.flow.grid_geometry import (
-    SUMMED_ROWS,
-    CanvasSamples,
     Cells,
     GridGaussian,
     GridGeometry,
@@ -47,18 +43,15 @@ from beltrami_cli.flow.manifold import (
     Metric,
     SampledKernel,
     SampleTrial,
+    StabilisedColours,
     Step,
     at_step,
     kernel_values,
 )
-from beltrami_cli.flow.noise.grid_squares import Grid
-from beltrami_cli.flow.noise.model import NoiseModel, relative_to_mean
-from beltrami_cli.flow.noise.reading import estimate_noise
-from beltrami_cli.flow.outliers import replace_outliers
-from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.flow.parameters import KernelParameters, Space
 from beltrami_cli.flow.risk import choose_blocks, perturbations, tried_cells, wanted_probes, with_halo
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import EMPTY, OWNED, Atlas, refresh_halo, without_halo
+from beltrami_cli.surface.atlas import EMPTY, OWNED, Atlas, refresh_halo
 
 # Cells of a row block, some 90 bytes each; more where many threads share them.
 ROW_BLOCK_CELLS = 1 << 18
@@ -71,55 +64,41 @@ TILE_ROWS = 32
 _WIDEST_SWEEP = 15
 
 
-def grid_manifold(
-    atlas: Atlas,
-    planes: Float32s,
-    parameters: KernelParameters,
-    *,
-    stop_at_holes: bool = False,
-    guides: Sequence[Guide] = (),
-    metric_channels: Sequence[int] | None = None,
-    noise: NoiseModel | Float32s | None = None,
-    unit: float | None = None,
-    is_light: bool = False,
-) -> GridManifold:
-    """Make the image manifold of an atlas with colours on its canvas, which are taken over.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ColouredCanvas:
+    """The canvas of an atlas, the colours of its T owned cells as the input has them, and what guides smoothing."""
 
-    `noise`: of the colours, or the standard deviations of the owned cells, shape (T, K); None: it is estimated.
-    """
-    outliers = None
-    if not isinstance(noise, NoiseModel):  # with which colours are given that have none
-        outliers = replace_outliers(planes, CanvasSamples(atlas), parameters, is_light=is_light)
-        if outliers is not None:
-            refresh_halo(planes, atlas)
-    measured, known = None, None
-    if isinstance(noise, NoiseModel):
-        known = noise
-    elif noise is not None:
-        of_samples, sigma = relative_to_mean(noise)
-        relative = painted(atlas, of_samples)
-        relative[relative == 0] = 1  # in empty cells
-        measured = relative, sigma
-    model = estimate_noise(
-        planes, Grid(atlas.is_owned), parameters.given_noise, varies=parameters.evens_noise,
-        strength=parameters.strength, measured=measured, known=known,
-    )  # fmt: skip
-    different = np.zeros(max(1, atlas.seams), bool)
-    # Where colours do not count as distance, a jump in colour is not an edge.
-    if parameters.beta != 0 and (metric_channels is None or len(metric_channels)):
-        different = find_colour_jumps(atlas, planes, model.largest_sigma)
-    if different.any():
-        atlas = without_halo(atlas, halo_beyond(atlas, different))
-        for rows in large_arrays.blocks(len(atlas.kind), SUMMED_ROWS):
-            planes[:, rows][:, atlas.kind[rows] == EMPTY] = 0
-    grid = GridGeometry.of(atlas, parameters, stop_at_holes=stop_at_holes)
+    atlas: Atlas
+    channels: int
+    colours_of: Callable[[slice], Float32s]  # of a block of the owned cells, shape (K, channels)
+    parameters: KernelParameters
+    deviations: Float32s | None = None  # of the noise, if they are given, shape (T, K)
+    light: Space | None = None  # the space of colours that stand for light; None: they do not
+    guides: Sequence[Guide] = ()
+    metric_channels: Sequence[int] | None = None
+    stop_at_holes: bool = False
+    unit: float | None = None  # of length, in sample spacings; None: by the parameters
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CanvasColours(StabilisedColours):
+    """Stabilised colours on a canvas that ends at the seams over which they jump."""
+
+    atlas: Atlas
+    jumps: int  # how many such seams there are
+
+
+def grid_manifold(canvas: ColouredCanvas, colours: CanvasColours) -> GridManifold:
+    """Make the image manifold of colours of a canvas."""
+    own = canvas.parameters
+    grid, unit = GridGeometry.of(colours.atlas, own, stop_at_holes=canvas.stop_at_holes), canvas.unit
     if unit is None:
-        unit = grid.spacing if parameters.units == "world" else 1.0
+        unit = grid.spacing if own.units == "world" else 1.0
     return GridManifold(
-        geometry=grid, colours=planes, noise=model, parameters=parameters, unit=unit,
-        metric_channels=slice(None) if metric_channels is None else list(metric_channels),
-        guides=tuple(GuideStack.of(guide, _guide_on_canvas(guide, grid), grid, unit) for guide in guides),
-        jumps=int(np.count_nonzero(different)), outliers=outliers,
+        geometry=grid, colours=colours.stack, noise=colours.noise, parameters=own, unit=unit,
+        metric_channels=slice(None) if canvas.metric_channels is None else list(canvas.metric_channels),
+        guides=tuple(GuideStack.of(guide, _guide_on_canvas(guide, grid), grid, unit) for guide in canvas.guides),
+        jumps=colours.jumps, outliers=colours.outliers,
     )  # fmt: skip
 
 

@@ -75,8 +75,8 @@ class Step:
 class Metric:
     """The metric of an iteration, eq. (1).
 
-    That of a mesh is in the compiled core, until the next is measured; that of a grid is induced by the first
-    `channels` of the first stack, row block by row block, while they are averaged.
+    That of a grid, and of a mesh in chunks, is induced by the first `channels` of the first stack, part by part, while
+    they are averaged; that of a whole mesh is a `MeshMetric`.
     """
 
     step: Step
@@ -113,11 +113,24 @@ class GuideStack:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class StabilisedColours:
+    """Colours as manifolds have them: without outliers, and with noise that is the same at all levels.
+
+    Parameters and results are in units of the input's colours: `NoiseModel.to_input` converts colours, and
+    `beta_to_input`, `difference_to_input` and `square_to_input` what is measured in them.
+    """
+
+    stack: Stack
+    noise: NoiseModel  # of the stack
+    outliers: Outliers | None = None  # that were filled
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Manifold(ABC):
     """Samples of an image manifold, or of a part of one, ready to be measured and averaged."""
 
     geometry: Geometry
-    colours: Stack  # before or after iterations
+    colours: Stack  # stabilised, see `StabilisedColours`; before or after iterations
     noise: NoiseModel  # of the colours
     parameters: KernelParameters
     unit: float  # of length, for t and beta, in sample spacings

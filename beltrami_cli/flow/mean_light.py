@@ -62,7 +62,7 @@ class MeanLight:
         for own, new in zip(in_blocks(axis, manifold.colours), in_blocks(0, light), strict=True):
             own[0][:] = _converted(new[0], lambda rows: to_space(rows, "linear", space))
             if stabiliser is not None:
-                stabiliser.stabilise(own[0])
+                stabiliser.stabilise_in_place(own[0])
         manifold.geometry.refresh(manifold.colours)
 
 
@@ -89,7 +89,7 @@ def _light_of(manifold: Manifold, space: Space) -> Float32s:
     for own, light in zip(in_blocks(axis, manifold.colours), in_blocks(0, planes), strict=True):
         colours = own[0].copy()
         if stabiliser is not None:
-            stabiliser.restore(colours)
+            stabiliser.restore_in_place(colours)
         light[0][:] = _converted(colours, lambda rows: from_space(rows, "linear", space))
     return planes
 

@@ -11,7 +11,7 @@ import dataclasses
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import ClassVar
+from typing import ClassVar, Protocol, TypeAlias
 
 import numpy as np
 
@@ -51,6 +51,20 @@ _LARGEST = 2
 _COARSE = np.float32(256)
 
 
+Core: TypeAlias = SegmentManifold | TriangulatedManifold
+
+
+class InducedMetric(Protocol):
+    """The metric that positions and features induce; beta: units of length per unit of the features."""
+
+    @property
+    def positions(self) -> Float64s: ...
+    @property
+    def features(self) -> Float32s: ...
+    @property
+    def beta(self) -> float: ...
+
+
 @dataclass(kw_only=True, eq=False)
 class MeshGeometry(Geometry, Domain):
     """Vertices, triangles and edges; stacks have a row a vertex."""
@@ -71,6 +85,7 @@ class MeshGeometry(Geometry, Domain):
     gain: float | None = None  # of the regularised metric of the whole surface; None: its own
 
     _graph: Graph | None = field(default=None, init=False)
+    _core: tuple[Core, InducedMetric | None] | None = field(default=None, init=False)
 
     @classmethod
     def of(cls, surface: SampledSurface, parameters: KernelParameters) -> MeshGeometry:
@@ -108,17 +123,21 @@ class MeshGeometry(Geometry, Domain):
     def kind(self) -> Uint8s:
         return np.broadcast_to(np.uint8(OWNED), (self.size, 1))
 
-    @cached_property
-    def core(self) -> SegmentManifold | TriangulatedManifold:
-        """The manifold of the compiled core, made when it is first needed."""
-        return (SegmentManifold if self.is_along_segments else TriangulatedManifold)(self.faces, self.size)
+    def core_with(self, metric: InducedMetric, threads: int) -> Core:
+        """Return the manifold of the compiled core, which has one metric at a time, with this one."""
+        kind = SegmentManifold if self.is_along_segments else TriangulatedManifold
+        core, last = self._core or (kind(self.faces, self.size), None)
+        if last is not metric:
+            core.update_metric(metric.positions, metric.features, metric.beta, self.scales, threads)
+            self._core = core, metric
+        return core
 
     def drop_distances(self) -> None:
-        vars(self).pop("core", None)
+        self._core = None
 
     def __getstate__(self) -> dict[str, object]:
         fields = {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
-        return {**fields, "_graph": None}
+        return {**fields, "_graph": None, "_core": None}
 
     def graph(self, colours: Stack) -> Graph:
         """Return the samples and their edges, with priorities by the colours with which it is first called."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import islice
 from typing import ClassVar
@@ -25,16 +26,14 @@ from beltrami_cli.flow.manifold import (
     Metric,
     SampledKernel,
     SampleTrial,
+    StabilisedColours,
     Step,
     at_step,
     kernel_values,
 )
-from beltrami_cli.flow.mesh_geometry import MeshGeometry, MeshSamples, coarse, rank_in, without_hubs
+from beltrami_cli.flow.mesh_geometry import Core, MeshGeometry, coarse, rank_in, without_hubs
 from beltrami_cli.flow.moving_positions import GeometryParameters, MovingPositions
-from beltrami_cli.flow.noise.clusters import VertexClusters
-from beltrami_cli.flow.noise.model import draw_noise_of_clusters, relative_to_mean, root_of
-from beltrami_cli.flow.noise.reading import estimate_noise
-from beltrami_cli.flow.outliers import replace_outliers
+from beltrami_cli.flow.noise.model import draw_noise_of_clusters, root_of
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.risk import choose_patches, fingerprints, random_signs, wanted_probes
 from beltrami_cli.flow.vertex_graph import Graph, Level, levels_of
@@ -56,47 +55,63 @@ _KNOWN = 5.0
 _FEWEST = 500
 
 
-def mesh_manifold(
-    surface: SampledSurface,
-    parameters: KernelParameters,
-    *,
-    guides: Sequence[Guide] = (),
-    metric_channels: Sequence[int] | None = None,
-    geometry: GeometryParameters | None = None,
-    deviations: Float32s | None = None,
-    is_light: bool = False,
-) -> MeshManifold:
-    """Make the image manifold of a sampled surface; with `geometry`, positions are smoothed, too."""
-    mesh = MeshGeometry.of(surface, parameters)
-    colours = kept(surface.colours[mesh.order])
-    outliers = replace_outliers(colours.T, MeshSamples(mesh), parameters, is_light=is_light)
-    noise = estimate_noise(
-        colours.T,
-        VertexClusters(mesh.graph(colours)),
-        parameters.given_noise,
-        varies=parameters.evens_noise and geometry is None,
-        strength=parameters.strength,
-        measured=None if deviations is None else relative_to_mean(deviations[mesh.order]),
-    )
-    unit = mesh.spacing if parameters.units == "world" else 1.0
-    moving = None
-    if geometry is not None:
-        places = GeometryParameters(geometry.places[mesh.order], geometry.normal_beta)
-        faces = rank_in(mesh.order)[surface.faces]
-        moving = MovingPositions.of(
-            mesh.positions,
-            faces,
-            mesh.edges,
-            spacing=mesh.spacing or 1.0,
-            unit=unit,
-            parameters=places,
-        )
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ColouredMesh:
+    """A mesh, the colours of its samples as the input has them, and what guides smoothing."""
+
+    geometry: MeshGeometry
+    colours: Stack
+    parameters: KernelParameters
+    deviations: Float32s | None = None  # of the noise, if they are given, a row a sample
+    is_light: bool = False  # whether colours stand for light
+    guides: Sequence[Guide] = ()  # in the order of the caller
+    metric_channels: Sequence[int] | None = None
+    moving: MovingPositions | None = None
+
+    @classmethod
+    def of(
+        cls, surface: SampledSurface, parameters: KernelParameters, *,
+        guides: Sequence[Guide] = (), metric_channels: Sequence[int] | None = None,
+        geometry: GeometryParameters | None = None, deviations: Float32s | None = None, is_light: bool = False,
+    ) -> ColouredMesh:  # fmt: skip
+        """Sort the samples of a surface; with `geometry`, positions are smoothed, too."""
+        mesh = MeshGeometry.of(surface, parameters)
+        order, moving = mesh.order, None
+        if geometry is not None:
+            moving = MovingPositions.of(
+                mesh.positions, rank_in(order)[surface.faces], mesh.edges, spacing=mesh.spacing or 1.0,
+                unit=_unit_on(mesh, parameters),
+                parameters=GeometryParameters(geometry.places[order], geometry.normal_beta),
+            )  # fmt: skip
+        return cls(
+            geometry=mesh, colours=kept(surface.colours[order]), parameters=parameters,
+            deviations=None if deviations is None else deviations[order], is_light=is_light,
+            guides=guides, metric_channels=metric_channels, moving=moving,
+        )  # fmt: skip
+
+
+def _unit_on(mesh: MeshGeometry, parameters: KernelParameters) -> float:
+    return mesh.spacing if parameters.units == "world" else 1.0
+
+
+def mesh_manifold(mesh: ColouredMesh, colours: StabilisedColours) -> MeshManifold:
+    """Make the image manifold of colours of a mesh."""
+    own, unit = mesh.geometry, _unit_on(mesh.geometry, mesh.parameters)
     return MeshManifold(
-        geometry=mesh, colours=colours, noise=noise, parameters=parameters, unit=unit,
-        metric_channels=slice(None) if metric_channels is None else list(metric_channels),
-        guides=tuple(GuideStack.of(guide, guide.values[mesh.order], mesh, unit) for guide in guides),
-        moving=moving, outliers=outliers,
+        geometry=own, colours=colours.stack, noise=colours.noise, parameters=mesh.parameters, unit=unit,
+        metric_channels=slice(None) if mesh.metric_channels is None else list(mesh.metric_channels),
+        guides=tuple(GuideStack.of(guide, guide.values[own.order], own, unit) for guide in mesh.guides),
+        moving=mesh.moving, outliers=colours.outliers,
     )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class MeshMetric(Metric):
+    """The metric of a whole mesh, which positions and features induce."""
+
+    positions: Float64s
+    features: Float32s
+    beta: float  # units of length per unit of the features
 
 
 class MeshManifold(Manifold):
@@ -114,9 +129,9 @@ class MeshManifold(Manifold):
         positions = mesh.positions if moving is None else moving.positions
         features = () if moving is None else ((moving.normals, moving.beta),)
         gaussian = self._regularising(step, gaussian)
-        channels, beta = self._channels(colours, step, gaussian, features)
-        mesh.core.update_metric(positions, channels, beta, mesh.scales, self.parameters.thread_count)
-        return Metric(step, colours.shape[1], gaussian)
+        return MeshMetric(
+            step, colours.shape[1], gaussian, positions, *self._channels(colours, step, gaussian, features)
+        )
 
     def average(
         self, stacks: list[Stack], metric: Metric, progress: Callable[[int], None] | None = None
@@ -135,6 +150,11 @@ class MeshManifold(Manifold):
             )
         parts = np.split(smoothed, widths, axis=1)[: len(stacks)]
         return Averaged([np.ascontiguousarray(part) for part in parts], samples, truncated, moving)
+
+    def core_with(self, metric: Metric) -> Core:
+        """Return the manifold of the compiled core with a metric of the whole mesh."""
+        assert isinstance(metric, MeshMetric)
+        return self.geometry.core_with(metric, self.parameters.thread_count)
 
     @property
     def _whole(self) -> MeshManifold:
@@ -177,10 +197,10 @@ class MeshManifold(Manifold):
 
     def kernel_at(self, sample: int, step: Step) -> SampledKernel:
         """Return the kernel of a sample, in the caller's numbers."""
-        self._whole.measure(self.colours, step)
         own, mesh = at_step(self.parameters, step), self.geometry
+        core = self.core_with(self._whole.measure(self.colours, step))
         (source,) = np.flatnonzero(mesh.order == sample)
-        held, distances = mesh.core.distances(int(source), own.radius, own.max_samples)
+        held, distances = core.distances(int(source), own.radius, own.max_samples)
         weights = kernel_values(distances, own.t)
         if mesh.weights is not None:
             weights = weights * mesh.weights[held]
@@ -259,7 +279,7 @@ def average_rows(
     """Average rows by the kernels of the metric; return them, the samples held, and the kernels cut short."""
     mesh, wanted = manifold.geometry, manifold._chunking
     if wanted is None:
-        return _apply_kernels(manifold, rows, metric.step, slice(0, mesh.size), progress)
+        return _apply_kernels(manifold, rows, metric, slice(0, mesh.size), progress)
     operation = partial(_average_chunk, step=metric.step, channels=metric.channels)
     after = large_arrays.empty(rows.shape, np.float32)
     samples, truncated = wanted.apply(
@@ -269,12 +289,16 @@ def average_rows(
 
 
 def _apply_kernels(
-    manifold: MeshManifold, rows: Float32s, step: Step, wanted: slice, progress: Callable[[int], None] | None
+    manifold: MeshManifold,
+    rows: Float32s,
+    metric: Metric,
+    wanted: slice,
+    progress: Callable[[int], None] | None,
 ) -> tuple[Float32s, float, int]:
     """Average the wanted rows, as `average_rows`; others have no meaning."""
-    own, mesh = at_step(manifold.parameters, step), manifold.geometry
-    return mesh.core.smooth(
-        rows, mesh.weights, own.t, own.radius, own.max_samples, own.thread_count, progress,
+    own = at_step(manifold.parameters, metric.step)
+    return manifold.core_with(metric).smooth(
+        rows, manifold.geometry.weights, own.t, own.radius, own.max_samples, own.thread_count, progress,
         wanted.start, wanted.stop,
     )  # fmt: skip
 
@@ -285,17 +309,17 @@ def _average_chunk(
     (colours,), (manifold, kept) = stacks, part
     parameters = dataclasses.replace(manifold.parameters, threads=threads)
     manifold = dataclasses.replace(manifold, parameters=parameters)
-    manifold.measure(np.ascontiguousarray(colours[:, :channels]), step)
-    after, samples, truncated = _apply_kernels(manifold, colours, step, kept, None)
+    metric = manifold.measure(np.ascontiguousarray(colours[:, :channels]), step)
+    after, samples, truncated = _apply_kernels(manifold, colours, metric, kept, None)
     return [after[kept]], (samples, truncated)
 
 
 def samples_per_kernel(manifold: MeshManifold, kernels: int, step: Step) -> float:
     """Measure how many samples a kernel holds, from some kernels spread evenly."""
-    manifold._whole.measure(manifold.colours, step)
-    own, mesh = at_step(manifold.parameters, step), manifold.geometry
-    sources = np.linspace(0, mesh.size - 1, min(kernels, mesh.size), dtype=int)
-    held = [len(mesh.core.distances(int(source), own.radius, own.max_samples)[0]) for source in sources]
+    own, size = at_step(manifold.parameters, step), manifold.geometry.size
+    core = manifold.core_with(manifold._whole.measure(manifold.colours, step))
+    sources = np.linspace(0, size - 1, min(kernels, size), dtype=int)
+    held = [len(core.distances(int(source), own.radius, own.max_samples)[0]) for source in sources]
     return float(np.mean(held))
 
 

@@ -125,10 +125,21 @@ class _Surface:
         return _Rows(*(np.concatenate(each, axis=-1) for each in zip(*parts, strict=True)))
 
 
-def replace_outliers(
+def fill_outliers(
+    planes: Float32s, where: Surroundings, parameters: KernelParameters, *, is_light: bool
+) -> tuple[Float32s, Outliers | None]:
+    """Find the outliers of colours, shape (N, ...); return colours without them, the same array if there are none."""
+    outliers = _find_outliers(planes, where, parameters, is_light=is_light)
+    if outliers is None:
+        return planes, None
+    filled = _Surface(large_arrays.copy_of(planes), where)
+    _fill_in_place(filled, np.asarray(where.samples)[outliers.samples], outliers.channels.T)
+    return filled.planes, outliers
+
+
+def _find_outliers(
     planes: Float32s, where: Surroundings, parameters: KernelParameters, *, is_light: bool
 ) -> Outliers | None:
-    """Find the outliers of colours, shape (N, ...), and fill them, in place; None if there are none."""
     surface, insists = _Surface(planes, where), parameters.outliers == "replace"
     if surface.count < _FEWEST or not parameters.looks_for_outliers:
         return None
@@ -154,9 +165,8 @@ def replace_outliers(
     channels = np.zeros((len(samples), len(planes)), bool)
     for (first, last), own_samples in found.items():
         channels[np.searchsorted(samples, own_samples), first:last] = True
-    before = surface.at(samples).T
-    _fill(surface, samples, channels.T)
-    return Outliers(np.searchsorted(where.samples, samples), channels, before, len(samples) / surface.count)
+    share = len(samples) / surface.count
+    return Outliers(np.searchsorted(where.samples, samples), channels, surface.at(samples).T, share)
 
 
 def _ranges(colours: Float32s) -> Float64s:
@@ -295,8 +305,8 @@ def _medians(values: Float32s) -> tuple[Float32s, Int64s]:
     return np.take_along_axis(ordered, middle, axis=-1)[..., 0], count
 
 
-def _fill(surface: _Surface, samples: Int64s, wrong: Bools) -> None:
-    """Fill wrong samples, in place, with the medians of the others within one step, or two where these are too few."""
+def _fill_in_place(surface: _Surface, samples: Int64s, wrong: Bools) -> None:
+    """Fill wrong samples with the medians of the others within one step, or two where these are too few."""
     flat, filled = surface.planes.reshape(len(surface.planes), -1), surface.at(samples)
     for channel, own in zip(flat, wrong, strict=True):
         channel[samples[own]] = np.nan

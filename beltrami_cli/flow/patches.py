@@ -144,7 +144,7 @@ def blend_with_patches(
         means = _means(level, manifold, model, probes, results)
         gain += _improve_means(level, model, second, means, (before, disturbed))
     count = max(1, geometry.kernels)
-    return Blend(before, share / count, manifold.noise.growth**2 * gain / count / len(sigma))
+    return Blend(before, share / count, manifold.noise.square_to_input(gain) / count / len(sigma))
 
 
 def _mix(

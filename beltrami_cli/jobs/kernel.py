@@ -13,7 +13,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.beltrami_flow import smooth
+from beltrami_cli.flow.beltrami_flow import smooth_in_place
 from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.manifold import SampledKernel
 from beltrami_cli.formats.changes import Written
@@ -83,7 +83,9 @@ def kernel_file(
     else:  # glTF counts v from the upper side of an image, other formats from the lower
         is_flipped = document.format not in ("gltf", "glb")
         name, index, columns = _texel_at(at, where, samples.label, is_flipped=is_flipped)
-    manifold = smooth(plan.stopped_before(iteration - 1), job.progress_of("iterations before")).manifold
+    manifold = smooth_in_place(
+        plan.stopped_before(iteration - 1), job.progress_of("iterations before")
+    ).manifold
     kernel = manifold.kernel_at(index, plan.step(iteration - 1))
     channels = ("L", "a", "b", *samples.names[3:]) if settings.space == "oklab" else samples.names
     table = {column: values[kernel.samples] for column, values in columns.items()}

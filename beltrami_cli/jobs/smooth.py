@@ -14,7 +14,7 @@ import numpy as np
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import override
-from beltrami_cli.flow.beltrami_flow import smooth
+from beltrami_cli.flow.beltrami_flow import smooth_in_place
 from beltrami_cli.flow.choice import Choice
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.image.reading import measure_image
@@ -65,7 +65,7 @@ def smooth_layer(
     """
     layer = layer.normalised()
     plan = layer.plan(tick)
-    result = smooth(plan, progress)
+    result = smooth_in_place(plan, progress)
     is_worse = _is_worse(result.choice, layer.settings.kernel)
     if is_worse:
         # Outliers are replaced all the same.
@@ -73,7 +73,7 @@ def smooth_layer(
         settings = dataclasses.replace(layer.settings, kernel=kernel)
         layer = dataclasses.replace(layer, settings=settings)  # type: ignore[type-var]  # each layer is a dataclass
         plan = layer.plan().stopped_before(0)
-        result = dataclasses.replace(smooth(plan), choice=result.choice)
+        result = dataclasses.replace(smooth_in_place(plan), choice=result.choice)
     report, new = layer.report(plan, result), result.manifold.new_colours()
     warnings = report.warnings(plan.parameters.max_samples)
     is_smoothed = plan.parameters.iterations > 0 or bool(plan.outliers.get("replaced"))

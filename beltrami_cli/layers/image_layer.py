@@ -12,11 +12,11 @@ from typing import ClassVar
 import numpy as np
 
 from beltrami_cli.arrays import Bools
-from beltrami_cli.flow.beltrami_flow import FlowResult, Plan
+from beltrami_cli.flow.beltrami_flow import FlowResult
 from beltrami_cli.flow.domain import NewColours
-from beltrami_cli.flow.grid_manifold import GridManifold
+from beltrami_cli.flow.grid_manifold import ColouredCanvas, GridManifold
 from beltrami_cli.flow.manifold import Guide
-from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.flow.plan import Plan
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, is_exact, label_of
@@ -30,9 +30,8 @@ from beltrami_cli.layers.image_surface import (
     refuse_options_of_meshes,
 )
 from beltrami_cli.layers.layer import ImageReport, Part, Repainted, rewritten
-from beltrami_cli.layers.picture_layer import Make, PictureColours, PictureLayer, with_chosen_layer
+from beltrami_cli.layers.picture_layer import PictureColours, PictureLayer, with_chosen_layer
 from beltrami_cli.layers.settings import SmoothSettings
-from beltrami_cli.surface.atlas import Atlas
 from beltrami_cli.surface.baking import Cells
 
 
@@ -96,11 +95,11 @@ class ImageLayer(PictureLayer):
     def as_data(self) -> bool:
         return self.settings.space == "data"
 
-    def _canvas(self) -> tuple[Make, Atlas, KernelParameters]:
+    def canvas(self) -> ColouredCanvas:
         return canvas_of_image(
             self.surface, partial(self.colours.working, self.picture), self.kernel,
-            guides=self.guides, metric_channels=self.colours.metric_channels, noise=self.deviations,
-            is_light=self.colours.light_space is not None,
+            guides=self.guides, metric_channels=self.colours.metric_channels, deviations=self.deviations,
+            light=self.colours.light_space,
         )  # fmt: skip
 
     @property

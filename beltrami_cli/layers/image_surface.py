@@ -12,18 +12,16 @@ from numpy.typing import NDArray
 
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.fields import given_options
-from beltrami_cli.flow.beltrami_flow import Plan
 from beltrami_cli.flow.canvas import canvas_margin
-from beltrami_cli.flow.grid_manifold import GridManifold
+from beltrami_cli.flow.grid_manifold import ColouredCanvas
 from beltrami_cli.flow.manifold import Guide
 from beltrami_cli.flow.parameters import KernelParameters, Space
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.image import Picture
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.layers.guides import read_of_size
-from beltrami_cli.layers.picture_layer import Make, maker_of_manifolds, plan_on_pictures
 from beltrami_cli.layers.settings import ImageSettings, SmoothSettings
-from beltrami_cli.surface.atlas import Atlas, grid_atlas
+from beltrami_cli.surface.atlas import grid_atlas
 from beltrami_cli.surface.records import check_scale
 
 Pixels = NDArray[np.int64]
@@ -137,12 +135,12 @@ def canvas_of_image(
     *,
     guides: Sequence[Guide] = (),
     metric_channels: Sequence[int] | None = None,
-    noise: NDArray[np.float32] | None = None,
-    is_light: bool = False,
-) -> tuple[Make, Atlas, KernelParameters]:
-    """Return how the manifold of an image is made, its atlas, and the parameters in its unit of length.
+    deviations: NDArray[np.float32] | None = None,
+    light: Space | None = None,
+) -> ColouredCanvas:
+    """Return the canvas of an image, whose owned texels are the pixels that are not holes, row by row.
 
-    Owned texels are the pixels that are not holes, row by row. Guides and noise have a row for each pixel.
+    Guides and deviations have a row for each pixel.
     """
     # Over heights, as on the plane, the unit of length is the pixel, and not the spacing along the surface: samples on
     # slopes are further apart, so they are smoothed less.
@@ -156,31 +154,14 @@ def canvas_of_image(
     atlas = grid_atlas(valid.shape, canvas_margin(kernel), positions, valid)
     del positions  # as large as all that follows
     own = atlas.owned_texels
-    make = maker_of_manifolds(
-        atlas, kernel, colours_of(own[:0]).shape[1], lambda block: colours_of(own[block]),
-        None if noise is None else noise[own],
-        stop_at_holes=atlas.covered < valid.size,
+    return ColouredCanvas(
+        atlas=atlas, parameters=kernel, channels=colours_of(own[:0]).shape[1],
+        colours_of=lambda block: colours_of(own[block]),
+        deviations=None if deviations is None else deviations[own], light=light,
         guides=[dataclasses.replace(guide, values=guide.values[own]) for guide in guides],
-        metric_channels=metric_channels, is_light=is_light,
+        metric_channels=metric_channels, stop_at_holes=atlas.covered < valid.size,
         unit=None if surface.heights is None else 1.0,
     )  # fmt: skip
-    return make, atlas, kernel
-
-
-def plan_on_image(
-    surface: ImageSurface,
-    colours_of: Callable[[Pixels], NDArray[np.float32]],
-    kernel: KernelParameters,
-    *,
-    tick: Callable[[], None] | None = None,
-    light_in: Space | None = None,
-    **options: Any,
-) -> Plan[GridManifold]:
-    """Plan the smoothing of an image that no file holds; options as for `canvas_of_image`."""
-    make, atlas, kernel = canvas_of_image(
-        surface, colours_of, kernel, is_light=light_in is not None, **options
-    )
-    return plan_on_pictures(make, atlas, (), kernel, tick=tick, light_in=light_in)
 
 
 def options_of_meshes(settings: SmoothSettings) -> list[str]:

@@ -17,11 +17,12 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.beltrami_flow import FlowResult, Plan
+from beltrami_cli.flow.beltrami_flow import FlowResult
 from beltrami_cli.flow.choice import Choice
 from beltrami_cli.flow.domain import NewColours
 from beltrami_cli.flow.noise.model import Reading
 from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.flow.plan import Plan
 from beltrami_cli.formats.image import Picture, is_unchanged, losses, write_image
 from beltrami_cli.formats.image.picture import as_stored
 from beltrami_cli.layers.settings import COLOUR_SLOTS, LevelSettings, SmoothSettings, TextureSettings

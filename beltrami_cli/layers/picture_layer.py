@@ -1,4 +1,4 @@
-"""Pictures as samples of a manifold: their colours in the working space, and back; smoothing where JPEG coded noise."""
+"""Pictures as samples of a manifold: their colours in the working space, and back."""
 
 from __future__ import annotations
 
@@ -6,19 +6,18 @@ import dataclasses
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
+from beltrami_cli.arrays import Array, Bools, Float32s, Int64s
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.beltrami_flow import Plan, choose_parameters, smooth
-from beltrami_cli.flow.canvas import painted, painted_by
-from beltrami_cli.flow.coded_picture import CodedPicture, decode, is_changed, noise_after, sigma_before
+from beltrami_cli.flow.coded_picture import CodedPicture
+from beltrami_cli.flow.decoding import decodes_again, plan_on_canvas
 from beltrami_cli.flow.domain import NewColours
-from beltrami_cli.flow.grid_manifold import GridManifold, grid_manifold
-from beltrami_cli.flow.noise.model import NoiseModel
-from beltrami_cli.flow.parameters import KernelParameters, Space
+from beltrami_cli.flow.grid_manifold import ColouredCanvas, GridManifold
+from beltrami_cli.flow.parameters import Space
+from beltrami_cli.flow.plan import Plan
 from beltrami_cli.formats.image import Picture, check_writable
 from beltrami_cli.formats.image.conversion import upright
 from beltrami_cli.formats.image.metadata import JpegTables
@@ -48,11 +47,6 @@ _SLOT_CHANNELS = {"occlusion": {"red", "grey"}, "metallicRoughness": {"green", "
 _CHOOSE_LAYER = "choose one by its name, as in --channels LAYER"
 _EXPORT_LAYER = "export one layer as a file of its own"
 
-Make = Callable[[Float32s | None, NoiseModel | None], GridManifold]
-
-# How often pictures are decoded before patches, which take remaining ringing for detail, as it repeats itself.
-# The mean of two pilots gains 0.5 to 0.7 dB on paint, and keeps detail that the second alone loses.
-_PILOTS = 2
 _ROWS = 64  # compared at a time
 
 
@@ -81,14 +75,15 @@ class PictureLayer(Layer):
         """Whether the pictures hold numbers, which no change of encoding may touch."""
 
     @abstractmethod
-    def _canvas(self) -> tuple[Make, Atlas, KernelParameters]:
-        """Return how the manifold is made, its atlas, and the parameters in its unit of length."""
+    def canvas(self) -> ColouredCanvas:
+        """Return the canvas of the samples, with parameters in its unit of length."""
 
     def plan(self, tick: Callable[[], None] | None = None) -> Plan[GridManifold]:
-        make, atlas, kernel = self._canvas()
-        pixels = [picture.pixels for picture in self.pictures]
-        coded = list(zip(pixels, self.tables, strict=True)) if self.colours.shows_all else []
-        return plan_on_pictures(make, atlas, coded, kernel, tick=tick, light_in=self.colours.light_space)
+        canvas, pictures = self.canvas(), list[CodedPicture]()
+        if self.colours.shows_all and decodes_again(canvas.parameters):
+            pixels = [picture.pixels for picture in self.pictures]
+            pictures = coded_pictures(canvas.atlas, list(zip(pixels, self.tables, strict=True)))
+        return plan_on_canvas(canvas, pictures, tick)
 
     def require_writable(self) -> None:
         for picture in self.pictures:
@@ -378,73 +373,8 @@ def _chosen_layer(picture: Picture, layers: dict[str, str], words: Sequence[str]
     )
 
 
-def maker_of_manifolds(
-    atlas: Atlas,
-    kernel: KernelParameters,
-    channels: int,
-    colours_of: Callable[[slice], Float32s],
-    noise: Float32s | None,
-    **options: Any,
-) -> Make:
-    """Return a function that makes the manifold of the owned cells; `colours_of` gives the colours of a block."""
-
-    def make(planes: Float32s | None, found: NoiseModel | None) -> GridManifold:
-        if planes is None:
-            planes = painted_by(atlas, channels, colours_of)
-        return grid_manifold(atlas, planes, kernel, noise=noise if found is None else found, **options)
-
-    return make
-
-
-def plan_on_pictures(
-    make: Make,
-    atlas: Atlas,
-    coded: Sequence[tuple[Array, JpegTables | None]],
-    kernel: KernelParameters,
-    *,
-    tick: Callable[[], None] | None = None,
-    light_in: Space | None = None,
-) -> Plan[GridManifold]:
-    """Plan the smoothing of pictures, decoded again if JPEG coded white noise in all of them.
-
-    `make` makes the manifold, of given colours with their noise if these are given. `coded`: the pixels and tables of
-    all pictures as their files have them; none if the samples have other colours.
-    """
-    pictures = _coded(atlas, coded) if kernel.evens_noise and not kernel.fast else []
-    manifold, sigma = make(None, None), None
-    if manifold.outliers is not None:  # which the file's coefficients would bring back
-        pictures = []
-    if pictures:
-        given = kernel.given_noise
-        sigma = sigma_before(pictures, manifold.noise) if given is None else given.sigma
-    if not sigma or not is_changed(pictures, sigma):
-        return choose_parameters(manifold, kernel, tick, light_in=light_in)
-    reading = manifold.noise.reading
-    del manifold
-    planes, noise, before = None, None, None
-    for _ in range(_PILOTS if kernel.takes_patches else 1):
-        rows = _smoothed(make(planes, noise), kernel, tick)
-        if before is not None:
-            for block in large_arrays.blocks(len(rows)):
-                rows[block] = (rows[block] + before[block]) / 2
-        before = large_arrays.copy_of(rows)  # decoding overwrites them
-        noise, stored = _decode(atlas, pictures, rows, sigma)
-        planes = painted(atlas, rows)
-    del before, rows
-    plan = choose_parameters(make(planes, noise), kernel, tick)
-    if not plan.parameters.iterations:  # colours without iterations stay as they are
-        return choose_parameters(make(None, None), kernel, tick)
-    return plan.with_noise(stored, reading)
-
-
-def _smoothed(manifold: GridManifold, kernel: KernelParameters, tick: Callable[[], None] | None) -> Float32s:
-    """Return what the kernel alone makes of the owned cells."""
-    plan = choose_parameters(manifold, dataclasses.replace(kernel, patches="off"), tick)
-    return smooth(plan, None if tick is None else lambda *_: tick()).manifold.new_colours().table()
-
-
-def _coded(atlas: Atlas, coded: Sequence[tuple[Array, JpegTables | None]]) -> list[CodedPicture]:
-    """Return the pictures, unless one of them is no JPEG file, or some are grey and others are not."""
+def coded_pictures(atlas: Atlas, coded: Sequence[tuple[Array, JpegTables | None]]) -> list[CodedPicture]:
+    """Return pictures with the tables of their files, unless one is not JPEG, or some are grey and others are not."""
     known = [(pixels, tables) for pixels, tables in coded if tables is not None and pixels.dtype == np.uint8]
     if len(known) < len(coded) or len({pixels.shape[2] for pixels, _ in known}) != 1:
         return []
@@ -456,26 +386,3 @@ def _coded(atlas: Atlas, coded: Sequence[tuple[Array, JpegTables | None]]) -> li
         CodedPicture(pixels, mask, tables.steps, tables.span)
         for (pixels, tables), mask in zip(known, used, strict=True)
     ]
-
-
-def _decode(
-    atlas: Atlas, pictures: Sequence[CodedPicture], rows: Float32s, sigma: float
-) -> tuple[NoiseModel, Float64s]:
-    """Replace a pilot's colours of the owned cells by decoded ones; return their noise, and sigma of that stored."""
-    rasters = []
-    for picture in pictures:
-        raster = large_arrays.empty(picture.pixels.shape, np.float32)
-        for band in picture.bands:
-            raster[band] = picture.pixels[band] / np.float32(255)
-        rasters.append(raster)
-    blocks = list(large_arrays.blocks(len(atlas.owned_texels)))
-    for block in blocks:
-        for index, inside, texels in texels_by_texture(atlas.texture_offsets, atlas.owned_texels[block]):
-            rasters[index].reshape(-1, rows.shape[1])[texels] = rows[block][inside]
-    noise, stored = noise_after(pictures, rasters, sigma)
-    for picture, raster in zip(pictures, rasters, strict=True):
-        decode(picture, raster, sigma)
-    for block in blocks:
-        for index, inside, texels in texels_by_texture(atlas.texture_offsets, atlas.owned_texels[block]):
-            rows[block][inside] = rasters[index].reshape(-1, rows.shape[1])[texels]
-    return noise, stored

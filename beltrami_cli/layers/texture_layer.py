@@ -13,12 +13,14 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.beltrami_flow import FlowResult, Plan
+from beltrami_cli.flow.beltrami_flow import FlowResult
 from beltrami_cli.flow.canvas import canvas_margin, painted_by
 from beltrami_cli.flow.domain import NewColours
+from beltrami_cli.flow.estimation import estimate_on_canvas
 from beltrami_cli.flow.grid_geometry import colours_at
-from beltrami_cli.flow.grid_manifold import GridManifold
+from beltrami_cli.flow.grid_manifold import ColouredCanvas, GridManifold, grid_manifold
 from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.flow.plan import Plan
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, read_texture
@@ -26,7 +28,7 @@ from beltrami_cli.formats.image.metadata import JpegTables, read_jpeg_tables
 from beltrami_cli.layers import layer
 from beltrami_cli.layers.guides import GuidedTexels, noise_of_pixels
 from beltrami_cli.layers.layer import LevelReport, SlotReport
-from beltrami_cli.layers.picture_layer import Make, PictureColours, PictureLayer, maker_of_manifolds
+from beltrami_cli.layers.picture_layer import PictureColours, PictureLayer
 from beltrami_cli.layers.settings import COLOUR_SLOTS, LevelSettings, SmoothSettings, TextureSettings
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import (
@@ -108,14 +110,12 @@ class TextureLayer(PictureLayer):
         # Numbers of data slots mean something from 0 to 1; exposures are as stored.
         return self if self.as_data or self.levelled_colours is not None else super().normalised()
 
-    def _canvas(self) -> tuple[Make, Atlas, KernelParameters]:
-        kernel = self.kernel
-        make = maker_of_manifolds(
-            self.atlas, kernel, len(self.names), self._colours_of, self.deviations,
+    def canvas(self) -> ColouredCanvas:
+        return ColouredCanvas(
+            atlas=self.atlas, parameters=self.kernel, channels=len(self.names), colours_of=self._colours_of,
+            deviations=self.deviations, light=self.colours.light_space,
             guides=self.guided.guides() if self.guided else (), metric_channels=self.colours.metric_channels,
-            is_light=self.colours.light_space is not None,
         )  # fmt: skip
-        return make, self.atlas, kernel
 
     def _colours_of(self, block: slice) -> Float32s:
         """Return the colours of a block of the owned cells, levelled if they were, shape (T, N)."""
@@ -264,7 +264,10 @@ def _manifold_alone(textures: TextureLayer, index: int) -> GridManifold:
     kernel, colours = dataclasses.replace(textures.kernel, free=()), textures.colours
     atlas = _without_transparent(atlas_of(surface, pictures, kernel), colours, pictures, surface.textures)
     colours_of = partial(texel_colours, colours, pictures, atlas)
-    return maker_of_manifolds(atlas, kernel, len(textures.names), colours_of, None)(None, None)
+    canvas = ColouredCanvas(
+        atlas=atlas, parameters=kernel, channels=len(textures.names), colours_of=colours_of
+    )
+    return grid_manifold(canvas, estimate_on_canvas(canvas))
 
 
 def atlas_of(surface: TexturedSurface, pictures: Sequence[Picture], kernel: KernelParameters) -> Atlas:

@@ -13,14 +13,17 @@ from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.flow.beltrami_flow import FlowResult, Plan, choose_parameters
+from beltrami_cli.flow.beltrami_flow import FlowResult
+from beltrami_cli.flow.decoding import plan_on_canvas
 from beltrami_cli.flow.domain import NewColours
+from beltrami_cli.flow.estimation import estimate_on_mesh
 from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.manifold import Guide
-from beltrami_cli.flow.mesh_manifold import MeshManifold, mesh_manifold, samples_per_kernel
+from beltrami_cli.flow.mesh_manifold import ColouredMesh, MeshManifold, mesh_manifold, samples_per_kernel
 from beltrami_cli.flow.moving_positions import GeometryParameters
+from beltrami_cli.flow.plan import Plan, choose_parameters
 from beltrami_cli.formats.colours import as_in_file
-from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image
+from beltrami_cli.layers.image_surface import ImageSurface, canvas_of_image
 from beltrami_cli.layers.layer import (
     Change,
     ChosenChannels,
@@ -187,16 +190,15 @@ class VertexLayer(PaintedLayer):
         return surface if levelled is None else dataclasses.replace(surface, colours=levelled)
 
     def plan(self, tick: Callable[[], None] | None = None) -> Plan[MeshManifold]:
-        own, kernel, sampling = self.settings, self.kernel, self.sampling
-        geometry = None
+        own, sampling, geometry = self.settings, self.sampling, None
         if own.embedding.smooth_geometry:
             geometry = GeometryParameters(sampling.place_of, own.embedding.normal_beta)
-        manifold = mesh_manifold(
-            self.surface(), kernel, metric_channels=self.channels.metric, geometry=geometry,
+        mesh = ColouredMesh.of(
+            self.surface(), self.kernel, metric_channels=self.channels.metric, geometry=geometry,
             guides=[Guide(guide.name, sampling.means(guide.values), guide.beta) for guide in self.guides],
             deviations=None if self.deviations is None else sampling.means(self.deviations), is_light=self._is_light,
         )  # fmt: skip
-        return choose_parameters(manifold, kernel, tick)
+        return choose_parameters(mesh_manifold(mesh, estimate_on_mesh(mesh)), mesh.parameters, tick)
 
     def report(self, plan: Plan[MeshManifold], result: FlowResult[MeshManifold]) -> VertexReport:
         counts: dict[str, float] = {"triangles": len(self.painted.faces)}
@@ -287,12 +289,13 @@ class GridLayer(PaintedLayer):
             positions = np.full((*self.grid.shape, 3), np.nan)
             positions[measured] = self.painted.positions[self.grid[measured]]
             surface = ImageSurface(positions=positions, valid=measured)
-        return plan_on_image(
-            surface, self._working, self.kernel, metric_channels=self.channels.metric, tick=tick,
-            light_in=space if self.painted.encoding == "linear" and space != "data" else None,
+        canvas = canvas_of_image(
+            surface, self._working, self.kernel, metric_channels=self.channels.metric,
+            light=space if self.painted.encoding == "linear" and space != "data" else None,
             guides=[dataclasses.replace(each, values=self._by_pixel(each.values)) for each in self.guides],
-            noise=None if self.deviations is None else self._by_pixel(self.deviations),
+            deviations=None if self.deviations is None else self._by_pixel(self.deviations),
         )  # fmt: skip
+        return plan_on_canvas(canvas, tick=tick)
 
     def _by_pixel(self, values: Array) -> Array:
         """Return rows of vertices as rows of pixels; zeros at holes."""

@@ -185,7 +185,9 @@ class Droppable(Generic[AnyArray]):
 
 
 def copy_of(array: Array) -> Array:
-    """Return a copy of an array, made block by block."""
+    """Return a copy of an array, made block by block, with its axes in the same order in memory."""
+    if array.T.flags.c_contiguous and not array.flags.c_contiguous:
+        return copy_of(array.T).T
     copy = empty(array.shape, array.dtype)
     source, target = array.reshape(-1), copy.reshape(-1)
     for block in blocks(len(source)):

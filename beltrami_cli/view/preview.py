@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Float64s, Int64s, Uint8s
-from beltrami_cli.flow.beltrami_flow import smooth
+from beltrami_cli.flow.beltrami_flow import smooth_in_place
 from beltrami_cli.flow.domain import NewColours
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
@@ -264,7 +264,7 @@ class LayerView:
 
 
 def _smooth(layer: Layer, progress: Progress | None) -> NewColours:
-    new: NewColours = smooth(layer.plan(), progress).manifold.new_colours()
+    new: NewColours = smooth_in_place(layer.plan(), progress).manifold.new_colours()
     return new
 
 

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import beltrami_cli
+from beltrami_cli.flow.decoding import plan_on_canvas
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image
+from beltrami_cli.layers.image_surface import ImageSurface, canvas_of_image
 
 Array = NDArray[np.float64]
 
@@ -58,8 +59,10 @@ def kernel(image: Array, at: tuple[int, int], **parameters: object) -> Array:
     rows, columns = image.shape[:2]
     table = image.reshape(rows * columns, -1).astype(np.float32)
     settings = KernelParameters(**{**PAPER, **parameters, "iterations": 0})
-    plan = plan_on_image(
-        ImageSurface(valid=np.ones((rows, columns), bool)), lambda pixels: table[pixels], settings
+    plan = plan_on_canvas(
+        canvas_of_image(
+            ImageSurface(valid=np.ones((rows, columns), bool)), lambda pixels: table[pixels], settings
+        )
     )
     found = plan.manifold.kernel_at(at[0] * columns + at[1], plan.step(0))
     weights = np.zeros(rows * columns)

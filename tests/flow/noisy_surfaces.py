@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from beltrami_cli.flow.mesh_manifold import mesh_manifold
+from beltrami_cli.flow.estimation import estimate_on_mesh
+from beltrami_cli.flow.mesh_manifold import ColouredMesh, mesh_manifold
 from beltrami_cli.flow.noise.grid_squares import Grid
 from beltrami_cli.flow.noise.reading import read_noise
 from beltrami_cli.flow.parameters import parameters_with
@@ -22,7 +23,8 @@ def manifold_of(positions, faces, colours, parameters=None):
     """Return the manifold of a mesh, on which parameters are chosen unless some are given."""
     walls = np.zeros((0, 3), np.int32)
     surface = SampledSurface(positions, faces.astype(np.int32), walls, colours.astype(np.float32))
-    return mesh_manifold(surface, parameters or parameters_with({"threads": 1}))
+    mesh = ColouredMesh.of(surface, parameters or parameters_with({"threads": 1}))
+    return mesh_manifold(mesh, estimate_on_mesh(mesh))
 
 
 def in_8_bits(colours):

@@ -4,10 +4,13 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from beltrami_cli.flow.beltrami_flow import choose_parameters, smooth
+from beltrami_cli.flow.beltrami_flow import smooth_in_place
+from beltrami_cli.flow.decoding import plan_on_canvas
+from beltrami_cli.flow.estimation import estimate_on_mesh
 from beltrami_cli.flow.manifold import Guide
-from beltrami_cli.flow.mesh_manifold import mesh_manifold
-from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image
+from beltrami_cli.flow.mesh_manifold import ColouredMesh, mesh_manifold
+from beltrami_cli.flow.plan import choose_parameters
+from beltrami_cli.layers.image_surface import ImageSurface, canvas_of_image
 from beltrami_cli.surface.atlas import build_atlas
 from beltrami_cli.surface.records import SampledSurface
 from oracles import surfaces
@@ -44,7 +47,9 @@ def image_plan(parameters):
     valid = random.random((70, 90)) > 0.03
     positions = np.dstack([*np.meshgrid(np.arange(90.0), np.arange(70.0)), 3 * random.random((70, 90))])
     values = noisy(valid.size)
-    return plan_on_image(ImageSurface(None, positions, valid), lambda pixels: values[pixels], parameters)
+    return plan_on_canvas(
+        canvas_of_image(ImageSurface(None, positions, valid), lambda pixels: values[pixels], parameters)
+    )
 
 
 def wavy_surface(side, seed=0):
@@ -76,13 +81,15 @@ SURFACE = wavy_surface(94)
 
 def smooth_mesh(surface, parameters, progress=None, **others):
     """Return what comes of a mesh: its colours, and the result."""
-    result = smooth(choose_parameters(mesh_manifold(surface, parameters, **others), parameters), progress)
+    mesh = ColouredMesh.of(surface, parameters, **others)
+    manifold = mesh_manifold(mesh, estimate_on_mesh(mesh))
+    result = smooth_in_place(choose_parameters(manifold, parameters), progress)
     return SimpleNamespace(colours=result.manifold.new_colours().table(), **vars(result))
 
 
 def outcome(plan):
     """Smooth a grid; return its colours, the gutter's, and the samples that a kernel held."""
-    result = smooth(plan)
+    result = smooth_in_place(plan)
     new = result.manifold.new_colours()
     return new.table(), new.beyond, result.samples_per_kernel
 

@@ -3,7 +3,7 @@
 import pytest
 
 from beltrami_cli.flow import grid_manifold
-from beltrami_cli.flow.beltrami_flow import smooth
+from beltrami_cli.flow.beltrami_flow import smooth_in_place
 from beltrami_cli.flow.canvas import kernel_margin
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
 from flow.split_surfaces import (
@@ -54,7 +54,7 @@ def test_progress_goes_up_to_the_work_there_is(make, monkeypatch):
     if "mesh" in make:
         smooth_mesh(wavy_surface(40), parameters, progress=lambda *call: calls.append(call))
     else:
-        smooth(image_plan(parameters), lambda *call: calls.append(call))
+        smooth_in_place(image_plan(parameters), lambda *call: calls.append(call))
     assert len({total for _, total in calls}) == 1
     done = [before for before, _ in calls]
     assert done == sorted(done)

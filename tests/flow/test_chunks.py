@@ -11,11 +11,12 @@ from hypothesis import strategies as st
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow import chunks, grid_manifold
 from beltrami_cli.flow.chunks import chunking_of_mesh, in_chunks, in_turn
+from beltrami_cli.flow.decoding import plan_on_canvas
 from beltrami_cli.flow.manifold import Guide, Step
 from beltrami_cli.flow.mesh_manifold import samples_per_kernel
 from beltrami_cli.flow.moving_positions import GeometryParameters
 from beltrami_cli.flow.parameters import KernelParameters, parameters_with
-from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image
+from beltrami_cli.layers.image_surface import ImageSurface, canvas_of_image
 from beltrami_cli.surface.large_arrays import kept_within
 from flow.split_surfaces import (
     FIXED,
@@ -113,7 +114,11 @@ def picture(shape, parameters, relative=None):
     """Plan pixels with holes, with patches; `relative`: noise that differs from place to place."""
     values = noisy(shape[0] * shape[1])
     valid = np.random.default_rng(6).random(shape) > 0.02
-    return plan_on_image(ImageSurface(valid=valid), lambda pixels: values[pixels], parameters, noise=relative)
+    return plan_on_canvas(
+        canvas_of_image(
+            ImageSurface(valid=valid), lambda pixels: values[pixels], parameters, deviations=relative
+        )
+    )
 
 
 # Patches go tile by tile, so that a canvas of several chunks has some hundred thousand cells.
@@ -158,7 +163,9 @@ def test_nothing_to_do_is_nothing_in_chunks_too():
     nothing = KernelParameters(**{**FIXED, "iterations": 0})
 
     def grid(valid, parameters):
-        return smoothed(plan_on_image(ImageSurface(valid=valid), lambda at: noisy(30)[at], parameters))
+        return smoothed(
+            plan_on_canvas(canvas_of_image(ImageSurface(valid=valid), lambda at: noisy(30)[at], parameters))
+        )
 
     with in_chunks(3, in_turn):
         result = grid(np.ones((5, 6), bool), nothing)

@@ -13,7 +13,7 @@ from beltrami_cli.flow.coded_picture import (
     CodedPicture,
     _mean_within,
     coefficients_of,
-    decode,
+    decode_in_place,
     is_changed,
     noise_after,
     sigma_before,
@@ -85,7 +85,7 @@ def test_the_mean_between_limits_is_that_of_a_truncated_normal_distribution():
 def test_decoding_with_the_noise_known_comes_closer_to_the_truth(tmp_path):
     own = picture(stored(CLEAN, 10), 80, "4:2:0", tmp_path)
     result = gaussian_filter(own.pixels / 255, (1, 1, 0)).astype(np.float32)
-    decode(own, result, 10 / 255)
+    decode_in_place(own, result, 10 / 255)
     # With coefficients of noise that are 0 or a whole step, the nearer end of the interval is half as far off.
     assert psnr(result, CLEAN) > psnr(own.pixels / 255, CLEAN) + 1.5
 
@@ -96,7 +96,7 @@ def test_decoding_keeps_colours_near_limits_where_the_pilot_has_them(limit, tmp_
     flat = np.full((64, 64, 3), abs(limit - 0.004), np.float32)
     own = picture(stored(flat, 20), 92, "4:4:4", tmp_path)
     result = flat.copy()
-    decode(own, result, 20 / 255)
+    decode_in_place(own, result, 20 / 255)
     # Noise that was cut off is weaker than its sigma, so that coefficients count too much: by a third at most.
     lost = abs(own.pixels.mean() / 255 - flat.mean())
     assert 255 * lost > 5
@@ -106,7 +106,7 @@ def test_decoding_keeps_colours_near_limits_where_the_pilot_has_them(limit, tmp_
 def test_decoding_keeps_every_coefficient_in_its_interval(tmp_path):
     own = picture(stored(CLEAN, 10), 80, "4:4:4", tmp_path)
     result = np.full(own.pixels.shape, 0.5, np.float32)
-    decode(own, result, 10 / 255)
+    decode_in_place(own, result, 10 / 255)
     planes = own.planes(own.pixels), own.planes(255 * result), own.tables
     for before, after, steps in zip(*planes, strict=True):
         middle = np.rint(coefficients_of(before) / steps) * steps
@@ -130,7 +130,7 @@ def test_chroma_is_known_although_decoders_interpolate_it(subsampling, tmp_path)
 def test_the_noise_that_decoding_leaves_is_foretold(tmp_path):
     own = picture(stored(CLEAN, 10), 80, "4:2:0", tmp_path)
     result = CLEAN.astype(np.float32)
-    decode(own, result, 10 / 255)
+    decode_in_place(own, result, 10 / 255)
     left, before = noise_after([own], [CLEAN.astype(np.float32)], 10 / 255)
     for expected, image in ((left.sigma / PILOT_ERROR, result), (before, own.pixels / 255)):
         true = np.sqrt(np.mean((image - CLEAN) ** 2, axis=(0, 1)))

@@ -41,12 +41,12 @@ def test_stabilised_colours_come_back_and_limits_stay():
     colours = np.linspace(-0.5, 1.5, 3000, dtype=np.float32).reshape(3, -1)
     stabiliser = VarianceStabiliser(np.array([0.1, 0.5, 0.9]), np.array([2.0, 1.0, 0.5]), np.ones(3))
     there = colours.copy()
-    stabiliser.stabilise(there)
+    stabiliser.stabilise_in_place(there)
     assert (np.diff(there.reshape(-1)) > 0).all()
     limits = np.array([[0, 1]] * 3, np.float32)
-    stabiliser.stabilise(limits)
+    stabiliser.stabilise_in_place(limits)
     assert (limits == [0, 1]).all()
-    stabiliser.restore(there)
+    stabiliser.restore_in_place(there)
     assert there == pytest.approx(colours, abs=1e-6)
 
 
@@ -56,7 +56,7 @@ def test_the_noise_of_a_camera_is_even_once_it_is_stabilised(level):
     stabiliser = VarianceStabiliser.of_camera(SHOT, READ)
     values = shot(np.full((3, 100_000), level))
     own = values.std()
-    stabiliser.stabilise(values)
+    stabiliser.stabilise_in_place(values)
     assert values.std() == pytest.approx(stabiliser.scale, rel=0.1)
     assert stabiliser.sigma_at(level, stabiliser.scale) == pytest.approx(own, rel=0.1)
 

@@ -6,7 +6,7 @@ import pytest
 import beltrami_cli
 from beltrami_cli.flow.chunks import in_chunks, in_turn
 from beltrami_cli.flow.grid_geometry import CanvasSamples
-from beltrami_cli.flow.outliers import replace_outliers
+from beltrami_cli.flow.outliers import fill_outliers
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface.atlas import grid_atlas
 from oracles import surfaces
@@ -43,8 +43,8 @@ def found_in(image, mode="auto", *, is_light=False):
     planes = np.zeros((image.shape[2], *atlas.kind.shape), np.float32)
     planes[:, 2:-2, 2:-2] = np.moveaxis(image, 2, 0)
     parameters = KernelParameters(threads=1, outliers=mode)
-    outliers = replace_outliers(planes, CanvasSamples(atlas), parameters, is_light=is_light)
-    return outliers, np.moveaxis(planes[:, 2:-2, 2:-2], 0, 2)
+    filled, outliers = fill_outliers(planes, CanvasSamples(atlas), parameters, is_light=is_light)
+    return outliers, np.moveaxis(filled[:, 2:-2, 2:-2], 0, 2)
 
 
 @pytest.mark.parametrize("value", [None, (220, 20, 20)])

@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import maximum_filter, minimum_filter
 
 import beltrami_cli
-from beltrami_cli.flow.coarse_levels import replace_outliers
+from beltrami_cli.flow.coarse_levels import fill_dark_outliers_in_place
 from flow.noisy_surfaces import by_camera, in_8_bits, manifold_of, with_grain
 from oracles import surfaces
 from oracles.paintings import psnr
@@ -69,7 +69,7 @@ def test_vertices_far_out_are_replaced_on_surfaces():
     outliers = manifold.colours.copy()
     outliers[struck] -= np.float32(0.3)
     manifold.colours[:] = outliers
-    replace_outliers(manifold, manifold.levels(1)[0], np.full(3, SIGMA))
+    fill_dark_outliers_in_place(manifold, manifold.levels(1)[0], np.full(3, SIGMA))
     assert np.abs(manifold.colours[struck] - 0.5).max() < SIGMA
     # Beyond 4 standard deviations to one side lie 3 of 100,000 samples of normal noise.
     assert np.count_nonzero(manifold.colours != outliers) < 3 * len(struck) + 10

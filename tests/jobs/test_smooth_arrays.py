@@ -9,7 +9,7 @@ import trimesh
 
 import beltrami_cli
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.flow.beltrami_flow import smooth
+from beltrami_cli.flow.beltrami_flow import smooth_in_place
 from oracles import surfaces
 
 POSITIONS = [[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]
@@ -192,7 +192,7 @@ def test_a_result_that_is_estimated_to_be_worse_is_taken_only_if_an_option_asks_
     """The estimate is replaced, since no small mesh makes it negative."""
 
     def pessimistic(plan, progress=None):
-        done = smooth(plan, progress)
+        done = smooth_in_place(plan, progress)
         return done if done.choice is None else replace(done, choice=replace(done.choice, gain=-1.0))
 
     monkeypatch.setattr("beltrami_cli.jobs.smooth.smooth", pessimistic)

@@ -11,14 +11,15 @@ import numpy as np
 import pytest
 
 from beltrami_cli.errors import InputError, OutputError, UsageError
-from beltrami_cli.flow.beltrami_flow import smooth
+from beltrami_cli.flow.beltrami_flow import smooth_in_place
+from beltrami_cli.flow.decoding import plan_on_canvas
 from beltrami_cli.flow.noise.grid_squares import Grid
 from beltrami_cli.flow.noise.reading import read_noise
 from beltrami_cli.flow.parameters import KernelParameters, parameters_with
 from beltrami_cli.formats.access import Access
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
-from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image
+from beltrami_cli.layers.image_surface import ImageSurface, canvas_of_image
 from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings, TextureSettings
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import OWNED, build_atlas
@@ -179,14 +180,14 @@ def plan_with_patches(side):
     flat = np.dstack([*np.meshgrid(np.arange(side), np.arange(side)), np.zeros((side, side))])
     surface = ImageSurface(None, flat, np.ones((side, side), bool))
     kernel = KernelParameters(iterations=2, beta=20, t=2.4, patches="on", threads=1)
-    return plan_on_image(surface, colours.__getitem__, kernel)
+    return plan_on_canvas(canvas_of_image(surface, colours.__getitem__, kernel))
 
 
 def test_what_is_dropped_from_memory_before_kernels_and_patches_is_found_again():
     plan = plan_with_patches(64)
     geometry, atlas = plan.manifold.geometry, plan.manifold.geometry.atlas
     before = atlas.squared_lengths.copy(), geometry.scale.copy(), np.flatnonzero(atlas.kind == OWNED)
-    smooth(plan)
+    smooth_in_place(plan)
     assert atlas.lengths.array is geometry.scales.array is atlas.owned.array is None
     for old, new in zip(before, (atlas.squared_lengths, geometry.scale, atlas.owned_cells), strict=True):
         np.testing.assert_array_equal(old, new)
@@ -200,7 +201,7 @@ def test_patches_keep_what_is_large_for_the_memory_in_files(tmp_path):
         plan = plan_with_patches(512)
         tracemalloc.start()
         try:
-            smooth(plan)
+            smooth_in_place(plan)
             _, peak = tracemalloc.get_traced_memory()
         finally:
             tracemalloc.stop()

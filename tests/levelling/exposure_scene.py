@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from beltrami_cli.flow.beltrami_flow import smooth
+from beltrami_cli.flow.beltrami_flow import smooth_in_place
 from beltrami_cli.flow.canvas import canvas_colours, painted
 from beltrami_cli.formats.image import read_image, write_image
 from beltrami_cli.formats.image.picture import new_picture
@@ -30,7 +30,7 @@ def unchanged(layer):
     """Return the colours that a layer has, as its `repaint` takes them."""
     kernel = unsmoothed(layer.settings.kernel)
     still = replace(layer, settings=replace(layer.settings, kernel=kernel))
-    return smooth(still.plan()).manifold.new_colours()
+    return smooth_in_place(still.plan()).manifold.new_colours()
 
 
 @dataclass

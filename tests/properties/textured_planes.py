@@ -8,10 +8,10 @@ import functools
 import numpy as np
 
 import oracles.textured
-from beltrami_cli.flow.beltrami_flow import choose_parameters, smooth
-from beltrami_cli.flow.canvas import painted
+from beltrami_cli.flow.beltrami_flow import smooth_in_place
+from beltrami_cli.flow.decoding import plan_on_canvas
 from beltrami_cli.flow.grid_geometry import guide_radius
-from beltrami_cli.flow.grid_manifold import grid_manifold
+from beltrami_cli.flow.grid_manifold import ColouredCanvas
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface.atlas import build_atlas
 from oracles import surfaces
@@ -85,13 +85,20 @@ class Board:
 
 def texel_plan(atlas, colours, parameters, **others):
     """Plan the smoothing of texels with some colours, shape (T, N)."""
-    manifold = grid_manifold(atlas, painted(atlas, colours), parameters, **others)
-    return choose_parameters(manifold, parameters)
+    return plan_on_canvas(
+        ColouredCanvas(
+            atlas=atlas,
+            parameters=parameters,
+            channels=colours.shape[1],
+            colours_of=colours.__getitem__,
+            **others,
+        )
+    )
 
 
 def smoothed(plan):
     """Smooth texels and return their colours."""
-    return smooth(plan).manifold.new_colours().table()
+    return smooth_in_place(plan).manifold.new_colours().table()
 
 
 def smooth_image(surface, image, **parameters):

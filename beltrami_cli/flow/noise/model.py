@@ -162,7 +162,7 @@ class NoiseModel:
         return not self.is_shared and not (only - np.diag(np.diag(only))).any()
 
     @property
-    def growth(self) -> float:
+    def _growth(self) -> float:
         """Root mean square factor from differences of stabilised colours to those of the input."""
         return 1.0 if self.stabiliser is None else self.stabiliser.growth
 
@@ -170,7 +170,7 @@ class NoiseModel:
     def of_input(self) -> Float64s:
         """Standard deviation of the noise of the input's colours, by channel."""
         sigma = self.sigma
-        sigma[:COLOURS] *= self.growth
+        sigma[:COLOURS] *= self._growth
         return sigma
 
     @property
@@ -186,12 +186,24 @@ class NoiseModel:
         single = np.trace(self.covariance)
         return float(np.sqrt(max(1.0, np.trace(self.covariances[-1]) / max(single, 1e-12))))
 
+    def difference_to_input(self, size: float) -> float:
+        """Return the root mean square size of differences of stabilised colours in those of the input."""
+        return self._growth * size
+
+    def square_to_input(self, square: float) -> float:
+        """Return the mean square of differences of stabilised colours in those of the input."""
+        return self._growth**2 * square
+
+    def beta_to_input(self, beta: float) -> float:
+        """Return a beta, a length per unit of stabilised colours, per unit of the input's: lengths stay."""
+        return beta / self._growth
+
     def to_input(self, rows: Float32s) -> Float32s:
         """Return stabilised colours, shape (S, N), as colours of the input."""
         if self.stabiliser is None:
             return rows
         rows = rows.copy()
-        self.stabiliser.restore(rows.T)
+        self.stabiliser.restore_in_place(rows.T)
         return rows
 
     def scaled_to(self, sigma: float) -> NoiseModel:
@@ -204,7 +216,7 @@ class NoiseModel:
         if self.overall:
             colours *= (sigma / self.overall) ** 2
         else:
-            colours[:] = np.square(sigma / self.growth) * np.eye(colours.shape[1])
+            colours[:] = np.square(sigma / self._growth) * np.eye(colours.shape[1])
         return dataclasses.replace(self, covariances=covariances)
 
     def as_read(self) -> NoiseModel:
@@ -263,12 +275,18 @@ class VarianceStabiliser:
     def _slopes(self) -> Float64s:
         return np.diff(self._levels) / np.diff(self._stable)
 
-    def stabilise(self, channels: Float32s) -> None:
-        """Transform channels, the first axis, in place."""
+    def stabilised(self, channels: Float32s) -> Float32s:
+        """Return transformed channels, the first axis."""
+        stable = large_arrays.copy_of(channels)
+        self.stabilise_in_place(stable)
+        return stable
+
+    def stabilise_in_place(self, channels: Float32s) -> None:
+        """Transform channels, the first axis."""
         self._each(channels, self._levels, self._stable)
 
-    def restore(self, channels: Float32s) -> None:
-        """Transform them back, in place."""
+    def restore_in_place(self, channels: Float32s) -> None:
+        """Transform them back."""
         self._each(channels, self._stable, self._levels)
 
     def slopes(self, channels: Float32s) -> Float32s:

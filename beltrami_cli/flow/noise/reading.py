@@ -82,23 +82,20 @@ def estimate_noise(
     varies: bool,
     strength: float = 1.0,
     measured: tuple[Float32s, Float64s] | None = None,
-    known: NoiseModel | None = None,
-) -> NoiseModel:
-    """Estimate the noise of channels, as far as it is not given, and stabilise them, in place.
+) -> tuple[NoiseModel, Float32s]:
+    """Estimate the noise of channels, as far as it is not given; return it, and the channels stabilised.
 
     If it `varies`, its dependence on level and place is estimated, too. The stronger, the more of what may be noise is
-    taken for it. `measured` is noise given for each sample: relative variances, and sigma by channel. `known` is the
-    noise of the surface that the samples are a part of.
+    taken for it. `measured` is noise given for each sample: relative variances, and sigma by channel. The channels are
+    the same array where their noise does not depend on the level.
     """
-    if known is None and measured is None and given is not None and given.is_by_level:
+    if measured is None and given is not None and given.is_by_level:
         stabiliser = VarianceStabiliser.of_camera(given.shot, given.read)
-        stabiliser.stabilise(channels)
+        channels = stabiliser.stabilised(channels)
         # The noise of stabilised colours is the same at all levels.
         found = read_noise(channels, where, varies=False, sigma=stabiliser.scale).scaled_to(stabiliser.scale)
-        return dataclasses.replace(found, stabiliser=stabiliser)
-    if known is not None:
-        found = known
-    elif measured is not None:
+        return dataclasses.replace(found, stabiliser=stabiliser), channels
+    if measured is not None:
         found = _measured(read_noise(channels, where, varies=False), *measured)
     else:
         sigma = None if given is None else _sigma_of(given)
@@ -112,9 +109,7 @@ def estimate_noise(
                     read_noise(channels, where, varies=varies, sigma=assumed), reading=found.reading
                 )
             found = found.scaled_to(assumed)
-    if found.stabiliser is not None:
-        found.stabiliser.stabilise(channels)
-    return found
+    return found, channels if found.stabiliser is None else found.stabiliser.stabilised(channels)
 
 
 def _measured(found: NoiseModel, relative: Float32s, sigma: Float64s) -> NoiseModel:

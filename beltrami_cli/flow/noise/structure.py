@@ -109,7 +109,7 @@ class Residual:
         parts = []
         for part in (self.samples, self.pilot):
             colours = part.colours * np.float32(step)
-            stabiliser.stabilise(colours)
+            stabiliser.stabilise_in_place(colours)
             parts.append(dataclasses.replace(part, colours=colours / np.float32(step)))
         removed = dataclasses.replace(parts[0], colours=parts[0].colours - parts[1].colours)
         return Residual(parts[0], parts[1], removed)

@@ -1,0 +1,73 @@
+"""Noise is estimated, and made the same at all levels of colour, before a manifold is made of the colours."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from beltrami_cli.arrays import Float32s
+from beltrami_cli.flow.canvas import find_colour_jumps, halo_beyond, painted, painted_by
+from beltrami_cli.flow.grid_geometry import SUMMED_ROWS, CanvasSamples
+from beltrami_cli.flow.grid_manifold import CanvasColours, ColouredCanvas
+from beltrami_cli.flow.manifold import StabilisedColours
+from beltrami_cli.flow.mesh_geometry import MeshSamples
+from beltrami_cli.flow.mesh_manifold import ColouredMesh
+from beltrami_cli.flow.noise.clusters import VertexClusters
+from beltrami_cli.flow.noise.grid_squares import Grid
+from beltrami_cli.flow.noise.model import NoiseModel, relative_to_mean
+from beltrami_cli.flow.noise.reading import estimate_noise
+from beltrami_cli.flow.outliers import Outliers, fill_outliers
+from beltrami_cli.surface import large_arrays
+from beltrami_cli.surface.atlas import EMPTY, refresh_halo, without_halo
+
+
+def estimate_on_mesh(mesh: ColouredMesh) -> StabilisedColours:
+    """Fill the outliers of the colours, and estimate the noise of the others."""
+    wanted, geometry = mesh.parameters, mesh.geometry
+    channels, outliers = fill_outliers(mesh.colours.T, MeshSamples(geometry), wanted, is_light=mesh.is_light)
+    noise, channels = estimate_noise(
+        channels, VertexClusters(geometry.graph(channels.T)), wanted.given_noise,
+        varies=wanted.evens_noise and mesh.moving is None, strength=wanted.strength,
+        measured=None if mesh.deviations is None else relative_to_mean(mesh.deviations),
+    )  # fmt: skip
+    return StabilisedColours(stack=channels.T, noise=noise, outliers=outliers)
+
+
+def estimate_on_canvas(canvas: ColouredCanvas) -> CanvasColours:
+    """Paint the colours, fill their outliers, and estimate the noise of the others."""
+    wanted, atlas, is_light = canvas.parameters, canvas.atlas, canvas.light is not None
+    planes = painted_by(atlas, canvas.channels, canvas.colours_of)
+    planes, outliers = fill_outliers(planes, CanvasSamples(atlas), wanted, is_light=is_light)
+    if outliers is not None:
+        refresh_halo(planes, atlas)
+    measured = None
+    if canvas.deviations is not None:
+        of_samples, sigma = relative_to_mean(canvas.deviations)
+        relative = painted(atlas, of_samples)
+        relative[relative == 0] = 1  # in empty cells
+        measured = relative, sigma
+    noise, planes = estimate_noise(
+        planes, Grid(atlas.is_owned), wanted.given_noise, varies=wanted.evens_noise,
+        strength=wanted.strength, measured=measured,
+    )  # fmt: skip
+    return _ended_at_jumps(canvas, planes, noise, outliers)
+
+
+def with_known_noise(canvas: ColouredCanvas, rows: Float32s, noise: NoiseModel) -> CanvasColours:
+    """Paint other colours of the owned cells, shape (T, N), whose noise is the same at all levels, and known."""
+    return _ended_at_jumps(canvas, painted(canvas.atlas, rows), noise, None)
+
+
+def _ended_at_jumps(
+    canvas: ColouredCanvas, planes: Float32s, noise: NoiseModel, outliers: Outliers | None
+) -> CanvasColours:
+    """End the canvas at the seams over which colours jump; cells beyond them are emptied in these new planes."""
+    atlas, different = canvas.atlas, np.zeros(max(1, canvas.atlas.seams), bool)
+    # Where colours do not count as distance, a jump in colour is not an edge.
+    if canvas.parameters.beta != 0 and (canvas.metric_channels is None or len(canvas.metric_channels)):
+        different = find_colour_jumps(atlas, planes, noise.largest_sigma)
+    if different.any():
+        atlas = without_halo(atlas, halo_beyond(atlas, different))
+        for rows in large_arrays.blocks(len(atlas.kind), SUMMED_ROWS):
+            planes[:, rows][:, atlas.kind[rows] == EMPTY] = 0
+    jumps = int(np.count_nonzero(different))
+    return CanvasColours(stack=planes, noise=noise, outliers=outliers, atlas=atlas, jumps=jumps)
