@@ -8,9 +8,8 @@ from beltrami_cli.arrays import Float32s
 from beltrami_cli.flow.canvas import find_colour_jumps, halo_beyond, painted, painted_by
 from beltrami_cli.flow.grid_geometry import SUMMED_ROWS, CanvasSamples
 from beltrami_cli.flow.grid_manifold import CanvasColours, ColouredCanvas
-from beltrami_cli.flow.manifold import StabilisedColours
 from beltrami_cli.flow.mesh_geometry import MeshSamples
-from beltrami_cli.flow.mesh_manifold import ColouredMesh
+from beltrami_cli.flow.mesh_manifold import ColouredMesh, MeshColours
 from beltrami_cli.flow.noise.clusters import VertexClusters
 from beltrami_cli.flow.noise.grid_squares import Grid
 from beltrami_cli.flow.noise.model import NoiseModel, relative_to_mean
@@ -20,16 +19,17 @@ from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, refresh_halo, without_halo
 
 
-def estimate_on_mesh(mesh: ColouredMesh) -> StabilisedColours:
+def estimate_on_mesh(mesh: ColouredMesh) -> MeshColours:
     """Fill the outliers of the colours, and estimate the noise of the others."""
     wanted, geometry = mesh.parameters, mesh.geometry
     channels, outliers = fill_outliers(mesh.colours.T, MeshSamples(geometry), wanted, is_light=mesh.is_light)
+    graph = geometry.graph(channels.T)
     noise, channels = estimate_noise(
-        channels, VertexClusters(geometry.graph(channels.T)), wanted.given_noise,
+        channels, VertexClusters(graph), wanted.given_noise,
         varies=wanted.evens_noise and mesh.moving is None, strength=wanted.strength,
         measured=None if mesh.deviations is None else relative_to_mean(mesh.deviations),
     )  # fmt: skip
-    return StabilisedColours(stack=channels.T, noise=noise, outliers=outliers)
+    return MeshColours(stack=channels.T, noise=noise, outliers=outliers, graph=graph)
 
 
 def estimate_on_canvas(canvas: ColouredCanvas) -> CanvasColours:

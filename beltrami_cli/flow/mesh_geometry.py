@@ -84,7 +84,6 @@ class MeshGeometry(Geometry, Domain):
     threads: int
     gain: float | None = None  # of the regularised metric of the whole surface; None: its own
 
-    _graph: Graph | None = field(default=None, init=False)
     _core: tuple[Core, InducedMetric | None] | None = field(default=None, init=False)
 
     @classmethod
@@ -137,16 +136,14 @@ class MeshGeometry(Geometry, Domain):
 
     def __getstate__(self) -> dict[str, object]:
         fields = {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
-        return {**fields, "_graph": None, "_core": None}
+        return {**fields, "_core": None}
 
     def graph(self, colours: Stack) -> Graph:
-        """Return the samples and their edges, with priorities by the colours with which it is first called."""
-        if self._graph is None:
-            joined, places = self._is_joined(), kept(_in_three_dimensions(self.positions))
-            axes = _axes(places, colours) if joined.all() else _axes(places[joined], colours[joined])
-            priorities = kept(fingerprints(coarse(colours), self.edges))
-            self._graph = Graph(places, self.edges, priorities, axes, self.threads)
-        return self._graph
+        """Return the samples and their edges, with priorities by colours."""
+        joined, places = self._is_joined(), kept(_in_three_dimensions(self.positions))
+        axes = _axes(places, colours) if joined.all() else _axes(places[joined], colours[joined])
+        priorities = kept(fingerprints(coarse(colours), self.edges))
+        return Graph(places, self.edges, priorities, axes, self.threads)
 
     def scaled_lengths(self, edges: Int32s) -> Float32s:
         """Return the lengths of edges between samples in the unit of length of the parameters, shape (E,)."""

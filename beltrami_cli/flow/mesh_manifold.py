@@ -94,14 +94,21 @@ def _unit_on(mesh: MeshGeometry, parameters: KernelParameters) -> float:
     return mesh.spacing if parameters.units == "world" else 1.0
 
 
-def mesh_manifold(mesh: ColouredMesh, colours: StabilisedColours) -> MeshManifold:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MeshColours(StabilisedColours):
+    """Stabilised colours on a mesh, and the graph of samples, with priorities by the colours of the input."""
+
+    graph: Graph
+
+
+def mesh_manifold(mesh: ColouredMesh, colours: MeshColours) -> MeshManifold:
     """Make the image manifold of colours of a mesh."""
     own, unit = mesh.geometry, _unit_on(mesh.geometry, mesh.parameters)
     return MeshManifold(
         geometry=own, colours=colours.stack, noise=colours.noise, parameters=mesh.parameters, unit=unit,
         metric_channels=slice(None) if mesh.metric_channels is None else list(mesh.metric_channels),
         guides=tuple(GuideStack.of(guide, guide.values[own.order], own, unit) for guide in mesh.guides),
-        moving=mesh.moving, outliers=colours.outliers,
+        moving=mesh.moving, outliers=colours.outliers, graph=colours.graph,
     )  # fmt: skip
 
 
@@ -114,10 +121,15 @@ class MeshMetric(Metric):
     beta: float  # units of length per unit of the features
 
 
+_NO_GRAPH = Graph(np.zeros((0, 3)), np.zeros((0, 2), np.int32), np.zeros(0, np.uint64))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class MeshManifold(Manifold):
     """The image manifold of a sampled surface."""
 
     geometry: MeshGeometry
+    graph: Graph  # of the samples, for patches and clusters; none in parts, which only kernels are run on
     plain_levels = 2, 1
     search_range, rule = ON_MESHES, RULE_ON_MESHES
 
@@ -213,17 +225,15 @@ class MeshManifold(Manifold):
     ) -> Stack:  # fmt: skip
         """Estimate colours from patches in tangent planes."""
         relative = None if self.noise.relative is None else self.noise.relative[:, 0]
-        graph = self.geometry.graph(self.colours)
-        return _collaborate_on_graph(graph, noisy, pilot, mixing, relative, progress)
+        return _collaborate_on_graph(self.graph, noisy, pilot, mixing, relative, progress)
 
     def perturbation(self) -> Droppable[Array]:
-        """Draw random signs; they and the patches depend only on nearby colours, which change from then on."""
-        priorities = self.geometry.graph(self.colours).priorities
-        return Droppable(self._perturbations(coarse(self.colours), priorities, 1)[0])
+        """Draw random signs, which depend only on nearby colours."""
+        return Droppable(self._perturbations(coarse(self.colours), self.graph.priorities, 1)[0])
 
     def levels(self, most: int, tick: Callable[[], None] | None = None) -> list[Clusters]:
         del tick
-        return clusters_for(self.geometry.graph(self.colours), most, self.noise.relative)
+        return clusters_for(self.graph, most, self.noise.relative)
 
     @property
     def regions(self) -> MeshGeometry:
@@ -253,6 +263,7 @@ class MeshManifold(Manifold):
             noise=noise,
             guides=tuple(dataclasses.replace(guide, stack=guide.stack[samples]) for guide in self.guides),
             moving=None,
+            graph=_NO_GRAPH,
             is_in_one_block=True,
         )
 
@@ -266,7 +277,7 @@ class MeshManifold(Manifold):
         if self.noise.is_independent:
             return random_signs(colours, around, count)
         covariances = self.noise.covariances
-        levels = list(islice(levels_of(self.geometry.graph(self.colours)), len(covariances) + 1))
+        levels = list(islice(levels_of(self.graph), len(covariances) + 1))
         signs = np.split(random_signs(colours, around, count * len(levels)), count)
         drawn = np.stack([draw_noise_of_clusters(covariances, levels, own) for own in signs])
         drawn /= np.float32(np.sqrt(np.mean(np.square(self.noise.sigma))))

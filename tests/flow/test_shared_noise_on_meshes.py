@@ -57,7 +57,7 @@ def test_drawn_noise_has_the_details_of_what_was_found(sphere):
     positions, faces = sphere
     manifold = manifold_of(positions, faces, with_grain(positions, painted(positions), SIGMA))
     covariances = manifold.noise.covariances
-    levels = list(islice(levels_of(manifold.geometry.graph(manifold.colours)), len(covariances) + 1))
+    levels = list(islice(levels_of(manifold.graph), len(covariances) + 1))
     random = np.random.default_rng(5)
     signs = random.choice(np.float32([-1, 1]), (len(levels), manifold.geometry.size, 3))
     noise = draw_noise_of_clusters(covariances, levels, signs)
