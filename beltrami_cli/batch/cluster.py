@@ -20,11 +20,11 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from beltrami_cli.batch.item import Attempt, Item, do_item
-from beltrami_cli.batch.storage import is_url, place_of
+from beltrami_cli.batch.storage import place_of
 from beltrami_cli.batch.workers import Lost, Pool, Task
 from beltrami_cli.errors import ProcessingError, install_hint
 from beltrami_cli.fields import with_files
-from beltrami_cli.formats.access import CONFIGURATION, is_file, parse_json, read_bounded
+from beltrami_cli.formats.access import CONFIGURATION, is_file, is_url, parse_json, read_bounded
 from beltrami_cli.jobs.progress import Progress, at_intervals
 
 _LOST = "the connection to the scheduler was lost"

@@ -16,9 +16,17 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from beltrami_cli.batch.storage import exists, hash_at, is_url, place_of, require_name, staged
+from beltrami_cli.batch.storage import exists, hash_at, place_of, require_name, staged
 from beltrami_cli.errors import BeltramiError, InputError, MemoryLimitError, OutputError, UnpaintedError
-from beltrami_cli.formats.access import Access, is_there, limited_memory, open_regular, parse_json
+from beltrami_cli.formats.access import (
+    Access,
+    is_there,
+    is_url,
+    limited_memory,
+    open_regular,
+    parse_json,
+    unreadable,
+)
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.output import FileSet, Output
@@ -284,7 +292,7 @@ def _read_record(path: str) -> dict[str, Outcome]:
                 latest.pop(place_of(outcome.output), None)
                 latest[place_of(outcome.output)] = outcome
     except OSError as error:
-        raise InputError(path, f"cannot be read ({error})", "leave out --resume") from error
+        raise unreadable(path, error) from error
     return latest
 
 

@@ -15,15 +15,17 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from typing import Any
 
-from beltrami_cli.batch.storage import find, is_glob, is_url, joined, place_of, without_scheme
+from beltrami_cli.batch.storage import find, is_glob, joined, place_of, without_scheme
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import (
     MANIFEST,
     is_file,
+    is_url,
     parse_json,
     parse_toml,
     read_bounded,
     require_text,
+    unreadable,
 )
 from beltrami_cli.formats.registry import KEPT_FORMATS, OUTPUT_FORMATS, READ_ONLY
 from beltrami_cli.layers.settings import IMAGE_FORMATS, IMAGE_SUFFIXES
@@ -169,8 +171,10 @@ def _entries(path: str) -> list[tuple[str, object]]:
     """Read a manifest: the origin, for messages, and the table of every file."""
     try:
         text = read_bounded(Path(path), MANIFEST)
-    except (OSError, ValueError) as error:
-        raise InputError(path, f"cannot be read ({error})", "check the path, and that it is UTF-8") from error
+    except OSError as error:
+        raise unreadable(path, error) from error
+    except ValueError as error:
+        raise InputError(path, f"cannot be read ({error})", "save it as UTF-8") from error
     try:
         found = list(_READERS[Path(path).suffix.lower()](text))
     except (ValueError, csv.Error) as error:

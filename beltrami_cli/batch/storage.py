@@ -18,18 +18,12 @@ from typing import Any
 from urllib.parse import unquote
 
 from beltrami_cli.errors import InputError, OutputError, install_hint
-from beltrami_cli.formats.access import is_file, is_there, open_regular
+from beltrami_cli.formats.access import is_file, is_there, is_url, open_regular
 from beltrami_cli.surface.worker_process import temporary_folder
 
-_URL = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
 _HERE = re.compile(r"(?:file|local)://", re.IGNORECASE)
 # Where a file appears only once it is whole; elsewhere it is uploaded under another name and renamed.
 _WHOLE_OR_NOT = frozenset({"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "adl", "memory"})
-
-
-def is_url(name: str) -> bool:
-    """Whether a name is a URL of another place than this machine's own files."""
-    return bool(_URL.match(name)) and not _HERE.match(name)
 
 
 def without_scheme(name: str) -> str:
@@ -73,8 +67,10 @@ def filesystem(url: str) -> tuple[Any, str]:
         raise InputError(url, cause, install_hint("beltrami-cli[cluster]")) from error
     try:
         files, path = url_to_fs(url)
-    except (ImportError, ValueError) as error:
-        raise InputError(url, f"cannot be opened ({error})", "install the plug-in of fsspec") from error
+    except ImportError as error:
+        raise InputError(url, f"cannot be opened ({error})", "install these with pip") from error
+    except ValueError as error:
+        raise InputError(url, f"cannot be opened ({error})", "check the URL") from error
     return files, path
 
 

@@ -19,7 +19,7 @@ from beltrami_cli.cli.console import Messages, printable, show_table
 from beltrami_cli.errors import OutputError, ProcessingError, UsageError
 from beltrami_cli.fields import of_255, parameters
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.formats.access import Access, default_memory, is_file
+from beltrami_cli.formats.access import Access, default_memory, is_file, is_url
 from beltrami_cli.jobs.progress import Label, Work
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.layers.settings import SmoothSettings
@@ -145,7 +145,6 @@ def _memory(given: Mapping[str, Any]) -> int | None:
 
 
 def _show_plan(requests: Sequence[Request], *, resume: bool, overwrite: bool) -> None:
-    from beltrami_cli.batch.storage import is_url
 
     is_there = {each.target: not is_url(each.target) and Path(each.target).exists() for each in requests}
     for each in requests:
@@ -211,7 +210,7 @@ def _settings(request: Request, given: dict[str, Any]) -> Item:
 
 def _report_path(given: str | None, out_dir: str, inputs: Sequence[str], jobs: Sequence[Item]) -> str:
     """Return where the report goes; OutputError if it would replace a file."""
-    from beltrami_cli.batch.storage import is_url, without_scheme
+    from beltrami_cli.batch.storage import without_scheme
 
     path = given
     if path is None:

@@ -31,7 +31,7 @@ from beltrami_cli.cli.commands import (
 from beltrami_cli.cli.console import printable
 from beltrami_cli.cli.options import ParameterOption
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.formats.access import CONFIGURATION, parse_toml, read_bounded, text_in
+from beltrami_cli.formats.access import CONFIGURATION, parse_toml, read_bounded, text_in, unreadable
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class Configuration:
             try:
                 option.type_cast_value(context, values[option.name])
             except click.BadParameter as error:
-                raise ValueError(f"{long_name(option)}: {error.message}") from error
+                raise ValueError(f"{long_name(option)}: {error.message.rstrip('.')}") from error
             except UsageError as error:
                 raise ValueError(str(error)) from error
 
@@ -94,8 +94,11 @@ def load(named: str | None) -> Configuration:
                 remedy = f"to have it read, name it: --config {path}"
                 click.echo(printable(f"warning: {path} is not read, because {error}; {remedy}"), err=True)
             continue
-        except (OSError, ValueError) as error:
-            raise InputError(str(path), f"cannot be read ({error})", "fix or remove it") from error
+        except OSError as error:
+            raise unreadable(str(path), error) from error
+        except ValueError as error:
+            remedy = "repair it, or name another file" if named else "repair or remove it"
+            raise InputError(str(path), f"cannot be read ({error})", remedy) from error
         if table is not None:
             tables = {name: value for name, value in table.items() if isinstance(value, dict)}
             common = {name: value for name, value in table.items() if name not in tables}
@@ -206,11 +209,15 @@ def config(context: click.Context, name: str | None) -> None:
     configuration: Configuration = group.obj
     names = known if name is None else [name]
     group.default_map = {each: commands.defaults_from(configuration, each) for each in names}
-    click.echo(f"# {printable(configuration.path or 'no file')} and the environment")
-    for each in names:
-        lines = list(_lines(group, each, configuration, with_defaults=name is not None))
+    click.echo(f"# configuration file: {printable(configuration.path or 'none')}")
+    tables = {
+        each: list(_lines(group, each, configuration, with_defaults=name is not None)) for each in names
+    }
+    for each, lines in tables.items():
         if lines:
             click.echo("\n".join([f"[{each}]", *lines]))
+    if not any(tables.values()):
+        click.echo("# every option has its default")
 
 
 def _lines(

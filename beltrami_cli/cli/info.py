@@ -22,6 +22,7 @@ from beltrami_cli.cli.console import (
     show_table,
 )
 from beltrami_cli.errors import BeltramiError, InputError
+from beltrami_cli.formats.access import is_url
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.view.words import (
     choice_in_words,
@@ -51,7 +52,7 @@ def info(sources: tuple[str, ...], as_json: bool, verbose: int, **smoothing: Any
     from beltrami_cli.jobs.progress import one_of
 
     settings = options.settings_from(smoothing)
-    is_one = len(sources) == 1 and (sources[0] == "-" or Path(sources[0]).is_file())
+    is_one = len(sources) == 1 and (sources[0] == "-" or is_url(sources[0]) or Path(sources[0]).is_file())
     facts: dict[str, Any] = {}
     rows: list[list[str]] = []
     failures: list[BeltramiError] = []

@@ -167,7 +167,7 @@ def _run() -> int:
         shown = io.StringIO()
         error.show(shown)
         for line in shown.getvalue().splitlines():
-            click.echo(printable(line), err=True)
+            click.echo(printable(line.expandtabs(4)), err=True)
         if isinstance(error, click.BadParameter) and (variable := variable_behind(error.param, error.ctx)):
             click.echo(f"The value is from the environment: {variable}", err=True)
         return error.exit_code

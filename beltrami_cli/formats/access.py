@@ -162,10 +162,31 @@ def read_source(source: str, access: Access = EVERYTHING_INSIDE) -> bytes:
         remedy = "give a file, or pipe the model in and name it -"
         raise InputError(source, "it is not a regular file", remedy) from error
     except OSError as error:
-        cause = f"cannot be read ({error.strerror})"
         if error.errno == errno.EFBIG:
+            cause = f"cannot be read ({error.strerror})"
             raise MemoryLimitError(source, cause, "raise --max-memory") from error
-        raise InputError(source, cause, "check the path and its permissions") from error
+        raise unreadable(source, error) from error
+
+
+_URL = re.compile(r"(?!(?:file|local):)[a-z][a-z0-9+.-]+://", re.IGNORECASE)
+
+
+def is_url(name: str) -> bool:
+    """Whether a name is a URL of another place than this machine's own files."""
+    return _URL.match(name) is not None
+
+
+def unreadable(name: str, error: OSError) -> InputError:
+    """Return the error that a file cannot be read, with a remedy for its cause."""
+    if is_url(name):
+        return InputError(
+            name, "it is a URL, which batch alone reads", "download it, or give it to beltrami batch"
+        )
+    if isinstance(error, FileNotFoundError):
+        return InputError(name, "there is no such file", "check its name")
+    return InputError(
+        name, f"cannot be read ({error.strerror or error})", "check the path and its permissions"
+    )
 
 
 def _read_stdin(access: Access) -> bytes:

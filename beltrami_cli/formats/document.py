@@ -63,7 +63,13 @@ class Document(ABC):
 
     def painted(self) -> PaintedVertices:
         """Return the vertex colours and their surface, always the same record; InputError without usable ones."""
-        return self._painted
+        try:
+            return self._painted
+        except UnpaintedError as error:
+            if not self.slots():
+                raise
+            remedy = "smooth these, or move them into vertices by beltrami bake --to vertices"
+            raise UnpaintedError(self.name, "it has textures, but no vertex colours", remedy) from error
 
     @cached_property
     def _painted(self) -> PaintedVertices:

@@ -26,7 +26,7 @@ class ImageDocument(Document):
 
     @property
     def _mesh(self) -> NoReturn:
-        raise InputError(self.name, "it is an image, and no model")
+        raise InputError(self.name, "it is an image, not a model")
 
     def facts(self) -> dict[str, object]:
         return {"format": self._picture.format, "bytes": len(self.data)}

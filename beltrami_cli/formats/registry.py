@@ -163,7 +163,8 @@ def _extensions(*packages: str) -> str:
 
 
 _READABLE = (
-    f"beltrami reads {_extensions('ply', 'obj', 'gltf', 'usd')}; points in {_extensions('points')}; and the colours of "
+    f"beltrami reads {_extensions('ply', 'obj', 'gltf', 'usd')}; points in {_extensions('points')}; "
+    "images such as .png, .jpg, .tif and .exr; level sets in .nrrd and .npz; and the colours of "
     f".{', .'.join(READ_ONLY)}"
 )
 _WRITERS = {line.name: line for line in FORMATS if line.writer}
@@ -216,7 +217,7 @@ def _refusal(data: bytes, name: str) -> InputError:
     if not data:
         return InputError(name, "the file is empty", _READABLE)
     if _is_image(data, name):
-        return InputError(name, "it is an image, and no model", _READABLE)
+        return InputError(name, "it is an image, not a model", _READABLE)
     if not Path(name).suffix:  # standard input among them
         remedy = "give OBJ files, and points in .xyz and .pts, by their names"
         return InputError(name, "the content has no mark of a known format", remedy)
@@ -326,9 +327,13 @@ def _image_format(document: Document, target: str, chosen: str | None) -> Output
 
     suffix = f".{chosen}" if chosen else "" if target == "-" else Path(target).suffix
     if suffix and format_of_suffix(suffix) is None:
-        raise UsageError(
-            f"{target}: no image format is known for {suffix}; end the name in {', '.join(WRITABLE)}, or say --format"
+        is_model = suffix[1:].lower() in (*OUTPUT_FORMATS, *READ_ONLY)
+        cause = (
+            f"{document.name} is an image, not a model"
+            if is_model
+            else f"no image format is known for {suffix}"
         )
+        raise UsageError(f"{target}: {cause}; end the name in {', '.join(WRITABLE)}, or say --format")
     own = format_of(document.data, document.name)
     if not suffix or (own is not None and suffix.lower() in FORMATS[own].suffixes):
         own_suffix = Path(document.name).suffix or f".{label_of(own or '')}"

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Literal
 from urllib.parse import quote
 
 from beltrami_cli.errors import OutputError
-from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_regular
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, is_url, read_regular
 from beltrami_cli.formats.registry import OUTPUT_FORMATS, READ_ONLY
 from beltrami_cli.jobs import replacing
 from beltrami_cli.jobs.file_rights import take_over
@@ -64,6 +64,8 @@ class Output:
         self.is_stdout = target == "-"
         if not target:
             raise OutputError(what, "its name is empty", "name a file, or - for standard output")
+        if is_url(target):
+            raise OutputError(target, "it is a URL, which batch alone writes to", "name a file")
         self.is_device = not self.is_stdout and replacing.is_special(Path(target))
         # A link is followed, so that its target is replaced and the link stays; links to pipes lead nowhere.
         self.path = Path(target if self.is_device else os.path.realpath(target))

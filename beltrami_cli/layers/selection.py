@@ -273,10 +273,10 @@ def _large_parts(part_of: Int64s, covered: Float64s) -> list[list[int]]:
 
 
 def _no_such_textures(document: Document, present: Sequence[Slot], wanted: Sequence[str]) -> InputError:
-    kinds = f"{', '.join(present)} textures" if present else "no textures at all"
-    cause = f"it has no {' or '.join(wanted)} textures, but {kinds}"
-    remedy = f"give --slots {present[0]}" if present else "leave out --slots"
-    return UnpaintedError(document.name, cause, remedy)
+    if not present:
+        return UnpaintedError(document.name, "it has no textures", "leave out --slots")
+    cause = f"it has no {' or '.join(wanted)} textures, only {', '.join(present)} textures"
+    return UnpaintedError(document.name, cause, f"give --slots {present[0]}")
 
 
 def _nothing_to_smooth(document: Document, present: Sequence[Slot], *, textures_only: bool) -> InputError:

@@ -258,7 +258,7 @@ def require_finite(rows: Array, name: str, what: str, numbers: Int64s | None = N
     if not finite.all():
         bad = int(np.argmin(finite))
         number = bad if numbers is None else numbers[bad]
-        raise InputError(name, f"{what} {number} is not finite", "repair the file")
+        raise InputError(name, f"{what} {number} is not finite", "replace or remove it")
 
 
 # Half of what single precision holds, so that the difference of any two numbers is finite in it, too.
@@ -284,7 +284,7 @@ def require_single(
         bad = int(np.argmax(large.any(axis=1)))
         number, value = bad if numbers is None else numbers[bad], rows[bad][large[bad]][0]
         cause = f"{what} {number} is {value:.3g}, which is too large for single precision"
-        raise InputError(name, cause, "repair the file, or scale its numbers down")
+        raise InputError(name, cause, "replace it, or scale all down")
 
 
 def check_scale(positions: Float64s, faces: Int32s, name: str) -> None:

@@ -59,7 +59,7 @@ class Crop:
 
 def _size(text: str) -> tuple[int, int]:
     words = text.lower().split("x")
-    if len(words) > 2 or not all(word.isascii() and word.isdigit() and len(word) < 6 for word in words):
+    if len(words) > 2 or not all(word.isascii() and word.isdigit() and len(word) < 19 for word in words):
         raise ValueError(f"is {text!r}, but must be a size such as 800 or 1280x720")
     return int(words[0]), int(words[-1])
 

@@ -148,4 +148,4 @@ def test_denoise_is_smooth_with_what_is_configured_for_it(run, tmp_path):
 
 def test_variables_for_other_things_do_no_harm(run):
     assert "Usage" in run("smooth", "--help", BELTRAMI_VERSION="1.0", BELTRAMI_HELP="me")
-    assert "no file" in run("config", BELTRAMI_VERSION="1.0", BELTRAMI_HELP="me")
+    assert "configuration file: none" in run("config", BELTRAMI_VERSION="1.0", BELTRAMI_HELP="me")

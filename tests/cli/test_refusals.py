@@ -167,8 +167,11 @@ REFUSED = [
     ("smooth @terrain-noisy.ply out.ply --on texture", 3, "terrain-noisy.ply: "),
     ("smooth @terrain-noisy.ply out.ply --on both", 3, "terrain-noisy.ply: "),
     ("smooth @mirrored-noisy.obj out.obj --on vertices", 3, "mirrored-noisy.obj: "),
-    ("smooth @torus-two-noisy.gltf o.gltf --slots normal", 3, "it has no normal textures, but baseColor textures"),
-    ("smooth @terrain-noisy.ply o.ply --slots normal", 3, "it has no normal textures, but no textures at all"),
+    ("smooth @tiled-clean.glb o.glb --on vertices", 3, "textures, but no vertex colours; smooth these"),
+    ("bake @tiled-clean.glb o.glb --to texture", 3, "textures, but no vertex colours"),
+    ("smooth @mirrored-noisy.obj o.obj --on vertices", 3, "textures, but no vertex colours; smooth these"),
+    ("smooth @torus-two-noisy.gltf o.gltf --slots normal", 3, "no normal textures, only baseColor textures"),
+    ("smooth @terrain-noisy.ply o.ply --slots normal", 3, "it has no textures; leave out --slots"),
     ("smooth @terrain-noisy.ply out.ply --guide nothing", 3, "no such file, and no attribute"),
     ("smooth @terrain-noisy.ply out.ply --guide @knot-noisy.ply", 3, f"do not fit the {VERTICES} vertices"),
     ("smooth @terrain-noisy.ply out.ply --guide odd.npy", 3, "3 x 3 numbers do not fit"),
@@ -211,7 +214,7 @@ REFUSED = [
     ("smooth @head-tex-noisy.png out.png --max-samples 9", 2, "--max-samples"),
     ("smooth @head-tex-noisy.png out.png --texture-format png", 2, "--texture-format"),
     ("smooth @head-tex-noisy.png out.png --weights area", 2, "--weights"),
-    ("smooth @head-tex-noisy.png out.glb", 2, "no image format is known"),
+    ("smooth @head-tex-noisy.png out.glb", 2, "is an image, not a model"),
     ("smooth @head-tex-noisy.png out.gif", 2, "cannot be written as GIF"),
     ("smooth @head-tex-noisy.png out.pgm", 2, "PGM holds grey only"),
     ("smooth @mirrored-noisy.png out.png --space oklab", 2, "grey"),
@@ -224,7 +227,7 @@ REFUSED = [
     ("smooth @head-tex-noisy.png out.png --mask @mirrored-noisy.png", 3, "do not fit the 416 x 416"),
     ("smooth @head-tex-noisy.png out.png --height @head-tex-clean.png", 3, "which of its channels R, G, B"),
     ("smooth @mirrored-noisy.png out.png --positions @mirrored-clean.png", 3, "its channels Y are no positions"),
-    ("smooth @head-tex-noisy.png out.png --mask absent.png", 3, "absent.png: cannot be read"),
+    ("smooth @head-tex-noisy.png out.png --mask absent.png", 3, "absent.png: there is no such file"),
     # places of kernels
     ("kernel --fast @nonmanifold-noisy.ply k.ply --at 999999", 2, "vertex"),
     ("kernel --fast @nonmanifold-noisy.ply k.ply --at 0.1,0.2", 2, "vertex"),
@@ -240,6 +243,54 @@ REFUSED = [
     ("kernel --fast @mirrored-noisy.png k.png --at -1,3", 2, "no place"),
     ("kernel --fast @mirrored-noisy.png k.png --at 3,320", 2, "no place"),
 ]  # fmt: skip
+
+
+ABSENT = [
+    "--config absent smooth @knot-noisy.ply o.ply", "smooth absent o.ply", "info absent",
+    "noise absent o.ply --sigma 9",
+    "bake absent o.ply --to texture", "level absent o.ply", "compare @knot-noisy.ply absent", "check absent absent",
+    "report absent absent o.html", "report @knot-noisy.ply @knot-noisy.ply o.html --parameters absent",
+    "render absent o.png", "sweep absent o.png --beta 5,8", "view absent --no-open", "kernel absent o.csv --at 3",
+    "batch absent --out-dir out", "batch absent.toml --out-dir out", "smooth @knot-noisy.ply o.ply --noise absent.exr",
+    "smooth @scan-noisy.jpg o.png --height absent",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("words", ABSENT)
+def test_a_file_that_is_not_there_is_said_to_be_so(words, folder):
+    arguments = [word.replace("@", f"{SAMPLES}/") for word in words.split()]
+    line = refused(folder, *arguments, code=3, said="absent")
+    assert ": there is no such file; check" in line
+    assert "Errno" not in line
+
+
+@pytest.mark.parametrize("words", [words for words in ABSENT if not words.startswith(("--config", "batch"))])
+def test_a_url_is_said_to_be_one_whether_or_not_the_extra_is_installed(words, folder, monkeypatch):
+    hide("fsspec", monkeypatch)
+    arguments = [
+        word.replace("@", f"{SAMPLES}/").replace("absent", "https://a.org/b") for word in words.split()
+    ]
+    assert "it is a URL" in refused(folder, *arguments, code=3, said="https://a.org/b")
+
+
+@pytest.mark.parametrize(
+    "words", ["smooth @knot-noisy.ply s3://b/o.ply", "render @knot-noisy.ply s3://b/o.png"]
+)
+def test_an_output_at_a_url_is_said_to_be_one(words, folder):
+    refused(folder, *(word.replace("@", f"{SAMPLES}/") for word in words.split()), code=4, said="it is a URL")
+
+
+def test_limits_of_sizes_are_named_however_large_the_number_is(folder):
+    for size in ("99999", "1000000", "999999999x20"):
+        refused(
+            folder, "render", SAMPLES / "knot-clean.ply", "o.png", "--size", size, code=2, said="16 and 16384"
+        )
+
+
+def test_an_unknown_format_names_kinds_that_are_read_images_among_them(tmp_path):
+    (tmp_path / "text.png").write_text("hello")
+    line = refused(tmp_path, "smooth", "text.png", "out.png", code=3, said="no known format")
+    assert all(suffix in line for suffix in (".png", ".jpg", ".exr", ".ply", ".las", ".nrrd"))
 
 
 @pytest.mark.parametrize(("words", "code", "said"), REFUSED, ids=[words[:99] for words, *_ in REFUSED])

@@ -170,7 +170,7 @@ class Surface:
             for part, primitive in enumerate(mesh):
                 self._take(primitive, placement, (number, part))
         if not self.blocks:
-            remedy = "paint the vertices first, or bake the texture into them"
+            remedy = "paint the vertices first"
             raise UnpaintedError(name, "the model has no vertex colours (COLOR_0)", remedy)
 
     def _take(self, primitive: Primitive, placement: Placement, number: tuple[int, int]) -> None:

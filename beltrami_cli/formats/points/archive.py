@@ -155,7 +155,7 @@ class PointsDocument(Document):
         count = int(np.count_nonzero(~finite))
         if count and (not finite.any() or self._tables.faces):
             cause = f"{count} of {len(finite)} positions are not finite"
-            raise InputError(self.name, cause, "repair the file")
+            raise InputError(self.name, cause, "replace or remove them")
         if count:
             self.notices.append(f"{count} of {len(finite)} points have no place, and take no part.")
         return np.flatnonzero(finite)
