@@ -102,7 +102,7 @@ def inspect_file(
 def _describe_layers(selection: Selection, job: Job) -> tuple[dict[Part, list[dict[str, object]]], list[str]]:
     """Describe the selected layers, by the part of the document that they belong to; return also notices."""
     described: dict[Part, list[dict[str, object]]] = {"vertices": [], "image": [], "textures": []}
-    document, settings = selection.document, selection.settings
+    settings = selection.settings
     notices = list[str]()
     with selection.within_memory():
         job.begin("laying out")
@@ -111,10 +111,10 @@ def _describe_layers(selection: Selection, job: Job) -> tuple[dict[Part, list[di
             facts, exposure = layer.normalised().describe(), describe_exposure(layer)
             described[layer.part].append(facts if exposure is None else {**facts, "exposure": exposure})
             notices += layer.notices
-        for slot in selection.slots:
+        for slot, surface in zip(selection.slots, selection.surfaces, strict=True):
             groups = [each for each in described["textures"] if each["slot"] == slot]
             if len(groups) > 1:  # exposures belong to all groups together
-                exposure = describe_exposure(TextureLayer.read(document.textured(slot), slot, settings))
+                exposure = describe_exposure(TextureLayer.read(surface, slot, settings))
                 for each in groups:
                     each["exposure"] = exposure
     return described, notices

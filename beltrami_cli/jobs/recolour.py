@@ -386,7 +386,7 @@ def _sidecar_names(selection: Selection, kind: OutputFormat, naming: Naming) -> 
     document, settings = selection.document, selection.settings
     chosen = settings.textures.image_suffix
     images: dict[tuple[Slot, str], PlannedImage] = {}
-    for slot, surface in zip(selection.slots, selection.surfaces(), strict=True):
+    for slot, surface in zip(selection.slots, selection.surfaces, strict=True):
         for texture in surface.textures:
             suffix = chosen or suffix_for(texture.data, texture.name) or ".png"
             images[slot, texture.key] = PlannedImage(suffix, is_chosen=chosen is not None, slot=slot)

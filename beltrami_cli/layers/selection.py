@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -58,15 +58,17 @@ class Selection:
     image: bool = False
     notices: tuple[str, ...] = ()
 
-    def surfaces(self) -> list[TexturedSurface]:
-        """Return the surface of each slot with the chosen textures."""
-        return [choose_textures(self.document.textured(slot), self.settings.textures) for slot in self.slots]
+    @cached_property
+    def surfaces(self) -> tuple[TexturedSurface, ...]:
+        """The surface of each slot with the chosen textures."""
+        surfaces = map(self.document.textured, self.slots)
+        return tuple(choose_textures(surface, self.settings.textures) for surface in surfaces)
 
     def images(self) -> Iterator[Iterator[tuple[str, bytes]]]:
         """Give the names and bytes of the files that are painted together: the image, or the textures of each slot."""
         if self.image:
             yield iter([(self.document.name, self.document.data)])
-        for surface in self.surfaces():
+        for surface in self.surfaces:
             yield ((texture.name, texture.data) for texture in surface.textures)
 
     def require_memory(self, work: str = "painted") -> None:
@@ -111,10 +113,9 @@ class Selection:
             yield ImageLayer.read(document, settings, access, suffix=suffix, colours_only=colours_only)
         if self.vertices:
             yield vertex_layer(document, settings, access)
-        surfaces = self.surfaces()
-        counts = Counter(texture.key for surface in surfaces for texture in surface.textures)
+        counts = Counter(texture.key for surface in self.surfaces for texture in surface.textures)
         shared = frozenset(key for key, count in counts.items() if count > 1)
-        for slot, surface in zip(self.slots, surfaces, strict=True):
+        for slot, surface in zip(self.slots, self.surfaces, strict=True):
             parts = separate_surfaces(surface) if in_groups and settings.kernel.is_open else [surface]
             for number, part in enumerate(parts, 1):
                 whole, name = (document, access), f"part {number} of {len(parts)}" if len(parts) > 1 else ""
@@ -128,7 +129,7 @@ class Selection:
             counts.append(0 if size is None else size.texels)
         if self.vertices:
             counts.append(_TEXELS_OF_A_VERTEX * len(self.document.painted().colours))
-        return [*counts, *(int(_covered_texels(surface).sum()) for surface in self.surfaces())]
+        return [*counts, *(int(_covered_texels(surface).sum()) for surface in self.surfaces)]
 
     def require_geometry(self, *, is_patched: bool) -> None:
         """Raise errors if positions are to be smoothed, but there are none, or the format cannot store them."""
@@ -185,11 +186,10 @@ def select(document: Document, settings: SmoothSettings, access: Access = EVERYT
         raise InputError(document.name, f"it has no {missing}", "use --on auto")
     if not slots:
         raise _nothing_to_smooth(document, present, textures_only=settings.on == "texture")
-    slots = _with_chosen_textures(document, slots, settings)
     absent, both = absent_slots(document, settings), settings.on == "both"
     if coloured and not both:
         absent.append("its vertex colours stay as they are; --on both smooths them too")
-    return Selection(document, settings, access, both, slots, notices=tuple(absent))
+    return _without_empty_slots(Selection(document, settings, access, both, slots, notices=tuple(absent)))
 
 
 def absent_slots(document: Document, settings: SmoothSettings) -> list[str]:
@@ -300,19 +300,19 @@ def _nothing_to_smooth(document: Document, present: Sequence[Slot], *, textures_
     return UnpaintedError(document.name, cause + (f" ({why.cause})" if why.cause else ""), why.remedy)
 
 
-def _with_chosen_textures(
-    document: Document, slots: tuple[Slot, ...], settings: SmoothSettings
-) -> tuple[Slot, ...]:
-    wanted = settings.textures
+def _without_empty_slots(selection: Selection) -> Selection:
+    """Leave out the slots of which no texture is chosen; UsageError if that is all of them."""
+    document, wanted = selection.document, selection.settings.textures
     if not (wanted.names or wanted.materials):
-        return slots
-    kept = tuple(slot for slot in slots if choose_textures(document.textured(slot), wanted).textures)
+        return selection
+    pairs = zip(selection.slots, selection.surfaces, strict=True)
+    kept = tuple(slot for slot, surface in pairs if surface.textures)
     if not kept:
-        textures = [texture for slot in slots for texture in document.textured(slot).textures]
+        textures = [texture for slot in selection.slots for texture in document.textured(slot).textures]
         names = ", ".join(sorted({texture.name for texture in textures}))
         materials = ", ".join(sorted({name for texture in textures for name in texture.materials}))
         raise UsageError(
             f"{document.name}: no texture fits the globs; there are {names}"
             + (f", in the materials {materials}" if wanted.materials else "")
         )
-    return kept
+    return selection if kept == selection.slots else replace(selection, slots=kept)

@@ -78,13 +78,12 @@ class TextureLayer(PictureLayer):
         guided: tuple[Document, Access] | None = None, shared: Collection[str] = (), part: str = "",
         decoded: Sequence[Picture] | None = None,
     ) -> TextureLayer:  # fmt: skip
-        """Decode the chosen textures, unless they are `decoded`, and lay their charts out.
+        """Decode the textures of a surface, unless they are `decoded`, and lay their charts out.
 
         `guided`: where guides and noise are read from; `part`: a name, if it has not all textures of the slot.
         """
         kernel, pictures, tables = settings.kernel, [*(decoded or ())], list[JpegTables | None]()
         if decoded is None:
-            surface = choose_textures(surface, settings.textures)
             for texture in surface.textures:
                 data = texture.data  # each access may read the file
                 pictures.append(dataclasses.replace(read_texture(texture, data), content=texture.content))

@@ -25,7 +25,7 @@ from beltrami_cli.layers.image_layer import ImageLayer
 from beltrami_cli.layers.image_surface import ImageSurface
 from beltrami_cli.layers.layer import Layer
 from beltrami_cli.layers.settings import SmoothSettings
-from beltrami_cli.layers.texture_layer import TextureLayer
+from beltrami_cli.layers.texture_layer import TextureLayer, choose_textures
 from beltrami_cli.layers.vertex_layer import GridLayer, PaintedLayer, VertexLayer, only_rows
 from beltrami_cli.surface.geometry import triangle_areas
 from beltrami_cli.surface.records import PaintedVertices, Slot, Texture, TexturedSurface
@@ -189,8 +189,8 @@ class LayerView:
             uv=surface.uv[order], texture_of=surface.texture_of[order],
             space_of=None if surface.space_of is None else surface.space_of[rows],
         )  # fmt: skip
-        layer = TextureLayer.read(part, self._textures, settings, guided=(self._document, self._access))
-        layer = layer.normalised()
+        chosen, around = choose_textures(part, settings.textures), (self._document, self._access)
+        layer = TextureLayer.read(chosen, self._textures, settings, guided=around).normalised()
         new = _smooth(layer, progress)
         offsets, patches = layer.atlas.texture_offsets, []
         keys = [each.key for each in surface.textures]

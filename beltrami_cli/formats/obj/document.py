@@ -23,7 +23,7 @@ from beltrami_cli.formats.conversion import with_vertex_colours
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.model_folder import ModelFolder
-from beltrami_cli.formats.obj.materials import ALONG, SLOTS, Map, Materials, repainted
+from beltrami_cli.formats.obj.materials import ALONG, SLOTS, Map, Materials, renaming
 from beltrami_cli.formats.obj.statements import (
     Scan,
     Statements,
@@ -83,11 +83,16 @@ class ObjDocument(Document):
         return bool(self._scan.vertices.coloured.size)
 
     def slots(self) -> tuple[Slot, ...]:
-        return self._materials.slots()
+        slots = self._materials.slots()
+        if not slots:
+            self._forget_statements()
+        return slots
 
     @cached_property
     def _scene(self) -> Scene:
-        return _read_scene(self._scan, self._coordinates, self._materials, self.name)
+        scene = _read_scene(self._scan, self._coordinates, self._materials, self.name)
+        self._forget_statements()
+        return scene
 
     def _undefined(self) -> Obstacle | None:
         defined = set[str]().union(*(library.materials for library in self._materials.libraries))
@@ -99,7 +104,8 @@ class ObjDocument(Document):
 
     def _patched(self, new: Changes, naming: Naming) -> Written:
         colours, places = new.colours, new.places
-        sidecars, spans = repainted(self._materials, new.images, self.name, naming)
+        renamed = renaming(self._materials, new.images, self.name, naming)
+        sidecars, spans = renamed.written(), renamed.spans
         data = exchange_spans(self.data, spans)
         known, paint = self._scan.vertices, self._scan.polypaint
         starts, ends = (shifted(tokens, spans) for tokens in (known.token_starts, known.token_ends))
@@ -119,7 +125,7 @@ class ObjDocument(Document):
         return dataclasses.replace(sidecars, main=main, notices=(*sidecars.notices, *notices))
 
     def sidecar_names(self, images: PlannedImages, naming: Naming, **_: object) -> list[str]:
-        return repainted(self._materials, images, self.name, naming)[0].sidecar_names
+        return renaming(self._materials, images, self.name, naming).sidecar_names
 
     def require_movable(self) -> None:
         """Check nothing: any number can be exchanged in a text."""
@@ -133,8 +139,10 @@ class ObjDocument(Document):
 
     def _attribute(self, name: str) -> Float64s:
         vertices = self._scan.vertices
-        statements = Statements(self.data, self.name)
-        normals = read_normals(statements, self._scan.corners, len(vertices.positions))[vertices.coloured]
+        normals = read_normals(self._statements, self._scan.corners, len(vertices.positions))[
+            vertices.coloured
+        ]
+        self._forget_statements()
         if np.isnan(normals).any():
             row = int(vertices.coloured[int(np.argmax(np.isnan(normals).any(axis=1)))])
             raise InputError(self.name, f"vertex {row + 1} has no normal, so normals cannot guide")
@@ -147,8 +155,13 @@ class ObjDocument(Document):
         return dataclasses.replace(self._mesh, alpha=self._alpha(), left_out=self._scan.dropped)
 
     def textured_mesh(self, colours: Float32s | None = None) -> MeshContents:
-        mesh = _convert(self._scene, Statements(self.data, self.name), self._scan, self._materials)
-        return with_vertex_colours(mesh, self, colours)
+        return with_vertex_colours(self._converted, self, colours)
+
+    @cached_property
+    def _converted(self) -> MeshContents:
+        mesh = _convert(self._scene, self._statements, self._scan, self._materials)
+        self._forget_statements()
+        return mesh
 
     def _alpha(self) -> Float32s | None:
         alpha = self._scan.vertices.alpha
@@ -188,9 +201,19 @@ class ObjDocument(Document):
         }
 
     @cached_property
+    def _statements(self) -> Statements:
+        """Its text in tokens, which take several times the memory of the text: until all that a run needs is read."""
+        return Statements(self.data, self.name)
+
+    def _forget_statements(self) -> None:
+        self.__dict__.pop("_statements", None)
+
+    @cached_property
     def _scan(self) -> Scan:
-        scan = scan_file(self.data, self.name)
+        scan = scan_file(self._statements)
         self.notices += scan.notices
+        if not scan.libraries:
+            self._forget_statements()
         return scan
 
     @cached_property
@@ -226,7 +249,7 @@ class ObjDocument(Document):
 
     @cached_property
     def _coordinates(self) -> _Coordinates:
-        return _read_coordinates(Statements(self.data, self.name), self._materials)
+        return _read_coordinates(self._statements, self._materials)
 
 
 @dataclass(frozen=True)

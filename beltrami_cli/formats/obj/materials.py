@@ -11,7 +11,7 @@ import os
 import posixpath
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
 
 from beltrami_cli.errors import Obstacle
@@ -249,17 +249,37 @@ def _split(names: str) -> Iterator[tuple[int, int]]:
         yield match.span()
 
 
-def repainted(materials: Materials, images: NewImages, source: str, naming: Naming) -> tuple[Written, Spans]:
-    """Return the sidecar files of an OBJ file, and the new names in it."""
+@dataclass(frozen=True)
+class Renaming:
+    """The new names in an OBJ file and its libraries, and the sidecar files of the output, but for the libraries."""
+
+    files: NewFiles
+    spans: Spans  # in the model
+    libraries: dict[str, tuple[Library, Spans]]  # those that change, by their new names
+
+    @property
+    def sidecar_names(self) -> list[str]:
+        return [*self.files.sidecars, *self.libraries, *self.files.copied]
+
+    def written(self) -> Written:
+        """Return the sidecar files."""
+        edited = {name: exchange_spans(library.data, own) for name, (library, own) in self.libraries.items()}
+        return replace(self.files.written(), sidecars=self.files.sidecars | edited)
+
+
+def renaming(materials: Materials, images: NewImages, source: str, naming: Naming) -> Renaming:
+    """Name the sidecar files of an OBJ file with new images."""
     missing = [found.name for library in materials.libraries for found, path in library.maps if path is None]
     names = NewFiles(naming, source, materials.paths, missing)
     edits = _take_images(materials, images, names)
     _take_others(materials, names, edits)
     spans: Spans = {}
+    changed: dict[str, tuple[Library, Spans]] = {}
     for library in materials.libraries:
         own = edits.get(library.path, {})
         outside = is_outside(library.path)
-        is_new = bool(own) and (outside or exchange_spans(library.data, own) != library.data)
+        differs = any(library.data[start:end] != new for (start, end), new in own.items())
+        is_new = bool(own) and (outside or differs)
         if not is_new and (outside or not names.copies):
             for name, _, _ in library.mentions if outside else ():
                 names.leave(name)
@@ -268,10 +288,10 @@ def repainted(materials: Materials, images: NewImages, source: str, naming: Nami
         for name, start, end in library.mentions:
             spans[start, end] = new_reference(name, library.path, new)
         if is_new:
-            names.sidecars[new] = exchange_spans(library.data, own)
+            changed[new] = library, own
         else:
             names.copied[new] = library.path
-    return names.written(), spans
+    return Renaming(names, spans, changed)
 
 
 def _take_images(materials: Materials, images: NewImages, names: NewFiles) -> dict[str, Spans]:

@@ -293,9 +293,9 @@ class Scan:
     notices: tuple[str, ...]
 
 
-def scan_file(data: bytes, name: str) -> Scan:
+def scan_file(statements: Statements) -> Scan:
     """Read an OBJ file; InputError names the line of a statement that is damaged."""
-    statements = Statements(data, name)
+    data, name = statements.data, statements.name
     vertices, polypaint = _read_vertices(statements), None
     notices = []
     if not vertices.coloured.size:

@@ -215,8 +215,9 @@ def compare_textures(
     """Bring textures of a slot together, each a part; `is_extra`: of equal files it is enough to say that they are."""
     reference, test = documents
     surface = reference.textured(slot)
-    textures = _same_textures(surface, test.textured(slot), settings, (reference.name, test.name))
-    olds = choose_textures(surface, settings.textures).textures
+    same = _same_textures(surface, test.textured(slot), (reference.name, test.name))
+    chosen = choose_textures(surface, settings.textures)
+    olds, textures = chosen.textures, [same[texture.key] for texture in chosen.textures]
     count = Counter(texture.name for texture in olds)
     # Of textures with equal names also what the files know them by.
     names = [f"{slot} {each.name if count[each.name] == 1 else each.key}" for each in olds]
@@ -230,7 +231,7 @@ def compare_textures(
             for name in names
         ]  # fmt: skip
     require_memory(((texture.name, texture.data) for texture in textures), access)
-    one = TextureLayer.read(surface, slot, settings)
+    one = TextureLayer.read(chosen, slot, settings)
     pictures = [read_texture(texture) for texture in textures]
     for old, new in zip(one.pictures, pictures, strict=True):
         _require_same_size(old, new, f"{test.name}: {new.name}")
@@ -337,9 +338,9 @@ def _require_as_many(faces: Int32s, others: Int32s, names: tuple[str, str]) -> N
 
 
 def _same_textures(
-    surface: TexturedSurface, other: TexturedSurface, settings: SmoothSettings, names: tuple[str, str]
-) -> tuple[Texture, ...]:
-    """Return the textures of the one surface that are the chosen ones of the other."""
+    surface: TexturedSurface, other: TexturedSurface, names: tuple[str, str]
+) -> dict[str, Texture]:
+    """Return the textures of the other surface by the keys that they have in the one."""
     # Vertices may be split, and numbered, otherwise: corners are one by their texture coordinates, and their places are
     # measured as moves.
     _require_as_many(surface.faces, other.faces, names)
@@ -355,7 +356,5 @@ def _same_textures(
     if not same or not np.allclose(surface.uv[used], other.uv[used], rtol=0, atol=_ROUNDING):
         cause = f"its texture coordinates differ from {names[0]}"
         raise InputError(names[1], cause, _OTHER_MODEL)
-    pairs = zip(surface.textures, number_of[1:], strict=True)
-    numbered = [dataclasses.replace(texture, key=str(number)) for texture, number in pairs]
-    chosen = choose_textures(dataclasses.replace(surface, textures=tuple(numbered)), settings.textures)
-    return tuple(other.textures[int(texture.key)] for texture in chosen.textures)
+    pairs = zip(surface.textures, number_of[1:].tolist(), strict=True)
+    return {texture.key: other.textures[number] for texture, number in pairs}
