@@ -13,8 +13,8 @@ from typing import Any, Generic
 
 from beltrami_cli.arrays import Float32s
 from beltrami_cli.flow.choice import Choice
-from beltrami_cli.flow.clipping import ClippedChannels
-from beltrami_cli.flow.manifold import Averaged, Manifold, Step, mark_clipped, restore_clipped
+from beltrami_cli.flow.clipping import ClippedChannels, clipped_on, mark_clipped, restore_clipped
+from beltrami_cli.flow.manifold import Averaged, Manifold, Step
 from beltrami_cli.flow.patches import PASSES, blend_with_patches
 from beltrami_cli.flow.plan import AnyManifold, Plan
 
@@ -43,7 +43,7 @@ def smooth_in_place(
     passes = 2 * (iterations + sum(PASSES)) if plan.takes_patches else iterations
     stages = _Stages(progress, passes, manifold.geometry.size)
     is_clipped = plan.parameters.clipping == "restore" and manifold.beta > 0 and iterations
-    clipped = manifold.geometry.find_clipped(manifold.colours, manifold.noise.sigma) if is_clipped else None
+    clipped = clipped_on(manifold) if is_clipped else None
 
     def kernel(colours: Float32s) -> Float32s:
         nonlocal run

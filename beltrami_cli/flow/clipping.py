@@ -26,8 +26,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from beltrami_cli.arrays import Bools, Float32s, Float64s
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s
+from beltrami_cli.flow.domain import Stack, for_blocks
+from beltrami_cli.flow.manifold import Manifold, relative_variance
 from beltrami_cli.surface import large_arrays
+from beltrami_cli.surface.atlas import EMPTY
 from beltrami_cli.surface.records import limits_of
 
 # Fewer samples at a limit, as a share of all, change no mean that is worth a plane of memory.
@@ -120,6 +123,33 @@ def find_clipped(channels: Float32s, sigma: Float64s, empty: int = 0) -> Clipped
     if not (any(low) or any(high)):
         return None
     return ClippedChannels(tuple(low), tuple(high), np.asarray(sigma, np.float64))
+
+
+def clipped_on(manifold: Manifold) -> ClippedChannels | None:
+    """Find which channels of a manifold's colours were cut off; None if none was."""
+    channels, empty = manifold.geometry.counted(manifold.colours)
+    return find_clipped(channels, manifold.noise.sigma, empty)
+
+
+def mark_clipped(manifold: Manifold, clipped: ClippedChannels) -> Stack:
+    """Return the stack of marks of the samples at a limit, to be averaged like colours."""
+    geometry = manifold.geometry
+    planes = geometry.planes(len(clipped.clipped))
+    marks = np.ascontiguousarray(np.moveaxis(planes, 0, geometry.axis))
+
+    def mark(own: Array, found: Array, kind: Array) -> None:
+        clipped.mark(own, found)
+        np.copyto(found, 0, where=kind == EMPTY)
+
+    for_blocks(mark, geometry.threads, geometry.axis, manifold.colours, marks, geometry.kind)
+    geometry.refresh(marks)
+    return marks
+
+
+def restore_clipped(manifold: Manifold, clipped: ClippedChannels, colours: Stack, marks: Stack) -> None:
+    """Turn averages of clipped colours, in place, into estimates of the colours without noise."""
+    geometry, relative = manifold.geometry, relative_variance(manifold)
+    for_blocks(clipped.restore, geometry.threads, geometry.axis, colours, marks, relative)
 
 
 def variance_of_clipped(share: Float64s) -> Float64s:

@@ -24,11 +24,11 @@ from typing import TypeVar
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s
-from beltrami_cli.flow.clipping import ClippedChannels
+from beltrami_cli.flow.clipping import ClippedChannels, clipped_on
 from beltrami_cli.flow.domain import CoarseLevel, Geometry, block_rows, in_blocks
 from beltrami_cli.flow.manifold import Manifold, relative_variance
+from beltrami_cli.flow.mixing import PERTURBATION, mixing_of, with_pilot
 from beltrami_cli.flow.noise.model import sigma_of_covariances
-from beltrami_cli.flow.patches import PERTURBATION, mixing_of, with_pilot
 from beltrami_cli.surface import large_arrays
 
 AnyManifold = TypeVar("AnyManifold", bound=Manifold)
@@ -75,7 +75,7 @@ def without_shared_noise(
 def _impute_cut_off_in_place(manifold: Manifold) -> None:
     """Replace samples at a limit by what noise beyond it would be on average, given those around them."""
     geometry, regions = manifold.geometry, manifold.regions
-    found = geometry.find_clipped(manifold.colours, manifold.noise.sigma)
+    found = clipped_on(manifold)
     colours, relative = (
         np.moveaxis(each, geometry.axis, 0) for each in (manifold.colours, relative_variance(manifold))
     )

@@ -15,7 +15,6 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Uint8s
-from beltrami_cli.flow.clipping import ClippedChannels
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Indices
@@ -142,8 +141,8 @@ class Geometry(Samples):
         """Return which of the marked samples have no marked neighbours."""
 
     @abstractmethod
-    def find_clipped(self, colours: Stack, sigma: Float64s) -> ClippedChannels | None:
-        """Find the channels whose noise, of standard deviation `sigma`, was cut off at 0 or at full scale."""
+    def counted(self, colours: Stack) -> tuple[Float32s, int]:
+        """Return the channels of the samples that can be smoothed, and how many of them are empty, and 0."""
 
     @abstractmethod
     def gaussian(self, scale: float) -> Gaussian:

@@ -11,9 +11,8 @@ from typing import ClassVar, TypeAlias
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
+from beltrami_cli.arrays import Array, Bools, Float32s, Int32s, Int64s, Uint8s
 from beltrami_cli.flow.chunks import Rectangle
-from beltrami_cli.flow.clipping import ClippedChannels, find_clipped
 from beltrami_cli.flow.domain import ENOUGH_STEPS, Geometry, KernelWork, Stack
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface import large_arrays
@@ -129,8 +128,8 @@ class GridGeometry(Geometry):
         single: Bools = counts[:, :-2] + counts[:, 1:-1] + counts[:, 2:] == 1
         return marked & single
 
-    def find_clipped(self, colours: Stack, sigma: Float64s) -> ClippedChannels | None:
-        return find_clipped(colours, sigma, empty=self.size - int(np.count_nonzero(self.atlas.kind)))
+    def counted(self, colours: Stack) -> tuple[Float32s, int]:
+        return colours, self.size - int(np.count_nonzero(self.atlas.kind))
 
     def gaussian(self, scale: float) -> GridGaussian:
         return GridGaussian.of(self.atlas, scale, stop_at_holes=self.stops_at_holes, threads=self.threads)

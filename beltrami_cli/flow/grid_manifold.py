@@ -49,7 +49,7 @@ from beltrami_cli.flow.manifold import (
     kernel_values,
 )
 from beltrami_cli.flow.parameters import KernelParameters, Space
-from beltrami_cli.flow.risk import choose_blocks, perturbations, tried_cells, wanted_probes, with_halo
+from beltrami_cli.flow.trials import choose_blocks, perturbations, tried_cells, wanted_probes, with_halo
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, OWNED, Atlas, refresh_halo
 

@@ -30,8 +30,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
-from beltrami_cli.flow.clipping import ClippedChannels
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
 from beltrami_cli.flow.domain import (
     CoarseLevel,
     Domain,
@@ -40,12 +39,9 @@ from beltrami_cli.flow.domain import (
     Mixing,
     NewColours,
     Stack,
-    for_blocks,
 )
 from beltrami_cli.flow.noise.model import NoiseModel, choose_beta
-from beltrami_cli.flow.outliers import Outliers
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.surface.atlas import EMPTY
 from beltrami_cli.surface.large_arrays import Droppable
 
 if TYPE_CHECKING:
@@ -110,6 +106,16 @@ class GuideStack:
         if beta is None:
             beta = choose_guide_beta(guide.values, geometry.steps(stack)) * unit
         return cls(guide.name, stack, beta)
+
+
+@dataclass(frozen=True)
+class Outliers:
+    """The K samples that were filled, and their colours before."""
+
+    samples: Int64s  # counted among all samples of the surface
+    channels: Bools  # which are wrong, shape (K, N)
+    colours: Float32s  # shape (K, N)
+    share: float  # of all samples
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -393,24 +399,3 @@ def relative_variance(manifold: Manifold) -> Stack:
     shape = list(manifold.colours.shape)
     shape[manifold.geometry.axis] = 1
     return np.broadcast_to(np.float32(1), shape)
-
-
-def mark_clipped(manifold: Manifold, clipped: ClippedChannels) -> Stack:
-    """Return the stack of marks of the samples at a limit, to be averaged like colours."""
-    geometry = manifold.geometry
-    planes = geometry.planes(len(clipped.clipped))
-    marks = np.ascontiguousarray(np.moveaxis(planes, 0, geometry.axis))
-
-    def mark(own: Array, found: Array, kind: Array) -> None:
-        clipped.mark(own, found)
-        np.copyto(found, 0, where=kind == EMPTY)
-
-    for_blocks(mark, geometry.threads, geometry.axis, manifold.colours, marks, geometry.kind)
-    geometry.refresh(marks)
-    return marks
-
-
-def restore_clipped(manifold: Manifold, clipped: ClippedChannels, colours: Stack, marks: Stack) -> None:
-    """Turn averages of clipped colours, in place, into estimates of the colours without noise."""
-    geometry, relative = manifold.geometry, relative_variance(manifold)
-    for_blocks(clipped.restore, geometry.threads, geometry.axis, colours, marks, relative)

@@ -17,10 +17,9 @@ import numpy as np
 
 from beltrami_cli._native import SegmentManifold, TriangulatedManifold, vertex_order
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
-from beltrami_cli.flow.clipping import ClippedChannels, find_clipped
 from beltrami_cli.flow.domain import ENOUGH_STEPS, Domain, Geometry, KernelWork, Stack
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.risk import fingerprints
+from beltrami_cli.flow.trials import fingerprints
 from beltrami_cli.flow.vertex_graph import PASS_SCALE, PASS_VARIANCE, Graph, MeshGaussian
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import OWNED, Indices
@@ -192,9 +191,9 @@ class MeshGeometry(Geometry, Domain):
         single[self.edges[marked[self.edges].all(axis=1)]] = False
         return single
 
-    def find_clipped(self, colours: Stack, sigma: Float64s) -> ClippedChannels | None:
-        """Find the channels that were cut off; isolated samples keep their colours, and do not count."""
-        return find_clipped(np.ascontiguousarray(colours[self._is_joined()].T), sigma)
+    def counted(self, colours: Stack) -> tuple[Float32s, int]:
+        """Return the channels of all but isolated samples, which keep their colours."""
+        return np.ascontiguousarray(colours[self._is_joined()].T), 0
 
     def gaussian(self, scale: float) -> MeshGaussian:
         return MeshGaussian.of(self.size, self.edges, self.lengths, scale, self.gain, self.threads)

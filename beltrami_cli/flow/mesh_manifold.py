@@ -35,7 +35,7 @@ from beltrami_cli.flow.mesh_geometry import Core, MeshGeometry, coarse, rank_in,
 from beltrami_cli.flow.moving_positions import GeometryParameters, MovingPositions
 from beltrami_cli.flow.noise.model import draw_noise_of_clusters, root_of
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.risk import choose_patches, fingerprints, random_signs, wanted_probes
+from beltrami_cli.flow.trials import choose_patches, fingerprints, random_signs, wanted_probes
 from beltrami_cli.flow.vertex_graph import Graph, Level, levels_of
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.geometry import distinct_edges

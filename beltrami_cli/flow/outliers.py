@@ -16,6 +16,7 @@ from typing import Protocol
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
+from beltrami_cli.flow.manifold import Outliers
 from beltrami_cli.flow.noise.model import COLOURS
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface import large_arrays
@@ -57,16 +58,6 @@ class Surroundings(Protocol):
 
     def standing_out(self, planes: Float32s, least: Float32s) -> Indices:
         """Return the samples that differ from most neighbours by more than `least`, shape (N,), in a channel."""
-
-
-@dataclass(frozen=True)
-class Outliers:
-    """The K samples that were filled, and their colours before."""
-
-    samples: Int64s  # counted among all samples of the surface
-    channels: Bools  # which are wrong, shape (K, N)
-    colours: Float32s  # shape (K, N)
-    share: float  # of all samples
 
 
 @dataclass(frozen=True)

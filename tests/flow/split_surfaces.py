@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from beltrami_cli.flow.beltrami_flow import smooth_in_place
+from beltrami_cli.flow.clipping import clipped_on
 from beltrami_cli.flow.decoding import plan_on_canvas
 from beltrami_cli.flow.estimation import estimate_on_mesh
 from beltrami_cli.flow.manifold import Guide
@@ -95,7 +96,7 @@ def outcome(plan):
 
 
 def is_clipped(plan):
-    return plan.manifold.geometry.find_clipped(plan.manifold.colours, plan.manifold.noise.sigma) is not None
+    return clipped_on(plan.manifold) is not None
 
 
 def same_bits(one, other):

@@ -8,12 +8,12 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 import beltrami_cli
-from beltrami_cli.flow import risk
 from beltrami_cli.flow.choice import Choice, Grid, Search, _predicted
 from beltrami_cli.flow.manifold import RULE_ON_GRIDS, RULE_ON_MESHES, Step
 from beltrami_cli.flow.noise.model import NoiseModel, Reading
 from beltrami_cli.flow.parameters import STRENGTHS, TUNABLE, KernelParameters
-from beltrami_cli.flow.risk import Risk, RiskEstimate
+from beltrami_cli.flow.risk import PERTURBATION, Risk, RiskEstimate
+from beltrami_cli.flow.trials import TRIED_VERTICES, choose_patches, fingerprints, random_signs
 from cli.commands import SAMPLES, beltrami
 from oracles import surfaces
 from oracles.paintings import photograph, psnr, shapes, with_noise
@@ -53,14 +53,14 @@ class Blur:
         return state.reshape(-1, state.shape[-1])
 
 
-@pytest.mark.parametrize(("epsilon", "bias", "probes"), [(0.05, 0.0, 1), (risk.PERTURBATION, 0.03, 3)])
+@pytest.mark.parametrize(("epsilon", "bias", "probes"), [(0.05, 0.0, 1), (PERTURBATION, 0.03, 3)])
 def test_the_estimated_error_and_its_own_standard_error_are_the_true_ones(monkeypatch, epsilon, bias, probes):
     """Over many draws of noise and signs, the mean difference is within four of its standard errors.
 
     A perturbation as large as is used, which makes estimates steady, may add 3 per cent of the noise's variance. The
     reported standard error comes of 16 parts only, and is that of repeated draws within a factor of two.
     """
-    monkeypatch.setattr(risk, "PERTURBATION", epsilon)
+    monkeypatch.setattr("beltrami_cli.flow.risk.PERTURBATION", epsilon)
     clean = shapes(48)
     step = Step(beta=1.4 / SIGMA, t=2.4, regularised=False)
     differences, reported = [], []
@@ -82,7 +82,7 @@ def test_signs_of_a_mesh_are_independent():
     positions, faces = surfaces.icosphere(4)
     colours = noisy(np.full(positions.shape, 0.5))
     edges = edges_of(faces)
-    first, second, third = risk.random_signs(colours, risk.fingerprints(colours, edges), 3)
+    first, second, third = random_signs(colours, fingerprints(colours, edges), 3)
     for one, other in ((first, second), (first, third), (second, third)):
         assert abs(np.mean(one * other)) < 0.05
     assert abs(np.mean(first[:, 0] * first[:, 1])) < 0.1
@@ -156,8 +156,8 @@ def test_samples_are_enough_on_small_pieces():
     colours = np.random.default_rng(1).random((3 * count, 3)).astype(np.float32)
     whole = np.concatenate([edges + 3 * count * k for k in range(5)])
     colours = np.concatenate([colours + np.float32(0.01 * k) for k in range(5)])
-    chosen = risk.choose_patches(colours, risk.fingerprints(colours, whole), whole)
-    wanted = risk.TRIED_VERTICES["least"]
+    chosen = choose_patches(colours, fingerprints(colours, whole), whole)
+    wanted = TRIED_VERTICES["least"]
     assert 0.7 * wanted < len(chosen.samples) < 1.3 * wanted
     assert np.all(np.bincount(chosen.samples // 3)[chosen.samples // 3] == 3)
 
@@ -171,7 +171,7 @@ def test_samples_hold_their_share_of_rare_detail():
         colours = np.full((len(positions), 3), 0.5)
         colours[rare] += 0.3 * np.sign(np.sin(40 * positions[rare]))
         colours = with_noise(colours, 0.02, seed, cut_off=False)
-        chosen = risk.choose_patches(colours, risk.fingerprints(colours, edges), edges)
+        chosen = choose_patches(colours, fingerprints(colours, edges), edges)
         assert 0.4 * rare.mean() < rare[chosen.samples[chosen.scored]].mean() < 1.8 * rare.mean()
 
 
