@@ -23,7 +23,7 @@ from beltrami_cli.flow.beltrami_flow import smooth_in_place
 from beltrami_cli.flow.chunks import in_chunks
 from beltrami_cli.flow.decoding import plan_on_canvas
 from beltrami_cli.flow.estimation import estimate_on_mesh
-from beltrami_cli.flow.mesh_manifold import ColouredMesh, mesh_manifold
+from beltrami_cli.flow.manifolds.mesh_manifold import ColouredMesh, mesh_manifold
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.plan import choose_parameters
 from beltrami_cli.layers.image_surface import ImageSurface, canvas_of_image

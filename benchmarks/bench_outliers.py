@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from beltrami_cli.flow import outliers
-from beltrami_cli.flow.grid_geometry import CanvasSamples
+from beltrami_cli.flow.corrections import outliers
+from beltrami_cli.flow.manifolds.grid_geometry import CanvasSamples
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.formats.image.reading import read_image

@@ -8,7 +8,7 @@ from scene import ROOT  # noqa: F401  # which puts the tests on the path
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from beltrami_cli.flow.canvas import painted
+from beltrami_cli.flow.manifolds.canvas import painted
 from beltrami_cli.levelling.steps import ChartPlaces, deviations, steps_over_seams
 from levelling.exposure_scene import ExposureScene
 

@@ -13,15 +13,15 @@ import texture_files
 from scene import ROOT
 
 from beltrami_cli.flow.beltrami_flow import smooth_in_place
-from beltrami_cli.flow.clipping import clipped_on, mark_clipped, restore_clipped
+from beltrami_cli.flow.corrections.clipping import clipped_on, mark_clipped, restore_clipped
 from beltrami_cli.flow.decoding import plan_on_canvas
 from beltrami_cli.flow.estimation import estimate_on_canvas, estimate_on_mesh
-from beltrami_cli.flow.grid_manifold import ColouredCanvas, GridManifold, cut_blocks, grid_manifold
-from beltrami_cli.flow.manifold import Step
-from beltrami_cli.flow.mesh_manifold import ColouredMesh, mesh_manifold
+from beltrami_cli.flow.manifolds.grid_manifold import ColouredCanvas, GridManifold, cut_blocks, grid_manifold
+from beltrami_cli.flow.manifolds.manifold import Step
+from beltrami_cli.flow.manifolds.mesh_manifold import ColouredMesh, mesh_manifold
+from beltrami_cli.flow.manifolds.trials import choose_blocks
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
 from beltrami_cli.flow.plan import choose_parameters
-from beltrami_cli.flow.trials import choose_blocks
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.surface.atlas import HALO, build_atlas, owned_of

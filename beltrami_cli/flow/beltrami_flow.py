@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import Any, Generic
 
 from beltrami_cli.arrays import Float32s
-from beltrami_cli.flow.choice import Choice
-from beltrami_cli.flow.clipping import ClippedChannels, clipped_on, mark_clipped, restore_clipped
-from beltrami_cli.flow.manifold import Averaged, Manifold, Step
+from beltrami_cli.flow.choice.choice import Choice
+from beltrami_cli.flow.corrections.clipping import ClippedChannels, clipped_on, mark_clipped, restore_clipped
+from beltrami_cli.flow.manifolds.manifold import Averaged, Manifold, Step
 from beltrami_cli.flow.patches import PASSES, blend_with_patches
 from beltrami_cli.flow.plan import AnyManifold, Plan
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.flow.beltrami_flow import smooth_in_place
-from beltrami_cli.flow.coded_picture import (
+from beltrami_cli.flow.corrections.coded_picture import (
     CodedPicture,
     decode_in_place,
     is_changed,
@@ -21,7 +21,12 @@ from beltrami_cli.flow.coded_picture import (
     sigma_before,
 )
 from beltrami_cli.flow.estimation import estimate_on_canvas, with_known_noise
-from beltrami_cli.flow.grid_manifold import CanvasColours, ColouredCanvas, GridManifold, grid_manifold
+from beltrami_cli.flow.manifolds.grid_manifold import (
+    CanvasColours,
+    ColouredCanvas,
+    GridManifold,
+    grid_manifold,
+)
 from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.plan import Plan, choose_parameters

@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from beltrami_cli.arrays import Float32s
-from beltrami_cli.flow.canvas import find_colour_jumps, halo_beyond, painted, painted_by
-from beltrami_cli.flow.grid_geometry import SUMMED_ROWS, CanvasSamples
-from beltrami_cli.flow.grid_manifold import CanvasColours, ColouredCanvas
-from beltrami_cli.flow.manifold import Outliers
-from beltrami_cli.flow.mesh_geometry import MeshSamples
-from beltrami_cli.flow.mesh_manifold import ColouredMesh, MeshColours
+from beltrami_cli.flow.corrections.outliers import fill_outliers
+from beltrami_cli.flow.manifolds.canvas import find_colour_jumps, halo_beyond, painted, painted_by
+from beltrami_cli.flow.manifolds.grid_geometry import SUMMED_ROWS, CanvasSamples
+from beltrami_cli.flow.manifolds.grid_manifold import CanvasColours, ColouredCanvas
+from beltrami_cli.flow.manifolds.manifold import Outliers
+from beltrami_cli.flow.manifolds.mesh_geometry import MeshSamples
+from beltrami_cli.flow.manifolds.mesh_manifold import ColouredMesh, MeshColours
 from beltrami_cli.flow.noise.clusters import VertexClusters
 from beltrami_cli.flow.noise.grid_squares import Grid
 from beltrami_cli.flow.noise.model import NoiseModel, relative_to_mean
 from beltrami_cli.flow.noise.reading import estimate_noise
-from beltrami_cli.flow.outliers import fill_outliers
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, refresh_halo, without_halo
 

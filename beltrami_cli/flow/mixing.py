@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s
-from beltrami_cli.flow.domain import ENOUGH_STEPS, Mixing
-from beltrami_cli.flow.manifold import Manifold
+from beltrami_cli.flow.manifolds.domain import ENOUGH_STEPS, Mixing
+from beltrami_cli.flow.manifolds.manifold import Manifold
 from beltrami_cli.flow.noise.features import COMPONENTS
 
 # Differences of channels count half when patches are compared, since they hold little detail and as much noise.

@@ -32,8 +32,8 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.flow.chunks import chunking
-from beltrami_cli.flow.clipping import ClippedChannels, normal_tables
-from beltrami_cli.flow.domain import (
+from beltrami_cli.flow.corrections.clipping import ClippedChannels, normal_tables
+from beltrami_cli.flow.manifolds.domain import (
     CoarseLevel,
     Domain,
     Mixing,
@@ -42,7 +42,7 @@ from beltrami_cli.flow.domain import (
     for_blocks,
     in_blocks,
 )
-from beltrami_cli.flow.manifold import Manifold, relative_variance
+from beltrami_cli.flow.manifolds.manifold import Manifold, relative_variance
 from beltrami_cli.flow.mixing import NOISELESS, PERTURBATION, mixing_of, with_pilot
 from beltrami_cli.surface import large_arrays
 

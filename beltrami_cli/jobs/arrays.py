@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from beltrami_cli.arrays import Array
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.fields import override
-from beltrami_cli.flow.choice import Choice
+from beltrami_cli.flow.choice.choice import Choice
 from beltrami_cli.formats.image.picture import Picture, array_picture
 from beltrami_cli.jobs.array_arguments import (
     MeshArrays,

@@ -14,8 +14,8 @@ import numpy as np
 from beltrami_cli.arrays import Array, Float32s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import smooth_in_place
-from beltrami_cli.flow.grid_manifold import GridManifold
-from beltrami_cli.flow.manifold import SampledKernel
+from beltrami_cli.flow.manifolds.grid_manifold import GridManifold
+from beltrami_cli.flow.manifolds.manifold import SampledKernel
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.picture import new_picture

@@ -15,7 +15,7 @@ import numpy as np
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import override
 from beltrami_cli.flow.beltrami_flow import smooth_in_place
-from beltrami_cli.flow.choice import Choice
+from beltrami_cli.flow.choice.choice import Choice
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.formats.registry import OutputFormat, write_mesh

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.fields import given_options
-from beltrami_cli.flow.canvas import canvas_margin
-from beltrami_cli.flow.grid_manifold import ColouredCanvas
-from beltrami_cli.flow.manifold import Guide
+from beltrami_cli.flow.manifolds.canvas import canvas_margin
+from beltrami_cli.flow.manifolds.grid_manifold import ColouredCanvas
+from beltrami_cli.flow.manifolds.manifold import Guide
 from beltrami_cli.flow.parameters import KernelParameters, Space
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.image import Picture

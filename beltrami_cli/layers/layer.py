@@ -18,8 +18,8 @@ import numpy as np
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import FlowResult
-from beltrami_cli.flow.choice import Choice
-from beltrami_cli.flow.domain import NewColours
+from beltrami_cli.flow.choice.choice import Choice
+from beltrami_cli.flow.manifolds.domain import NewColours
 from beltrami_cli.flow.noise.model import Reading
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.plan import Plan

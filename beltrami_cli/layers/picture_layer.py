@@ -12,10 +12,10 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Int64s
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.coded_picture import CodedPicture
+from beltrami_cli.flow.corrections.coded_picture import CodedPicture
 from beltrami_cli.flow.decoding import decodes_again, plan_on_canvas
-from beltrami_cli.flow.domain import NewColours
-from beltrami_cli.flow.grid_manifold import ColouredCanvas, GridManifold
+from beltrami_cli.flow.manifolds.domain import NewColours
+from beltrami_cli.flow.manifolds.grid_manifold import ColouredCanvas, GridManifold
 from beltrami_cli.flow.parameters import Space
 from beltrami_cli.flow.plan import Plan
 from beltrami_cli.formats.image import Picture, check_writable

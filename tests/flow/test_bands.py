@@ -2,9 +2,9 @@
 
 import pytest
 
-from beltrami_cli.flow import grid_manifold
 from beltrami_cli.flow.beltrami_flow import smooth_in_place
-from beltrami_cli.flow.canvas import kernel_margin
+from beltrami_cli.flow.manifolds import grid_manifold
+from beltrami_cli.flow.manifolds.canvas import kernel_margin
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
 from flow.split_surfaces import (
     FIXED,

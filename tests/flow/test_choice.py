@@ -8,12 +8,12 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 import beltrami_cli
-from beltrami_cli.flow.choice import Choice, Grid, Search, _predicted
-from beltrami_cli.flow.manifold import RULE_ON_GRIDS, RULE_ON_MESHES, Step
+from beltrami_cli.flow.choice.choice import Choice, Grid, Search, _predicted
+from beltrami_cli.flow.choice.risk import PERTURBATION, Risk, RiskEstimate
+from beltrami_cli.flow.manifolds.manifold import RULE_ON_GRIDS, RULE_ON_MESHES, Step
+from beltrami_cli.flow.manifolds.trials import TRIED_VERTICES, choose_patches, fingerprints, random_signs
 from beltrami_cli.flow.noise.model import NoiseModel, Reading
 from beltrami_cli.flow.parameters import STRENGTHS, TUNABLE, KernelParameters
-from beltrami_cli.flow.risk import PERTURBATION, Risk, RiskEstimate
-from beltrami_cli.flow.trials import TRIED_VERTICES, choose_patches, fingerprints, random_signs
 from cli.commands import SAMPLES, beltrami
 from oracles import surfaces
 from oracles.paintings import photograph, psnr, shapes, with_noise
@@ -60,7 +60,7 @@ def test_the_estimated_error_and_its_own_standard_error_are_the_true_ones(monkey
     A perturbation as large as is used, which makes estimates steady, may add 3 per cent of the noise's variance. The
     reported standard error comes of 16 parts only, and is that of repeated draws within a factor of two.
     """
-    monkeypatch.setattr("beltrami_cli.flow.risk.PERTURBATION", epsilon)
+    monkeypatch.setattr("beltrami_cli.flow.choice.risk.PERTURBATION", epsilon)
     clean = shapes(48)
     step = Step(beta=1.4 / SIGMA, t=2.4, regularised=False)
     differences, reported = [], []

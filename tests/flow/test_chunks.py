@@ -9,12 +9,13 @@ from hypothesis import settings as run_with
 from hypothesis import strategies as st
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow import chunks, grid_manifold
+from beltrami_cli.flow import chunks
 from beltrami_cli.flow.chunks import chunking_of_mesh, in_chunks, in_turn
 from beltrami_cli.flow.decoding import plan_on_canvas
-from beltrami_cli.flow.manifold import Guide, Step
-from beltrami_cli.flow.mesh_manifold import samples_per_kernel
-from beltrami_cli.flow.moving_positions import GeometryParameters
+from beltrami_cli.flow.manifolds import grid_manifold
+from beltrami_cli.flow.manifolds.manifold import Guide, Step
+from beltrami_cli.flow.manifolds.mesh_manifold import samples_per_kernel
+from beltrami_cli.flow.manifolds.moving_positions import GeometryParameters
 from beltrami_cli.flow.parameters import KernelParameters, parameters_with
 from beltrami_cli.layers.image_surface import ImageSurface, canvas_of_image
 from beltrami_cli.surface.large_arrays import kept_within

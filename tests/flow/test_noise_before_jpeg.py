@@ -8,7 +8,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from scipy.stats import truncnorm
 
-from beltrami_cli.flow.coded_picture import (
+from beltrami_cli.flow.corrections.coded_picture import (
     PILOT_ERROR,
     CodedPicture,
     _mean_within,

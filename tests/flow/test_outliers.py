@@ -5,8 +5,8 @@ import pytest
 
 import beltrami_cli
 from beltrami_cli.flow.chunks import in_chunks, in_turn
-from beltrami_cli.flow.grid_geometry import CanvasSamples
-from beltrami_cli.flow.outliers import fill_outliers
+from beltrami_cli.flow.corrections.outliers import fill_outliers
+from beltrami_cli.flow.manifolds.grid_geometry import CanvasSamples
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface.atlas import grid_atlas
 from oracles import surfaces

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli import _native, smooth, smooth_image
-from beltrami_cli.flow.clipping import ClippedChannels, normal_tables
+from beltrami_cli.flow.corrections.clipping import ClippedChannels, normal_tables
 from beltrami_cli.flow.parameters import PRESETS
 from oracles import surfaces
 from oracles.paintings import flat_paint, line_art, photograph, psnr, with_noise

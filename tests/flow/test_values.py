@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from beltrami_cli.flow.estimation import estimate_on_canvas, estimate_on_mesh
-from beltrami_cli.flow.grid_manifold import ColouredCanvas, grid_manifold
-from beltrami_cli.flow.manifold import Step
-from beltrami_cli.flow.mesh_manifold import ColouredMesh, mesh_manifold
+from beltrami_cli.flow.manifolds.grid_manifold import ColouredCanvas, grid_manifold
+from beltrami_cli.flow.manifolds.manifold import Step
+from beltrami_cli.flow.manifolds.mesh_manifold import ColouredMesh, mesh_manifold
 from beltrami_cli.flow.noise.model import COLOURS, NoiseModel, VarianceStabiliser
 from beltrami_cli.flow.parameters import parameters_with
 from beltrami_cli.flow.plan import choose_parameters

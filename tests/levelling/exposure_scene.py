@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from beltrami_cli.flow.beltrami_flow import smooth_in_place
-from beltrami_cli.flow.canvas import canvas_colours, painted
+from beltrami_cli.flow.manifolds.canvas import canvas_colours, painted
 from beltrami_cli.formats.image import read_image, write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.registry import open_document

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from beltrami_cli.flow.canvas import painted
+from beltrami_cli.flow.manifolds.canvas import painted
 from beltrami_cli.levelling.correction import (
     LUMA,
     Correction,

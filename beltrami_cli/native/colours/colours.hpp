@@ -33,7 +33,7 @@ class Table {
   double steps_;
 };
 
-// How a channel was cut off, see flow/clipping.py. All arrays of these functions hold one value a sample.
+// How a channel was cut off, see flow/corrections/clipping.py. All arrays of these functions hold one value a sample.
 struct CutOff {
   float sigma;  // of the noise
   bool low, high;

@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
-from beltrami_cli.flow.domain import (
+from beltrami_cli.flow.manifolds.domain import (
     CoarseLevel,
     Domain,
     Gaussian,
@@ -45,7 +45,7 @@ from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface.large_arrays import Droppable
 
 if TYPE_CHECKING:
-    from beltrami_cli.flow.moving_positions import MovingPositions
+    from beltrami_cli.flow.manifolds.moving_positions import MovingPositions
 
 # Length of a step as large as the guide's standard deviation, in sample spacings: nearly the radius of the kernel of
 # the default time step, so that it stops there.

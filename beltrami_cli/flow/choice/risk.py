@@ -22,8 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s
-from beltrami_cli.flow.clipping import variance_of_clipped
-from beltrami_cli.flow.manifold import SampleTrial, Step
+from beltrami_cli.flow.corrections.clipping import variance_of_clipped
+from beltrami_cli.flow.manifolds.manifold import SampleTrial, Step
 from beltrami_cli.flow.noise.model import VarianceStabiliser
 from beltrami_cli.surface.records import limits_of
 

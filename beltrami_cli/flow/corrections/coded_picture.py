@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s
-from beltrami_cli.flow.clipping import normal_tables
+from beltrami_cli.flow.corrections.clipping import normal_tables
 from beltrami_cli.flow.noise.features import COMPONENTS, SCALES, STEPS, symmetric
 from beltrami_cli.flow.noise.grid_squares import Grid
 from beltrami_cli.flow.noise.model import NoiseModel, Reading, sigma_of_covariances

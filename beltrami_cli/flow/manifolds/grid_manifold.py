@@ -14,7 +14,8 @@ from typing import cast
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Int64s
-from beltrami_cli.flow.canvas import (
+from beltrami_cli.flow.chunks import Chunk, Figures, Rectangle, chunking, chunks_of_canvas
+from beltrami_cli.flow.manifolds.canvas import (
     FURTHEST_SUPPORT,
     Squares,
     canvas_colours,
@@ -24,16 +25,15 @@ from beltrami_cli.flow.canvas import (
     painted,
     squares_for,
 )
-from beltrami_cli.flow.chunks import Chunk, Figures, Rectangle, chunking, chunks_of_canvas
-from beltrami_cli.flow.domain import Gaussian, Mixing, NewColours, Stack
-from beltrami_cli.flow.grid_geometry import (
+from beltrami_cli.flow.manifolds.domain import Gaussian, Mixing, NewColours, Stack
+from beltrami_cli.flow.manifolds.grid_geometry import (
     Cells,
     GridGaussian,
     GridGeometry,
     guide_radius,
     pick,
 )
-from beltrami_cli.flow.manifold import (
+from beltrami_cli.flow.manifolds.manifold import (
     ON_GRIDS,
     RULE_ON_GRIDS,
     Averaged,
@@ -48,8 +48,14 @@ from beltrami_cli.flow.manifold import (
     at_step,
     kernel_values,
 )
+from beltrami_cli.flow.manifolds.trials import (
+    choose_blocks,
+    perturbations,
+    tried_cells,
+    wanted_probes,
+    with_halo,
+)
 from beltrami_cli.flow.parameters import KernelParameters, Space
-from beltrami_cli.flow.trials import choose_blocks, perturbations, tried_cells, wanted_probes, with_halo
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, OWNED, Atlas, refresh_halo
 

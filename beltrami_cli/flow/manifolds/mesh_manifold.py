@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from beltrami_cli._native import PATCH_BLOCK_SIZE
 from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.flow.chunks import Chunk, Chunking, Figures, chunking_of_mesh, runs
-from beltrami_cli.flow.domain import CoarseLevel, Gaussian, Mixing, NewColours, Stack, in_blocks
-from beltrami_cli.flow.manifold import (
+from beltrami_cli.flow.manifolds.domain import CoarseLevel, Gaussian, Mixing, NewColours, Stack, in_blocks
+from beltrami_cli.flow.manifolds.manifold import (
     ON_MESHES,
     RULE_ON_MESHES,
     Averaged,
@@ -31,11 +31,11 @@ from beltrami_cli.flow.manifold import (
     at_step,
     kernel_values,
 )
-from beltrami_cli.flow.mesh_geometry import Core, MeshGeometry, coarse, rank_in, without_hubs
-from beltrami_cli.flow.moving_positions import GeometryParameters, MovingPositions
+from beltrami_cli.flow.manifolds.mesh_geometry import Core, MeshGeometry, coarse, rank_in, without_hubs
+from beltrami_cli.flow.manifolds.moving_positions import GeometryParameters, MovingPositions
+from beltrami_cli.flow.manifolds.trials import choose_patches, fingerprints, random_signs, wanted_probes
 from beltrami_cli.flow.noise.model import draw_noise_of_clusters, root_of
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.trials import choose_patches, fingerprints, random_signs, wanted_probes
 from beltrami_cli.flow.vertex_graph import Graph, Level, levels_of
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.geometry import distinct_edges

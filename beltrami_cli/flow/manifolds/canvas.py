@@ -10,8 +10,8 @@ import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Uint8s
 from beltrami_cli.flow.chunks import Figures, Rectangle, chunking, chunks_of_canvas, grown
-from beltrami_cli.flow.domain import CoarseLevel, Mixing, NewColours, Stack
-from beltrami_cli.flow.grid_geometry import colours_at, gaussian_taps, guide_radius
+from beltrami_cli.flow.manifolds.domain import CoarseLevel, Mixing, NewColours, Stack
+from beltrami_cli.flow.manifolds.grid_geometry import colours_at, gaussian_taps, guide_radius
 from beltrami_cli.flow.noise.grid_squares import Grid
 from beltrami_cli.flow.noise.model import mixed_signs
 from beltrami_cli.flow.noise.reading import read_noise

@@ -21,13 +21,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s
-from beltrami_cli.flow.domain import Domain, block_rows, in_blocks
+from beltrami_cli.flow.manifolds.domain import Domain, block_rows, in_blocks
 from beltrami_cli.flow.noise.model import COLOURS
 from beltrami_cli.flow.parameters import Space
 from beltrami_cli.surface.records import from_space, to_space
 
 if TYPE_CHECKING:
-    from beltrami_cli.flow.manifold import Manifold
+    from beltrami_cli.flow.manifolds.manifold import Manifold
 
 # From one band of levels to the next, light grows by this factor. Where only the noise of the dark side of an edge of
 # 1 to 50 has heavy tails (a gamma distribution of four samples), the mean of the 32 cells at the edge is off by

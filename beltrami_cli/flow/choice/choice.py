@@ -27,11 +27,11 @@ import numpy as np
 
 from beltrami_cli.arrays import Float64s
 from beltrami_cli.fields import BYTE_STEP
-from beltrami_cli.flow.domain import LOG
-from beltrami_cli.flow.manifold import Manifold, Rule, SampleTrial, SearchRange, Step
+from beltrami_cli.flow.choice.risk import Risk, RiskEstimate, State
+from beltrami_cli.flow.manifolds.domain import LOG
+from beltrami_cli.flow.manifolds.manifold import Manifold, Rule, SampleTrial, SearchRange, Step
 from beltrami_cli.flow.noise.model import NoiseModel, choose_beta, overall_noise
 from beltrami_cli.flow.parameters import MOST_GROWTH, KernelParameters
-from beltrami_cli.flow.risk import Risk, RiskEstimate, State
 
 # Improvements by less than this share of the noise's variance are due to chance: some 0.1 dB of a good result.
 _WORTH_MOVING = 5e-4

@@ -13,7 +13,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Int32s, Int64s, Uint8s
 from beltrami_cli.flow.chunks import Rectangle
-from beltrami_cli.flow.domain import ENOUGH_STEPS, Geometry, KernelWork, Stack
+from beltrami_cli.flow.manifolds.domain import ENOUGH_STEPS, Geometry, KernelWork, Stack
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import (

@@ -1,0 +1,1 @@
+"""Parameters that minimise the estimated error of the result."""
