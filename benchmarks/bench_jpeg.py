@@ -23,7 +23,7 @@ from patch_scenes import PHOTOGRAPHS, photograph_in_charts
 import beltrami_cli.flow.parameters as kernel
 from beltrami_cli.flow.beltrami_flow import smooth_in_place
 from beltrami_cli.flow.decoding import decodes_again, plan_on_canvas
-from beltrami_cli.formats.image.metadata import read_jpeg_tables
+from beltrami_cli.formats.image.jpeg import read_jpeg_tables
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.layers.picture_layer import coded_pictures
 from beltrami_cli.surface.atlas import build_atlas

@@ -24,7 +24,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 from beltrami_cli.errors import InputError, Obstacle
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_regular
 from beltrami_cli.formats.changes import Bytes, Naming, NewImages, Written
-from beltrami_cli.formats.image.picture import format_of_suffix
+from beltrami_cli.formats.image.file_formats import format_of_suffix
 from beltrami_cli.surface.records import ImageFile, Slot
 from beltrami_cli.surface.tiling import COLUMNS, ROWS, Tile
 

@@ -126,7 +126,7 @@ def _textured(name: str, mark: Recogniser | None, reader: str, form: str = "", *
     return Format(name, mark, module, f"document.{document}", writer, has_textures=True, **more)
 
 
-_is_image = _asks("image.picture.is_image")
+_is_image = _asks("image.file_formats.is_image")
 # The first line whose mark a file has is taken; only then the names count.
 FORMATS = (
     Format("image", _is_image, "image_document", "ImageDocument", kind="image"),
@@ -294,7 +294,7 @@ class OutputFormat:
 
 def choose_format(document: Document, target: str, chosen: str | None) -> OutputFormat:
     """Choose the format to write, by option, by the output's name, or as the source; UsageError if it is unknown."""
-    from beltrami_cli.formats.image.picture import format_of_suffix
+    from beltrami_cli.formats.image.file_formats import format_of_suffix
 
     if document.kind == "image":
         return _image_format(document, target, chosen)
@@ -323,7 +323,13 @@ def choose_format(document: Document, target: str, chosen: str | None) -> Output
 
 
 def _image_format(document: Document, target: str, chosen: str | None) -> OutputFormat:
-    from beltrami_cli.formats.image.picture import FORMATS, WRITABLE, format_of, format_of_suffix, label_of
+    from beltrami_cli.formats.image.file_formats import (
+        FORMATS,
+        WRITABLE,
+        format_of,
+        format_of_suffix,
+        label_of,
+    )
 
     suffix = f".{chosen}" if chosen else "" if target == "-" else Path(target).suffix
     if suffix and format_of_suffix(suffix) is None:

@@ -28,7 +28,7 @@ from beltrami_cli.formats.changes import Naming, Written
 from beltrami_cli.formats.colours import as_in_file
 from beltrami_cli.formats.conversion import vertex_mesh
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image.picture import suffix_for
+from beltrami_cli.formats.image.file_formats import suffix_for
 from beltrami_cli.formats.image_document import ImageDocument
 from beltrami_cli.formats.registry import OutputFormat, choose_format
 from beltrami_cli.formats.textured_mesh import with_images, with_suffixes

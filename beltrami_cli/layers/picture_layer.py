@@ -19,14 +19,12 @@ from beltrami_cli.flow.manifolds.grid_manifold import ColouredCanvas, GridManifo
 from beltrami_cli.flow.parameters import Space
 from beltrami_cli.flow.plan import Plan
 from beltrami_cli.formats.image import Picture, check_writable
+from beltrami_cli.formats.image.channels import coloured_layers, colours_and_alpha, layers_of
 from beltrami_cli.formats.image.conversion import upright
-from beltrami_cli.formats.image.metadata import JpegTables
+from beltrami_cli.formats.image.jpeg import JpegTables
 from beltrami_cli.formats.image.picture import (
-    coloured_layers,
-    colours_and_alpha,
     full_scale_one,
     is_associated,
-    layers_of,
     require_colours,
     supplies_colour,
     with_colours_of,

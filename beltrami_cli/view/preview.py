@@ -18,7 +18,7 @@ from beltrami_cli.flow.manifolds.domain import NewColours
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image.metadata import CODED_TOGETHER
+from beltrami_cli.formats.image.jpeg import CODED_TOGETHER
 from beltrami_cli.formats.image.reading import read_image, read_texture
 from beltrami_cli.jobs.smooth import smooth_layer
 from beltrami_cli.layers.image_layer import ImageLayer

@@ -24,8 +24,9 @@ from beltrami_cli.formats.access import Access, read_regular
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import check_writable, format_of_suffix, write_image
-from beltrami_cli.formats.image.metadata import png_chunk
-from beltrami_cli.formats.image.picture import FORMATS, is_image, new_picture
+from beltrami_cli.formats.image.file_formats import FORMATS, is_image
+from beltrami_cli.formats.image.picture import new_picture
+from beltrami_cli.formats.image.png import packed_chunk
 from beltrami_cli.formats.image.reading import error_of
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.output import FileSet, Output, Overwrite
@@ -36,7 +37,7 @@ from beltrami_cli.view.settings import DEFAULT_RENDER, MOST_PIXELS, Colour, Crop
 from beltrami_cli.view.tracing import Camera, Window, fitted, orientation, part_of, require_embree
 from beltrami_cli.view.views import Drawable, ImageView, framed, open_views, require_memory_to_draw
 
-_MARK = png_chunk(b"tEXt", b"Software\0beltrami smooth --preview")  # of PNG files that are previews
+_MARK = packed_chunk(b"tEXt", b"Software\0beltrami smooth --preview")  # of PNG files that are previews
 _MARKED = 33  # where it is: behind the signature and IHDR
 _HEAD = 1 << 16  # bytes that distinguish images from other files
 

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from beltrami_cli.errors import OutputError
-from beltrami_cli.formats.image.picture import FORMATS, new_picture
+from beltrami_cli.formats.image.file_formats import FORMATS
+from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.image.writing import write_image
 

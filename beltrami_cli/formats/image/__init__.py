@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from beltrami_cli.formats.image.conversion import losses
-from beltrami_cli.formats.image.picture import (
+from beltrami_cli.formats.image.file_formats import (
     WRITABLE,
-    Picture,
     format_of,
     format_of_suffix,
     is_image,
-    is_unchanged,
     label_of,
     suffix_for,
-    to_float,
-    without_alpha,
 )
+from beltrami_cli.formats.image.picture import Picture, is_unchanged, to_float, without_alpha
 from beltrami_cli.formats.image.reading import read_image, read_texture
 from beltrami_cli.formats.image.writing import check_writable, is_exact, write_image
 

@@ -7,17 +7,15 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.arrays import Array
-from beltrami_cli.formats.image import metadata
-from beltrami_cli.formats.image.metadata import FORMATS_WITH_EXIF
+from beltrami_cli.formats.image import jpeg
+from beltrami_cli.formats.image.exif import FORMATS_WITH_EXIF
+from beltrami_cli.formats.image.file_formats import FORMATS, format_of_suffix, label_of
 from beltrami_cli.formats.image.picture import (
-    FORMATS,
     TYPES,
     Picture,
     as_stored,
-    format_of_suffix,
     full_scale_one,
     is_associated,
-    label_of,
     without_alpha,
 )
 from beltrami_cli.surface import large_arrays
@@ -53,7 +51,7 @@ def losses(picture: Picture, suffix: str) -> tuple[str, ...]:
         )
     if known == "openexr" and _has_hidden_colours(picture):
         found.append(f"{name}: {label} multiplies colours by alpha, so those under an alpha of 0 are lost.")
-    if metadata.further_pictures(picture.source):
+    if jpeg.further_pictures(picture.source):
         dropped = (
             "what follows it in the JPEG file is dropped (a gain map for HDR displays, previews, a video)"
         )

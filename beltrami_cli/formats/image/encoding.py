@@ -14,8 +14,11 @@ import numpy as np
 
 from beltrami_cli.arrays import Array
 from beltrami_cli.errors import InputError, OutputError, ProcessingError
-from beltrami_cli.formats.image import extra_codecs, metadata, tiff_tags
-from beltrami_cli.formats.image.picture import label_of, plugin_of
+from beltrami_cli.formats.image import jpeg, tiff_tags, webp
+from beltrami_cli.formats.image.bitmaps import TARGA_END
+from beltrami_cli.formats.image.exif import exif_of
+from beltrami_cli.formats.image.extra_codecs import FAILURES
+from beltrami_cli.formats.image.file_formats import label_of, plugin_of
 from beltrami_cli.formats.image.reading import error_of, opened, scratch_file
 from beltrami_cli.surface import large_arrays
 
@@ -26,7 +29,7 @@ _ROWS = 64  # compared at a time
 _RGBE_STEP = 2.0**-7
 _XMP = 700  # a tag of TIFF
 # Ends of files whose pixels are decoded without them; all others are not.
-_ENDS = {"png": b"IEND\xaeB`\x82", "targa": metadata.TARGA_END}
+_ENDS = {"png": b"IEND\xaeB`\x82", "targa": TARGA_END}
 
 
 def encoded(
@@ -44,21 +47,21 @@ def encoded(
     kept = b"" if profile is None else bytes(np.asarray(profile, np.uint8))
     try:
         if known == "jpeg":
-            return extra_codecs.encoded_jpeg(
+            return jpeg.encoded(
                 pixels,
                 quality=quality,
                 subsampling=spec.get_string_attribute("jpeg:subsampling"),
                 progressive=bool(spec.get_int_attribute("jpeg:progressive")),
                 profile=kept,
             )
-        return extra_codecs.encoded_webp(
+        return webp.encoded(
             pixels,
             quality=(100 if small else 50) if lossless else quality,
             method=6 if small else 3 if lossless else 4,
             lossless=lossless,
             profile=kept,
         )
-    except extra_codecs.FAILURES as error:
+    except FAILURES as error:
         raise unwritten(name, known, str(error)) from None
 
 
@@ -72,13 +75,13 @@ def unwritten(name: str, known: str, error: str) -> OutputError:
 def described(encoded: bytes, spec: Any, known: str, name: str) -> tuple[bytes, bytes]:
     """Return an image with the texts of its spec, and the EXIF data that OpenImageIO makes of that."""
     if known not in ("jpeg", "webp"):
-        return encoded, metadata.exif_of(encoded, known)
+        return encoded, exif_of(encoded, known)
     if known == "jpeg":
         # OpenImageIO's XMP data hold also what IPTC data would.
         xmp = tiff_tags.value_of(_one_pixel(spec, "tiff", name), _XMP)
         comment = spec.get_string_attribute("ImageDescription").encode()
-        encoded = metadata.jpeg_with(encoded, comment=comment, xmp=xmp)
-    return encoded, metadata.exif_of(_one_pixel(spec, "png", name), "png")
+        encoded = jpeg.with_texts(encoded, comment=comment, xmp=xmp)
+    return encoded, exif_of(_one_pixel(spec, "png", name), "png")
 
 
 def _one_pixel(spec: Any, known: str, name: str) -> bytes:

@@ -1,11 +1,10 @@
-"""Encoders in memory: of Basis Universal textures (KTX2) by alktx2, of AVIF, exact WebP and JPEG by Pillow.
+"""Formats that OpenImageIO does not know: Basis Universal textures (KTX2) by alktx2, AVIF by Pillow.
 
 References
 ----------
 .. [1] KTX File Format Specification, version 2.0, Khronos: section 3, header and level index.
 .. [2] KHR_texture_basisu, in the registry of glTF extensions: two dimensions, ETC1S or UASTC.
 .. [3] AV1 Image File Format, AOMedia; AV1 Codec ISO Media File Format Binding, section 2.3: av1C.
-.. [4] ITU-T T.81 (JPEG), annexes C and F.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from beltrami_cli.errors import InputError, install_hint
 
 _PACKAGES = {"ktx2": ("alktx2", "alktx2"), "avif": ("PIL._avif", "Pillow 11.3 or later")}
 EXTRA = "beltrami-cli[textures]"
-EXTRA_CODECS = tuple(_PACKAGES)  # the formats of `picture.FORMATS` that are read and written here
+EXTRA_CODECS = tuple(_PACKAGES)  # the formats of `file_formats.FORMATS` that are read and written here
 _LARGEST_SIDE = 1 << 14  # of AV1 images and of textures on graphics cards
 _BLOCK, _BLOCK_BYTES = 4, 16  # of UASTC
 _HEADER = struct.Struct("<12x9I4I2Q")
@@ -92,18 +91,6 @@ def encoded(known: str, pixels: Uint8s, quality: int, source: bytes, *, as_data:
     if known == "ktx2":
         return _encoded_ktx2(pixels, quality, source, as_data=as_data)
     return _encoded_avif(pixels, quality, source)
-
-
-def encoding_cost(known: str, pixels: Uint8s, again: Uint8s, name: str) -> list[str]:
-    """Say what the encoding of pixels, shape (H, W, C), has cost, if anything: their PSNR, full scale 255."""
-    # Also of those under an alpha of 0, which opaque materials show.
-    differences = again[..., :3].astype(np.float32) - pixels[..., :3]
-    error = float(np.square(differences).mean())
-    if not error:
-        return []
-    psnr = 10 * math.log10(255**2 / error)
-    inexact = f"{name}: {known.upper()} is not exact, so untouched colours change slightly as well"
-    return [f"{inexact}: the written image has a PSNR of {psnr:.1f} dB."]
 
 
 def _require_memory(size: int) -> None:
@@ -210,37 +197,6 @@ def ktx2_keys(data: bytes) -> set[str]:
         keys.add(data[at + 4 : at + 4 + length].partition(b"\0")[0].decode("utf-8", "replace"))
         at += 4 + length + -length % 4
     return keys - {"KTXwriter"}
-
-
-def encoded_webp(pixels: Uint8s, *, quality: int, method: int, lossless: bool, profile: bytes) -> bytes:
-    """Encode pixels as WebP together with the colours under an alpha of 0, which OpenImageIO lets libwebp clear."""
-    from PIL import Image
-
-    buffer = io.BytesIO()
-    options = {"quality": quality, "method": method, "lossless": lossless, "icc_profile": profile}
-    Image.fromarray(pixels).save(buffer, "WEBP", exact=True, **options)
-    return buffer.getvalue()
-
-
-# Samples of luma in a row and in two rows for each sample of chroma. Pillow does not know the other two.
-_SUBSAMPLINGS = {"4:4:4": "4:4:4", "4:2:2": "4:2:2", "4:2:0": "4:2:0", "4:1:1": "4:2:2", "4:2:1": "4:2:2"}
-# At most, of a sample: a coefficient has a code of up to 16 bits and 11 more [4]_.
-_JPEG_BYTES = 4
-
-
-def encoded_jpeg(
-    pixels: Uint8s, *, quality: int, subsampling: str, progressive: bool, profile: bytes
-) -> bytes:
-    """Encode pixels, shape (H, W, 1 or 3), as JPEG."""
-    from PIL import Image, ImageFile
-
-    if progressive:  # is written at once; in Pillow's own buffer noise of a high quality has no room
-        ImageFile.MAXBLOCK = max(ImageFile.MAXBLOCK, _JPEG_BYTES * pixels.size)
-    buffer = io.BytesIO()
-    options = {"quality": quality, "progressive": progressive, "icc_profile": profile}
-    image = Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels)
-    image.save(buffer, "JPEG", subsampling=_SUBSAMPLINGS.get(subsampling, "4:4:4"), **options)
-    return buffer.getvalue()
 
 
 def _opened_avif(data: bytes, name: str) -> Any:

@@ -1,211 +1,26 @@
-"""Image formats and how their files are recognised; a decoded image, and which of its channels are colours.
-
-Layers of an EXR file are groups of channels with a common prefix, such as ViewLayer.Combined.R and .G.
-"""
+"""A decoded image, and its samples in other types."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from pathlib import PurePosixPath
 from typing import Any
 
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.image.channels import (
+    channel_names,
+    colour_layer,
+    coloured_layers,
+    colours_and_alpha,
+    layers_of,
+    named_colours,
+)
+from beltrami_cli.formats.image.file_formats import suffix_for
 from beltrami_cli.surface.large_arrays import blocks
 from beltrami_cli.surface.records import Encoding
-
-# Last parts of the names of layers with the final picture: in Blender, in Arnold and V-Ray, in Nuke.
-_FINAL_LAYERS = ("combined", "beauty", "rgba")
-
-
-def layers_of(channels: Sequence[str]) -> dict[str, list[int]]:
-    """Return the numbers of the channels in each layer; "" stands for channels outside of layers."""
-    layers: dict[str, list[int]] = {}
-    for number, channel in enumerate(channels):
-        layers.setdefault(channel.rpartition(".")[0], []).append(number)
-    return layers
-
-
-def coloured_layers(channels: Sequence[str]) -> list[str]:
-    """Return the layers that have channels for red, green and blue, or grey."""
-    return [
-        layer
-        for layer, numbers in layers_of(channels).items()
-        if _named_colours(_channel_names([channels[number] for number in numbers])) is not None
-    ]
-
-
-def colour_layer(channels: Sequence[str]) -> str | None:
-    """Return the layer that holds the colours of a file, or None if that is ambiguous."""
-    layers, coloured = layers_of(channels), coloured_layers(channels)
-    if len(layers) == 1:
-        return next(iter(layers))
-    if "" in coloured:
-        return ""
-    final = [layer for layer in coloured if layer.lower().rpartition(".")[2] in _FINAL_LAYERS]
-    candidates = final or coloured
-    return candidates[0] if len(candidates) == 1 else None
-
-
-def colour_part(parts: Mapping[str, Sequence[str]]) -> int | None:
-    """Return the number of the part, of channels by the names of parts, that holds the colours; None if ambiguous."""
-    coloured = {part: layers for part, channels in parts.items() if (layers := coloured_layers(channels))}
-    final = [part for part in coloured if part.lower().rpartition(".")[2] in _FINAL_LAYERS]
-    plain = [part for part, layers in coloured.items() if "" in layers]
-    candidates = final or plain or [*coloured] or [*parts][:1]
-    return [*parts].index(candidates[0]) if len(candidates) == 1 else None
-
-
-def colours_and_alpha(channels: Sequence[str], layer: str | None) -> tuple[tuple[int, ...], int | None]:
-    """Return the colour channels of a layer (None: of all together), and its alpha channel.
-
-    Colours are red, green and blue by their names, or grey, or else the first channels that are not alpha.
-    """
-    numbers = list(range(len(channels))) if layer is None else layers_of(channels)[layer]
-    names = _channel_names([channels[number] for number in numbers])
-    alpha = next((i for i, name in enumerate(names) if name in ("a", "alpha")), None)
-    colour = _named_colours(names)
-    if colour is None:
-        others = [i for i in range(len(names)) if i != alpha] or [0]
-        colour = tuple(others[:3]) if len(others) >= 3 else (others[0],)
-    return tuple(numbers[i] for i in colour), None if alpha is None else numbers[alpha]
-
-
-def _named_colours(names: Sequence[str]) -> tuple[int, ...] | None:
-    if all(letter in names for letter in "rgb"):
-        return tuple(names.index(letter) for letter in "rgb")
-    if "y" in names and "x" not in names:  # a luminance, and no coordinate
-        return (names.index("y"),)
-    return None
-
-
-def _channel_names(channels: Sequence[str]) -> list[str]:
-    """Return the lower-case names of channels without the prefix of their layer."""
-    return [channel.rpartition(".")[2].lower() for channel in channels]
-
-
-@dataclass(frozen=True)
-class ImageFormat:
-    """The files and samples of a format."""
-
-    suffixes: tuple[str, ...]
-    types: tuple[str, ...] = ("uint8",)
-    channels: tuple[int, ...] = (1, 2, 3, 4)  # numbers of channels; 2 and 4 include alpha
-    signatures: tuple[bytes, ...] = ()
-    writable: bool = True  # without loss of what it holds
-
-    @property
-    def alpha(self) -> bool:
-        return 4 in self.channels
-
-
-def _netpbm(kinds: bytes) -> tuple[bytes, ...]:
-    return tuple(b"P%c%c" % (kind, space) for kind in kinds for space in b" \t\r\n")
-
-
-_ANY = ("uint8", "uint16", "float16", "float32")  # types of samples
-FORMATS = {
-    "png": ImageFormat((".png",), ("uint8", "uint16"), signatures=(b"\x89PNG\r\n\x1a\n",)),
-    "jpeg": ImageFormat((".jpg", ".jpeg", ".jpe", ".jfif"), ("uint8",), (1, 3), (b"\xff\xd8\xff",)),
-    "webp": ImageFormat((".webp",), ("uint8",), (3, 4), (b"RIFF",)),
-    "tiff": ImageFormat((".tif", ".tiff", ".tx"), _ANY, signatures=(b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")),
-    "openexr": ImageFormat((".exr",), ("float16", "float32"), signatures=(b"v/1\x01",)),
-    "targa": ImageFormat((".tga", ".targa", ".tpic"), ("uint8",)),
-    "bmp": ImageFormat((".bmp", ".dib"), ("uint8",), (3,), (b"BM",)),  # most programs ignore an alpha in it
-    "hdr": ImageFormat((".hdr", ".rgbe"), ("float32",), (3,), (b"#?",)),
-    "jpegxl": ImageFormat((".jxl",), _ANY, (1, 3, 4), (b"\xff\x0a", b"\0\0\0\x0cJXL \r\n\x87\n")),
-    "pnm": ImageFormat((".pnm",), ("uint8", "uint16"), (1, 3)),  # one of the next two
-    "ppm": ImageFormat((".ppm", ".pnm"), ("uint8", "uint16"), (3,), _netpbm(b"36")),
-    "pgm": ImageFormat((".pgm", ".pnm"), ("uint8", "uint16"), (1,), _netpbm(b"25")),
-    "pfm": ImageFormat((".pfm",), ("float32",), (1, 3), _netpbm(b"Ff")),
-    "ktx2": ImageFormat((".ktx2",), ("uint8",), (3, 4), (b"\xabKTX 20\xbb",)),
-    "avif": ImageFormat((".avif",), ("uint8",), (3, 4)),
-    # What most of these hold (two levels, palettes, layers, blocks, several sizes) would not come back as it was; the
-    # first six are rare, and with them their headers.
-    "jpeg2000": ImageFormat((".jp2",), signatures=(b"\0\0\0\x0cjP  \r\n\x87\n",), writable=False),
-    "j2k": ImageFormat((".j2k", ".j2c"), signatures=(b"\xff\x4f\xff\x51",), writable=False),
-    "dpx": ImageFormat((".dpx",), signatures=(b"SDPX", b"XPDS"), writable=False),
-    "sgi": ImageFormat((".sgi", ".rgb", ".rgba", ".bw"), signatures=(b"\x01\xda",), writable=False),
-    "fits": ImageFormat((".fits", ".fit", ".fts"), signatures=(b"SIMPLE  =",), writable=False),
-    "rla": ImageFormat((".rla",), writable=False),
-    "pbm": ImageFormat((".pbm",), signatures=_netpbm(b"14"), writable=False),
-    "gif": ImageFormat((".gif",), signatures=(b"GIF87a", b"GIF89a"), writable=False),
-    "psd": ImageFormat((".psd", ".psb"), signatures=(b"8BPS",), writable=False),
-    "dds": ImageFormat((".dds",), signatures=(b"DDS ",), writable=False),
-    "ico": ImageFormat((".ico",), signatures=(b"\0\0\1\0",), writable=False),
-    "iff": ImageFormat((".iff",), signatures=(b"FOR4",), writable=False),
-    "cineon": ImageFormat((".cin",), signatures=(b"\x80\x2a\x5f\xd7", b"\xd7\x5f\x2a\x80"), writable=False),
-    "softimage": ImageFormat((".pic",), signatures=(b"\x53\x80\xf6\x34",), writable=False),
-    "zfile": ImageFormat((".z",), signatures=(b"\x2f\x08\x67\xab", b"\xab\x67\x08\x2f"), writable=False),
-    "heif": ImageFormat((".heic", ".heif"), writable=False),
-}
-"""The formats by OpenImageIO's names, but for `plugin_of` some; for KTX2 and AVIF see `extra_codecs`."""
-
-WRITABLE = tuple(traits.suffixes[0] for traits in FORMATS.values() if traits.writable)
-"""The usual extensions of the formats that can be written."""
-
-READABLE = "PNG, JPEG, WebP, TIFF, EXR, TGA, BMP, HDR and what else OpenImageIO knows is read"
-_TARGA_FOOTER = b"TRUEVISION-XFILE.\0"
-_HEIF_BRANDS, _AVIF_BRANDS = {b"heic", b"heix", b"mif1", b"msf1"}, {b"avif", b"avis"}
-_MOST_BRANDS = 256  # bytes of them
-_MODELS = (".ply", ".obj", ".gltf", ".glb", ".xyz", ".pts", ".txt", ".asc", ".csv", ".npz", ".nrrd", ".nhdr")
-_WITHOUT_MARK = ("targa", "rla")
-
-
-def format_of(data: bytes, name: str) -> str | None:
-    """Return a key of `FORMATS` by the content; for TGA and RLA, which need not have a mark, also by the name."""
-    for known, traits in FORMATS.items():
-        if data.startswith(traits.signatures) and (known != "webp" or data[8:12] == b"WEBP"):
-            return known
-    if data[4:8] == b"ftyp":
-        # The major brand, its version, and the brands that the file is compatible with.
-        end = min(int.from_bytes(data[:4], "big"), _MOST_BRANDS, len(data))
-        brands = {data[8:12], *(data[at : at + 4] for at in range(16, end, 4))}
-        if brands & _AVIF_BRANDS:
-            return "avif"
-        if data[8:12] in _HEIF_BRANDS:
-            return "heif"
-    if data.endswith(_TARGA_FOOTER):
-        return "targa"
-    by_name = format_of_suffix(suffix_of(name))
-    return by_name if by_name in _WITHOUT_MARK else None
-
-
-def suffix_for(data: bytes, name: str) -> str:
-    """Return the suffix of an image with its dot: its name's if that fits, else its format's, "" if unknown."""
-    known, suffix = format_of(data, name), suffix_of(name).lower()
-    if known is None:
-        return ""
-    return suffix if suffix in FORMATS[known].suffixes else FORMATS[known].suffixes[0]
-
-
-def is_image(data: bytes, name: str) -> bool:
-    """Whether a file is an image, and none of the models and clouds whose text might start like one."""
-    return format_of(data, name) is not None and suffix_of(name).lower() not in _MODELS
-
-
-def format_of_suffix(suffix: str) -> str | None:
-    """Return the format whose files have an extension (with the dot, in any case), or None."""
-    return next((known for known, traits in FORMATS.items() if suffix.lower() in traits.suffixes), None)
-
-
-def plugin_of(known: str) -> str:
-    """Return OpenImageIO's name of a format."""
-    return {"j2k": "jpeg2000", **dict.fromkeys(("ppm", "pgm", "pfm", "pbm"), "pnm")}.get(known, known)
-
-
-def label_of(known: str) -> str:
-    """Return what users call a format."""
-    return FORMATS[known].suffixes[0][1:].upper()
-
-
-def suffix_of(name: str) -> str:
-    """Return the extension of a file's name with its dot, or nothing; slashes and backslashes separate folders."""
-    return PurePosixPath(name.replace("\\", "/")).suffix
-
 
 TYPES = {"uint8": "uint8", "uint16": "uint16", "float16": "half", "float32": "float"}  # of OpenImageIO
 STORED = {name: kind for kind, name in TYPES.items()}
@@ -227,7 +42,7 @@ class Picture:
     alpha: int | None  # the channel that is the opacity
     encoding: Encoding  # display values in integer types, linear light in floats
     stored: str  # type of the colours in the file: uint8, uint16, float16 or float32
-    format: str  # a key of `FORMATS`, or "array" if no file holds it
+    format: str  # a key of `file_formats.FORMATS`, or "array" if no file holds it
     suffix: str  # with the dot: the source's own if it fits the format
     notices: tuple[str, ...]  # for the user, one sentence each, with the image's name
     kinds: tuple[str, ...]  # type of every channel in the file; they differ in some EXR files only
@@ -251,7 +66,7 @@ class Picture:
     @property
     def names_colours(self) -> bool:
         """Whether other channels are data by their names, such as the depth Z next to R, G and B in an EXR file."""
-        is_named = _named_colours(_channel_names(self.channels)) is not None
+        is_named = named_colours(channel_names(self.channels)) is not None
         return self.is_layered or (self.format == "openexr" and is_named)
 
 

@@ -14,26 +14,12 @@ import numpy as np
 
 from beltrami_cli.errors import InputError, MemoryLimitError
 from beltrami_cli.formats.access import Access
+from beltrami_cli.formats.image import bitmaps, jpeg, png, webp
+from beltrami_cli.formats.image.channels import colour_part
 from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, decoded, measured
-from beltrami_cli.formats.image.headers import has_usual_scale
-from beltrami_cli.formats.image.metadata import (
-    first_jpeg,
-    has_palette,
-    has_usual_bits,
-    is_animated,
-    png_chunks,
-)
-from beltrami_cli.formats.image.picture import (
-    FORMATS,
-    READABLE,
-    STORED,
-    Picture,
-    colour_part,
-    described,
-    format_of,
-    label_of,
-    plugin_of,
-)
+from beltrami_cli.formats.image.file_formats import FORMATS, READABLE, format_of, label_of, plugin_of
+from beltrami_cli.formats.image.picture import STORED, Picture, described
+from beltrami_cli.formats.image.text_headers import has_usual_scale
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.records import Texture
 
@@ -176,7 +162,7 @@ def _decoded(data: bytes, name: str, finite: bool) -> Picture:
     if plugin_of(known) not in OpenImageIO.get_string_attribute("input_format_list").split(","):
         cause = f"this build of OpenImageIO does not read {label_of(known)}"
         raise InputError(name, cause, "convert it to PNG or EXR")
-    if known == "bmp" and not has_usual_bits(data):
+    if known == "bmp" and not bitmaps.has_usual_bits(data):
         cause = "its header, or the order of its red, green, blue and alpha, is a rare one that is not read"
         raise InputError(name, cause, "export it as PNG")
     if known == "pfm" and not has_usual_scale(data):
@@ -290,18 +276,18 @@ def _changes(file: Any, part: int, data: bytes, known: str, name: str) -> tuple[
     notices, spec = list[str](), file.spec().copy()
     if known == "psd":  # whose first image is all its layers together
         notices.append(f"{name} is taken as it is shown, its layers together.")
-    elif known != "openexr" and (is_animated(data, known) or file.seek_subimage(1, 0)):
+    elif known != "openexr" and (_is_animated(data, known) or file.seek_subimage(1, 0)):
         notices.append(f"{name} holds several images; only the first is read and kept.")
     if file.seek_subimage(part, 1):
         notices.append(f"{name} holds smaller copies of itself (mip levels), which are left out.")
     in_tiff = spec.get_int_attribute("tiff:PhotometricInterpretation") == _PALETTE_IN_TIFF
     # In a palette of greys alone OpenImageIO sees grey, and so writes it.
-    palette = in_tiff or has_palette(data, known)
+    palette = in_tiff or _has_palette(data, known)
     if palette and known != "png" and spec.nchannels >= _COLOURED:
         notices.append(f"{name} has a palette, which becomes full colours.")
     if known == "targa" and spec.nchannels in (1, 3) and data[17] & 0x0F:
         notices.append(f"{name} has an alpha of few bits, which is dropped.")
-    if known == "png" and not palette and any(kind == b"tRNS" for kind, _ in png_chunks(data)):
+    if known == "png" and not palette and any(kind == b"tRNS" for kind, _ in png.chunks(data)):
         notices.append(f"{name} has a colour that is transparent, which becomes an alpha channel.")
     bits = data[24] if known == "png" else int(spec.get_int_attribute("oiio:BitsPerSample"))  # 0: not said
     if bits and not palette and bits not in _WHOLE_BYTES:
@@ -317,6 +303,22 @@ def _changes(file: Any, part: int, data: bytes, known: str, name: str) -> tuple[
     return tuple(notices)
 
 
+def _is_animated(data: bytes, known: str) -> bool:
+    return (known == "png" and png.is_animated(data)) or (known == "webp" and webp.is_animated(data))
+
+
+def _has_palette(data: bytes, known: str) -> bool:
+    """Whether a PNG, BMP, TGA or GIF file stores indices into a palette."""
+    match known:
+        case "png":
+            return png.has_palette(data)
+        case "bmp":
+            return bitmaps.bmp_has_palette(data)
+        case "targa":
+            return bitmaps.targa_has_palette(data)
+    return known == "gif"
+
+
 _OPEN_FILES = Path("/proc/self/fd")
 
 
@@ -327,7 +329,7 @@ def opened(data: bytes, config: Any = None, name: str = _UNNAMED) -> Iterator[tu
 
     if data.startswith(FORMATS["jpegxl"].signatures):
         data = data.ljust(_LEAST_JPEG_XL, b"\0")
-    with scratch_file(first_jpeg(data), name=name) as path:
+    with scratch_file(jpeg.first_picture(data), name=name) as path:
         arguments = (str(path),) if config is None else (str(path), config)
         file = OpenImageIO.ImageInput.open(*arguments)
         if file is None:

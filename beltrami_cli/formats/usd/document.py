@@ -19,7 +19,7 @@ from beltrami_cli.formats.colours import display_colour
 from beltrami_cli.formats.comparison import Fingerprint, labelled
 from beltrami_cli.formats.conversion import with_vertex_colours
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image.picture import format_of, format_of_suffix
+from beltrami_cli.formats.image.file_formats import format_of, format_of_suffix
 from beltrami_cli.formats.model_folder import (
     LEFT_ALONE,
     NewFiles,

@@ -1,0 +1,202 @@
+"""JPEG files: segments and what follows the first picture, which are carried over; tables of steps; the encoder.
+
+References
+----------
+.. [1] ITU-T T.81 (JPEG), annex B: marker segments and tables; annexes C and F: codes.
+.. [2] CIPA DC-007, Multi-Picture Format, section 5.2: MP Index IFD.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from beltrami_cli.arrays import Float64s, Uint8s
+
+_START = b"\xff\xd8"
+_START_OF_SCAN, _END_OF_IMAGE = 0xDA, 0xD9
+_APP0, APP1, _APP14, _APP15, _COMMENT = 0xE0, 0xE1, 0xEE, 0xEF, 0xFE
+# But Adobe's segment, which says how these very samples are coded.
+_METADATA = (_COMMENT, *range(_APP0, _APP14), _APP15)
+_MPF = b"MPF\0"  # the mark of an index of pictures
+_MP_ENTRIES = 0xB002  # tag of its entries
+_MP_ENTRY = 16  # bytes of one
+_PLAIN_MARKERS = (0x01, *range(0xD0, 0xDA))  # markers without a segment
+_END_OF_SCAN = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]")  # any marker except a restart within a scan
+_XMP_START = b"http://ns.adobe.com/xap/1.0/\0"
+_LONGEST_SEGMENT = 0xFFFF - 2  # bytes in a segment of JPEG, whose length counts itself
+
+
+def carried_over(source: bytes, encoded: bytes) -> bytes:
+    """Return an encoded JPEG with the metadata of another one, and what follows its first picture."""
+    metadata = [bytes(segment) for marker, segment in segments(source) if marker in _METADATA]
+    pixels = [segment for marker, segment in segments(encoded) if marker not in _METADATA]
+    picture, size = encoded[:2] + b"".join([*metadata, *pixels]), _end(source)
+    growth = len(picture) - size
+    for index in metadata:
+        if index[4 : 4 + len(_MPF)] == _MPF:
+            shift = growth + source.index(index) - picture.index(index)
+            picture = picture.replace(index, _index_of_pictures(index, shift, growth), 1)
+    return picture + source[size:]
+
+
+def _index_of_pictures(segment: bytes, shift: int, growth: int) -> bytes:
+    """Return the index of the pictures in a JPEG file [2]_ whose first one has grown, with the others shifted."""
+    tiff, order = bytearray(segment[4 + len(_MPF) :]), "<" if segment[8:10] == b"II" else ">"
+    try:
+        at = struct.unpack_from(f"{order}I", tiff, 4)[0]
+        (count,) = struct.unpack_from(f"{order}H", tiff, at)
+        fields = [struct.unpack_from(f"{order}HHII", tiff, at + 2 + 12 * i) for i in range(count)]
+        entries = next((size, place) for tag, _, size, place in fields if tag == _MP_ENTRIES)
+        for at in range(entries[1], entries[1] + entries[0], _MP_ENTRY):
+            length, offset = struct.unpack_from(f"{order}II", tiff, at + 4)
+            # Offsets count from the head of the index; that of the first picture is 0.
+            moved = (length, offset + shift) if offset else (length + growth, 0)
+            struct.pack_into(f"{order}II", tiff, at + 4, *moved)
+    except (struct.error, StopIteration):  # no index that a program could follow
+        return segment
+    return segment[: 4 + len(_MPF)] + bytes(tiff)
+
+
+def _markers(data: bytes | memoryview) -> Iterator[tuple[int, int, int]]:
+    """Give every marker of the first picture in a JPEG file, and where its segment and scan start and end."""
+    at = 2
+    while at + 2 <= len(data) and data[at] == 0xFF:
+        marker, end = data[at + 1], at + 2
+        if marker == 0xFF:  # a fill byte
+            at += 1
+            continue
+        if marker not in _PLAIN_MARKERS:
+            end += int.from_bytes(data[end : end + 2])
+        if marker == _START_OF_SCAN:
+            found = _END_OF_SCAN.search(data, end)
+            end = found.start() if found else len(data)
+        yield marker, at, end
+        if marker == _END_OF_IMAGE:
+            return
+        at = end
+
+
+def segments(data: bytes | memoryview) -> Iterator[tuple[int, bytes | memoryview]]:
+    """Give the marker and the whole bytes of every segment before the scan, then the scan and all behind it."""
+    view = memoryview(data)
+    for marker, start, end in _markers(view):
+        if marker == _START_OF_SCAN:
+            yield marker, view[start:]
+            return
+        yield marker, bytes(view[start:end])
+
+
+def segment_names(data: bytes) -> Iterator[str]:
+    """Give what the segments of metadata are called."""
+    for marker, segment in segments(data):
+        if marker == _COMMENT:
+            yield "COM"
+        elif _APP0 <= marker <= _APP15 and marker != _APP14:
+            yield bytes(segment[4:]).partition(b"\0")[0][:40].decode("latin-1")
+
+
+def with_texts(encoded: bytes, *, comment: bytes, xmp: bytes) -> bytes:
+    """Return a JPEG image with a comment and XMP data, as far as each is given and fits into a segment."""
+    encoded = with_segment(encoded, APP1, _XMP_START + xmp) if xmp else encoded
+    return with_segment(encoded, _COMMENT, comment) if comment else encoded
+
+
+def with_segment(encoded: bytes, marker: int, payload: bytes) -> bytes:
+    """Return a JPEG image with a segment in front, but behind that of JFIF; the same image if it is too long."""
+    if len(payload) > _LONGEST_SEGMENT:
+        return encoded
+    before = [segment for _, segment in segments(encoded)]
+    at = 1 if before[0][1] == _APP0 else 0
+    segment = bytes([0xFF, marker]) + (2 + len(payload)).to_bytes(2) + payload
+    return encoded[:2] + b"".join([*before[:at], segment, *before[at:]])
+
+
+def _end(data: bytes) -> int:
+    """Return where the first picture of a JPEG file ends."""
+    return next((end for marker, _, end in _markers(data) if marker == _END_OF_IMAGE), len(data))
+
+
+def first_picture(data: bytes) -> bytes:
+    """Return a JPEG file without what follows its first picture: a gain map, previews, a video; others as they are."""
+    # With a gain map, OpenImageIO would read the brighter picture that HDR displays make of both, in floats.
+    return data[: _end(data)] if data.startswith(_START) else data
+
+
+def further_pictures(data: bytes) -> bytes:
+    """Return what follows the first picture of a JPEG file, padding aside; of other files nothing."""
+    return data[_end(data) :].strip(b"\0") if data.startswith(_START) else b""
+
+
+CODED_TOGETHER = 16  # blocks of all planes begin at rows and columns that are multiples of this
+_RGB = [*b"RGB"]  # identifiers of components that are no luma and chroma
+
+
+@dataclass(frozen=True)
+class JpegTables:
+    """Steps of the DCT coefficients of luma and of chroma, and the pixels that a sample of chroma spans."""
+
+    steps: Float64s  # shape (1, 8, 8) of grey pictures, or (2, 8, 8)
+    span: tuple[int, int]  # rows, columns: 1 or 2 each
+
+
+def is_progressive(data: bytes) -> bool:
+    """Whether a JPEG file is made of scans that become finer."""
+    header = _header(data)
+    return header is not None and "progressive" in header.info
+
+
+def read_jpeg_tables(data: bytes | memoryview) -> JpegTables | None:
+    """Read the tables of a grey or YCbCr picture; None of any other, or if they are damaged."""
+    header = _header(data)
+    if header is None or not header.layer:
+        return None
+    tables = {number: np.array(table, np.float64) for number, table in header.quantization.items()}
+    identifiers, across, down, used = zip(*header.layer, strict=True)
+    if not all(number in tables and len(tables[number]) == 64 for number in used):
+        return None
+    steps, span = np.stack([tables[number].reshape(8, 8) for number in used]), (1, 1)
+    if len(used) > 1:
+        is_ycbcr = header.info.get("adobe_transform", 1) == 1 and [*identifiers] != _RGB
+        if len(used) != 3 or not is_ycbcr or {*across[1:], *down[1:]} != {1} or (steps[1] != steps[2]).any():
+            return None
+        steps, span = steps[:2], (down[0], across[0])
+    # Decoders let steps of 0 pass, which have no multiples.
+    return JpegTables(steps, span) if steps.min() >= 1 and {*span} <= {1, 2} else None
+
+
+def _header(data: bytes | memoryview) -> Any:
+    """Return the header of a JPEG file as Pillow reads it; None if it is none, or damaged."""
+    if data[: len(_START)] != _START:
+        return None
+    from PIL.JpegImagePlugin import JpegImageFile
+
+    try:
+        return JpegImageFile(io.BytesIO(data))
+    except (OSError, SyntaxError, ValueError):
+        return None
+
+
+# Samples of luma in a row and in two rows for each sample of chroma. Pillow does not know the other two.
+_SUBSAMPLINGS = {"4:4:4": "4:4:4", "4:2:2": "4:2:2", "4:2:0": "4:2:0", "4:1:1": "4:2:2", "4:2:1": "4:2:2"}
+# At most, of a sample: a coefficient has a code of up to 16 bits and 11 more [1]_.
+_MOST_BYTES = 4
+
+
+def encoded(pixels: Uint8s, *, quality: int, subsampling: str, progressive: bool, profile: bytes) -> bytes:
+    """Encode pixels, shape (H, W, 1 or 3), as JPEG."""
+    from PIL import Image, ImageFile
+
+    if progressive:  # is written at once; in Pillow's own buffer noise of a high quality has no room
+        ImageFile.MAXBLOCK = max(ImageFile.MAXBLOCK, _MOST_BYTES * pixels.size)
+    buffer = io.BytesIO()
+    options = {"quality": quality, "progressive": progressive, "icc_profile": profile}
+    image = Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels)
+    image.save(buffer, "JPEG", subsampling=_SUBSAMPLINGS.get(subsampling, "4:4:4"), **options)
+    return buffer.getvalue()

@@ -1,0 +1,65 @@
+"""PNG files: chunks, of which all that OpenImageIO leaves out is carried over.
+
+References
+----------
+.. [1] PNG (Portable Network Graphics) Specification, third edition, W3C 2025, sections 5, 9 and 11.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator
+
+START = b"\x89PNG\r\n\x1a\n"
+_ANIMATION = (b"acTL", b"fcTL", b"fdAT")
+_OF_SAMPLES = (b"tRNS", b"sBIT", b"hIST", b"bKGD")  # chunks that depend on the type of the samples
+# Which OpenImageIO adds, even to images with a profile.
+_OF_THE_ENCODER = (b"sRGB", b"gAMA", b"cHRM", b"oFFs")
+
+
+def carried_over(source: bytes, encoded: bytes) -> bytes:
+    """Return an encoded PNG with the chunks of another one, but those about animation and other samples."""
+    same_samples = source[24:26] == encoded[24:26]  # bit depth and type of colour
+    unwanted = _ANIMATION if same_samples else (*_ANIMATION, *_OF_SAMPLES)
+    before, behind = list[memoryview](), list[memoryview]()
+    kept, size = before, len(START)
+    for kind, chunk in chunks(source):
+        size += len(chunk)
+        if kind == b"IDAT":
+            kept = behind
+        elif kind[:1].islower() and kind not in unwanted:
+            kept.append(chunk)
+    header, *pixels, end = (chunk for kind, chunk in chunks(encoded) if kind[:1].isupper())
+    return b"".join([START, header, *before, *pixels, *behind, end, source[size:]])
+
+
+def without_additions(encoded: bytes) -> bytes:
+    """Return an image, just encoded, without what the encoder says about it of its own accord."""
+    kept = (chunk for kind, chunk in chunks(encoded) if kind not in _OF_THE_ENCODER)
+    return b"".join([START, *kept])
+
+
+def is_animated(data: bytes) -> bool:
+    """Whether there is a chunk that controls an animation."""
+    return any(kind == b"acTL" for kind, _ in chunks(data))
+
+
+def has_palette(data: bytes) -> bool:
+    """Whether the type of colour, in the header that every file starts with, is that of indices."""
+    return data[25:26] == b"\3"
+
+
+def chunks(data: bytes) -> Iterator[tuple[bytes, memoryview]]:
+    """Give the type and the whole bytes of every complete chunk, which are not copied."""
+    at, view, kind = len(START), memoryview(data), b""
+    while at + 12 <= len(data) and kind != b"IEND":
+        end, kind = at + 12 + int.from_bytes(data[at : at + 4]), data[at + 4 : at + 8]
+        if end > len(data):
+            return
+        yield kind, view[at:end]
+        at = end
+
+
+def packed_chunk(kind: bytes, data: bytes) -> bytes:
+    """Return a chunk with its length and checksum."""
+    return len(data).to_bytes(4) + kind + data + zlib.crc32(kind + data).to_bytes(4)

@@ -1,0 +1,74 @@
+"""Headers in text, of Radiance HDR and Netpbm files: comments and variables, which are carried over.
+
+References
+----------
+.. [1] Radiance File Formats, Greg Ward: lines of text up to an empty one, then the resolution and the pixels.
+.. [2] ppm(5), Netpbm: comments reach from # to the end of a line, anywhere in the header.
+"""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+_END = b"\n\n"  # of the header of an HDR file
+_GAP = rb"(?:\s|#[^\n]*\n)+"
+# P1 and P4 give width and height, the others the largest value, too, or in PFM files the scale.
+_NETPBM = re.compile(rb"P(?:[14]%b\d+%b\d+|[^14]%b\d+%b\d+%b(\S+))\s" % ((_GAP,) * 5))
+_AFTER_MARK = 3  # bytes: "P6" and the end of the line
+_NETPBM_TEXT, _NETPBM_FLOATS = (b"1", b"2", b"3"), (b"F", b"f")
+_MADE_BY_ENCODERS = (b"#?", b"FORMAT=")
+
+
+def with_header(source: bytes, encoded: bytes, known: str) -> bytes:
+    """Return an image with the comments and variables of another file of its format."""
+    if known == "hdr":
+        head, end, _ = source.partition(_END)
+        return b"".join([head, end, encoded.partition(_END)[2]])
+    comments, old_header, header = _comments(source), _NETPBM.match(source), _NETPBM.match(encoded)
+    further = b""  # images, or other data
+    if old_header and header and source[1:2] == encoded[1:2] not in _NETPBM_TEXT:
+        further = source[old_header.end() + len(encoded) - header.end() :]
+        if source[1:2] in _NETPBM_FLOATS:
+            return b"".join([old_header[0], _unscaled(source, encoded, old_header, header), further])
+    return b"".join([encoded[:_AFTER_MARK], *comments, encoded[_AFTER_MARK:], further])
+
+
+def _unscaled(source: bytes, encoded: bytes, old: re.Match[bytes], new: re.Match[bytes]) -> bytes:
+    """Return the numbers of a PFM file before the scale in its header, which OpenImageIO applies and replaces by 1.
+
+    Many programs read the numbers without it, as disparities.
+    """
+    orders = ["<f4" if header[1].startswith(b"-") else ">f4" for header in (old, new)]
+    values = np.frombuffer(encoded, orders[1], offset=new.end())
+    before = np.frombuffer(source, orders[0], len(values), old.end())
+    scale = np.float32(abs(float(old[1])))
+    is_old = before * scale == values  # and keeps all bits
+    return np.where(is_old, before, values / scale).astype(orders[0]).tobytes()
+
+
+def has_usual_scale(data: bytes) -> bool:
+    """Return False for PFM files whose scale leaves nothing of their numbers."""
+    header = _NETPBM.match(data)
+    if header is None or data[1:2] not in _NETPBM_FLOATS:
+        return True
+    try:
+        scale = abs(float(header[1]))
+    except ValueError:
+        return False
+    limits = np.finfo(np.float32)  # in which OpenImageIO multiplies
+    return bool(limits.tiny <= scale <= limits.max)
+
+
+def header_lines(data: bytes, known: str) -> list[str]:
+    """Return the comments and variables of an HDR or Netpbm file."""
+    if known == "hdr":
+        lines = data.partition(_END)[0].splitlines()
+        return [line.decode("latin-1") for line in lines if not line.startswith(_MADE_BY_ENCODERS)]
+    return [line.decode("latin-1").strip() for line in _comments(data)]
+
+
+def _comments(data: bytes) -> list[bytes]:
+    header = _NETPBM.match(data)
+    return re.findall(rb"#[^\n]*\n", header[0]) if header else []
