@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.parameters import KernelParameters as KernelParameters
     from beltrami_cli.formats.access import Access as Access
     from beltrami_cli.jobs.array_arguments import MeshArrays as MeshArrays
-    from beltrami_cli.jobs.array_arguments import from_trimesh as from_trimesh
     from beltrami_cli.jobs.arrays import ImageResult as ImageResult
     from beltrami_cli.jobs.arrays import SmoothResult as SmoothResult
     from beltrami_cli.jobs.arrays import TexturedResult as TexturedResult
@@ -59,7 +58,7 @@ _NAMES_IN = {
     "errors": "BeltramiError InputError OutputError ProcessingError UsageError",
     "flow.parameters": "KernelParameters",
     "formats.access": "Access",
-    "jobs.array_arguments": "MeshArrays from_trimesh",
+    "jobs.array_arguments": "MeshArrays",
     "jobs.arrays": "ImageResult SmoothResult TexturedResult smooth smooth_image smooth_textured",
     "jobs.compare.files": "Comparison compare_files",
     "jobs.inspect": "CheckReport check_files inspect_file",

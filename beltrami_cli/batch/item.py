@@ -31,10 +31,10 @@ from beltrami_cli.formats.changes import Written
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.output import FileSet, Output
 from beltrami_cli.jobs.progress import Progress, Share
-from beltrami_cli.jobs.settings import BakeSettings, NoiseSettings
+from beltrami_cli.jobs.settings import BakeSettings
 
 if TYPE_CHECKING:
-    from beltrami_cli.jobs.recolour import FileReport
+    from beltrami_cli.jobs.smooth import SmoothReport
     from beltrami_cli.layers.settings import SmoothSettings
 
 
@@ -49,7 +49,6 @@ class Item:
     target: str
     settings: SmoothSettings
     unwrap: BakeSettings | None = None
-    noise: NoiseSettings | None = None  # that is added to the colours, which are not smoothed then
     outside: bool = False  # whether files are followed that the model names beyond its own folder
     overwrite: bool = False
     skip_uncoloured: bool = False  # whether a file without the colours that are asked for is no failure
@@ -64,8 +63,6 @@ class Item:
         del settings["kernel"]["threads"]  # the result is the same for any number
         unwrap = None if self.unwrap is None else dataclasses.asdict(self.unwrap)
         everything = [version("beltrami-cli"), settings, unwrap, self.outside]
-        if self.noise is not None:
-            everything.append(dataclasses.asdict(self.noise))
         if self.columns:
             everything.append({"columns": self.columns})
         return hashlib.sha256(json.dumps(everything, sort_keys=True).encode()).hexdigest()
@@ -85,7 +82,7 @@ class Outcome:
     exit_code: int = 0  # that of `beltrami smooth` for the same file
     read: dict[str, str] = field(default_factory=dict)  # SHA-256 of every file that was read, by its name
     written: dict[str, str] = field(default_factory=dict)
-    report: dict[str, Any] | None = None  # of `beltrami smooth`, or of what `beltrami noise` added
+    report: dict[str, Any] | None = None  # of `beltrami smooth`
 
     def figures(self) -> tuple[float, float, bool] | None:
         """Return the strongest noise, the largest mean change, and whether no iterations were chosen."""
@@ -180,18 +177,13 @@ def _forwarded(progress: Progress, label: str, share: float) -> None:
     progress(label, round(1000 * share), 1000)
 
 
-def _made(item: Item, access: Access, progress: Progress | None) -> FileReport:
-    from beltrami_cli.jobs.noise import noise_file
+def _made(item: Item, access: Access, progress: Progress | None) -> SmoothReport:
     from beltrami_cli.jobs.smooth import smooth_file
 
     with FileSet() as files:
         whole = None if progress is None else Share(forward=partial(_forwarded, progress))
         job = Job(access, whole, item.overwrite or item.again, files=files)
-        report: FileReport
-        if item.noise is not None:
-            report = noise_file(item.source, item.target, item.noise, item.settings, job)
-        else:
-            report = smooth_file(item.source, item.target, item.settings, job, unwrap=item.unwrap)
+        report = smooth_file(item.source, item.target, item.settings, job, unwrap=item.unwrap)
         if item.again and not item.overwrite:
             files.keep_equal()
         files.put_in_place()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -21,7 +21,6 @@ from beltrami_cli.fields import of_255, parameters
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import Access, default_memory, is_file, is_url
 from beltrami_cli.jobs.progress import Label, Work
-from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.layers.settings import SmoothSettings
 
 if TYPE_CHECKING:
@@ -29,25 +28,11 @@ if TYPE_CHECKING:
     from beltrami_cli.batch.plan import Request
     from beltrami_cli.batch.run import Workers
 
-_OF_NOISE = [each.name for each in parameters(NoiseSettings)]
-
-
-def _adding_noise(command: Callable[..., Any]) -> Callable[..., Any]:
-    wanted = click.option(
-        "--add-noise", is_flag=True, cls=GroupedOption, group=NoiseSettings.group,
-        help="Add noise and smooth nothing: each file comes out as `beltrami noise` makes it.",
-    )  # fmt: skip
-    changed = {name: {"is_daily": False} for name in _OF_NOISE}
-    return wanted(options.options_of(NoiseSettings, changed=changed)(command))
-
-
-# The options that concern a single file: the options of `smooth` that change its result, and all of `noise`.
+# The options that concern a single file: those of `smooth` that change its result.
 _OF_A_FILE = click.command("file")(
-    options.smoothing(
-        options.unwrapping(options.options_of(Access, only=("columns",))(_adding_noise(lambda **_: None)))
-    )
+    options.smoothing(options.unwrapping(options.options_of(Access, only=("columns",))(lambda **_: None)))
 )
-SHARED_WITH_SMOOTH = {str(each.name) for each in _OF_A_FILE.params} - {"add_noise", *_OF_NOISE}
+SHARED_WITH_SMOOTH = {str(each.name) for each in _OF_A_FILE.params}
 _CLUSTER = "Many machines"
 
 
@@ -90,7 +75,6 @@ _CLUSTER = "Many machines"
 )  # fmt: skip
 @options.smoothing
 @options.unwrapping
-@_adding_noise
 @options.output_format
 @options.writing
 def batch(
@@ -179,15 +163,8 @@ def _item_from(values: dict[str, Any]) -> Item:
     """Return the item that the values of options describe, without its files."""
     from beltrami_cli.batch.item import Item
 
-    noise = None
-    if values["add_noise"]:
-        noise = options.record_from(NoiseSettings, values)
-    elif given := [name for name in _OF_NOISE if options.is_given(name)]:
-        raise UsageError(f"--{given[0]} is of noise; say --add-noise, which is then all that is done")
     columns = options.record_from(Access, values).columns
-    return Item(
-        "", "", options.settings_from(values), options.unwrapping_from(values), noise, columns=columns
-    )
+    return Item("", "", options.settings_from(values), options.unwrapping_from(values), columns=columns)
 
 
 def _settings(request: Request, given: dict[str, Any]) -> Item:

@@ -54,24 +54,8 @@ class MeshArrays(NamedTuple):
     image: ArrayLike | None = None
 
 
-def from_trimesh(mesh: Any) -> MeshArrays:
-    """Return the arrays of a mesh or a cloud of points of trimesh, which is not imported.
-
-    Parameters
-    ----------
-    mesh : trimesh.Trimesh or trimesh.PointCloud
-
-    Returns
-    -------
-    MeshArrays
-        With ``colours`` of vertices as uint8, shape (V, 4); or, if the mesh is textured, with the ``image`` of its base
-        colour and ``uv`` of shape (V, 2), v = 0 at the lower edge of the image.
-
-    Raises
-    ------
-    UsageError
-        If it is neither, has colours of faces, or several materials.
-    """
+def _of_trimesh(mesh: Any) -> MeshArrays:
+    """Return the arrays of a Trimesh or PointCloud: colours of vertices, or texture coordinates and the base colour."""
     visual, faces = getattr(mesh, "visual", None), getattr(mesh, "faces", None)
     if visual is None:
         kind = type(mesh).__name__
@@ -95,7 +79,7 @@ def mesh_arrays(mesh: Any) -> MeshArrays | None:
     if isinstance(mesh, MeshArrays):
         return mesh
     if hasattr(mesh, "visual") or hasattr(mesh, "geometry"):
-        return from_trimesh(mesh)
+        return _of_trimesh(mesh)
     if hasattr(mesh, "point_data"):
         padded = np.asarray(getattr(mesh, "faces", [0]))  # each face: its number of corners, and these
         if len(padded) % 4 or (padded[::4] != 3).any() or mesh.n_strips:

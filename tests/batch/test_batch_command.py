@@ -244,21 +244,6 @@ def test_a_manifest_has_parameters_for_each_file(name, scans, tmp_path):
     assert (out / "b.obj").read_bytes() == smoothed(scans / "b.obj", tmp_path / "b.obj", *options)
 
 
-@pytest.mark.slow
-def test_noise_is_added_as_alone_and_another_kind_is_another_job(scans, tmp_path):
-    out, noise = tmp_path / "out", ["--sigma", "20", "--seed", "3"]
-    batch(scans, "--out-dir", out, "--add-noise", *noise)
-    beltrami("noise", scans / "a.ply", tmp_path / "a.ply", *noise)
-    assert (out / "a.ply").read_bytes() == (tmp_path / "a.ply").read_bytes()
-    line = report_of(out)["a.ply"]
-    assert line["report"]["added"][0]["rms"] == pytest.approx(20 / 255, rel=0.1)
-    assert line["written"].keys() == {str(out / "a.ply")}
-    batch(scans / "a.ply", "--out-dir", out, "--add-noise", *noise, "--resume")
-    assert statuses(out)["a.ply"] == "skipped"
-    batch(scans / "a.ply", "--out-dir", out, "--add-noise", "--kind", "camera", "--resume")
-    assert statuses(out)["a.ply"] == "done"
-
-
 def test_files_in_manifests_lie_beside_them(scans, tmp_path):
     count = len(open_document(str(scans / "a.ply")).painted().positions)
     np.save(scans / "sigma.npy", np.full(count, 0.05, np.float32))

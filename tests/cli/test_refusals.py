@@ -161,7 +161,6 @@ REFUSED = [
     ("report - @knot-clean.ply page.html", 2, "pipe"),
     ("level @head-tex-clean.glb out.glb --reference absent*", 2, "--reference absent*"),
     ("level @head-tex-clean.glb out.glb --reference *", 2, "keeps all charts"),
-    ("batch @nonmanifold-noisy.ply --out-dir out --sigma 20", 2, "--add-noise"),
     ("batch bad.ply --out-dir out --pieces 2 --smooth-geometry", 2, "bad.ply: vertices are not moved in pieces"),
     # options and files that do not fit each other
     ("smooth @terrain-noisy.ply out.ply --on texture", 3, "terrain-noisy.ply: "),

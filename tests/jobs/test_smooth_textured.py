@@ -5,7 +5,7 @@ import pytest
 import trimesh
 from PIL import Image
 
-from beltrami_cli import MeshArrays, from_trimesh, smooth, smooth_file, smooth_textured
+from beltrami_cli import MeshArrays, smooth, smooth_file, smooth_textured
 from beltrami_cli.errors import BeltramiError, UsageError
 from beltrami_cli.formats.image.reading import read_image
 from formats.image_files import encode
@@ -76,7 +76,6 @@ def test_a_textured_mesh_of_trimesh_has_all_that_is_needed(mode, kind, name):
     material = getattr(trimesh.visual.material, kind)(**{name: image})
     visual = trimesh.visual.TextureVisuals(uv=UV[:4], material=material)
     mesh = trimesh.Trimesh(POSITIONS[:4], FACES[:2], visual=visual, process=False)
-    assert np.array_equal(from_trimesh(mesh).image, pixels)
     expected = smooth_textured(SQUARE, [pixels], **FIXED).images
     assert np.array_equal(smooth_textured(mesh, **FIXED).images, expected)
     with pytest.raises(UsageError, match="smooth_textured"):
