@@ -138,7 +138,7 @@ def test_the_commands_of_the_readme_and_of_pages_to_start_with_run(words, stand_
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["README.md", "docs/index.md", "docs/api.md"])
+@pytest.mark.parametrize("name", ["README.md", "docs/api.md"])
 def test_the_python_of_pages_runs(name, stand_ins, tmp_path, monkeypatch):
     folder = shutil.copytree(stand_ins, tmp_path / "work")
     shutil.copy(SAMPLES / "tiled-noisy.glb", folder / "scan.glb")
