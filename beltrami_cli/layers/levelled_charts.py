@@ -21,6 +21,7 @@ from beltrami_cli.surface.records import SampledSurface, Texture
 
 _PHOTOGRAPHS = ("photograph", "photo", "image", "camera", "view")
 _NO_SEAMS = "no seam joins two of its charts"
+_NO_STEPS = "hardly any of its seams has a step beyond the noise"
 _TOO_SMALL = "the change would be too small to be seen"
 
 
@@ -92,7 +93,7 @@ def _report(what: str, found: Levelled, change: float, charts: Sequence[dict[str
     facts, verdict = found.facts, found.verdict
     reason = "" if change else _TOO_SMALL
     if verdict is None:
-        reason = _NO_SEAMS
+        reason = _NO_STEPS if facts.seams else _NO_SEAMS
     elif found.exposures is None:
         reason = _why_not(verdict)
     exposures = []

@@ -14,7 +14,15 @@ import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.fields import BYTE_STEP
-from beltrami_cli.levelling.exposures import Exposures, Verdict, fit_exposures, judge, squared_steps
+from beltrami_cli.levelling.exposures import (
+    VISIBLE,
+    Exposures,
+    Verdict,
+    fit_exposures,
+    have_steps,
+    judge,
+    squared_steps,
+)
 from beltrami_cli.levelling.steps import (
     RIDGE,
     ChartPlaces,
@@ -55,11 +63,19 @@ class Levelled:
     groups: Indices  # (charts,): charts that are joined by seams without paint
 
 
-def find_exposures(steps: Steps, strength: float, fixed: Bools | None = None) -> Levelled:
-    """Decide whether the charts differ in exposure, and find how; `fixed` charts stay as they are."""
+def judge_steps(steps: Steps, fixed: Bools | None = None) -> Verdict | None:
+    """Decide whether the charts differ in exposure; None if there are no steps."""
+    return judge(steps, fixed) if steps.between.any() and have_steps(steps) else None
+
+
+def find_exposures(
+    steps: Steps, verdict: Verdict | None, strength: float, fixed: Bools | None = None
+) -> Levelled:
+    """Find the exposures of charts, if the verdict is that there are any; `fixed` charts stay as they are."""
     if not steps.between.any():
         return Levelled(None, None, SeamFacts(), np.arange(steps.charts))
-    verdict = judge(steps, fixed)
+    if verdict is None:
+        return Levelled(None, None, _facts(steps, Exposures.none(steps), 0.0), np.arange(steps.charts))
     found = fit_exposures(steps, verdict.spread, fixed)
     if not verdict.is_sure:
         return Levelled(verdict, None, _facts(steps, found, 0.0), np.arange(steps.charts))
@@ -76,7 +92,7 @@ def _facts(steps: Steps, found: Exposures, strength: float) -> SeamFacts:
     texels = np.bincount(seam, between.counts).astype(np.float64)
     return SeamFacts(
         seams=len(first),
-        stepped=int(np.count_nonzero(before > 2 * BYTE_STEP)),  # each side is rounded
+        stepped=int(np.count_nonzero(before > VISIBLE)),
         painted=int(np.count_nonzero(painted[first])),
         before=weighted_median(before, texels),
         after=weighted_median(after, texels),
@@ -137,13 +153,16 @@ def level_canvas(
     `spans`: on how many texels, at most, a stored colour of each texture is; brightness has one for each.
     """
     places, flat = ChartPlaces.of(atlas), planes.reshape(len(planes), -1)
-    found = find_exposures(steps_over_seams(atlas, planes, places), strength, fixed)
+    steps = steps_over_seams(atlas, planes, places)
+    verdict = judge_steps(steps, fixed)
     # Hues continued over more texels are less sure: whether there are exposures at all, mixed ones must tell, too.
-    if found.exposures is not None and max(spans, default=1) > 1:
+    if verdict is not None and verdict.is_sure and max(spans, default=1) > 1:
         mixed = mixed_cells(atlas, spans)
         before = continue_hues(atlas, planes, mixed, max(spans))
-        found = find_exposures(steps_over_seams(atlas, planes, places), strength, fixed)
+        steps = steps_over_seams(atlas, planes, places)
+        verdict = judge_steps(steps, fixed)
         flat[:, mixed] = before
+    found = find_exposures(steps, verdict, strength, fixed)
 
     def samples(rows: Int64s | slice) -> tuple[Float32s, Indices, Float64s]:
         cells, charts = atlas.owned_cells[rows], atlas.chart_of[rows]
@@ -164,7 +183,7 @@ def level_mesh(
 ) -> tuple[Levelled, float, Float32s]:
     """Take exposures out of the colours of vertices, shape (S, N), each of one photograph."""
     steps, charts, places = steps_over_edges(positions, faces, colours.astype(np.float64), photographs)
-    found = find_exposures(steps, strength)
+    found = find_exposures(steps, judge_steps(steps), strength)
     if found.exposures is None:
         return found, 0.0, colours
     correction = Correction(found, strength)

@@ -186,7 +186,8 @@ def deviations(steps: Steps, sides: Float64s) -> Float64s:
     middles = np.minimum(np.cumsum(lengths) - lengths + lengths // 2, len(steps.seams) - 1)
 
     def medians(values: Float64s) -> Float64s:
-        return np.asarray(values[np.lexsort((values, steps.seams))][middles])
+        # Complex numbers are sorted by their real parts first: four times as fast as `lexsort`.
+        return np.asarray(np.sort(steps.seams + 1j * values).imag[middles])
 
     found = np.zeros(len(lengths))
     for column in (sides[:, 1] - sides[:, 0]).T:

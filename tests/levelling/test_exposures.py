@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 from beltrami_cli.flow.manifolds.canvas import painted
+from beltrami_cli.levelling import exposures
 from beltrami_cli.levelling.correction import (
     LUMA,
     Correction,
     Levelled,
     SeamFacts,
     continue_hues,
+    judge_steps,
     mixed_cells,
 )
 from beltrami_cli.levelling.exposures import CONFIDENCE, SPREADS, Exposures, fit_exposures, judge, known_steps
@@ -228,6 +230,40 @@ def test_exposures_are_found_at_any_brightness_and_taken_out(brightness):
 )
 def test_what_seams_say_of_exposures(steps, is_sure):
     assert judge(steps).is_sure == is_sure
+
+
+def counted_fits(monkeypatch):
+    """Return a list that gets an entry for each fit of exposures."""
+    fits = []
+
+    def fit(*arguments):
+        fits.append(arguments)
+        return fit_exposures(*arguments)
+
+    monkeypatch.setattr(exposures, "fit_exposures", fit)
+    return fits
+
+
+@pytest.mark.parametrize("step", [0.5 / 255, 3 / 255], ids=["hidden by rounding", "visible"])
+@pytest.mark.parametrize("spread", [0.0, 0.15], ids=["one exposure", "exposures"])
+def test_a_test_that_ends_early_decides_as_the_whole_one_does(monkeypatch, spread, step):
+    gains = np.random.default_rng(3).uniform(1 - spread, 1 + spread, 81)
+    steps, fits = grid(9, 0.1, 7, gains, step), counted_fits(monkeypatch)
+    early = judge(steps)
+    needed = len(fits)
+    monkeypatch.setattr(exposures, "NO_DOUBT", 1e6)
+    whole = judge(steps)
+    assert needed < len(fits) - needed
+    assert (early.is_sure, early.spread) == (whole.is_sure, whole.spread)
+    assert early.is_sure == (spread > 0)
+
+
+def test_nothing_is_fitted_without_steps(monkeypatch):
+    fits = counted_fits(monkeypatch)
+    assert judge_steps(grid(4, 0.1, 8)) is None
+    assert not fits
+    assert judge_steps(grid(4, 0.1, 8, step=10 / 255)) is not None
+    assert fits
 
 
 def test_charts_of_unrelated_textures_are_painted_however_well_exposures_explain_their_steps():
