@@ -9,6 +9,7 @@ import os
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping
+from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -96,6 +97,17 @@ def with_variables(command: click.Command, name: str, shared: Collection[str]) -
             others = [each.replace("COLOUR", "COLOR") for each in variables if "COLOUR" in each]
             option.envvar = [*variables, *others]
     return command
+
+
+def refuse_unknown_variables(command: click.Command, name: str) -> None:
+    """Raise UsageError if a variable of a command belongs to none of its options."""
+    known = [variable for option in command.params for variable in option.envvar or ()]
+    own = f"{_PREFIX}_{name}_".upper().replace("-", "_")
+    for variable in sorted(os.environ):
+        if variable.startswith(own) and variable not in known:
+            similar = get_close_matches(variable, known, 1)
+            remedy = f"did you mean {similar[0]}?" if similar else f"beltrami config {name} shows all options"
+            raise UsageError(f"the variable {variable} belongs to no option of {name}; {remedy}")
 
 
 def variable_in_force(option: click.Parameter) -> str:

@@ -16,6 +16,7 @@ import click
 from beltrami_cli.cli.commands import (
     complete_files,
     notes_on,
+    refuse_unknown_variables,
     spelled,
     variable_behind,
     with_variables,
@@ -66,9 +67,12 @@ class LazyGroup(click.Group):
 
     def defaults_from(self, configuration: Configuration, name: str) -> dict[str, Any]:
         """Return what a configuration says of a command; for each file, a batch obeys the options of `smooth`, too."""
+        shared = _shared_with_smooth(name)
+        for each in [name, "smooth"] if shared else [name]:
+            refuse_unknown_variables(_command(each), each)
         if configuration.path is None:
             return {}
-        return configuration.values(name, _command, COMMANDS, _shared_with_smooth(name))
+        return configuration.values(name, _command, COMMANDS, shared)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         return _command(cmd_name) if cmd_name in COMMANDS else None

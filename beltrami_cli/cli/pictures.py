@@ -115,7 +115,10 @@ def _trials(given: dict[str, Any]) -> tuple[list[tuple[dict[str, float], SmoothS
     swept = {name: swept[name] for name in _SWEPT if name in swept}
     plain = {**given, **dict.fromkeys(_SWEPT)}
     trials: list[tuple[dict[str, float], SmoothSettings]] = [({}, options.settings_from(plain))]
-    for combination in itertools.product(*swept.values()) if swept else ():
+    if not swept:
+        flags = ", ".join(each.flag for each in _LISTS)
+        raise UsageError(f"nothing is varied; give several values, such as --beta 4,8,16, of one of {flags}")
+    for combination in itertools.product(*swept.values()):
         chosen = dict(zip(swept, combination, strict=True))
         settings = options.settings_from({**plain, **chosen})
         trials.append(({_SHOWN.get(name, name): value for name, value in chosen.items()}, settings))

@@ -42,6 +42,9 @@ _SMALLEST_SCALE = 0.05
 
 _CHOSEN = "chosen from the data, else {default}"
 
+# With the default time step this is a Gaussian of 219 sample spacings, sqrt(2 n t): wider than any noise.
+MOST_ITERATIONS = 10_000
+
 # Logarithm of the growth at which any difference in colour is far beyond the kernel, and numbers do not overflow yet.
 MOST_GROWTH = 25.0
 
@@ -137,7 +140,7 @@ class KernelParameters:
     iterations: int = parameter(
         5,
         "Kernel iterations; more smooth further. 0 leaves every byte unchanged.",
-        low=0, unset=_CHOSEN, flags=("-n", "--iterations"), metavar="N", is_daily=True,
+        low=0, high=MOST_ITERATIONS, unset=_CHOSEN, flags=("-n", "--iterations"), metavar="N", is_daily=True,
     )  # fmt: skip
     t: float = parameter(
         2.4,
@@ -203,7 +206,7 @@ class KernelParameters:
         2,
         "Measure distances in smoothed colours in the first K iterations, and in unsmoothed ones in the "
         "others.",
-        low=0, unset=_CHOSEN, metavar="K",
+        low=0, high=MOST_ITERATIONS, unset=_CHOSEN, metavar="K",
     )  # fmt: skip
     scheme: Scheme = parameter(
         "triangles",

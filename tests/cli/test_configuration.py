@@ -5,7 +5,7 @@ import tomllib
 
 import pytest
 
-from cli.commands import SAMPLES, beltrami
+from cli.commands import SAMPLES, beltrami, refused
 
 NOISY = SAMPLES / "nonmanifold-noisy.ply"
 QUICK = {"iterations": 1, "time-step": 0.5, "beta-growth": 1, "metric-steps": 0}
@@ -149,3 +149,20 @@ def test_denoise_is_smooth_with_what_is_configured_for_it(run, tmp_path):
 def test_variables_for_other_things_do_no_harm(run):
     assert "Usage" in run("smooth", "--help", BELTRAMI_VERSION="1.0", BELTRAMI_HELP="me")
     assert "configuration file: none" in run("config", BELTRAMI_VERSION="1.0", BELTRAMI_HELP="me")
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "said"),
+    [
+        ("BELTRAMI_SMOOTH_BTA", "smooth a.ply b.ply", "did you mean BELTRAMI_SMOOTH_BETA?"),
+        ("BELTRAMI_SMOOTH_BTA", "batch a.ply --out-dir b", "did you mean BELTRAMI_SMOOTH_BETA?"),
+        ("BELTRAMI_BATCH_JOB", "batch a.ply --out-dir b", "did you mean BELTRAMI_BATCH_JOBS?"),
+        ("BELTRAMI_INFO_XYZZY", "info a.ply", "beltrami config info shows all options"),
+        ("BELTRAMI_SMOOTH_BTA", "config smooth", "did you mean BELTRAMI_SMOOTH_BETA?"),
+        ("BELTRAMI_BLENDER_EXTENSION_XYZZY", "blender-extension a.zip", "beltrami config blender-extension"),
+    ],
+)
+def test_a_variable_that_is_misspelled_is_refused_as_in_a_file(name, words, said, tmp_path):
+    line = refused(tmp_path, *words.split(), code=2, said=said, env={name: "8"})
+    assert name in line
+    beltrami("docs", "tuning", env={name: "8"})  # which has no such options
