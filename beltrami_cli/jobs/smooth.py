@@ -61,19 +61,18 @@ def smooth_layer(
 ) -> Smoothed:
     """Choose parameters, calling `tick`, run the flow on a layer, and put the colours back.
 
-    If all was chosen from the data, and the result is estimated to be worse than the input, the colours stay.
+    If all was chosen from the data, and the kernel is estimated to make the colours worse, they stay.
     """
     layer = layer.normalised()
     plan = layer.plan(tick)
-    result = smooth_in_place(plan, progress)
-    is_worse = _is_worse(result.choice, layer.settings.kernel)
+    is_worse = _is_worse(plan.choice, layer.settings.kernel)
     if is_worse:
         # Outliers are replaced all the same.
         kernel = dataclasses.replace(layer.settings.kernel, free=(), patches="off")
         settings = dataclasses.replace(layer.settings, kernel=kernel)
         layer = dataclasses.replace(layer, settings=settings)  # type: ignore[type-var]  # each layer is a dataclass
-        plan = layer.plan().stopped_before(0)
-        result = dataclasses.replace(smooth_in_place(plan), choice=result.choice)
+        plan = dataclasses.replace(layer.plan().stopped_before(0), choice=plan.choice)
+    result = smooth_in_place(plan, progress)
     report, new = layer.report(plan, result), result.manifold.new_colours()
     warnings = report.warnings(plan.parameters.max_samples)
     is_smoothed = plan.parameters.iterations > 0 or bool(plan.outliers.get("replaced"))

@@ -9,7 +9,7 @@ import trimesh
 
 import beltrami_cli
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.flow.beltrami_flow import smooth_in_place
+from beltrami_cli.flow.choice.choice import tune
 from oracles import surfaces
 
 POSITIONS = [[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]
@@ -188,14 +188,16 @@ def test_meshes_without_colours_or_triangles_are_refused(mesh, said):
 
 
 @pytest.mark.parametrize("wish", [{}, {"strength": "strong"}, {"noise": "15"}, {"iterations": 2}])
-def test_a_result_that_is_estimated_to_be_worse_is_taken_only_if_an_option_asks_for_it(wish, monkeypatch):
+def test_colours_that_smoothing_is_estimated_to_make_worse_stay_unless_an_option_asks_for_it(
+    wish, monkeypatch
+):
     """The estimate is replaced, since no small mesh makes it negative."""
 
-    def pessimistic(plan, progress=None):
-        done = smooth_in_place(plan, progress)
-        return done if done.choice is None else replace(done, choice=replace(done.choice, gain=-1.0))
+    def pessimistic(manifold, wanted, **options):
+        parameters, choice = tune(manifold, wanted, **options)
+        return parameters, None if choice is None else replace(choice, gain=-1.0)
 
-    monkeypatch.setattr("beltrami_cli.jobs.smooth.smooth", pessimistic)
+    monkeypatch.setattr("beltrami_cli.flow.plan.tune", pessimistic)
     positions, faces = surfaces.plane(24, 24)
     colours = 0.5 + 0.06 * np.random.default_rng(3).standard_normal((len(positions), 3))
     found = beltrami_cli.smooth(positions, faces, colours, **wish).colours
