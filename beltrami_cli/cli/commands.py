@@ -101,12 +101,15 @@ def with_variables(command: click.Command, name: str, shared: Collection[str]) -
 
 def refuse_unknown_variables(command: click.Command, name: str) -> None:
     """Raise UsageError if a variable of a command belongs to none of its options."""
-    known = [variable for option in command.params for variable in option.envvar or ()]
     own = f"{_PREFIX}_{name}_".upper().replace("-", "_")
+    variables = (variable for option in command.params for variable in option.envvar or ())
+    known = [variable.removeprefix(own) for variable in variables]
     for variable in sorted(os.environ):
-        if variable.startswith(own) and variable not in known:
-            similar = get_close_matches(variable, known, 1)
-            remedy = f"did you mean {similar[0]}?" if similar else f"beltrami config {name} shows all options"
+        if variable.startswith(own) and variable.removeprefix(own) not in known:
+            similar = get_close_matches(variable.removeprefix(own), known, 1)
+            remedy = (
+                f"did you mean {own}{similar[0]}?" if similar else f"beltrami config {name} shows all options"
+            )
             raise UsageError(f"the variable {variable} belongs to no option of {name}; {remedy}")
 
 
