@@ -217,8 +217,8 @@ class Here(Pool):
 class ChunkRunner:
     """Works on chunks with workers that may die; a `Runner`."""
 
-    def __init__(self, pool: Pool) -> None:
-        self._pool = pool
+    def __init__(self, pool: Pool, tries: int = _TRIES) -> None:
+        self._pool, self._tries = pool, tries
         self._chunks: Sequence[Chunk] = ()  # whose parts workers keep, so that only colours are sent
         self.most = 0  # chunks that a surface was cut into
 
@@ -246,8 +246,8 @@ class ChunkRunner:
                         yield number, *answer
                         continue
                     failures[number] += 1
-                    if failures[number] == _TRIES:
-                        what = f"workers died or failed {_TRIES} times with one piece of the surface"
+                    if failures[number] == self._tries:
+                        what = f"workers died or failed {self._tries} times with one piece of the surface"
                         remedy = "if there is too little memory for it, raise --pieces"
                         raise ProcessingError(f"{what}: {answer.cause}; {remedy}")
                     waiting.append(number)

@@ -218,7 +218,7 @@ def _build(surface: TexturedSurface, sizes: Sequence[tuple[int, int]], margin: i
         raise ProcessingError(f"{error}; use smaller textures") from error
 
 
-_ROWS = 256  # of an image, laid out at a time
+ROWS = 256  # of an image, laid out at a time
 
 # Row and column of the neighbours whose distances an atlas keeps: right, below, below right, below left.
 STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))
@@ -232,7 +232,7 @@ def grid_atlas(shape: tuple[int, int], margin: int, positions: Float64s | None, 
     filled = valid if positions is None else valid & np.isfinite(positions).all(axis=2)
     kind = large_arrays.zeros((shape[0] + 2 * margin, shape[1] + 2 * margin), np.uint8)
     inside = slice(margin, margin + shape[0]), slice(margin, margin + shape[1])
-    for rows in large_arrays.blocks(shape[0], _ROWS):
+    for rows in large_arrays.blocks(shape[0], ROWS):
         kind[inside][rows][filled[rows]] = OWNED
     measure = partial(_measure_grid, filled, margin, positions)
     texels = large_arrays.find(filled, True)
@@ -256,10 +256,10 @@ def grid_atlas(shape: tuple[int, int], margin: int, positions: Float64s | None, 
 def _measure_grid(filled: Bools, margin: int, positions: Float64s | None) -> Float32s:
     height, width = filled.shape
     lengths: Float32s = large_arrays.empty((len(STEPS), height + 2 * margin, width + 2 * margin), np.float32)
-    for rows in large_arrays.blocks(lengths.shape[1], _ROWS):
+    for rows in large_arrays.blocks(lengths.shape[1], ROWS):
         lengths[:, rows] = np.inf
     inside = lengths[:, margin : margin + height, margin : margin + width]
-    for rows in large_arrays.blocks(height, _ROWS):
+    for rows in large_arrays.blocks(height, ROWS):
         below = slice(rows.start, rows.stop + 1)  # the row that edges of the last one end in
         places = None if positions is None else positions[below]
         for plane, step in zip(inside[:, below], STEPS, strict=True):
@@ -322,8 +322,7 @@ def lines_over_seams(atlas: Atlas, reach: int) -> list[list[Int64s]]:
     return found
 
 
-# Rows of a texture that are looked at together.
-ROWS = 512
+ROWS = 512  # of a texture that are looked at together
 
 
 def fill_gutter(

@@ -273,7 +273,7 @@ def compacted(vertices: Float64s, faces: Int32s) -> tuple[Float64s, Int32s]:
 # Nearest neighbours asked for, until there are enough to know a point's triangles: usually the first number
 # does, on rims and between the lines of a scanner the last may not.
 _NEAREST = (24, 64, 192)
-POINTS_AT_ONCE = 1 << 17  # points asked for at a time, which bounds the memory that their neighbours take
+_POINTS_AT_ONCE = 1 << 17  # which bounds the memory that their neighbours take
 
 
 def faces_of_points(painted: PaintedVertices, threads: int) -> Int32s:
@@ -294,8 +294,11 @@ def faces_of_points(painted: PaintedVertices, threads: int) -> Int32s:
     return first[faces] if len(first) == len(place_of) else _with_copies(faces, place_of, painted.colours)
 
 
-def triangulate_points(positions: Float64s, threads: int = 1) -> Int32s:
-    """Find triangles of the surface that distinct points, shape (P, 2 or 3), lie on, corners ascending."""
+def triangulate_points(positions: Float64s, threads: int = 1, at_once: int = _POINTS_AT_ONCE) -> Int32s:
+    """Find triangles of the surface that distinct points, shape (P, 2 or 3), lie on, corners ascending.
+
+    `at_once`: points whose neighbours are found together; the result does not depend on it.
+    """
     from scipy.spatial import cKDTree
 
     from beltrami_cli._native import LocalTriangulation, morton_order
@@ -307,8 +310,8 @@ def triangulate_points(positions: Float64s, threads: int = 1) -> Int32s:
     order = morton_order(points)  # neighbours lie close in memory, which halves the time
     points = kept(points[order])
     tree, stars = cKDTree(points), LocalTriangulation(points)
-    for first in range(0, len(points), POINTS_AT_ONCE):
-        rows = np.arange(first, min(first + POINTS_AT_ONCE, len(points)), dtype=np.int32)
+    for first in range(0, len(points), at_once):
+        rows = np.arange(first, min(first + at_once, len(points)), dtype=np.int32)
         for wanted in _NEAREST:
             complete = wanted >= len(points) - 1
             nearest = np.asarray(tree.query(points[rows], min(wanted + 1, len(points)), workers=threads)[1])

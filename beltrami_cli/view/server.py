@@ -33,9 +33,7 @@ _HEADERS = {
     "Cache-Control": "no-store",
 }
 _LONGEST_REQUEST = 1 << 16  # bytes
-_BODY_SECONDS = 5.0  # in which the rest of a request comes, which a page on this machine sends at once
 _BEAT = 0.25  # seconds between looks at whether a page is still there
-_GRACE = 2.0  # seconds in which a page may be loaded again
 
 
 class MalformedError(Exception):
@@ -51,15 +49,20 @@ class PageServer(ThreadingHTTPServer):
 
     `files` are types and contents by name; "" is the page. `answer` is called with the name of a request, its JSON
     object and the `PageRequest` that sends events; it raises MalformedError, or BeltramiError if it cannot be done.
+    `grace`: seconds in which a page may be loaded again. `patience`: seconds in which the rest of a request comes, as a
+    page on this machine sends it at once.
     """
 
     daemon_threads = True
     # Clients that may wait to be accepted; Linux cuts this to net.core.somaxconn.
     request_queue_size = 1024
 
-    def __init__(self, files: Mapping[str, tuple[str, bytes]], answer: Callable[..., None]) -> None:
+    def __init__(
+        self, files: Mapping[str, tuple[str, bytes]], answer: Callable[..., None], *,
+        grace: float = 2.0, patience: float = 5.0,
+    ) -> None:  # fmt: skip
         super().__init__(("127.0.0.1", 0), PageRequest)
-        self.files, self.answer = files, answer
+        self.files, self.answer, self._grace, self.patience = files, answer, grace, patience
         self.host = f"127.0.0.1:{self.server_address[1]}"
         self.token, self._ticket = secrets.token_urlsafe(32), secrets.token_urlsafe(32)
         self._lock = threading.Lock()
@@ -91,7 +94,7 @@ class PageServer(ThreadingHTTPServer):
             while time.monotonic() < end:
                 time.sleep(_BEAT)
                 if not all(request.is_gone() for request in [*self.answered]):
-                    end = time.monotonic() + _GRACE
+                    end = time.monotonic() + self._grace
         finally:
             self.closing.set()
             self.shutdown()
@@ -187,7 +190,7 @@ class PageRequest(BaseHTTPRequestHandler):
             length = int(self.headers.get("Content-Length", ""))
             if not 0 < length <= _LONGEST_REQUEST:
                 raise MalformedError
-            self.connection.settimeout(_BODY_SECONDS)
+            self.connection.settimeout(self.server.patience)
             body = self.rfile.read(length)
             self.connection.settimeout(self.timeout)
             request = parse_json(body)

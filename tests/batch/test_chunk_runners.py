@@ -1,5 +1,6 @@
 """Chunks in worker processes: whichever of them dies, and whatever the work raises."""
 
+import contextlib
 import errno
 import multiprocessing
 import os
@@ -16,7 +17,6 @@ import pytest
 
 from batch.batches import batch, files_in
 from batch.chunk_work import add, die, die_once, refuse, sleep
-from beltrami_cli.batch import run as run_module
 from beltrami_cli.batch.cluster import OnDask
 from beltrami_cli.batch.run import ChunkRunner
 from beltrami_cli.batch.workers import Channel, Processes
@@ -56,10 +56,13 @@ def test_a_chunk_whose_process_dies_is_done_by_another(runner, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_chunk_that_every_process_dies_with_fails(runner, monkeypatch):
-    monkeypatch.setattr(run_module, "_TRIES", 2)
-    with pytest.raises(ProcessingError, match="workers died or failed 2 times with one piece of the surface"):
-        done(runner, die)
+def test_a_chunk_that_every_process_dies_with_fails():
+    with contextlib.closing(Processes(2)) as pool:
+        runner = ChunkRunner(pool, tries=2)
+        with pytest.raises(
+            ProcessingError, match="workers died or failed 2 times with one piece of the surface"
+        ):
+            done(runner, die)
 
 
 @pytest.mark.slow

@@ -183,12 +183,9 @@ def test_tiny_clouds_have_what_triangles_they_can():
     assert len(triangulate_points(corners[:4, :2])) == 4
 
 
-def test_large_clouds_are_handled_in_blocks(monkeypatch):
-    from beltrami_cli.surface import reconstruction
-
+def test_large_clouds_are_handled_in_blocks():
     positions, faces = surfaces.icosphere(3)
-    monkeypatch.setattr(reconstruction, "POINTS_AT_ONCE", 100)
-    assert as_set(triangulate_points(positions)) == as_set(faces)
+    assert as_set(triangulate_points(positions, at_once=100)) == as_set(faces)
 
 
 def painted(positions, colours, space_of=None):

@@ -21,7 +21,6 @@ import pytest
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.layers.settings import SmoothSettings
-from beltrami_cli.view import server
 from beltrami_cli.view.live import Live
 from beltrami_cli.view.server import PageServer
 from cli.commands import COMMAND, SAMPLES, beltrami
@@ -292,15 +291,14 @@ def test_the_address_that_a_browser_is_started_with_is_good_once(page_server):
         assert (answer.getheader("Location") == f"/{page_server.token}/") == (expected == 303)
 
 
-def test_the_program_ends_with_its_last_page_though_work_goes_on(monkeypatch):
-    monkeypatch.setattr("beltrami_cli.view.server._GRACE", 0.1)
+def test_the_program_ends_with_its_last_page_though_work_goes_on():
     is_worked = threading.Event()
 
     def work(name, asked, request):
         request.send(kind="accepted")
         is_worked.wait(60)
 
-    server = PageServer({}, work)
+    server = PageServer({}, work, grace=0.1)
     thread = threading.Thread(target=server.run, daemon=True)
     thread.start()
     connection = http.client.HTTPConnection(server.host, timeout=10)
@@ -322,8 +320,8 @@ BODIES = [
 ]  # fmt: skip
 
 
-def test_bodies_that_are_no_request_or_not_as_long_as_they_say(page_server, monkeypatch):
-    monkeypatch.setattr(server, "_BODY_SECONDS", 0.1)
+def test_bodies_that_are_no_request_or_not_as_long_as_they_say(page_server):
+    page_server.patience = 0.1
     for name in ("change", "save"):
         for body in BODIES:
             assert sent(page_server, name, body) == MALFORMED, body[:12]
