@@ -69,29 +69,28 @@ def _row(*cells: str) -> str:
     return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
 
 
-def option_tables() -> str:
-    """Return a table of options for each command; those that are the same for `smooth` are only named."""
+def option_lists() -> str:
+    """Return the options of each command; those that are the same for `smooth` are only named."""
     top = click.Context(group, info_name="beltrami", **group.context_settings)
-    tables = {name: _options(group.get_command(top, name), top) for name in COMMANDS}
+    lists = {name: _options(group.get_command(top, name), top) for name in COMMANDS}
     parts = []
-    for name, options in tables.items():
-        known = {} if name == "smooth" else tables["smooth"]
-        own = {each: text for each, text in options.items() if known.get(each) != text}
-        shared = [f"`{each.split(' ')[0].rstrip(',')}`" for each in options if each not in own]
-        lines = [f"### beltrami {name}", ""]
-        if own:
-            lines += [_row("option", "meaning"), _row("---", "---")]
-            lines += (_row(f"`{each}`", text) for each, text in own.items())
-            lines.append("")
+    for name, options in lists.items():
+        known = {} if name == "smooth" else lists["smooth"]
+        lines = [f"- `{each}`: {text}" for each, text in options.items() if known.get(each) != text]
+        shared = [
+            f"`{each.split(' ')[0].rstrip(',')}`" for each, text in options.items() if known.get(each) == text
+        ]
         if shared:
-            lines += [f"As for `smooth`: {', '.join(shared)}.", ""]
-        parts.append("\n".join(lines))
-    return "\n".join(parts).rstrip("\n")
+            lines.append(f"- as for `smooth`: {', '.join(shared)}")
+        if lines:
+            parts.append("\n".join([f"### beltrami {name}\n", *lines]))
+    return "\n\n".join(parts)
 
 
 def _options(command: click.Command, top: click.Context) -> dict[str, str]:
     context = click.Context(command, top, command.name)
-    records = (each.get_help_record(context) for each in command.params if isinstance(each, click.Option))
+    options = (each for each in command.params if isinstance(each, click.Option) and each.name != "help_all")
+    records = (each.get_help_record(context) for each in options)
     return {record[0]: " ".join(record[1].split()) for record in records if record is not None}
 
 
@@ -140,7 +139,7 @@ def _default(value: Any) -> str:
     return " = ..." if "<factory>" in repr(value) else f" = {value!r}"
 
 
-MADE = {"api.md": public_names, "commands.md": option_tables, "parameters.md": parameter_table}
+MADE = {"api.md": public_names, "commands.md": option_lists, "parameters.md": parameter_table}
 
 
 def page(name: str) -> str:
