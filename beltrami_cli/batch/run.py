@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Protocol
 
+import numpy as np
+
 from beltrami_cli.arrays import Float32s
 from beltrami_cli.batch.item import (
     Attempt,
@@ -235,9 +237,8 @@ class ChunkRunner:
                     waiting.remove(number)
                     in_work.add(number)
                     chunk = chunks[number]
-                    self._pool.start(
-                        number, do_chunk, operation, [stack[chunk.around] for stack in stacks], part=chunk.cut
-                    )
+                    around = [np.ascontiguousarray(stack[chunk.around]) for stack in stacks]
+                    self._pool.start(number, do_chunk, operation, around, part=chunk.cut)
                 for number, answer in self._pool.events():
                     in_work.discard(number)
                     if isinstance(answer, Exception):
@@ -261,6 +262,7 @@ def do_chunk(
     """Return the result of a chunk in a worker."""
     del progress
     try:
-        return operation(part, stacks, 1)
+        values, figures = operation(part, stacks, 1)
+        return [np.ascontiguousarray(each) for each in values], figures
     except Exception as error:  # other than the death of a worker, it would come again elsewhere
         return error

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import copy
-import copyreg
-import io
 import mmap
 import multiprocessing
 import os
@@ -25,9 +23,6 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, Protocol
 
-import numpy as np
-
-from beltrami_cli.arrays import Array
 from beltrami_cli.errors import ProcessingError, end_with_parent, unhandled_endings
 from beltrami_cli.formats.image.reading import scratch_file
 from beltrami_cli.jobs.progress import at_intervals
@@ -83,22 +78,14 @@ class Channel:
         self.pipe, self._path, self._pages = pipe, path, memoryview(b"")
 
     def send(self, message: object) -> None:
-        arrays: list[Array] = []
-
-        # Also arrays that are not contiguous, which NumPy would copy. An empty buffer stands for the place of each.
-        def leave_out(array: Array) -> Any:
-            if array.dtype.hasobject:
-                return array.__reduce_ex__(5)
-            arrays.append(array)
-            return np.ndarray, (array.shape, array.dtype, pickle.PickleBuffer(bytearray()))
-
-        pickler = pickle.Pickler(head := io.BytesIO(), 5, buffer_callback=lambda buffer: None)
-        pickler.dispatch_table = {**copyreg.dispatch_table, np.ndarray: leave_out}
-        pickler.dump(message)
-        sizes = [array.nbytes for array in arrays]
-        for array, place in zip(arrays, self._places(sizes), strict=True):
-            np.ndarray(array.shape, array.dtype, place)[...] = array
-        self.pipe.send((head.getvalue(), sizes))
+        """Send a message; arrays that are not contiguous go through the pipe."""
+        buffers: list[pickle.PickleBuffer] = []
+        head = pickle.dumps(message, 5, buffer_callback=buffers.append)
+        contents = [buffer.raw() for buffer in buffers]
+        sizes = [content.nbytes for content in contents]
+        for content, place in zip(contents, self._places(sizes), strict=True):
+            place[:] = content
+        self.pipe.send((head, sizes))
 
     def receive(self) -> Any:
         """Return a message; its arrays last until the next one, in either direction."""
