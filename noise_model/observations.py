@@ -29,7 +29,6 @@ HARD = 0.2  # share of the pictures with the noise that is hardest to read
 # Of the variance of independent noise, at each scale, the last with the mean that is left.
 OF_SCALES = np.array([0.75, 0.1875, 0.046875, 0.015625])
 FEWEST_DETAILS = 3 * SIDE**2 / 16  # of the finest cells that a picture must hold
-MIN_BLOCKS = 4  # of a level, for its noise to be known
 CORRELATED = 1.0  # noise from which its correlation is to be read, in steps of 8 bits
 
 
@@ -39,11 +38,9 @@ class Observation:
 
     squares: np.ndarray  # (P, F)
     even: np.ndarray  # (F,)
-    levels: np.ndarray  # (3, F)
     total: float
     deviations: np.ndarray  # (SCALES * 3,)
     correlations: np.ndarray  # (SCALES * 3,)
-    by_level: np.ndarray  # (3, LEVEL_BINS)
     by_square: np.ndarray  # (P,)
 
 
@@ -114,13 +111,12 @@ def in_squares(sample: Sample, filled: np.ndarray) -> Observed | None:
 
 def observed(seen: Samples, noise: Samples | None, loss: Samples | None) -> Observation | None:
     """Observe neighbourhoods of noisy colours, of the noise, and of what compression alone does; None: nothing."""
-    cells, blocks = seen.cells(), seen.blocks()
-    products, energies = [0.0 * own.products for own in cells], 0.0 * blocks.energies
+    cells = seen.cells()
+    products = [0.0 * own.products for own in cells]
     for part, sign in ((noise, 1), (loss, -1)):
         if part is not None:
             triples = zip(products, part.where.scales, part.products, strict=False)
             products = [total + sign * scale.padded(own) for total, scale, own in triples]
-            energies = energies + sign * part.blocks().energies
     truths = [dataclasses.replace(own, products=part) for own, part in zip(cells, products, strict=True)]
     covariances = np.stack([covariance_of(own) for own in truths])
     if np.isnan(covariances[0]).any() or cells[0].freedom.sum() < FEWEST_DETAILS:
@@ -138,11 +134,9 @@ def observed(seen: Samples, noise: Samples | None, loss: Samples | None) -> Obse
     correlations = np.where(
         (largest > CORRELATED)[:, None] & (least > 0.05)[:, None], np.stack(pairs, axis=1).clip(-1, 1), np.nan
     )
-    by_level = _by_level(blocks.levels, energies)
     return Observation(
         features.describe(seen.described(), cells), features.describe_even_cells(cells),
-        features.describe_levels(blocks), log_of(total), log_of(variances).ravel(), correlations.ravel(), by_level,
-        _by_square(truths),
+        log_of(total), log_of(variances).ravel(), correlations.ravel(), _by_square(truths),
     )  # fmt: skip
 
 
@@ -152,18 +146,6 @@ def covariance_of(cells: Cells) -> np.ndarray:
     if not total:
         return np.full((3, 3), np.nan)
     return features.symmetric(np.einsum("kpn,pn->k", cells.products, cells.freedom, dtype=np.float64) / total)
-
-
-def _by_level(level, energy) -> np.ndarray:
-    """Return the noise of the channels in each bin of their level."""
-    found = np.full((3, features.LEVEL_BINS), np.nan)
-    for channel in range(3):
-        bins = features.level_bins(level[channel])
-        counts = np.bincount(bins, minlength=features.LEVEL_BINS)
-        sums = np.bincount(bins, energy[channel], features.LEVEL_BINS)
-        enough = counts >= MIN_BLOCKS
-        found[channel, enough] = log_of(sums[enough] / counts[enough])
-    return found
 
 
 def _by_square(noise: list[Cells]) -> np.ndarray:

@@ -21,7 +21,7 @@ import observations
 import pictures
 import surfaces
 import table
-from beltrami_cli.flow.noise import features, network
+from beltrami_cli.flow.noise import network
 from beltrami_cli.flow.noise.network import (
     QUANTILES,
     TOTAL_QUANTILES,
@@ -48,7 +48,6 @@ WARM_UP = 500  # steps until the rate is at its height
 ROWS = 100_000  # of features that are standardised at a time
 # What the heads count for in the loss.
 COUNTED = {"total": 3.0, "deviations": 2.0, "correlations": 2.0, "places": 0.5}
-LEVELS_COUNTED = {"grid": 1.5, "cluster": 0.5}
 
 
 class Node:
@@ -158,11 +157,8 @@ class Batches:
             "squares": np.concatenate([own.squares for own in observations]).astype(np.float16),
             "places": np.concatenate([own.by_square for own in observations]).astype(np.float32)[:, None],
         }
-        for name, attribute in (
-            ("even", "even"), ("channels", "levels"), ("total", "total"), ("deviations", "deviations"),
-            ("correlations", "correlations"), ("levels", "by_level"),
-        ):  # fmt: skip
-            self.parts[name] = np.stack([getattr(own, attribute) for own in observations]).astype(np.float32)
+        for name in ("even", "total", "deviations", "correlations"):
+            self.parts[name] = np.stack([getattr(own, name) for own in observations]).astype(np.float32)
         self.parts["total"] = self.parts["total"][:, None]
 
     def extend(self, others: list[Batches]) -> None:
@@ -175,8 +171,7 @@ class Batches:
     def standard(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
         """Return the means and standard deviations of features."""
         some = self.parts["squares"][:: max(1, len(self.parts["squares"]) // 200_000)].astype(np.float32)
-        channels = self.parts["channels"].reshape(-1, self.parts["channels"].shape[-1])
-        kinds = {"squares": some, "even": self.parts["even"], "levels": channels}
+        kinds = {"squares": some, "even": self.parts["even"]}
         return {name: own.mean(axis=0) for name, own in kinds.items()}, {
             name: own.std(axis=0) + 1e-3 for name, own in kinds.items()
         }
@@ -194,22 +189,10 @@ class Batches:
         rows = np.concatenate([np.arange(self.starts[own], self.starts[own + 1]) for own in chosen])
         counts, even = self.counts[chosen], self.parts["even"][chosen]
         starts = np.append(0, np.cumsum(counts)[:-1])
-        channels = self.parts["channels"][chosen].reshape(-1, self.parts["channels"].shape[-1])
-        given = (
-            self.parts["squares"][rows].astype(np.float32),
-            starts,
-            weights.standardised("even", even),
-            weights.standardised("levels", channels),
-        )
-        candidates = candidates_of(even, self.parts["quiet"][rows], starts, channels, self.kind)
+        given = self.parts["squares"][rows].astype(np.float32), starts, weights.standardised("even", even)
+        candidates = candidates_of(even, self.parts["quiet"][rows], starts, self.kind)
         truths = {name: self.parts[name][chosen] for name in ("total", "deviations", "correlations")}
-        # Levels and squares are read by how they differ from their mean, which may be all that is uncertain.
-        levels = self.parts["levels"][chosen].reshape(-1, features.LEVEL_BINS)
-        known = np.isfinite(levels)
-        means = np.nan_to_num(levels).sum(axis=1, keepdims=True) / np.maximum(
-            known.sum(axis=1, keepdims=True), 1
-        )
-        truths["levels"] = levels - means
+        # Squares are read by how they differ from their mean, which may be all that is uncertain.
         places = self.parts["places"][rows]
         means = np.add.reduceat(np.nan_to_num(places), starts) / np.maximum(
             np.add.reduceat(np.isfinite(places), starts, dtype=np.float32), 1
@@ -265,7 +248,6 @@ def initial(
     inputs = {
         "square 1": columns["squares"], "square 2": width["square 1"], "whole 1": 3 * inner + columns["even"],
         "whole 2": width["whole 1"], "place 1": inner + context, "place 2": width["place 1"],
-        "level 1": columns["levels"] + context, "level 2": width["level 1"],
         "total": context, "deviations": context,
         "correlations": context,
     }  # fmt: skip
@@ -285,9 +267,8 @@ def slopes_of(
     tape = Tape(weights.layers)
     found = read(tape, Node(squares), starts, *map(Node, others))
     del found["context"]  # of which the outputs are made
-    counted = {**COUNTED, "levels": LEVELS_COUNTED[data.kind]}
     outputs = {name: own.value for name, own in found.items()}
-    values, gradients = losses(outputs, truths, candidates, counted)
+    values, gradients = losses(outputs, truths, candidates, COUNTED)
     for name, own in found.items():
         own.gradient = gradients[name]
     tape.go_back()

@@ -24,6 +24,16 @@ def test_the_noise_of_both_halves_is_found_in_one_channel_or_the_same_three(chan
     assert below[0] < 0.6 * below[1]
 
 
+@pytest.mark.parametrize("border", [80, 88])
+def test_noise_reaches_the_border_of_a_noisy_part(border):
+    """Within 12 texels on either side, where squares of 32 texels are noisy in part."""
+    noisy = np.where(np.arange(SIZE) < border, LOUD, 0)[:, None]
+    found = noise_of_image(with_noise(photograph(SIZE, contrast=0.05), noisy)).relative[0].mean(axis=0)
+    loud = np.median(found[: border - 32])
+    assert found[border - 32 : border - 12].min() > 0.7 * loud
+    assert found[border + 12 :].max() < 0.3 * loud
+
+
 @pytest.mark.parametrize(
     ("scene", "sigma", "channels"),
     [(photograph, 5, 1), (flat_paint, 20, 1), (line_art, 0, 1), (photograph, 0, 3), (photograph, 20, 3)],

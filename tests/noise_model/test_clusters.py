@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli.flow.noise.clusters import VertexClusters
-from beltrami_cli.flow.noise.features import SCALES, describe, describe_even_cells, describe_levels
+from beltrami_cli.flow.noise.features import SCALES, describe, describe_even_cells
 from beltrami_cli.flow.noise.reading import read_noise
 from beltrami_cli.flow.vertex_graph import Graph
 from observations import covariance_of
@@ -47,17 +47,6 @@ def test_independent_noise_has_the_same_variance_at_all_scales():
         assert variance == pytest.approx(WHITE**2, rel=4 * np.sqrt(2 / (3 * count)))
 
 
-def test_blocks_have_the_noise_of_the_channels():
-    clusters = VertexClusters(lattice(120, 120))
-    colours = white(clusters.graph.size) * np.array([[1], [2], [3]], np.float32) / 3
-    tiles = clusters.cut(colours)
-    np.testing.assert_array_equal(tiles.order, [0, 1, 2])
-    blocks = tiles.blocks()
-    deviations = np.sqrt(blocks.energies.mean(axis=1)) / 255
-    np.testing.assert_allclose(deviations, WHITE * np.array([1, 2, 3]) / 3, rtol=0.05)
-    np.testing.assert_allclose(blocks.levels.mean(axis=1), np.array([1, 2, 3]) / 6, rtol=0.02)
-
-
 def test_the_order_of_vertices_does_not_matter():
     graph = lattice(60, 50)
     colours, order = white(graph.size), np.random.default_rng(1).permutation(graph.size)
@@ -77,8 +66,7 @@ def test_small_surfaces_have_finite_features(rows):
     tiles = clusters.cut(white(rows**2))
     cells = tiles.cells()
     assert len(describe(tiles.described(), cells)) == clusters.count
-    even, levels = describe_even_cells(cells), describe_levels(tiles.blocks())
-    for features in (describe(tiles.described(), cells), even, levels):
+    for features in (describe(tiles.described(), cells), describe_even_cells(cells)):
         assert np.isfinite(features).all()
 
 

@@ -208,9 +208,12 @@ class VertexClusters(Neighbourhoods):
         products = [float(np.einsum("e,e->", plane[one], plane[other])) for plane in values]
         return sum(products) / max(1, len(values) * len(one))
 
-    def over_samples(self, variances: Float64s) -> Float32s:
-        nearest = variances[self.nearest(self.graph.positions)][:, None].astype(np.float32)
-        even = self.graph.smoothed(nearest, _SPREAD**2)
+    def over_samples(self, variances: Float64s, parts: Float64s) -> Float32s:
+        found = variances[self.nearest(self.graph.positions)].astype(np.float32)
+        for scale in reversed(self.scales[:-1]):
+            parts = scale.spread(parts)
+        found[self.chosen] = np.where(np.isnan(parts), found[self.chosen], parts)
+        even = self.graph.smoothed(found[:, None], _SPREAD**2)
         return np.asarray(even / even.mean(dtype=np.float64), np.float32)
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s
 
 SCALES = 4
 
@@ -31,20 +31,12 @@ _OF_CHANNELS = np.stack([COMPONENTS[k] * COMPONENTS[m] * (1 if k == m else 2) fo
 # Neighbourhoods that are read of a large picture; at most half as many were seen in training.
 MAX_SQUARES = 128
 
-# Bins of the level of colours, for noise that depends on it.
-LEVEL_BINS = 8
-
 # Steps of 8 bits.
 STEPS = np.float32(255)
 
 # Shares of the cells of a neighbourhood, and of its blocks of cells, whose energies are described.
 _QUANTILES = (0.1, 0.25, 0.5, 0.75, 0.9)
 _QUANTILES_OF_BLOCKS = (0.0, 0.25)
-
-# What is added to the features of a level, so that a level without blocks is far from any that has some; and the last
-# of its features, by the number of its blocks, from which on its noise is known.
-LEVEL_OFFSET = 4
-COUNT_OF_LEVEL = np.float32(np.log2(1 + 4) / 4)
 
 # Shares of all cells, the most even ones, whose energies are described together.
 EVEN_SHARES = (0.01, 0.05, 0.25)
@@ -60,9 +52,6 @@ _SHARES_OF_BLOCKS = (0.01, 0.05, 0.2, 0.5)
 
 # Cells where more of the samples are at a limit of the colours are not counted as even, since their noise is cut off.
 _MAX_CUT_OFF = 0.05
-
-# Share of the blocks of a level, the most even ones, whose energies are described together.
-_EVEN_SHARE_OF_LEVEL = 0.2
 
 # Energies of noise that is invisible in 8 bits, in units of a step of 8 bits; for logarithms.
 FLOOR = 0.01
@@ -92,15 +81,6 @@ class Cells:
     def is_valid(self) -> Bools:
         """Which cells there are."""
         return self.freedom > 0
-
-
-@dataclass(frozen=True)
-class Blocks:
-    """Some sixteen cells of three channels each, shape (3, B)."""
-
-    levels: Float32s  # of full scale 1
-    energies: Float32s  # mean square of the details within them
-    unevenness: Float32s  # mean square of the details of the next two scales around
 
 
 def describe(described: Float32s, cells: Sequence[Cells]) -> Float32s:
@@ -138,7 +118,7 @@ def _describe_quiet(cells: Cells) -> list[Float32s]:
     median = np.take_along_axis(np.sort(total, axis=1), middle[:, None], axis=1)
     quiet = (total <= median) & cells.is_valid
     products = np.einsum("kpn,pn->pk", cells.products, quiet) / np.maximum(quiet.sum(axis=1), 1)[:, None]
-    return [log_deviation(variances_of_channels(products)), _correlations(products)]
+    return [log_deviation(_variances_of_channels(products)), _correlations(products)]
 
 
 def describe_even_cells(cells: Sequence[Cells]) -> Float32s:
@@ -236,7 +216,7 @@ def _describe_even(cells: Cells, whole: Bools) -> list[Float32s]:
 
 def _variances_and_correlations(means: Float32s) -> list[Float32s]:
     """Describe mean products, shape (1, 6): variances of components and channels, correlations of components."""
-    variances = [log_deviation(part[0]) for part in (means[:, :3], variances_of_channels(means))]
+    variances = [log_deviation(part[0]) for part in (means[:, :3], _variances_of_channels(means))]
     return [*variances, _correlations(means)[0]]
 
 
@@ -248,7 +228,7 @@ def symmetric(products: Array) -> Array:
     return found
 
 
-def variances_of_channels(products: Float32s) -> Float32s:
+def _variances_of_channels(products: Float32s) -> Float32s:
     """Return the variances of channels, by the mean products of components, shape (P, 6)."""
     return np.asarray(np.einsum("pk,kc->pc", products, _OF_CHANNELS), np.float32)
 
@@ -273,26 +253,3 @@ def _quantiles(values: Float32s, shares: Sequence[float]) -> list[Float32s]:
 def log_deviation(variance: Array | float) -> Float32s:
     """Return log2 of deviations in steps of 8 bits, with a floor well below a step."""
     return np.asarray(np.log2(np.maximum(variance, 0) + FLOOR) / 2, np.float32)
-
-
-def level_bins(level: Float32s) -> Int64s:
-    """Return the bin of each level."""
-    return np.clip(level * LEVEL_BINS, 0, LEVEL_BINS - 1).astype(np.int64)
-
-
-def describe_levels(blocks: Blocks) -> Float32s:
-    """Describe the blocks of each level by the energies of the most even ones, and of all, shape (3, F)."""
-    found = np.zeros((3, LEVEL_BINS, 6), np.float32)
-    for channel, (levels, energies, unevenness) in enumerate(
-        zip(blocks.levels, blocks.energies, blocks.unevenness, strict=True)
-    ):
-        bins = level_bins(levels)
-        for number in np.unique(bins):
-            own, around = energies[bins == number], unevenness[bins == number]
-            even = np.argsort(around, kind="stable")[: max(2, int(_EVEN_SHARE_OF_LEVEL * len(own)))]
-            ordered = np.sort(own)
-            picked = [ordered[int(share * (len(own) - 1))] for share in (0.05, 0.25, 0.5)]
-            variances = np.array([own[even].mean(), around[even].mean(), *picked])
-            found[channel, number, :5] = log_deviation(variances) + LEVEL_OFFSET
-            found[channel, number, 5] = np.log2(1 + len(own)) / 4
-    return found.reshape(3, -1)

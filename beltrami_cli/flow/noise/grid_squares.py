@@ -227,22 +227,36 @@ class Grid(Neighbourhoods):
             count += int(np.count_nonzero(filled[one] & filled[other]))
         return total / max(1, len(values) * count)
 
-    def over_samples(self, variances: Float64s) -> Float32s:
-        down, across = ((np.arange(size) + 0.5) / SIDE - 0.5 for size in self.filled.shape)
+    def over_samples(self, variances: Float64s, parts: Float64s) -> Float32s:
         rows, columns = (np.arange(-(-size // SIDE)) for size in self.filled.shape)
         every = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1).reshape(-1, 2)
         nearest = variances[self.nearest(every)].reshape(len(rows), len(columns))
-        wide = np.stack([np.interp(across, columns, row) for row in nearest]).astype(np.float32)
+        side = SIDE // 2  # of a part
+        found = _stretched(_stretched(nearest, 2 * len(columns), 2).T, 2 * len(rows), 2).T
+        for (row, column), own in zip(
+            np.rint(self.corners / side).astype(int), parts.reshape(-1, 2, 2), strict=True
+        ):
+            square = found[row : row + 2, column : column + 2]
+            own = own[: square.shape[0], : square.shape[1]]
+            square[:] = np.where(np.isnan(own), square, own)
+        wide = _stretched(found, self.filled.shape[1], side).astype(np.float32)
+        down = (np.arange(self.filled.shape[0]) + 0.5) / side - 0.5
         result: Float32s = large_arrays.empty((1, *self.filled.shape), np.float32)
         total = 0.0
-        for block in large_arrays.blocks(len(down), SIDE):
-            above, share = np.divmod(down[block].clip(0, rows[-1]), 1)
-            below = np.minimum(above + 1, rows[-1]).astype(int)
+        for block in large_arrays.blocks(len(down), side):
+            above, share = np.divmod(down[block].clip(0, len(found) - 1), 1)
+            below = np.minimum(above + 1, len(found) - 1).astype(int)
             share = share[:, None].astype(np.float32)
             result[0, block] = (1 - share) * wide[above.astype(int)] + share * wide[below]
             total += float(result[0, block].sum(where=self.filled[block], dtype=np.float64))
         result /= np.float32(total / np.count_nonzero(self.filled))
         return result
+
+
+def _stretched(rows: Float64s, count: int, factor: int) -> Float64s:
+    """Interpolate rows of cells at the middles of `count` smaller ones, `factor` of which make one."""
+    middles = (np.arange(count) + 0.5) / factor - 0.5
+    return np.stack([np.interp(middles, np.arange(len(row)), row) for row in rows])
 
 
 def quiet_energies(samples: Samples, variances: Float64s) -> Float64s | None:

@@ -21,10 +21,8 @@ from beltrami_cli.flow.noise.features import (
     COMPONENTS,
     PAIRS,
     STEPS,
-    Blocks,
     Cells,
     log_deviation,
-    variances_of_channels,
 )
 from beltrami_cli.surface import large_arrays
 
@@ -109,8 +107,12 @@ class Neighbourhoods(ABC):
         """Return the mean product of neighbouring samples and of channels, of shape (3, n)."""
 
     @abstractmethod
-    def over_samples(self, variances: Float64s) -> Float32s:
-        """Return the variance at each sample relative to its mean, a stack of one channel, by neighbourhood."""
+    def over_samples(self, variances: Float64s, parts: Float64s) -> Float32s:
+        """Return the variance at each sample relative to its mean, a stack of one channel.
+
+        `parts` are the variances of the parts of neighbourhoods, in the order of the last scale. Where they are NaN,
+        and where nothing was read, the nearest neighbourhood counts.
+        """
 
     @property
     @abstractmethod
@@ -128,11 +130,11 @@ class Neighbourhoods(ABC):
             found[block] = (halves - np.einsum("pd,dc->pc", places[block] - middle, centres)).argmin(axis=1)
         return found
 
-    def medians_around(self, values: Float64s) -> Float64s:
-        """Return the median of values of neighbourhoods over each and those around."""
+    @cached_property
+    def around(self) -> Int64s:
+        """Each neighbourhood and those around it, shape (P, K)."""
         squares = np.square(self.centres[:, None] - self.centres).sum(axis=2)
-        around = np.argsort(squares, axis=1, kind="stable")[:, :_AROUND]
-        return np.median(values[around], axis=1)
+        return np.argsort(squares, axis=1, kind="stable")[:, :_AROUND]
 
     @cached_property
     def counts(self) -> Int64s:
@@ -246,17 +248,6 @@ class Samples:
         if further:
             totals[0] = totals[0] + further[0].spread(totals[1])
         return above.spread(np.where(above.is_whole, totals[0], np.inf))
-
-    def blocks(self) -> Blocks:
-        """Return the whole cells of the second scale."""
-        fine, coarse, *above = self.where.scales[:4]
-        channels = [variances_of_channels(own.T).T for own in self.products[:4]]
-        energy = channels[1] * coarse.freedom + coarse.sums(fine.freedom * channels[0])
-        freedom = coarse.freedom + coarse.sums(fine.freedom)
-        around = above[0].spread(channels[2] + above[1].spread(channels[3])) / 2
-        used = coarse.is_whole & (freedom > 2)
-        parts = self.means[2] / STEPS, energy / np.maximum(freedom, 1), around
-        return Blocks(*(own[:, used].astype(np.float32) for own in parts))
 
 
 def in_components(channels: Array) -> Array:

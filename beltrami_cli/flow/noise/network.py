@@ -1,8 +1,8 @@
 """The network that reads noise from features of squares, and its weights.
 
 Each square goes through two layers; their mean, largest and smallest outputs over all squares describe the picture,
-together with its most even cells. From this context the network reads the noise of the picture, of each square, and of
-each channel by level, each as quantiles of the logarithm of the deviation. The noise of the picture is a weighted
+together with its most even cells. From this context the network reads the noise of the picture and of each square, both
+as quantiles of the logarithm of the deviation. The noise of the picture is a weighted
 mean of what its even cells show and of what the network reads by itself. The network chooses the weights.
 """
 
@@ -17,14 +17,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Int64s
-from beltrami_cli.flow.noise.features import (
-    COUNT_OF_LEVEL,
-    EVEN_SHARES,
-    FLOOR,
-    LEVEL_BINS,
-    LEVEL_OFFSET,
-    SCALES,
-)
+from beltrami_cli.flow.noise.features import EVEN_SHARES, FLOOR, SCALES
 from beltrami_cli.flow.noise.model import covariance_of_cells
 
 # Deviations are read as log2(deviation + this), both in steps of 8 bits: rounding to these has a deviation of 0.29.
@@ -36,8 +29,8 @@ QUANTILES = (0.05, 0.5, 0.95)
 
 # Units of the layers. Clusters have fewer, so that the weights of both stay small.
 WIDTHS = {
-    "grid": {"square 1": 112, "square 2": 56, "whole 1": 112, "whole 2": 64, "place 1": 32, "level 1": 48},
-    "cluster": {"square 1": 88, "square 2": 44, "whole 1": 88, "whole 2": 56, "place 1": 24, "level 1": 32},
+    "grid": {"square 1": 112, "square 2": 56, "whole 1": 112, "whole 2": 64, "place 1": 32},
+    "cluster": {"square 1": 88, "square 2": 44, "whole 1": 88, "whole 2": 56, "place 1": 24},
 }
 # Candidates, and the network's own reading.
 _MIXED = {"total": len(EVEN_SHARES) + 8, "deviations": len(EVEN_SHARES) + 10, "relative": 3}
@@ -46,7 +39,6 @@ OUTPUTS = {
     "deviations": SCALES * 3 * (len(QUANTILES) + _MIXED["deviations"]),
     "correlations": SCALES * 3,
     "place 2": len(QUANTILES) + _MIXED["relative"],
-    "level 2": LEVEL_BINS * (len(QUANTILES) + _MIXED["relative"]),
 }
 
 # Features count by their standard deviations from the mean, up to this many.
@@ -94,12 +86,10 @@ class Layers(Generic[Value]):
         return np.concatenate(parts, axis=1)
 
 
-def read(
-    layers: Layers[Any], squares: Any, starts: Int64s, even: Any, levels: Any, channels: int = 3
-) -> dict[str, Any]:
+def read(layers: Layers[Any], squares: Any, starts: Int64s, even: Any) -> dict[str, Any]:
     """Read the noise of N pictures from standardised features of all their squares, one picture after the other.
 
-    `even` describes pictures, shape (N, F); `levels` their channels, shape (N * channels, F).
+    `even` describes pictures, shape (N, F).
     """
     counts = np.diff(np.append(starts, len(getattr(squares, "value", squares))))
     inner = layers.dense(layers.dense(squares, "square 1"), "square 2")
@@ -110,10 +100,7 @@ def read(
         name: layers.dense(context, name, is_last=True) for name in ("total", "deviations", "correlations")
     }
     place = layers.dense(layers.join([inner, layers.spread(context, counts)]), "place 1")
-    by_channel = layers.spread(context, np.full(len(starts), channels))
-    level = layers.dense(layers.join([levels, by_channel]), "level 1")
     found["places"] = layers.dense(place, "place 2", is_last=True)
-    found["levels"] = layers.dense(level, "level 2", is_last=True)
     return {**found, "context": context}
 
 
@@ -150,31 +137,17 @@ def quiet_of(squares: Float32s, kind: str) -> Float32s:
     return squares[:, first : first + 3]
 
 
-def candidates_of(
-    even: Float32s, quiet: Float32s, starts: Int64s, levels: Float32s, kind: str
-) -> dict[str, Array]:
+def candidates_of(even: Float32s, quiet: Float32s, starts: Int64s, kind: str) -> dict[str, Array]:
     """Return what features show as log2(deviation + OFFSET), candidates along the last axis.
 
     Of all even cells, shape (N, 1, M), and by scale and component, (N, 12, M); relative to the mean of a picture, by
-    neighbourhood, (P, 1, M), and by channel and level, (N * channels, LEVEL_BINS, M).
+    neighbourhood, (P, 1, M).
     """
-    of_squares = _log_of_features(quiet).mean(axis=1)
+    of_squares = log_of(4.0**quiet - FLOOR).mean(axis=1)
     counts = np.diff(np.append(starts, len(quiet)))
     of_squares -= np.repeat(np.add.reduceat(of_squares, starts) / counts, counts)
-    by_level = levels.reshape(len(levels), LEVEL_BINS, -1)
-    known = by_level[..., -1] >= COUNT_OF_LEVEL
-    of_levels = np.where(known, _log_of_features(by_level[..., 0] - LEVEL_OFFSET), 0)
-    of_levels -= of_levels.sum(axis=1, keepdims=True) / np.maximum(known.sum(axis=1, keepdims=True), 1)
-    relative = {"places": of_squares[:, None], "levels": of_levels * known}
-    return {
-        **_candidates_of_even(even, kind),
-        **{name: np.stack([own, np.zeros_like(own)], axis=-1) for name, own in relative.items()},
-    }
-
-
-def _log_of_features(logs: Array) -> Array:
-    """Return what is read of a deviation by what features say of it."""
-    return log_of(4.0**logs - FLOOR)
+    places = np.stack([of_squares, np.zeros_like(of_squares)], axis=-1)
+    return {**_candidates_of_even(even, kind), "places": places[:, None]}
 
 
 def _candidates_of_even(even: Float32s, kind: str) -> dict[str, Array]:
@@ -215,7 +188,7 @@ class Weights:
     configuration: str
 
     def standardised(self, name: str, features: Array) -> Float32s:
-        """Standardise features of a kind: "squares", "even" or "levels"."""
+        """Standardise features of a kind: "squares" or "even"."""
         result = (features - self.means[name]) / self.scales[name]
         return np.asarray(np.clip(result, -MAX_STANDARDISED, MAX_STANDARDISED), np.float32)
 

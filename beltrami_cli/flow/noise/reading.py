@@ -169,7 +169,7 @@ def read_noise(
         if size in colours:
             parts.append([size.size.none, *(factor * quantile for quantile in size.quantiles)])
     stabiliser = None if structure.curve is None else structure.curve.stabiliser(colours[0].full_scale)
-    relative = where.over_samples(structure.places) if structure.is_by_place else None
+    relative = structure.over_samples(colours[0].residual) if structure.is_by_place else None
     if any(own.sigma for own in colours) and not covariances.any():  # even cells show that there is none
         return NoiseModel(covariances[:1], reading=Reading(1.0, 0.0, 0.0, 0.0))
     # Root mean squares over the channels, but for the probability that there is none in any.
@@ -301,15 +301,10 @@ def read_network(samples: Samples, weights: Weights) -> tuple[dict[str, Array], 
     """Return what the network reads of samples, with its context, and candidates of the total, shape (1, 1, M)."""
     cells, start, kind = samples.cells(), np.zeros(1, np.int64), samples.where.kind
     even, squares = features.describe_even_cells(cells)[None], features.describe(samples.described(), cells)
-    levels = features.describe_levels(samples.blocks())
-    candidates = candidates_of(even, quiet_of(squares, kind), start, levels, kind)
-    standard = (
-        weights.standardised(*own) for own in (("squares", squares), ("even", even), ("levels", levels))
-    )
-    squares, even, levels = standard
-    return readings(read(Layers(weights.layers), squares, start, even, levels), candidates), candidates[
-        "total"
-    ]
+    candidates = candidates_of(even, quiet_of(squares, kind), start, kind)
+    squares, even = weights.standardised("squares", squares), weights.standardised("even", even)
+    found = readings(read(Layers(weights.layers), squares, start, even), candidates)
+    return found, candidates["total"]
 
 
 def _components(found: dict[str, Array]) -> Float64s:

@@ -54,6 +54,10 @@ _WORTH = 2 / 3
 # Share of the neighbourhoods that must be quieter, and noisier, for places to differ; less explains the residual.
 _SHARE_OF_PLACES = 0.1
 
+# Ratio of the variances of the noisiest and the quietest neighbourhood around one, above which noise ends there. With
+# the square of `MIN_RATIO`, ramps of pictures of 180 texels lose 0.4 dB by benchmarks/bench_regret.py.
+_END = 25
+
 # Relative variance of quiet neighbourhoods, whose residual is mostly texture.
 _QUIET = 0.25
 
@@ -241,6 +245,33 @@ class Structure:
             found *= self.curve.at(residual.pilot.colours).mean(axis=0)
         return np.asarray(found / max(1e-9, float(found.mean())), np.float32)
 
+    def over_samples(self, residual: Residual) -> Float32s:
+        """Return the variance by place at each sample relative to its mean, a stack of one channel."""
+        return residual.samples.where.over_samples(self.places, self._in_parts(residual))
+
+    def _in_parts(self, residual: Residual) -> Float64s:
+        """Return the relative variances of the parts of neighbourhoods at which noise ends; NaN: those of all others.
+
+        Of a part whose energy lies between those of the neighbourhoods around, the variance does, too. Texture counts
+        with the quiet ones, of which the one with the most energy stands for all.
+        """
+        where, squares = residual.samples.where, np.square(residual.removed.colours).mean(axis=0)
+        if self.curve is not None:
+            squares /= self.curve.at(residual.pilot.colours).mean(axis=0)
+        parts: Array = np.stack([squares, np.ones_like(squares)])
+        for scale in where.scales[:-1]:
+            parts = scale.means(parts)
+        last = where.scales[-1]
+        energies, inner = (own[0] / np.maximum(own[1], 1e-9) for own in (last.means(parts), parts))
+        places, energies = self.places[where.around], energies[where.around]
+        least, most = places.min(axis=1), places.max(axis=1)
+        loud = np.take_along_axis(energies, places.argmax(axis=1)[:, None], axis=1)[:, 0]
+        quiet = np.where(places <= np.sqrt(least * most)[:, None], energies, 0).max(axis=1)
+        shares = (inner - last.spread(quiet)) / np.maximum(last.spread(loud - quiet), 1e-9)
+        found = last.spread(least) + shares.clip(0, 1) * last.spread(most - least)
+        is_even = last.spread(most <= _END * least) | (parts[1] == 0)
+        return np.asarray(np.where(is_even, np.nan, found), np.float64)
+
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
@@ -277,7 +308,7 @@ def structure_of(
     if curve is not None and curve.differs:
         best = min(best, trial(Structure(curve, even.places)), key=lambda own: own.deviance)
     by_place = trial(Structure(None, _with_quiet_tiles(residual, 4.0**places, sigma)))
-    low, high = np.quantile(where.medians_around(places), (_SHARE_OF_PLACES, 1 - _SHARE_OF_PLACES))
+    low, high = np.quantile(np.median(places[where.around], axis=1), (_SHARE_OF_PLACES, 1 - _SHARE_OF_PLACES))
     is_wide = high - low > np.log2(MIN_RATIO)
     if by_place.deviance <= best.deviance if is_wide else by_place.deviance < _WORTH * best.deviance:
         best = by_place
