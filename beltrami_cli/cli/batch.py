@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -28,11 +28,9 @@ if TYPE_CHECKING:
     from beltrami_cli.batch.plan import Request
     from beltrami_cli.batch.run import Workers
 
-# The options that concern a single file: those of `smooth` that change its result.
-_OF_A_FILE = click.command("file")(
-    options.smoothing(options.unwrapping(options.options_of(Access, only=("columns",))(lambda **_: None)))
-)
-SHARED_WITH_SMOOTH = {str(each.name) for each in _OF_A_FILE.params}
+SHARED_WITH_SMOOTH = {*options.SMOOTHING, *options.UNWRAPPING, "columns"}
+"""The options of `smooth` that change its result, which a manifest can give for each file."""
+
 _CLUSTER = "Many machines"
 
 
@@ -144,12 +142,11 @@ def _show_plan(requests: Sequence[Request], *, resume: bool, overwrite: bool) ->
 def _jobs_for(requests: Iterable[Request], values: dict[str, Any], *, overwrite: bool) -> list[Item]:
     common = _item_from(values)
     # What a preset takes the place of is not given.
-    of_a_file = [option.name for option in _OF_A_FILE.params if option.name]
-    given = {name: values[name] for name in of_a_file if options.is_given(name)}
+    given = {name for name in SHARED_WITH_SMOOTH if options.is_given(name)}
     jobs = []
     for request in requests:
         try:
-            item = _settings(request, given) if request.options else common
+            item = _settings(request, values, given) if request.options else common
         except (click.UsageError, UsageError, ValueError) as error:
             cause = error.format_message() if isinstance(error, click.UsageError) else str(error)
             raise UsageError(f"{request.origin}: {cause}") from error
@@ -167,8 +164,11 @@ def _item_from(values: dict[str, Any]) -> Item:
     return Item("", "", options.settings_from(values), options.unwrapping_from(values), columns=columns)
 
 
-def _settings(request: Request, given: dict[str, Any]) -> Item:
-    own = values_for(options_by_name(_OF_A_FILE), request.options)
+def _settings(request: Request, values: Mapping[str, Any], given: Collection[str]) -> Item:
+    """Return the item of a file with options of its own, besides the `given` ones for all files."""
+    command = click.get_current_context().command
+    known = {n: each for n, each in options_by_name(command).items() if each.name in SHARED_WITH_SMOOTH}
+    own = values_for(known, request.options)
 
     def next_to_manifest(name: str, *, may_be_other: bool) -> str:
         path = request.folder / name
@@ -178,10 +178,13 @@ def _settings(request: Request, given: dict[str, Any]) -> Item:
         if each.name in own:  # files are relative to the manifest; guides may be something else
             renamed = partial(next_to_manifest, may_be_other=each.repeatable)
             own[each.name] = each.with_files(own[each.name], renamed)
-    context = _OF_A_FILE.make_context("file", [], default_map={**given, **own})
-    for name in own:  # overrides the options for all files, also with a preset
-        context.set_parameter_source(name, ParameterSource.COMMANDLINE)
-    with context.scope():
+    with click.Context(command).scope() as context:
+        context.params = {name: values[name] for name in SHARED_WITH_SMOOTH}
+        for name in given:
+            context.set_parameter_source(name, ParameterSource.DEFAULT_MAP)
+        for name in own:  # overrides the options for all files, also with a preset
+            context.set_parameter_source(name, ParameterSource.COMMANDLINE)
+            context.params[name] = known[name].process_value(context, own[name])
         return _item_from(context.params)
 
 

@@ -140,6 +140,14 @@ def parsed(declared: Parameter, text: str) -> Any:
         raise UsageError(f"{declared.flag} {error}") from None
 
 
+def _destination(declared: Parameter) -> str:
+    """Return the name that click has for the option of a parameter; empty if there is none."""
+    last = declared.flags[-1] if declared.flags else ""
+    return next(
+        filter(str.isidentifier, declared.flags), last.partition("/")[0].lstrip("-").replace("-", "_")
+    )
+
+
 preset = click.option(
     "--preset", type=click.Choice(sorted(PRESETS)), cls=GroupedOption, group=KernelParameters.group,
     help="Parameters as a set, which single options still override. 'paper' is the paper's kernel to the letter: "
@@ -150,6 +158,10 @@ preset = click.option(
 def smoothing(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add all options that make up `SmoothSettings`."""
     return options_of(SmoothSettings)(preset(command))
+
+
+SMOOTHING = ("preset", *filter(None, map(_destination, parameters(SmoothSettings, deep=True))))
+"""The names that click has for the options that `smoothing` adds."""
 
 
 def settings_from(values: Mapping[str, Any]) -> SmoothSettings:
@@ -231,6 +243,10 @@ def compared_from(values: Mapping[str, Any]) -> SmoothSettings:
     return record_from(SmoothSettings, values, textures=record_from(TextureSettings, values, **made))
 
 
+UNWRAPPING = ("unwrap", "texture_size", "max_unwrap_faces")
+"""The names that click has for the options that `unwrapping` adds."""
+
+
 def unwrapping(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options of a new texture, which `unwrapping_from` takes."""
     wanted = click.option(
@@ -301,14 +317,6 @@ def job_from(values: Mapping[str, Any], source: str, messages: Messages) -> Iter
     """Give how a job on a file is done, by the options that `reading`, `overwrite` and `output_format` add."""
     with reading_from(values, source) as access, messages.progress() as progress:
         yield Job(access, progress, values.get("overwrite", False), format=values.get("output_format"))
-
-
-def _destination(declared: Parameter) -> str:
-    """Return the name that click has for the option of a parameter; empty if there is none."""
-    last = declared.flags[-1] if declared.flags else ""
-    return next(
-        filter(str.isidentifier, declared.flags), last.partition("/")[0].lstrip("-").replace("-", "_")
-    )
 
 
 def _help(declared: Parameter) -> str:
