@@ -20,7 +20,7 @@ from beltrami_cli.batch.cluster import OnDask, do_on_worker, portable
 from beltrami_cli.batch.item import Item, Record
 from beltrami_cli.batch.run import Batch, ChunkRunner, Workers
 from beltrami_cli.flow.beltrami_flow import smooth_in_place
-from beltrami_cli.flow.chunks import in_chunks
+from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunking, Resources
 from beltrami_cli.flow.decoding import plan_on_canvas
 from beltrami_cli.flow.estimation import estimate_on_mesh
 from beltrami_cli.flow.manifolds.mesh_manifold import ColouredMesh, mesh_manifold
@@ -62,7 +62,7 @@ def many_files(client):
         return time.perf_counter() - start
 
 
-def mesh(side=700):
+def mesh(resources, side=700):
     """Make the flow on a mesh of half a million vertices."""
     flat, faces = surfaces.lattice(side, side)
     random = np.random.default_rng(0)
@@ -70,37 +70,34 @@ def mesh(side=700):
     surface = SampledSurface(
         flat, faces.astype(np.int32), np.zeros((0, 3), np.int32), colours.astype(np.float32)
     )
-    mesh = ColouredMesh.of(surface, FIXED)
+    mesh = ColouredMesh.of(surface, FIXED, resources=resources)
     return choose_parameters(mesh_manifold(mesh, estimate_on_mesh(mesh)), FIXED)
 
 
-def texture(side=2048):
+def texture(resources, side=2048):
     """Make the flow on a picture of four million pixels."""
     random = np.random.default_rng(0)
     colours = (0.5 + 20 / 255 * random.standard_normal((side * side, 3))).astype(np.float32)
-    return plan_on_canvas(
-        canvas_of_image(
-            ImageSurface(valid=np.ones((side, side), bool)), lambda pixels: colours[pixels], FIXED
-        )
-    )
+    surface = ImageSurface(valid=np.ones((side, side), bool))
+    canvas = canvas_of_image(surface, lambda pixels: colours[pixels], FIXED)
+    return plan_on_canvas(dataclasses.replace(canvas, resources=resources))
 
 
 def in_eight_chunks(make):
     """Return what runs a flow, made before, in eight chunks, patches included."""
 
     def run(client):
-        with in_chunks(8, ChunkRunner(OnDask(client, per_worker=2))):
-            plan = make()
-            start = time.perf_counter()
-            smooth_in_place(plan)
-            return time.perf_counter() - start
+        plan = make(Resources(Chunking(8, ChunkRunner(OnDask(client, per_worker=2)))))
+        start = time.perf_counter()
+        smooth_in_place(plan)
+        return time.perf_counter() - start
 
     return run
 
 
 def whole(make):
     """Time the same on one thread without a cluster: on the clock, and of the processor."""
-    plan = make()
+    plan = make(IN_ONE_PIECE)
     start, used = time.perf_counter(), time.process_time()
     smooth_in_place(plan)
     return time.perf_counter() - start, time.process_time() - used

@@ -34,6 +34,7 @@ from beltrami_cli.jobs.progress import Progress, Share
 from beltrami_cli.jobs.settings import BakeSettings
 
 if TYPE_CHECKING:
+    from beltrami_cli.flow.chunks import Chunking
     from beltrami_cli.jobs.smooth import SmoothReport
     from beltrami_cli.layers.settings import SmoothSettings
 
@@ -122,7 +123,7 @@ def failed(item: Item, error: str, exit_code: int, seconds: float = 0.0) -> Outc
 
 def do_item(
     item: Item, memory: int | None, progress: Progress | None = None, *,
-    is_alone: bool = True, local: Item | None = None,
+    is_alone: bool = True, local: Item | None = None, chunking: Chunking | None = None,
 ) -> Attempt:  # fmt: skip
     """Smooth one file; a failure is returned, not raised. Only if the process `is_alone` can its memory be limited.
 
@@ -131,7 +132,7 @@ def do_item(
     start = time.monotonic()
     try:
         with limited_memory(memory if is_alone else None, item.source):
-            done = _done(item, local or item, memory, progress)
+            done = _done(item, local or item, memory, progress, chunking)
         return Attempt(dataclasses.replace(done, seconds=round(time.monotonic() - start, 3)))
     except BeltramiError as error:
         message = str(error)
@@ -147,7 +148,9 @@ def do_item(
         return Attempt(failed(item, message, 1, time.monotonic() - start), traceback=traceback.format_exc())
 
 
-def _done(item: Item, local: Item, memory: int | None, progress: Progress | None) -> Outcome:
+def _done(
+    item: Item, local: Item, memory: int | None, progress: Progress | None, chunking: Chunking | None
+) -> Outcome:
     to_url = is_url(local.target)
     with staged(local.source, local.target) as stage:
         copy = dataclasses.replace(
@@ -157,7 +160,7 @@ def _done(item: Item, local: Item, memory: int | None, progress: Progress | None
         try:
             # A file that the source names is downloaded as soon as it is looked for.
             access = Access(local.outside, memory, stage.note, stage.bring, columns=local.columns)
-            report = _made(copy, access, progress)
+            report = _made(copy, access, progress, chunking)
         except BeltramiError as error:
             error.args = (str(error).replace(stage.source, item.source).replace(stage.target, item.target),)
             raise
@@ -177,12 +180,12 @@ def _forwarded(progress: Progress, label: str, share: float) -> None:
     progress(label, round(1000 * share), 1000)
 
 
-def _made(item: Item, access: Access, progress: Progress | None) -> SmoothReport:
+def _made(item: Item, access: Access, progress: Progress | None, chunking: Chunking | None) -> SmoothReport:
     from beltrami_cli.jobs.smooth import smooth_file
 
     with FileSet() as files:
         whole = None if progress is None else Share(forward=partial(_forwarded, progress))
-        job = Job(access, whole, item.overwrite or item.again, files=files)
+        job = Job(access, whole, item.overwrite or item.again, files=files, chunking=chunking)
         report = smooth_file(item.source, item.target, item.settings, job, unwrap=item.unwrap)
         if item.again and not item.overwrite:
             files.keep_equal()

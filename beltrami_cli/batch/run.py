@@ -27,7 +27,7 @@ from beltrami_cli.batch.item import (
 from beltrami_cli.batch.storage import exists, make_folder_of
 from beltrami_cli.batch.workers import Lost, Pool, Processes, Task
 from beltrami_cli.errors import OutputError, ProcessingError
-from beltrami_cli.flow.chunks import Answers, Chunk, Figures, Operation, in_chunks
+from beltrami_cli.flow.chunks import Answers, Chunk, Chunking, Figures, Operation
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.jobs.progress import Progress, at_intervals
 
@@ -186,8 +186,8 @@ def in_pieces(pool: Pool, count: int, memory: int | None, advanced: Advanced, th
 
     def do_in_pieces(item: Item, progress: Progress) -> Attempt:
         runner = ChunkRunner(pool)
-        with in_chunks(count, runner):
-            attempt = do_item(item, memory, progress, is_alone=False)
+        chunking = Chunking(count, runner)
+        attempt = do_item(item, memory, progress, is_alone=False, chunking=chunking)
         return dataclasses.replace(attempt, pieces=runner.most)
 
     return Workers(Here(advanced), lambda item: (do_in_pieces, item), threads)

@@ -11,8 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Generator, Iterator, Sequence
-from contextvars import ContextVar
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
@@ -22,7 +21,6 @@ import numpy as np
 
 from beltrami_cli._native import PATCH_BLOCK_SIZE
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
-from beltrami_cli.surface import large_arrays
 
 Figures = tuple[float, int]
 """How many samples the kernels of a chunk held, and how many kernels were cut short."""
@@ -98,24 +96,6 @@ class Chunking:
         return samples, truncated
 
 
-_WANTED: ContextVar[Chunking | None] = ContextVar("chunking", default=None)
-
-
-@contextlib.contextmanager
-def in_chunks(count: int, runner: Runner) -> Iterator[None]:
-    """Within this context and thread, smooth every surface in up to `count` chunks."""
-    token = _WANTED.set(Chunking(count, runner))
-    try:
-        yield
-    finally:
-        _WANTED.reset(token)
-
-
-def chunking() -> Chunking | None:
-    """Return how surfaces are cut in this context; None: not at all."""
-    return _WANTED.get()
-
-
 # Bytes of memory that a mesh in one piece takes for each sample: a million points at the peak of `smooth`, see
 # docs/performance.md.
 _BYTES_OF_SAMPLE = 1000
@@ -128,12 +108,23 @@ def chunk_memory(samples: int, memory: int) -> int | None:
     return None if _BYTES_OF_SAMPLE * samples <= memory else int(_SHARE_OF_CHUNK * memory)
 
 
-def chunking_of_mesh(samples: int, threads: int) -> Chunking | None:
-    """Return how a mesh, or clusters of it, are cut: as wanted, or else so that chunks fit into little memory."""
-    chunk = large_arrays.chunk_memory()
-    if chunking() is not None or chunk is None or _BYTES_OF_SAMPLE * samples <= chunk:
-        return chunking()
-    return Chunking(math.ceil(_BYTES_OF_SAMPLE * samples / chunk), partial(in_turn, threads=threads))
+@dataclass(frozen=True)
+class Resources:
+    """Who works on a surface, and on how much of it at a time."""
+
+    chunking: Chunking | None = None  # of every surface; None: here, as a whole
+    # Bytes that a chunk of a mesh may take: larger ones are cut, and done here chunk by chunk; None: they are not.
+    chunk_memory: int | None = None
+
+    def chunking_of_mesh(self, samples: int, threads: int) -> Chunking | None:
+        """Return how a mesh, or a graph of its clusters, is cut; None: not at all."""
+        chunk = self.chunk_memory
+        if self.chunking is not None or chunk is None or _BYTES_OF_SAMPLE * samples <= chunk:
+            return self.chunking
+        return Chunking(math.ceil(_BYTES_OF_SAMPLE * samples / chunk), partial(in_turn, threads=threads))
+
+
+IN_ONE_PIECE = Resources()
 
 
 # ---- canvases

@@ -24,7 +24,7 @@ def estimate_on_mesh(mesh: ColouredMesh) -> MeshColours:
     """Fill the outliers of the colours, and estimate the noise of the others."""
     wanted, geometry = mesh.parameters, mesh.geometry
     channels, outliers = fill_outliers(mesh.colours.T, MeshSamples(geometry), wanted, is_light=mesh.is_light)
-    graph = geometry.graph(channels.T)
+    graph = geometry.graph(channels.T, mesh.resources)
     noise, channels = estimate_noise(
         channels, VertexClusters(graph), wanted.given_noise,
         varies=wanted.evens_noise and mesh.moving is None, strength=wanted.strength,

@@ -31,7 +31,6 @@ from typing import TypeAlias
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s
-from beltrami_cli.flow.chunks import chunking
 from beltrami_cli.flow.corrections.clipping import ClippedChannels, normal_tables
 from beltrami_cli.flow.manifolds.domain import (
     CoarseLevel,
@@ -92,7 +91,7 @@ def blend_with_patches(
     geometry, sigma = manifold.geometry, manifold.noise.sigma
     axis, threads = geometry.axis, geometry.threads
     # Chunks leave the colours as they are.
-    before = kernel(large_arrays.copy_of(noisy) if chunking() is None else noisy)
+    before = kernel(large_arrays.copy_of(noisy) if manifold.resources.chunking is None else noisy)
     perturbation = manifold.perturbation()
     size = np.float32(PERTURBATION * np.sqrt(np.mean(np.square(sigma))))
     disturbed = large_arrays.copy_of(noisy)

@@ -13,7 +13,6 @@ import numpy as np
 from beltrami_cli.arrays import Float64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.choice.choice import Choice, is_noisy, tune
-from beltrami_cli.flow.chunks import chunking
 from beltrami_cli.flow.corrections.coarse_levels import without_shared_noise
 from beltrami_cli.flow.corrections.mean_light import MeanLight
 from beltrami_cli.flow.manifolds.manifold import Manifold, Step
@@ -104,7 +103,7 @@ def choose_parameters(
         kept = dataclasses.replace(manifold.parameters, clipping="keep")
         manifold = dataclasses.replace(manifold, parameters=kept)
     moves = manifold.moving is not None
-    if moves and chunking() is not None:
+    if moves and manifold.resources.chunking is not None:
         raise UsageError("vertices are not moved in pieces; leave out --pieces, or --smooth-geometry")
     if moves:  # positions take the same iterations, for which the best parameters of colours are too strong
         wanted = dataclasses.replace(wanted, free=())

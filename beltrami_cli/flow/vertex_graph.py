@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from beltrami_cli._native import SurfacePatches
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-from beltrami_cli.flow.chunks import Chunk, chunking_of_mesh, runs
+from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunk, Chunking, Resources, runs
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.geometry import distinct_edges
 from beltrami_cli.surface.incidence import Neighbours, RowsOfSamples
@@ -48,6 +48,7 @@ class Graph:
     threads: int = 1
     # Shape (S,): numbers of the blocks whose groups start at samples; -1: none starts; None: by place.
     blocks: Int32s | None = None
+    resources: Resources = IN_ONE_PIECE
 
     @property
     def size(self) -> int:
@@ -68,11 +69,14 @@ class Graph:
     def __getstate__(self) -> dict[str, object]:
         return {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
 
+    @property
+    def chunking(self) -> Chunking | None:
+        return self.resources.chunking_of_mesh(self.size, self.threads)
+
     @cached_property
     def chunks(self) -> list[Chunk]:
         """The chunks in which patches are estimated."""
-        wanted = chunking_of_mesh(self.size, self.threads)
-        neighbours = Neighbours(self.size, self.edges, _ones)
+        wanted, neighbours = self.chunking, Neighbours(self.size, self.edges, _ones)
         assert wanted is not None
         chunks = []
         for first, last in runs(self.size, wanted.count):
@@ -95,6 +99,7 @@ class Graph:
         return dataclasses.replace(
             self, positions=self.positions[samples], edges=self._edges_of_samples.among(samples)[0],
             priorities=self.priorities[samples], blocks=np.where(starts, samples // PATCH_BLOCK_SIZE, -1),
+            resources=IN_ONE_PIECE,
         )  # fmt: skip
 
     def smoothed(self, rows: Float32s, variance: float) -> Float32s:
@@ -109,7 +114,9 @@ class Graph:
         sums = [np.bincount(members, column) for column in self.positions.T]
         edges = distinct_edges(members[self.edges])
         means = np.stack(sums, axis=1) / counts
-        return Graph(means, edges, self.priorities[centres], self.axes, self.threads)
+        return Graph(
+            means, edges, self.priorities[centres], self.axes, self.threads, resources=self.resources
+        )
 
     def clusters(self) -> tuple[Int32s, Int64s]:
         """Return the cluster of each sample, and the samples in the middle of clusters."""

@@ -16,7 +16,6 @@ import stat
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from contextvars import ContextVar
 from dataclasses import dataclass, field
 from io import BufferedReader
 from pathlib import Path
@@ -273,9 +272,6 @@ def _checked(load: Callable[[], Any]) -> Any:
     raise too_deep
 
 
-_UNLIMITED: ContextVar[int | None] = ContextVar("unlimited", default=None)
-"""The limit of the process before `limited_memory` set its own, in bytes as the system counts them."""
-
 _LEAST_MEMORY = 1 << 26  # bytes that a command takes in any case
 _STATUS = Path("/proc/self/status")
 _MEMORY, _OWN_CGROUPS, _CGROUPS = Path("/proc/meminfo"), Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
@@ -342,7 +338,6 @@ def limited_memory(size: int | None, name: str) -> Iterator[None]:
             wanted = size + _PROGRAM + _PER_PROCESSOR * (os.cpu_count() or 1)
             known = [limit for limit in (before, most) if limit != resource.RLIM_INFINITY]
             resource.setrlimit(resource.RLIMIT_DATA, (min([wanted, *known]), most))
-            restored.callback(_UNLIMITED.reset, _UNLIMITED.set(before))
         try:
             yield
         except (MemoryError, RuntimeError) as error:
@@ -357,15 +352,17 @@ def limited_memory(size: int | None, name: str) -> Iterator[None]:
 @contextlib.contextmanager
 def memory_reserved(size: int) -> Iterator[None]:
     """Lift the limit for a library that crashes at it, and takes `size` bytes; MemoryError if there are none left."""
-    before = _UNLIMITED.get()
-    if before is None:
+    if sys.platform == "win32":
         yield
         return
     import resource
 
-    bytearray(size)
     limit, most = resource.getrlimit(resource.RLIMIT_DATA)
-    resource.setrlimit(resource.RLIMIT_DATA, (before, most))
+    if limit == resource.RLIM_INFINITY:
+        yield
+        return
+    bytearray(size)
+    resource.setrlimit(resource.RLIMIT_DATA, (most, most))
     data = _status("VmData") or 0
     try:
         yield

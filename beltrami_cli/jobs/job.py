@@ -11,6 +11,7 @@ from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.jobs.progress import Expected, Progress, Work
 
 if TYPE_CHECKING:
+    from beltrami_cli.flow.chunks import Chunking
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.output import FileSet
 
@@ -35,6 +36,10 @@ class Job:
         Only for callers that write further files, such as a report, together with the output.
     check : callable, optional
         Only for callers that do more with the document: called with it before anything is computed; may raise.
+    chunking : Chunking, optional
+        Into how many chunks surfaces are cut, and who works on them.
+    chunk_memory : int, optional
+        Bytes that a chunk of a mesh may take; larger meshes are cut. By default they are not.
     """
 
     access: Access = EVERYTHING_INSIDE
@@ -44,6 +49,8 @@ class Job:
     format: str | None = None
     files: FileSet | None = None
     check: Callable[[Document], None] | None = None
+    chunking: Chunking | None = None
+    chunk_memory: int | None = None
 
     def expect(self, phases: Iterable[Expected]) -> None:
         """Announce the phases ahead."""

@@ -275,9 +275,9 @@ def recolour(
         painter.check(selection, kind)
         naming = file.reserve(partial(_sidecar_names, selection, kind))
     place = None if file.output is None else target
-    with selection.within_memory(place, in_files=painter.works_in_files):
+    with selection.within_memory(place, in_files=painter.works_in_files) as chunk_memory:
         with watch.stage("smooth"):
-            painted = paint(selection, painter, file.job, kind.suffix)
+            painted = paint(selection, painter, replace(file.job, chunk_memory=chunk_memory), kind.suffix)
             painter.check_painted(source, painted)
         with watch.stage("write"):
             new = [each.repainted for each in painted]
@@ -296,8 +296,8 @@ def recolour_in_memory(
     if painter.changes:
         selection = select(document, settings, job.access)
     painter.check(selection, OutputFormat(document.format, is_patched=True))
-    with selection.within_memory(in_files=painter.works_in_files):
-        painted = paint(selection, painter, job)
+    with selection.within_memory(in_files=painter.works_in_files) as chunk_memory:
+        painted = paint(selection, painter, replace(job, chunk_memory=chunk_memory))
     return with_new_colours(document, [each.repainted for each in painted]), painted
 
 

@@ -16,6 +16,7 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import override
 from beltrami_cli.flow.beltrami_flow import smooth_in_place
 from beltrami_cli.flow.choice.choice import Choice
+from beltrami_cli.flow.chunks import IN_ONE_PIECE, Resources
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.formats.registry import OutputFormat, write_mesh
@@ -57,14 +58,15 @@ class Smoothed(Painted):
 
 
 def smooth_layer(
-    layer: Layer, progress: Callable[[int, int], None] | None = None, tick: Callable[[], None] | None = None
-) -> Smoothed:
+    layer: Layer, progress: Callable[[int, int], None] | None = None,
+    tick: Callable[[], None] | None = None, resources: Resources = IN_ONE_PIECE,
+) -> Smoothed:  # fmt: skip
     """Choose parameters, calling `tick`, run the flow on a layer, and put the colours back.
 
     If all was chosen from the data, and the kernel is estimated to make the colours worse, they stay.
     """
     layer = layer.normalised()
-    plan = layer.plan(tick)
+    plan = layer.plan(tick, resources)
     is_worse = _is_worse(plan.choice, layer.settings.kernel)
     if is_worse:
         # Outliers are replaced all the same.
@@ -112,7 +114,8 @@ def smooth_in_job(layer: Layer, job: Job, label: str) -> Smoothed:
     if choosing is not None:
         tick()
     smoothing = job.progress_of(Label(f"{label}: smoothing", "smoothing"))
-    return smooth_layer(layer, smoothing, None if choosing is None else tick)
+    resources = Resources(job.chunking, job.chunk_memory)
+    return smooth_layer(layer, smoothing, None if choosing is None else tick, resources)
 
 
 @dataclass(frozen=True)

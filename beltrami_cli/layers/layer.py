@@ -19,6 +19,7 @@ from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import FlowResult
 from beltrami_cli.flow.choice.choice import Choice
+from beltrami_cli.flow.chunks import IN_ONE_PIECE, Resources
 from beltrami_cli.flow.manifolds.domain import NewColours
 from beltrami_cli.flow.noise.model import Reading
 from beltrami_cli.flow.parameters import KernelParameters
@@ -148,7 +149,7 @@ class Layer(ABC):
         return None if self.noise is None else self.noise / np.float32(self.unit)
 
     @abstractmethod
-    def plan(self, tick: Callable[[], None] | None = None) -> Plan[Any]:
+    def plan(self, tick: Callable[[], None] | None = None, resources: Resources = IN_ONE_PIECE) -> Plan[Any]:
         """Plan their smoothing; `tick` is called meanwhile, and may raise."""
 
     @abstractmethod

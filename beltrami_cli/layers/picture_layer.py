@@ -12,6 +12,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Int64s
 from beltrami_cli.errors import UsageError
+from beltrami_cli.flow.chunks import IN_ONE_PIECE, Resources
 from beltrami_cli.flow.corrections.coded_picture import CodedPicture
 from beltrami_cli.flow.decoding import decodes_again, plan_on_canvas
 from beltrami_cli.flow.manifolds.domain import NewColours
@@ -76,8 +77,10 @@ class PictureLayer(Layer):
     def canvas(self) -> ColouredCanvas:
         """Return the canvas of the samples, with parameters in its unit of length."""
 
-    def plan(self, tick: Callable[[], None] | None = None) -> Plan[GridManifold]:
-        canvas, pictures = self.canvas(), list[CodedPicture]()
+    def plan(
+        self, tick: Callable[[], None] | None = None, resources: Resources = IN_ONE_PIECE
+    ) -> Plan[GridManifold]:
+        canvas, pictures = dataclasses.replace(self.canvas(), resources=resources), list[CodedPicture]()
         if self.colours.shows_all and decodes_again(canvas.parameters):
             pixels = [picture.pixels for picture in self.pictures]
             pictures = coded_pictures(canvas.atlas, list(zip(pixels, self.tables, strict=True)))

@@ -77,9 +77,10 @@ class Selection:
             require_memory(images, self.access, work)
 
     @contextmanager
-    def within_memory(self, target: str | None = None, *, in_files: bool = True) -> Iterator[None]:
+    def within_memory(self, target: str | None = None, *, in_files: bool = True) -> Iterator[int | None]:
         """Keep large arrays in files, in the folder of `target`, where memory is too small for all of them.
 
+        Give the bytes that a chunk of a mesh may take; None: meshes are not cut.
         InputError if it is too small even so; or if arrays are not to be `in_files`, as for work that makes many in
         memory. Besides arrays there must be room for one image as it is decoded, and for the new file, about as large
         as the old one, without and with its metadata.
@@ -87,7 +88,7 @@ class Selection:
         if not in_files:
             self.require_memory("smoothed")
         if self.access.memory is None or not in_files:
-            yield
+            yield None
             return
         left = memory = self.access.memory - len(self.document.data)
         for images in self.images():
@@ -98,8 +99,10 @@ class Selection:
                 if left < 0:
                     raise too_large(name, size)
         chunk = chunk_memory(len(self.document.painted().colours), left) if self.vertices else None
-        with kept_within(left, Path(target).absolute().parent if target else None, chunk):
-            yield
+        with kept_within(
+            left, Path(target).absolute().parent if target else None, in_chunks=chunk is not None
+        ):
+            yield chunk
 
     def layers(
         self, suffix: str | None = None, *, colours_only: bool = False, in_groups: bool = False

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.beltrami_flow import FlowResult
+from beltrami_cli.flow.chunks import IN_ONE_PIECE, Resources
 from beltrami_cli.flow.decoding import plan_on_canvas
 from beltrami_cli.flow.estimation import estimate_on_mesh
 from beltrami_cli.flow.manifolds.domain import NewColours
@@ -194,7 +195,9 @@ class VertexLayer(PaintedLayer):
         levelled = self.levelled_colours
         return surface if levelled is None else dataclasses.replace(surface, colours=levelled)
 
-    def plan(self, tick: Callable[[], None] | None = None) -> Plan[MeshManifold]:
+    def plan(
+        self, tick: Callable[[], None] | None = None, resources: Resources = IN_ONE_PIECE
+    ) -> Plan[MeshManifold]:
         own, sampling, geometry = self.settings, self.sampling, None
         if own.embedding.smooth_geometry:
             geometry = GeometryParameters(sampling.place_of, own.embedding.normal_beta)
@@ -202,6 +205,7 @@ class VertexLayer(PaintedLayer):
             self.surface(), self.kernel, metric_channels=self.channels.metric, geometry=geometry,
             guides=[Guide(guide.name, sampling.means(guide.values), guide.beta) for guide in self.guides],
             deviations=None if self.deviations is None else sampling.means(self.deviations), is_light=self._is_light,
+            resources=resources,
         )  # fmt: skip
         return choose_parameters(mesh_manifold(mesh, estimate_on_mesh(mesh)), mesh.parameters, tick)
 
@@ -287,7 +291,9 @@ class GridLayer(PaintedLayer):
     grid: Indices  # shape (H, W): numbers of the vertices, -1 at holes
     surface: ImageSurface | None = None  # with the same holes; None: at the positions of the vertices
 
-    def plan(self, tick: Callable[[], None] | None = None) -> Plan[GridManifold]:
+    def plan(
+        self, tick: Callable[[], None] | None = None, resources: Resources = IN_ONE_PIECE
+    ) -> Plan[GridManifold]:
         space, surface = self.settings.space, self.surface
         if surface is None:
             measured = self.grid >= 0
@@ -300,7 +306,7 @@ class GridLayer(PaintedLayer):
             guides=[dataclasses.replace(each, values=self._by_pixel(each.values)) for each in self.guides],
             deviations=None if self.deviations is None else self._by_pixel(self.deviations),
         )  # fmt: skip
-        return plan_on_canvas(canvas, tick=tick)
+        return plan_on_canvas(dataclasses.replace(canvas, resources=resources), tick=tick)
 
     def _by_pixel(self, values: Array) -> Array:
         """Return rows of vertices as rows of pixels; zeros at holes."""

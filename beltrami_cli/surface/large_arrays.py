@@ -50,7 +50,6 @@ class _Limit:
     """Where arrays are files once those in memory take a number of bytes."""
 
     folder: Path | None  # None: for temporary files
-    chunk: int | None  # bytes that a chunk of a mesh may take; None: meshes are not cut for want of memory
     most: int
     held: int = 0  # bytes of arrays in memory
     maps: weakref.WeakSet[mmap.mmap] = field(default_factory=weakref.WeakSet)
@@ -72,15 +71,15 @@ _LIMIT: ContextVar[_Limit | None] = ContextVar("limit", default=None)
 
 
 @contextlib.contextmanager
-def kept_within(memory: int, folder: Path | None = None, chunk: int | None = None) -> Iterator[None]:
+def kept_within(memory: int, folder: Path | None = None, *, in_chunks: bool = False) -> Iterator[None]:
     """Let arrays made in this context and thread be files without a name, in a folder, where memory is short.
 
-    `memory`: bytes for the arrays and for temporary blocks of them; `chunk`: of these, for a chunk of a mesh, which is
-    cut then, and whose arrays are all files.
+    `memory`: bytes for the arrays and for temporary blocks of them; `in_chunks`: work on parts takes it, and all arrays
+    of the whole are files.
     """
-    if chunk is not None:
+    if in_chunks:
         _return_freed_memory()
-    token = _LIMIT.set(_Limit(folder, chunk, int(_SHARE * memory) if chunk is None else 0))
+    token = _LIMIT.set(_Limit(folder, 0 if in_chunks else int(_SHARE * memory)))
     try:
         yield
     finally:
@@ -97,12 +96,6 @@ def _return_freed_memory() -> None:
 
         with contextlib.suppress(AttributeError):  # musl has no such parameter, and returns them by itself
             ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, _MMAP_BYTES)
-
-
-def chunk_memory() -> int | None:
-    """Return the bytes that a chunk of a mesh may take in this context; None: meshes need not be cut."""
-    limit = _LIMIT.get()
-    return None if limit is None else limit.chunk
 
 
 def zeros(shape: int | Sequence[int], dtype: DTypeLike) -> Array:

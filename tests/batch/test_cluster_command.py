@@ -21,7 +21,7 @@ from beltrami_cli.batch.item import Item, do_item
 from beltrami_cli.batch.run import ChunkRunner
 from beltrami_cli.cli.main import group
 from beltrami_cli.flow import chunks
-from beltrami_cli.flow.chunks import in_chunks
+from beltrami_cli.flow.chunks import Chunking, Resources
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.layers.settings import SmoothSettings
 from cli.commands import COMMAND, SAMPLES, copy_samples
@@ -108,8 +108,9 @@ def test_a_surface_in_chunks_outlives_a_worker(cluster, monkeypatch):
             cluster.kill_first()
             killed.append(done)
 
-    with cluster.client() as client, in_chunks(3, ChunkRunner(OnDask(client, per_worker=2))):
-        parts = smooth_mesh(SURFACE, parameters, progress)
+    with cluster.client() as client:
+        cut = Resources(Chunking(3, ChunkRunner(OnDask(client, per_worker=2))))
+        parts = smooth_mesh(SURFACE, parameters, progress, resources=cut)
     assert killed
     assert np.array_equal(parts.colours, whole.colours)
 

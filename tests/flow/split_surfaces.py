@@ -1,10 +1,12 @@
 """Surfaces to be smoothed as a whole and in chunks, and parameters that reach all that chunks could get wrong."""
 
+import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
 
 from beltrami_cli.flow.beltrami_flow import smooth_in_place
+from beltrami_cli.flow.chunks import IN_ONE_PIECE
 from beltrami_cli.flow.corrections.clipping import clipped_on
 from beltrami_cli.flow.decoding import plan_on_canvas
 from beltrami_cli.flow.estimation import estimate_on_mesh
@@ -33,24 +35,23 @@ def noisy(count):
     return (0.9 + 20 / 255 * random.standard_normal((count, 3))).clip(0, 1).astype(np.float32)
 
 
-def textured_plan(parameters):
+def textured_plan(parameters, resources=IN_ONE_PIECE):
     """Texels with seams, slits and a guide."""
     size = SIDE * TEXELS + 2
     atlas = build_atlas(cut_plane("aslant", True), [(size, size)], parameters.window // 2 + 3, 1)
     colours = noisy(len(atlas.owned_cells))
     guide = Guide("guide", colours[::-1, :1].copy(), 1.5)
-    return texel_plan(atlas, colours, parameters, guides=[guide], metric_channels=[0, 2])
+    return texel_plan(atlas, colours, parameters, guides=[guide], metric_channels=[0, 2], resources=resources)
 
 
-def image_plan(parameters):
+def image_plan(parameters, resources=IN_ONE_PIECE):
     """Pixels with holes."""
     random = np.random.default_rng(5)
     valid = random.random((70, 90)) > 0.03
     positions = np.dstack([*np.meshgrid(np.arange(90.0), np.arange(70.0)), 3 * random.random((70, 90))])
     values = noisy(valid.size)
-    return plan_on_canvas(
-        canvas_of_image(ImageSurface(None, positions, valid), lambda pixels: values[pixels], parameters)
-    )
+    canvas = canvas_of_image(ImageSurface(None, positions, valid), lambda pixels: values[pixels], parameters)
+    return plan_on_canvas(dataclasses.replace(canvas, resources=resources))
 
 
 def wavy_surface(side, seed=0):

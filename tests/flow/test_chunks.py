@@ -1,5 +1,6 @@
 """A surface that is smoothed in chunks has the bits of one that is smoothed as a whole."""
 
+import dataclasses
 import pickle
 
 import numpy as np
@@ -10,7 +11,7 @@ from hypothesis import strategies as st
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow import chunks
-from beltrami_cli.flow.chunks import chunking_of_mesh, in_chunks, in_turn
+from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunking, Resources, in_turn
 from beltrami_cli.flow.decoding import plan_on_canvas
 from beltrami_cli.flow.manifolds import grid_manifold
 from beltrami_cli.flow.manifolds.manifold import Guide, Step
@@ -18,7 +19,6 @@ from beltrami_cli.flow.manifolds.mesh_manifold import samples_per_kernel
 from beltrami_cli.flow.manifolds.moving_positions import GeometryParameters
 from beltrami_cli.flow.parameters import KernelParameters, parameters_with
 from beltrami_cli.layers.image_surface import ImageSurface, canvas_of_image
-from beltrami_cli.surface.large_arrays import kept_within
 from flow.split_surfaces import (
     FIXED,
     ON_GRIDS,
@@ -88,8 +88,8 @@ def test_a_mesh_in_chunks_has_the_bits_of_the_whole(name, count, seed):
     guides = [Guide("guide", surface.colours[:, ::-1].copy(), 2.0)]
     whole = smooth_mesh(surface, parameters, guides=guides, metric_channels=[0, 1])
     assert not np.array_equal(whole.colours, surface.colours)
-    with in_chunks(count, runner := Sent()):
-        parts = smooth_mesh(surface, parameters, guides=guides, metric_channels=[0, 1])
+    cut = Resources(Chunking(count, runner := Sent()))
+    parts = smooth_mesh(surface, parameters, guides=guides, metric_channels=[0, 1], resources=cut)
     assert runner.counts[0] == min(count, 3)  # blocks
     if name == "patches":  # sums in another order, and groups that reach further at a corner of the surface
         assert is_kept(parts.colours, whole.colours)
@@ -105,21 +105,18 @@ def test_a_grid_in_chunks_has_the_bits_of_the_whole(make, name, count):
     """The result and the gutter are the same as of the whole, and samples are counted exactly."""
     parameters = KernelParameters(**{**FIXED, **ON_GRIDS[name]})
     whole, runner = outcome(make(parameters)), Sent()
-    with in_chunks(count, runner):
-        parts = outcome(make(parameters))
+    parts = outcome(make(parameters, Resources(Chunking(count, runner))))
     assert runner.counts[0] > 1
     assert same_bits(parts, whole)
 
 
-def picture(shape, parameters, relative=None):
+def picture(shape, parameters, relative=None, resources=IN_ONE_PIECE):
     """Plan pixels with holes, with patches; `relative`: noise that differs from place to place."""
     values = noisy(shape[0] * shape[1])
     valid = np.random.default_rng(6).random(shape) > 0.02
-    return plan_on_canvas(
-        canvas_of_image(
-            ImageSurface(valid=valid), lambda pixels: values[pixels], parameters, deviations=relative
-        )
-    )
+    surface = ImageSurface(valid=valid)
+    canvas = canvas_of_image(surface, lambda pixels: values[pixels], parameters, deviations=relative)
+    return plan_on_canvas(dataclasses.replace(canvas, resources=resources))
 
 
 # Patches go tile by tile, so that a canvas of several chunks has some hundred thousand cells.
@@ -133,44 +130,44 @@ def test_patches_and_their_coarse_levels_take_part(differs):
     kernel = outcome(picture(shape, KernelParameters(**FIXED), relative))
     assert not same_bits(whole, kernel)
     for count in (2, 7):
-        with in_chunks(count, runner := Sent()):
-            parts = outcome(picture(shape, parameters, relative))
+        cut = Resources(Chunking(count, runner := Sent()))
+        parts = outcome(picture(shape, parameters, relative, cut))
         assert min(runner.counts) > 1
         assert len(runner.counts) > 2 * FIXED["iterations"] + 4  # the kernel, the patches, and levels
         assert same_bits(parts, whole)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("cut", [lambda: in_chunks(3, in_turn), lambda: kept_within(1 << 20, chunk=1 << 20)])
+@pytest.mark.parametrize("cut", [Resources(Chunking(3, in_turn)), Resources(chunk_memory=1 << 20)])
 def test_parameters_are_chosen_on_the_whole(cut):
     free = parameters_with({"threads": 1})
     whole = smooth_mesh(SURFACE, free)
     held = samples_per_kernel(whole.manifold, 9, Step(1.0, 1.0, False))
-    with cut():
-        assert chunking_of_mesh(len(SURFACE.positions), 1).count > 2
-        parts = smooth_mesh(SURFACE, free)
-        assert samples_per_kernel(parts.manifold, 9, Step(1.0, 1.0, False)) == held
+    assert cut.chunking_of_mesh(len(SURFACE.positions), 1).count > 2
+    parts = smooth_mesh(SURFACE, free, resources=cut)
+    assert samples_per_kernel(parts.manifold, 9, Step(1.0, 1.0, False)) == held
     assert parts.choice.chosen == whole.choice.chosen
     assert np.array_equal(parts.colours, whole.colours)
 
 
 def test_vertices_are_not_moved_in_chunks():
     geometry = GeometryParameters(np.arange(len(SURFACE.positions), dtype=np.int32))
-    with in_chunks(2, in_turn), pytest.raises(UsageError, match="not moved in pieces"):
-        smooth_mesh(SURFACE, KernelParameters(**FIXED), geometry=geometry)
+    cut = Resources(Chunking(2, in_turn))
+    with pytest.raises(UsageError, match="not moved in pieces"):
+        smooth_mesh(SURFACE, KernelParameters(**FIXED), geometry=geometry, resources=cut)
 
 
 def test_nothing_to_do_is_nothing_in_chunks_too():
     nothing = KernelParameters(**{**FIXED, "iterations": 0})
 
-    def grid(valid, parameters):
-        return smoothed(
-            plan_on_canvas(canvas_of_image(ImageSurface(valid=valid), lambda at: noisy(30)[at], parameters))
-        )
+    cut = Resources(Chunking(3, in_turn))
 
-    with in_chunks(3, in_turn):
-        result = grid(np.ones((5, 6), bool), nothing)
-        mesh = smooth_mesh(SURFACE, nothing)
-        assert len(grid(np.zeros((5, 6), bool), KernelParameters(**FIXED))) == 0
+    def grid(valid, parameters):
+        canvas = canvas_of_image(ImageSurface(valid=valid), lambda at: noisy(30)[at], parameters)
+        return smoothed(plan_on_canvas(dataclasses.replace(canvas, resources=cut)))
+
+    result = grid(np.ones((5, 6), bool), nothing)
+    mesh = smooth_mesh(SURFACE, nothing, resources=cut)
+    assert len(grid(np.zeros((5, 6), bool), KernelParameters(**FIXED))) == 0
     assert np.array_equal(result, noisy(30))
     assert np.array_equal(mesh.colours, SURFACE.colours)

@@ -1,16 +1,20 @@
 """Samples that are wrong one by one are replaced, on all surfaces by one rule; what is thin but real stays."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 import beltrami_cli
-from beltrami_cli.flow.chunks import in_chunks, in_turn
+from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunking, Resources, in_turn
 from beltrami_cli.flow.corrections.outliers import fill_outliers
+from beltrami_cli.flow.decoding import plan_on_canvas
 from beltrami_cli.flow.manifolds.grid_geometry import CanvasSamples
-from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.flow.parameters import KernelParameters, parameters_with
+from beltrami_cli.layers.image_surface import ImageSurface, canvas_of_image
 from beltrami_cli.surface.atlas import grid_atlas
 from oracles import surfaces
-from properties.textured_planes import Board, smooth_image
+from properties.textured_planes import Board, smooth_image, smoothed
 
 SIDE = 128
 PLAIN = KernelParameters(threads=1)
@@ -252,8 +256,16 @@ def test_the_result_does_not_depend_on_threads_and_chunks():
     image, _ = salted(np.rint(np.clip(noisy, 0, 255)).astype(np.uint8), 0.05)
     one = beltrami_cli.smooth_image(image, threads=1)
     assert np.array_equal(one.colours, beltrami_cli.smooth_image(image, threads=3).colours)
-    with in_chunks(3, in_turn):
-        assert np.array_equal(one.colours, beltrami_cli.smooth_image(image, threads=1).colours)
+    canvas = canvas_of_image(
+        ImageSurface(valid=np.ones((SIDE, SIDE), bool)),
+        (image.reshape(-1, 3) / np.float32(255)).__getitem__,
+        parameters_with({"threads": 1}),
+    )
+    whole, parts = (
+        smoothed(plan_on_canvas(dataclasses.replace(canvas, resources=resources)))
+        for resources in (IN_ONE_PIECE, Resources(Chunking(3, in_turn)))
+    )
+    assert np.array_equal(whole, parts)
 
 
 def test_no_iterations_leave_every_bit():

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Uint8s
-from beltrami_cli.flow.chunks import Figures, Rectangle, chunking, chunks_of_canvas, grown
+from beltrami_cli.flow.chunks import Chunking, Figures, Rectangle, Resources, chunks_of_canvas, grown
 from beltrami_cli.flow.manifolds.domain import CoarseLevel, Mixing, NewColours, Stack
 from beltrami_cli.flow.manifolds.grid_geometry import colours_at, gaussian_taps, guide_radius
 from beltrami_cli.flow.noise.grid_squares import Grid
@@ -203,20 +203,21 @@ def collaborate_on_canvas(
     *,
     relative: Float32s | None = None,
     replaces_pilot: bool = False,
+    chunking: Chunking | None = None,
 ) -> Float32s:
     """Estimate the owned cells from similar patches, compared on the pilot; `relative`: variance by its mean."""
     from beltrami_cli._native import PATCH_TILE_MARGIN, PATCH_TILE_SIDE
 
-    stacks, wanted = [noisy, pilot, *([] if relative is None else [relative])], chunking()
-    if wanted is None:
+    stacks = [noisy, pilot, *([] if relative is None else [relative])]
+    if chunking is None:
         taken = pilot if replaces_pilot else None
         return _patches_on((kind, ...), stacks, threads, mixing, progress, taken)[0][0]
     estimates: Float32s = large_arrays.empty(noisy.shape, np.float32)
     # Groups start tile by tile; the order in which tiles add to a cell repeats itself after two of them.
     before, after = 2 * PATCH_TILE_SIDE, PATCH_TILE_SIDE + PATCH_TILE_MARGIN
     cut, operation = partial(_part_for_patches, kind), partial(_patches_on, mixing=mixing)
-    chunks = chunks_of_canvas(cut, kind == OWNED, wanted.count, before, before, after)
-    wanted.apply(chunks, operation, stacks, [estimates], progress, size=kind.size, threads=threads)
+    chunks = chunks_of_canvas(cut, kind == OWNED, chunking.count, before, before, after)
+    chunking.apply(chunks, operation, stacks, [estimates], progress, size=kind.size, threads=threads)
     return estimates
 
 
@@ -263,13 +264,18 @@ def squares_for(
     parameters: KernelParameters,
     most: int,
     relative: Float32s | None,
+    resources: Resources,
     tick: Callable[[], None] | None = None,
 ) -> list[Squares]:
     """Return up to `most` levels of squares, fine to coarse, as far as none holds cells of two charts."""
     one_chart = atlas.chart_of.max(initial=0) == 0
     apart = max(atlas.kind.shape) if one_chart else 2 * canvas_margin(parameters)
     sides = (2**level for level in range(1, most + 1))
-    return [Squares(atlas, side, parameters.thread_count, relative, tick) for side in sides if side <= apart]
+    return [
+        Squares(atlas, side, parameters.thread_count, relative, resources, tick)
+        for side in sides
+        if side <= apart
+    ]
 
 
 class Squares(CoarseLevel):
@@ -283,11 +289,13 @@ class Squares(CoarseLevel):
         side: int,
         threads: int,
         relative: Float32s | None,
+        resources: Resources,
         tick: Callable[[], None] | None = None,
         *,
         width: float = 3.0,
     ) -> None:
         self._atlas, self.side, self._threads, self.width = atlas, side, threads, width
+        self._chunking = resources.chunking
         self._report = None if tick is None else lambda _: tick()
         kinds, counts = sort_squares(atlas.kind, side)
         self.kinds, self._counts = large_arrays.kept(kinds), large_arrays.kept(counts)
@@ -324,7 +332,14 @@ class Squares(CoarseLevel):
             fewer = np.maximum(self._counts, 1) * np.float32(self.noise)
             relative = (self.relative / fewer)[None]
         return collaborate_on_canvas(
-            self.kinds, noisy, pilot, mixing, self._threads, self._report, relative=relative
+            self.kinds,
+            noisy,
+            pilot,
+            mixing,
+            self._threads,
+            self._report,
+            relative=relative,
+            chunking=self._chunking,
         )
 
     def probe(self, means: Stack, noise: Float64s) -> Stack:

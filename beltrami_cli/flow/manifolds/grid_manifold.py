@@ -14,7 +14,7 @@ from typing import cast
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Int64s
-from beltrami_cli.flow.chunks import Chunk, Figures, Rectangle, chunking, chunks_of_canvas
+from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunk, Figures, Rectangle, Resources, chunks_of_canvas
 from beltrami_cli.flow.manifolds.canvas import (
     FURTHEST_SUPPORT,
     Squares,
@@ -84,6 +84,7 @@ class ColouredCanvas:
     metric_channels: Sequence[int] | None = None
     stop_at_holes: bool = False
     unit: float | None = None  # of length, in sample spacings; None: by the parameters
+    resources: Resources = IN_ONE_PIECE
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -104,7 +105,7 @@ def grid_manifold(canvas: ColouredCanvas, colours: CanvasColours) -> GridManifol
         geometry=grid, colours=colours.stack, noise=colours.noise, parameters=own, unit=unit,
         metric_channels=slice(None) if canvas.metric_channels is None else list(canvas.metric_channels),
         guides=tuple(GuideStack.of(guide, _guide_on_canvas(guide, grid), grid, unit) for guide in canvas.guides),
-        jumps=colours.jumps, outliers=colours.outliers,
+        jumps=colours.jumps, outliers=colours.outliers, resources=canvas.resources,
     )  # fmt: skip
 
 
@@ -133,7 +134,7 @@ class GridManifold(Manifold):
         self, stacks: list[Stack], metric: Metric, progress: Callable[[int], None] | None = None
     ) -> Averaged:
         """Average the channels by eq. (9): in place, unless all is one block, or in chunks."""
-        grid, wanted = self.geometry, chunking()
+        grid, wanted = self.geometry, self.resources.chunking
         if wanted is None or self.is_in_one_block:
             return self._average_rows(stacks, metric, progress)
         after = [grid.planes(len(stack)) for stack in stacks]
@@ -187,7 +188,8 @@ class GridManifold(Manifold):
     @cached_property
     def _kernel_chunks(self) -> list[Chunk]:
         """The chunks for one iteration."""
-        wanted, kind, margin = chunking(), self.geometry.atlas.kind, kernel_margin(self.parameters)
+        wanted, margin = self.resources.chunking, kernel_margin(self.parameters)
+        kind = self.geometry.atlas.kind
         assert wanted is not None
         return chunks_of_canvas(self._part, kind == OWNED, wanted.count, TILE_ROWS, margin, margin)
 
@@ -263,7 +265,8 @@ class GridManifold(Manifold):
         """Estimate the colours of the owned cells from patches, and show them in the halo."""
         atlas, threads, relative = self.geometry.atlas, self.geometry.threads, self.noise.relative
         estimates = collaborate_on_canvas(
-            atlas.kind, noisy, pilot, mixing, threads, progress, relative=relative, replaces_pilot=replaces_pilot
+            atlas.kind, noisy, pilot, mixing, threads, progress, relative=relative, replaces_pilot=replaces_pilot,
+            chunking=self.resources.chunking,
         )  # fmt: skip
         refresh_halo(estimates, atlas)
         return estimates
@@ -273,13 +276,15 @@ class GridManifold(Manifold):
         return large_arrays.Droppable(None, lambda: perturbations(1, atlas, noise)[0])
 
     def levels(self, most: int, tick: Callable[[], None] | None = None) -> list[Squares]:
-        return squares_for(self.geometry.atlas, self.parameters, most, self.noise.relative, tick)
+        return squares_for(
+            self.geometry.atlas, self.parameters, most, self.noise.relative, self.resources, tick
+        )
 
     @property
     def regions(self) -> Squares:
         """Squares of the finest level at which plain colours are estimated, averaged over 6 cells."""
         grid, side = self.geometry, 2 ** min(self.plain_levels)
-        return Squares(grid.atlas, side, grid.threads, None, width=6 / side)
+        return Squares(grid.atlas, side, grid.threads, None, IN_ONE_PIECE, width=6 / side)
 
     def trial(self) -> SampleTrial:
         atlas, planes, own = self.geometry.atlas, self.colours, self.parameters
@@ -310,6 +315,7 @@ class GridManifold(Manifold):
             guides=tuple(
                 dataclasses.replace(guide, stack=pick(guide.stack, samples)) for guide in self.guides
             ),
+            resources=IN_ONE_PIECE,
             is_in_one_block=True,
         )
 

@@ -31,6 +31,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
+from beltrami_cli.flow.chunks import IN_ONE_PIECE, Resources
 from beltrami_cli.flow.manifolds.domain import (
     CoarseLevel,
     Domain,
@@ -145,6 +146,7 @@ class Manifold(ABC):
     moving: MovingPositions | None = None  # positions that are smoothed along with the colours
     is_in_one_block: bool = False  # averaged at once, whatever its size; stacks stay as they are
     outliers: Outliers | None = None  # that were filled
+    resources: Resources = IN_ONE_PIECE
 
     search_range: ClassVar[SearchRange]
     """The parameters that are tried when they are chosen from the data."""

@@ -17,6 +17,7 @@ import numpy as np
 
 from beltrami_cli._native import SegmentManifold, TriangulatedManifold, vertex_order
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
+from beltrami_cli.flow.chunks import Resources
 from beltrami_cli.flow.manifolds.domain import ENOUGH_STEPS, Domain, Geometry, KernelWork, Stack
 from beltrami_cli.flow.manifolds.trials import fingerprints
 from beltrami_cli.flow.parameters import KernelParameters
@@ -137,12 +138,12 @@ class MeshGeometry(Geometry, Domain):
         fields = {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
         return {**fields, "_core": None}
 
-    def graph(self, colours: Stack) -> Graph:
+    def graph(self, colours: Stack, resources: Resources) -> Graph:
         """Return the samples and their edges, with priorities by colours."""
         joined, places = self._is_joined(), kept(_in_three_dimensions(self.positions))
         axes = _axes(places, colours) if joined.all() else _axes(places[joined], colours[joined])
         priorities = kept(fingerprints(coarse(colours), self.edges))
-        return Graph(places, self.edges, priorities, axes, self.threads)
+        return Graph(places, self.edges, priorities, axes, self.threads, resources=resources)
 
     def scaled_lengths(self, edges: Int32s) -> Float32s:
         """Return the lengths of edges between samples in the unit of length of the parameters, shape (E,)."""

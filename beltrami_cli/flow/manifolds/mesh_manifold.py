@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from beltrami_cli._native import PATCH_BLOCK_SIZE
 from beltrami_cli.arrays import Array, Float32s, Float64s
-from beltrami_cli.flow.chunks import Chunk, Chunking, Figures, chunking_of_mesh, runs
+from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunk, Chunking, Figures, Resources, runs
 from beltrami_cli.flow.manifolds.domain import CoarseLevel, Gaussian, Mixing, NewColours, Stack, in_blocks
 from beltrami_cli.flow.manifolds.manifold import (
     ON_MESHES,
@@ -67,12 +67,14 @@ class ColouredMesh:
     guides: Sequence[Guide] = ()  # in the order of the caller
     metric_channels: Sequence[int] | None = None
     moving: MovingPositions | None = None
+    resources: Resources = IN_ONE_PIECE
 
     @classmethod
     def of(
         cls, surface: SampledSurface, parameters: KernelParameters, *,
         guides: Sequence[Guide] = (), metric_channels: Sequence[int] | None = None,
         geometry: GeometryParameters | None = None, deviations: Float32s | None = None, is_light: bool = False,
+        resources: Resources = IN_ONE_PIECE,
     ) -> ColouredMesh:  # fmt: skip
         """Sort the samples of a surface; with `geometry`, positions are smoothed, too."""
         mesh = MeshGeometry.of(surface, parameters)
@@ -86,7 +88,7 @@ class ColouredMesh:
         return cls(
             geometry=mesh, colours=kept(surface.colours[order]), parameters=parameters,
             deviations=None if deviations is None else deviations[order], is_light=is_light,
-            guides=guides, metric_channels=metric_channels, moving=moving,
+            guides=guides, metric_channels=metric_channels, moving=moving, resources=resources,
         )  # fmt: skip
 
 
@@ -109,6 +111,7 @@ def mesh_manifold(mesh: ColouredMesh, colours: MeshColours) -> MeshManifold:
         metric_channels=slice(None) if mesh.metric_channels is None else list(mesh.metric_channels),
         guides=tuple(GuideStack.of(guide, guide.values[own.order], own, unit) for guide in mesh.guides),
         moving=mesh.moving, outliers=colours.outliers, graph=colours.graph,
+        resources=mesh.resources,
     )  # fmt: skip
 
 
@@ -177,7 +180,7 @@ class MeshManifold(Manifold):
     def _chunking(self) -> Chunking | None:
         if self.is_in_one_block or self.moving is not None:
             return None
-        return chunking_of_mesh(self.geometry.size, self.geometry.threads)
+        return self.resources.chunking_of_mesh(self.geometry.size, self.geometry.threads)
 
     @cached_property
     def _kernel_chunks(self) -> list[Chunk]:
@@ -264,6 +267,7 @@ class MeshManifold(Manifold):
             guides=tuple(dataclasses.replace(guide, stack=guide.stack[samples]) for guide in self.guides),
             moving=None,
             graph=_NO_GRAPH,
+            resources=IN_ONE_PIECE,
             is_in_one_block=True,
         )
 
@@ -346,7 +350,7 @@ def _collaborate_on_graph(
 ) -> Stack:
     """Estimate colours from similar patches, compared on the pilot; `relative`: variance of the noise by its mean."""
     stacks = [noisy, pilot, *([] if relative is None else [relative[:, None]])]
-    wanted = chunking_of_mesh(graph.size, graph.threads)
+    wanted = graph.chunking
     # Parameters are chosen by colours without shared noise, which must have the same bits in any number of chunks.
     if wanted is None or is_whole:
         sums, _ = _sums_of_patches(graph, stacks, graph.threads, mixing, progress)
