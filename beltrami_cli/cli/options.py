@@ -16,12 +16,12 @@ from beltrami_cli.cli.commands import GroupedOption, variable_behind
 from beltrami_cli.cli.console import Messages
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import REQUIRED, Parameter, parameters, parts
-from beltrami_cli.flow.parameters import PRESETS, TUNABLE, KernelParameters, parameters_with
+from beltrami_cli.flow.parameters import PRESETS, KernelParameters, parameters_with
 from beltrami_cli.formats.access import Access, default_memory, limited_memory
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.settings import BakeSettings
-from beltrami_cli.layers.settings import IMAGE_FORMATS, SmoothSettings, TextureSettings
+from beltrami_cli.layers.settings import IMAGE_FORMATS, SmoothSettings, TextureSettings, given_values
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
@@ -172,14 +172,11 @@ def settings_from(values: Mapping[str, Any]) -> SmoothSettings:
 def words_of(settings: SmoothSettings, preset: str | None = None) -> list[str]:
     """Return the options that `settings_from` makes such settings of, as they are typed."""
     usual: dict[str, Any] = dict(PRESETS[preset]) if preset else {}
-    words = ["--preset", preset] if preset else []
+    words, given = ["--preset", preset] if preset else [], given_values(settings)
     for record in (settings, *(getattr(settings, name) for name in parts(settings))):
         for declared in parameters(record):
             value, default = getattr(record, declared.name), usual.get(declared.name, declared.default)
-            if declared.name in TUNABLE and not preset:
-                is_given = declared.name not in settings.kernel.free and value is not None
-            else:
-                is_given = value != default
+            is_given = value != default if preset else declared.name in given
             if is_given and declared.flags:
                 words += _typed(declared, value)
     return words

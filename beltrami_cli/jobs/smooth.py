@@ -214,8 +214,8 @@ class SmoothReport(FileReport):
     input, output, format : str
         Paths of the input and output, and the format written.
     parameters : dict
-        The parameters that were requested. Those named in "free" were chosen from the data; the chosen values are in
-        the records below.
+        The parameters that were requested. Those named in "given" are not as by default; those named in "free" were
+        chosen from the data, and the chosen values are in the records below.
     vertices : VertexReport or None
         Statistics of vertex colours, if they were smoothed.
     textures : list of SlotReport

@@ -8,10 +8,21 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Literal, get_args
+from typing import Any, ClassVar, Literal, get_args
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.fields import Checked, check, described, named_files, names_in, parameter, part, share_in
+from beltrami_cli.fields import (
+    Checked,
+    check,
+    described,
+    named_files,
+    names_in,
+    parameter,
+    parameters,
+    part,
+    parts,
+    share_in,
+)
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters, Space
 from beltrami_cli.formats.access import is_file
 
@@ -340,9 +351,22 @@ DEFAULTS = SmoothSettings()
 _PARTS = ("textures", "image", "level_set", "embedding")
 
 
+def given_values(settings: SmoothSettings) -> dict[str, Any]:
+    """Return the values that are not as by default, by the names of parameters; tunable ones unless they are free."""
+    given: dict[str, Any] = {}
+    for record in (settings, *(getattr(settings, name) for name in parts(settings))):
+        for declared in parameters(record):
+            name, value = declared.name, getattr(record, declared.name)
+            is_closed = value is not None and name not in settings.kernel.free
+            if declared.flags and (is_closed if name in TUNABLE else value != declared.default):
+                given[name] = value
+    return given
+
+
 def describe_settings(settings: SmoothSettings) -> dict[str, object]:
     """Return what was asked for."""
     return {
+        "given": [*given_values(settings)],
         **dataclasses.asdict(settings.kernel),
         "threads": settings.kernel.thread_count,
         **{name: getattr(settings, name) for name in ("space", "channels", "on", "level_seams")},

@@ -31,19 +31,13 @@ from beltrami_cli.jobs.smooth import Smoothed, Smoothing, smooth_file, smooth_re
 from beltrami_cli.layers.selection import select
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.records import Slot
+from beltrami_cli.view.controls import CONTROLS, SLIDERS, plain_settings, settings_from, values_of
 from beltrami_cli.view.models import ModelWriter
 from beltrami_cli.view.pages import page_with_models, rendered
 from beltrami_cli.view.preview import Focus, LayerView, NoPreviewError
 from beltrami_cli.view.server import GoneError, MalformedError, PageRequest
-from beltrami_cli.view.settings import (
-    CONTROLS,
-    SLIDERS,
-    RenderSettings,
-    given_values,
-    plain_settings,
-    settings_from,
-    used_parameters,
-)
+from beltrami_cli.view.settings import RenderSettings
+from beltrami_cli.view.used import used_parameters
 from beltrami_cli.view.views import image_files, require_memory_to_draw
 from beltrami_cli.view.words import noise_of
 
@@ -137,7 +131,7 @@ class Live:
     def _page(self, settings: SmoothSettings) -> bytes:
         slots = [layer.slot for layer in self._layers if layer.slot is not None]
         target = _target(self._source)
-        start = {"values": given_values(settings), "target": target}
+        start = {"values": values_of(settings), "target": target}
         return page_with_models(
             "view.html", "live.js", {"start": start}, connect="'self'",
             title=self._source, controls=CONTROLS, sliders=SLIDERS, free=TUNABLE, slots=slots, target=target,

@@ -24,7 +24,7 @@ from beltrami_cli.surface.records import Slot, as_bytes, colour_by_value
 from beltrami_cli.view import pages
 from beltrami_cli.view.models import ModelWriter
 from beltrami_cli.view.render import distinct_labels
-from beltrami_cli.view.settings import used_parameters
+from beltrami_cli.view.used import used_parameters
 
 _NEARLY_ALL = 0.995  # of the samples, whose changes are not shown brightest
 _LARGEST = 8_000_000  # bytes of a page, unless its meshes alone are larger

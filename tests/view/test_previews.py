@@ -18,9 +18,9 @@ from beltrami_cli.jobs.recolour import open_input, recolour_in_memory
 from beltrami_cli.jobs.smooth import Smoothing
 from beltrami_cli.layers.settings import DEFAULTS
 from beltrami_cli.surface.records import PaintedVertices
+from beltrami_cli.view.controls import plain_settings, settings_from, values_of
 from beltrami_cli.view.models import ModelWriter, displayed_colours, displayed_pixels
 from beltrami_cli.view.preview import Focus, LayerView, NoPreviewError
-from beltrami_cli.view.settings import given_values, plain_settings, settings_from
 from cli.commands import SAMPLES
 from cli.pictures import encode
 from small_models import textured_squares
@@ -46,7 +46,7 @@ def parsed(words):
 def test_the_command_gives_the_settings_that_it_was_made_of(words):
     settings, preset = parsed(shlex.split(words)), "paper" if "paper" in words else None
     assert parsed(options.words_of(settings, preset)) == settings
-    assert settings_from(plain_settings(settings), given_values(settings)) == settings
+    assert settings_from(plain_settings(settings), values_of(settings)) == settings
 
 
 def test_controls_that_are_let_go_are_chosen_again():
