@@ -21,20 +21,22 @@ from beltrami_cli.surface.atlas import EMPTY, refresh_halo, without_halo
 
 
 def estimate_on_mesh(mesh: ColouredMesh) -> MeshColours:
-    """Fill the outliers of the colours, and estimate the noise of the others."""
+    """Fill the outliers of the colours, estimate the noise of the others, and stabilise it."""
     wanted, geometry = mesh.parameters, mesh.geometry
     channels, outliers = fill_outliers(mesh.colours.T, MeshSamples(geometry), wanted, is_light=mesh.is_light)
     graph = geometry.graph(channels.T, mesh.resources)
-    noise, channels = estimate_noise(
+    noise = estimate_noise(
         channels, VertexClusters(graph), wanted.given_noise,
         varies=wanted.evens_noise and mesh.moving is None, strength=wanted.strength,
         measured=None if mesh.deviations is None else relative_to_mean(mesh.deviations),
     )  # fmt: skip
+    if noise.stabiliser is not None:
+        channels = noise.stabiliser.stabilised(channels)
     return MeshColours(stack=channels.T, noise=noise, outliers=outliers, graph=graph)
 
 
 def estimate_on_canvas(canvas: ColouredCanvas) -> CanvasColours:
-    """Paint the colours, fill their outliers, and estimate the noise of the others."""
+    """Paint the colours, fill their outliers, estimate the noise of the others, and stabilise it."""
     wanted, atlas, is_light = canvas.parameters, canvas.atlas, canvas.light is not None
     planes = painted_by(atlas, canvas.channels, canvas.colours_of)
     planes, outliers = fill_outliers(planes, CanvasSamples(atlas), wanted, is_light=is_light)
@@ -46,22 +48,25 @@ def estimate_on_canvas(canvas: ColouredCanvas) -> CanvasColours:
         relative = painted(atlas, of_samples)
         relative[relative == 0] = 1  # in empty cells
         measured = relative, sigma
-    noise, planes = estimate_noise(
+    noise = estimate_noise(
         planes, Grid(atlas.is_owned), wanted.given_noise, varies=wanted.evens_noise,
         strength=wanted.strength, measured=measured,
     )  # fmt: skip
-    return _ended_at_jumps(canvas, planes, noise, outliers)
+    if noise.stabiliser is not None:
+        # Nobody else has these planes, and memory is too dear for two of them.
+        noise.stabiliser.stabilise_in_place(planes)
+    return _end_at_jumps_in_place(canvas, planes, noise, outliers)
 
 
 def with_known_noise(canvas: ColouredCanvas, rows: Float32s, noise: NoiseModel) -> CanvasColours:
     """Paint other colours of the owned cells, shape (T, N), whose noise is the same at all levels, and known."""
-    return _ended_at_jumps(canvas, painted(canvas.atlas, rows), noise, None)
+    return _end_at_jumps_in_place(canvas, painted(canvas.atlas, rows), noise, None)
 
 
-def _ended_at_jumps(
+def _end_at_jumps_in_place(
     canvas: ColouredCanvas, planes: Float32s, noise: NoiseModel, outliers: Outliers | None
 ) -> CanvasColours:
-    """End the canvas at the seams over which colours jump; cells beyond them are emptied in these new planes."""
+    """Return colours on a canvas that ends at the seams over which they jump; cells beyond are emptied."""
     atlas, different = canvas.atlas, np.zeros(max(1, canvas.atlas.seams), bool)
     # Where colours do not count as distance, a jump in colour is not an edge.
     if canvas.parameters.beta != 0 and (canvas.metric_channels is None or len(canvas.metric_channels)):

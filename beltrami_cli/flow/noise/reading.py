@@ -82,19 +82,18 @@ def estimate_noise(
     varies: bool,
     strength: float = 1.0,
     measured: tuple[Float32s, Float64s] | None = None,
-) -> tuple[NoiseModel, Float32s]:
-    """Estimate the noise of channels, as far as it is not given; return it, and the channels stabilised.
+) -> NoiseModel:
+    """Estimate the noise of channels, as far as it is not given.
 
     If it `varies`, its dependence on level and place is estimated, too. The stronger, the more of what may be noise is
-    taken for it. `measured` is noise given for each sample: relative variances, and sigma by channel. The channels are
-    the same array where their noise does not depend on the level.
+    taken for it. `measured` is noise given for each sample: relative variances, and sigma by channel.
     """
     if measured is None and given is not None and given.is_by_level:
         stabiliser = VarianceStabiliser.of_camera(given.shot, given.read)
-        channels = stabiliser.stabilised(channels)
         # The noise of stabilised colours is the same at all levels.
-        found = read_noise(channels, where, varies=False, sigma=stabiliser.scale).scaled_to(stabiliser.scale)
-        return dataclasses.replace(found, stabiliser=stabiliser), channels
+        stable = stabiliser.stabilised(channels)
+        found = read_noise(stable, where, varies=False, sigma=stabiliser.scale).scaled_to(stabiliser.scale)
+        return dataclasses.replace(found, stabiliser=stabiliser)
     if measured is not None:
         found = _measured(read_noise(channels, where, varies=False), *measured)
     else:
@@ -109,7 +108,7 @@ def estimate_noise(
                     read_noise(channels, where, varies=varies, sigma=assumed), reading=found.reading
                 )
             found = found.scaled_to(assumed)
-    return found, channels if found.stabiliser is None else found.stabiliser.stabilised(channels)
+    return found
 
 
 def _measured(found: NoiseModel, relative: Float32s, sigma: Float64s) -> NoiseModel:
