@@ -27,6 +27,7 @@ def test_the_program_has_the_messages_that_the_page_quotes():
         for text in re.findall("`(.*?)`", row)
     ]
     assert len(quoted) > 30
+    assert {row.count(" | ") for row in PAGE.splitlines() if row.startswith("| ")} == {2}
     said = "\n".join(texts())
     parts = [part.strip(" ,;") for text in quoted for part in text.split("...")]
     assert [part for part in parts if part not in said] == []
