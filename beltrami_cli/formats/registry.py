@@ -55,7 +55,6 @@ _PCD = rb"# \.PCD|VERSION 0?\.7"
 _COMMON = (".png", ".jpg", ".jpeg")
 _TEXTS = ("xyzrgb", "asc", "txt")
 READ_ONLY = ("off", "stl", "3mf", "dae", "zae")
-_BY_NAME = None  # in place of a mark: a file is recognised by its name alone
 
 
 @dataclass(frozen=True)
@@ -63,7 +62,7 @@ class Format:
     """A line of the registry. Classes and functions are found in `module`, relative to this package."""
 
     name: str  # `Document.format`, and for formats with a writer what --format and the suffix of OUTPUT say
-    # Whether a file's bytes (and, if need be, its name) are of it; None: its suffix decides.
+    # Whether a file's bytes (and, if need be, its name) are of it; None: they have no mark, or that of another line.
     mark: Recogniser | None
     module: str
     reader: str  # a `Document`; of volumes a function that returns a `Volume`
@@ -74,6 +73,7 @@ class Format:
     images: tuple[str, ...] = ()  # suffixes of the images that the format can hold; empty: any
     slots: tuple[Slot, ...] = ()  # of whose maps a new file can be written; empty: any
     aliases: tuple[str, ...] = ()  # further suffixes, without the dot
+    by_name: bool = False  # whether files without any mark are recognised by its suffixes
     keeps_form: bool = False  # documents are written with new colours, but no other format is converted to it
     kind: Kind = "model"  # what a file holds; meshes and clouds of points are models
 
@@ -133,11 +133,11 @@ FORMATS = (
     Format("volume", _asks("volume.is_volume", *_VOLUMES), "volume", "read_volume", kind="volume"),
     _textured("ply", _starts(rb"ply[\n\r \t]"), "ply.PlyDocument", textured_sidecars=".*", slots=("baseColor",)),
     _textured(
-        "obj", _BY_NAME, "obj.ObjDocument", textured_sidecars=".mtl .*",
+        "obj", None, "obj.ObjDocument", by_name=True, textured_sidecars=".mtl .*",
         slots=("baseColor", "emissive", "normal", "metallicRoughness"),
     ),
     _textured("glb", _starts(rb"glTF"), "gltf.GltfDocument", images=_COMMON),
-    Format("vrm", _starts(rb"(?!)"), "gltf", "document.GltfDocument", keeps_form=True),  # a GLB with an avatar
+    Format("vrm", None, "gltf", "document.GltfDocument", keeps_form=True),  # a GLB with an avatar
     _textured(
         "gltf", _starts(_JSON), "gltf.GltfDocument", sidecars=".bin", textured_sidecars=".bin .*", images=_COMMON
     ),
@@ -145,13 +145,18 @@ FORMATS = (
     _textured("usda", _starts(rb"#usda"), "usd.UsdDocument", textured_sidecars=".*"),
     _textured("usdc", _starts(rb"PXR-USDC"), "usd.UsdDocument", textured_sidecars=".*"),
     # It is of one of the two forms before.
-    _textured("usd", _starts(rb"(?!)"), "usd.UsdDocument", form="usdc", textured_sidecars=".*"),
-    Format("xyz", _BY_NAME, "points.text_document", "TextPointsDocument", "write_xyz", aliases=_TEXTS),
-    Format("pts", _BY_NAME, "points.text_document", "TextPointsDocument", "write_pts"),
-    Format("csv", _BY_NAME, "points.text_document", "TextPointsDocument", "write_csv"),
+    _textured("usd", None, "usd.UsdDocument", form="usdc", textured_sidecars=".*"),
     *(
-        Format(name, _starts(mark), "points.survey", "SurveyDocument", keeps_form=True)
-        for name, mark in (("las", rb"LASF"), ("laz", rb"(?!)"), ("e57", rb"ASTM-E57"), ("pcd", _PCD))
+        Format(
+            name, None, "points.text_document", "TextPointsDocument", f"write_{name}", aliases=aliases, by_name=True
+        )
+        for name, aliases in (("xyz", _TEXTS), ("pts", ()), ("csv", ()))
+    ),
+    *(
+        Format(name, mark, "points.survey", "SurveyDocument", keeps_form=True)
+        for name, mark in (
+            ("las", _starts(rb"LASF")), ("laz", None), ("e57", _starts(rb"ASTM-E57")), ("pcd", _starts(_PCD))
+        )
     ),
     Format("npz", _asks("archives.is_npz", _ZIP), "points.archive", "NpzPointsDocument", "write_npz"),
     Format("foreign", _is_foreign, "read_only", "document.ReadOnlyDocument", aliases=READ_ONLY),
@@ -207,7 +212,7 @@ def recognised(data: bytes, name: str, *, models_only: bool = False) -> Format |
     marked = next((line for line in lines if line.mark is not None and line.mark(data, name)), None)
     if marked is not None or not data or _unread(data, name):
         return marked
-    named = (line for line in lines if line.mark is None and name.lower().endswith(line.suffixes))
+    named = (line for line in lines if line.by_name and name.lower().endswith(line.suffixes))
     return next(named, None)
 
 
