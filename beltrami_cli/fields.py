@@ -11,7 +11,9 @@ import dataclasses
 import math
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import cache
 from numbers import Integral, Real
 from typing import Any, TypeVar
@@ -54,6 +56,7 @@ class Parameter:
     # Returns the file at the end of a value that may name one, or "".
     file_in: Callable[[str], str] | None = None
     lifts_limit: bool = False
+    of: tuple[str, ...] = ()  # the kinds of input that it has an effect on; empty: all
     # Spellings of the option, and click's name of it if that differs; empty: there is none.
     flags: tuple[str, ...] = ()
     metavar: str | None = None
@@ -276,13 +279,35 @@ def _parameters_of(record: type, deep: bool) -> tuple[Parameter, ...]:
     return tuple(found)
 
 
-def given_options(record: object, *names: str) -> list[str]:
-    """Return the options of a record, or some of them by the names of parameters, that are not as by default."""
-    return [
-        declared.flags[0]
-        for declared in parameters(record)
-        if (not names or declared.name in names) and getattr(record, declared.name) != declared.default
-    ]
+def given_parameters(record: object) -> list[Parameter]:
+    """Return the parameters of a record, and of the records in it, that are not as by default."""
+    own = [each for each in parameters(record) if getattr(record, each.name) != each.default]
+    return [*own, *(each for name in parts(record) for each in given_parameters(getattr(record, name)))]
+
+
+_TYPED: ContextVar[Sequence[Parameter]] = ContextVar("_TYPED", default=())
+
+
+@contextmanager
+def requiring_effect(typed: Sequence[Parameter]) -> Iterator[None]:
+    """Let `require_effect` refuse parameters that were typed for one input; those of several inputs may fit some."""
+    token = _TYPED.set(typed)
+    try:
+        yield
+    finally:
+        _TYPED.reset(token)
+
+
+def without_effect(declared: Iterable[Parameter], kinds: Collection[str]) -> list[Parameter]:
+    """Return the parameters that have an effect on none of the kinds of input."""
+    return [each for each in declared if each.of and not {*each.of} & {*kinds}]
+
+
+def require_effect(kinds: Collection[str], name: str, given: Iterable[Parameter] = ()) -> None:
+    """Raise UsageError if a parameter that was typed, or is given, has no effect on an input of some kinds."""
+    for each in without_effect([*_TYPED.get(), *given], kinds):
+        cause = f"{each.flag} has no effect on {' and '.join(kinds)}, only on {' and '.join(each.of)}"
+        raise UsageError(f"{name}: {cause}; leave it out")
 
 
 def parts(record: Any) -> dict[str, type]:

@@ -64,9 +64,11 @@ class BeltramiParameters(bpy.types.PropertyGroup):
 
 
 def arguments(values):
-    """Return command-line options for all values that differ from the defaults."""
-    given = []
+    """Return command-line options for all values that differ from the defaults and mean something for the target."""
+    given, kind = [], "vertex colours" if values.target == "COLOURS" else "textures"
     for declared in DECLARED["parameters"]:
+        if kind not in (declared["of"] or [kind]):
+            continue
         name, flag, default = declared["name"], declared["flag"], declared["default"]
         value = getattr(values, name)
         if isinstance(value, float):

@@ -17,7 +17,7 @@ from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import GroupedOption, command, complete_files, options_by_name, values_for
 from beltrami_cli.cli.console import Messages, printable, show_table
 from beltrami_cli.errors import OutputError, ProcessingError, UsageError
-from beltrami_cli.fields import of_255, parameters
+from beltrami_cli.fields import of_255, parameters, without_effect
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import Access, default_memory, is_file, is_url
 from beltrami_cli.jobs.progress import Label, Work
@@ -112,6 +112,9 @@ def batch(
             outcomes = batch.run(_at_once(given), _memory(given) or default_memory(), workers)
     if not messages.quiet:
         show_table(("output", "result", "time", "noise", "change"), list(map(_row, outcomes)), err=True)
+    kinds = {kind for outcome in outcomes for kind in outcome.kinds}
+    for each in without_effect(options.typed_parameters(), kinds) if kinds else ():
+        messages.warn(f"{each.flag} had no effect on any file, as it is for {' and '.join(each.of)}")
     messages.say(f"{_counts(outcomes)} in {time.monotonic() - start:.1f} s; report: {path}")
     if lost := sum(outcome.status == "failed" for outcome in outcomes):
         remedy = "fix or remove them, and run the same command again with --resume"

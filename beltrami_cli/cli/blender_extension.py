@@ -73,6 +73,7 @@ def declared_parameters() -> Iterator[dict[str, Any]]:
             "unset": each.unset.format(default=each.default),
             "daily": each.is_daily,
             "group": each.group,
+            "of": list(each.of),
         }
 
 

@@ -60,7 +60,7 @@ def info(sources: tuple[str, ...], as_json: bool, verbose: int, **smoothing: Any
     with Messages(quiet=False, verbose=0).progress() as progress:
         for name, own in [(names[0], progress)] if is_one else one_of(names, "files", progress):
             try:
-                with options.reading_from(smoothing, name) as access:
+                with options.reading_from(smoothing, name, is_one=is_one) as access:
                     facts = inspect_file(name, settings, access, own)
             except BeltramiError as error:
                 if is_one:

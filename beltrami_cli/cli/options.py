@@ -15,7 +15,7 @@ from click.shell_completion import CompletionItem
 from beltrami_cli.cli.commands import GroupedOption, variable_behind
 from beltrami_cli.cli.console import Messages
 from beltrami_cli.errors import UsageError
-from beltrami_cli.fields import REQUIRED, Parameter, parameters, parts
+from beltrami_cli.fields import REQUIRED, Parameter, parameters, parts, requiring_effect
 from beltrami_cli.flow.parameters import PRESETS, KernelParameters, parameters_with
 from beltrami_cli.formats.access import Access, default_memory, limited_memory
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
@@ -259,8 +259,7 @@ def unwrapping_from(values: Mapping[str, Any]) -> BakeSettings | None:
     """Make the settings of a new texture; None: none is wanted."""
     if values["unwrap"]:
         return record_from(BakeSettings, values, size=values["texture_size"])
-    if values["texture_size"] is not None:
-        raise UsageError("--texture-size is of the new texture that --unwrap makes; add --unwrap")
+    refuse_typed(BakeSettings, "of the new texture that --unwrap makes; add --unwrap")
     return None
 
 
@@ -300,12 +299,33 @@ reading = options_of(Access)
 """Adds all options that `reading_from` takes."""
 
 
+def typed_parameters() -> list[Parameter]:
+    """Return the parameters whose options stand on the command line."""
+    context = click.get_current_context()
+    return [
+        option.declared
+        for option in context.command.params
+        if isinstance(option, ParameterOption)
+        and context.get_parameter_source(str(option.name)) is ParameterSource.COMMANDLINE
+    ]
+
+
+def refuse_typed(record: type, why: str) -> None:
+    """Raise UsageError if an option of a record stands on the command line, where it has no effect."""
+    for each in typed_parameters():
+        if each.group == getattr(record, "group", ""):
+            raise UsageError(f"{each.flag} is {why}")
+
+
 @contextmanager
-def reading_from(values: Mapping[str, Any], source: str) -> Iterator[Access]:
-    """Give what a job on a file may read, and hold it to its memory, by the options that `reading` adds."""
+def reading_from(values: Mapping[str, Any], source: str, *, is_one: bool = True) -> Iterator[Access]:
+    """Give what a job on a file may read, and hold it to its memory, by the options that `reading` adds.
+
+    `is_one`: options must have an effect on this file, and not only on others that they are given for, too.
+    """
     access = record_from(Access, values)
     access = dataclasses.replace(access, memory=access.memory or default_memory())
-    with limited_memory(access.memory, source):
+    with limited_memory(access.memory, source), requiring_effect(typed_parameters() if is_one else []):
         yield access
 
 

@@ -91,6 +91,8 @@ def sweep(
 ) -> None:
     """Smooth INPUT with every combination of parameters, and show all results in a picture or page, or as figures."""
     trials, columns = _trials(given)
+    if kind is not None:
+        options.refuse_typed(RenderSettings, f"of pictures, and --format {kind} draws none; leave it out")
     plain = trials[0][1]
     on = "vertices" if plain.on == "vertices" else "auto"
     settings = options.record_from(RenderSettings, given, on=on, slot=plain.textures.slots[0])

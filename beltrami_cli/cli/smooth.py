@@ -258,6 +258,8 @@ def _open_preview(
 def bake(source: str, target: str, to: BakeTo, messages: Messages, **values: Any) -> None:
     """Move the colours of INPUT from its vertices to a texture, or from its textures to the vertices."""
     settings = options.record_from(BakeSettings, values)
+    if to == "vertices":
+        options.refuse_typed(BakeSettings, "of the new texture that --to texture makes; leave it out")
     from beltrami_cli.jobs.new_texture import bake_file
 
     report = _written(values, (source, target), messages, partial(bake_file, source, target, to, settings))

@@ -171,7 +171,7 @@ class KernelParameters:
         "uniform",
         "Count each sample once, or by the surface area that it stands for. Textures and images are always "
         "smoothed with uniform weights.",
-        choices=get_args(Weights),
+        choices=get_args(Weights), of=("vertex colours",),
     )  # fmt: skip
     units: Units = parameter(
         "spacing",
@@ -183,7 +183,7 @@ class KernelParameters:
         2000,
         "On vertices: the largest kernel, a guard against a time step that is too large. Warns when it "
         "takes effect. The default is lowered where very many triangles meet at a vertex or form no surface.",
-        low=1, high=2**31 - 1, unit="samples", metavar="COUNT",
+        low=1, high=2**31 - 1, unit="samples", metavar="COUNT", of=("vertex colours",),
     )  # fmt: skip
     threads: int | None = parameter(
         None,
@@ -194,7 +194,7 @@ class KernelParameters:
         7,
         "On textures and images: side of the square in which a kernel is looked for. Above 15 it takes much "
         "longer, since a heap march takes the place of vectorised sweeps.",
-        low=3, high=255, is_odd=True, unit="samples", metavar="W",
+        low=3, high=255, is_odd=True, unit="samples", metavar="W", of=("textures", "images"),
     )  # fmt: skip
     metric_scale: float = parameter(
         0.5,
@@ -227,7 +227,7 @@ class KernelParameters:
         "or two unfolded edges, which is several times faster and closer to the truth. auto takes segments "
         f"for kernels of a radius of up to {_SEGMENTS_REACH} sample spacings (-t below 10), where that is "
         "so, and fast marching for larger ones.",
-        choices=get_args(Solver),
+        choices=get_args(Solver), of=("vertex colours",),
     )  # fmt: skip
     free: tuple[Tunable, ...] = parameter(
         (),

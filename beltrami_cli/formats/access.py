@@ -81,6 +81,7 @@ class Access(Checked):
         "For points in text files: the names of all columns, in their order, such as x,y,z,r,g,b,scalar. "
         "Columns with other names stay unchanged.",
         unset="those in the file, or by the values", metavar="LIST", parse=names_in, show=",".join,
+        of=("points in text files",),
     )  # fmt: skip
 
     def found_at(self, path: Path) -> Path:

@@ -21,7 +21,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Float64s
 from beltrami_cli.errors import BeltramiError, UsageError
-from beltrami_cli.fields import given_options
+from beltrami_cli.fields import given_parameters
 from beltrami_cli.formats import registry
 from beltrami_cli.formats.access import Access, peak_memory, read_source
 from beltrami_cli.formats.changes import Naming, Written
@@ -166,7 +166,7 @@ def open_input(source: str, settings: SmoothSettings, access: Access) -> Documen
 
 def require_level_set(settings: SmoothSettings, *documents: Document) -> None:
     """Raise UsageError if options of level sets are given, and none of the documents is one."""
-    wrong = given_options(settings.level_set)
+    wrong = [each.flag for each in given_parameters(settings.level_set)]
     if wrong and all(document.kind != "volume" for document in documents):
         raise UsageError(f"{', '.join(wrong)}: for level sets, and {documents[0].name} is none")
 

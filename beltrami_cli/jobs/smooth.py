@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.fields import override
+from beltrami_cli.fields import override, require_effect
 from beltrami_cli.flow.beltrami_flow import smooth_in_place
 from beltrami_cli.flow.choice.choice import Choice
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Resources
@@ -306,6 +306,7 @@ def _smooth_unwrapped(
     file = begin(source, target, settings, job, models_only=True)
     with file.watch.stage("read"):
         selection = _selected(file, settings)
+        require_effect([*selection.kinds, "textures"], file.document.name)
         stem = file.reserve_new(settings.textures.image_suffix or ".png")
     if settings.kernel.iterations:
         selection.require_scale()

@@ -12,6 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from beltrami_cli.arrays import Bools
+from beltrami_cli.fields import given_parameters, require_effect
 from beltrami_cli.flow.beltrami_flow import FlowResult
 from beltrami_cli.flow.manifolds.domain import NewColours
 from beltrami_cli.flow.manifolds.grid_manifold import ColouredCanvas, GridManifold
@@ -27,7 +28,6 @@ from beltrami_cli.layers.image_surface import (
     ImageSurface,
     canvas_of_image,
     read_surface,
-    refuse_options_of_meshes,
 )
 from beltrami_cli.layers.layer import ImageReport, Part, Repainted, rewritten
 from beltrami_cli.layers.picture_layer import PictureColours, PictureLayer, with_chosen_layer
@@ -56,7 +56,7 @@ class ImageLayer(PictureLayer):
 
         `colours_only` leaves out channels that are no colours, unless settings name them.
         """
-        refuse_options_of_meshes(settings, document.name)
+        require_effect(["images"], document.name, given_parameters(settings))
         picture, chosen = with_chosen_layer(document.picture(), settings)
         only = colours_only or picture.names_colours
         colours = PictureColours.of([picture], "baseColor", chosen, is_image=True, colours_only=only)

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.fields import given_options
+from beltrami_cli.errors import InputError
 from beltrami_cli.flow.manifolds.canvas import canvas_margin
 from beltrami_cli.flow.manifolds.grid_manifold import ColouredCanvas
 from beltrami_cli.flow.manifolds.manifold import Guide
@@ -20,7 +19,7 @@ from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.image import Picture
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.layers.guides import read_of_size
-from beltrami_cli.layers.settings import ImageSettings, SmoothSettings
+from beltrami_cli.layers.settings import ImageSettings
 from beltrami_cli.surface.atlas import grid_atlas
 from beltrami_cli.surface.records import check_scale
 
@@ -162,20 +161,3 @@ def canvas_of_image(
         metric_channels=metric_channels, stop_at_holes=atlas.covered < valid.size,
         unit=None if surface.heights is None else 1.0,
     )  # fmt: skip
-
-
-def options_of_meshes(settings: SmoothSettings) -> list[str]:
-    """Return the options that are given, and that nothing on a grid has."""
-    of_kernel = given_options(settings.kernel, "weights", "max_samples")
-    return [*of_kernel, *given_options(settings.embedding, "smooth_geometry")]
-
-
-def refuse_options_of_meshes(settings: SmoothSettings, name: str) -> None:
-    """Raise UsageError for options that only meshes and their textures have."""
-    of_textures = given_options(settings.textures, "slots", "materials", "names", "gutter", "image_suffix")
-    wrong = [*given_options(settings, "on"), *of_textures, *options_of_meshes(settings)]
-    if not wrong:
-        return
-    in_name = "--texture-format" in wrong
-    remedy = "end the name of OUTPUT in the extension instead" if in_name else "leave it out"
-    raise UsageError(f"{', '.join(wrong)}: for meshes only, but {name} is an image; {remedy}")

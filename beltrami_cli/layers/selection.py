@@ -18,7 +18,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, Obstacle, UnpaintedError, UsageError
-from beltrami_cli.fields import given_options
+from beltrami_cli.fields import given_parameters, require_effect
 from beltrami_cli.flow.chunks import chunk_memory
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.document import Document
@@ -34,6 +34,8 @@ from beltrami_cli.surface.records import Slot, TexturedSurface, check_scale
 if TYPE_CHECKING:
     from beltrami_cli.layers.vertex_layer import PaintedLayer
 
+
+_TEXT_POINTS = ("xyz", "pts", "csv")  # formats
 
 # Texels that take as long as a vertex, for progress.
 _TEXELS_OF_A_VERTEX = 6
@@ -63,6 +65,18 @@ class Selection:
         """The surface of each slot with the chosen textures."""
         surfaces = map(self.document.textured, self.slots)
         return tuple(choose_textures(surface, self.settings.textures) for surface in surfaces)
+
+    @property
+    def kinds(self) -> list[str]:
+        """The kinds of input, as `Parameter.of` names them."""
+        kinds = {
+            "vertex colours": self.vertices,
+            "textures": bool(self.slots),
+            "images": self.image or (self.vertices and self.document.grid() is not None),
+            "level sets": self.document.kind == "volume",
+            "points in text files": self.document.format in _TEXT_POINTS,
+        }
+        return [kind for kind, is_there in kinds.items() if is_there]
 
     def images(self) -> Iterator[Iterator[tuple[str, bytes]]]:
         """Give the names and bytes of the files that are painted together: the image, or the textures of each slot."""
@@ -165,13 +179,16 @@ class Selection:
 
 def select(document: Document, settings: SmoothSettings, access: Access = EVERYTHING_INSIDE) -> Selection:
     """Choose the painted parts by the settings and the document; errors if there are none, or for unfit options."""
-    if document.kind == "image":
-        from beltrami_cli.layers.image_surface import refuse_options_of_meshes
+    selection = _select(document, settings, access)
+    # What fits no image, and the surface of images, is refused wherever it was given.
+    given = given_parameters(settings if selection.image else settings.image)
+    require_effect(selection.kinds, document.name, given)
+    return selection
 
-        refuse_options_of_meshes(settings, document.name)
+
+def _select(document: Document, settings: SmoothSettings, access: Access) -> Selection:
+    if document.kind == "image":
         return Selection(document, settings, access, image=True)
-    if wrong := given_options(settings.image):
-        raise UsageError(f"{', '.join(wrong)}: for images only, but {document.name} is none; leave it out")
     present = document.slots()
     slots = tuple(slot for slot in present if slot in settings.textures.slots)
     wanted = settings.textures.slots
@@ -204,7 +221,6 @@ def absent_slots(document: Document, settings: SmoothSettings) -> list[str]:
 def vertex_layer(document: Document, settings: SmoothSettings, access: Access) -> PaintedLayer:
     """Take the coloured vertices of a model: on a mesh, on their own, on a grid, or on a level set."""
     from beltrami_cli.layers.guides import noise_of_vertices, vertex_guides
-    from beltrami_cli.layers.image_surface import options_of_meshes
     from beltrami_cli.layers.levelled_charts import photographs_of
     from beltrami_cli.layers.vertex_layer import GridLayer, VertexLayer
 
@@ -221,7 +237,7 @@ def vertex_layer(document: Document, settings: SmoothSettings, access: Access) -
             in_triangles=in_triangles,
             photographs_of=partial(photographs_of, document),
         )
-    if wrong := options_of_meshes(settings):
+    if wrong := [each.flag for each in given_parameters(settings) if each.of == ("vertex colours",)]:
         cause = f"{', '.join(wrong)}: not on range images, whose vertices lie on a grid; leave it out"
         raise UsageError(cause)
     return GridLayer(painted=painted, grid=grid, settings=settings, guides=guides, noise=noise)

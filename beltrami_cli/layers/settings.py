@@ -94,43 +94,43 @@ class TextureSettings(Checked):
     slots: tuple[str, ...] = parameter(
         ("baseColor",),
         f"Slots of materials: {', '.join(SLOTS)}, or all. All but the first two are taken as data.",
-        choices=SLOTS, metavar="LIST", parse=_slots, show=",".join,
+        choices=SLOTS, metavar="LIST", parse=_slots, show=",".join, of=("textures",),
     )  # fmt: skip
     materials: tuple[str, ...] = parameter(
         (),
         "Only textures of materials with such a name; may be repeated.",
-        flags=("--material", "materials"), metavar="GLOB", repeatable=True,
+        flags=("--material", "materials"), metavar="GLOB", repeatable=True, of=("textures",),
     )  # fmt: skip
     names: tuple[str, ...] = parameter(
         (),
         "Only textures with such a file name; may be repeated.",
-        flags=("--texture", "texture_names"), metavar="GLOB", repeatable=True,
+        flags=("--texture", "texture_names"), metavar="GLOB", repeatable=True, of=("textures",),
     )  # fmt: skip
     alpha: AlphaMode = parameter(
         "keep",
         "Keep the opacity of textures and images, or smooth it with the colours. Unless it is smoothed, "
         "invisible texels contribute no colour.",
-        choices=get_args(AlphaMode),
+        choices=get_args(AlphaMode), of=("textures", "images"),
     )  # fmt: skip
     gutter: int | None = parameter(
         16,
         "Also change up to this many texels around every chart, where they continue its colours, so that "
         "lookups across its border return no old colours; or keep them.",
         optional=True, low=0, high=_WIDEST_GUTTER, unit="texels", metavar="N|keep", parse=_gutter,
-        show=lambda width: "keep" if width is None else str(width),
+        show=lambda width: "keep" if width is None else str(width), of=("textures",),
     )  # fmt: skip
     image_suffix: str | None = parameter(
         None,
         "Write textures as png, jpg, webp, ktx2, avif, tif, exr ...",
         choices=IMAGE_SUFFIXES, unset="each as it was", flags=("--texture-format",), metavar="EXT",
-        parse=_suffix,
+        parse=_suffix, of=("textures",),
     )  # fmt: skip
     jpeg_quality: int = parameter(
         98,
         "Quality of JPEG, lossy WebP, AVIF and ETC1S (KTX2) textures and images; the subsampling of a JPEG stays.",
-        low=1, high=100,
+        low=1, high=100, of=("textures", "images"),
     )  # fmt: skip
-    small: bool = parameter(False, "Compress PNG files well, which takes longer.")
+    small: bool = parameter(False, "Compress PNG files well, which takes longer.", of=("textures", "images"))
 
 
 @described
@@ -155,6 +155,7 @@ class LevelSettings(Checked):
         None,
         "Of vertex colours: the attribute of vertices that numbers the photograph that each is from.",
         unset="photograph, photo, image, camera, view or one of these with _id", metavar="ATTRIBUTE", is_daily=True,
+        of=("vertex colours",),
     )  # fmt: skip
 
 
@@ -169,24 +170,24 @@ class ImageSettings:
         None,
         "For images: an image of the same size with heights over its plane, for the surface (x, y, S h). "
         "Depth images (EXR, 16-bit PNG) do as well. Pixels without a finite height are holes.",
-        metavar="FILE", is_file=True,
+        metavar="FILE", is_file=True, of=("images",),
     )  # fmt: skip
     height_scale: float = parameter(
         1.0,
         "Factor of --height. Integer heights are scaled to 0 to 1, floats are not.",
-        unit="pixels per unit of height", metavar="S",
+        unit="pixels per unit of height", metavar="S", of=("images",),
     )  # fmt: skip
     positions: str | None = parameter(
         None,
         "For images: an image of the same size with the position x, y, z of every pixel, as range scanners "
         "and bakers write them. Pixels without a finite position, or with an alpha of 0, are holes.",
-        metavar="FILE", is_file=True,
+        metavar="FILE", is_file=True, of=("images",),
     )  # fmt: skip
     mask: str | None = parameter(
         None,
         "For images: an image of the same size that is 0 at holes. Holes stay unchanged and contribute "
         "nothing, and no kernel crosses them.",
-        metavar="FILE", is_file=True,
+        metavar="FILE", is_file=True, of=("images",),
     )  # fmt: skip
 
     def __post_init__(self) -> None:
@@ -207,24 +208,24 @@ class LevelSetSettings(Checked):
     iso: float | None = parameter(
         None,
         "For level sets: the value on the surface, such as 0.5 for occupancies.",
-        kind=float, unset="as INPUT says, or 0", metavar="VALUE",
+        kind=float, unset="as INPUT says, or 0", metavar="VALUE", of=("level sets",),
     )  # fmt: skip
     inside: Inside = parameter(
         "below",
         "For level sets: which values are inside: those below the value of the surface, as of signed "
         "distances, or above it, as of densities. Triangles face outwards.",
-        choices=get_args(Inside),
+        choices=get_args(Inside), of=("level sets",),
     )  # fmt: skip
     colours: str | None = parameter(
         None,
         "For level sets: a file with the colours, on any grid (.nrrd, .npz), or at points or vertices near "
         "the surface (.npz, PLY and all other models).",
-        unset="those in INPUT", metavar="FILE", is_file=True,
+        unset="those in INPUT", metavar="FILE", is_file=True, of=("level sets",),
     )  # fmt: skip
     max_voxels: int = parameter(
         1 << 28,
         "For level sets: the largest grid that is read.",
-        low=8, high=MOST_VOXELS, unit="voxels", metavar="COUNT", lifts_limit=True,
+        low=8, high=MOST_VOXELS, unit="voxels", metavar="COUNT", lifts_limit=True, of=("level sets",),
     )  # fmt: skip
 
 
@@ -260,13 +261,13 @@ class EmbeddingSettings:
     smooth_geometry: bool = parameter(
         False,
         "Smooth the positions of vertices along with their colours. Creases are kept by the normals, which "
-        "count as distance; open borders stay. Curved parts shrink a little.",
+        "count as distance; open borders stay. Curved parts shrink a little.", of=("vertex colours",),
     )  # fmt: skip
     normal_beta: float | None = parameter(
         None,
         "How strongly --smooth-geometry keeps creases. 0 rounds them off.",
         kind=float, low=0, unit="sample spacings per radian that the normal turns",
-        unset="from the noise of the normals", metavar="B",
+        unset="from the noise of the normals", metavar="B", of=("vertex colours",),
     )  # fmt: skip
 
     def __post_init__(self) -> None:
@@ -312,12 +313,12 @@ class SmoothSettings:
     on: Target = parameter(
         "auto",
         "The vertex colours, the textures, or both; auto takes the textures where there are any.",
-        choices=get_args(Target), is_daily=True,
+        choices=get_args(Target), is_daily=True, of=("vertex colours", "textures"),
     )  # fmt: skip
     level_seams: bool = parameter(
         False,
         "First remove exposure steps between the charts of textures, as `beltrami level` does.",
-        group="Exposure steps", flags=("--level", "level_seams"),
+        group="Exposure steps", flags=("--level", "level_seams"), of=("vertex colours", "textures"),
     )  # fmt: skip
     textures: TextureSettings = part(TextureSettings)  # images obey its alpha, jpeg_quality and small, too
     image: ImageSettings = part(ImageSettings)

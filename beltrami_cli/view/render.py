@@ -20,6 +20,7 @@ from PIL import Image, ImageDraw
 
 from beltrami_cli.arrays import Float32s, Float64s, Uint8s
 from beltrami_cli.errors import ProcessingError, UsageError, one_line
+from beltrami_cli.fields import require_effect
 from beltrami_cli.formats.access import Access, read_regular
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.document import Document
@@ -80,6 +81,8 @@ def render_file(
     output, progress = Output(path, overwrite=job.overwrite, what="picture", reads=names), job.progress
     access = output.files.watching(job.access)
     views = open_views(names, settings, access, progress=progress)
+    if all(isinstance(view, ImageView) for view in views):
+        require_effect(["images"], names[0])
     picture = draw_views(views, labels, settings, progress)
     output.write(encoded(picture, path, suffix))
     return picture.shape[1], picture.shape[0]

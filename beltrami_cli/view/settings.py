@@ -70,28 +70,31 @@ class RenderSettings:
     )  # fmt: skip
     view: str = parameter(
         "front", "Where the eye is; y points up, and the front looks along z, unless --up says otherwise.",
-        choices=tuple(VIEWS), is_daily=True,
+        choices=tuple(VIEWS), is_daily=True, of=("vertex colours", "textures"),
     )  # fmt: skip
     azimuth: float | None = parameter(
         None, "Position of the eye: around the model, to the right of its front.",
         kind=float, low=-_MOST_DEGREES, high=_MOST_DEGREES, unit="degrees", unset="of --view", metavar="DEGREES",
+        of=("vertex colours", "textures"),
     )  # fmt: skip
     elevation: float | None = parameter(
         None, "Position of the eye: upwards; negative: from below.",
         kind=float, low=-_MOST_DEGREES, high=_MOST_DEGREES, unit="degrees", unset="of --view", metavar="DEGREES",
+        of=("vertex colours", "textures"),
     )  # fmt: skip
     up: Axis = parameter(
-        "y", "Which axis of the models points up: z in many scans and in CAD.", choices=get_args(Axis)
-    )
+        "y", "Which axis of the models points up: z in many scans and in CAD.",
+        choices=get_args(Axis), of=("vertex colours", "textures"),
+    )  # fmt: skip
     fov: float = parameter(
         30.0, "Field of view along the shorter side; 0: parallel rays.",
-        low=0, high=120, unit="degrees", metavar="DEGREES",
+        low=0, high=120, unit="degrees", metavar="DEGREES", of=("vertex colours", "textures"),
     )  # fmt: skip
     zoom: float = parameter(1.0, "Magnification of the fitted view.", low=0.01, high=1000, metavar="FACTOR")
     lit: bool = parameter(
         False,
         "Light the shape, or show colours without light. Points are never lit.",
-        flags=("--lit/--unlit",), is_daily=True,
+        flags=("--lit/--unlit",), is_daily=True, of=("vertex colours", "textures"),
     )  # fmt: skip
     background: str = parameter(
         "auto", "white, grey, black, #rrggbb, or transparent; auto: white, or grey behind pale models.",
@@ -100,12 +103,12 @@ class RenderSettings:
     slot: str = parameter(
         "baseColor",
         "The material slot of the textures. All but baseColor and emissive are shown as their plain numbers.",
-        choices=SLOTS,
+        choices=SLOTS, of=("textures",),
     )  # fmt: skip
     on: Literal["auto", "vertices", "texture"] = parameter(
         "auto",
         "Of models that have both: the texture or the vertex colours; auto: the texture.",
-        choices=("auto", "vertices", "texture"), flags=("--show", "on"),
+        choices=("auto", "vertices", "texture"), flags=("--show", "on"), of=("vertex colours", "textures"),
     )  # fmt: skip
     crops: tuple[Crop, ...] = parameter(
         (),

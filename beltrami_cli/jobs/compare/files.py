@@ -17,6 +17,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Float64s, Uint8s
 from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.fields import require_effect
 from beltrami_cli.flow.parameters import Weights
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.document import Document
@@ -183,7 +184,9 @@ def choose_parts(documents: Documents, settings: SmoothSettings) -> tuple[Select
         cause = f"it is {kinds[1]}, but {documents[0].name} is {kinds[0]}"
         raise InputError(documents[1].name, cause, "compare two files of one kind")
     if documents[0].kind == "image":
-        return Selection(documents[0], settings, documents[0].access, image=True), []
+        selection = Selection(documents[0], settings, documents[0].access, image=True)
+        require_effect(selection.kinds, documents[0].name)
+        return selection, []
     notices: list[str] = []
     chosen = settings if settings.textures.slots else _everything(documents, settings, notices)
     selection = select(documents[0], chosen)
