@@ -223,10 +223,10 @@ class UsdError(Exception):
 def _carry_out(order: dict[str, Any], arrays: dict[str, Array]) -> Message:
     from pxr import Tf
 
-    from beltrami_cli.formats.usd import editing
+    from beltrami_cli.formats.usd import editing, reading
 
     os.chdir(order["folder"])
-    task = {"read": editing.read, "edit": editing.edit, "convert": editing.convert}[order["task"]]
+    task = {"read": reading.read, "edit": editing.edit, "convert": editing.convert}[order["task"]]
     try:
         return task(order, arrays)
     except Tf.ErrorException as error:

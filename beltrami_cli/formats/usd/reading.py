@@ -1,0 +1,80 @@
+"""The task of the process with usd-core that reads a scene: its meshes, materials and colours as arrays."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from pxr import Sdf, Usd, UsdGeom
+
+from beltrami_cli.arrays import Array
+from beltrami_cli.formats.usd.scene import NeedsLayersError, Scene, files_in_variants, files_of, opened
+
+
+def read(order: dict[str, Any], _: dict[str, Array]) -> tuple[dict[str, Any], dict[str, Array]]:
+    """Return a scene, or which layers it needs as well."""
+    try:
+        stage = opened(order["root"], order["layers"], order["refused"])
+    except NeedsLayersError as error:
+        return {"needs": error.needs}, {}
+    scene = Scene()
+    others: set[str] = set()
+    images = files_in_variants(stage, order["layers"])
+    for prim in Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()):
+        if prim.IsA(UsdGeom.Mesh):
+            scene.take(prim)
+            continue
+        images |= files_of(prim)
+        if prim.IsA(UsdGeom.Gprim):
+            others.add(str(prim.GetTypeName()))
+            colours = UsdGeom.Gprim(prim).GetDisplayColorAttr().Get(Usd.TimeCode.EarliestTime())
+            scene.counts["no mesh"] += int(colours is not None and len(colours) > 1)
+    shown = enumerate(scene.uses)
+    uses = [{**use, "material": n, "slot": slot} for n, each in shown for slot, use in each.items()]
+    words = {
+        "uses": uses,
+        "images": {use["attribute"]: use["file"] for use in uses} | images,
+        "materials": scene.materials,
+        "blocks": scene.blocks,
+        "meshes": scene.meshes,
+        "counts": dict(scene.counts),
+        "slots": sorted(scene.slots),
+        "others": sorted(others),
+        "up": str(UsdGeom.GetStageUpAxis(stage)),
+        # `UsdGeom.GetStageMetersPerUnit` refuses single precision, as old exporters wrote it.
+        "unit": float(stage.GetMetadata("metersPerUnit")),
+        "variants": [
+            f"{prim.GetPath()}{{{name}={sets.GetVariantSelection(name)}}}"
+            for prim in stage.Traverse()
+            for sets in [prim.GetVariantSets()]
+            for name in sets.GetNames()
+        ],
+    }
+    if order.get("text"):
+        words["text"] = _without_colours(stage, words)
+    return words, scene.joined()
+
+
+def _without_colours(stage: Any, words: dict[str, Any]) -> str:
+    """Return the text of the root layer without colours and names of images."""
+    bare = Sdf.Layer.CreateAnonymous(".usda")
+    bare.TransferContent(stage.GetRootLayer())
+    paths = [use["attribute"] for use in words["uses"]]
+    for block in words["blocks"]:
+        primvar = UsdGeom.Primvar(stage.GetAttributeAtPath(block["attribute"]))
+        indices = [str(primvar.GetIndicesAttr().GetPath())] if primvar.IsIndexed() else []
+        paths += [block["attribute"], *indices]
+    for path in dict.fromkeys(paths):
+        for spec in stage.GetAttributeAtPath(path).GetPropertyStack():
+            # Several instances have the same one.
+            if spec.layer == stage.GetRootLayer() and (own := bare.GetPropertyAtPath(spec.path)):
+                own.ClearInfo("default")
+                if own.owner.specifier == Sdf.SpecifierOver:
+                    own.owner.RemoveProperty(own)
+    bare.RemoveInertSceneDescription()  # overrides that hold nothing else
+    # Damaged layers may hold strings that are not UTF-8, which `ExportToString` refuses.
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "layer.usda")
+        bare.Export(str(file))
+        return file.read_text("utf-8", errors="backslashreplace")
