@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from beltrami_cli.arrays import Bools
-from beltrami_cli.fields import given_parameters, require_effect
+from beltrami_cli.fields import require_effect
 from beltrami_cli.flow.beltrami_flow import FlowResult
 from beltrami_cli.flow.manifolds.domain import NewColours
 from beltrami_cli.flow.manifolds.grid_manifold import ColouredCanvas, GridManifold
@@ -31,7 +31,7 @@ from beltrami_cli.layers.image_surface import (
 )
 from beltrami_cli.layers.layer import ImageReport, Part, Repainted, rewritten
 from beltrami_cli.layers.picture_layer import PictureColours, PictureLayer, with_chosen_layer
-from beltrami_cli.layers.settings import SmoothSettings
+from beltrami_cli.layers.settings import SmoothSettings, binding_parameters
 from beltrami_cli.surface.baking import Cells
 
 
@@ -56,7 +56,7 @@ class ImageLayer(PictureLayer):
 
         `colours_only` leaves out channels that are no colours, unless settings name them.
         """
-        require_effect(["images"], document.name, given_parameters(settings))
+        require_effect(["images"], document.name, binding_parameters(settings))
         picture, chosen = with_chosen_layer(document.picture(), settings)
         only = colours_only or picture.names_colours
         colours = PictureColours.of([picture], "baseColor", chosen, is_image=True, colours_only=only)

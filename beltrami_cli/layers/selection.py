@@ -24,7 +24,7 @@ from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.reading import measure_image, require_memory, sizes_of, too_large
 from beltrami_cli.layers.layer import Layer
-from beltrami_cli.layers.settings import SLOTS, SmoothSettings
+from beltrami_cli.layers.settings import SLOTS, SmoothSettings, binding_parameters
 from beltrami_cli.layers.texture_layer import TextureLayer, choose_textures, only_textures
 from beltrami_cli.surface.geometry import coarse_rounding
 from beltrami_cli.surface.grouping import group_places
@@ -181,7 +181,7 @@ def select(document: Document, settings: SmoothSettings, access: Access = EVERYT
     """Choose the painted parts by the settings and the document; errors if there are none, or for unfit options."""
     selection = _select(document, settings, access)
     # What fits no image, and the surface of images, is refused wherever it was given.
-    given = given_parameters(settings if selection.image else settings.image)
+    given = binding_parameters(settings) if selection.image else given_parameters(settings.image)
     require_effect(selection.kinds, document.name, given)
     return selection
 
@@ -237,7 +237,7 @@ def vertex_layer(document: Document, settings: SmoothSettings, access: Access) -
             in_triangles=in_triangles,
             photographs_of=partial(photographs_of, document),
         )
-    if wrong := [each.flag for each in given_parameters(settings) if each.of == ("vertex colours",)]:
+    if wrong := [each.flag for each in binding_parameters(settings) if each.of == ("vertex colours",)]:
         cause = f"{', '.join(wrong)}: not on range images, whose vertices lie on a grid; leave it out"
         raise UsageError(cause)
     return GridLayer(painted=painted, grid=grid, settings=settings, guides=guides, noise=noise)

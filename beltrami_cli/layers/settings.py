@@ -13,8 +13,10 @@ from typing import Any, ClassVar, Literal, get_args
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import (
     Checked,
+    Parameter,
     check,
     described,
+    given_parameters,
     named_files,
     names_in,
     parameter,
@@ -349,6 +351,13 @@ class SmoothSettings:
 
 
 DEFAULTS = SmoothSettings()
+
+
+def binding_parameters(settings: SmoothSettings) -> list[Parameter]:
+    """Return the given parameters that must have an effect: all but the solver, which changes no result on grids."""
+    return [each for each in given_parameters(settings) if each.name != "solver"]
+
+
 _PARTS = ("textures", "image", "level_set", "embedding")
 
 

@@ -28,7 +28,7 @@ def info(name, *options):
 def test_the_keys_in_the_examples_of_help_are_there():
     samples = {"ply": "nonmanifold-noisy.ply", "glb": "tiled-noisy.glb", "obj": "mirrored-noisy.obj"}
     examples = re.findall(r"scan\.(\w+) --json \| jq '?\.([.\w\[\]]+)", notes_on("info"))
-    assert len(examples) == 4
+    assert len(examples) == 3
     for suffix, path in examples:
         values = [info(samples[suffix], "--fast")]
         for key in path.split("."):
