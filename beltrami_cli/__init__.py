@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from beltrami_cli.jobs.inspect import check_files as check_files
     from beltrami_cli.jobs.inspect import inspect_file as inspect_file
     from beltrami_cli.jobs.job import Job as Job
+    from beltrami_cli.jobs.level import LevelFileReport as LevelFileReport
+    from beltrami_cli.jobs.level import level_file as level_file
     from beltrami_cli.jobs.new_texture import BakeReport as BakeReport
     from beltrami_cli.jobs.new_texture import bake_file as bake_file
     from beltrami_cli.jobs.noise import NoiseReport as NoiseReport
@@ -38,10 +40,8 @@ if TYPE_CHECKING:
     from beltrami_cli.jobs.settings import BakeSettings as BakeSettings
     from beltrami_cli.jobs.settings import Limits as Limits
     from beltrami_cli.jobs.settings import NoiseSettings as NoiseSettings
-    from beltrami_cli.jobs.smooth import LevelFileReport as LevelFileReport
-    from beltrami_cli.jobs.smooth import SmoothReport as SmoothReport
-    from beltrami_cli.jobs.smooth import level_file as level_file
     from beltrami_cli.jobs.smooth import smooth_file as smooth_file
+    from beltrami_cli.jobs.smoothing import SmoothReport as SmoothReport
     from beltrami_cli.layers.image_surface import ImageSurface as ImageSurface
     from beltrami_cli.layers.settings import EmbeddingSettings as EmbeddingSettings
     from beltrami_cli.layers.settings import ImageSettings as ImageSettings
@@ -63,10 +63,12 @@ _NAMES_IN = {
     "jobs.compare.files": "Comparison compare_files",
     "jobs.inspect": "CheckReport check_files inspect_file",
     "jobs.job": "Job",
+    "jobs.level": "LevelFileReport level_file",
     "jobs.new_texture": "BakeReport bake_file",
     "jobs.noise": "NoiseReport noise_file",
     "jobs.settings": "BakeSettings Limits NoiseSettings",
-    "jobs.smooth": "LevelFileReport SmoothReport level_file smooth_file",
+    "jobs.smooth": "smooth_file",
+    "jobs.smoothing": "SmoothReport",
     "layers.image_surface": "ImageSurface",
     "layers.settings": "EmbeddingSettings ImageSettings LevelSetSettings LevelSettings SmoothSettings TextureSettings",
     "view.render": "render_file",

@@ -35,7 +35,7 @@ from beltrami_cli.jobs.settings import BakeSettings
 
 if TYPE_CHECKING:
     from beltrami_cli.flow.chunks import Chunking
-    from beltrami_cli.jobs.smooth import SmoothReport
+    from beltrami_cli.jobs.smoothing import SmoothReport
     from beltrami_cli.layers.settings import SmoothSettings
 
 

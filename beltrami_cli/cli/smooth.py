@@ -24,7 +24,7 @@ from beltrami_cli.view.words import doubt_in_words, noise_of, way_out, why_left
 if TYPE_CHECKING:
     from beltrami_cli.jobs.output import Output
     from beltrami_cli.jobs.recolour import FileReport
-    from beltrami_cli.jobs.smooth import SmoothReport
+    from beltrami_cli.jobs.smoothing import SmoothReport
     from beltrami_cli.layers.layer import LayerReport, LevelReport
     from beltrami_cli.view.render import Preview
 
@@ -171,7 +171,7 @@ def level(source: str, target: str, messages: Messages, **values: Any) -> None:
     wanted = options.record_from(LevelSettings, values)
     del values["strength"]  # which is another parameter where colours are smoothed
     settings = options.record_from(SmoothSettings, values)
-    from beltrami_cli.jobs.smooth import level_file
+    from beltrami_cli.jobs.level import level_file
 
     carry_out = partial(level_file, source, target, wanted, settings)
     report = _written(values, (source, target), messages, carry_out, settings)
@@ -226,7 +226,7 @@ def _written(
 def _open_report(path: str, target: str, job: Job) -> Output:
     """Check that a report can be written, before anything is computed."""
     from beltrami_cli.jobs.output import Output
-    from beltrami_cli.jobs.smooth import is_report
+    from beltrami_cli.jobs.smoothing import is_report
 
     if path == target == "-":
         raise OutputError("<stdout>", "the report would mix with OUTPUT", "name a file for one of them")

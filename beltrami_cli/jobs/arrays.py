@@ -29,7 +29,7 @@ from beltrami_cli.jobs.array_arguments import (
     textured_surface,
     unpacked,
 )
-from beltrami_cli.jobs.smooth import smooth_layer
+from beltrami_cli.jobs.smoothing import smooth_layer
 from beltrami_cli.layers.image_surface import ImageSurface
 from beltrami_cli.layers.layer import SlotReport, VertexReport
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings

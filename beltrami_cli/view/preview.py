@@ -20,7 +20,7 @@ from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.jpeg import CODED_TOGETHER
 from beltrami_cli.formats.image.reading import read_image, read_texture
-from beltrami_cli.jobs.smooth import smooth_layer
+from beltrami_cli.jobs.smoothing import smooth_layer
 from beltrami_cli.layers.image_layer import ImageLayer
 from beltrami_cli.layers.image_surface import ImageSurface
 from beltrami_cli.layers.layer import Layer

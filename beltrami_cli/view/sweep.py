@@ -24,7 +24,7 @@ from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.output import Output
 from beltrami_cli.jobs.progress import Progress, one_of
 from beltrami_cli.jobs.recolour import open_input, recolour_in_memory
-from beltrami_cli.jobs.smooth import Smoothed, Smoothing
+from beltrami_cli.jobs.smoothing import Smoothed, Smoothing
 from beltrami_cli.layers.settings import LevelSetSettings, SmoothSettings
 from beltrami_cli.view.pages import PAGES, data_address, page_from
 from beltrami_cli.view.render import Panel, arranged, draw_panels, encoded, fixed_looks, picture_suffix

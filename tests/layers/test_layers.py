@@ -10,7 +10,7 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE
 from beltrami_cli.jobs.inspect import describe_exposure
 from beltrami_cli.jobs.recolour import open_input
-from beltrami_cli.jobs.smooth import smooth_layer
+from beltrami_cli.jobs.smoothing import smooth_layer
 from beltrami_cli.layers.selection import select
 from beltrami_cli.layers.settings import LevelSettings
 from cli.commands import SAMPLES

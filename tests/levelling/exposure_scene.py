@@ -11,7 +11,7 @@ from beltrami_cli.flow.manifolds.canvas import canvas_colours, painted
 from beltrami_cli.formats.image import read_image, write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.jobs.smooth import unsmoothed
+from beltrami_cli.jobs.smoothing import unsmoothed
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings, TextureSettings
 from beltrami_cli.layers.texture_layer import TextureLayer, all_texel_colours
 from beltrami_cli.levelling.correction import level_canvas

@@ -15,7 +15,7 @@ from beltrami_cli.formats.access import EVERYTHING_INSIDE
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.jobs.job import PLAIN_JOB
 from beltrami_cli.jobs.recolour import open_input, recolour_in_memory
-from beltrami_cli.jobs.smooth import Smoothing
+from beltrami_cli.jobs.smoothing import Smoothing
 from beltrami_cli.layers.settings import DEFAULTS
 from beltrami_cli.surface.records import PaintedVertices
 from beltrami_cli.view.controls import plain_settings, settings_from, values_of

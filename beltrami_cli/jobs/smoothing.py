@@ -1,0 +1,238 @@
+"""The painter that removes exposure steps and smooths, and the record of what was done."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from itertools import count
+from typing import Any, ClassVar
+
+import numpy as np
+
+from beltrami_cli.errors import UsageError
+from beltrami_cli.flow.beltrami_flow import smooth_in_place
+from beltrami_cli.flow.choice.choice import Choice
+from beltrami_cli.flow.chunks import IN_ONE_PIECE, Resources
+from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.formats.registry import OutputFormat
+from beltrami_cli.jobs.job import Job
+from beltrami_cli.jobs.progress import Label
+from beltrami_cli.jobs.recolour import FileReport, Painted, Painter
+from beltrami_cli.layers.layer import (
+    Change,
+    ImageReport,
+    Layer,
+    LayerReport,
+    LevelReport,
+    Part,
+    SlotReport,
+    VertexReport,
+)
+from beltrami_cli.layers.selection import Selection
+from beltrami_cli.layers.settings import LevelSettings, SmoothSettings, describe_settings
+
+_USUAL_TICKS = 30  # while parameters are chosen
+
+
+@dataclass(frozen=True, kw_only=True)
+class Smoothed(Painted):
+    """What smoothing makes of a layer."""
+
+    part: Part  # of the document
+    report: LayerReport
+    choice: Choice | None
+    samples_per_kernel: float  # not rounded, as in the report
+    levelled: LevelReport | None = None  # what was done to exposure steps before
+
+
+def smooth_layer(
+    layer: Layer, progress: Callable[[int, int], None] | None = None,
+    tick: Callable[[], None] | None = None, resources: Resources = IN_ONE_PIECE,
+) -> Smoothed:  # fmt: skip
+    """Choose parameters, calling `tick`, run the flow on a layer, and put the colours back.
+
+    If all was chosen from the data, and the kernel is estimated to make the colours worse, they stay.
+    """
+    layer = layer.normalised()
+    plan = layer.plan(tick, resources)
+    is_worse = _is_worse(plan.choice, layer.settings.kernel)
+    if is_worse:
+        # Outliers are replaced all the same.
+        kernel = dataclasses.replace(layer.settings.kernel, free=(), patches="off")
+        settings = dataclasses.replace(layer.settings, kernel=kernel)
+        layer = dataclasses.replace(layer, settings=settings)  # type: ignore[type-var]  # each layer is a dataclass
+        plan = dataclasses.replace(layer.plan().stopped_before(0), choice=plan.choice)
+    result = smooth_in_place(plan, progress)
+    report, new = layer.report(plan, result), result.manifold.new_colours()
+    warnings = report.warnings(plan.parameters.max_samples)
+    is_smoothed = plan.parameters.iterations > 0 or bool(plan.outliers.get("replaced"))
+    if is_worse:
+        warnings.append(f"{layer.label}: smoothing was estimated to make the colours worse, so they stay.")
+    choice = None if result.choice is None else result.choice.in_unit(layer.unit)
+    samples_per_kernel = result.samples_per_kernel
+    del plan, result  # before images as large are made
+    repainted = layer.repaint(new, is_smoothed=is_smoothed)
+    return Smoothed(
+        part=layer.part, repainted=repainted,
+        report=dataclasses.replace(report, change=repainted.change.summary()), warnings=warnings,
+        choice=choice, samples_per_kernel=samples_per_kernel, levelled=layer.level_report,
+    )  # fmt: skip
+
+
+def unsmoothed(kernel: KernelParameters) -> KernelParameters:
+    """Return parameters that leave colours as they are."""
+    return dataclasses.replace(kernel, iterations=0, free=(), patches="off")
+
+
+def _is_worse(choice: Choice | None, wanted: KernelParameters) -> bool:
+    """Whether a result is estimated to be worse than the input, and no option asks for smoothing all the same."""
+    insists = "iterations" not in wanted.free or wanted.given_noise is not None or wanted.strength > 1
+    return not insists and choice is not None and choice.gain is not None and choice.gain < 0
+
+
+def smooth_in_job(layer: Layer, job: Job, label: str) -> Smoothed:
+    """Smooth a layer, whose name in progress is `label`."""
+    choosing, steps = job.progress_of(Label(f"{label}: choosing parameters", "choosing parameters")), count()
+
+    def tick() -> None:
+        # The number of steps is not known before: shown is their share of it and of a usual number more.
+        assert choosing is not None
+        choosing(number := next(steps), number + _USUAL_TICKS)
+
+    if choosing is not None:
+        tick()
+    smoothing = job.progress_of(Label(f"{label}: smoothing", "smoothing"))
+    resources = Resources(job.chunking, job.chunk_memory)
+    return smooth_layer(layer, smoothing, None if choosing is None else tick, resources)
+
+
+@dataclass(frozen=True)
+class Smoothing(Painter[Smoothed]):
+    """A painter that removes exposure steps, if that is wanted, and then smooths."""
+
+    colours_only: ClassVar[bool] = False
+
+    settings: SmoothSettings
+    levelling: LevelSettings | None = None
+
+    @classmethod
+    def of(cls, settings: SmoothSettings) -> Smoothing:
+        return cls(settings, LevelSettings() if settings.level_seams else None)
+
+    @property
+    def phases(self) -> Sequence[str]:
+        return ("choosing parameters", "smoothing") if self.settings.kernel.iterations != 0 else ("painting",)
+
+    @property
+    def changes(self) -> bool:
+        encodes = self.settings.textures.image_suffix is not None
+        return self.settings.kernel.iterations != 0 or self.levelling is not None or encodes
+
+    @property
+    def works_in_groups(self) -> bool:
+        return self.levelling is None and self.settings.fits_parts
+
+    def check(self, selection: Selection, target: OutputFormat) -> None:
+        if self.changes:
+            selection.require_geometry(is_patched=target.is_patched)
+        selection.require_scale()
+        if self.levelling is not None and selection.image:
+            cause = "an image has no charts that could differ in exposure; give a model with textures"
+            raise UsageError(f"{selection.document.name}: {cause}")
+
+    def paint(self, layer: Layer, job: Job) -> Smoothed:
+        if self.levelling is not None:
+            layer = layer.levelled(self.levelling)
+        return smooth_in_job(layer, job, layer.label) if "smoothing" in self.phases else smooth_layer(layer)
+
+
+def smooth_report(made: FileReport, done: Sequence[Smoothed], settings: SmoothSettings) -> SmoothReport:
+    """Add the changes of layers to the report of a file."""
+    groups: dict[object, list[Smoothed]] = {}
+    for number, each in enumerate(done):
+        report = each.report
+        key = (
+            (report.slot, str(report.choice), str(report.noise), str(report.wrong_samples))
+            if isinstance(report, SlotReport)
+            else number
+        )
+        groups.setdefault(key, []).append(each)
+    reports: dict[Part, list[Any]] = {"vertices": [], "textures": [], "image": []}
+    for group in groups.values():
+        reports[group[0].part].append(_joined(group))
+    return SmoothReport(
+        **{**vars(made), "parameters": describe_settings(settings)},
+        vertices=next(iter(reports["vertices"]), None),
+        textures=reports["textures"],
+        image=next(iter(reports["image"]), None),
+        levelled=[each.levelled for each in done if each.levelled is not None],
+    )
+
+
+def _joined(group: Sequence[Smoothed]) -> LayerReport:
+    """Return one report for groups of textures of one slot that have the same noise and parameters."""
+    reports = [each.report for each in group if isinstance(each.report, SlotReport)]
+    if len(reports) < 2:
+        return group[0].report
+    texels = [max(1, report.counts["covered"]) for report in reports]
+
+    def mean(name: str) -> float:
+        return float(np.average([getattr(report, name) or 0.0 for report in reports], weights=texels))
+
+    return dataclasses.replace(
+        reports[0],
+        textures=[texture for report in reports for texture in report.textures],
+        counts={key: sum(report.counts[key] for report in reports) for key in reports[0].counts},
+        pitch=mean("pitch"),
+        samples_per_kernel=round(mean("samples_per_kernel"), 2),
+        patches=None if reports[0].patches is None else mean("patches"),
+        change=Change.joined(each.repainted.change for each in group).summary(),
+    )
+
+
+_HEAD = re.compile(rb'\{\n  "input": ".*",\n  "output": ".*",\n  "format": "\w+",\n  "parameters": \{')
+
+
+@dataclass(frozen=True, kw_only=True)
+class SmoothReport(FileReport):
+    """What was done to a file; `dataclasses.asdict` gives JSON types.
+
+    Attributes
+    ----------
+    input, output, format : str
+        Paths of the input and output, and the format written.
+    parameters : dict
+        The parameters that were requested. Those named in "given" are not as by default; those named in "free" were
+        chosen from the data, and the chosen values are in the records below.
+    vertices : VertexReport or None
+        Statistics of vertex colours, if they were smoothed.
+    textures : list of SlotReport
+        Statistics of each texture slot that was smoothed.
+    stages : dict
+        "wall" and "cpu" seconds per stage.
+    peak_memory : int or None
+        Peak resident size of the process in bytes.
+    written : list of str
+        The files that were written; none on a dry run.
+    warnings : list of str
+        Messages for the user.
+    image : ImageReport or None
+        Statistics of an image, if it was smoothed.
+    levelled : list of LevelReport
+        What was done to exposure steps before, if that was asked for.
+    new_texture : str
+        What kind of texture was made, in words; empty if none was.
+    """
+
+    vertices: VertexReport | None
+    textures: list[SlotReport]
+    image: ImageReport | None = None
+    levelled: list[LevelReport] = field(default_factory=list)
+    new_texture: str = ""
+
+
+def is_report(head: bytes) -> bool:
+    """Whether a file is a `SmoothReport` as JSON, by its first bytes."""
+    return _HEAD.match(head) is not None

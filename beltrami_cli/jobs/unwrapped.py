@@ -1,0 +1,142 @@
+"""Smoothing the colours of a file in a new texture."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.errors import UsageError
+from beltrami_cli.fields import require_effect
+from beltrami_cli.formats.image.reading import measure_image
+from beltrami_cli.formats.registry import write_mesh
+from beltrami_cli.jobs.job import Job
+from beltrami_cli.jobs.recolour import FileJob, begin, paint
+from beltrami_cli.jobs.settings import BakeSettings
+from beltrami_cli.jobs.smoothing import (
+    Smoothed,
+    Smoothing,
+    SmoothReport,
+    smooth_in_job,
+    smooth_report,
+)
+from beltrami_cli.layers.layer import (
+    all_images,
+)
+from beltrami_cli.layers.selection import Selection
+from beltrami_cli.layers.settings import SmoothSettings
+from beltrami_cli.layers.texture_layer import TextureLayer
+from beltrami_cli.surface.records import ImageFile, TexturedSurface
+
+if TYPE_CHECKING:
+    from beltrami_cli.jobs.new_texture import NewTexture
+
+
+def smooth_unwrapped(
+    source: str, target: str, settings: SmoothSettings, wanted: BakeSettings, job: Job
+) -> SmoothReport:
+    """Smooth the base colour, or else the vertex colours, in a new texture, and write a new file with that."""
+    _check(settings)
+    file = begin(source, target, settings, job, models_only=True)
+    with file.watch.stage("read"):
+        selection = _selected(file, settings)
+        require_effect([*selection.kinds, "textures"], file.document.name)
+        stem = file.reserve_new(settings.textures.image_suffix or ".png")
+    if settings.kernel.iterations:
+        selection.require_scale()
+    _require_possible(selection)
+    made, image, smoothed = _new_texture(file, selection, wanted)
+    notices = [*made.notices]
+    if selection.slots and file.document.has_vertex_colours():
+        notices.append("Vertex colours are not in the new file; --on vertices takes them, not the texture.")
+    notices += [notice for each in smoothed for notice in each.repainted.notices]
+    with file.watch.stage("write"):
+        written = write_mesh(made.mesh(image), file.format.name, stem)
+    report = file.write(written, notices, [warning for each in smoothed for warning in each.warnings])
+    return dataclasses.replace(smooth_report(report, smoothed, settings), new_texture=made.in_words)
+
+
+def _check(settings: SmoothSettings) -> None:
+    """Refuse what has no meaning for one new texture."""
+    textures, cause = settings.textures, ""
+    if settings.level_seams:
+        cause = "makes new charts; take exposure steps out with `beltrami level` before"
+    elif settings.on == "both":
+        cause = "smooths one new texture, so --on cannot be both"
+    elif textures.materials or textures.names or textures.slots != ("baseColor",):
+        cause = "makes one new base colour texture, so --material, --texture and --slots cannot choose"
+    elif settings.embedding.smooth_geometry:
+        cause = "writes a new file, in which --smooth-geometry cannot move vertices; use both in turn"
+    if cause:
+        raise UsageError(f"--unwrap {cause}")
+
+
+def _selected(file: FileJob, settings: SmoothSettings) -> Selection:
+    """Choose the base colour or the vertex colours; InputError if there are no colours at all."""
+    document, access = file.document, file.job.access
+    shown = document.readable(slot for slot in document.slots() if slot == "baseColor")
+    if settings.on == "texture" or (settings.on != "vertices" and shown):
+        return Selection(document, settings, access, slots=("baseColor",))
+    document.painted()  # raises if there are none
+    return Selection(document, settings, access, vertices=True)
+
+
+def _require_possible(selection: Selection) -> None:
+    if selection.vertices:
+        from beltrami_cli.layers.vertex_layer import require_surface  # which textures do without
+
+        require_surface(selection.document.painted(), selection.document.name)
+        return
+    if selection.settings.embedding.guides:
+        raise UsageError("--guide cannot guide the new texture that --unwrap makes; use both in turn")
+    selection.require_memory()
+
+
+def _new_texture(
+    file: FileJob, selection: Selection, wanted: BakeSettings
+) -> tuple[NewTexture, ImageFile, list[Smoothed]]:
+    """Smooth the colours, then make the texture of them; in the opposite order where textures are too small."""
+    from beltrami_cli.jobs.new_texture import texture_from_textures, texture_from_vertices
+
+    # Between texels and vertices the new texture shows mixtures of the old colours. Their noise is spread over several
+    # texels, where it looks like a pattern and stays.
+    document, job, settings = file.document, file.job, selection.settings
+    textures = settings.textures
+    smooths, smoothed = bool(settings.kernel.iterations), list[Smoothed]()
+    if smooths and (selection.vertices or _are_large_enough(document.textured("baseColor"))):
+        # The images are only read by what follows, so they are written in a format that loses nothing.
+        exact = dataclasses.replace(
+            settings, textures=dataclasses.replace(textures, image_suffix=".tif", small=False)
+        )
+        with file.watch.stage("smooth"):
+            smoothed = paint(dataclasses.replace(selection, settings=exact), Smoothing(exact), job)
+    with file.watch.stage("unwrap"):
+        if selection.vertices:
+            colours = smoothed[0].repainted.colours if smoothed else None
+            made = texture_from_vertices(document, wanted, job.progress, colours)
+        else:
+            images = all_images(each.repainted for each in smoothed)[0]
+            exact_document = document.repainted(None, {key: image.data for key, image in images.items()})
+            made = texture_from_textures(exact_document, wanted, job.progress)
+    if smoothed or not smooths:
+        return (
+            made,
+            made.encoded(textures.image_suffix, textures.jpeg_quality, small=textures.small),
+            smoothed,
+        )
+    with file.watch.stage("smooth"):
+        layer = TextureLayer.read(made.surface(), "baseColor", settings)
+        layer.require_writable()
+        again = smooth_in_job(layer, job, "the new texture")
+    (image,) = again.repainted.images.values()
+    return made, image, [again]
+
+
+def _are_large_enough(surface: TexturedSurface) -> bool:
+    """Whether textures have a texel for each triangle, unlike palettes."""
+    from beltrami_cli.jobs.new_texture import texels_of
+
+    sizes = [measure_image(texture.data) for texture in surface.textures]
+    sides = np.array([(0, 0) if size is None else (size.width, size.height) for size in sizes], np.int64)
+    return texels_of(surface, sides.reshape(-1, 2)) >= int(np.count_nonzero(surface.texture_of >= 0))
