@@ -13,7 +13,7 @@ import texture_files
 from scene import ROOT
 
 from beltrami_cli.flow.beltrami_flow import smooth_in_place
-from beltrami_cli.flow.corrections.clipping import clipped_on, mark_clipped, restore_clipped
+from beltrami_cli.flow.corrections.clipping import clipped_on, mark_clipped, restore_clipped_in_place
 from beltrami_cli.flow.decoding import plan_on_canvas
 from beltrami_cli.flow.estimation import estimate_on_canvas, estimate_on_mesh
 from beltrami_cli.flow.manifolds.grid_manifold import ColouredCanvas, GridManifold, cut_blocks, grid_manifold
@@ -171,7 +171,7 @@ class Steps:
         """Return the PSNR of a state, after averages of clipped noise were restored."""
         manifold = dataclasses.replace(self.manifold, colours=state[0].copy())
         if self.clipped is not None:
-            restore_clipped(manifold, self.clipped, manifold.colours, state[1])
+            restore_clipped_in_place(manifold, self.clipped, manifold.colours, state[1])
         values = manifold.new_colours().table()
         return psnr(values if self.on_grid else values[self.scene.rows], self.scene.clean)
 

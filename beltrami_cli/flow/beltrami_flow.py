@@ -13,9 +13,14 @@ from typing import Any, Generic
 
 from beltrami_cli.arrays import Float32s
 from beltrami_cli.flow.choice.choice import Choice
-from beltrami_cli.flow.corrections.clipping import ClippedChannels, clipped_on, mark_clipped, restore_clipped
+from beltrami_cli.flow.corrections.clipping import (
+    ClippedChannels,
+    clipped_on,
+    mark_clipped,
+    restore_clipped_in_place,
+)
 from beltrami_cli.flow.manifolds.manifold import Averaged, Manifold, Step
-from beltrami_cli.flow.patches import PASSES, blend_with_patches
+from beltrami_cli.flow.patches import PASSES, blend_with_patches_in_place
 from beltrami_cli.flow.plan import AnyManifold, Plan
 
 
@@ -47,12 +52,12 @@ def smooth_in_place(
 
     def kernel(colours: Float32s) -> Float32s:
         nonlocal run
-        done = _run_kernel(plan, colours, clipped, stages)
+        done = _run_kernel_in_place(plan, colours, clipped, stages)
         run = dataclasses.replace(done, stacks=[])
         return done.stacks[0]
 
     if plan.takes_patches:
-        blend = blend_with_patches(manifold, manifold.colours, kernel, clipped, stages.of)
+        blend = blend_with_patches_in_place(manifold, manifold.colours, kernel, clipped, stages.of)
         colours, share = blend.colours, blend.share
         choice = None if choice is None else choice.improved(blend.gain)
     else:
@@ -60,20 +65,20 @@ def smooth_in_place(
     per_kernel = run.samples / max(1, iterations * manifold.geometry.kernels)
     smoothed = dataclasses.replace(manifold, colours=colours, moving=run.moving)
     if plan.light is not None and iterations:
-        plan.light.restore(smoothed)
+        plan.light.restore_in_place(smoothed)
     return FlowResult(smoothed, choice, per_kernel, run.truncated, share)
 
 
-def _run_kernel(
+def _run_kernel_in_place(
     plan: Plan[Any], colours: Float32s, clipped: ClippedChannels | None, stages: _Stages
 ) -> Averaged:
-    """Run all iterations on colours, which are overwritten, and restore what was cut off of them."""
+    """Run all iterations on colours, and restore what was cut off of them."""
     manifold = plan.manifold
     steps = [plan.step(iteration) for iteration in range(plan.parameters.iterations)]
     stacks = [colours] if clipped is None else [colours, mark_clipped(manifold, clipped)]
     done = _iterate(manifold, stacks, steps, stages)
     if clipped is not None:
-        restore_clipped(manifold, clipped, *done.stacks)
+        restore_clipped_in_place(manifold, clipped, *done.stacks)
     return done
 
 

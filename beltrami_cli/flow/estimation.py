@@ -7,7 +7,8 @@ import numpy as np
 from beltrami_cli.arrays import Float32s
 from beltrami_cli.flow.corrections.outliers import fill_outliers
 from beltrami_cli.flow.manifolds.canvas import find_colour_jumps, halo_beyond, painted, painted_by
-from beltrami_cli.flow.manifolds.grid_geometry import SUMMED_ROWS, CanvasSamples
+from beltrami_cli.flow.manifolds.grid_gaussian import SUMMED_ROWS
+from beltrami_cli.flow.manifolds.grid_geometry import CanvasSamples
 from beltrami_cli.flow.manifolds.grid_manifold import CanvasColours, ColouredCanvas
 from beltrami_cli.flow.manifolds.manifold import Outliers
 from beltrami_cli.flow.manifolds.mesh_geometry import MeshSamples

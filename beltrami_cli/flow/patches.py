@@ -80,14 +80,14 @@ class Blend:
     gain: float
 
 
-def blend_with_patches(
+def blend_with_patches_in_place(
     manifold: Manifold,
     noisy: Float32s,
     kernel: Callable[[Float32s], Float32s],
     clipped: ClippedChannels | None,
     stage: Callable[[int], Callable[[int], None] | None],
 ) -> Blend:
-    """Blend the kernel's result with that of patches; `noisy` is a stack that is overwritten."""
+    """Blend the kernel's result with that of patches, in the memory of the noisy colours."""
     geometry, sigma = manifold.geometry, manifold.noise.sigma
     axis, threads = geometry.axis, geometry.threads
     # Chunks leave the colours as they are.
@@ -100,7 +100,7 @@ def blend_with_patches(
     disturbed = kernel(disturbed)
     manifold.drop_kernels()
     if clipped is not None:
-        for_blocks(clipped.impute, threads, axis, noisy, before, relative_variance(manifold))
+        for_blocks(clipped.impute_in_place, threads, axis, noisy, before, relative_variance(manifold))
     mixing = mixing_of(manifold, before, manifold.noise.covariance)
     second = with_pilot(mixing, manifold)
 
@@ -118,23 +118,23 @@ def blend_with_patches(
     model = _Model(sigma * np.sqrt(counted), clipped, threads)
     results, responses = (before, after), (disturbed, response)
     probes = noisy, signs, size, _divisors(manifold, size)
-    share, gain = _mix(manifold, model, probes, results, responses)
+    share, gain = _mix_in_place(manifold, model, probes, results, responses)
     del response, responses
     for level in _plain_levels(manifold):
         means = _means(level, manifold, model, probes, results)
-        gain += _improve_means(level, model, second, means, (before, disturbed))
+        gain += _improve_means_in_place(level, model, second, means, (before, disturbed))
     count = max(1, geometry.kernels)
     return Blend(before, share / count, manifold.noise.square_to_input(gain) / count / len(sigma))
 
 
-def _mix(
+def _mix_in_place(
     manifold: Manifold,
     model: _Model,
     noisy: _Probed,
     results: tuple[Float32s, Float32s],
     responses: tuple[Float32s, Float32s],
 ) -> tuple[float, float]:
-    """Blend the second of both with the first, in place; return the sum of the weights, and that of the gain."""
+    """Blend the second of both with the first; return the sum of the weights, and that of the gain."""
     from beltrami_cli._native import blend_terms
 
     colours, signs, _, divisors = noisy
@@ -228,14 +228,14 @@ def _means(
     return _NoisyMeans(means, probe, size * divisors, residual, within)
 
 
-def _improve_means(
+def _improve_means_in_place(
     level: CoarseLevel,
     model: _Model,
     mixing: Mixing,
     noisy: _NoisyMeans,
     colours: tuple[Float32s, Float32s],
 ) -> float:
-    """Blend the means of colours, in place, with what patches estimate of them; return the estimated gain."""
+    """Blend the means of colours with what patches estimate of them; return the estimated gain."""
     # The means of the blend are the pilot as they are: patches without a pilot would bring back noise.
     mixing = dataclasses.replace(mixing, variances=mixing.variances * level.noise)
     (p, near_p), axis, sums = (level.means(own) for own in colours), level.axis, level.planes(2)

@@ -79,8 +79,10 @@ class ClippedChannels:
             high, low = self.high[k] & (channels[k] >= 1), self.low[k] & (channels[k] <= 0)
             np.subtract(high, low, out=found[mark], dtype=np.float32)
 
-    def restore(self, channels: Float32s, marks: Float32s, relative: Float32s, threads: int = 1) -> None:
-        """Turn averages of clipped colours, in place, into estimates of the noise-free colours."""
+    def restore_in_place(
+        self, channels: Float32s, marks: Float32s, relative: Float32s, threads: int = 1
+    ) -> None:
+        """Turn averages of clipped colours into estimates of the noise-free colours."""
         from beltrami_cli._native import restore_cut_off
 
         table, relative = _censored_normal(), np.broadcast_to(relative, (1, *channels.shape[1:]))
@@ -89,8 +91,10 @@ class ClippedChannels:
             own, share = channels[k : k + 1], marks[mark : mark + 1]
             restore_cut_off(own, share, self._cut_off(k), _TRUSTED, *tables, relative, threads)
 
-    def impute(self, channels: Float32s, pilot: Float32s, relative: Float32s, threads: int = 1) -> None:
-        """Replace samples at a limit, in place, by what noise beyond it would be on average around the pilot."""
+    def impute_in_place(
+        self, channels: Float32s, pilot: Float32s, relative: Float32s, threads: int = 1
+    ) -> None:
+        """Replace samples at a limit by what noise beyond it would be on average around the pilot."""
         from beltrami_cli._native import impute_cut_off
 
         tables, relative = normal_tables(), np.broadcast_to(relative, (1, *channels.shape[1:]))
@@ -146,10 +150,12 @@ def mark_clipped(manifold: Manifold, clipped: ClippedChannels) -> Stack:
     return marks
 
 
-def restore_clipped(manifold: Manifold, clipped: ClippedChannels, colours: Stack, marks: Stack) -> None:
-    """Turn averages of clipped colours, in place, into estimates of the colours without noise."""
+def restore_clipped_in_place(
+    manifold: Manifold, clipped: ClippedChannels, colours: Stack, marks: Stack
+) -> None:
+    """Turn averages of clipped colours into estimates of the colours without noise."""
     geometry, relative = manifold.geometry, relative_variance(manifold)
-    for_blocks(clipped.restore, geometry.threads, geometry.axis, colours, marks, relative)
+    for_blocks(clipped.restore_in_place, geometry.threads, geometry.axis, colours, marks, relative)
 
 
 def variance_of_clipped(share: Float64s) -> Float64s:

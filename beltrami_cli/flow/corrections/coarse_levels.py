@@ -95,8 +95,8 @@ def _impute_cut_off_in_place(manifold: Manifold) -> None:
         for rows in block_rows(channel, regions.side):
             means, variance = regions.enlarged(sums, rows), relative[0, rows]
             means[1:] /= np.maximum(means[:1], _LEAST_SHARE)
-            clipped.restore(means[1:2], means[2:], variance, geometry.threads)
-            clipped.impute(channel[:, rows], means[1:2], variance, geometry.threads)
+            clipped.restore_in_place(means[1:2], means[2:], variance, geometry.threads)
+            clipped.impute_in_place(channel[:, rows], means[1:2], variance, geometry.threads)
     geometry.refresh(manifold.colours)
 
 

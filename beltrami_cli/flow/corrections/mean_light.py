@@ -50,8 +50,8 @@ class MeanLight:
     def of(cls, manifold: Manifold, space: Space) -> MeanLight:
         return cls(_light_of(manifold, space), space)
 
-    def restore(self, manifold: Manifold) -> None:
-        """Bring the smoothed colours of the manifold to the mean light of before, in place."""
+    def restore_in_place(self, manifold: Manifold) -> None:
+        """Bring the smoothed colours of the manifold to the mean light of before."""
         stabiliser, space = manifold.noise.stabiliser, self.space
         manifold.geometry.refresh(manifold.colours)
         light = _light_of(manifold, space)

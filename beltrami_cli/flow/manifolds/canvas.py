@@ -11,7 +11,8 @@ import numpy as np
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Uint8s
 from beltrami_cli.flow.chunks import Chunking, Figures, Rectangle, Resources, chunks_of_canvas, grown
 from beltrami_cli.flow.manifolds.domain import CoarseLevel, Mixing, NewColours, Stack
-from beltrami_cli.flow.manifolds.grid_geometry import colours_at, gaussian_taps, guide_radius
+from beltrami_cli.flow.manifolds.grid_gaussian import gaussian_taps, guide_radius
+from beltrami_cli.flow.manifolds.grid_geometry import colours_at
 from beltrami_cli.flow.noise.grid_squares import Grid
 from beltrami_cli.flow.noise.model import mixed_signs
 from beltrami_cli.flow.noise.reading import read_noise
@@ -179,8 +180,8 @@ def _sides_of_seams(atlas: Atlas, reached: Int32s) -> Int32s:
     return sides
 
 
-def end_at_seams(planes: Float32s, atlas: Atlas, threads: int) -> None:
-    """Continue a guide as a constant, in place, beyond the seams whose two sides differ."""
+def end_at_seams_in_place(planes: Float32s, atlas: Atlas, threads: int) -> None:
+    """Continue a guide as a constant beyond the seams whose two sides differ."""
     from beltrami_cli._native import nearest_marked
 
     sigma = read_noise(planes, Grid(atlas.kind == OWNED), varies=False).sigma

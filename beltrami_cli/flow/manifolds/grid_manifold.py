@@ -20,19 +20,14 @@ from beltrami_cli.flow.manifolds.canvas import (
     Squares,
     canvas_colours,
     collaborate_on_canvas,
-    end_at_seams,
+    end_at_seams_in_place,
     kernel_margin,
     painted,
     squares_for,
 )
 from beltrami_cli.flow.manifolds.domain import Gaussian, Mixing, NewColours, Stack
-from beltrami_cli.flow.manifolds.grid_geometry import (
-    Cells,
-    GridGaussian,
-    GridGeometry,
-    guide_radius,
-    pick,
-)
+from beltrami_cli.flow.manifolds.grid_gaussian import GridGaussian, guide_radius
+from beltrami_cli.flow.manifolds.grid_geometry import Cells, GridGeometry, pick
 from beltrami_cli.flow.manifolds.manifold import (
     ON_GRIDS,
     RULE_ON_GRIDS,
@@ -112,7 +107,7 @@ def grid_manifold(canvas: ColouredCanvas, colours: CanvasColours) -> GridManifol
 def _guide_on_canvas(guide: Guide, grid: GridGeometry) -> Stack:
     planes = painted(grid.atlas, guide.values)
     if guide.in_chart_frame:
-        end_at_seams(planes, grid.atlas, grid.threads)
+        end_at_seams_in_place(planes, grid.atlas, grid.threads)
     return planes
 
 

@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import islice
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +14,8 @@ from numpy.typing import NDArray
 from beltrami_cli._native import PATCH_BLOCK_SIZE
 from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunk, Chunking, Figures, Resources, runs
-from beltrami_cli.flow.manifolds.domain import CoarseLevel, Gaussian, Mixing, NewColours, Stack, in_blocks
+from beltrami_cli.flow.manifolds.domain import Gaussian, Mixing, NewColours, Stack
+from beltrami_cli.flow.manifolds.graph_patches import Clusters, clusters_for, collaborate_on_graph
 from beltrami_cli.flow.manifolds.manifold import (
     ON_MESHES,
     RULE_ON_MESHES,
@@ -34,9 +34,9 @@ from beltrami_cli.flow.manifolds.manifold import (
 from beltrami_cli.flow.manifolds.mesh_geometry import Core, MeshGeometry, coarse, rank_in, without_hubs
 from beltrami_cli.flow.manifolds.moving_positions import GeometryParameters, MovingPositions
 from beltrami_cli.flow.manifolds.trials import choose_patches, fingerprints, random_signs, wanted_probes
-from beltrami_cli.flow.noise.model import draw_noise_of_clusters, root_of
+from beltrami_cli.flow.noise.model import draw_noise_of_clusters
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.vertex_graph import Graph, Level, levels_of
+from beltrami_cli.flow.vertex_graph import Graph, levels_of
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.geometry import distinct_edges
 from beltrami_cli.surface.incidence import Neighbours
@@ -50,9 +50,6 @@ _STRETCH = 1.5
 # How far beyond its kernels, in sample spacings, a chunk has samples: the triangles around the last ones decide how far
 # segments and unfolded corners reach, and the colours of the regularised metric are means over neighbours.
 _KNOWN = 5.0
-
-# Fewer clusters hold no patches that could be compared.
-_FEWEST = 500
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -228,7 +225,7 @@ class MeshManifold(Manifold):
     ) -> Stack:  # fmt: skip
         """Estimate colours from patches in tangent planes."""
         relative = None if self.noise.relative is None else self.noise.relative[:, 0]
-        return _collaborate_on_graph(self.graph, noisy, pilot, mixing, relative, progress)
+        return collaborate_on_graph(self.graph, noisy, pilot, mixing, relative, progress)
 
     def perturbation(self) -> Droppable[Array]:
         """Draw random signs, which depend only on nearby colours."""
@@ -336,102 +333,3 @@ def samples_per_kernel(manifold: MeshManifold, kernels: int, step: Step) -> floa
     sources = np.linspace(0, size - 1, min(kernels, size), dtype=int)
     held = [len(core.distances(int(source), own.radius, own.max_samples)[0]) for source in sources]
     return float(np.mean(held))
-
-
-def _collaborate_on_graph(
-    graph: Graph,
-    noisy: Stack,
-    pilot: Stack,
-    mixing: Mixing,
-    relative: Float32s | None,
-    progress: Callable[[int], None] | None = None,
-    *,
-    is_whole: bool = False,
-) -> Stack:
-    """Estimate colours from similar patches, compared on the pilot; `relative`: variance of the noise by its mean."""
-    stacks = [noisy, pilot, *([] if relative is None else [relative[:, None]])]
-    wanted = graph.chunking
-    # Parameters are chosen by colours without shared noise, which must have the same bits in any number of chunks.
-    if wanted is None or is_whole:
-        sums, _ = _sums_of_patches(graph, stacks, graph.threads, mixing, progress)
-    else:
-        sums = [large_arrays.zeros(noisy.shape, np.float32) for _ in range(2)]
-        wanted.apply(
-            graph.chunks, partial(_sums_of_patches, mixing=mixing), stacks, sums, progress,
-            size=graph.size, threads=graph.threads, adds=True,
-        )  # fmt: skip
-    estimates, weights = sums
-    for own, weight, other in in_blocks(0, estimates, weights, pilot):
-        is_known = weight > 0  # not of isolated samples
-        mixed = np.divide(own, weight, out=np.zeros_like(own), where=is_known)
-        own[:] = np.where(is_known, np.einsum("ij,sj->si", mixing.back, mixed), other)
-    return estimates
-
-
-def _sums_of_patches(
-    graph: Graph,
-    stacks: Sequence[Stack],
-    threads: int,
-    mixing: Mixing,
-    progress: Callable[[int], None] | None = None,
-) -> tuple[list[Float32s], Figures]:
-    """Sum what the groups of patches estimate of mixed channels, and the weights of that, shape (S, N) each."""
-    noisy, pilot, *relative = stacks
-    estimates, weights = np.zeros_like(noisy), np.zeros_like(noisy)
-    variances = relative[0][:, 0] if relative else None
-    graph.patches.collaborate(
-        noisy, pilot, mixing.parts, variances, mixing.has_pilot, estimates, weights, threads, progress
-    )
-    return [estimates, weights], (0, 0)
-
-
-def clusters_for(samples: Graph, most: int, relative: Float32s | None) -> list[Clusters]:
-    """Return up to `most` levels of clusters, fine to coarse, as far as they hold enough of them."""
-    found: list[Clusters] = []
-    variances = np.ones((samples.size, 1), np.float32) if relative is None else relative
-    for level in islice(levels_of(samples), 1, most + 1):
-        if level.graph.size < _FEWEST:
-            break
-        found.append(Clusters(samples, level, level.means(variances)[:, 0]))
-    return found
-
-
-class Clusters(CoarseLevel):
-    """Means of clusters of samples, as a stack with a row a cluster."""
-
-    axis: ClassVar[int] = 1
-    width = 3.0
-
-    def __init__(self, samples: Graph, level: Level, relative: Float32s) -> None:
-        self._samples, self._level, self._graph = samples, level, level.graph
-        self._counts, self.noise, self.relative = level.counts, level.noise, relative
-
-    def means(self, stack: Stack) -> Float32s:
-        return self._level.means(stack)
-
-    def probe(self, means: Stack, noise: Float64s) -> Stack:
-        signs = random_signs(means, self._graph.priorities, 1)[0]
-        return np.asarray(np.einsum("ij,sj->si", root_of(noise), signs), np.float32)
-
-    def collaborate(self, noisy: Stack, pilot: Stack, mixing: Mixing, *, shared: bool = False) -> Stack:
-        """Estimate means from patches of clusters; shared noise does not fall with their size."""
-        relative = self.relative if shared else self.relative / (self._counts * np.float32(self.noise))
-        return _collaborate_on_graph(self._graph, noisy, pilot, mixing, relative, is_whole=shared)
-
-    def add_enlarged(self, stack: Stack, changes: Stack) -> None:
-        """Add changes of clusters to their samples, smoothed as far as linear interpolation smooths squares."""
-        variance = 1 / (12 * self.noise)
-        rows = large_arrays.empty(stack.shape, np.float32)
-        for block in large_arrays.blocks(len(rows)):
-            rows[block] = changes[self._level.members[block]]
-        stack += self._samples.smoothed(rows, variance)
-
-    def planes(self, count: int) -> Float32s:
-        return np.zeros((count, self._graph.size), np.float32)
-
-    def total(self, planes: Float32s) -> Float64s:
-        return np.asarray(np.sum(planes * self._counts, axis=1, dtype=np.float64))
-
-    def spread(self, planes: Float32s) -> Float32s:
-        rows = np.ascontiguousarray((planes * (self._counts * np.float32(self.noise))).T)
-        return np.ascontiguousarray(self._graph.smoothed(rows, self.width**2).T)

@@ -1,0 +1,120 @@
+"""Similar patches on the graph of a mesh, and its coarse levels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import islice
+from typing import ClassVar
+
+import numpy as np
+
+from beltrami_cli.arrays import Float32s, Float64s
+from beltrami_cli.flow.chunks import Figures
+from beltrami_cli.flow.manifolds.domain import CoarseLevel, Mixing, Stack, in_blocks
+from beltrami_cli.flow.manifolds.trials import random_signs
+from beltrami_cli.flow.noise.model import root_of
+from beltrami_cli.flow.vertex_graph import Graph, Level, levels_of
+from beltrami_cli.surface import large_arrays
+
+# Fewer clusters hold no patches that could be compared.
+_FEWEST = 500
+
+
+def collaborate_on_graph(
+    graph: Graph,
+    noisy: Stack,
+    pilot: Stack,
+    mixing: Mixing,
+    relative: Float32s | None,
+    progress: Callable[[int], None] | None = None,
+    *,
+    is_whole: bool = False,
+) -> Stack:
+    """Estimate colours from similar patches, compared on the pilot; `relative`: variance of the noise by its mean."""
+    stacks = [noisy, pilot, *([] if relative is None else [relative[:, None]])]
+    wanted = graph.chunking
+    # Parameters are chosen by colours without shared noise, which must have the same bits in any number of chunks.
+    if wanted is None or is_whole:
+        sums, _ = _sums_of_patches(graph, stacks, graph.threads, mixing, progress)
+    else:
+        sums = [large_arrays.zeros(noisy.shape, np.float32) for _ in range(2)]
+        wanted.apply(
+            graph.chunks, partial(_sums_of_patches, mixing=mixing), stacks, sums, progress,
+            size=graph.size, threads=graph.threads, adds=True,
+        )  # fmt: skip
+    estimates, weights = sums
+    for own, weight, other in in_blocks(0, estimates, weights, pilot):
+        is_known = weight > 0  # not of isolated samples
+        mixed = np.divide(own, weight, out=np.zeros_like(own), where=is_known)
+        own[:] = np.where(is_known, np.einsum("ij,sj->si", mixing.back, mixed), other)
+    return estimates
+
+
+def _sums_of_patches(
+    graph: Graph,
+    stacks: Sequence[Stack],
+    threads: int,
+    mixing: Mixing,
+    progress: Callable[[int], None] | None = None,
+) -> tuple[list[Float32s], Figures]:
+    """Sum what the groups of patches estimate of mixed channels, and the weights of that, shape (S, N) each."""
+    noisy, pilot, *relative = stacks
+    estimates, weights = np.zeros_like(noisy), np.zeros_like(noisy)
+    variances = relative[0][:, 0] if relative else None
+    graph.patches.collaborate(
+        noisy, pilot, mixing.parts, variances, mixing.has_pilot, estimates, weights, threads, progress
+    )
+    return [estimates, weights], (0, 0)
+
+
+def clusters_for(samples: Graph, most: int, relative: Float32s | None) -> list[Clusters]:
+    """Return up to `most` levels of clusters, fine to coarse, as far as they hold enough of them."""
+    found: list[Clusters] = []
+    variances = np.ones((samples.size, 1), np.float32) if relative is None else relative
+    for level in islice(levels_of(samples), 1, most + 1):
+        if level.graph.size < _FEWEST:
+            break
+        found.append(Clusters(samples, level, level.means(variances)[:, 0]))
+    return found
+
+
+class Clusters(CoarseLevel):
+    """Means of clusters of samples, as a stack with a row a cluster."""
+
+    axis: ClassVar[int] = 1
+    width = 3.0
+
+    def __init__(self, samples: Graph, level: Level, relative: Float32s) -> None:
+        self._samples, self._level, self._graph = samples, level, level.graph
+        self._counts, self.noise, self.relative = level.counts, level.noise, relative
+
+    def means(self, stack: Stack) -> Float32s:
+        return self._level.means(stack)
+
+    def probe(self, means: Stack, noise: Float64s) -> Stack:
+        signs = random_signs(means, self._graph.priorities, 1)[0]
+        return np.asarray(np.einsum("ij,sj->si", root_of(noise), signs), np.float32)
+
+    def collaborate(self, noisy: Stack, pilot: Stack, mixing: Mixing, *, shared: bool = False) -> Stack:
+        """Estimate means from patches of clusters; shared noise does not fall with their size."""
+        relative = self.relative if shared else self.relative / (self._counts * np.float32(self.noise))
+        return collaborate_on_graph(self._graph, noisy, pilot, mixing, relative, is_whole=shared)
+
+    def add_enlarged(self, stack: Stack, changes: Stack) -> None:
+        """Add changes of clusters to their samples, smoothed as far as linear interpolation smooths squares."""
+        variance = 1 / (12 * self.noise)
+        rows = large_arrays.empty(stack.shape, np.float32)
+        for block in large_arrays.blocks(len(rows)):
+            rows[block] = changes[self._level.members[block]]
+        stack += self._samples.smoothed(rows, variance)
+
+    def planes(self, count: int) -> Float32s:
+        return np.zeros((count, self._graph.size), np.float32)
+
+    def total(self, planes: Float32s) -> Float64s:
+        return np.asarray(np.sum(planes * self._counts, axis=1, dtype=np.float64))
+
+    def spread(self, planes: Float32s) -> Float32s:
+        rows = np.ascontiguousarray((planes * (self._counts * np.float32(self.noise))).T)
+        return np.ascontiguousarray(self._graph.smoothed(rows, self.width**2).T)
