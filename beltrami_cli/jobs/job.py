@@ -37,9 +37,9 @@ class Job:
     check : callable, optional
         Only for callers that do more with the document: called with it before anything is computed; may raise.
     chunking : Chunking, optional
-        Into how many chunks surfaces are cut, and who works on them.
+        Only for batches: into how many chunks surfaces are cut, and who works on them.
     chunk_memory : int, optional
-        Bytes that a chunk of a mesh may take; larger meshes are cut. By default they are not.
+        Bytes that a chunk of a mesh may take; larger meshes are cut. Set as `access` limits the memory.
     """
 
     access: Access = EVERYTHING_INSIDE

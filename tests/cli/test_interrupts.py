@@ -36,7 +36,10 @@ main()
 """
 FLOW = ("--beta", "0", "-t", "8", "-n", "9999")
 PATCHES = ("--patches", "on", "-n", "1", "-t", "0.5", "--threads", "1")
-MESH, GRID = ("flow.mesh_manifold", "MeshManifold"), ("flow.grid_manifold", "GridManifold")
+MESH, GRID = (
+    ("flow.manifolds.mesh_manifold", "MeshManifold"),
+    ("flow.manifolds.grid_manifold", "GridManifold"),
+)
 STEPS = {
     "iterations on vertices": (("smooth", "in.ply", "out.ply", *FLOW), (*MESH, "average"), 0),
     "iterations on pixels": (("smooth", "in.png", "out.png", *FLOW), (*GRID, "average"), 0),

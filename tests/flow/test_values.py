@@ -1,8 +1,11 @@
 """Smoothing is estimate, choose, smooth: functions of values, of which only the last takes an array over."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
+from beltrami_cli.flow.corrections.coarse_levels import without_shared_noise
 from beltrami_cli.flow.estimation import estimate_on_canvas, estimate_on_mesh
 from beltrami_cli.flow.manifolds.grid_manifold import ColouredCanvas, grid_manifold
 from beltrami_cli.flow.manifolds.manifold import Step
@@ -25,22 +28,35 @@ def shared():
     return np.clip(truth + small / 255, 0, 1).astype(np.float32)
 
 
+def canvas_of(image, parameters):
+    atlas = grid_atlas(image.shape[:2], 8, None, np.ones(image.shape[:2], bool))
+    colours_of = image.reshape(-1, 3).__getitem__
+    return ColouredCanvas(atlas=atlas, parameters=parameters, channels=3, colours_of=colours_of)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("noise", [None, CAMERA])
 def test_estimating_and_choosing_leave_the_colours_of_a_canvas(shared, noise):
-    parameters = parameters_with({"threads": 1, "noise": noise})
-    table = shared.reshape(-1, 3)
-    before = table.copy()
-    canvas = ColouredCanvas(
-        atlas=grid_atlas(shared.shape[:2], 8, None, np.ones(shared.shape[:2], bool)),
-        parameters=parameters, channels=3, colours_of=table.__getitem__,
-    )  # fmt: skip
+    parameters, before = parameters_with({"threads": 1, "noise": noise}), shared.copy()
+    canvas = canvas_of(shared, parameters)
     colours = estimate_on_canvas(canvas)
     stack = colours.stack.copy()
     plan = choose_parameters(grid_manifold(canvas, colours), parameters)
-    assert np.array_equal(table, before)
+    assert np.array_equal(shared, before)
     assert np.array_equal(colours.stack, stack)
     assert not np.array_equal(plan.manifold.colours, stack)
+
+
+@pytest.mark.slow
+def test_the_error_of_means_is_that_of_the_input_s_colours(shared):
+    """The same stabilised colours, which stand for themselves or for others, in which they differ more."""
+    canvas = canvas_of(shared, parameters_with({"threads": 1, "noise": CAMERA}))
+    manifold = grid_manifold(canvas, estimate_on_canvas(canvas))
+    plain = dataclasses.replace(manifold, noise=dataclasses.replace(manifold.noise, stabiliser=None))
+    (_, error), (_, expected) = (without_shared_noise(each) for each in (manifold, plain))
+    assert expected > 0
+    assert error == pytest.approx(manifold.noise.square_to_input(expected))
+    assert error != pytest.approx(expected, rel=0.1)
 
 
 @pytest.mark.slow

@@ -55,7 +55,8 @@ def without_shared_noise(
 ) -> tuple[AnyManifold, float]:
     """Return the manifold with colours whose noise neighbours do not share, but for its finest details.
 
-    Return also the estimated mean square error of what was removed. `tick` is called often, and may raise to stop.
+    Return also the estimated mean square error of what was removed, in the input's colours. `tick` is called often, and
+    may raise to stop.
     """
     covariances = manifold.noise.covariances
     manifold = dataclasses.replace(manifold, colours=large_arrays.copy_of(manifold.colours))
@@ -69,7 +70,7 @@ def without_shared_noise(
         noise = level.noise * _noise_of_level(covariances, number, is_coarsest=number == len(levels))
         error += max(0.0, _estimate_in_place(level, manifold, noise))
     left = dataclasses.replace(manifold.noise, covariances=_left_for_samples(covariances))
-    return dataclasses.replace(manifold, noise=left), error
+    return dataclasses.replace(manifold, noise=left), manifold.noise.square_to_input(error)
 
 
 def _impute_cut_off_in_place(manifold: Manifold) -> None:
