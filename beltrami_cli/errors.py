@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shlex
-import shutil
 import signal
 import sys
 from typing import NamedTuple
@@ -20,9 +19,7 @@ def one_line(text: str) -> str:
 
 def install_hint(requirement: str) -> str:
     """Return the command that installs a package for the Python that runs this process, as a remedy."""
-    is_same = os.path.dirname(shutil.which("pip") or "") == os.path.dirname(sys.executable)  # noqa: PTH120
-    pip = "pip" if is_same else f"{shlex.quote(sys.executable)} -m pip"
-    return f"install it with: {pip} install {shlex.quote(requirement)}"
+    return f"install it with: {shlex.quote(sys.executable)} -m pip install {shlex.quote(requirement)}"
 
 
 class Obstacle(NamedTuple):

@@ -85,14 +85,6 @@ class Outcome:
     written: dict[str, str] = field(default_factory=dict)
     report: dict[str, Any] | None = None  # of `beltrami smooth`
 
-    @property
-    def kinds(self) -> set[str]:
-        """The kinds of input that it may be, as `Parameter.of` names them."""
-        report = self.report or {}
-        told = {"vertices": ("vertex colours", "level sets", "points in text files"), "image": ("images",)}
-        named = {kind for part, kinds in told.items() if report.get(part) for kind in kinds}
-        return named | ({"textures"} if report.get("textures") or report.get("new_texture") else set())
-
     def figures(self) -> tuple[float, float, bool] | None:
         """Return the strongest noise, the largest mean change, and whether no iterations were chosen."""
         report = self.report or {}

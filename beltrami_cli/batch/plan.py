@@ -171,10 +171,8 @@ def _entries(path: str) -> list[tuple[str, object]]:
     """Read a manifest: the origin, for messages, and the table of every file."""
     try:
         text = read_bounded(Path(path), MANIFEST)
-    except OSError as error:
-        raise unreadable(path, error) from error
-    except ValueError as error:
-        raise InputError(path, f"cannot be read ({error})", "save it as UTF-8") from error
+    except (OSError, ValueError) as error:
+        raise unreadable(path, error, "check that it is a file in UTF-8") from error
     try:
         found = list(_READERS[Path(path).suffix.lower()](text))
     except (ValueError, csv.Error) as error:

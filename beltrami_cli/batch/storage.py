@@ -67,10 +67,9 @@ def filesystem(url: str) -> tuple[Any, str]:
         raise InputError(url, cause, install_hint("beltrami-cli[cluster]")) from error
     try:
         files, path = url_to_fs(url)
-    except ImportError as error:
-        raise InputError(url, f"cannot be opened ({error})", "install these with pip") from error
-    except ValueError as error:
-        raise InputError(url, f"cannot be opened ({error})", "check the URL") from error
+    except (ImportError, ValueError) as error:
+        remedy = "install what is missing, or check the URL"
+        raise InputError(url, f"cannot be opened ({error})", remedy) from error
     return files, path
 
 

@@ -32,6 +32,8 @@ SHARED_WITH_SMOOTH = {*options.SMOOTHING, *options.UNWRAPPING, "columns"}
 """The options of `smooth` that change its result, which a manifest can give for each file."""
 
 _CLUSTER = "Many machines"
+# The kinds of input that parts of a report tell.
+_KINDS = {"vertices": "vertex colours", "image": "images", "textures": "textures", "new_texture": "textures"}
 
 
 @command("batch", inputs="INPUTS...")
@@ -112,8 +114,9 @@ def batch(
             outcomes = batch.run(_at_once(given), _memory(given) or default_memory(), workers)
     if not messages.quiet:
         show_table(("output", "result", "time", "noise", "change"), list(map(_row, outcomes)), err=True)
-    kinds = {kind for outcome in outcomes for kind in outcome.kinds}
-    for each in without_effect(options.typed_parameters(), kinds) if kinds else ():
+    kinds = {kind for part, kind in _KINDS.items() for each in outcomes if (each.report or {}).get(part)}
+    typed = [each for each in options.typed_parameters() if {*each.of} <= {*_KINDS.values()}]
+    for each in without_effect(typed, kinds) if kinds else ():
         messages.warn(f"{each.flag} had no effect on any file, as it is for {' and '.join(each.of)}")
     messages.say(f"{_counts(outcomes)} in {time.monotonic() - start:.1f} s; report: {path}")
     if lost := sum(outcome.status == "failed" for outcome in outcomes):

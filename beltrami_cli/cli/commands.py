@@ -251,11 +251,7 @@ class HelpfulCommand(click.Command):
     def _first_examples(self, text: str, context: click.Context) -> str:
         """Return the first examples, with whole commands, that take no option but those of the short help."""
         head, title, *lines = text.partition("\n\n")[0].split("\n")
-        shown = {
-            name
-            for option in self.option_groups(context)[DAILY]
-            for name in option.opts + option.secondary_opts
-        }
+        shown = {name for option in self.option_groups(context)[DAILY] for name in option.opts}
         chosen: list[str] = []
         for example in re.findall(r"(?:.*\\\n)*.+", "\n".join(lines)):
             if len(chosen) < _EXAMPLES and {*_OPTION.findall(example.partition(" #")[0])} <= shown:

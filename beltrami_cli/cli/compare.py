@@ -39,9 +39,7 @@ _JUNIT_HEAD = _XML + f'<testsuite name="{_SUITE}"'.encode()
 
 @command("compare", reference="REFERENCE", test="TEST")
 @options.options_of(Limits)
-@options.options_of(
-    KernelParameters, only=("weights",), changed={"weights": {"of": ("vertex colours", "textures")}}
-)
+@options.options_of(KernelParameters, only=("weights",), changed=options.COMPARED)
 @options.options_of(SmoothSettings, only=options.COLOURS, changed=options.COMPARED)
 @options.as_json
 @click.option(

@@ -94,11 +94,9 @@ def load(named: str | None) -> Configuration:
                 remedy = f"to have it read, name it: --config {path}"
                 click.echo(printable(f"warning: {path} is not read, because {error}; {remedy}"), err=True)
             continue
-        except OSError as error:
-            raise unreadable(str(path), error) from error
-        except ValueError as error:
+        except (OSError, ValueError) as error:
             remedy = "repair it, or name another file" if named else "repair or remove it"
-            raise InputError(str(path), f"cannot be read ({error})", remedy) from error
+            raise unreadable(str(path), error, remedy) from error
         if table is not None:
             tables = {name: value for name, value in table.items() if isinstance(value, dict)}
             common = {name: value for name, value in table.items() if name not in tables}
@@ -210,14 +208,11 @@ def config(context: click.Context, name: str | None) -> None:
     names = known if name is None else [name]
     group.default_map = {each: commands.defaults_from(configuration, each) for each in names}
     click.echo(f"# configuration file: {printable(configuration.path or 'none')}")
-    tables = {
-        each: list(_lines(group, each, configuration, with_defaults=name is not None)) for each in names
-    }
-    for each, lines in tables.items():
-        if lines:
-            click.echo("\n".join([f"[{each}]", *lines]))
-    if not any(tables.values()):
-        click.echo("# every option has its default")
+    listed = (
+        (each, list(_lines(group, each, configuration, with_defaults=name is not None))) for each in names
+    )
+    tables = ["\n".join([f"[{each}]", *lines]) for each, lines in listed if lines]
+    click.echo("\n".join(tables or ["# every option has its default"]))
 
 
 def _lines(

@@ -247,10 +247,8 @@ class Messages:
         work = Work()
         with _progress_bar(work) as bar:
             self._bars.append(bar)
-            try:
-                yield work
-            finally:
-                self._bars.pop()
+            yield work
+        self._bars.clear()
 
 
 _SAME_WISH = 1.0  # seconds in which another signal would only disturb the tidying

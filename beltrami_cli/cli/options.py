@@ -229,6 +229,7 @@ _TAKEN = (
 UNMIXED = {"space": {"choices": ("srgb", "linear", "data"), "help": _TAKEN}}
 COMPARED: dict[str, dict[str, Any]] = {
     **UNMIXED,
+    "weights": {"of": ("vertex colours", "textures")},  # samples of textures can count by their area, too
     "on": {"help": "The vertex colours, the textures, or both; auto takes what there is."},
     "slots": {"unset": "all that the files have"},
 }
@@ -319,10 +320,7 @@ def refuse_typed(record: type, why: str) -> None:
 
 @contextmanager
 def reading_from(values: Mapping[str, Any], source: str, *, is_one: bool = True) -> Iterator[Access]:
-    """Give what a job on a file may read, and hold it to its memory, by the options that `reading` adds.
-
-    `is_one`: options must have an effect on this file, and not only on others that they are given for, too.
-    """
+    """Give what a job on a file may read, and hold it to its memory; if `is_one`, all options must fit this file."""
     access = record_from(Access, values)
     access = dataclasses.replace(access, memory=access.memory or default_memory())
     with limited_memory(access.memory, source), requiring_effect(typed_parameters() if is_one else []):

@@ -202,10 +202,7 @@ def _written(
     values: Mapping[str, Any], ends: tuple[str, str], messages: Messages, carry_out: Callable[[Job], Report],
     settings: SmoothSettings = DEFAULTS,
 ) -> Report:  # fmt: skip
-    """Carry out a job from INPUT to OUTPUT, and put all that it writes in place together; return its report.
-
-    `settings`: for a preview.
-    """
+    """Carry out a job from INPUT to OUTPUT, and put all that it writes in place together; `settings`: for a preview."""
     from beltrami_cli.formats.changes import Written
     from beltrami_cli.jobs.output import FileSet
 

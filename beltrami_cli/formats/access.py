@@ -176,17 +176,15 @@ def is_url(name: str) -> bool:
     return _URL.match(name) is not None
 
 
-def unreadable(name: str, error: OSError) -> InputError:
-    """Return the error that a file cannot be read, with a remedy for its cause."""
+def unreadable(name: str, error: Exception, remedy: str = "check the path and its permissions") -> InputError:
+    """Return the error that a file cannot be read; the remedy is for what is neither a URL nor a wrong name."""
     if is_url(name):
         return InputError(
             name, "it is a URL, which batch alone reads", "download it, or give it to beltrami batch"
         )
     if isinstance(error, FileNotFoundError):
         return InputError(name, "there is no such file", "check its name")
-    return InputError(
-        name, f"cannot be read ({error.strerror or error})", "check the path and its permissions"
-    )
+    return InputError(name, f"cannot be read ({getattr(error, 'strerror', None) or error})", remedy)
 
 
 def _read_stdin(access: Access) -> bytes:

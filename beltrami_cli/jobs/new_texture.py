@@ -280,10 +280,8 @@ class BakeReport(FileReport):
 
     Attributes
     ----------
-    counts : dict
-        How many triangles, charts or coloured vertices were written, by their names in the singular.
-    texture : str
-        What kind of texture was made, in words; empty if none was.
+    counts, texture : dict, str
+        How many triangles, charts or coloured vertices were written, and what kind of texture; empty if none was.
     input, output, format, parameters, stages, peak_memory, written, warnings
         As for `SmoothReport`.
     """

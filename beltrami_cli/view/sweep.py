@@ -61,11 +61,8 @@ def sweep_file(
     """Smooth a file with several settings, and write a picture, a page, which grows as results come, or the figures."""
     _check(source, len(trials), looks if kind is None else None)
     is_page = Path(target).suffix.lower() in PAGES
-    suffix = (
-        ""
-        if is_page or kind
-        else picture_suffix(target, looks, ", or .html for a page, or give --format csv")
-    )
+    others = ", or .html for a page, or give --format csv"
+    suffix = "" if is_page or kind else picture_suffix(target, looks, others)
     known = [name for name in (source, reference) if name is not None]
     output = Output(target, overwrite=job.overwrite, is_text=kind is not None, what="sheet", reads=known)
     job = Job(output.files.watching(job.access), job.progress)

@@ -81,24 +81,17 @@ class Comparison:
 
     Attributes
     ----------
-    reference, test : str
-        Paths of the files.
-    weights, space : str
-        What a sample counts, and what colours were taken as.
-    parts : list of dict
-        "name", "kind" and figures of each texture, the image, or the vertices; "identical": equal, among several parts.
-    overall : dict
-        Figures of all parts together that are not identical.
+    reference, test, weights, space : str
+        Paths of the files, what a sample counts, and what colours were taken as.
+    parts, overall : list of dict, dict
+        "name", "kind" and figures of each texture, the image, or the vertices, with "identical": equal, among several
+        parts; and the figures of all together that are not identical.
     geometry : Moves or None
         How far vertices moved; None for images.
-    limits : list of Verdict
-        For each limit and part what was "measured" and "allowed", and whether it is "kept".
-    passed : bool
-        Whether each part keeps to each limit.
-    map_scale : float or None
-        The Delta E that the brightest colour of the map stands for.
-    notices : list of str
-        Messages for the user.
+    limits, passed : list of Verdict, bool
+        For each limit and part what was "measured" and "allowed", and whether it is "kept"; whether all are.
+    map_scale, notices : float or None, list of str
+        The Delta E that the brightest colour of the map stands for, and messages for the user.
     """
 
     reference: str
