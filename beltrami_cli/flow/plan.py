@@ -1,4 +1,4 @@
-"""What is chosen before a manifold is smoothed: parameters with nothing left open."""
+"""The plan of how a manifold is smoothed, with parameters chosen from the data."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ AnyManifold = TypeVar("AnyManifold", bound=Manifold)
 
 @dataclass(frozen=True, kw_only=True)
 class Plan(Generic[AnyManifold]):
-    """How a manifold is smoothed: parameters with nothing left open, and the noise that they are chosen for."""
+    """A manifold with fully specified parameters, and the noise that they are chosen for."""
 
     manifold: AnyManifold  # with these parameters
     noise: Float64s  # standard deviation in the input's colours by channel, shape (N,)
@@ -32,7 +32,7 @@ class Plan(Generic[AnyManifold]):
     reading: Reading | None = None  # None: the noise is given
     choice: Choice | None = None  # None where no parameter was chosen from the data
     takes_patches: bool = False
-    light: MeanLight | None = None  # whose mean stays
+    light: MeanLight | None = None  # whose mean is preserved
 
     @property
     def parameters(self) -> KernelParameters:
@@ -93,7 +93,7 @@ def choose_parameters(
 
     Where patches follow, the plan has other colours, without the noise that neighbouring samples share but for its
     finest details. `tick` is called often, and may raise to stop. `light_in` is the space of colours that stand for
-    light, whose mean stays unless beta is given.
+    light, whose mean is preserved unless beta is given.
     """
     light = None
     if light_in is not None and wanted.evens_noise:

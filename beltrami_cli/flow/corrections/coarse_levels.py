@@ -5,8 +5,8 @@ first, by patches on the coarsest level, and what that changes is added to the n
 only the details of its own samples are then left to be estimated [1]_.
 
 Noise of cameras is not normal in the dark: encoding stretches darker values, down to 0, and some samples lie so far
-out that patches would keep them as detail. So dark outliers in plain places are replaced first. Details of the picture
-are no single samples there: what made neighbours share the noise blurred them as well.
+out that patches would keep them as detail. So dark outliers in plain places are replaced first. Genuine detail
+spans several samples there: what made neighbours share the noise blurred it as well.
 
 References
 ----------

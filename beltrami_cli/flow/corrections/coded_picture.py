@@ -193,7 +193,7 @@ def coded(picture: CodedPicture, pixels: Float32s) -> Float32s:
 
 
 def sigma_before(pictures: Sequence[CodedPicture], noise: NoiseModel) -> float | None:
-    """Return sigma of white noise before JPEG, by the noise of what was decoded; None: nothing can be made of it."""
+    """Return sigma of white noise before JPEG, by the noise of what was decoded; None if it cannot be estimated."""
     if noise.relative is not None:
         return None
     noise = noise.as_read()

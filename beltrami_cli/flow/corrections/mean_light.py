@@ -1,4 +1,4 @@
-"""Colours whose mean light stays, whatever the noise.
+"""Smoothing that preserves the mean radiance.
 
 Colours are averaged where their noise is even: in display values, and in stabilised ones. The mean of such values is
 not that of the light. Where noise grows with the light, as that of renderers that trace few paths, it is darker, by up

@@ -32,7 +32,7 @@ class Samples(ABC):
     """Samples of a surface, or means of groups of them.
 
     A *stack* is an array of channels for all samples in the inner layout: rows of samples on a mesh, planes of cells on
-    a grid. *Planes* are numbers that are no colours, along the first axis in both layouts.
+    a grid. *Planes* are per-sample scalars, along the first axis in both layouts.
     """
 
     axis: ClassVar[int]
@@ -40,7 +40,7 @@ class Samples(ABC):
 
     @abstractmethod
     def planes(self, count: int) -> Float32s:
-        """Return zeros for numbers of samples."""
+        """Return zeros."""
 
 
 class Domain(Samples):
@@ -166,7 +166,7 @@ class KernelWork:
         self._unit = unit or 1.0
 
     @property
-    def is_surface(self) -> bool:
+    def has_uniform_density(self) -> bool:
         """Whether the best parameters of parts are the best ones of the whole."""
         return True
 

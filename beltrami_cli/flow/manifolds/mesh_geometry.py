@@ -1,7 +1,7 @@
 """The geometry of a triangulated surface; its samples are kept in a cache-friendly order.
 
-On an even surface a kernel holds as many samples as its area. It holds far more around a vertex of very many triangles,
-a hub, and in a tangle: triangles that are no surface, such as vertices joined at random, all a few edges apart.
+On an even surface a kernel holds as many samples as its area. It holds far more around a hub, which is a vertex of very
+high valence, and where connectivity is irregular, as of vertices that are joined at random: all are a few edges apart.
 There the kernels are bounded.
 """
 
@@ -41,8 +41,8 @@ _HUB = 512
 # Samples that kernels around hubs would hold, from which on it takes seconds.
 _MOST_NEAR_HUBS = 1_000_000
 
-# A small tangle takes no time. On surfaces V - E + F is about 0, whatever their handles and borders are.
-_SMALL, _TANGLED = 1_000, -1 / 4
+# Small meshes take no time. On surfaces V - E + F is about 0, whatever their handles and borders are.
+_SMALL, _IRREGULAR = 1_000, -1 / 4
 
 # Samples of the largest kernels there, as a multiple of what they would hold on an even surface.
 _LARGEST = 2
@@ -297,34 +297,34 @@ def without_hubs(size: int, edges: Int32s) -> Int32s:
 
 
 class MeshWork(KernelWork):
-    """Work with the kernels of triangles, where hubs and tangles cost more."""
+    """Work with the kernels of triangles, of which hubs and irregular connectivity have more."""
 
     def __init__(self, kernels: int, unit: float, edges: Int32s, faces: int) -> None:
         super().__init__(kernels, unit)
         degrees = np.bincount(edges.ravel(), minlength=kernels)
         joined = int(np.count_nonzero(degrees))
-        self._is_tangled = joined >= _SMALL and joined - len(edges) + faces < _TANGLED * joined
+        self._is_irregular = joined >= _SMALL and joined - len(edges) + faces < _IRREGULAR * joined
         self._hub_degrees = degrees[degrees > _HUB]
         self._edges = edges
 
     @property
-    def is_surface(self) -> bool:
-        """Whether it is no tangle, and most samples are not next to hubs."""
+    def has_uniform_density(self) -> bool:
+        """Whether connectivity is regular, and most samples are not next to hubs."""
         near_hubs = np.count_nonzero(_find_hubs(self.kernels, self._edges)[self._edges])
-        return not self._is_tangled and bool(near_hubs <= self.kernels / 2)
+        return not self._is_irregular and bool(near_hubs <= self.kernels / 2)
 
     def bounded(self, parameters: KernelParameters) -> KernelParameters:
-        """Bound kernels around hubs and in tangles by twice what they would hold on an even surface."""
+        """Bound kernels around hubs and of irregular connectivity by twice what they would hold on an even surface."""
         if parameters.max_samples != KernelParameters.max_samples:
             return parameters
         near_hubs = np.square(self._hub_degrees.astype(np.float64)).sum()
-        if not self._is_tangled and near_hubs < _MOST_NEAR_HUBS:
+        if not self._is_irregular and near_hubs < _MOST_NEAR_HUBS:
             return parameters
         most = math.ceil(_LARGEST * self._on_even_surface(parameters))
         return dataclasses.replace(parameters, max_samples=min(parameters.max_samples, most))
 
     def samples(self, parameters: KernelParameters) -> float:
         """Return how many samples all kernels of an iteration hold, at most."""
-        near_hubs = self.kernels if self._is_tangled else min(int(self._hub_degrees.sum()), self.kernels)
+        near_hubs = self.kernels if self._is_irregular else min(int(self._hub_degrees.sum()), self.kernels)
         each = min(self._on_even_surface(parameters), parameters.max_samples)
         return (self.kernels - near_hubs) * each + near_hubs * min(parameters.max_samples, self.kernels)

@@ -1,0 +1,151 @@
+"""A descent over schedules of iterations, by the estimated error of their results."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+from beltrami_cli.flow.choice.risk import Risk, RiskEstimate, State
+from beltrami_cli.flow.manifolds.manifold import Step
+from beltrami_cli.flow.parameters import MOST_GROWTH
+
+# Improvements by less than this share of the noise's variance are due to chance: some 0.1 dB of a good result.
+_WORTH_MOVING = 5e-4
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """A schedule: beta and its growth, the time step, regularised iterations, and plain ones after them."""
+
+    beta: float
+    growth: float
+    t: float
+    regularised: int
+    plain: int
+
+    def step(self, iteration: int) -> Step:
+        """Return an iteration, counted from 0."""
+        grown = self.growth ** min(iteration, MOST_GROWTH / max(math.log(self.growth), 1 / MOST_GROWTH))
+        return Step(self.beta * grown, self.t, iteration < self.regularised)
+
+
+Place: TypeAlias = tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The values that each parameter may take, ascending, and where the search starts."""
+
+    betas: tuple[float, ...]
+    growths: tuple[float, ...]
+    t: float
+    regularised: tuple[int, ...]
+    iterations: int | None  # exact number; None: up to `max_iterations`
+    max_iterations: int
+    starts: tuple[Place, ...]  # indices of beta, growth and regularised iterations
+    least_gain: float = 0.0  # a path ends with an iteration that gains less than this share of the error
+
+    def at(self, place: Place) -> Schedule:
+        beta, growth, regularised = place
+        return Schedule(self.betas[beta], self.growths[growth], self.t, self.regularised[regularised], 0)
+
+    def neighbour(self, place: Place, axis: int, way: int) -> Place | None:
+        """Return the next place along an axis; None at its end."""
+        size = len((self.betas, self.growths, self.regularised)[axis])
+        moved = place[axis] + way
+        if not 0 <= moved < size:
+            return None
+        beta, growth, regularised = (moved if k == axis else old for k, old in enumerate(place))
+        return beta, growth, regularised
+
+
+class Search:
+    """A descent over a grid of schedules, by an estimate of their error; `noise` is the variance of the noise.
+
+    `tick` is called before each iteration, and may raise to stop.
+    """
+
+    def __init__(
+        self,
+        estimate: RiskEstimate,
+        grid: Grid,
+        noise: float,
+        weight: float = 1.0,
+        tick: Callable[[], None] | None = None,
+    ) -> None:
+        self.tried: dict[Schedule, Risk] = {}
+        self._estimate, self._grid, self._tick = estimate, grid, tick
+        self._gain, self._weight = _WORTH_MOVING * noise, weight
+        self._least: dict[Place, float] = {}
+        self._regularised_states: dict[Schedule, State] = {}
+
+    def run(self) -> Schedule:
+        """Return the best schedule found."""
+        if self._grid.iterations is None:
+            self._try(replace(self._grid.at(self._grid.starts[0]), regularised=0), self._estimate.start)
+        least = float("inf")
+        for start in self._grid.starts:
+            # Otherwise it starts no lower than where another descent ended.
+            if self._path(start) < least - self._gain:
+                least = self._descend(start)
+        # All weights choose from the same schedules, so a larger one never chooses a gentler one.
+        return min(self.tried, key=lambda schedule: self.tried[schedule].weighted(self._weight))
+
+    def _descend(self, place: Place) -> float:
+        """Go along one axis after another until none gets better; return the least risk."""
+        least, moved = self._path(place), True
+        while moved:
+            moved = False
+            for axis in (0, 1, 2):
+                for way in (1, -1):
+                    ahead = self._grid.neighbour(place, axis, way)
+                    while ahead is not None and self._path(ahead) < least - self._gain:
+                        place, least, moved = ahead, self._path(ahead), True
+                        ahead = self._grid.neighbour(place, axis, way)
+        return least
+
+    def _path(self, place: Place) -> float:
+        """Try the schedules at a place, with more and more plain iterations; return the least risk."""
+        if place not in self._least:
+            self._least[place] = self._walk(self._grid.at(place))
+        return self._least[place]
+
+    def _walk(self, schedule: Schedule) -> float:
+        wanted = self._grid.iterations
+        if wanted is not None and schedule.regularised > wanted:
+            return float("inf")
+        state = self._after_regularised(schedule)
+        risks: list[float] = []
+        while True:
+            done = schedule.regularised + schedule.plain
+            if wanted is None or done == wanted:
+                risks.append(self._try(schedule, state))
+            if done >= (self._grid.max_iterations if wanted is None else wanted) or self._ends(risks):
+                return min(risks)
+            state = self._step(state, schedule.step(done))
+            schedule = replace(schedule, plain=schedule.plain + 1)
+
+    def _ends(self, risks: list[float]) -> bool:
+        return len(risks) > 1 and risks[-2] - risks[-1] < self._grid.least_gain * abs(risks[-2])
+
+    def _try(self, schedule: Schedule, state: State) -> float:
+        self.tried[schedule] = self._estimate.of(state)
+        return self.tried[schedule].value
+
+    def _after_regularised(self, schedule: Schedule) -> State:
+        """Return the state after the regularised iterations, which longer schedules share."""
+        if schedule.regularised == 0:
+            return self._estimate.start
+        # The first iteration is the same whatever comes after it.
+        key = replace(schedule, growth=1.0) if schedule.regularised == 1 else schedule
+        if key not in self._regularised_states:
+            before = self._after_regularised(replace(schedule, regularised=schedule.regularised - 1))
+            self._regularised_states[key] = self._step(before, schedule.step(schedule.regularised - 1))
+        return self._regularised_states[key]
+
+    def _step(self, state: State, step: Step) -> State:
+        if self._tick is not None:
+            self._tick()
+        return self._estimate.step(state, step)
