@@ -84,6 +84,6 @@ def test_threads_change_nothing_where_kernels_are_cut_short(mesh):
     [(surfaces.plane(60, 60), True), (fan(400), True), (fan(2_000), False), (book(2_000), False),
      (tangle(9_000, 3_000), False)],
 )  # fmt: skip
-def test_parameters_are_tried_on_surfaces_only(mesh, expected):
+def test_parameters_are_tried_only_where_density_is_uniform(mesh, expected):
     manifold = manifold_of(*mesh, noisy(len(mesh[0])), KernelParameters())
-    assert manifold.geometry.work(1.0).is_surface is expected
+    assert manifold.geometry.work(1.0).has_uniform_density is expected
