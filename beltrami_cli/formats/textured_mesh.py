@@ -20,7 +20,8 @@ from beltrami_cli.errors import InputError, Obstacle, UnpaintedError
 from beltrami_cli.formats.access import LARGE
 from beltrami_cli.formats.changes import Naming, NewImages
 from beltrami_cli.formats.image.file_formats import suffix_for
-from beltrami_cli.formats.model_folder import NewFiles, TileSets, tile_name
+from beltrami_cli.formats.new_files import NewFiles, TileSets
+from beltrami_cli.formats.tile_names import tile_name
 from beltrami_cli.surface import tiling
 from beltrami_cli.surface.geometry import polygons_of, polygons_with, triangulate_corners
 from beltrami_cli.surface.records import (

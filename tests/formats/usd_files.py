@@ -5,7 +5,7 @@ import zipfile
 import numpy as np
 
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.formats.model_folder import tile_name
+from beltrami_cli.formats.tile_names import tile_name
 from beltrami_cli.layers.settings import SmoothSettings
 from formats.image_files import encode
 from formats.tile_files import TILES, painting, part, sheet

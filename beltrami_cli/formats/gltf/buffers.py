@@ -27,12 +27,7 @@ from beltrami_cli.errors import Obstacle, install_hint
 from beltrami_cli.formats.access import is_too_dense
 from beltrami_cli.formats.changes import Bytes
 from beltrami_cli.formats.gltf.container import TRUNCATED, Container, Entry, Tree, objects, objects_within
-from beltrami_cli.formats.model_folder import (
-    ModelFolder,
-    UnfitReferenceError,
-    checked_path,
-    is_outside,
-)
+from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError, checked_path, is_outside
 
 MESHOPT = ("KHR_meshopt_compression", "EXT_meshopt_compression")
 """Extensions of a bufferView; both have the same members."""

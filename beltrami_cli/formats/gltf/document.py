@@ -40,7 +40,8 @@ from beltrami_cli.formats.gltf.edit import Edit, accessor_uses, merge_buffers
 from beltrami_cli.formats.gltf.painted import Surface, placements
 from beltrami_cli.formats.gltf.textured import gather_textured, present_slots, read_textured_mesh
 from beltrami_cli.formats.gltf.textures import IMAGE_EXTENSIONS, Images, embed_images, repaint, texture_infos
-from beltrami_cli.formats.model_folder import ModelFolder, NewFiles, UnfitReferenceError, is_outside
+from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError, is_outside
+from beltrami_cli.formats.new_files import NewFiles
 from beltrami_cli.surface.records import (
     ImageFile,
     MeshContents,

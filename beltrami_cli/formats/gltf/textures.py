@@ -24,7 +24,8 @@ from beltrami_cli.formats.gltf.edit import Edit
 from beltrami_cli.formats.image import format_of, label_of, read_image, write_image
 from beltrami_cli.formats.image.extra_codecs import EXTRA, EXTRA_CODECS, missing_package
 from beltrami_cli.formats.image.file_formats import FORMATS, suffix_for
-from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError, still_shown
+from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError
+from beltrami_cli.formats.new_files import still_shown
 from beltrami_cli.surface.records import ImageFile, PlannedImage, Slot, Wrap
 
 WEBP = "EXT_texture_webp"

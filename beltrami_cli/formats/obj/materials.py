@@ -16,13 +16,10 @@ from pathlib import PurePosixPath
 
 from beltrami_cli.errors import Obstacle
 from beltrami_cli.formats.changes import Naming, NewImages, Written
-from beltrami_cli.formats.model_folder import (
-    LEFT_ALONE,
-    ModelFolder,
+from beltrami_cli.formats.model_folder import LEFT_ALONE, ModelFolder, UnfitReferenceError, is_outside
+from beltrami_cli.formats.new_files import (
     NewFiles,
-    UnfitReferenceError,
     common_suffix,
-    is_outside,
     new_files,
     new_reference,
     path_inside,

@@ -17,7 +17,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, Obstacle
-from beltrami_cli.formats import model_folder
+from beltrami_cli.formats import model_folder, new_files
 from beltrami_cli.formats.changes import Naming, NewImages, Written
 from beltrami_cli.formats.ply.elements import finite_columns
 from beltrami_cli.formats.ply.tables import Table
@@ -203,7 +203,7 @@ def renamed_images(
     """Return the sidecar files of a PLY file, and new names by their place in the header."""
     present = [comment.path for comment in comments if comment.path is not None]
     missing = [comment.name for comment in comments if comment.path is None]
-    names = model_folder.NewFiles(naming, source, present, missing)
+    names = new_files.NewFiles(naming, source, present, missing)
     new_of: dict[str, str] = {}
     for (_, path), image in images.items():
         new_of[path] = names.image(path, image.suffix)
@@ -219,6 +219,6 @@ def renamed_images(
     spans: Spans = {}
     for comment in comments:
         if comment.path is not None and comment.path in new_of and new_of[comment.path] != comment.path:
-            new = model_folder.new_reference(comment.name, comment.path, new_of[comment.path])
+            new = new_files.new_reference(comment.name, comment.path, new_of[comment.path])
             spans[comment.start, comment.end] = new
     return names.written(), spans

@@ -28,13 +28,8 @@ from beltrami_cli.formats.access import Access, require_ratio
 from beltrami_cli.formats.archives import Archive
 from beltrami_cli.formats.changes import Bytes
 from beltrami_cli.formats.foreign_library import ForeignLibrary, serve_files
-from beltrami_cli.formats.model_folder import (
-    ModelFolder,
-    UnfitReferenceError,
-    found_tiles,
-    has_token,
-    is_outside,
-)
+from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError, is_outside
+from beltrami_cli.formats.tile_names import found_tiles, has_token
 from beltrami_cli.surface.worker_process import Message, temporary_folder, writing_temporary_files
 
 LAYERS = (".usd", ".usda", ".usdc")  # suffixes of files that usd-core reads

@@ -1,0 +1,151 @@
+"""Names of the sidecar files that are written with a model, and how it refers to them."""
+
+from __future__ import annotations
+
+import os
+import posixpath
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import PurePath, PurePosixPath
+
+from beltrami_cli.formats.changes import Bytes, Naming, NewImages, Written
+from beltrami_cli.formats.image.file_formats import format_of_suffix
+from beltrami_cli.formats.model_folder import is_outside
+from beltrami_cli.formats.tile_names import has_token, tile_name, token_in
+from beltrami_cli.surface.records import ImageFile, Slot
+from beltrami_cli.surface.tiling import Tile
+
+_HERE = PurePosixPath()
+_STAYS = "lies outside the model's folder; the output names it as the input does, and it is not copied."
+
+TileSets = Mapping[str, Mapping[Tile, str]]  # the files of sets of tiles, by the path of the set
+SlotsByPath = dict[tuple[str, tuple[tuple[str, ImageFile], ...]], list[Slot]]
+_LONGEST = 255  # bytes of a name, on all usual file systems
+
+
+def still_shown(what: str, image: str) -> str:
+    """Return the notice that something outside of the slots shows an image, and does not follow its new colours."""
+    return f"{what} shows {image}, too, and keeps the old one: it may not be a colour."
+
+
+class NewFiles:
+    """Names the sidecar files of one output, each once, and collects them."""
+
+    def __init__(self, naming: Naming, source: str, present: Iterable[str], missing: Iterable[str]) -> None:
+        """`source` is the model's own name; `present` and `missing` are the files that it refers to."""
+        self.copies = naming.copies
+        self.notices: dict[
+            str, None
+        ] = {}  # of files that stay where they are, and of old images that stay in use
+        self.sidecars: dict[str, Bytes] = {}  # and copies, as in `Written`
+        self.copied: dict[str, str] = {}
+        self._naming, self._source = naming, PurePath(source).stem
+        # In another folder present files get other names, and references to missing files stay.
+        self._taken = {path.casefold() for path in (*missing, *(() if naming.copies else present))}
+
+    def image(
+        self, path: str, suffix: str | None = None, *, is_replaced: bool = True, tiles: Iterable[Tile] = ()
+    ) -> str:
+        """Return the path of an image, or a set of tiles, in place of another that nothing shows if `is_replaced`."""
+        keeps = self._naming.keeps and is_replaced
+        new = path_inside(path)
+        if not keeps:
+            new = _renamed(new, self._source, self._naming.stem)
+        if suffix is not None:
+            new = _with_suffix(new, suffix)
+        return self._reserve(new, may_stay=keeps and new == path, tiles=tuple(tiles))
+
+    def other(self, path: str, suffix: str) -> str:
+        """Return the path of a file that is no image, in place of another."""
+        if self._naming.keeps and not is_outside(path):
+            return self._reserve(path, may_stay=True)
+        return self.new(suffix, PurePosixPath(path_inside(path)).parent)
+
+    def new(self, suffix: str, folder: PurePosixPath = _HERE) -> str:
+        """Return the path of a file that replaces none: the stem with a suffix."""
+        return self._reserve(str(folder / (self._naming.stem + suffix)))
+
+    def leave(self, name: str) -> None:
+        """Leave a file outside the folder where it is, and have the output name it as before."""
+        if self.copies:
+            self.notices[f"'{name}' {_STAYS}"] = None
+
+    def keep_shown(self, what: str, path: str) -> None:
+        """Say that something goes on to show the old one of an image that is replaced."""
+        self.notices[still_shown(what, path)] = None
+
+    def written(self, main: Sequence[Bytes] = (), notices: Iterable[str] = ()) -> Written:
+        """Return the collected files with a main file, or without it."""
+        return Written(main, self.sidecars, (*notices, *self.notices), self.copied)
+
+    def _reserve(self, path: str, *, may_stay: bool = False, tiles: tuple[Tile, ...] = ()) -> str:
+        whole, number = PurePosixPath(path), 2
+        token = token_in(whole.name)
+        end = whole.name.rfind(token) if token and token in whole.name else len(whole.stem)
+        while True:
+            files = [tile_name(path, tile) for tile in tiles] or [path]
+            if may_stay or not any(f.casefold() in self._taken or self._naming.is_taken(f) for f in files):
+                break
+            path = str(whole.with_name(f"{whole.name[:end]}-{number}{whole.name[end:]}"))
+            number += 1
+        self._taken.update(file.casefold() for file in files)
+        return path
+
+
+def slots_by_path(images: NewImages, paths_of: Callable[[Slot, str], Iterable[str]]) -> SlotsByPath:
+    """Return the slots in which a path, of an image or a set of tiles, gets the same new files; these go with it."""
+    files: dict[tuple[str, Slot], list[tuple[str, ImageFile]]] = {}
+    for (slot, file), image in images.items():
+        for path in paths_of(slot, file):
+            files.setdefault((path, slot), []).append((file, image))
+    slots: SlotsByPath = {}
+    for (path, slot), new in files.items():
+        slots.setdefault((path, tuple(new)), []).append(slot)
+    return slots
+
+
+def new_files(path: str, new: str, sets: TileSets) -> dict[str, str]:
+    """Return the new file of each file of a path, which is an image or one of some sets of tiles."""
+    tiles = sets[path].items() if path in sets else ()
+    return {file: file if path == new else tile_name(new, tile) for tile, file in tiles} or {path: new}
+
+
+def common_suffix(suffixes: Iterable[str]) -> str | None:
+    """Return the suffix that all tiles of a set have; None if they differ, so that their name cannot have it."""
+    distinct = set(suffixes)
+    return distinct.pop() if len(distinct) == 1 else None
+
+
+def path_inside(path: str) -> str:
+    """Return a path as it is, or for one outside the folder its name alone: nothing is written out there."""
+    return PurePosixPath(path).name if is_outside(path) else path
+
+
+def _renamed(path: str, source: str, stem: str) -> str:
+    """Return a path named after another model: its old stem, as a word, is replaced, or the new one put in front."""
+    whole = PurePosixPath(path)
+    word = rf"(?<![^\W_])(?<!<){re.escape(source)}(?![^\W_])"
+    new, count = re.subn(word, lambda _: stem, whole.name, count=1)
+    new = new if count else f"{stem}_{whole.name}"
+    if len(os.fsencode(new)) > _LONGEST:
+        new = stem + token_in(whole.name) + whole.suffix
+    return str(whole.with_name(new))
+
+
+def _with_suffix(path: str, suffix: str) -> str:
+    """Return a path with the suffix of an image format; unchanged if it already has one of that format."""
+    old = PurePosixPath(path).suffix
+    if format_of_suffix(old) == format_of_suffix(suffix) or has_token(old):
+        return path
+    return str(PurePosixPath(path).with_suffix(suffix))
+
+
+def new_reference(name: str, path: str, new: str) -> bytes:
+    """Return how a file refers to another after its move from `path` to `new`, with the folder as in `name`."""
+    if new == path:
+        return os.fsencode(name)
+    plain = name.replace("\\", "/")
+    # From some folder of the model, the name may be the path itself, or stand for it.
+    if is_outside(path) or not f"/{path}".endswith(f"/{posixpath.normpath(plain)}"):
+        return os.fsencode(new)
+    return os.fsencode(name[: plain.rfind("/") + 1] + PurePosixPath(new).name)
