@@ -158,11 +158,10 @@ lint: $(VENV)/.needs-test
 
 # The peers have an environment of their own: they pin other versions of what the tests use.
 bench:
-	$(MAKE) --no-print-directory VENV=$(VENV)-bench RESTRAIN="--no-binary gdist" run-bench
+	$(MAKE) --no-print-directory VENV=$(VENV)-bench run-bench
 
 run-bench: $(VENV)/.installed-bench
 	$(BIN)/python benchmarks/bench_triangulated.py
-	$(BIN)/python benchmarks/bench_large_meshes.py
 	$(BIN)/python benchmarks/bench_scaling.py --most 1000000
 	$(BIN)/python benchmarks/bench_textures.py
 	$(BIN)/python benchmarks/bench_geometry.py
@@ -258,7 +257,7 @@ fuzz-core: $(TOOLS)/.installed
 FOLDERS   ?= sample_data
 MUTATIONS ?= 8
 survey: $(VENV)/.installed-test
-	$(BIN)/python benchmarks/survey.py $(FOLDERS) --mutations $(MUTATIONS)
+	$(BIN)/python tests/fuzz/survey.py $(FOLDERS) --mutations $(MUTATIONS)
 
 samples: $(VENV)/.installed-samples
 	$(BIN)/python sample_data/make.py

@@ -4,12 +4,8 @@ Shapes have edges of about one unit. Errors are distances from the true surface,
 Plain is the kernel without normals in the metric (``--normal-beta 0``).
 """
 
-import sys
-from pathlib import Path
-
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+from harness import arguments, show
 
 import beltrami_cli
 from oracles import surfaces
@@ -23,44 +19,37 @@ def rms(values):
 
 
 def results(positions, faces, sigma):
+    """Yield noisy positions and what smoothing makes of them."""
     noisy = positions + np.random.default_rng(3).normal(0, sigma, positions.shape)
     parameters = {"colours": np.full((len(noisy), 1), 0.5), "smooth_geometry": True}
-    return {
-        "noisy": noisy,
-        "smoothed": beltrami_cli.smooth(noisy, faces, **parameters).positions,
-        "plain": beltrami_cli.smooth(noisy, faces, **parameters, normal_beta=0).positions,
-    }
+    yield "noisy", noisy
+    yield "smoothed", beltrami_cli.smooth(noisy, faces, **parameters).positions
+    yield "plain", beltrami_cli.smooth(noisy, faces, **parameters, normal_beta=0).positions
 
 
-def judge_cube(sigma):
+def cube_rows(sigma):
     cube, faces = surfaces.cube(SIDE)
     from_crease = np.sort(np.minimum(cube, SIDE - cube), axis=1)[:, 1]
-    for name, positions in results(cube, faces, sigma).items():
+    for name, positions in results(cube, faces, sigma):
         error = surfaces.off_cube(positions, SIDE)
         flat, crease = rms(error[from_crease >= 5]), rms(error[from_crease == 0])
-        print(f"| cube, noise {sigma} | {name} | {flat:.3f} | {crease:.3f} | |")
+        yield f"cube, noise {sigma}", name, f"{flat:.3f}", f"{crease:.3f}", ""
 
 
-def judge_sphere(sigma):
+def sphere_rows(sigma):
     positions, faces = surfaces.icosphere(5)
     positions = positions / surfaces.mean_edge_length(positions, faces)
     radius = np.linalg.norm(positions[0])
-    for name, result in results(positions, faces, sigma).items():
+    for name, result in results(positions, faces, sigma):
         radii = np.linalg.norm(result, axis=1)
-        print(
-            f"| sphere of radius {radius:.0f}, noise {sigma} | {name} | {rms(radii - radius):.3f} | "
-            f"| {100 * (radii.mean() / radius - 1):.2f} % |"
-        )
+        change = f"{100 * (radii.mean() / radius - 1):.2f} %"
+        yield f"sphere of radius {radius:.0f}, noise {sigma}", name, f"{rms(radii - radius):.3f}", "", change
 
 
 def main():
-    print(
-        "| shape | | error in smooth parts | at creases | change of radius |\n| --- | --- | --- | --- | --- |"
-    )
-    for sigma in SIGMAS:
-        judge_cube(sigma)
-    for sigma in SIGMAS:
-        judge_sphere(sigma)
+    options = arguments(__doc__)
+    rows = [row for judge in (cube_rows, sphere_rows) for sigma in SIGMAS for row in judge(sigma)]
+    show(rows, options, ("shape", "", "error in smooth parts", "at creases", "change of radius"))
 
 
 if __name__ == "__main__":

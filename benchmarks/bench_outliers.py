@@ -7,10 +7,8 @@ noise of 10 of 255, how many are missed, and how many others are replaced?
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
+from harness import arguments, show
 
 from beltrami_cli.flow.corrections import outliers
 from beltrami_cli.flow.manifolds.grid_geometry import CanvasSamples
@@ -54,32 +52,34 @@ def with_impulses(clean: list[np.ndarray]) -> list[tuple[np.ndarray, np.ndarray]
     return made
 
 
-def judge(clean: list[np.ndarray], spoiled: list[tuple[np.ndarray, np.ndarray]]) -> str:
+def judge(clean: list[np.ndarray], spoiled: list[tuple[np.ndarray, np.ndarray]]) -> tuple[str, str, str]:
+    """Return how many clean pictures are changed, and the shares of wrong samples missed and of others replaced."""
     harmed = sum(bool(found_in(image).any()) for image in clean)
     missed = false = every = 0
     for image, where in spoiled:
         found = found_in(image)
-        missed, false, every = (
-            missed + int((where & ~found).sum()), false + int((found & ~where).sum()), every + int(where.sum()),
-        )  # fmt: skip
-    return f"{harmed} of {len(clean)} changed, missed {100 * missed / every:.2f} %, false {100 * false / every:.2f} %"
+        missed += int((where & ~found).sum())
+        false += int((found & ~where).sum())
+        every += int(where.sum())
+    return f"{harmed} of {len(clean)}", f"{100 * missed / every:.2f} %", f"{100 * false / every:.2f} %"
 
 
-def main(folders: list[str]) -> int:
-    paths = sorted(path for folder in folders for path in Path(folder).rglob("*.[jp][pn]g"))
+def main() -> None:
+    options = arguments(__doc__, "folders")
+    paths = sorted(path for folder in options.folders for path in folder.rglob("*.[jp][pn]g"))
     pictures = [read_image(path.read_bytes(), path.name) for path in paths]
     clean = [full_scale_one(each.pixels[:LARGEST, :LARGEST, list(each.colour)]) for each in pictures]
     coloured = sorted((each for each in clean if each.shape[2] == 3), key=lambda each: -len(np.unique(each)))
     spoiled = with_impulses(coloured[:PHOTOGRAPHS])
-    print("as they are:", judge(clean, spoiled), flush=True)
+    rows = [("as they are", *judge(clean, spoiled))]
     for name, values in TRIED.items():
         kept = getattr(outliers, name)
         for value in values:
             setattr(outliers, name, value)
-            print(name, value, judge(clean, spoiled), flush=True)
+            rows.append((f"{name} = {value}", *judge(clean, spoiled)))
         setattr(outliers, name, kept)
-    return 0
+    show(rows, options, ("constants", "pictures changed", "missed", "wrongly replaced"))
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    main()

@@ -5,43 +5,39 @@ named images, in windows of 224 x 224: the root mean square change, which must g
 the PSNR against the truth, of which gentle may cost 1.5 dB and strong 1 dB on average.
 """
 
-import argparse
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
-from bench_camera_noise import images, psnr, stored, with_noise
+from harness import arguments, psnr, show
 
 import beltrami_cli
 from beltrami_cli.jobs.noise import as_jpeg
+from pictures import images, stored, with_noise
 
 BEST = 60.0  # dB; beyond it nobody sees a difference
 STRENGTHS = ("gentle", "normal", "strong")
 
 
 def main():
-    """Judge all images; print a line for each kind of noise, and the mean costs."""
-    parser = argparse.ArgumentParser(description="Judge the strengths.")
-    parser.add_argument("images", nargs="*", type=Path)
-    options = parser.parse_args()
-    costs, wrong = [], 0
-    print("| image, noise | change: gentle | normal | strong | PSNR: normal | cost of gentle | of strong |")
-    print("|---|---|---|---|---|---|---|")
+    """Judge all images; the last row has the means."""
+    options = arguments(__doc__, "images")
+    rows = []
     for name, clean in images(options.images):
         for kind, noisy, truth in kinds(stored(clean)):
             smoothed = [beltrami_cli.smooth_image(noisy, strength=each).colours for each in STRENGTHS]
             changes = [255 * float(np.sqrt(np.mean((each - noisy) ** 2))) for each in smoothed]
             gentle, normal, strong = (min(BEST, psnr(each, truth)) for each in smoothed)
-            costs.append((normal - gentle, normal - strong))
             is_wrong = any(a >= b > 0 or a > b for a, b in pairwise(changes))  # clean ones may stay
-            wrong += is_wrong
-            row = *changes, normal, *costs[-1]
-            marked = " NOT IN ORDER" if is_wrong else ""
-            print(
-                f"| {name}, {kind} |", " | ".join(f"{value:.2f}" for value in row), f"|{marked}", flush=True
+            rows.append(
+                (f"{name}, {kind}", *changes, normal, normal - gentle, normal - strong, int(is_wrong))
             )
-    gentle, strong = np.mean(costs, axis=0)
-    print(f"{wrong} of {len(costs)} not in order; gentle costs {gentle:.2f} dB, strong {strong:.2f} dB")
+    means = np.mean([row[1:] for row in rows], axis=0).tolist()
+    costs = "PSNR: normal", "cost of gentle", "of strong", "not in order"
+    show(
+        [*rows, ("mean", *means)],
+        options,
+        ("image, noise", *(f"change: {each}" for each in STRENGTHS), *costs),
+    )
 
 
 def kinds(clean):

@@ -1,30 +1,26 @@
-"""Time and quality of the kernel on triangle meshes, beside other programs: ``make bench``.
+"""Time of an iteration on triangle meshes by both solvers, and quality beside other programs: ``make bench``.
 
-``--json FILE`` writes the rows; ``--quick`` uses smaller meshes, to see that everything runs.
+Times are CPU time of one thread per vertex and iteration, medians of pairs of runs. ``--level 5`` uses small meshes, to
+see that everything runs.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-import subprocess
-import sys
-import tempfile
-from dataclasses import asdict, dataclass
+import math
+import statistics
+import time
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import peers
-import scene as scenes
-import timing
-from rich.console import Console
-from rich.table import Table
+import scenes
+from harness import Row, arguments, psnr, show
 
+import beltrami_cli
 from beltrami_cli import _native
 
 BETA = 5.0
-SAMPLES = (20, 50)
+SAMPLES = (20, 50)  # a kernel
 MOST_ITERATIONS = 30
 COLOUR_SMOOTHING = {
     "PyMeshLab Laplacian": peers.pymeshlab_smoothing,
@@ -35,168 +31,88 @@ OURS = {
     "beltrami, beta 13, t 1.3, 10 iterations": {"beta": 13.0, "t": 1.3, "iterations": 10, "metric_steps": 0},
     "beltrami, defaults": {},
 }
-GOAL_MICROSECONDS = {20: 3.5, 50: 8.5}
-GOAL_SEGMENTS = {20: 0.30, 50: 0.50}
-
-
-@dataclass(frozen=True)
-class Row:
-    """One measurement; `goal` is what it should reach, and `met` whether it does (None: there is none)."""
-
-    what: str
-    value: str
-    goal: str = ""
-    met: bool | None = None
 
 
 def main():
-    """Run all benchmarks; print a table, write JSON."""
-    parser = argparse.ArgumentParser(description="Benchmark the kernel on triangle meshes.")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows there")
-    parser.add_argument("--quick", action="store_true", help="smaller meshes, for a look")
-    parser.add_argument("--repeats", type=int, default=5, help="pairs of runs per time (default: 5)")
-    parser.add_argument(
-        "--gdist-python",
-        default=sys.executable,
-        metavar="PYTHON",
-        help="interpreter that has gdist (NumPy 1)",
-    )
-    options = parser.parse_args()
-    console = Console(stderr=True)
-    rows = []
-    for measure in (kernel_rows, solver_rows, gdist_rows, quality_rows, million_rows):
-        with console.status(measure.__doc__.splitlines()[0]):
-            rows += measure(options)
-    show(rows)
-    if options.json:
-        options.json.write_text(json.dumps([asdict(row) for row in rows], indent=2) + "\n")
+    """Measure times and quality."""
+    options = arguments(__doc__, level=7, repeats=5)
+    sphere = scenes.icosphere(options.level)
+    rows = [row for samples in SAMPLES for row in time_rows(sphere, samples, options.repeats)]
+    for name in ("chequer", "patches"):
+        rows += quality_rows(scenes.icosphere(options.level, getattr(scenes, name)), name)
+    show(rows, options)
 
 
-def kernel_rows(options):
-    """Measure the time of an iteration, with one thread and with two."""
-    sphere = scenes.icosphere(5 if options.quick else 7)
-    count, rows = len(sphere.positions), []
-    for samples in SAMPLES:
-        t = timing.time_step_for(samples, sphere, BETA)
-        settings = {"t": t, "beta": BETA}
-        seconds, held = timing.iteration_seconds(sphere, options.repeats, threads=1, **settings)
-        each, goal = 1e6 * seconds / count, GOAL_MICROSECONDS[samples]
-        what = f"{count:,} vertices, {held:.1f} samples a kernel (t {t:.2f}, beta {BETA:g})"
-        rows.append(
-            Row(f"{what}: CPU per vertex and iteration", f"{each:.2f} us", f"<= {goal} us", each <= goal)
-        )
-        gain = timing.thread_gain(sphere, options.repeats, **settings)
-        rows.append(Row(f"{what}: two threads against one, wall", f"{gain:.2f} x", ">= 1.8 x", gain >= 1.8))
-    return rows
-
-
-def solver_rows(options):
-    """Measure an iteration along segments beside fast marching, in pairs, the update of the metric included."""
-    sphere, rows = scenes.icosphere(5 if options.quick else 7), []
+def time_rows(sphere, samples, repeats):
+    """Measure an iteration by default, with two threads, and by each solver with the update of the metric."""
+    count, t = len(sphere.positions), time_step_for(samples, sphere)
+    what = f"{count:,} vertices, {samples} samples a kernel"
+    each = [1e6 * iteration_seconds(sphere, t, threads, clock, repeats) / count for threads, clock in (
+        (1, time.process_time), (1, time.perf_counter), (2, time.perf_counter))]  # fmt: skip
+    yield Row(f"{what}: CPU per vertex and iteration", f"{each[0]:.2f} us")
+    yield Row(f"{what}: two threads against one, wall", f"{each[1] / each[2]:.2f} x")
     order = _native.morton_order(sphere.positions)
     faces = np.argsort(order).astype(np.int32)[sphere.faces]
     positions = sphere.positions[order] / scenes.surfaces.mean_edge_length(sphere.positions, sphere.faces)
-    solvers = [
-        solver(faces, len(order)) for solver in (_native.TriangulatedManifold, _native.SegmentManifold)
-    ]
-    for samples, goal in GOAL_SEGMENTS.items():
-        t = timing.time_step_for(samples, sphere, BETA)
-        marching, segments = (
-            1e6
-            * timing.solver_seconds(solver, positions, sphere.noisy[order], BETA, t, options.repeats)
-            / len(order)
-            for solver in solvers
-        )
-        what = (
-            f"{len(order):,} vertices, {samples} samples a kernel: along segments, per vertex and iteration"
-        )
-        reported = f"{segments:.2f} us, {marching / segments:.1f} x faster than fast marching"
-        rows.append(Row(what, reported, f"<= {goal} us", segments <= goal))
-    return rows
-
-
-def gdist_rows(options):
-    """Measure local distances per source beside gdist's exact ones, on the surface alone (beta 0)."""
-    sphere = scenes.icosphere(5 if options.quick else 7)
-    rows = []
-    for samples in SAMPLES:
-        t = timing.time_step_for(samples, sphere, 0.0)
-        seconds, held = timing.iteration_seconds(sphere, options.repeats, threads=1, t=t, beta=0.0)
-        each = seconds / len(sphere.positions)
-        what = (
-            f"gdist local distances, the same radius, {held:.1f} samples (ours {1e6 * each:.2f} us a source)"
-        )
-        spacing = scenes.surfaces.mean_edge_length(sphere.positions, sphere.faces)
-        radius = spacing * (-4 * t * np.log(0.01)) ** 0.5
-        try:
-            theirs, _ = peers.gdist_distances(sphere, radius, 4000, options.gdist_python)
-        except peers.PeerError as missing:
-            rows.append(Row(what, str(missing)))
-            continue
-        ratio = theirs / each
-        rows.append(Row(what, f"{1e6 * theirs:.0f} us, {ratio:.0f} x slower", ">= 25 x", ratio >= 25))
-    return rows
-
-
-def quality_rows(options):
-    """Measure the PSNR beside the best that other colour smoothing reaches when it is tuned on the truth."""
-    rows = []
-    for subdivisions in (5,) if options.quick else (6, 7):
-        rows += pattern_rows(scenes.icosphere(subdivisions, scenes.chequer), "chequer", 14.0)
-    return rows + pattern_rows(
-        scenes.icosphere(5 if options.quick else 7, scenes.patches), "random patches", None
+    marching, segments = (
+        1e6 * solver_seconds(solver(faces, count), positions, sphere.noisy[order], t, repeats) / count
+        for solver in (_native.TriangulatedManifold, _native.SegmentManifold)
     )
+    yield Row(f"{what}: heap march; segments", f"{marching:.2f} us; {segments:.2f} us")
 
 
-def pattern_rows(sphere, pattern, gain):
-    """Measure the PSNR on one scene; `gain` is how many dB above the best peer the kernel should reach."""
+def smooth(scene, **options):
+    """Run `beltrami_cli.smooth` on the noisy scene; colours are taken as plain numbers."""
+    return beltrami_cli.smooth(scene.positions, scene.faces, scene.noisy, space="data", **options)
+
+
+def time_step_for(samples, scene):
+    """Return the t for which kernels hold about this many samples, to which it is almost proportional."""
+    t = samples / 34
+    for _ in range(4):
+        t *= samples / smooth(scene, metric_steps=0, iterations=1, t=t, beta=BETA).samples_per_kernel
+    return t
+
+
+def iteration_seconds(scene, t, threads, clock, repeats):
+    """Return the time of an iteration: the median difference of runs with one and without, in turn."""
+    differences = []
+    for _ in range(repeats):
+        times = []
+        for iterations in (0, 1):
+            start = clock()
+            smooth(scene, metric_steps=0, iterations=iterations, threads=threads, t=t, beta=BETA)
+            times.append(clock() - start)
+        differences.append(times[1] - times[0])
+    return statistics.median(differences)
+
+
+def solver_seconds(manifold, positions, colours, t, repeats):
+    """Return the CPU time of an iteration of a solver, without what it does once per mesh: the shortest counts."""
+    shortest, radius = math.inf, math.sqrt(-4 * t * math.log(0.01))
+    for _ in range(repeats + 1):  # regions are found in the first
+        start = time.process_time()
+        manifold.update_metric(positions, colours, BETA, None, 1)
+        manifold.smooth(colours, None, t, radius, 2000, 1, None)
+        shortest = min(shortest, time.process_time() - start)
+    return shortest
+
+
+def quality_rows(sphere, pattern):
+    """Measure the PSNR beside the best that other colour smoothing reaches when it is tuned on the truth."""
     where = f"PSNR, {len(sphere.positions):,} vertices, {pattern}"
-    rows, best = [Row(f"{where}: noisy", f"{scenes.psnr(sphere.clean, sphere.noisy):.1f} dB")], 0.0
-    for name, smooth in COLOUR_SMOOTHING.items():
+    yield Row(f"{where}: noisy", f"{psnr(sphere.noisy, sphere.clean):.1f} dB")
+    for name, run in COLOUR_SMOOTHING.items():
         try:
-            reached, iterations = smooth(sphere, MOST_ITERATIONS)
+            reached, iterations = run(sphere, MOST_ITERATIONS)
         except peers.PeerError as missing:
-            rows.append(Row(f"{where}: {name}", str(missing)))
+            yield Row(f"{where}: {name}", str(missing))
             continue
-        best = max(best, reached)
-        rows.append(
-            Row(f"{where}: {name}, best of {MOST_ITERATIONS}", f"{reached:.1f} dB ({iterations} iterations)")
+        yield Row(
+            f"{where}: {name}, best of {MOST_ITERATIONS}", f"{reached:.1f} dB ({iterations} iterations)"
         )
     for name, settings in OURS.items():
-        ours = scenes.psnr(sphere.clean, timing.smooth(sphere, **settings).colours)
-        value = f"{ours:.1f} dB" + (f" ({ours - best:+.1f})" if best else "")
-        if gain and best and settings:
-            rows.append(Row(f"{where}: {name}", value, f">= +{gain:g} dB", ours >= best + gain))
-        else:
-            rows.append(Row(f"{where}: {name}", value))
-    return rows
-
-
-def million_rows(options):
-    """Measure memory and time of a file with a million vertices, ten iterations, in a process of its own."""
-    torus = scenes.torus(*((200, 100) if options.quick else (1600, 625)))
-    with tempfile.TemporaryDirectory() as folder:
-        source, target, report = (Path(folder) / name for name in ("noisy.ply", "smooth.ply", "report.json"))
-        scenes.write_ply(source, torus)
-        command = [*scenes.SMOOTH, source, target, "-n", "10", "-t", "0.7"]
-        command += ["--beta", str(BETA), "--quiet", "--report", report]
-        subprocess.run(command, check=True, cwd=scenes.ROOT)
-        reported = json.loads(report.read_text())
-    memory, held = reported["peak_memory"] / 1e9, reported["vertices"]["counts"]["samples_per_kernel"]
-    what = f"PLY file of {len(torus.positions):,} vertices, 10 iterations, {held:.1f} samples a kernel"
-    rows = [Row(f"{what}: peak memory", f"{memory:.2f} GB", "< 1 GB", memory < 1)]
-    for stage, times in reported["stages"].items():
-        rows.append(Row(f"{what}: {stage}", f"{times['cpu']:.2f} s CPU, {times['wall']:.2f} s wall"))
-    return rows
-
-
-def show(rows):
-    """Print the rows as a table on stdout."""
-    table = Table("what", "measured", "goal", "")
-    for row in rows:
-        mark = "" if row.met is None else "[green]met[/]" if row.met else "[red]missed[/]"
-        table.add_row(row.what, row.value, row.goal, mark)
-    Console(width=None if sys.stdout.isatty() else 160).print(table)
+        yield Row(f"{where}: {name}", f"{psnr(smooth(sphere, **settings).colours, sphere.clean):.1f} dB")
 
 
 if __name__ == "__main__":

@@ -1,97 +1,97 @@
-"""Other programs on the same meshes. Each raises `PeerError` where it is not installed or cannot be loaded."""
+"""Other programs, each tuned on the truth; `PeerError` where one is not installed or cannot be loaded."""
 
-import subprocess
-import tempfile
-from pathlib import Path
+import importlib
+import itertools
+import time
 
 import numpy as np
-from scene import psnr
+from harness import SIGMA, psnr
+
+MOST_ITERATIONS = 8
 
 
 class PeerError(Exception):
     """The peer cannot be used here; the message says why."""
 
 
+def needed(name):
+    """Import a module that may be missing."""
+    try:
+        return importlib.import_module(name)
+    except (ImportError, OSError) as error:
+        why = "not installed" if getattr(error, "name", None) == name else f"cannot be loaded: {error}"
+        raise PeerError(f"{name}: {why}".splitlines()[0]) from error
+
+
 def pymeshlab_smoothing(scene, most):
     """Return the best PSNR of PyMeshLab's Laplacian colour smoothing over 1 to `most` iterations, and which."""
-    try:
-        import pymeshlab
-    except ImportError as error:
-        raise PeerError(reason(error)) from error
+    pymeshlab = needed("pymeshlab")
     opaque = np.column_stack([np.clip(scene.noisy, 0, 1), np.ones(len(scene.noisy))]).astype(np.float64)
-    meshes = pymeshlab.MeshSet()
+    meshes, found = pymeshlab.MeshSet(), []
     meshes.add_mesh(pymeshlab.Mesh(scene.positions, scene.faces, v_color_matrix=opaque))
-    found = []
     for _ in range(most):
         meshes.apply_color_laplacian_smoothing_per_vertex(iteration=1)
-        found.append(psnr(scene.clean, meshes.current_mesh().vertex_color_matrix()[:, :3]))
+        found.append(psnr(meshes.current_mesh().vertex_color_matrix()[:, :3], scene.clean))
     return max(found), int(np.argmax(found)) + 1
 
 
 def open3d_smoothing(kind, scene, most):
     """Return the best PSNR of an Open3D filter over 1 to `most` iterations on the colours, and which."""
-    try:
-        import open3d
-    except (ImportError, OSError) as error:
-        raise PeerError(reason(error)) from error
-    geometry = open3d.geometry
-    mesh = geometry.TriangleMesh(
-        open3d.utility.Vector3dVector(scene.positions), open3d.utility.Vector3iVector(scene.faces)
-    )
-    mesh.vertex_colors = open3d.utility.Vector3dVector(scene.noisy.astype(np.float64))
-    scope = {"filter_scope": geometry.FilterScope.Color}
-    found = []
+    open3d = needed("open3d")
+    vectors = open3d.utility.Vector3dVector
+    mesh = open3d.geometry.TriangleMesh(vectors(scene.positions), open3d.utility.Vector3iVector(scene.faces))
+    mesh.vertex_colors = vectors(scene.noisy.astype(np.float64))
+    scope, found = {"filter_scope": open3d.geometry.FilterScope.Color}, []
     for _ in range(most):
         mesh = getattr(mesh, f"filter_smooth_{kind}")(number_of_iterations=1, **scope)
-        found.append(psnr(scene.clean, np.asarray(mesh.vertex_colors)))
+        found.append(psnr(np.asarray(mesh.vertex_colors), scene.clean))
     return max(found), int(np.argmax(found)) + 1
 
 
-GDIST = """
-import sys, time
-import gdist, numpy
-mesh = numpy.load(sys.argv[1])
-start = time.process_time()
-found = gdist.local_gdist_matrix(mesh["positions"], mesh["faces"], max_distance=float(mesh["radius"]))
-seconds = time.process_time() - start
-print(seconds / len(mesh["positions"]), found.nnz / len(mesh["positions"]) + 1)
-"""
+def bilateral(noisy, score, *, window=7, sigma=SIGMA):
+    """Return the best scores of OpenCV's bilateral filter, iterated.
 
-
-def gdist_distances(scene, radius, count, python):
-    """Return CPU seconds per source of gdist's distances within `radius`, and the vertices that it reaches.
-
-    Parameters
-    ----------
-    scene : Scene
-        A sphere; a cap of it with about `count` vertices is used, because gdist's time per source grows with
-        the mesh.
-    radius : float
-        In the unit of the positions.
-    count : int
-        Vertices of the cap.
-    python : str
-        Interpreter that has gdist. Its wheels are built for NumPy 1, so it may have to be another one.
+    `noisy` is uint8, shape (H, W, 3); `score` gives a tuple for an image in [0, 1], and the first number is tuned for.
     """
-    kept = scene.positions[:, 2] >= np.sort(scene.positions[:, 2])[-count]
-    used, corners = np.unique(scene.faces[kept[scene.faces].all(axis=1)], return_inverse=True)
-    cap = {
-        "positions": scene.positions[used],
-        "faces": corners.reshape(-1, 3).astype(np.int32),
-        "radius": radius,
-    }
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "cap.npz"
-        np.savez(path, **cap)
-        done = subprocess.run([python, "-c", GDIST, path], capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise PeerError(done.stderr.strip().splitlines()[-1] + " (try --gdist-python)")
-    seconds, reached = map(float, done.stdout.split())
-    return seconds, reached
+    cv2, found = opencv(), []
+    image = noisy.astype(np.float32) / 255
+    for colour, space in itertools.product((1, 1.5, 2, 2.7, 4), (1.2, 1.8, 3, 5)):
+        smoothed = image
+        for _ in range(MOST_ITERATIONS):
+            smoothed = cv2.bilateralFilter(smoothed, window, colour * sigma, space)
+            found.append(score(smoothed))
+    return max(found, key=lambda scores: scores[0])
 
 
-def reason(error):
-    """Return why an import failed, in one line; a module that a peer itself lacks is named."""
-    if getattr(error, "name", None) in ("open3d", "pymeshlab"):
-        return "not installed"
-    return f"cannot be loaded: {error}".splitlines()[0]
+def nonlocal_means(noisy, score, *, sigma=SIGMA):
+    """Return the best scores of scikit-image's fast non-local means, as `bilateral` does."""
+    run = needed("skimage.restoration").denoise_nl_means
+    image = noisy.astype(np.float32) / 255
+    options = {"patch_distance": 6, "fast_mode": True, "channel_axis": -1, "sigma": sigma}
+    settings = itertools.product((0.4, 0.6, 0.8), (3, 5))
+    found = [score(run(image, h=h * sigma, patch_size=patch, **options)) for h, patch in settings]
+    return max(found, key=lambda scores: scores[0])
+
+
+def bm3d(noisy, score, *, sigma=SIGMA):
+    """Return the scores of BM3D with its own settings, given the true sigma."""
+    module = needed("bm3d")
+    settings = module.BM3DProfile()
+    settings.num_threads = 1
+    return score(module.bm3d_rgb(noisy / 255, sigma, settings))
+
+
+def bilateral_seconds(noisy):
+    """Return the CPU seconds of one pass of OpenCV's bilateral filter (d = 7, float32, one thread)."""
+    cv2 = opencv()
+    image = noisy.astype(np.float32) / 255
+    start = time.process_time()
+    cv2.bilateralFilter(image, 7, 2 * SIGMA, 1.8)
+    return time.process_time() - start
+
+
+def opencv():
+    """Return OpenCV's module, set to use one thread."""
+    cv2 = needed("cv2")
+    cv2.setNumThreads(1)
+    return cv2

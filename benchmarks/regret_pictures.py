@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from bench_clean import pictures
 from PIL import Image, ImageDraw, ImageFont
-from scene import patches
+from scenes import patches
 from scipy.ndimage import gaussian_filter
+
+from pictures import pictures
 
 SIDE, LEAST_SIDE = 192, 128  # of crops, in texels
 

@@ -13,15 +13,14 @@ from typing import Any
 from zlib import crc32
 
 import numpy as np
-from bench_camera_noise import Smoothed, colours_of, smoothed, stored, with_noise
-from patch_scenes import PHOTOGRAPHS, on_sphere, photograph
 from regret_pictures import SIDE, halved, label, paint, pixel_art, plaster, rendered, textures, weave
-from scene import icosphere, patches
+from scenes import icosphere, patches
 from scipy.ndimage import gaussian_filter
 
 import beltrami_cli
 from beltrami_cli.jobs.noise import jpeg_file
 from beltrami_cli.surface.records import linear_to_srgb
+from pictures import PHOTOGRAPHS, Smoothed, colours_of, on_sphere, photograph, smoothed, stored, with_noise
 
 SIGMAS = tuple(sigma / 255 for sigma in (6, 12, 20))
 PHOTONS = 25  # a texel at full scale

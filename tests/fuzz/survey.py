@@ -1,6 +1,6 @@
 """Tries every model in some folders, and mutations of the ones that could be smoothed, and counts the outcomes.
 
-    python benchmarks/survey.py [NAME=]FOLDER... [--mutations N] [--list]
+    python tests/fuzz/survey.py [NAME=]FOLDER... [--mutations N] [--list]
 
 Each file is smoothed in a process of its own, into an empty folder: its textures and its vertex colours, where it has
 both. The result is compared with `check`. Exits with 1 if anything but colours changed, colours left the range of those
@@ -25,7 +25,7 @@ from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from typing import TYPE_CHECKING
 

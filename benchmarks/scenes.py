@@ -1,22 +1,13 @@
-"""What is smoothed in the benchmarks: closed surfaces under a piecewise smooth pattern with Gaussian noise."""
+"""Coloured vertices: closed surfaces under a piecewise smooth pattern with Gaussian noise."""
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
+from harness import SIGMA
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "tests"))
-
-from oracles import surfaces  # noqa: E402
-
-SIGMA = 20 / 255
-
-# The command as it is in the checkout, whatever else is installed, run in `ROOT`.
-SMOOTH = [sys.executable, "-P", "-m", "beltrami_cli", "smooth"]
+from oracles import surfaces
 
 
 @dataclass(frozen=True)
@@ -72,11 +63,6 @@ def shading(positions):
     """Return slow gradients in [-1, 1], another for each channel."""
     x, y, z = positions.T
     return np.column_stack([np.sin(2 * x + 0.5), np.cos(2.5 * y), np.sin(2.2 * z + 1)])
-
-
-def psnr(clean, colours):
-    """Return the peak signal-to-noise ratio in dB; the peak is 1."""
-    return float(-10 * np.log10(np.mean((np.asarray(colours, float) - clean) ** 2)))
 
 
 def write_ply(path, scene):

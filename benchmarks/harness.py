@@ -1,0 +1,95 @@
+"""What the scenarios share: paths, the command in a process of its own, rows and their table.
+
+``python benchmarks/bench_*.py`` runs a scenario; each prints a table and, with ``--json FILE``, writes its rows.
+What they smooth is in `scenes.py` (vertices), `textures.py` (texels) and `pictures.py` (images and their noise), other
+programs are in `peers.py`. These stay, for what no test can say:
+
+- `regret`: what not knowing the noise loses, the one number; `clean`: what becomes of pictures without noise.
+- `patches`, `camera_noise`: quality beside other tools, for white noise on surfaces and noise that neighbours share.
+- `triangulated`, `textures`, `scaling`: time and memory, of the solvers, of an iteration, of the whole command.
+- `geometry`, `levelling`: what moving vertices and removing exposure steps restore of a known truth.
+- `outliers`, `progress`: constants of the code, which their comments say these measure.
+- `strengths`: whether gentle, normal and strong differ on every picture.
+- `blender`: a bake in Blender itself (``make test-blender``).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+SAMPLES = ROOT / "sample_data"
+sys.path.insert(0, str(ROOT / "tests"))
+
+SIGMA = 20 / 255
+
+# Prints the processor time of a command, its start included.
+_MEASURED = (
+    "import os, resource, sys; code = os.spawnv(os.P_WAIT, sys.argv[1], sys.argv[1:]); "
+    "used = resource.getrusage(resource.RUSAGE_CHILDREN); print(used.ru_utime + used.ru_stime); sys.exit(code)"
+)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One measurement."""
+
+    what: str
+    value: str
+
+
+def arguments(doc, *options, **described):
+    """Return the options of a scenario: those that all have, and flags or numbers by name, with their defaults."""
+    parser = argparse.ArgumentParser(description=doc.splitlines()[0])
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows there")
+    for name in options:
+        parser.add_argument(name, nargs="*", type=Path)
+    for name, default in described.items():
+        kind = {"action": "store_true"} if default is False else {"type": type(default), "default": default}
+        parser.add_argument(f"--{name.replace('_', '-')}", **kind)
+    return parser.parse_args()
+
+
+def show(rows, options, header=("what", "measured")):
+    """Print rows, records or tuples, as a table in Markdown; write them if that is asked for."""
+    cells = [(row.what, row.value) if isinstance(row, Row) else row for row in rows]
+    print(f"| {' | '.join(header)} |\n|{'---|' * len(header)}")
+    print(*(f"| {' | '.join(map(as_text, each))} |" for each in cells), sep="\n", flush=True)
+    if options.json:
+        options.json.write_text(json.dumps(cells, indent=1) + "\n")
+
+
+def as_text(value):
+    """Return a cell of a table."""
+    return f"{value:.2f}" if isinstance(value, float) else str(value)
+
+
+def smooth_apart(source, target, *words):
+    """Run ``beltrami smooth`` in a process of its own; return its report, and its processor time in seconds."""
+    report = target.with_name("report.json")
+    command = [sys.executable, "-P", "-m", "beltrami_cli", "smooth", source, target, "--quiet", "--overwrite"]
+    run = subprocess.run(
+        [sys.executable, "-c", _MEASURED, *command, "--report", report, *words],
+        check=True, cwd=ROOT, capture_output=True, text=True,
+    )  # fmt: skip
+    return json.loads(report.read_text()), float(run.stdout)
+
+
+def extra_models(suffixes):
+    """Return the models of the folder that the environment variable BELTRAMI_EXTRA_MESHES names."""
+    extra = os.environ.get("BELTRAMI_EXTRA_MESHES")
+    return sorted(path for path in Path(extra).rglob("*") if path.suffix in suffixes) if extra else []
+
+
+def psnr(colours, truth, counted=...):
+    """Return the peak signal-to-noise ratio in dB; the peak is 1."""
+    error = np.asarray(colours, float)[counted] - np.asarray(truth, float)[counted]
+    return float(-10 * np.log10(np.mean(np.square(error))))
