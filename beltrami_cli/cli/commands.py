@@ -102,8 +102,7 @@ def with_variables(command: click.Command, name: str, shared: Collection[str]) -
 def refuse_unknown_variables(command: click.Command, name: str) -> None:
     """Raise UsageError if a variable of a command belongs to none of its options."""
     own = f"{_PREFIX}_{name}_".upper().replace("-", "_")
-    variables = (variable for option in command.params for variable in option.envvar or ())
-    known = [variable.removeprefix(own) for variable in variables]
+    known = [each.removeprefix(own) for option in command.params for each in option.envvar or ()]
     for variable in sorted(os.environ):
         if variable.startswith(own) and variable.removeprefix(own) not in known:
             similar = get_close_matches(variable.removeprefix(own), known, 1)
@@ -231,14 +230,12 @@ class HelpfulCommand(click.Command):
         return groups
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        groups = self.option_groups(ctx)
+        groups, shown = self.option_groups(ctx), str if self._is_full(ctx) else _in_short
         for title, options in groups.items():
             if title == DAILY or self._is_full(ctx):
                 records = filter(None, (option.get_help_record(ctx) for option in options))
                 with formatter.section(title):
-                    formatter.write_dl(
-                        [(name, text if self._is_full(ctx) else _in_short(text)) for name, text in records]
-                    )
+                    formatter.write_dl([(name, shown(text)) for name, text in records])
         if not self._is_full(ctx):
             others = ", ".join(title for title in groups if title != DAILY).lower()
             formatter.write_paragraph()

@@ -95,8 +95,7 @@ def load(named: str | None) -> Configuration:
                 click.echo(printable(f"warning: {path} is not read, because {error}; {remedy}"), err=True)
             continue
         except (OSError, ValueError) as error:
-            remedy = "repair it, or name another file" if named else "repair or remove it"
-            raise unreadable(str(path), error, remedy) from error
+            raise unreadable(str(path), error, "repair it, or name another file") from error
         if table is not None:
             tables = {name: value for name, value in table.items() if isinstance(value, dict)}
             common = {name: value for name, value in table.items() if name not in tables}
@@ -208,11 +207,10 @@ def config(context: click.Context, name: str | None) -> None:
     names = known if name is None else [name]
     group.default_map = {each: commands.defaults_from(configuration, each) for each in names}
     click.echo(f"# configuration file: {printable(configuration.path or 'none')}")
-    listed = (
-        (each, list(_lines(group, each, configuration, with_defaults=name is not None))) for each in names
-    )
-    tables = ["\n".join([f"[{each}]", *lines]) for each, lines in listed if lines]
-    click.echo("\n".join(tables or ["# every option has its default"]))
+    is_whole = name is not None
+    tables = {each: "\n".join(_lines(group, each, configuration, with_defaults=is_whole)) for each in names}
+    shown = [f"[{each}]\n{lines}" for each, lines in tables.items() if lines]
+    click.echo("\n".join(shown or ["# every option has its default"]))
 
 
 def _lines(
