@@ -11,13 +11,8 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import override
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.recolour import FileReport, recolour
-from beltrami_cli.jobs.smoothing import (
-    Smoothing,
-    unsmoothed,
-)
-from beltrami_cli.layers.layer import (
-    LevelReport,
-)
+from beltrami_cli.jobs.smoothing import Smoothing, unsmoothed
+from beltrami_cli.layers.layer import LevelReport
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings, describe_settings
 
 

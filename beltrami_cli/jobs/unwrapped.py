@@ -14,16 +14,8 @@ from beltrami_cli.formats.registry import write_mesh
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.recolour import FileJob, begin, paint
 from beltrami_cli.jobs.settings import BakeSettings
-from beltrami_cli.jobs.smoothing import (
-    Smoothed,
-    Smoothing,
-    SmoothReport,
-    smooth_in_job,
-    smooth_report,
-)
-from beltrami_cli.layers.layer import (
-    all_images,
-)
+from beltrami_cli.jobs.smoothing import Smoothed, Smoothing, SmoothReport, smooth_in_job, smooth_report
+from beltrami_cli.layers.layer import all_images
 from beltrami_cli.layers.selection import Selection
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.layers.texture_layer import TextureLayer

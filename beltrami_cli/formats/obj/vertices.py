@@ -1,0 +1,245 @@
+"""The vertices of an OBJ file, its polygons, and what else it has.
+
+Numbers of a `v` line: six are x y z r g b, and eight x y z w r g b a. Seven are x y z r g b a, unless all such lines
+of the file have 1 as the fourth number and not all of them 1 as the seventh: then they are x y z w r g b. With three
+to five numbers a vertex has no colour.
+
+ZBrush's polypaint stands in comments, as MMRRGGBB in hexadecimal digits. MM is a mask, which is kept. Lines start with
+``#MRGB`` and hold up to 64 entries, in the order of the `v` lines.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.colours import quantised
+from beltrami_cli.formats.obj.statements import Statements
+from beltrami_cli.formats.tokens import NewNumbers, most_decimals
+from beltrami_cli.surface.geometry import polygons_of, polygons_with, unit_vectors
+
+_SIZES = (3, 4, 5, 6, 7, 8)
+_PLAIN, _ALPHA_OR_WEIGHT, _BOTH = 6, 7, 8  # numbers of a vertex with colours
+
+_MARK = b"#MRGB"
+_LINE = re.compile(rb"^[ \t]*#MRGB[ \t]+(\S*)", re.MULTILINE)
+_ENTRY = 8  # digits of an entry of polypaint
+_UPPER, _LOWER = (np.frombuffer(digits, np.uint8) for digits in (b"0123456789ABCDEF", b"0123456789abcdef"))
+# By ASCII code, the value of a hexadecimal digit, 255 for anything else.
+_VALUES = np.full(256, 255, np.uint8)
+_VALUES[_UPPER] = _VALUES[_LOWER] = np.arange(16)
+
+_COORDINATE_DIGITS = 8  # of the largest new coordinate, at least: a little more than float32 has
+_MOST_DECIMALS = 17
+
+
+@dataclass(frozen=True)
+class Vertices:
+    """The vertices of a file."""
+
+    positions: Float64s  # (N, 3) of all vertices; 0 where one is not finite
+    finite: Bools  # (N,) which of them have a position
+    coloured: Int64s  # (V,) which of these have colours, in file order
+    colours: Float64s  # (V, 3) the numbers in the file
+    alpha: Float64s | None  # (V,) the numbers in the file, if all coloured vertices have one
+    token_starts: Int64s  # (V, 6) where positions and colours of coloured vertices stand in the file
+    token_ends: Int64s
+    notice: str  # how numbers were understood that can mean two things, or empty
+
+
+def _read_vertices(statements: Statements) -> Vertices:
+    """Read all vertices; InputError names the line of one that is not made of 3 to 8 finite numbers."""
+    chosen = statements.select(b"v")
+    if not chosen.size:
+        cause = "there are no vertices ('v' lines)"
+        raise InputError(statements.name, cause, "is this a Wavefront OBJ file?")
+    tokens, offsets = statements.arguments(chosen)
+    sizes = np.diff(offsets)
+    strange = ~np.isin(sizes, _SIZES)
+    if strange.any():
+        bad = int(np.argmax(strange))
+        line = statements.line(statements.heads[chosen[bad]])
+        raise InputError(statements.name, f"line {line}: a vertex has 3 to 8 numbers, not {sizes[bad]}")
+    values = statements.numbers(tokens)
+    positions = values[offsets[:-1, None] + np.arange(3)]
+    finite = np.asarray(np.isfinite(positions).all(axis=1))
+    weights, notice = False, ""  # whether the fourth of seven numbers is a weight
+    firsts = offsets[:-1][sizes == _ALPHA_OR_WEIGHT]
+    if firsts.size:
+        weights = bool((values[firsts + 3] == 1).all() and (values[firsts + 6] != 1).any())
+        meaning = "x y z w r g b" if weights else "x y z r g b a"
+        notice = f"Vertices of seven numbers are taken for {meaning}."
+    coloured = np.flatnonzero((sizes >= _PLAIN) & finite)
+    weighted = (sizes[coloured] == _BOTH) | ((sizes[coloured] == _ALPHA_OR_WEIGHT) & weights)
+    colour_at = (offsets[coloured] + 3 + weighted)[:, None] + np.arange(3)
+    known_at = np.column_stack([offsets[coloured, None] + np.arange(3), colour_at])
+    statements.require_finite(tokens, values, colour_at.ravel())
+    has_alpha = offsets[coloured + 1] - colour_at[:, 2] > 1
+    return Vertices(
+        positions=np.where(finite[:, None], positions, 0),
+        finite=finite,
+        coloured=coloured,
+        colours=values[colour_at],
+        alpha=values[colour_at[:, 2] + 1] if has_alpha.size and has_alpha.all() else None,
+        token_starts=statements.starts[tokens[known_at]],
+        token_ends=statements.ends[tokens[known_at]],
+        notice=notice,
+    )
+
+
+@dataclass(frozen=True)
+class Polypaint:
+    """The entries of a file."""
+
+    colours: Uint8s  # (N, 3)
+    starts: Int64s  # (N,) where the first digit of every entry stands in the file
+
+
+def _read_polypaint(data: bytes, vertices: int, name: str) -> Polypaint | None:
+    lines = [match.span(1) for match in _LINE.finditer(data)]
+    if not lines:
+        return None
+    starts = np.concatenate([np.arange(begin, end, _ENTRY) for begin, end in lines])
+    text = np.frombuffer(data, np.uint8)
+    if len(starts) != vertices:
+        cause = f"there are {len(starts)} colours in its #MRGB lines, but {vertices} vertices"
+        raise InputError(name, cause, "export the mesh again")
+    for begin, end in lines:
+        if (end - begin) % _ENTRY or (_VALUES[text[begin:end]] > 15).any():
+            line = data.count(b"\n", 0, begin) + 1
+            cause = f"line {line}: its #MRGB colours are not of {_ENTRY} hexadecimal digits each"
+            raise InputError(name, cause)
+    digits = _VALUES[text[starts[:, None] + np.arange(2, _ENTRY)]].reshape(-1, 3, 2)
+    return Polypaint(digits[:, :, 0] * np.uint8(16) + digits[:, :, 1], starts)
+
+
+def _painted_by(paint: Polypaint, vertices: Vertices, statements: Statements) -> Vertices:
+    """Return vertices without colours on their lines with the polypaint colours; only positions have tokens."""
+    tokens, offsets = statements.arguments(statements.select(b"v"))
+    kept = np.flatnonzero(vertices.finite)
+    places = tokens[offsets[kept, None] + np.arange(3)]
+    return replace(
+        vertices,
+        coloured=kept,
+        colours=paint.colours.astype(np.float64),
+        token_starts=statements.starts[places],
+        token_ends=statements.ends[places],
+    )
+
+
+def repainted_entries(data: bytes, starts: Int64s, colours: Float32s, changed: Bools) -> bytes:
+    """Exchange the digits of the colours that changed, (N, 3), rounded to 8 bit; every other byte stays."""
+    text = np.frombuffer(data, np.uint8).copy()
+    written = text[starts[:, None] + np.arange(_ENTRY)]
+    digits = _LOWER if (written >= ord("a")).any() else _UPPER
+    rows, channels = np.nonzero(changed)
+    values = quantised(colours[rows, channels], np.uint8)
+    places = starts[rows] + 2 + 2 * channels
+    text[places], text[places + 1] = digits[values >> 4], digits[values & 15]
+    return text.tobytes()
+
+
+def new_positions(
+    data: bytes, starts: Int64s, ends: Int64s, positions: Float64s, changed: Bools
+) -> NewNumbers:
+    """Spell the coordinates that changed with as many decimals as the old ones, and no less than float32 has."""
+    largest = float(np.abs(positions).max(initial=0)) or 1.0
+    enough = _COORDINATE_DIGITS - 1 - int(np.floor(np.log10(largest)))
+    found = most_decimals(data, starts, ends) if changed.any() else 0
+    decimals = min(max(found, enough, 0), _MOST_DECIMALS)
+    return NewNumbers(starts[changed], ends[changed], positions[changed], b"%%.%df" % decimals)
+
+
+_DROPPED = {
+    "materials": (b"usemtl",),
+    "texture coordinates": (b"vt",),
+    "normals": (b"vn",),
+    "groups and objects": (b"g", b"o"),
+    "lines and points": (b"l", b"p"),
+    "curves and surfaces": (b"curv", b"curv2", b"surf"),
+}
+_TWICE = "Vertices have colours on their own lines and in #MRGB lines; these are left as they are."
+
+
+@dataclass(frozen=True)
+class Scan:
+    """The content of an OBJ file, except for texture coordinates and normals."""
+
+    vertices: Vertices
+    polypaint: Polypaint | None  # where the colours stand if they are not on the lines of the vertices
+    corners: Int32s  # (K,) vertices of the corners of all polygons
+    offsets: Int64s  # (P + 1,) where each polygon starts
+    libraries: list[tuple[bytes, int]]  # what stands behind `mtllib` keywords, and where
+    dropped: tuple[str, ...]  # what no conversion takes over
+    notices: tuple[str, ...]
+
+
+def scan_file(statements: Statements) -> Scan:
+    """Read an OBJ file; InputError names the line of a statement that is damaged."""
+    data, name = statements.data, statements.name
+    vertices, polypaint = _read_vertices(statements), None
+    notices = []
+    if not vertices.coloured.size:
+        polypaint = _read_polypaint(data, len(vertices.positions), name)
+    elif _MARK in data:
+        notices.append(_TWICE)
+    if polypaint is not None:
+        polypaint = Polypaint(polypaint.colours[vertices.finite], polypaint.starts[vertices.finite])
+        vertices = _painted_by(polypaint, vertices, statements)
+    corners, _, offsets = statements.corners(b"v")
+    libraries = [statements.rest(chosen) for chosen in statements.select(b"mtllib").tolist()]
+    dropped = [what for what, words in _DROPPED.items() if any(statements.select(w).size for w in words)]
+    count = len(vertices.positions)
+    missing = count - len(vertices.coloured)
+    unknown = int(np.count_nonzero(~vertices.finite))
+    if unknown:
+        notices.append(
+            f"{unknown} of {count} vertices have no finite position; they and their faces take no part."
+        )
+        dropped.append("vertices without a finite position and their faces")
+    if unknown < missing < count:
+        notices.append(f"{missing} of {count} vertices have no colour; they and their faces take no part.")
+        dropped.append("vertices without colour and their faces")
+    whole = corners.astype(np.int32)
+    return Scan(vertices, polypaint, whole, offsets, libraries, tuple(dropped), tuple(notices))
+
+
+def among(corners: Int32s, offsets: Int64s, vertices: Int64s, count: int) -> tuple[Int32s, Int64s]:
+    """Keep the polygons that have all corners among some vertices, and number these from 0."""
+    row = np.full(count, -1, np.int32)
+    row[vertices] = np.arange(len(vertices))
+    moved = row[corners]
+    kept = ~polygons_with(moved < 0, offsets)
+    return moved[kept[polygons_of(offsets)]], np.concatenate([[0], np.cumsum(np.diff(offsets)[kept])])
+
+
+def read_normals(statements: Statements, corners: Int32s, count: int) -> Float64s:
+    """Read the unit normals of all vertices, shape (count, 3); NaN where no corner of a vertex has one."""
+    values = unit_normals(statements)
+    rows, tokens, _ = statements.corners(b"vn")
+    given = rows >= 0
+    normals = np.full((count, 3), np.nan)
+    vertices, found = corners[given], values[rows[given]]
+    normals[vertices[::-1]] = found[::-1]  # so that the first one of a vertex stays
+    differs = (normals[vertices] != found).any(axis=1)
+    if differs.any():
+        token = tokens[given][int(np.argmax(differs))]
+        raise statements.error(token, "has another normal than an earlier corner of the same vertex")
+    return normals
+
+
+def unit_normals(statements: Statements) -> Float64s:
+    """Return all `vn` statements as unit vectors, shape (N, 3)."""
+    chosen = statements.select(b"vn")
+    tokens, offsets = statements.arguments(chosen)
+    wrong = np.diff(offsets) != 3
+    if wrong.any():
+        head = statements.heads[chosen[int(np.argmax(wrong))]]
+        raise statements.error(head, "has not three numbers behind it")
+    values = statements.numbers(tokens)
+    statements.require_finite(tokens, values, np.arange(len(tokens)))
+    return unit_vectors(values.reshape(-1, 3))
