@@ -90,6 +90,7 @@ def extra_models(suffixes):
 
 
 def psnr(colours, truth, counted=...):
-    """Return the peak signal-to-noise ratio in dB; the peak is 1."""
+    """Return the peak signal-to-noise ratio in dB, which may be infinite; the peak is 1."""
     error = np.asarray(colours, float)[counted] - np.asarray(truth, float)[counted]
-    return float(-10 * np.log10(np.mean(np.square(error))))
+    with np.errstate(divide="ignore"):
+        return float(-10 * np.log10(np.mean(np.square(error))))

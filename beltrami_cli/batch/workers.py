@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from beltrami_cli.errors import ProcessingError, end_with_parent, unhandled_endings
-from beltrami_cli.formats.image.reading import scratch_file
+from beltrami_cli.formats.image.opening import scratch_file
 from beltrami_cli.jobs.progress import at_intervals
 
 _GRACE = 5.0  # seconds: enough to remove files that were not finished

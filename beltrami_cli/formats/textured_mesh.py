@@ -423,7 +423,8 @@ def with_suffixes(mesh: MeshContents, suffixes: Collection[str]) -> tuple[MeshCo
 
 def _alpha_mode(data: bytes, name: str) -> AlphaMode:
     """Return how an image is seen through, in formats whose materials do not say it."""
-    from beltrami_cli.formats.image.reading import measure_image, read_image
+    from beltrami_cli.formats.image.reading import read_image
+    from beltrami_cli.formats.image.sizes import measure_image
 
     size = measure_image(data)
     if size is None or size.channels not in (2, 4):

@@ -21,7 +21,7 @@ from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, read_image
 from beltrami_cli.formats.image.picture import full_scale_one
-from beltrami_cli.formats.image.reading import measure_image, require_memory
+from beltrami_cli.formats.image.sizes import measure_image, require_memory
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.progress import Label, Progress, phases_of

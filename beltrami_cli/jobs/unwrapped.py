@@ -9,7 +9,7 @@ import numpy as np
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import require_effect
-from beltrami_cli.formats.image.reading import measure_image
+from beltrami_cli.formats.image.sizes import measure_image
 from beltrami_cli.formats.registry import write_mesh
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.recolour import FileJob, begin, paint

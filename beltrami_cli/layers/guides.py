@@ -19,7 +19,7 @@ from beltrami_cli.formats.access import Access, is_there, read_source
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, read_image, read_texture
 from beltrami_cli.formats.image.picture import full_scale_one
-from beltrami_cli.formats.image.reading import require_memory
+from beltrami_cli.formats.image.sizes import require_memory
 from beltrami_cli.formats.registry import document_of
 from beltrami_cli.layers.picture_layer import PictureColours
 from beltrami_cli.layers.settings import SLOTS, SmoothSettings

@@ -22,7 +22,7 @@ from beltrami_cli.fields import given_parameters, require_effect
 from beltrami_cli.flow.chunks import chunk_memory
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image.reading import measure_image, require_memory, sizes_of, too_large
+from beltrami_cli.formats.image.sizes import measure_image, require_memory, sizes_of, too_large
 from beltrami_cli.layers.layer import Layer
 from beltrami_cli.layers.settings import SLOTS, SmoothSettings, binding_parameters
 from beltrami_cli.layers.texture_layer import TextureLayer, choose_textures, only_textures

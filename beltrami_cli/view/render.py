@@ -26,9 +26,9 @@ from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import check_writable, format_of_suffix, write_image
 from beltrami_cli.formats.image.file_formats import FORMATS, is_image
+from beltrami_cli.formats.image.opening import error_of
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.image.png import packed_chunk
-from beltrami_cli.formats.image.reading import error_of
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.output import FileSet, Output, Overwrite
 from beltrami_cli.jobs.progress import Progress, tracked

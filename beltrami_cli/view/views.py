@@ -13,7 +13,7 @@ from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, read_texture, to_float, without_alpha
 from beltrami_cli.formats.image.picture import full_scale_one, is_associated
-from beltrami_cli.formats.image.reading import measure_image
+from beltrami_cli.formats.image.sizes import measure_image
 from beltrami_cli.jobs.progress import Progress, tracked
 from beltrami_cli.jobs.recolour import open_input
 from beltrami_cli.layers.settings import COLOUR_SLOTS, DEFAULTS, SLOTS, SmoothSettings

@@ -19,7 +19,7 @@ from beltrami_cli import smooth_file
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.image import check_writable, losses, read_image, to_float, write_image
 from beltrami_cli.formats.image.picture import new_picture
-from beltrami_cli.formats.image.reading import ImageSize, measure_image
+from beltrami_cli.formats.image.sizes import ImageSize, measure_image
 from beltrami_cli.jobs.noise import jpeg_file
 from beltrami_cli.layers.layer import store
 from beltrami_cli.surface.records import linear_to_srgb

@@ -15,7 +15,7 @@ from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.image import check_writable, extra_codecs, losses, read_image, write_image
 from beltrami_cli.formats.image.picture import new_picture
-from beltrami_cli.formats.image.reading import measure_image
+from beltrami_cli.formats.image.sizes import measure_image
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.inspect import check_files
 from beltrami_cli.jobs.smooth import smooth_file

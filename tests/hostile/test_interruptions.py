@@ -232,7 +232,7 @@ WORKER = """
 import multiprocessing, sys, time
 from pathlib import Path
 from beltrami_cli.batch.workers import Channel, serve
-from beltrami_cli.formats.image.reading import scratch_file
+from beltrami_cli.formats.image.opening import scratch_file
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.jobs.output import FileSet, Output
 

@@ -1,4 +1,10 @@
-"""Images: every pixel through OpenImageIO, every byte of metadata carried over."""
+"""Images: every pixel through OpenImageIO, every byte of metadata carried over.
+
+A file becomes a `Picture` in `reading`, by what `file_formats`, `opening`, `sizes` and `channels` know; `writing` makes
+a file of new pixels, by `conversion` and `encoding`. What else files hold is in a module for each format: `png`,
+`jpeg`, `webp`, `bitmaps`, `exr`, `text_headers`, `tiff_tags`, `exif`, `extra_codecs`. `metadata` calls them by format,
+and `lost_metadata` names what is lost.
+"""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from beltrami_cli.formats.image.bitmaps import TARGA_END
 from beltrami_cli.formats.image.exif import exif_of
 from beltrami_cli.formats.image.extra_codecs import FAILURES
 from beltrami_cli.formats.image.file_formats import label_of, plugin_of
-from beltrami_cli.formats.image.reading import error_of, opened, scratch_file
+from beltrami_cli.formats.image.opening import error_of, opened, scratch_file
 from beltrami_cli.surface import large_arrays
 
 LOSSY_EXR = ("b44", "b44a", "dwaa", "dwab", "pxr24")  # compressions

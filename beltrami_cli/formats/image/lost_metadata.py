@@ -11,8 +11,8 @@ from beltrami_cli.formats.image.conversion import TECHNICAL
 from beltrami_cli.formats.image.encoding import reading_back, unwritten
 from beltrami_cli.formats.image.exif import exif_of
 from beltrami_cli.formats.image.file_formats import label_of
+from beltrami_cli.formats.image.opening import opened
 from beltrami_cli.formats.image.picture import Picture
-from beltrami_cli.formats.image.reading import opened
 
 # Attributes of OpenImageIO about samples in a file's own format.
 _STORAGE = ("oiio:", "compression", "ICCProfile:", "bmp:")

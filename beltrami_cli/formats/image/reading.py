@@ -1,23 +1,21 @@
-"""Reading an image file in its own depth, with every limit checked before its pixels are decoded, or only its size."""
+"""Reading an image file in its own depth, with every limit checked before its pixels are decoded."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from beltrami_cli.errors import InputError, MemoryLimitError
-from beltrami_cli.formats.access import Access
-from beltrami_cli.formats.image import bitmaps, jpeg, png, webp
-from beltrami_cli.formats.image.channels import colour_part
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.image import bitmaps, png, webp
 from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, decoded, measured
-from beltrami_cli.formats.image.file_formats import FORMATS, READABLE, format_of, label_of, plugin_of
+from beltrami_cli.formats.image.file_formats import READABLE, format_of, label_of, plugin_of
+from beltrami_cli.formats.image.opening import error_of, opened, seek_colours
 from beltrami_cli.formats.image.picture import STORED, Picture, described
 from beltrami_cli.formats.image.text_headers import has_usual_scale
 from beltrami_cli.surface import large_arrays
@@ -32,91 +30,7 @@ _INKS = ("CMYK", "YCbCrK")  # as OpenImageIO calls them in JPEG files
 _PALETTE_IN_TIFF = 3  # its photometric interpretation
 _COMPRESSIONS_OF_TIFF = ("", "none", "lzw", "zip", "packbits")  # that OpenImageIO writes
 _WHOLE_BYTES = (8, 16, 32)
-# PNG and JPEG files have their size before their pixels, mostly in this many bytes, so that not all of them are copied.
-_SIZE_FIRST, _HEAD = (b"\x89PNG", b"\xff\xd8\xff"), 1 << 16
-_LEAST_JPEG_XL = 128  # bytes without which OpenImageIO does not recognise it
-_UNNAMED = "an image"
 _EXPORT = "export it as RGB or grey with 8 or 16 bits, or as floats"
-
-# Bytes per pixel and per sample that a job on images needs in memory at least, besides the decoded images: to paint one
-# at a time, its old and new colours in single precision; to smooth an image without files, the least of the peaks on
-# noise of 1536 x 1536 pixels with one channel and three (40 + 13); to compare two (28 + 2); to read heights or
-# positions, as coordinates in double precision, as read and for each pixel.
-_PIXEL_BYTES = {"painted": (0, 2 * 4), "smoothed": (40, 13), "compared": (28, 2), "mapped": (3 * 8, 8)}
-
-
-@dataclass(frozen=True)
-class ImageSize:
-    """Pixels and their bytes: width, height, channels, and the bytes of one sample."""
-
-    width: int
-    height: int
-    channels: int
-    sample: int
-
-    @property
-    def texels(self) -> int:
-        return self.width * self.height
-
-    @property
-    def samples(self) -> int:
-        return self.texels * self.channels
-
-    @property
-    def decoded(self) -> int:
-        return self.samples * self.sample
-
-
-def measure_image(data: bytes, name: str = _UNNAMED) -> ImageSize | None:
-    """Return the size of an image file without decoding it; None if it is none that can be opened."""
-    known = format_of(data, name)
-    if known in EXTRA_CODECS:
-        try:
-            return ImageSize(*measured(data, known, name), 1)
-        except InputError:
-            return None
-    head = data[:_HEAD] if data.startswith(_SIZE_FIRST) else data
-    size = _measured(head, name)
-    return _measured(data, name) if size is None and len(head) < len(data) else size
-
-
-def _measured(data: bytes, name: str) -> ImageSize | None:
-    import OpenImageIO
-
-    with opened(data, name=name) as (file, _):
-        if file is None:
-            error_of(OpenImageIO)
-            return None
-        _seek_colours(file)
-        spec = file.spec()
-        return ImageSize(spec.width, spec.height, spec.nchannels, spec.format.basesize())
-
-
-def sizes_of(images: Iterable[tuple[str, bytes]]) -> Iterator[tuple[str, ImageSize, int]]:
-    """Measure images and their files; an image that fails is left to its decoder, which raises the error."""
-    for name, data in images:
-        size = measure_image(data, name)
-        if size is not None:
-            yield name, size, len(data)
-
-
-def require_memory(images: Iterable[tuple[str, bytes]], access: Access, work: str = "painted") -> None:
-    """Raise InputError if images cannot fit into memory: all as stored, and one of them as it is worked on."""
-    if access.memory is None:
-        return
-    (per_pixel, per_sample), decoded, working = _PIXEL_BYTES[work], 0, 0
-    for name, size, _ in sizes_of(images):
-        decoded += size.decoded
-        working = max(working, per_pixel * size.texels + per_sample * size.samples)
-        if decoded + working > access.memory:
-            raise too_large(name, size)
-
-
-def too_large(name: str, size: ImageSize) -> InputError:
-    """Return the error that an image, with those around it, needs more memory than there is."""
-    cause = f"its {size.width} x {size.height} pixels of {size.channels} channels do not fit into memory"
-    return MemoryLimitError(name, cause, "scale it down, or raise --max-memory")
-
 
 _KEPT: ContextVar[dict[tuple[bytes, str, bool], Picture | None]] = ContextVar("pictures")
 
@@ -173,7 +87,7 @@ def _decoded(data: bytes, name: str, finite: bool) -> Picture:
     with opened(data, config, name) as (file, path):
         if file is None:
             raise _damaged(name, known, error_of(OpenImageIO), path)
-        parts, part = _seek_colours(file)
+        parts, part = seek_colours(file)
         spec = file.spec().copy()
         _check(spec, file.format_name(), known, name)
         pixels = file.read_image(part or 0, 0, 0, spec.nchannels, spec.format)
@@ -195,23 +109,6 @@ def _decoded(data: bytes, name: str, finite: bool) -> Picture:
             raise InputError(name, cause, "repair or export it again")
     picture = described(data, name, known, spec, large_arrays.kept(pixels), notices)
     return replace(picture, parts=tuple(parts), part=part, is_alpha_empty=is_alpha_empty)
-
-
-def _seek_colours(file: Any) -> tuple[dict[str, tuple[str, ...]], int | None]:
-    """Go to the part of an EXR file that holds the colours; return the channels of all parts, and its number.
-
-    Deep parts have no channels that can be used. The number is None, and the part the first, if it is ambiguous.
-    """
-    parts: dict[str, tuple[str, ...]] = {}
-    if file.format_name() != "openexr":
-        return parts, 0
-    while file.seek_subimage(len(parts), 0):
-        spec = file.spec()
-        label = spec.get_string_attribute("oiio:subimagename") or f"number {len(parts) + 1}"
-        parts[label] = () if spec.deep else tuple(spec.channelnames)
-    part = colour_part(parts) if len(parts) > 1 else 0
-    file.seek_subimage(part or 0, 0)
-    return parts, part
 
 
 def _read_extra(data: bytes, name: str, known: str) -> Picture:
@@ -252,14 +149,6 @@ def _check(spec: Any, format_name: str, known: str, name: str) -> None:
         raise InputError(name, "it has a palette with an alpha channel", "convert it to RGBA")
     if colour_space.endswith("LAB"):  # OpenImageIO makes a yellow of its white, and 8 bits of 16
         raise InputError(name, f"its colours are {colour_space}", "convert it to RGB")
-
-
-def error_of(source: Any) -> str:
-    """Return, and clear, the error of OpenImageIO or of one of its objects."""
-    try:
-        return str(source.geterror())
-    except UnicodeDecodeError as error:  # The message quotes bytes of the file.
-        return error.object.decode(errors="replace")
 
 
 def _damaged(name: str, known: str, error: str, path: Path) -> InputError:
@@ -317,59 +206,3 @@ def _has_palette(data: bytes, known: str) -> bool:
         case "targa":
             return bitmaps.targa_has_palette(data)
     return known == "gif"
-
-
-_OPEN_FILES = Path("/proc/self/fd")
-
-
-@contextmanager
-def opened(data: bytes, config: Any = None, name: str = _UNNAMED) -> Iterator[tuple[Any, Path]]:
-    """Open an image file; give an OpenImageIO.ImageInput, or None if that fails, and its path, which errors name."""
-    import OpenImageIO
-
-    if data.startswith(FORMATS["jpegxl"].signatures):
-        data = data.ljust(_LEAST_JPEG_XL, b"\0")
-    with scratch_file(jpeg.first_picture(data), name=name) as path:
-        arguments = (str(path),) if config is None else (str(path), config)
-        file = OpenImageIO.ImageInput.open(*arguments)
-        if file is None:
-            yield None, path
-            return
-        try:
-            yield file, path
-        finally:
-            file.close()
-            error_of(file)
-            error_of(OpenImageIO)
-
-
-@contextmanager
-def scratch_file(data: bytes = b"", name: str = _UNNAMED) -> Iterator[Path]:
-    """Give a file a name for a while: in memory on Linux, else among temporary files.
-
-    Other processes can open it as well.
-    """
-    if hasattr(os, "memfd_create") and _OPEN_FILES.is_dir():
-        descriptor = os.memfd_create("image")
-        try:
-            path = Path(f"/proc/{os.getpid()}/fd/{descriptor}")
-            _fill(path, data, name)
-            yield path
-        finally:
-            with suppress(OSError):  # its content is not needed any more
-                os.close(descriptor)
-    else:
-        from beltrami_cli.surface.worker_process import temporary_folder
-
-        with temporary_folder() as folder:
-            path = folder / "image"
-            _fill(path, data, name)
-            yield path
-
-
-def _fill(path: Path, data: bytes, name: str) -> None:
-    try:
-        path.write_bytes(data)
-    except OSError as error:
-        cause = f"there is no room for a copy of its {len(data)} bytes ({error.strerror})"
-        raise InputError(name, cause, "free memory, or space for temporary files") from error

@@ -17,7 +17,7 @@ from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, read_texture
 from beltrami_cli.formats.image.picture import full_scale_one
-from beltrami_cli.formats.image.reading import require_memory
+from beltrami_cli.formats.image.sizes import require_memory
 from beltrami_cli.jobs.compare.figures import ComparedColours, Pair
 from beltrami_cli.layers.image_layer import ImageLayer
 from beltrami_cli.layers.layer import choose_channels
