@@ -196,20 +196,22 @@ def end_at_seams_in_place(planes: Float32s, atlas: Atlas, threads: int) -> None:
 
 def collaborate_on_canvas(
     kind: Uint8s,
-    noisy: Float32s,
-    pilot: Float32s,
+    stacks: Sequence[Stack],
     mixing: Mixing,
     threads: int,
     progress: Callable[[int], None] | None = None,
     *,
-    relative: Float32s | None = None,
     replaces_pilot: bool = False,
     chunking: Chunking | None = None,
 ) -> Float32s:
-    """Estimate the owned cells from similar patches, compared on the pilot; `relative`: variance by its mean."""
+    """Estimate the owned cells from similar patches.
+
+    `stacks`: the noisy colours, the pilot that patches are compared on, and, if it differs from place to place, the
+    variance of the noise by its mean.
+    """
     from beltrami_cli._native import PATCH_TILE_MARGIN, PATCH_TILE_SIDE
 
-    stacks = [noisy, pilot, *([] if relative is None else [relative])]
+    noisy, pilot = stacks[:2]
     if chunking is None:
         taken = pilot if replaces_pilot else None
         return _patches_on((kind, ...), stacks, threads, mixing, progress, taken)[0][0]
@@ -328,19 +330,14 @@ class Squares(CoarseLevel):
 
     def collaborate(self, noisy: Stack, pilot: Stack, mixing: Mixing, *, shared: bool = False) -> Stack:
         """Estimate means from patches; noise that cells share is no smaller where a square has more of them."""
-        relative = None if self._differing is None else self._differing[None]
+        stacks = [noisy, pilot]
         if not shared:
             fewer = np.maximum(self._counts, 1) * np.float32(self.noise)
-            relative = (self.relative / fewer)[None]
+            stacks.append((self.relative / fewer)[None])
+        elif self._differing is not None:
+            stacks.append(self._differing[None])
         return collaborate_on_canvas(
-            self.kinds,
-            noisy,
-            pilot,
-            mixing,
-            self._threads,
-            self._report,
-            relative=relative,
-            chunking=self._chunking,
+            self.kinds, stacks, mixing, self._threads, self._report, chunking=self._chunking
         )
 
     def probe(self, means: Stack, noise: Float64s) -> Stack:

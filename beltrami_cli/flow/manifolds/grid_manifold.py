@@ -258,10 +258,11 @@ class GridManifold(Manifold):
         replaces_pilot: bool = False,
     ) -> Stack:  # fmt: skip
         """Estimate the colours of the owned cells from patches, and show them in the halo."""
-        atlas, threads, relative = self.geometry.atlas, self.geometry.threads, self.noise.relative
+        atlas, relative = self.geometry.atlas, self.noise.relative
+        stacks = [noisy, pilot, *([] if relative is None else [relative])]
         estimates = collaborate_on_canvas(
-            atlas.kind, noisy, pilot, mixing, threads, progress, relative=relative, replaces_pilot=replaces_pilot,
-            chunking=self.resources.chunking,
+            atlas.kind, stacks, mixing, self.geometry.threads, progress,
+            replaces_pilot=replaces_pilot, chunking=self.resources.chunking,
         )  # fmt: skip
         refresh_halo(estimates, atlas)
         return estimates

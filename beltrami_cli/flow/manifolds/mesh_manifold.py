@@ -1,4 +1,4 @@
-"""The image manifold of colours on a triangulated surface, and its coarse levels; in and out in the caller's order."""
+"""The image manifold of colours on a triangulated surface."""
 
 from __future__ import annotations
 
