@@ -32,15 +32,8 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.flow.corrections.clipping import ClippedChannels, normal_tables
-from beltrami_cli.flow.manifolds.domain import (
-    CoarseLevel,
-    Domain,
-    Mixing,
-    at_same_time,
-    block_rows,
-    for_blocks,
-    in_blocks,
-)
+from beltrami_cli.flow.manifolds.blocks import at_same_time, block_rows, for_blocks, in_blocks
+from beltrami_cli.flow.manifolds.domain import CoarseLevel, Domain, Mixing
 from beltrami_cli.flow.manifolds.manifold import Manifold, relative_variance
 from beltrami_cli.flow.mixing import NOISELESS, PERTURBATION, mixing_of, with_pilot
 from beltrami_cli.surface import large_arrays

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.fields import override
-from beltrami_cli.flow.manifolds.manifold import Guide, centred
+from beltrami_cli.flow.manifolds.guides import Guide, centred
 from beltrami_cli.formats.colours import quantised
 from beltrami_cli.layers.image_surface import ImageSurface
 from beltrami_cli.layers.settings import SmoothSettings

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import ProcessingError, UsageError
 from beltrami_cli.flow.manifolds.canvas import painted as on_canvas
-from beltrami_cli.flow.manifolds.domain import NewColours
+from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.parameters import Space
 from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.picture import new_picture

@@ -13,7 +13,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.flow.manifolds.manifold import Guide, centred
+from beltrami_cli.flow.manifolds.guides import Guide, centred
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import Access, is_there, read_source
 from beltrami_cli.formats.document import Document

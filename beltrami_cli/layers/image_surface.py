@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from beltrami_cli.errors import InputError
 from beltrami_cli.flow.manifolds.canvas import canvas_margin
 from beltrami_cli.flow.manifolds.grid_manifold import ColouredCanvas
-from beltrami_cli.flow.manifolds.manifold import Guide
+from beltrami_cli.flow.manifolds.guides import Guide
 from beltrami_cli.flow.parameters import KernelParameters, Space
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.image import Picture

@@ -20,7 +20,7 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import FlowResult
 from beltrami_cli.flow.choice.choice import Choice
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Resources
-from beltrami_cli.flow.manifolds.domain import NewColours
+from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.noise.model import Reading
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.plan import Plan

@@ -15,8 +15,8 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Resources
 from beltrami_cli.flow.corrections.coded_picture import CodedPicture
 from beltrami_cli.flow.decoding import decodes_again, plan_on_canvas
-from beltrami_cli.flow.manifolds.domain import NewColours
 from beltrami_cli.flow.manifolds.grid_manifold import ColouredCanvas, GridManifold
+from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.parameters import Space
 from beltrami_cli.flow.plan import Plan
 from beltrami_cli.formats.image import Picture, check_writable

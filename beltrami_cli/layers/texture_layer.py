@@ -16,9 +16,9 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import FlowResult
 from beltrami_cli.flow.estimation import estimate_on_canvas
 from beltrami_cli.flow.manifolds.canvas import canvas_margin, painted_by
-from beltrami_cli.flow.manifolds.domain import NewColours
 from beltrami_cli.flow.manifolds.grid_geometry import colours_at
 from beltrami_cli.flow.manifolds.grid_manifold import ColouredCanvas, GridManifold, grid_manifold
+from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.plan import Plan
 from beltrami_cli.formats.access import Access

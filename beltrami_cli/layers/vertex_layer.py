@@ -17,9 +17,8 @@ from beltrami_cli.flow.beltrami_flow import FlowResult
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Resources
 from beltrami_cli.flow.decoding import plan_on_canvas
 from beltrami_cli.flow.estimation import estimate_on_mesh
-from beltrami_cli.flow.manifolds.domain import NewColours
 from beltrami_cli.flow.manifolds.grid_manifold import GridManifold
-from beltrami_cli.flow.manifolds.manifold import Guide
+from beltrami_cli.flow.manifolds.guides import Guide
 from beltrami_cli.flow.manifolds.mesh_manifold import (
     ColouredMesh,
     MeshManifold,
@@ -27,6 +26,7 @@ from beltrami_cli.flow.manifolds.mesh_manifold import (
     samples_per_kernel,
 )
 from beltrami_cli.flow.manifolds.moving_positions import GeometryParameters
+from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.plan import Plan, choose_parameters
 from beltrami_cli.formats.colours import as_in_file
 from beltrami_cli.layers.image_surface import ImageSurface, canvas_of_image

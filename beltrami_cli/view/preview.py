@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Float64s, Int64s, Uint8s
 from beltrami_cli.flow.beltrami_flow import smooth_in_place
-from beltrami_cli.flow.manifolds.domain import NewColours
+from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.document import Document

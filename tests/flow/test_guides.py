@@ -5,7 +5,7 @@ import pytest
 
 import beltrami_cli
 from beltrami_cli.flow.manifolds.grid_gaussian import guide_radius
-from beltrami_cli.flow.manifolds.manifold import Guide, choose_guide_beta
+from beltrami_cli.flow.manifolds.guides import Guide, choose_guide_beta
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface.atlas import build_atlas
 from oracles import surfaces

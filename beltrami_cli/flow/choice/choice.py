@@ -30,7 +30,8 @@ from beltrami_cli.fields import BYTE_STEP
 from beltrami_cli.flow.choice.risk import Risk, RiskEstimate
 from beltrami_cli.flow.choice.search import Grid, Schedule, Search
 from beltrami_cli.flow.manifolds.domain import LOG
-from beltrami_cli.flow.manifolds.manifold import Manifold, Rule, SampleTrial, SearchRange
+from beltrami_cli.flow.manifolds.manifold import Manifold, SampleTrial
+from beltrami_cli.flow.manifolds.search_range import Rule, SearchRange
 from beltrami_cli.flow.noise.model import NoiseModel, choose_beta, overall_noise
 from beltrami_cli.flow.parameters import KernelParameters
 

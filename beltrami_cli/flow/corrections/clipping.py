@@ -27,7 +27,8 @@ from typing import ClassVar
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s
-from beltrami_cli.flow.manifolds.domain import Stack, for_blocks
+from beltrami_cli.flow.manifolds.blocks import for_blocks
+from beltrami_cli.flow.manifolds.domain import Stack
 from beltrami_cli.flow.manifolds.manifold import Manifold, relative_variance
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY

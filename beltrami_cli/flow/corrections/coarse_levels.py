@@ -25,7 +25,8 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.flow.corrections.clipping import ClippedChannels, clipped_on
-from beltrami_cli.flow.manifolds.domain import CoarseLevel, Geometry, block_rows, in_blocks
+from beltrami_cli.flow.manifolds.blocks import block_rows, in_blocks
+from beltrami_cli.flow.manifolds.domain import CoarseLevel, Geometry
 from beltrami_cli.flow.manifolds.manifold import Manifold, relative_variance
 from beltrami_cli.flow.mixing import PERTURBATION, mixing_of, with_pilot
 from beltrami_cli.flow.noise.model import sigma_of_covariances

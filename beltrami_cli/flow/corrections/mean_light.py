@@ -21,7 +21,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s
-from beltrami_cli.flow.manifolds.domain import Domain, block_rows, in_blocks
+from beltrami_cli.flow.manifolds.blocks import block_rows, in_blocks
+from beltrami_cli.flow.manifolds.domain import Domain
 from beltrami_cli.flow.noise.model import COLOURS
 from beltrami_cli.flow.parameters import Space
 from beltrami_cli.surface.records import from_space, to_space

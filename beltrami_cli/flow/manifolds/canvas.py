@@ -10,9 +10,10 @@ import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Uint8s
 from beltrami_cli.flow.chunks import Chunking, Figures, Rectangle, Resources, chunks_of_canvas, grown
-from beltrami_cli.flow.manifolds.domain import CoarseLevel, Mixing, NewColours, Stack
+from beltrami_cli.flow.manifolds.domain import CoarseLevel, Mixing, Stack
 from beltrami_cli.flow.manifolds.grid_gaussian import gaussian_taps, guide_radius
 from beltrami_cli.flow.manifolds.grid_geometry import colours_at
+from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.noise.grid_squares import Grid
 from beltrami_cli.flow.noise.model import mixed_signs
 from beltrami_cli.flow.noise.reading import read_noise

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import dataclasses
 import logging
 import math
 from abc import ABC, abstractmethod
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Protocol
-
-import numpy as np
+from typing import ClassVar, Protocol
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Uint8s
+from beltrami_cli.flow.manifolds.blocks import at_same_time, block_rows
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Indices
 
 Stack = Float32s
@@ -228,92 +223,3 @@ class Mixing:
     @property
     def parts(self) -> tuple[Float32s, Float32s, Float32s, Float32s, float, float]:
         return self.forth, self.back, self.variances, self.shrinkage, self.least_ratio, self.strength
-
-
-def in_blocks(axis: int, *stacks: Array) -> Iterator[tuple[Array, ...]]:
-    """Go through stacks together in blocks, with the channels, which are at `axis`, first."""
-    whole = [np.moveaxis(stack, axis, 0) for stack in stacks]
-    for rows in block_rows(whole[0]):
-        yield tuple(stack[:, rows] for stack in whole)
-
-
-def block_rows(stack: Array, side: int = 1) -> Iterator[slice]:
-    """Go through the rows of a stack with the channels first, a multiple of `side` rows at a time."""
-    size = max(1, large_arrays.CACHED // max(1, side * stack[0, :1].size)) * side
-    return large_arrays.blocks(stack.shape[1], size)
-
-
-@dataclass(frozen=True)
-class NewColours:
-    """Colours of S samples, read block by block, and the colours that continue them beyond seams."""
-
-    take: Callable[[slice, Bools | slice], Float32s]  # a block's rows, all or by a mask
-    places: Indices  # texels or pixels of the samples, shape (S,)
-    beyond_places: Indices  # texels or pixels around charts, shape (G,)
-    beyond: Float32s  # their colours, shape (G, N)
-    positions: Float64s | None = None  # of the samples, shape (S, 3), if they moved
-
-    @classmethod
-    def of(
-        cls,
-        rows: Float32s,
-        places: Indices | None = None,
-        beyond_places: Indices | None = None,
-        beyond: Float32s | None = None,
-    ) -> NewColours:
-        """Give the rows of a table, shape (S, N)."""
-        none = np.zeros(0, np.int64)
-        return cls(
-            lambda block, inside: rows[block][inside],
-            np.arange(len(rows)) if places is None else places,
-            none if beyond_places is None else beyond_places,
-            np.zeros((0, rows.shape[1]), np.float32) if beyond is None else beyond,
-        )
-
-    def mapped(self, each: Callable[[Float32s], Float32s]) -> NewColours:
-        """Return what a function makes of rows of colours."""
-        take = self.take
-        return dataclasses.replace(
-            self, take=lambda block, inside: each(take(block, inside)), beyond=each(self.beyond)
-        )
-
-    def with_kept(self, samples: Indices, channels: Bools, colours: Float32s) -> NewColours:
-        """Return the same with other colours in the marked channels of K samples."""
-        take, row_of = self.take, np.full(len(self.places), -1, np.int32)
-        row_of[samples] = np.arange(len(samples))
-
-        def kept(block: slice, inside: Bools | slice) -> Float32s:
-            row = row_of[block][inside]
-            return np.where(channels[row] & (row >= 0)[:, None], colours[row], take(block, inside))
-
-        return dataclasses.replace(self, take=kept)
-
-    def table(self) -> Float32s:
-        """Return all rows, shape (S, N)."""
-        return self.take(slice(None), slice(None))
-
-
-def for_blocks(
-    work: Callable[..., object], threads: int, axis: int, *stacks: Array, planes: Sequence[Array] = ()
-) -> None:
-    """Call `work` with the blocks of stacks, and of planes, several at the same time: it may change only these."""
-    blocks = in_blocks(axis, *stacks)
-    if planes:
-        blocks = ((*own, *others) for own, others in zip(blocks, in_blocks(0, *planes), strict=True))
-    at_same_time(work, threads, blocks)
-
-
-def at_same_time(work: Callable[..., object], threads: int, blocks: Iterable[tuple[Any, ...]]) -> None:
-    """Call `work` with the arguments of each block, several at the same time."""
-    if threads == 1:
-        for block in blocks:
-            work(*block)
-        return
-    waiting = deque[Future[object]]()
-    with ThreadPoolExecutor(threads) as pool:
-        for block in blocks:
-            waiting.append(pool.submit(work, *block))
-            if len(waiting) > threads:  # so that little is left to do when the user interrupts
-                waiting.popleft().result()
-        for each in waiting:
-            each.result()

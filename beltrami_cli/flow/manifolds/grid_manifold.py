@@ -25,15 +25,12 @@ from beltrami_cli.flow.manifolds.canvas import (
     painted,
     squares_for,
 )
-from beltrami_cli.flow.manifolds.domain import Gaussian, Mixing, NewColours, Stack
+from beltrami_cli.flow.manifolds.domain import Gaussian, Mixing, Stack
 from beltrami_cli.flow.manifolds.grid_gaussian import GridGaussian, guide_radius
 from beltrami_cli.flow.manifolds.grid_geometry import Cells, GridGeometry, pick
+from beltrami_cli.flow.manifolds.guides import Guide, GuideStack
 from beltrami_cli.flow.manifolds.manifold import (
-    ON_GRIDS,
-    RULE_ON_GRIDS,
     Averaged,
-    Guide,
-    GuideStack,
     Manifold,
     Metric,
     SampledKernel,
@@ -43,6 +40,8 @@ from beltrami_cli.flow.manifolds.manifold import (
     at_step,
     kernel_values,
 )
+from beltrami_cli.flow.manifolds.new_colours import NewColours
+from beltrami_cli.flow.manifolds.search_range import ON_GRIDS, RULE_ON_GRIDS
 from beltrami_cli.flow.manifolds.trials import (
     choose_blocks,
     perturbations,

@@ -5,17 +5,6 @@ triangulated surfaces, and regular grids. A manifold is composed of its geometry
 of colours, and of the kernels of the metric that both induce. Equations: A. Spira, R. Kimmel, N. Sochen,
 "A short time Beltrami kernel for smoothing images on manifolds", IEEE Trans. Image Processing 16(6), 2007,
 https://doi.org/10.1109/TIP.2007.894253
-
-Guides are further channels, each scaled by its own beta. A guide is meant to be clean and is used as it is, in every
-iteration. So its slopes, and its noise, must not stop the kernel. The scale of usual steps is their median [1]_, in
-units of white noise. It carries no information for a guide of flat regions, whose steps are mostly 0: there the
-standard deviation of the guide is used. Beta follows the guide's unit, so that depth in metres and in millimetres
-guides equally.
-
-References
-----------
-.. [1] M. Black, G. Sapiro, D. Marimont, D. Heeger, "Robust anisotropic diffusion", IEEE Trans. Image Processing 7(3),
-   1998, doi:10.1109/83.661192
 """
 
 from __future__ import annotations
@@ -30,33 +19,18 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
+from beltrami_cli.arrays import Array, Bools, Float32s, Int64s
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Resources
-from beltrami_cli.flow.manifolds.domain import (
-    CoarseLevel,
-    Domain,
-    Gaussian,
-    Geometry,
-    Mixing,
-    NewColours,
-    Stack,
-)
+from beltrami_cli.flow.manifolds.domain import CoarseLevel, Domain, Gaussian, Geometry, Mixing, Stack
+from beltrami_cli.flow.manifolds.guides import GuideStack
+from beltrami_cli.flow.manifolds.new_colours import NewColours
+from beltrami_cli.flow.manifolds.search_range import Rule, SearchRange
 from beltrami_cli.flow.noise.model import NoiseModel, choose_beta
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface.large_arrays import Droppable
 
 if TYPE_CHECKING:
     from beltrami_cli.flow.manifolds.moving_positions import MovingPositions
-
-# Length of a step as large as the guide's standard deviation, in sample spacings: nearly the radius of the kernel of
-# the default time step, so that it stops there.
-_SPREAD_COUNTS = 6.0
-
-# A usual step counts no more than this share of a sample spacing, so that noise and slopes of a guide do not stop it.
-_USUAL_COUNTS = 2 / 3
-
-# Noise up to which `iterations` is used; above it the number grows with the logarithm of the noise.
-_SLIGHT = 5 / 255
 
 
 @dataclass(frozen=True)
@@ -79,34 +53,6 @@ class Metric:
     step: Step
     channels: int
     gaussian: Gaussian | None  # None: not regularised
-
-
-@dataclass(frozen=True)
-class Guide:
-    """Channels of a guide; `beta`: units of length per unit of the guide, None: by `choose_guide_beta`."""
-
-    name: str
-    values: Float32s  # shape (S, G), one row per sample, finite
-    beta: float | None = None
-    # Values are components in the frame of their chart, as in normal maps, and cannot be compared across seams.
-    in_chart_frame: bool = False
-
-
-@dataclass(frozen=True)
-class GuideStack:
-    """A guide as a stack, with its beta."""
-
-    name: str
-    stack: Stack
-    beta: float
-
-    @classmethod
-    def of(cls, guide: Guide, stack: Stack, geometry: Geometry, unit: float) -> GuideStack:
-        """Choose a beta that is not given by the usual steps of the guide."""
-        beta = guide.beta
-        if beta is None:
-            beta = choose_guide_beta(guide.values, geometry.steps(stack)) * unit
-        return cls(guide.name, stack, beta)
 
 
 @dataclass(frozen=True)
@@ -276,51 +222,6 @@ class SampledKernel:
 
 
 @dataclass(frozen=True)
-class SearchRange:
-    """What to try on a kind of manifold, and where the search starts."""
-
-    t: float
-    growths: tuple[float, ...]  # of beta
-    regularised: tuple[int, ...]  # numbers of regularised iterations
-    max_iterations: int
-    starts: tuple[tuple[float, float, int], ...]  # beta times the noise, growth, regularised iterations
-    least_gain: float = 0.0  # see `Grid`
-
-
-@dataclass(frozen=True)
-class Rule:
-    """Parameters for a noise level."""
-
-    contrast: float  # beta times the noise
-    growth: float  # of beta
-    step: float  # time step
-    regularised: int  # regularised iterations
-    iterations: int  # all iterations at noise of up to 5 of 255, where more would cost detail of the picture
-    more: int  # further iterations each time the noise doubles ...
-    max_iterations: int  # ... up to this many
-
-    def count(self, noise: float) -> int:
-        """Return the number of iterations for noise of a standard deviation, colours in [0, 1]."""
-        doublings = max(0.0, float(np.log2(max(noise, _SLIGHT) / _SLIGHT)))
-        return min(self.max_iterations, self.iterations + round(self.more * doublings))
-
-
-# On painted, baked and photographed samples with noise of 5 to 40 of 255, other time steps and growths are hardly
-# better when tuned on the truth, and worse when chosen by the estimate: more candidates, more wrong choices. On a grid
-# the window bounds the kernel, and a large time step only makes its weights more even.
-ON_GRIDS = SearchRange(8.0, (1.5, 3.0), (0, 1, 2, 3), 10, ((1.4, 1.5, 1), (1.4, 3.0, 2)))
-# On a mesh the time step alone bounds the kernel, and larger ones cost more time than they gain. The regularised metric
-# removes sharp borders, and from there a descent ends with remaining noise. Iterations that gain less than a fiftieth
-# lead nowhere, while on grids many small gains add up.
-ON_MESHES = SearchRange(2.4, (1.3, 2.0), (0, 1, 2), 8, ((1.0, 2.0, 1), (1.4, 1.3, 0)), least_gain=0.02)
-
-# The least average loss over noise of 5, 10, 20 and 40 of 255 on painted, baked and photographed models: ten textures,
-# where flat ones need more iterations and rich ones fewer, and eleven with colours at the vertices.
-RULE_ON_GRIDS = Rule(1.4, 3.0, 8.0, 1, 5, 0, 5)
-RULE_ON_MESHES = Rule(0.7, 2.0, 1.6, 0, 2, 1, 6)
-
-
-@dataclass(frozen=True)
 class SampleTrial:
     """A part of a manifold to try iterations on; samples in `scored_samples` count, None: all."""
 
@@ -360,26 +261,6 @@ def at_step(parameters: KernelParameters, step: Step) -> KernelParameters:
 def kernel_values(distances: Float32s, t: float) -> Float32s:
     """Return exp(-d^2 / (4 t)), eq. (8)."""
     return np.asarray(np.exp(-np.square(distances.astype(np.float64)) / (4 * t)), np.float32)
-
-
-def choose_guide_beta(values: Float32s, steps: Float32s) -> float:
-    """Choose beta so that usual steps, shape (K, G), hardly hinder the kernel and unusual ones stop it."""
-    if not values.size:
-        return 0.0
-    channels = values.shape[1]
-    spread = float(np.sqrt(np.mean(values.var(axis=0, dtype=np.float64))))
-    usual = 0.0
-    if len(steps):
-        # The length of a vector of k normal numbers has the median sqrt(k) (1 - 2 / (9 k))^(3 / 2), nearly.
-        median = np.sqrt(2 * channels * (1 - 2 / (9 * channels)) ** 3)
-        usual = float(np.median(np.linalg.norm(steps.astype(np.float64), axis=1)) / median)
-    scale = max(usual / _USUAL_COUNTS, spread / _SPREAD_COUNTS)
-    return 1 / scale if scale > 0 else 0.0
-
-
-def centred(values: Float64s) -> Float32s:
-    """Subtract the mean of a guide, shape (S, G), before rounding: only differences count."""
-    return np.ascontiguousarray(values - values.mean(axis=0) if len(values) else values, np.float32)
 
 
 def _join_channels(parts: Sequence[tuple[Float32s, float]], axis: int) -> tuple[Float32s, float]:

@@ -14,14 +14,11 @@ from numpy.typing import NDArray
 from beltrami_cli._native import PATCH_BLOCK_SIZE
 from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunk, Chunking, Figures, Resources, runs
-from beltrami_cli.flow.manifolds.domain import Gaussian, Mixing, NewColours, Stack
+from beltrami_cli.flow.manifolds.domain import Gaussian, Mixing, Stack
 from beltrami_cli.flow.manifolds.graph_patches import Clusters, clusters_for, collaborate_on_graph
+from beltrami_cli.flow.manifolds.guides import Guide, GuideStack
 from beltrami_cli.flow.manifolds.manifold import (
-    ON_MESHES,
-    RULE_ON_MESHES,
     Averaged,
-    Guide,
-    GuideStack,
     Manifold,
     Metric,
     SampledKernel,
@@ -33,6 +30,8 @@ from beltrami_cli.flow.manifolds.manifold import (
 )
 from beltrami_cli.flow.manifolds.mesh_geometry import Core, MeshGeometry, coarse, rank_in, without_hubs
 from beltrami_cli.flow.manifolds.moving_positions import GeometryParameters, MovingPositions
+from beltrami_cli.flow.manifolds.new_colours import NewColours
+from beltrami_cli.flow.manifolds.search_range import ON_MESHES, RULE_ON_MESHES
 from beltrami_cli.flow.manifolds.trials import choose_patches, fingerprints, random_signs, wanted_probes
 from beltrami_cli.flow.noise.model import draw_noise_of_clusters
 from beltrami_cli.flow.parameters import KernelParameters

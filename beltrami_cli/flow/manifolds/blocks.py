@@ -1,0 +1,52 @@
+"""Passes over the blocks of stacks, several blocks at the same time."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+
+from beltrami_cli.arrays import Array
+from beltrami_cli.surface import large_arrays
+
+
+def in_blocks(axis: int, *stacks: Array) -> Iterator[tuple[Array, ...]]:
+    """Go through stacks together in blocks, with the channels, which are at `axis`, first."""
+    whole = [np.moveaxis(stack, axis, 0) for stack in stacks]
+    for rows in block_rows(whole[0]):
+        yield tuple(stack[:, rows] for stack in whole)
+
+
+def block_rows(stack: Array, side: int = 1) -> Iterator[slice]:
+    """Go through the rows of a stack with the channels first, a multiple of `side` rows at a time."""
+    size = max(1, large_arrays.CACHED // max(1, side * stack[0, :1].size)) * side
+    return large_arrays.blocks(stack.shape[1], size)
+
+
+def for_blocks(
+    work: Callable[..., object], threads: int, axis: int, *stacks: Array, planes: Sequence[Array] = ()
+) -> None:
+    """Call `work` with the blocks of stacks, and of planes, several at the same time: it may change only these."""
+    blocks = in_blocks(axis, *stacks)
+    if planes:
+        blocks = ((*own, *others) for own, others in zip(blocks, in_blocks(0, *planes), strict=True))
+    at_same_time(work, threads, blocks)
+
+
+def at_same_time(work: Callable[..., object], threads: int, blocks: Iterable[tuple[Any, ...]]) -> None:
+    """Call `work` with the arguments of each block, several at the same time."""
+    if threads == 1:
+        for block in blocks:
+            work(*block)
+        return
+    waiting = deque[Future[object]]()
+    with ThreadPoolExecutor(threads) as pool:
+        for block in blocks:
+            waiting.append(pool.submit(work, *block))
+            if len(waiting) > threads:  # so that little is left to do when the user interrupts
+                waiting.popleft().result()
+        for each in waiting:
+            each.result()
