@@ -1,4 +1,4 @@
-"""One file of a batch: the task, its execution, the outcome, and the record of all, from which a later run resumes."""
+"""One file of a batch: the task, its execution, and the outcome."""
 
 from __future__ import annotations
 
@@ -6,30 +6,23 @@ import dataclasses
 import hashlib
 import json
 import os
-import re
 import time
 import traceback
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal
 
-from beltrami_cli.batch.storage import exists, hash_at, place_of, require_name, staged
-from beltrami_cli.errors import BeltramiError, InputError, MemoryLimitError, OutputError, UnpaintedError
+from beltrami_cli.batch.storage import hash_at, staged
+from beltrami_cli.errors import BeltramiError, MemoryLimitError, UnpaintedError
 from beltrami_cli.formats.access import (
     Access,
-    is_there,
     is_url,
     limited_memory,
-    open_regular,
-    parse_json,
-    unreadable,
 )
-from beltrami_cli.formats.changes import Written
 from beltrami_cli.jobs.job import Job
-from beltrami_cli.jobs.output import FileSet, Output
+from beltrami_cli.jobs.output import FileSet
 from beltrami_cli.jobs.progress import Progress, Share
 from beltrami_cli.jobs.settings import BakeSettings
 
@@ -191,143 +184,3 @@ def _made(item: Item, access: Access, progress: Progress | None, chunking: Chunk
             files.keep_equal()
         files.put_in_place()
     return report
-
-
-_HEAD = re.compile(rb'\{"input": ".*", "output": ".*", "status": "')
-_START = b'{"input": "'
-_LONGEST = 1 << 26  # bytes of a line
-_SHA256 = re.compile(r"[0-9a-f]{64}")
-# Of lines that are not from a report.
-_UNFIT = (ValueError, TypeError, LookupError, AttributeError, OverflowError)
-
-
-class Record:
-    """A report as it grows: a line when a file is started, and one when it is finished.
-
-    `resume`: go on from an earlier report; InputError if it cannot be read.
-    `overwrite`: replace a record; any other file stays, as it may be a part of a model.
-    """
-
-    def __init__(self, path: str, *, resume: bool, overwrite: bool) -> None:
-        self.path = path
-        if not resume and not overwrite and is_there(path):
-            raise OutputError(path, "exists already", "--resume goes on from it, --overwrite starts again")
-        self._output = Output(
-            path,
-            overwrite=resume or (overwrite and "own"),
-            what="report",
-            is_own=lambda head: _HEAD.match(head) is not None,
-        )
-        self._latest = _read_record(path) if resume and is_there(path) else {}
-        self.close([])  # without the line that the end of a run cut off
-        self._output.overwrite = True  # from now on it is ours
-
-    def latest(self, item: Item) -> Outcome | None:
-        return self._latest.get(place_of(item.target))
-
-    def add(self, outcome: Outcome) -> None:
-        """Write a line, and wait until it is on the disk."""
-        self._latest[place_of(outcome.output)] = outcome
-        try:
-            with Path(self.path).open("a", encoding="utf-8") as file:
-                file.write(_line(outcome))
-                file.flush()
-                os.fsync(file.fileno())
-        except OSError as error:
-            raise OutputError(self.path, f"cannot be written ({error.strerror})", "free space") from error
-
-    def close(self, outcomes: Iterable[Outcome]) -> None:
-        """Rewrite the report with one line per file: earlier files first, then this run's in order."""
-        now = {place_of(outcome.output): outcome for outcome in outcomes}
-        earlier = {place: outcome for place, outcome in self._latest.items() if place not in now}
-        lines = [_line(each).encode() for each in (*earlier.values(), *now.values())]
-        self._output.write(Written(main=lines))
-
-
-def is_done(item: Item, outcome: Outcome | None) -> bool:
-    """Whether an earlier run did the item, and nothing that it depends on has changed since."""
-    if outcome is None or outcome.status not in ("done", "skipped"):
-        return False
-    same = outcome.parameters_sha256 == item.parameters and place_of(item.source) == place_of(outcome.input)
-    return same and _holds(outcome.read) and _holds(outcome.written)
-
-
-def is_ours(outcome: Outcome | None) -> bool:
-    """Whether the files at the place of an output are as an earlier run left them, and may be replaced."""
-    if outcome is None or place_of(outcome.output) not in outcome.written:
-        return False
-    return _holds({name: digest for name, digest in outcome.written.items() if exists(name)})
-
-
-def _holds(hashes: dict[str, str]) -> bool:
-    try:
-        return all(hash_at(name) == digest for name, digest in hashes.items())
-    except OSError:
-        return False
-
-
-def _line(outcome: Outcome) -> str:
-    return json.dumps(dataclasses.asdict(outcome)) + "\n"
-
-
-def _read_record(path: str) -> dict[str, Outcome]:
-    """Return the last line of each output; the very last line may be cut off by the end of a run."""
-    latest: dict[str, Outcome] = {}
-    try:
-        with open_regular(Path(path)) as file:
-            for number, line in enumerate(iter(partial(file.readline, _LONGEST), b""), 1):
-                try:
-                    outcome = _outcome_in(line)
-                except _UNFIT:
-                    is_cut_off = line[: len(_START)] == _START[: len(line)] and not line.endswith(b"\n")
-                    if is_cut_off and not file.read(1):
-                        break
-                    cause = f"line {number} is not of a report of beltrami batch"
-                    raise InputError(path, cause, "leave out --resume, or choose another --report") from None
-                latest.pop(place_of(outcome.output), None)
-                latest[place_of(outcome.output)] = outcome
-    except OSError as error:
-        raise unreadable(path, error) from error
-    return latest
-
-
-def _outcome_in(line: bytes) -> Outcome:
-    """Return what a line says; an error of `_UNFIT` if it cannot be from `_line`."""
-    outcome = Outcome(**parse_json(line))
-    source, target = require_name(outcome.input), require_name(outcome.output)
-    outcome.figures()  # which the table shows
-    report = outcome.report or {}
-    texts = (outcome.parameters_sha256, outcome.error, *report.get("warnings", ()))
-    is_valid = (
-        outcome.status in get_args(Status)
-        and all(isinstance(text, str) for text in texts)
-        and all(_is_number(number) and number >= 0 for number in (outcome.time, outcome.seconds))
-        and type(outcome.exit_code) is int
-        and _are_hashes(outcome.read, source)
-        and _are_hashes(outcome.written, target)
-        and isinstance(outcome.report, dict | None)
-        and isinstance(report.get("textures", []), list)
-    )
-    if not is_valid:
-        raise ValueError("a value is of another kind, or out of its range")
-    return outcome
-
-
-def _are_hashes(values: object, file: str) -> bool:
-    """Return whether values are SHA-256 by name; URLs among the names are below the folder of the file's URL."""
-    folder = file.rpartition("/")[0]
-
-    def is_below(url: str) -> bool:  # "::" would chain another URL to it
-        return url.startswith(f"{folder}/") and "::" not in url[len(folder) :]
-
-    return isinstance(values, dict) and all(
-        isinstance(digest, str)
-        and _SHA256.fullmatch(digest)
-        and (not is_url(require_name(name)) or (is_url(file) and is_below(name)))
-        for name, digest in values.items()
-    )
-
-
-def _is_number(value: object) -> bool:
-    """Whether a value is a number that floats can hold."""
-    return isinstance(value, float) or (type(value) is int and abs(value) < 1 << 63)

@@ -13,17 +13,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from beltrami_cli.arrays import Float32s
-from beltrami_cli.batch.item import (
-    Attempt,
-    Item,
-    Outcome,
-    Record,
-    do_item,
-    failed,
-    is_done,
-    is_ours,
-    outcome_of,
-)
+from beltrami_cli.batch.item import Attempt, Item, Outcome, do_item, failed, outcome_of
+from beltrami_cli.batch.record import Record, is_done, is_ours
 from beltrami_cli.batch.storage import exists, make_folder_of
 from beltrami_cli.batch.workers import Lost, Pool, Processes, Task
 from beltrami_cli.errors import OutputError, ProcessingError

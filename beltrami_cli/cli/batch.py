@@ -89,8 +89,8 @@ def batch(
     **given: Any,
 ) -> None:
     """Smooth many files at the same time; each comes out as `beltrami smooth` makes it, to the last byte."""
-    from beltrami_cli.batch.item import Record
     from beltrami_cli.batch.plan import plan
+    from beltrami_cli.batch.record import Record
     from beltrami_cli.batch.run import Batch
     from beltrami_cli.batch.storage import make_folder_of
 

@@ -7,7 +7,7 @@ import shutil
 import pytest
 
 from batch.batches import QUICK, batch, files_in, lines_of, statuses, write_textured
-from beltrami_cli.batch.item import Record
+from beltrami_cli.batch.record import Record
 from beltrami_cli.errors import InputError
 from cli.commands import SAMPLES
 from hostile.folders import snapshot
