@@ -1,4 +1,4 @@
-"""A surface in chunks, which are worked on one after another, in processes, or on other machines.
+"""Surfaces in chunks, which are worked on one after another, in processes, or on other machines.
 
 A chunk is a part of a surface with the samples around it that one operation reads: an iteration of the kernel, or an
 estimate by patches. Of its result only the samples of the chunk itself are kept. What depends on more than a
@@ -99,7 +99,7 @@ class Chunking:
 # Bytes of memory that a mesh in one piece takes for each sample: a million points at the peak of `smooth`, see
 # docs/performance.md.
 _BYTES_OF_SAMPLE = 1000
-# Of memory that is too small for that, what a chunk may take. A choice: what one step does with the whole takes more.
+# Share of the memory for a chunk, where it is too small for that; steps on the whole mesh need the rest.
 _SHARE_OF_CHUNK = 1 / 8
 
 

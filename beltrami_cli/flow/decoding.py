@@ -1,6 +1,6 @@
-"""Smoothing on a canvas whose pictures JPEG coded: what it made of white noise is taken back first.
+"""Plans for canvases. Pictures in which JPEG coded white noise are decoded again before parameters are chosen.
 
-Pictures are decoded again around a pilot, which the kernel alone makes.
+They are decoded around a pilot, which is a result of the kernel alone.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def decodes_again(wanted: KernelParameters) -> bool:
 def _sigma_before(
     pictures: Sequence[CodedPicture], colours: CanvasColours, wanted: KernelParameters
 ) -> float | None:
-    """Return sigma of the white noise that JPEG coded in all pictures; None: they stay as they are."""
+    """Return sigma of the white noise that JPEG coded in all pictures; None if they are not decoded again."""
     # Coefficients of the files would bring back outliers.
     if not pictures or colours.outliers is not None:
         return None

@@ -1,4 +1,4 @@
-"""Noise is estimated, and made the same at all levels of colour, before a manifold is made of the colours."""
+"""Estimates of the noise, and colours in which it is the same at all levels, from which manifolds are made."""
 
 from __future__ import annotations
 

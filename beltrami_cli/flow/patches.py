@@ -41,7 +41,7 @@ from beltrami_cli.surface import large_arrays
 
 @dataclass(frozen=True)
 class _Prior:
-    """What weights of regions are drawn to where sums say little: a power of that over all, from 0 to 1."""
+    """The prior of the weights of regions: the weight over all samples, from 0 to 1, to a power."""
 
     power: float
     variance: float  # of w around it
@@ -52,8 +52,8 @@ class _Prior:
 # narrower than the least of these would spread over plain textures what patches do for others.
 _PRIORS = {"samples": _Prior(1.0, 0.025), "means": _Prior(0.5, 0.02)}
 
-# Shares of samples that are not cut off, from which on means of them are trusted, and fully. What lies at a limit, as
-# black and white do, errs to one side only, and the kernel does not err there.
+# Shares of samples that are not clipped from which on their means are trusted, and fully. Samples at a limit, as black
+# and white are, err to one side only, and the kernel does not err there.
 _TRUSTED_WITHIN = (0.64, 0.84)
 
 # How many iterations of the kernel the two steps of an estimate take as long as.
@@ -255,7 +255,7 @@ def _improve_means_in_place(
 
 
 class _Model:
-    """What the noise of channels does to the sums."""
+    """The noise of channels, as the sums need it."""
 
     def __init__(self, sigma: Float64s, clipped: ClippedChannels | None, threads: int) -> None:
         self.threads = threads

@@ -32,8 +32,8 @@ PASS_SCALE = 3.0
 # Squared spacings that a pass adds to the variance on a triangle lattice.
 PASS_VARIANCE = 0.43
 
-# Edges from the start of a group to the samples that it estimates: 200 candidates lie within eight, or twelve at the
-# border of a surface, and the nodes of their patches within four more.
+# Edges from the start of a group to the samples that it estimates: 200 candidates lie within eight edges, or twelve at
+# the border of a surface, and the nodes of their patches within four more.
 _RINGS_OF_GROUP = 16
 
 

@@ -1,4 +1,4 @@
-"""Averages of colours whose noise was cut off at 0 and at full scale.
+"""Averages of colours whose noise was clipped at 0 and at full scale.
 
 Where a surface is white, noise can only darken it: what would be brighter than full scale is stored as full scale. An
 average over such samples is too dark, by up to 0.4 standard deviations of the noise, however many samples it has. But
@@ -37,11 +37,11 @@ from beltrami_cli.surface.records import limits_of
 # Fewer samples at a limit, as a share of all, change no mean that is worth a plane of memory.
 _WORTH_RESTORING = 1e-3
 
-# Bound on local noise relative to the estimate, which is too low where many samples are cut off. Beyond it colours
-# differ, and not only noise.
+# Bound on local noise relative to the estimate, which is too low where many samples are clipped. Beyond it the colours
+# themselves differ.
 _TRUSTED = 1.2
 
-# Standard deviations of noise that hardly any is beyond.
+# Standard deviations within which nearly all noise is.
 _NEAR = 3.0
 
 # Entries of tables: over the share of samples at a limit, up to one half; over limits, for a quarter of their range.

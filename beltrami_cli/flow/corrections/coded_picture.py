@@ -32,17 +32,17 @@ from beltrami_cli.surface import large_arrays
 # Noise is shared by neighbours if its standard deviation grows by this factor to the third scale.
 _GROWS = 1.6
 
-# By how much more JPEG took of pictures than it takes once more: 1 to 3.5 on samples, most where hues meet.
+# What JPEG lost of originals, as a multiple of what it loses of its results: 1 to 3.5 on samples, most where hues meet.
 _LOST = 3.0
 
 # Decoding leaves more noise than it does with a pilot that is the truth. The standard deviation is larger by 1.2 to 1.5
 # on photographs with noise of 10 of 255; by this factor, painted pictures gain 1 to 2 dB, and photographs lose 0.1.
 PILOT_ERROR = 1.2
 
-# Noise that is worth decoding again.
+# Least standard deviation of noise that is worth decoding again.
 _LEAST_SIGMA = 2.0 / 255
 
-# By how much more of the finest noise of luma JPEG takes at most: of white noise of 6 at a quality of 75, half.
+# Largest factor by which JPEG lowers the finest noise of luma: white noise of 6 is halved at a quality of 75.
 _MOST_TAKEN = 2.7
 
 # Steps of luma, relative to its noise, from which on they change it.
@@ -208,7 +208,7 @@ def sigma_before(pictures: Sequence[CodedPicture], noise: NoiseModel) -> float |
 
 
 def is_changed(pictures: Sequence[CodedPicture], sigma: float) -> bool:
-    """Whether JPEG did not leave noise of a standard deviation as it was."""
+    """Whether JPEG changed noise of a standard deviation."""
     return any(
         max(each.span) > 1 or np.median(each.steps[0]) > _COARSE * each.sigma_of_planes(255 * sigma)[0]
         for each in pictures
@@ -238,7 +238,7 @@ def noise_after(
             decoded = expected(picture, stored, picture.decoded_planes(stored), truth, sigma)
             after.add(decoded - truth, picture.used[rows])
     covariances, stored_error = PILOT_ERROR**2 * after.mean(), np.sqrt(squares / max(1, used))
-    # What JPEG takes of a picture that went through it already, it took of the picture before.
+    # Detail that the original lost is estimated by what the pilot loses.
     doubt = _LOST * float(np.mean(np.square(sigma_of_covariances(lost.mean()))))
     fine, coarse = (np.linalg.eigvalsh(covariances[scale]) for scale in (0, 2))
     own = sigma_of_covariances(covariances)

@@ -1,11 +1,11 @@
-"""Wrong samples: fireflies, salt and pepper, dead texels.
+"""Outliers: fireflies, salt and pepper, dead texels.
 
-A wrong sample lies far outside of what its neighbours on the surface make likely, alone or in a small clump. So do
-stars, rivets, and the dots of dither and of the letter i. What tells both apart is how they are spread: wrong samples
-lie anywhere, whatever colour is there, and have one value, or are light far brighter than what is around. What is drawn
-repeats itself, is part of larger shapes, has many values, or a plain ground of its own.
+An outlier differs far more from its neighbours on the surface than noise does, alone or in a small clump. So do stars,
+rivets, and the dots of dither and of the letter i. Their distribution tells both apart: outliers lie anywhere, whatever
+colour is there, and have one value, or are light far brighter than what is around. What is drawn repeats itself, is
+part of larger shapes, has many values, or lies on a plain ground.
 
-Outliers are filled with the median of the neighbours that are none, before anything reads the colours.
+Outliers are filled with the median of the neighbours that are not outliers, before anything else reads the colours.
 """
 
 from __future__ import annotations
@@ -137,7 +137,7 @@ def _find_outliers(
     some = np.linspace(0, surface.count - 1, min(surface.count, 256 * _FEWEST)).astype(int)
     sampled = surface.compared(where.samples[some])
     sizes = _ranges(sampled.colours)
-    # Of noise only few samples are as far from most neighbours.
+    # Noise alone makes few samples differ as much from most neighbours.
     least = _FAR[1] * sizes + _FAR[0] / 2 * np.median(sampled.deviations, axis=1)
     standing_out = where.standing_out(planes, np.where(sizes > 0, least, np.inf).astype(np.float32))
     if len(standing_out) < (1 if insists else _FEWEST):

@@ -1,4 +1,4 @@
-"""What numbers on a surface are summed and averaged over: the samples of a manifold, and means of groups of them."""
+"""Domains of sums and averages: the samples of a manifold, and means of groups of them."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Domain(Samples):
         return rows, planes
 
     def gathered(self, count: int, terms: Callable[[slice], Float32s], like: Array, threads: int) -> Float32s:
-        """Return planes of the terms that a function returns for some rows of samples; `like`: a stack of all."""
+        """Return the means of terms, which a function computes for some rows; `like`: a stack of all samples."""
         planes = self.planes(count)
 
         def gather(rows: slice) -> None:
@@ -137,7 +137,7 @@ class Geometry(Samples):
 
     @abstractmethod
     def counted(self, colours: Stack) -> tuple[Float32s, int]:
-        """Return the channels of the samples that can be smoothed, and how many of them are empty, and 0."""
+        """Return the channels of the samples that can be smoothed, and how many of these are empty, and 0."""
 
     @abstractmethod
     def gaussian(self, scale: float) -> Gaussian:

@@ -66,7 +66,7 @@ _WIDEST_SWEEP = 15
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ColouredCanvas:
-    """The canvas of an atlas, the colours of its T owned cells as the input has them, and what guides smoothing."""
+    """The canvas of an atlas, the input's colours of its T owned cells, and what guides their smoothing."""
 
     atlas: Atlas
     channels: int

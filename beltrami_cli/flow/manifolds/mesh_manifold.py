@@ -53,7 +53,7 @@ _KNOWN = 5.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ColouredMesh:
-    """A mesh, the colours of its samples as the input has them, and what guides smoothing."""
+    """A mesh, the input's colours of its samples, and what guides their smoothing."""
 
     geometry: MeshGeometry
     colours: Stack
