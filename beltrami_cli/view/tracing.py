@@ -231,7 +231,8 @@ AMBIENT = 0.35  # share of the light that comes from everywhere
 LAMP = np.array([-0.4, 0.5, 0.77]) / np.linalg.norm([-0.4, 0.5, 0.77])
 
 _CREASE = np.cos(np.radians(40))  # smoothed normals further than this from the triangle's are not used
-_BLOCK = 1 << 14  # rays at a time, which bounds the memory; larger blocks leave the processor's cache
+# Rays at a time: arrays of more leave the processor's cache, and memory is asked for again for each of them.
+_BLOCK = 1 << 12
 _ALL = 0.999  # of the light: surfaces behind are invisible
 _LAYERS = 16  # transparent surfaces behind each other
 _FACE_BYTES = 100  # that Embree takes, besides its threads
@@ -283,14 +284,26 @@ class SurfaceView:
         image = np.zeros((height, width, 4), np.float32)
         shares = [(np.arange(side * SAMPLES) + 0.5) / (side * SAMPLES) for side in size]
         x, y = (window[k] + (window[k + 2] - window[k]) * share for k, share in enumerate(shares))
-        for rows in blocks(height, max(1, _BLOCK // width)):
+        left, upper, right, lower = self._covered(camera, size, window)
+        x, y, pixel = x[left * SAMPLES : right * SAMPLES], y[upper * SAMPLES : lower * SAMPLES], x[1] - x[0]
+        for rows in blocks(lower - upper, max(1, _BLOCK // width)):
             # One ray through each pixel at a time, so that sums go over whole blocks.
-            down, sums = y[rows.start * SAMPLES : rows.stop * SAMPLES, None], image[rows].reshape(-1, 4)
+            down, part = y[rows.start * SAMPLES : rows.stop * SAMPLES, None], image[upper:, left:right][rows]
             for row, column in np.ndindex(SAMPLES, SAMPLES):
                 starts, directions = camera.rays(x[column::SAMPLES], down[row::SAMPLES], np.float32)
-                sums += self._seen(camera, starts, directions, x[1] - x[0], lit=lit)
-            sums /= SAMPLES**2
+                part += self._seen(camera, starts, directions, pixel, lit=lit).reshape(part.shape)
+            part /= SAMPLES**2
         return image
+
+    def _covered(self, camera: Camera, size: tuple[int, int], window: Window) -> list[int]:
+        """Return the first and last column and row, exclusive, of the pixels that the surface may be seen in."""
+        places, depths = camera.project(self.positions)
+        if not camera.is_orthographic and depths.min() <= 0:
+            return [0, 0, *size]
+        corner, extent = np.array(window[:2]), np.subtract(window[2:], window[:2])
+        low, high = ((each - corner) / extent * size for each in (places.min(axis=0), places.max(axis=0)))
+        first, last = np.floor(low) - 1, np.ceil(high) + 1  # a pixel more, as rays are rounded
+        return [int(each) for each in np.clip([*first, *last], 0, [*size, *size])]
 
     def _seen(
         self, camera: Camera, starts: Float64s, directions: Float64s, pixel: float, *, lit: bool
@@ -299,19 +312,23 @@ class SurfaceView:
         seen = np.zeros((len(starts), 4), np.float32)
         active = np.arange(len(starts))
         travelled = np.zeros(len(starts))
-        for _ in range(1 if self._paint.is_opaque else _LAYERS):
+        for _ in range(_LAYERS):
             rays, faces, weights, distances = self._cast(starts, directions)
-            starts, directions, active = starts[rays], directions[rays], active[rays]
+            directions, active = directions[rays], active[rays]
             travelled = travelled[rays] + distances
             colours = self._paint(faces, weights, (camera.breadth(travelled) * pixel) ** 2)
             if lit:
                 colours[:, :3] *= self._light(camera, faces, weights, directions)[:, None]
+            if self._paint.is_opaque:
+                seen[active] = colours
+                break
             total = seen[active]
             total += (1 - total[:, 3:]) * colours
             seen[active] = total
             on = np.flatnonzero(total[:, 3] < _ALL)
             if not len(on):
                 break
+            starts = starts[rays]
             step = _STEP * self._size
             starts = starts[on] + (distances[on] + step)[:, None] * directions[on]
             directions, active, travelled = directions[on], active[on], travelled[on] + step
