@@ -90,3 +90,13 @@ def test_the_demo_takes_what_is_installed(tmp_path):
 @pytest.mark.parametrize("name", beltrami_cli.__all__)
 def test_every_public_name_has_its_module(name):
     assert getattr(beltrami_cli, name).__name__ == name
+
+
+def test_one_header_of_the_core_depends_on_the_compiler():
+    """Apart from the question which instruction sets the processor has, which others do not have to answer."""
+    extensions = re.compile(
+        r"__builtin|__attribute__|\bgnu::|__GNUC__|__clang__|_MSC_VER|\b_mm|\b__m\d|__SSE|__AVX"
+    )
+    sources = (ROOT / "beltrami_cli" / "native").rglob("*.?pp")
+    depend = {each.name for each in sources if extensions.search(each.read_text(encoding="utf-8"))}
+    assert depend == {"lanes.hpp", "instruction_set.cpp"}

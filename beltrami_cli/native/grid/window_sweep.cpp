@@ -74,8 +74,8 @@ Target make_target(const Window& window, Offset offset, Usable usable) {
 }  // namespace
 
 void copy_planes(const Planes& planes, std::size_t cells, float* const* copies, unsigned threads) {
-  constexpr std::size_t chunk = 1 << 15;
-  parallel_chunks(cells, chunk, threads, [&](std::size_t begin, std::size_t end, unsigned) {
+  constexpr std::size_t at_once = 1 << 15;
+  parallel_chunks(cells, at_once, threads, [&](std::size_t begin, std::size_t end, unsigned) {
     for (std::size_t channel = 0; channel < planes.channels; ++channel)
       std::copy(planes[channel] + begin, planes[channel] + end, copies[channel] + begin);
   });

@@ -83,7 +83,8 @@ class Channel {
     const float furthest = noise_.tables.furthest, steps = static_cast<float>(table.size() - 1) / (2 * furthest);
     const float place = (std::clamp(limit, -furthest, furthest) + furthest) * steps;
     const auto k = std::clamp(static_cast<std::int32_t>(place), 0, static_cast<std::int32_t>(table.size()) - 2);
-    return table[k] + (place - static_cast<float>(k)) * (table[k + 1] - table[k]);
+    const float* here = table.data() + k;
+    return here[0] + (place - static_cast<float>(k)) * (here[1] - here[0]);
   }
 
   const BlendNoise& noise_;

@@ -25,24 +25,8 @@ constexpr float trusted_patches = 10, least_detail = 0.02F;
 constexpr float least_norm = 1e-6F;
 
 // Rows that are multiplied together, and registers of columns: as many sums as registers hold.
-constexpr std::size_t block = 4;
+constexpr std::size_t block = 4;  // the side of `transpose_square`
 constexpr std::size_t most_packs = lane_count == 16 ? 4 : 2;
-
-// Transposes a square of `block` x `block` values.
-void transpose_square(const float* from, std::size_t from_step, float* to, std::size_t to_step) {
-#if defined(__SSE__)
-  __m128 a = _mm_loadu_ps(from), b = _mm_loadu_ps(from + from_step), c = _mm_loadu_ps(from + 2 * from_step),
-         d = _mm_loadu_ps(from + 3 * from_step);
-  _MM_TRANSPOSE4_PS(a, b, c, d);
-  _mm_storeu_ps(to, a);
-  _mm_storeu_ps(to + to_step, b);
-  _mm_storeu_ps(to + 2 * to_step, c);
-  _mm_storeu_ps(to + 3 * to_step, d);
-#else
-  for (std::size_t i = 0; i < block; ++i)
-    for (std::size_t j = 0; j < block; ++j) to[j * to_step + i] = from[i * from_step + j];
-#endif
-}
 
 template <std::size_t size, std::size_t length>
 class Estimate {

@@ -219,30 +219,8 @@ std::size_t choose(std::vector<float>& distances, std::vector<std::uint32_t>& ch
   return found;
 }
 
-#ifdef _MSC_VER
-#define BELTRAMI_ALONE __restrict
-#else
-#define BELTRAMI_ALONE __restrict__
-#endif
-
 // A row of a patch in registers.
-#if defined(__GNUC__)
-using Row = float __attribute__((vector_size(4 * row_length)));
-#else
-struct Row {
-  float cell[row_length];
-  template <class F>
-  static Row of(F f) {
-    Row row;
-    for (Index x = 0; x < row_length; ++x) row.cell[x] = f(x);
-    return row;
-  }
-  friend Row operator+(const Row& a, const Row& b) { return of([&](Index x) { return a.cell[x] + b.cell[x]; }); }
-  friend Row operator+(const Row& a, float b) { return of([&](Index x) { return a.cell[x] + b; }); }
-  friend Row operator*(const Row& a, const Row& b) { return of([&](Index x) { return a.cell[x] * b.cell[x]; }); }
-  friend Row operator*(const Row& a, float b) { return of([&](Index x) { return a.cell[x] * b; }); }
-};
-#endif
+using Row = Pack<float, static_cast<std::size_t>(row_length)>;
 
 inline void read_row(const float* from, Row& row) { std::memcpy(&row, from, sizeof row); }
 
@@ -282,7 +260,7 @@ void add_patch(const Group& group, std::size_t k, const Shape& shape, std::int32
 }
 
 // Counts one more estimate of the cells of a patch.
-void count_patch(const Shape& shape, std::int32_t place, std::uint16_t* BELTRAMI_ALONE counts) {
+void count_patch(const Shape& shape, std::int32_t place, std::uint16_t* __restrict counts) {
   const Index corner = place - patch_reach * side - patch_reach;
   for (Index y = 0; y < patch_side; ++y)
     for (Index x = 0; x < row_length; ++x)

@@ -103,8 +103,8 @@ void FastMarching::update_over(Index index, float distance) {
 void FastMarching::update_from_hub(Index vertex, float distance) {
   const Hub& hub = hub_of(vertex);
   for (const Reached& reached : reached_) {
-    const auto [begin, end] = std::ranges::equal_range(hub.by_partner, reached.vertex, {}, &PartneredLink::partner);
-    for (auto each = begin; each != end; ++each) update_over(each->link, distance);
+    auto each = std::ranges::lower_bound(hub.by_partner, reached.vertex, {}, &PartneredLink::partner);
+    for (; each != hub.by_partner.end() && each->partner == reached.vertex; ++each) update_over(each->link, distance);
   }
   for (const Index index : hub.by_length) {
     const Link& link = stencils_.links[static_cast<std::size_t>(index)];

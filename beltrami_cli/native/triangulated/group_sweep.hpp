@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <optional>
+#include <span>
 #include <utility>
 #include <vector>
 
@@ -24,11 +25,23 @@ struct GroupJob {
   float* smoothed;
 };
 
-// State of a vertex that any of a group's kernels reaches.
+// A vertex that any of a group's kernels reaches.
 struct alignas(64) RegionPlace {
-  std::array<float, group_size> lane;    // its distance from each source, later the value of each kernel there
-  std::array<float, group_size> passed;  // the distances as they were passed on to other vertices last: in the end, all
+  std::array<float, group_size> nearest;   // its shortest distance from each source that is known so far
+  std::array<float, group_size> distance;  // that which was passed on to other vertices last: in the end, the shortest
+  // The value of each kernel there, in memory that is free once distances are known.
+  std::array<float, group_size>& kernel() { return nearest; }
 };
+
+// What the kernels of a group reach, once distances are known.
+struct Region {
+  std::span<const Index> vertices;
+  std::span<RegionPlace> places;  // of the vertices
+  float beyond;                   // the distance where a vertex is out of reach
+};
+
+// A sample of a kernel: its distance, and its vertex, which decides between equal ones.
+using Rank = std::pair<float, Index>;
 
 // Scratch memory of one thread, grown on first use and kept.
 struct GroupScratch {
@@ -36,7 +49,7 @@ struct GroupScratch {
   std::vector<std::uint16_t> place;  // [vertex]: 1 + its place in the region, 0 outside
   std::vector<RegionPlace> region;   // in the order in which they are found
   std::vector<Index> vertices;       // [place]
-  std::vector<std::pair<float, Index>> order;  // of the samples of a kernel that is cut short
+  std::vector<Rank> order;           // of the samples of a kernel that is cut short
 };
 
 // Writes the smoothed colours of up to 16 sources. Writes nothing and returns nothing if a march from each

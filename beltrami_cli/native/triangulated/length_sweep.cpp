@@ -10,20 +10,6 @@ namespace {
 
 using namespace beltrami::lanes::BELTRAMI_VARIANT;
 
-inline Lanes gather(const float* from, const Index* at) {
-#if defined(__AVX512F__)
-  return reinterpret_cast<Lanes>(
-      _mm512_mask_i32gather_ps(_mm512_setzero_ps(), 0xffff, _mm512_loadu_si512(at), from, sizeof(float)));
-#elif defined(__AVX2__)
-  const __m256i places = _mm256_loadu_si256(reinterpret_cast<const __m256i*>(at));
-  return reinterpret_cast<Lanes>(_mm256_i32gather_ps(from, places, sizeof(float)));
-#else
-  std::array<float, lane_count> values;
-  for (std::size_t i = 0; i < lane_count; ++i) values[i] = from[at[i]];
-  return load(values.data());
-#endif
-}
-
 inline Mask where_larger(Lanes a, float b) { return a > splat(b); }
 
 // |dI|^2 over edges, channel by channel.
