@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from beltrami_cli.jobs.recolour import FileReport
     from beltrami_cli.jobs.smoothing import SmoothReport
     from beltrami_cli.layers.layer import LayerReport, LevelReport
-    from beltrami_cli.view.render import Preview
+    from beltrami_cli.view.before_after import Preview
 
 Report = TypeVar("Report", bound="FileReport")
 
@@ -237,7 +237,7 @@ def _open_preview(
     """Check that a preview of INPUT and OUTPUT can be drawn, if one is wanted, before anything is computed."""
     if path is None:
         return None
-    from beltrami_cli.view.render import Preview
+    from beltrami_cli.view.before_after import Preview
 
     if job.dry_run:
         raise UsageError("--preview draws OUTPUT, which --dry-run does not write")

@@ -27,7 +27,8 @@ from beltrami_cli.jobs.recolour import open_input, recolour_in_memory
 from beltrami_cli.jobs.smoothing import Smoothed, Smoothing
 from beltrami_cli.layers.settings import LevelSetSettings, SmoothSettings
 from beltrami_cli.view.pages import PAGES, data_address, page_from
-from beltrami_cli.view.render import Panel, arranged, draw_panels, encoded, fixed_looks, picture_suffix
+from beltrami_cli.view.panels import Panel, arranged, draw_panels, fixed_looks
+from beltrami_cli.view.render import encoded, picture_suffix
 from beltrami_cli.view.settings import MOST_PIXELS, RenderSettings
 from beltrami_cli.view.views import image_files, require_memory_to_draw, view_of
 

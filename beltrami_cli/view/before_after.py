@@ -1,0 +1,67 @@
+"""The picture of INPUT and OUTPUT that a smoothing draws by --preview."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+from typing import Literal
+
+from beltrami_cli.errors import UsageError
+from beltrami_cli.formats.access import Access, read_regular
+from beltrami_cli.formats.changes import Written
+from beltrami_cli.formats.document import Document
+from beltrami_cli.formats.image.file_formats import is_image
+from beltrami_cli.formats.image.png import packed_chunk
+from beltrami_cli.jobs.output import FileSet, Output, Overwrite
+from beltrami_cli.layers.settings import SmoothSettings
+from beltrami_cli.view.panels import draw_views
+from beltrami_cli.view.render import encoded, picture_suffix
+from beltrami_cli.view.settings import DEFAULT_RENDER, Crop, RenderSettings
+from beltrami_cli.view.tracing import require_embree
+from beltrami_cli.view.views import open_views, require_memory_to_draw
+
+_MARK = packed_chunk(b"tEXt", b"Software\0beltrami smooth --preview")  # of PNG files that are previews
+_MARKED = 33  # where it is: behind the signature and IHDR
+_HEAD = 1 << 16  # bytes that distinguish images from other files
+
+
+class Preview:
+    """Draws INPUT and OUTPUT of a smoothing, with the richest detail; it fails before anything is computed."""
+
+    def __init__(
+        self, path: str, source: str, target: str, settings: SmoothSettings, access: Access, *,
+        overwrite: Overwrite, files: FileSet,
+    ) -> None:  # fmt: skip
+        if "-" in (source, target):
+            raise UsageError("--preview draws INPUT and OUTPUT, which must be files and not pipes")
+        self._output = Output(path, overwrite=overwrite, what="preview", is_own=is_preview, files=files)
+        self._suffix = picture_suffix(path, DEFAULT_RENDER)
+        self._source, self._target = source, target
+        self._reading, self._access = settings, access
+        on: Literal["vertices", "auto"] = "vertices" if settings.on == "vertices" else "auto"
+        self._looks = RenderSettings(on=on, slot=settings.textures.slots[0], crops=(Crop(),))
+        head = b""
+        with contextlib.suppress(OSError):  # which is reported when it is smoothed
+            head = read_regular(Path(source), access, _HEAD)
+        if not is_image(head, source):
+            require_embree()
+
+    def check(self, document: Document) -> None:
+        both = document, document
+        require_memory_to_draw(both, self._looks, self._access, ", or leave out --preview")
+
+    def draw(self) -> None:
+        """Draw and write the picture, after OUTPUT was written aside."""
+        before = open_views([self._source], self._looks, self._access, self._reading)
+        after = open_views([self._target], self._looks, self._output.files.with_staged(self._access))
+        picture = draw_views([*before, *after], ["before", "after"], self._looks)
+        drawn = encoded(picture, self._output.target, self._suffix)
+        if self._suffix == ".png":
+            (data,) = map(bytes, drawn.main)
+            drawn = Written(main=[data[:_MARKED], _MARK, data[_MARKED:]])
+        self._output.write(drawn)
+
+
+def is_preview(head: bytes) -> bool:
+    """Whether a file bears the mark of previews."""
+    return head.startswith(_MARK, _MARKED)
