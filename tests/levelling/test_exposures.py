@@ -244,6 +244,7 @@ def counted_fits(monkeypatch):
     return fits
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", [0.5 / 255, 3 / 255], ids=["hidden by rounding", "visible"])
 @pytest.mark.parametrize("spread", [0.0, 0.15], ids=["one exposure", "exposures"])
 def test_a_test_that_ends_early_decides_as_the_whole_one_does(monkeypatch, spread, step):
