@@ -13,7 +13,7 @@ from pxr import Sdf, UsdGeom, Vt
 
 from beltrami_cli.arrays import Array, Float32s, Uint8s
 from beltrami_cli.formats.usd.patching import Values, patched
-from beltrami_cli.formats.usd.scene import opened
+from beltrami_cli.formats.usd.stage import opened
 
 _MADE = "made"  # name of a layer that is written, without its suffix
 

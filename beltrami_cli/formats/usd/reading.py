@@ -9,7 +9,8 @@ from typing import Any
 from pxr import Sdf, Usd, UsdGeom
 
 from beltrami_cli.arrays import Array
-from beltrami_cli.formats.usd.scene import NeedsLayersError, Scene, files_in_variants, files_of, opened
+from beltrami_cli.formats.usd.scene import Scene
+from beltrami_cli.formats.usd.stage import NeedsLayersError, files_in_variants, files_of, opened
 
 
 def read(order: dict[str, Any], _: dict[str, Array]) -> tuple[dict[str, Any], dict[str, Array]]:

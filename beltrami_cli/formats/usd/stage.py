@@ -1,0 +1,105 @@
+"""The stage of a USD scene, opened from the layers that may be read, and the files that it names."""
+
+from __future__ import annotations
+
+import posixpath
+from functools import partial
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from pxr import Sdf, Usd
+
+_OPEN: list[Any] = []  # layers, which USD would read again without a reference
+
+
+class NeedsLayersError(Exception):
+    """Layers that the stage is composed of and that are not there, as (layer, path as it is written there)."""
+
+    def __init__(self, needs: list[tuple[str, str]]) -> None:
+        super().__init__()
+        self.needs = needs
+
+
+def opened(root: str, layers: list[str], refused: list[list[str]]) -> Any:
+    """Open the stage of a layer in this folder, from the layers that are known; those refused are left out."""
+    needs: list[tuple[str, str]] = []
+    here = Path.cwd()
+    for name in layers:
+        layer = Sdf.Layer.FindOrOpen(str(here / name))
+        if layer is None:
+            raise ValueError(f"{name} cannot be opened")
+        _OPEN.append(layer)
+        for path in layer.GetCompositionAssetDependencies():
+            if not path or placed(name, path) in layers:  # references within the layer have no path
+                continue
+            if [name, path] not in refused:
+                needs.append((name, path))
+            layer.UpdateCompositionAssetDependency(path, "")
+        _without_clips(layer)
+    if needs:
+        raise NeedsLayersError(needs)
+    stage = Usd.Stage.Open(Sdf.Layer.FindOrOpen(str(here / root)), None, Usd.Stage.LoadAll)
+    if stage is None:
+        raise ValueError("it cannot be composed")
+    return stage
+
+
+def _without_clips(layer: Any) -> None:
+    """Take out values in further files, which are of other times than the first."""
+
+    def take_out(path: Any) -> None:
+        spec = layer.GetObjectAtPath(path)
+        if path.IsPrimPath() and spec.HasInfo("clips"):
+            spec.ClearInfo("clips")
+
+    layer.Traverse("/", take_out)
+
+
+def placed(layer: str, path: str) -> str:
+    """Return where a path in a layer leads, relative to the folder of the root."""
+    return posixpath.normpath(posixpath.join(posixpath.dirname(layer), path))
+
+
+def files_of(prim: Any) -> dict[str, str]:
+    """Return the attributes of a prim that name a file, each with that file."""
+    found = {}
+    for attribute in prim.GetAuthoredAttributes():
+        value: Any = attribute.Get() if attribute.GetTypeName() == "asset" else None
+        if getattr(value, "path", ""):
+            found[str(attribute.GetPath())] = placed(layer_of(attribute), value.path)
+    return found
+
+
+def files_in_variants(stage: Any, layers: list[str]) -> dict[str, str]:
+    """Return the files that variants name which are not selected, each by its layer and place there."""
+    prims = Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies())
+    shown = {
+        (spec.layer, spec.path)
+        for prim in prims
+        for attribute in prim.GetAuthoredAttributes()
+        if attribute.GetTypeName() == "asset"
+        for spec in attribute.GetPropertyStack()
+    }
+    found: dict[str, str] = {}
+
+    def take(layer: Any, name: str, path: Any) -> None:
+        is_shown = not path.ContainsPrimVariantSelection() or (layer, path) in shown
+        spec = None if is_shown else layer.GetAttributeAtPath(path)
+        value: Any = spec.default if spec and spec.HasInfo("default") else None
+        if isinstance(value, Sdf.AssetPath) and value.path:
+            where = "" if layer == stage.GetRootLayer() else name  # whatever the root layer is called
+            found[f"{where}{path}"] = placed(name, value.path)
+
+    for name in layers:
+        layer = Sdf.Layer.FindOrOpen(str(Path.cwd() / name))
+        layer.Traverse("/", partial(take, layer, name))
+    return found
+
+
+def layer_of(attribute: Any) -> str:
+    """Return the layer that says the value of an attribute, relative to this folder."""
+    here = Path.cwd().resolve()
+    for spec in attribute.GetPropertyStack():
+        if spec.HasInfo("default"):
+            return PurePosixPath(Path(spec.layer.realPath).resolve().relative_to(here)).as_posix()
+    return ""
