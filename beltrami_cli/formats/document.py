@@ -7,7 +7,7 @@ A format is a subclass of `Document`, in a folder of its own, and a line of `for
   held against the length of the data before anything is allocated.
 - `_mesh` (or `_painted` and `contents`), `_patched` and `facts` are required; the others have defaults for a format
   without textures, sidecar files, range images, further attributes or movable vertices. With textures, `slots`,
-  `textured_mesh` and `_scene` are required, too: a `Scene` of `formats/textured_mesh.py`, which makes their surfaces
+  `textured_mesh` and `_scene` are required, too: a `Scene` of `formats/scene.py`, which makes their surfaces
   and meshes.
 - `patch` with equal colours returns equal bytes. What changes is rounded once; every other byte stays.
 - Whatever is wrong with the file is an `InputError` with its name, the cause and a remedy.

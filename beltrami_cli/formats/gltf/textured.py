@@ -19,7 +19,7 @@ from beltrami_cli.formats.gltf.painted import Placement, instances
 from beltrami_cli.formats.gltf.textures import SLOT_PATHS, Images, image_key
 from beltrami_cli.formats.gltf.writer import OWN_COLOURS
 from beltrami_cli.formats.model_folder import UnfitReferenceError
-from beltrami_cli.formats.textured_mesh import Scene, ShownMap, no_texture
+from beltrami_cli.formats.scene import Scene, ShownMap, no_texture
 from beltrami_cli.surface import records
 from beltrami_cli.surface.records import Slot
 

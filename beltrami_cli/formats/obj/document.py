@@ -30,7 +30,7 @@ from beltrami_cli.formats.obj.vertices import (
     repainted_entries,
     scan_file,
 )
-from beltrami_cli.formats.textured_mesh import Scene
+from beltrami_cli.formats.scene import Scene
 from beltrami_cli.formats.tokens import (
     PLACEHOLDER,
     Spans,

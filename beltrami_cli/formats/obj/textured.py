@@ -14,7 +14,7 @@ from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.obj.materials import ALONG, SLOTS, Map, Materials
 from beltrami_cli.formats.obj.statements import Statements
 from beltrami_cli.formats.obj.vertices import Scan, unit_normals
-from beltrami_cli.formats.textured_mesh import Maps, Scene, ShownMap
+from beltrami_cli.formats.scene import Maps, Scene, ShownMap
 from beltrami_cli.surface.records import Material, MeshContents, Slot, Wrap
 
 _VALUE = re.compile(

@@ -30,7 +30,7 @@ from beltrami_cli.formats.ply.tables import (
     values_in_bytes,
     with_channels,
 )
-from beltrami_cli.formats.textured_mesh import Scene
+from beltrami_cli.formats.scene import Scene
 from beltrami_cli.surface.geometry import dual, unit_vectors
 from beltrami_cli.surface.records import MeshContents, MovedVertices, Slot, require_single
 

@@ -21,7 +21,7 @@ from beltrami_cli.formats import model_folder, new_files
 from beltrami_cli.formats.changes import Naming, NewImages, Written
 from beltrami_cli.formats.ply.elements import finite_columns
 from beltrami_cli.formats.ply.tables import Table
-from beltrami_cli.formats.textured_mesh import Maps, Scene, ShownMap
+from beltrami_cli.formats.scene import Maps, Scene, ShownMap
 from beltrami_cli.formats.tokens import Spans
 from beltrami_cli.surface import records
 

@@ -22,7 +22,7 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.file_formats import format_of, format_of_suffix
 from beltrami_cli.formats.model_folder import LEFT_ALONE, UnfitReferenceError
 from beltrami_cli.formats.new_files import NewFiles, SlotsByPath, common_suffix, new_files, slots_by_path
-from beltrami_cli.formats.textured_mesh import SLOTS, Scene, ShownMap
+from beltrami_cli.formats.scene import SLOTS, Scene, ShownMap
 from beltrami_cli.formats.usd.layers import IMAGES, Layers
 from beltrami_cli.surface.records import (
     AlphaMode,
