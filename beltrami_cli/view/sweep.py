@@ -8,7 +8,7 @@ import dataclasses
 import io
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -67,12 +67,7 @@ def sweep_file(
     known = [name for name in (source, reference) if name is not None]
     output = Output(target, overwrite=job.overwrite, is_text=kind is not None, what="sheet", reads=known)
     job = Job(output.files.watching(job.access), job.progress)
-    settings = trials[0][1]
-    if reference is None:
-        opened = {"before": open_input(source, settings, job.access)}
-    else:
-        truth, document = open_both((reference, source), settings, job)
-        opened = {"reference": truth, "before": document}
+    opened = _opened(source, reference, trials[0][1], job)
     sheet = None
     if kind is None:
         require_memory_to_draw([*opened.values()], looks, job.access)
@@ -85,11 +80,7 @@ def sweep_file(
             for label, shown in opened.items():
                 sheet.add(label, shown)
         for (parameters, settings), progress in one_of(trials, "trials", job.progress):
-            own = Job(job.access, progress)
-            result, painted = recolour_in_memory(opened["before"], settings, Smoothing.of(settings), own)
-            figures = _estimates(painted)
-            if reference is not None:
-                figures = _figures(opened["reference"], result, settings, own) | figures
+            figures, result = _tried(opened, settings, Job(job.access, progress))
             done.append(Trial(parameters, figures))
             if sheet is not None:
                 sheet.add_trial(done[-1], result, progress)
@@ -107,6 +98,25 @@ def _check(name: str, trials: int, looks: RenderSettings | None) -> None:
     if trials > MOST_TRIALS or pixels > MOST_PIXELS:
         cause = f"{trials} trials are too many for one sheet of {MOST_TRIALS} views"
         raise UsageError(f"{cause}; give fewer values, or lower --size")
+
+
+def _opened(source: str, reference: str | None, settings: SmoothSettings, job: Job) -> dict[str, Document]:
+    """Open what is shown besides the trials, by its labels."""
+    if reference is None:
+        return {"before": open_input(source, settings, job.access)}
+    truth, document = open_both((reference, source), settings, job)
+    return {"reference": truth, "before": document}
+
+
+def _tried(
+    opened: Mapping[str, Document], settings: SmoothSettings, job: Job
+) -> tuple[dict[str, float], Document]:
+    """Smooth with some settings; return also the figures of the result."""
+    result, painted = recolour_in_memory(opened["before"], settings, Smoothing.of(settings), job)
+    figures = _estimates(painted)
+    if "reference" in opened:
+        figures = _figures(opened["reference"], result, settings, job) | figures
+    return figures, result
 
 
 def _estimates(painted: Sequence[Smoothed]) -> dict[str, float]:
