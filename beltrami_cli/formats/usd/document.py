@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import posixpath
-from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -13,21 +11,19 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Int32s, Int64s
-from beltrami_cli.errors import InputError, Obstacle, UnpaintedError, UsageError
-from beltrami_cli.formats.changes import Changes, Naming, NewImages, PlannedImages, Written
+from beltrami_cli.errors import InputError, Obstacle, UnpaintedError
+from beltrami_cli.formats.changes import Changes, Naming, PlannedImages, Written
 from beltrami_cli.formats.colours import display_colour
 from beltrami_cli.formats.comparison import Fingerprint, labelled
 from beltrami_cli.formats.conversion import with_vertex_colours
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image.file_formats import format_of, format_of_suffix
-from beltrami_cli.formats.model_folder import LEFT_ALONE, UnfitReferenceError
-from beltrami_cli.formats.new_files import NewFiles, SlotsByPath, common_suffix, new_files, slots_by_path
+from beltrami_cli.formats.model_folder import LEFT_ALONE
 from beltrami_cli.formats.scene import SLOTS, Scene, ShownMap
-from beltrami_cli.formats.usd.layers import IMAGES, Layers
+from beltrami_cli.formats.usd.images import Images
+from beltrami_cli.formats.usd.layers import Layers
 from beltrami_cli.surface.records import (
     AlphaMode,
     Frame,
-    ImageFile,
     Material,
     MeshContents,
     Slot,
@@ -106,57 +102,8 @@ class UsdDocument(Document):
         return self._read[1]
 
     @cached_property
-    def _located(self) -> tuple[dict[str, str], dict[str, Obstacle]]:
-        """Paths of images, or of sets of tiles, by their names in the scene; and why others are not read."""
-        paths, obstacles = dict[str, str](), dict[str, Obstacle]()
-        shown = (use["file"] for use in self._words["uses"])
-        for file in dict.fromkeys([*shown, *self._words["images"].values()]):
-            try:
-                paths[file] = self._layers.locate(file)
-            except UnfitReferenceError as error:
-                obstacles[file] = error.obstacle
-        return paths, obstacles
-
-    def _image_files(self) -> dict[str, str]:
-        """Return every image file by where it is named, in a slot or elsewhere."""
-        found: dict[str, str] = {}
-        for attribute, file in self._words["images"].items():
-            path = self._located[0].get(file)
-            tiles = self._layers.folder.tiles.get(path or "", {})
-            found |= {f"{attribute}, tile {tile}": each for tile, each in tiles.items()}
-            found |= {attribute: path} if path is not None and not tiles else {}
-        return found
-
-    def _attributes(self, path: str, slots: Sequence[Slot] | None = None) -> set[str]:
-        """Return the attributes that name a path, in some slots or anywhere."""
-        paths = self._located[0]
-        if slots is None:
-            return {name for name, file in self._words["images"].items() if paths.get(file) == path}
-        shown = [use for use in self._words["uses"] if use["slot"] in slots]
-        return {use["attribute"] for use in shown if paths.get(use["file"]) == path}
-
-    def _replaced(self, images: NewImages) -> SlotsByPath:
-        """Return the slots in which a path, or files of a set of tiles, are replaced by the same new files."""
-
-        def paths_of(slot: Slot, file: str) -> list[str]:
-            shown = [use["file"] for use in self._words["uses"] if use["slot"] == slot]
-            paths = dict.fromkeys(self._located[0][name] for name in shown if name in self._located[0])
-            return [path for path in paths if file in self._layers.folder.files(path)]
-
-        return slots_by_path(images, paths_of)
-
-    def _kept(self, images: NewImages) -> list[str]:
-        """Return the image files that something still names when others are replaced."""
-        slots_of: dict[str, list[Slot]] = defaultdict(list)
-        for (path, _), slots in self._replaced(images).items():
-            slots_of[path] += slots
-        gone = [
-            path
-            for path, slots in slots_of.items()
-            if self._attributes(path, slots) == self._attributes(path)
-        ]
-        replaced = {file for path in gone for file in self._layers.folder.files(path)}
-        return [file for file in dict.fromkeys(self._image_files().values()) if file not in replaced]
+    def _images(self) -> Images:
+        return Images(self._words, self._layers, self.name)
 
     def has_vertex_colours(self) -> bool:
         return bool(self._words["blocks"])
@@ -198,15 +145,11 @@ class UsdDocument(Document):
         if not len(arrays.get("sizes", ())):
             raise InputError(self.name, "it has no polygons, so there is nothing to show a texture")
         require_finite(arrays["positions"], self.name, "the place of vertex")
-        known, corners, (paths, obstacles) = (
-            words["materials"],
-            arrays["corners"].astype(np.int32),
-            self._located,
-        )
+        known, corners, images = words["materials"], arrays["corners"].astype(np.int32), self._images
         maps: list[dict[Slot, ShownMap]] = [{} for _ in (*known, None)]
         for use in words["uses"]:
             file, wrap = use["file"], tuple(use["wrap"])
-            shown = ShownMap(file, paths.get(file), obstacles.get(file, Obstacle("")), wrap)
+            shown = ShownMap(file, images.paths.get(file), images.obstacles.get(file, Obstacle("")), wrap)
             maps[use["material"]][use["slot"]] = shown
         bare = np.full((len(corners), 2), np.nan)
         return Scene(
@@ -227,17 +170,11 @@ class UsdDocument(Document):
         return ("further places of a mesh",) if self._words["counts"].get("instanced") else ()
 
     def references(self) -> Sequence[str]:
-        if self._layers.package is not None:
-            return []
-        images = self._image_files()  # which reads the scene, and so finds the layers
-        return [*self._other_layers(), *dict.fromkeys(images.values())]
-
-    def _other_layers(self) -> list[str]:
-        return [layer for layer in self._layers.contents if layer != self._layers.root]
+        return [] if self._layers.package is not None else self._images.references()
 
     def _patched(self, new: Changes, naming: Naming) -> Written:
         colours, form, package = new.colours, new.form or self.format, self._layers.package
-        sidecars, renamed = self._new_images(new.images, naming)
+        sidecars, renamed = self._images.renamed(new.images, naming)
         if colours is not None and np.array_equal(colours, self._painted.colours):
             colours = None
         root = {}
@@ -256,55 +193,8 @@ class UsdDocument(Document):
         return Written(package.packed(files) if files else [self.data], notices=sidecars.notices)
 
     def sidecar_names(self, images: PlannedImages, naming: Naming, **_: object) -> list[str]:
-        written = self._new_images(images, naming)[0]
+        written = self._images.renamed(images, naming)[0]
         return written.sidecar_names if self._layers.package is None else []
-
-    def _new_images(self, images: NewImages, naming: Naming) -> tuple[Written, dict[str, str]]:
-        """Return the new files of the root layer or package, and the attributes with the new names."""
-        kept = list[str]()
-        if naming.copies and self._layers.package is None:
-            kept = [*self._other_layers(), *self._kept(images)]
-            taken = next((file for file in kept if naming.is_taken(file)), None)
-            if taken is not None:  # other layers name the files that are copied
-                cause = f"there is another '{taken}' in OUTPUT's folder, and one of its files needs that name"
-                raise InputError(self.name, cause, "choose an empty folder")
-        present = self._layers.package.members if self._layers.package else self.references()
-        names = NewFiles(naming, self.name, present, [*self._located[1], *kept])
-        names.copied |= {file: file for file in kept}
-        renamed: dict[str, str] = {}
-        for (path, changed), slots in self._replaced(images).items():
-            attributes = self._attributes(path, slots)
-            is_replaced = attributes == self._attributes(path)
-            for attribute in sorted(
-                self._attributes(path) - {use["attribute"] for use in self._words["uses"]}
-            ):
-                names.keep_shown(attribute, path)
-            new = self._new_path(path, dict(changed), names, is_replaced=is_replaced)
-            own = new_files(path, new, self._layers.folder.tiles)
-            names.sidecars |= {own.pop(file): image.content for file, image in changed}
-            names.copied |= {file: old for old, file in own.items() if file != old}
-            if new != path:
-                start = posixpath.dirname(self._layers.root) or "."
-                renamed |= dict.fromkeys(attributes, "./" + posixpath.relpath(new, start))
-        if self._layers.package is not None:
-            names.sidecars |= {new: self._layers.image(old) for new, old in names.copied.items()}
-        return names.written(), renamed
-
-    def _new_path(
-        self, path: str, new: Mapping[str, ImageFile], names: NewFiles, *, is_replaced: bool
-    ) -> str:
-        """Return where an image or a set of tiles is written: in a package in its own place, if its type stays."""
-        suffixes = {image.suffix for image in new.values()}
-        known = {format_of(self._layers.image(file), file) for file in new}
-        stays = {format_of_suffix(suffix) for suffix in suffixes} == known
-        if self._layers.package is not None and is_replaced and stays:
-            return path
-        unfit = suffixes - {*IMAGES}
-        if self._layers.package is not None and unfit and not stays:
-            raise UsageError(f"{self.name}: packages hold no {min(unfit)} images; choose {', '.join(IMAGES)}")
-        suffix = common_suffix(suffixes)
-        tiles = self._layers.folder.tiles.get(path, ())
-        return names.image(path, None if stays else suffix, is_replaced=is_replaced, tiles=tiles)
 
     def contents(self) -> MeshContents:
         mesh, counts, arrays = self._mesh, self._words["counts"], self._arrays
@@ -340,8 +230,8 @@ class UsdDocument(Document):
         if "text" not in words:  # the scene was read for something else before
             words = self._layers.scene(text=True)[0]
         parts = {"root layer": words["text"].encode()}
-        parts |= {f"layer {name}": self._layers.contents[name] for name in self._other_layers()}
-        named = self._image_files()
+        parts |= {f"layer {name}": self._layers.contents[name] for name in self._layers.others}
+        named = self._images.files()
         package = self._layers.package
         if package is not None:
             known = {*named.values(), *package.layers}

@@ -134,6 +134,11 @@ class Layers:
         root = _UNFIT.sub("_", Path(name).stem).strip(". ") + suffix
         return cls(name, access, None, around, root, {root: data})
 
+    @property
+    def others(self) -> list[str]:
+        """The paths of all layers but the root."""
+        return [layer for layer in self.contents if layer != self.root]
+
     def scene(self, *, text: bool = False) -> Message:
         """Read the scene, with all layers that it needs; `text`: with the text of the root layer for fingerprints."""
         while True:

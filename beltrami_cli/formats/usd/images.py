@@ -1,0 +1,124 @@
+"""The images of a USD scene: where they are, and where new ones are written."""
+
+from __future__ import annotations
+
+import posixpath
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from beltrami_cli.errors import InputError, Obstacle, UsageError
+from beltrami_cli.formats.changes import Naming, NewImages, Written
+from beltrami_cli.formats.image.file_formats import format_of, format_of_suffix
+from beltrami_cli.formats.model_folder import UnfitReferenceError
+from beltrami_cli.formats.new_files import NewFiles, SlotsByPath, common_suffix, new_files, slots_by_path
+from beltrami_cli.formats.usd.layers import IMAGES, Layers
+from beltrami_cli.surface.records import ImageFile, Slot
+
+
+class Images:
+    """The images that a scene names; `words` is what usd-core says of it."""
+
+    def __init__(self, words: dict[str, Any], layers: Layers, name: str) -> None:
+        self._words, self._layers, self._name = words, layers, name
+        self.paths: dict[str, str] = {}  # of images, or of sets of tiles, by their names in the scene
+        self.obstacles: dict[str, Obstacle] = {}  # why others are not read
+        for file in dict.fromkeys([*(use["file"] for use in words["uses"]), *words["images"].values()]):
+            try:
+                self.paths[file] = layers.locate(file)
+            except UnfitReferenceError as error:
+                self.obstacles[file] = error.obstacle
+
+    def files(self) -> dict[str, str]:
+        """Return every image file by where it is named, in a slot or elsewhere."""
+        found: dict[str, str] = {}
+        for attribute, file in self._words["images"].items():
+            path = self.paths.get(file)
+            tiles = self._layers.folder.tiles.get(path or "", {})
+            found |= {f"{attribute}, tile {tile}": each for tile, each in tiles.items()}
+            found |= {attribute: path} if path is not None and not tiles else {}
+        return found
+
+    def _attributes(self, path: str, slots: Sequence[Slot] | None = None) -> set[str]:
+        """Return the attributes that name a path, in some slots or anywhere."""
+        paths = self.paths
+        if slots is None:
+            return {name for name, file in self._words["images"].items() if paths.get(file) == path}
+        shown = [use for use in self._words["uses"] if use["slot"] in slots]
+        return {use["attribute"] for use in shown if paths.get(use["file"]) == path}
+
+    def _replaced(self, images: NewImages) -> SlotsByPath:
+        """Return the slots in which a path, or files of a set of tiles, are replaced by the same new files."""
+
+        def paths_of(slot: Slot, file: str) -> list[str]:
+            shown = [use["file"] for use in self._words["uses"] if use["slot"] == slot]
+            paths = dict.fromkeys(self.paths[name] for name in shown if name in self.paths)
+            return [path for path in paths if file in self._layers.folder.files(path)]
+
+        return slots_by_path(images, paths_of)
+
+    def _kept(self, images: NewImages) -> list[str]:
+        """Return the image files that something still names when others are replaced."""
+        slots_of: dict[str, list[Slot]] = defaultdict(list)
+        for (path, _), slots in self._replaced(images).items():
+            slots_of[path] += slots
+        gone = [
+            path
+            for path, slots in slots_of.items()
+            if self._attributes(path, slots) == self._attributes(path)
+        ]
+        replaced = {file for path in gone for file in self._layers.folder.files(path)}
+        return [file for file in dict.fromkeys(self.files().values()) if file not in replaced]
+
+    def renamed(self, images: NewImages, naming: Naming) -> tuple[Written, dict[str, str]]:
+        """Return the new files of the root layer or package, and the attributes with the new names."""
+        kept = list[str]()
+        if naming.copies and self._layers.package is None:
+            kept = [*self._layers.others, *self._kept(images)]
+            taken = next((file for file in kept if naming.is_taken(file)), None)
+            if taken is not None:  # other layers name the files that are copied
+                cause = f"there is another '{taken}' in OUTPUT's folder, and one of its files needs that name"
+                raise InputError(self._name, cause, "choose an empty folder")
+        present = self._layers.package.members if self._layers.package else self.references()
+        names = NewFiles(naming, self._name, present, [*self.obstacles, *kept])
+        names.copied |= {file: file for file in kept}
+        renamed: dict[str, str] = {}
+        for (path, changed), slots in self._replaced(images).items():
+            attributes = self._attributes(path, slots)
+            is_replaced = attributes == self._attributes(path)
+            for attribute in sorted(
+                self._attributes(path) - {use["attribute"] for use in self._words["uses"]}
+            ):
+                names.keep_shown(attribute, path)
+            new = self._new_path(path, dict(changed), names, is_replaced=is_replaced)
+            own = new_files(path, new, self._layers.folder.tiles)
+            names.sidecars |= {own.pop(file): image.content for file, image in changed}
+            names.copied |= {file: old for old, file in own.items() if file != old}
+            if new != path:
+                start = posixpath.dirname(self._layers.root) or "."
+                renamed |= dict.fromkeys(attributes, "./" + posixpath.relpath(new, start))
+        if self._layers.package is not None:
+            names.sidecars |= {new: self._layers.image(old) for new, old in names.copied.items()}
+        return names.written(), renamed
+
+    def _new_path(
+        self, path: str, new: Mapping[str, ImageFile], names: NewFiles, *, is_replaced: bool
+    ) -> str:
+        """Return where an image or a set of tiles is written: in a package in its own place, if its type stays."""
+        suffixes = {image.suffix for image in new.values()}
+        known = {format_of(self._layers.image(file), file) for file in new}
+        stays = {format_of_suffix(suffix) for suffix in suffixes} == known
+        if self._layers.package is not None and is_replaced and stays:
+            return path
+        unfit = suffixes - {*IMAGES}
+        if self._layers.package is not None and unfit and not stays:
+            raise UsageError(
+                f"{self._name}: packages hold no {min(unfit)} images; choose {', '.join(IMAGES)}"
+            )
+        suffix = common_suffix(suffixes)
+        tiles = self._layers.folder.tiles.get(path, ())
+        return names.image(path, None if stays else suffix, is_replaced=is_replaced, tiles=tiles)
+
+    def references(self) -> list[str]:
+        """Return the files in the folder of a scene that is no package: other layers and images."""
+        return [*self._layers.others, *dict.fromkeys(self.files().values())]
