@@ -13,6 +13,7 @@ from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.fields import override
 from beltrami_cli.flow.manifolds.guides import Guide, centred
 from beltrami_cli.formats.colours import quantised
+from beltrami_cli.formats.image.picture import Picture, array_picture
 from beltrami_cli.layers.image_surface import ImageSurface
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.records import (
@@ -330,3 +331,22 @@ def _numbers(values: ArrayLike, name: str, shape: tuple[int | str, ...], kinds: 
             f"{name} must be numbers of shape ({wanted}), not {array.dtype} of shape {array.shape}"
         )
     return array
+
+
+def textures_of(images: Sequence[Array], encoding: Encoding) -> list[Picture]:
+    """Take textures: numbers as for `colour_table`, grey or RGB, with opacity or without."""
+    require_choice("encoding", encoding)
+    pictures = []
+    for number, image in enumerate(images):
+        name = f"image {number}"
+        if image.ndim not in (2, 3) or image.size == 0 or image.shape[2:] > (4,):
+            wanted = "(H, W), or (H, W, C) with C from 1 to 4"
+            raise UsageError(f"{name} must be of shape {wanted}, not {image.shape}")
+        pixels, kind = image.reshape(*image.shape[:2], -1), image.dtype
+        if kind not in (np.uint8, np.uint16):
+            pixels = colour_table(pixels.reshape(-1, pixels.shape[2])).reshape(pixels.shape)
+            if not np.isfinite(pixels).all():
+                raise InputError(name, "some of its values are not finite", "repair it")
+        stored = "float16" if kind == np.float16 else str(pixels.dtype)
+        pictures.append(array_picture(pixels, name, encoding, stored))
+    return pictures

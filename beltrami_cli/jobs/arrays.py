@@ -10,15 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from beltrami_cli.arrays import Array
-from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import override
 from beltrami_cli.flow.choice.choice import Choice
-from beltrami_cli.formats.image.picture import Picture, array_picture
 from beltrami_cli.jobs.array_arguments import (
     MeshArrays,
     array_of,
     checked_surface,
-    colour_table,
     image_array,
     in_type_of,
     mesh_arrays,
@@ -27,6 +25,7 @@ from beltrami_cli.jobs.array_arguments import (
     require_choice,
     settings_for,
     textured_surface,
+    textures_of,
     unpacked,
 )
 from beltrami_cli.jobs.smoothing import smooth_layer
@@ -418,7 +417,7 @@ def smooth_textured(
     if images is None:
         images = [] if arrays.image is None else [arrays.image]
     given = [image_array(image, f"image {number}") for number, image in enumerate(images)]
-    pictures = _pictures(given, encoding)
+    pictures = textures_of(given, encoding)
     names = [picture.name for picture in pictures]
     surface = textured_surface(arrays, names, texture_of, origin)
     # Images that other slots show, too, are handed back as pixels, not as files: here all of them.
@@ -430,22 +429,3 @@ def smooth_textured(
         for old, picture, new in zip(given, pictures, done.repainted.shared, strict=True)
     ]
     return TexturedResult(smoothed, done.report, [*done.warnings, *done.repainted.notices])
-
-
-def _pictures(images: Sequence[Array], encoding: Encoding) -> list[Picture]:
-    """Take textures: numbers as for `colour_table`, grey or RGB, with opacity or without."""
-    require_choice("encoding", encoding)
-    pictures = []
-    for number, image in enumerate(images):
-        name = f"image {number}"
-        if image.ndim not in (2, 3) or image.size == 0 or image.shape[2:] > (4,):
-            wanted = "(H, W), or (H, W, C) with C from 1 to 4"
-            raise UsageError(f"{name} must be of shape {wanted}, not {image.shape}")
-        pixels, kind = image.reshape(*image.shape[:2], -1), image.dtype
-        if kind not in (np.uint8, np.uint16):
-            pixels = colour_table(pixels.reshape(-1, pixels.shape[2])).reshape(pixels.shape)
-            if not np.isfinite(pixels).all():
-                raise InputError(name, "some of its values are not finite", "repair it")
-        stored = "float16" if kind == np.float16 else str(pixels.dtype)
-        pictures.append(array_picture(pixels, name, encoding, stored))
-    return pictures
