@@ -19,7 +19,7 @@ from scipy.ndimage import gaussian_filter
 
 import beltrami_cli
 from beltrami_cli.jobs.noise import jpeg_file
-from beltrami_cli.surface.records import linear_to_srgb
+from beltrami_cli.surface.colour_values import linear_to_srgb
 from pictures import PHOTOGRAPHS, Smoothed, colours_of, on_sphere, photograph, smoothed, stored, with_noise
 
 SIGMAS = tuple(sigma / 255 for sigma in (6, 12, 20))

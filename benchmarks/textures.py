@@ -22,7 +22,7 @@ from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.noise import noise_file
 from beltrami_cli.jobs.settings import NoiseSettings
-from beltrami_cli.surface.records import linear_to_srgb
+from beltrami_cli.surface.colour_values import linear_to_srgb
 from pictures import PHOTOGRAPHS, on_sphere, photograph
 
 NEAR = 4  # texels

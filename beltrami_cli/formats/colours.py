@@ -10,17 +10,9 @@ from numpy.typing import DTypeLike
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError
+from beltrami_cli.surface.colour_values import limits_of, linear_to_srgb, srgb_to_linear
 from beltrami_cli.surface.grouping import group_equal_rows
-from beltrami_cli.surface.records import (
-    Frame,
-    MeshContents,
-    PaintedVertices,
-    limits_of,
-    linear_to_srgb,
-    require_finite,
-    require_single,
-    srgb_to_linear,
-)
+from beltrami_cli.surface.records import Frame, MeshContents, PaintedVertices, require_finite, require_single
 
 BYTE = 255.0
 _GREY = "Grey is written as equal red, green and blue."

@@ -31,6 +31,7 @@ from beltrami_cli.surface.baking import (
     overlap,
     texels_for_vertices,
 )
+from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.surface.geometry import triangulate
 from beltrami_cli.surface.grouping import group_equal_rows, group_places
 from beltrami_cli.surface.records import (
@@ -43,7 +44,6 @@ from beltrami_cli.surface.records import (
     MeshImage,
     Texture,
     TexturedSurface,
-    linear_to_srgb,
 )
 from beltrami_cli.surface.unwrap import Unwrapped, require_few_faces, unwrap
 

@@ -39,8 +39,9 @@ from beltrami_cli.layers.texture_layer import TextureLayer, all_texel_colours
 from beltrami_cli.layers.vertex_layer import PaintedLayer, change_of, coloured_rows
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.baking import Cells, places_of_texels
+from beltrami_cli.surface.colour_values import from_space, limits_of, to_space
 from beltrami_cli.surface.grouping import group_places
-from beltrami_cli.surface.records import PaintedVertices, from_space, limits_of, to_space
+from beltrami_cli.surface.records import PaintedVertices
 
 _BAYER = np.array([[0, 1], [1, 2]])  # the channel that is measured, by row and column
 _LATTICE = 1 << 16  # random numbers, which points of a lattice share by a hash

@@ -37,7 +37,8 @@ from beltrami_cli.layers.settings import COLOUR_SLOTS, SmoothSettings
 from beltrami_cli.layers.units import unit_of_pictures
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas, Indices, texels_by_texture
-from beltrami_cli.surface.records import ImageFile, Slot, from_space, to_space, unit_in_space
+from beltrami_cli.surface.colour_values import from_space, to_space, unit_in_space
+from beltrami_cli.surface.records import ImageFile, Slot
 
 COLOURS = ("red", "green", "blue", "grey")
 # The channels that a data slot uses; others of the same image belong to another slot.

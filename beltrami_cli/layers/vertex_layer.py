@@ -45,17 +45,12 @@ from beltrami_cli.layers.levelled_charts import level_photographs
 from beltrami_cli.layers.settings import LevelSettings, SmoothSettings
 from beltrami_cli.layers.units import unit_of_vertices
 from beltrami_cli.surface.atlas import Indices
+from beltrami_cli.surface.colour_values import from_space, to_space, unit_in_space
 from beltrami_cli.surface.geometry import bounds, count_topology
 from beltrami_cli.surface.grouping import VertexSampling, sample_vertices
 from beltrami_cli.surface.large_arrays import blocks, copy_of, kept
 from beltrami_cli.surface.reconstruction import faces_of_points
-from beltrami_cli.surface.records import (
-    PaintedVertices,
-    SampledSurface,
-    from_space,
-    to_space,
-    unit_in_space,
-)
+from beltrami_cli.surface.records import PaintedVertices, SampledSurface
 
 # Kernels from which the mean number of samples is estimated, within a few per cent, in milliseconds.
 _PROBED_KERNELS = 1000

@@ -34,8 +34,8 @@ from beltrami_cli.levelling.steps import (
 )
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import OWNED, ROWS, Atlas, Indices, refresh_halo, within
+from beltrami_cli.surface.colour_values import limits_of
 from beltrami_cli.surface.grouping import connected
-from beltrami_cli.surface.records import limits_of
 
 Samples = Callable[[Int64s], tuple[Float32s, Indices, Float64s]]
 

@@ -1,20 +1,18 @@
 """The records that formats, layers and flow hand to each other: painted vertices, textures, whole meshes, samples.
 
-And what every surface must fulfil before anything is computed on it; colours as numbers: the sRGB transfer function,
-the limits of colours, and values drawn as colours.
+And what every surface must fulfil before anything is computed on it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
-from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
+from beltrami_cli.errors import InputError
 
 Encoding = Literal["srgb", "linear"]
 
@@ -319,141 +317,3 @@ def upper_median(values: Float64s) -> float:
     """Return the median of numbers, or the greater of the two in the middle; 0 if there are none."""
     # numpy.median imports more of NumPy than a small mesh takes to be smoothed.
     return float(np.partition(values, len(values) // 2)[len(values) // 2]) if len(values) else 0.0
-
-
-_SLOPE = 12.92  # of the straight piece near black
-_OFFSET = 0.055
-_EXPONENT = 2.4
-_KNEE_SRGB = 0.04045  # where the standard lets the straight piece end, on either side
-_KNEE_LINEAR = 0.0031308
-# Every tenth part of the colour map viridis: its lightness grows evenly, also for the colour-blind and in grey.
-# S. van der Walt, N. Smith, "A better default colormap for matplotlib" (2015), in the public domain (CC0).
-VIRIDIS = np.array([
-    [0.267, 0.005, 0.329], [0.283, 0.141, 0.458], [0.254, 0.265, 0.530], [0.207, 0.372, 0.553],
-    [0.164, 0.471, 0.558], [0.128, 0.567, 0.551], [0.135, 0.659, 0.518], [0.267, 0.749, 0.441],
-    [0.478, 0.821, 0.318], [0.741, 0.873, 0.150], [0.993, 0.906, 0.144],
-])  # fmt: skip
-# The greys of a painting where there is no value: neither black nor white.
-_GREY_FROM, _GREY_TO = 0.35, 0.9
-
-# Share of samples beyond 0 or full scale up to which these are limits: single spikes and rounding prove nothing.
-_FEW_BEYOND = 1e-3
-
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-
-
-def srgb_to_linear(values: ArrayLike) -> NDArray[np.floating[Any]]:
-    """Turn display values into linear light, in double precision; float32 stays float32."""
-    size = np.abs(np.asarray(values, np.float64))
-    curve = ((size + _OFFSET) / (1 + _OFFSET)) ** _EXPONENT
-    return _signed(np.where(size <= _KNEE_SRGB, size / _SLOPE, curve), values)
-
-
-def linear_to_srgb(values: ArrayLike) -> NDArray[np.floating[Any]]:
-    """Turn linear light into display values, in double precision; float32 stays float32."""
-    size = np.abs(np.asarray(values, np.float64))
-    curve = (1 + _OFFSET) * size ** (1 / _EXPONENT) - _OFFSET
-    return _signed(np.where(size <= _KNEE_LINEAR, size * _SLOPE, curve), values)
-
-
-def _signed(size: Float64s, given: ArrayLike) -> NDArray[np.floating[Any]]:
-    values: Float64s = np.copysign(size, given)
-    return values.astype(np.float32) if np.asarray(given).dtype == np.float32 else values
-
-
-def limits_of(colours: Array) -> tuple[float, float]:
-    """Return where noise of colours is cut off: at 0 and 1, or at infinity where more than a few lie beyond."""
-    few, low, high = _FEW_BEYOND * colours.size, 0.0, 1.0
-    if colours.min(initial=0) < 0 and np.count_nonzero(colours < 0) > few:
-        low = -np.inf
-    if colours.max(initial=1) > 1 and np.count_nonzero(colours > 1) > few:
-        high = np.inf
-    return low, high
-
-
-def colour_by_value(values: Float32s, painting: Float32s, known: Bools) -> Float64s:
-    """Colour values in [0, 1], of any shape, by viridis; where none is known, the painting's grey shows."""
-    at = np.clip(np.where(known, values, 0), 0, 1)
-    steps = np.linspace(0, 1, len(VIRIDIS))
-    colours = np.stack([np.interp(at, steps, channel) for channel in VIRIDIS.T], axis=-1)
-    grey = _GREY_FROM + (_GREY_TO - _GREY_FROM) * (painting.astype(np.float64) @ LUMINANCE)
-    return np.where(known[..., None], colours, grey[..., None])
-
-
-def as_bytes(colours: Float64s) -> Uint8s:
-    """Round display values in [0, 1] to bytes."""
-    return np.rint(255 * colours).astype(np.uint8)
-
-
-# B. Ottosson, "A perceptual color space for image processing" (2020): linear sRGB -> cone response -> Lab.
-_CONES = np.array(
-    [
-        [0.4122214708, 0.5363325363, 0.0514459929],
-        [0.2119034982, 0.6806995451, 0.1073969566],
-        [0.0883024619, 0.2817188376, 0.6299787005],
-    ]
-)
-_LAB = np.array(
-    [
-        [0.2104542553, 0.7936177850, -0.0040720468],
-        [1.9779984951, -2.4285922050, 0.4505937099],
-        [0.0259040371, 0.7827717662, -0.8086757660],
-    ]
-)
-
-
-def to_space(colours: Float32s, encoding: Encoding, space: str, unit: float = 1.0) -> Float32s:
-    """Convert stored colours, shape (S, C), to the working space, where `unit` is 1; "data" keeps the numbers."""
-    if unit != 1:
-        colours = colours / np.float32(unit)
-    if space in ("data", encoding):
-        return colours
-    if space == "oklab":
-        _require_three(colours)
-        linear = _light_of(colours) if encoding == "srgb" else colours
-        return np.asarray(np.cbrt(linear @ _CONES.T) @ _LAB.T, np.float32)
-    return np.asarray(_light_of(colours) if space == "linear" else linear_to_srgb(colours), np.float32)
-
-
-def _light_of(colours: Float32s) -> Float32s:
-    """Return sRGB colours as linear light; InputError where that power of 2.4 leaves single precision."""
-    with np.errstate(over="ignore"):
-        linear = np.asarray(srgb_to_linear(colours), np.float32)
-    require_finite(
-        np.where(np.isfinite(colours), linear, 0), "the colours", "in linear light, that of sample"
-    )
-    return linear
-
-
-def from_space(colours: Float32s, encoding: Encoding, space: str, unit: float = 1.0) -> Float32s:
-    """Convert working colours, shape (S, C), back to what the file stores; the inverse of `to_space`."""
-    if unit != 1:
-        return from_space(colours, encoding, space) * np.float32(unit)
-    if space in ("data", encoding):
-        return colours
-    if space == "oklab":
-        _require_three(colours)
-        linear = (colours @ np.linalg.inv(_LAB).T) ** 3 @ np.linalg.inv(_CONES).T
-        converted = linear_to_srgb(linear) if encoding == "srgb" else linear
-    else:
-        converted = linear_to_srgb(colours) if encoding == "srgb" else srgb_to_linear(colours)
-    return np.asarray(converted, np.float32)
-
-
-def unit_in_space(unit: float, encoding: Encoding, space: str) -> float:
-    """Return the factor by which working colours are divided where stored ones are divided by a unit.
-
-    In sRGB this holds above the linear part of the curve, which ends at 0.04.
-    """
-    if space in ("data", encoding):
-        return unit
-    light = unit if encoding == "linear" else unit**_EXPONENT
-    return float(light ** {"linear": 1, "srgb": 1 / _EXPONENT, "oklab": 1 / 3}[space])
-
-
-def _require_three(colours: Float32s) -> None:
-    if colours.shape[1] != 3:
-        raise UsageError(
-            f"the space oklab needs red, green and blue, but there are {colours.shape[1]} channels; "
-            "choose --space srgb, linear or data"
-        )

@@ -37,16 +37,9 @@ from beltrami_cli.formats.image import Picture
 from beltrami_cli.formats.image.picture import is_associated
 from beltrami_cli.formats.image.reading import read_image, read_texture
 from beltrami_cli.layers.settings import COLOUR_SLOTS
+from beltrami_cli.surface.colour_values import VIRIDIS, as_bytes, linear_to_srgb
 from beltrami_cli.surface.grouping import connected, edges_of, group_equal_rows, group_places
-from beltrami_cli.surface.records import (
-    VIRIDIS,
-    PaintedVertices,
-    Slot,
-    Texture,
-    TexturedSurface,
-    as_bytes,
-    linear_to_srgb,
-)
+from beltrami_cli.surface.records import PaintedVertices, Slot, Texture, TexturedSurface
 from beltrami_cli.view.pages import png_of
 from beltrami_cli.view.views import disc_radii, framed, light_of, sheet_of
 

@@ -14,7 +14,7 @@ from beltrami_cli.arrays import Float32s, Float64s, Uint8s
 from beltrami_cli.errors import ProcessingError, one_line
 from beltrami_cli.formats.image.opening import error_of
 from beltrami_cli.jobs.progress import Progress, tracked
-from beltrami_cli.surface.records import LUMINANCE, as_bytes, linear_to_srgb, srgb_to_linear
+from beltrami_cli.surface.colour_values import LUMINANCE, as_bytes, linear_to_srgb, srgb_to_linear
 from beltrami_cli.view.settings import Colour, RenderSettings
 from beltrami_cli.view.tracing import Camera, Window, fitted, orientation, part_of
 from beltrami_cli.view.views import Drawable, ImageView, framed

@@ -20,7 +20,8 @@ from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.output import Output
 from beltrami_cli.jobs.progress import Progress, tracked
 from beltrami_cli.layers.settings import SmoothSettings
-from beltrami_cli.surface.records import Slot, as_bytes, colour_by_value
+from beltrami_cli.surface.colour_values import as_bytes, colour_by_value
+from beltrami_cli.surface.records import Slot
 from beltrami_cli.view import pages
 from beltrami_cli.view.models import ModelWriter
 from beltrami_cli.view.render import distinct_labels

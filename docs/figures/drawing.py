@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.surface.records import srgb_to_linear
+from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.view.panels import displayed
 from beltrami_cli.view.settings import DEFAULT_RENDER
 from beltrami_cli.view.tracing import SurfaceView, VertexPaint, fitted, orientation

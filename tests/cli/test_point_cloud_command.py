@@ -7,7 +7,7 @@ import pytest
 
 from beltrami_cli.formats.ply.document import PlyDocument
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.surface.records import linear_to_srgb
+from beltrami_cli.surface.colour_values import linear_to_srgb
 from cli.commands import beltrami
 from small_models import COLOURED, ply
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli import smooth, smooth_image
-from beltrami_cli.surface.records import limits_of
+from beltrami_cli.surface.colour_values import limits_of
 from oracles import surfaces
 
 SIDE, SIGMA = 64, 0.05

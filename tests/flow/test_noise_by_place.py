@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from beltrami_cli.surface.records import linear_to_srgb, srgb_to_linear
+from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
 from flow.noisy_surfaces import manifold_of, noise_of_image
 from oracles.paintings import flat_paint, line_art, photograph, with_noise
 from oracles.surfaces import icosphere

@@ -22,7 +22,7 @@ from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.image.sizes import ImageSize, measure_image
 from beltrami_cli.jobs.noise import jpeg_file
 from beltrami_cli.layers.layer import store
-from beltrami_cli.surface.records import linear_to_srgb
+from beltrami_cli.surface.colour_values import linear_to_srgb
 from formats.image_files import (
     LOSSLESS,
     ONLY_READ,

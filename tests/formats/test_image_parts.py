@@ -19,7 +19,7 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image import losses, read_image, write_image
 from beltrami_cli.formats.image.jpeg import read_jpeg_tables
 from beltrami_cli.formats.image.sizes import measure_image
-from beltrami_cli.surface.records import srgb_to_linear
+from beltrami_cli.surface.colour_values import srgb_to_linear
 from cli.commands import beltrami
 from formats.image_files import encode, jpeg_segment, painting, saved
 from formats.tiff_files import exr_file

@@ -17,7 +17,7 @@ from beltrami_cli.formats.changes import Naming
 from beltrami_cli.formats.colours import ColouredPolygons, colours_of_vertices
 from beltrami_cli.formats.registry import open_bytes
 from beltrami_cli.jobs.smooth import smooth_file
-from beltrami_cli.surface.records import linear_to_srgb
+from beltrami_cli.surface.colour_values import linear_to_srgb
 from formats.read_only_files import FACES, LEVELS, OBJECT, SQUARE, VERTICES, coff, model, opened, stl, threemf
 
 

@@ -29,7 +29,8 @@ from beltrami_cli.jobs.noise import noise_file
 from beltrami_cli.jobs.output import Output
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.layers.settings import SLOTS, SmoothSettings, TextureSettings
-from beltrami_cli.surface.records import MeshContents, linear_to_srgb
+from beltrami_cli.surface.colour_values import linear_to_srgb
+from beltrami_cli.surface.records import MeshContents
 from formats.gltf_comparison import with_better_image
 from formats.gltf_compressed import GRID, draco_model, meshopt_model
 from formats.gltf_files import coloured, joined, numbers, unpacked

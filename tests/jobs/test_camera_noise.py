@@ -10,7 +10,7 @@ from scipy.ndimage import convolve
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.jobs.noise import noise_file
 from beltrami_cli.jobs.settings import NoiseSettings
-from beltrami_cli.surface.records import srgb_to_linear
+from beltrami_cli.surface.colour_values import srgb_to_linear
 from cli.commands import SAMPLES
 from formats.image_files import encode, stored
 from jobs.cut_boards import CHART, FIRST, STRIDE, write_board

@@ -8,7 +8,7 @@ import pytest
 from beltrami_cli import smooth_image
 from beltrami_cli.errors import UsageError
 from beltrami_cli.layers.image_surface import ImageSurface
-from beltrami_cli.surface.records import linear_to_srgb, srgb_to_linear
+from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
 
 RANDOM = np.random.default_rng(0)
 IMAGE = np.clip(0.4 + 0.3 * (np.arange(20) > 9)[:, None] + RANDOM.normal(0, 0.05, (14, 20, 3)), 0, 1)

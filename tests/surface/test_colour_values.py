@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.surface.atlas import store_integers
-from beltrami_cli.surface.records import linear_to_srgb, srgb_to_linear
+from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
 
 values = st.floats(-8.0, 8.0, allow_nan=False)
 

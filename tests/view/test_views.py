@@ -5,8 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.surface.geometry import triangle_areas
-from beltrami_cli.surface.records import Texture, TexturedSurface, linear_to_srgb
+from beltrami_cli.surface.records import Texture, TexturedSurface
 from beltrami_cli.view.panels import Panel, arranged, displayed, draw_views, is_lost_on_white, richest_window
 from beltrami_cli.view.render import distinct_labels
 from beltrami_cli.view.settings import DEFAULT_RENDER, RenderSettings

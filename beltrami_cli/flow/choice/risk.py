@@ -25,7 +25,7 @@ from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.flow.corrections.clipping import variance_of_clipped
 from beltrami_cli.flow.manifolds.manifold import SampleTrial, Step
 from beltrami_cli.flow.noise.model import VarianceStabiliser
-from beltrami_cli.surface.records import limits_of
+from beltrami_cli.surface.colour_values import limits_of
 
 # The perturbation, in units of the noise: far above the rounding of float32. Distances on meshes have kinks where their
 # paths change, so a smaller one sees a derivative that varies from sample to sample, and a larger one changes the

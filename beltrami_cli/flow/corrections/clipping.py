@@ -32,7 +32,7 @@ from beltrami_cli.flow.manifolds.domain import Stack
 from beltrami_cli.flow.manifolds.manifold import Manifold, relative_variance
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY
-from beltrami_cli.surface.records import limits_of
+from beltrami_cli.surface.colour_values import limits_of
 
 # Fewer samples at a limit, as a share of all, change no mean that is worth a plane of memory.
 _WORTH_RESTORING = 1e-3

@@ -25,7 +25,7 @@ from beltrami_cli.flow.manifolds.blocks import block_rows, in_blocks
 from beltrami_cli.flow.manifolds.domain import Domain
 from beltrami_cli.flow.noise.model import COLOURS
 from beltrami_cli.flow.parameters import Space
-from beltrami_cli.surface.records import from_space, to_space
+from beltrami_cli.surface.colour_values import from_space, to_space
 
 if TYPE_CHECKING:
     from beltrami_cli.flow.manifolds.manifold import Manifold

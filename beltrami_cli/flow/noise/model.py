@@ -34,7 +34,7 @@ from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.fields import BYTE_STEP
 from beltrami_cli.flow.parameters import NEGLIGIBLE, STRENGTHS
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.records import srgb_to_linear
+from beltrami_cli.surface.colour_values import srgb_to_linear
 
 if TYPE_CHECKING:
     from beltrami_cli.flow.vertex_graph import Level

@@ -29,9 +29,10 @@ from beltrami_cli.formats.textured_mesh import (
     shown_materials,
     triangulated,
 )
+from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.geometry import unit_vectors
 from beltrami_cli.surface.grouping import group_equal_rows
-from beltrami_cli.surface.records import Frame, ImageFile, Material, MeshContents, MeshImage, srgb_to_linear
+from beltrami_cli.surface.records import Frame, ImageFile, Material, MeshContents, MeshImage
 
 _STORED_AS = {("linear", "uint8"): "<u1", ("linear", "uint16"): "<u2", ("srgb", "uint8"): "<u2"}
 """Component type of COLOR_0 by encoding and type of the source; float32 for all others.

@@ -19,7 +19,7 @@ from beltrami_cli.formats.image.picture import (
     without_alpha,
 )
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.records import linear_to_srgb, srgb_to_linear
+from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
 
 _ROWS = 64  # that are looked at together
 _BITS = {"uint8": 8, "uint16": 16, "float16": 16, "float32": 32}

@@ -27,7 +27,7 @@ from beltrami_cli.flow.parameters import Space
 from beltrami_cli.jobs.settings import Limits
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Indices, within
-from beltrami_cli.surface.records import srgb_to_linear
+from beltrami_cli.surface.colour_values import srgb_to_linear
 
 Pair = tuple[Float32s, Float32s]  # the same samples, or means of them, in reference and test
 

@@ -48,7 +48,8 @@ from beltrami_cli.jobs.settings import Limits
 from beltrami_cli.layers.selection import Selection, absent_slots, select
 from beltrami_cli.layers.settings import DEFAULTS, IMAGE_SUFFIXES, SLOTS, SmoothSettings
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.records import Slot, as_bytes, colour_by_value
+from beltrami_cli.surface.colour_values import as_bytes, colour_by_value
+from beltrami_cli.surface.records import Slot
 
 EVERYTHING = dataclasses.replace(DEFAULTS, textures=dataclasses.replace(DEFAULTS.textures, slots=()))
 """Settings of a comparison of all that is coloured: where no slots are named, all are compared."""

@@ -36,9 +36,10 @@ from beltrami_cli.surface.atlas import (
     texels_by_texture,
     within,
 )
+from beltrami_cli.surface.colour_values import to_space
 from beltrami_cli.surface.geometry import vertex_areas
 from beltrami_cli.surface.grouping import group_places
-from beltrami_cli.surface.records import PaintedVertices, Slot, Texture, TexturedSurface, to_space
+from beltrami_cli.surface.records import PaintedVertices, Slot, Texture, TexturedSurface
 
 Documents = tuple[Document, Document]
 
