@@ -13,7 +13,7 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.fields import show_size, size_in
 from beltrami_cli.formats import access
 from beltrami_cli.formats.access import default_memory, limited_memory
-from beltrami_cli.jobs import smooth
+from beltrami_cli.jobs import smoothing
 from cli.commands import beltrami, run_command
 from formats.tile_files import tiled_model
 from formats.volume_files import npz
@@ -76,7 +76,7 @@ def test_what_is_too_large_to_be_drawn_is_refused_before_it_is_smoothed(tmp_path
     model = tiled_model(tmp_path / "in", size=3)
     cause = b"0.0415 million texels do not fit into memory to be drawn; raise --max-memory, or leave out --preview\n"
     options = ("--preview", tmp_path / "look.png", "--max-memory", "600K", "-n", "1", "--beta", "20")
-    monkeypatch.setattr(smooth, "smooth_layer", None)
+    monkeypatch.setattr(smoothing, "smooth_layer", None)
     monkeypatch.setattr(
         "beltrami_cli.cli.options.limited_memory", lambda *_: nullcontext()
     )  # which is for a process of its own

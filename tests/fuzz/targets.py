@@ -12,9 +12,9 @@ import click
 import numpy as np
 
 from beltrami_cli import smooth
-from beltrami_cli.batch.item import Item, _read_record
+from beltrami_cli.batch.item import Item
 from beltrami_cli.batch.plan import plan
-from beltrami_cli.batch.record import is_done, is_ours
+from beltrami_cli.batch.record import _read_record, is_done, is_ours
 from beltrami_cli.cli.batch import _settings
 from beltrami_cli.cli.config import load
 from beltrami_cli.cli.main import group
