@@ -1,35 +1,22 @@
-"""What the process shares with its user and the system: messages, tables and progress, standard streams, and signals.
-
-Messages go to the standard error; the standard output carries data only. The streams can be used whatever they were
-when the process was started: closed, full, or a broken pipe. What cannot be printed on the standard error is dropped,
-and the work goes on. What cannot be written to the standard output is an OutputError. A signal that ends the process is
-an exception that lets everything be tidied up.
-"""
+"""What is shown to the user: messages, tables and progress, on the standard error."""
 
 from __future__ import annotations
 
-import contextlib
-import errno
-import io
 import math
 import os
 import shutil
-import signal
 import sys
-import time
 from collections.abc import Callable, Iterable, Iterator, Sequence, Sized
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from types import FrameType
-from typing import TYPE_CHECKING, Any, ClassVar, TextIO
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from beltrami_cli.errors import OutputError, one_line, unhandled_endings
+from beltrami_cli.errors import one_line
 from beltrami_cli.view.words import choice_in_words, noise_of_255, reading_in_words
 
 if TYPE_CHECKING:
-    from _typeshed import ReadableBuffer
     from rich.progress import Progress
 
     from beltrami_cli.jobs.progress import Work
@@ -249,177 +236,3 @@ class Messages:
             self._bars.append(bar)
             yield work
         self._bars.clear()
-
-
-_SAME_WISH = 1.0  # seconds in which another signal would only disturb the tidying
-_AGAIN = 0.2  # seconds until an interruption is raised again, in case that something kept it
-
-
-class Interruption(BaseException):
-    """Ctrl-C, or a request to end.
-
-    A KeyboardInterrupt that passes through exec, which libraries call while they are imported, makes Python kill itself
-    at its end, whatever exit code was asked for.
-    """
-
-    last: ClassVar[Interruption | None] = None  # that was raised, whatever became of it
-
-    def __init__(self, number: int) -> None:
-        super().__init__(number)
-        self.exit_code = 128 + number  # as shells have it
-        Interruption.last = self
-
-
-def _is_on_its_way() -> bool:
-    """Whether an interruption passes through, so that something is tidied up, perhaps as the cause of another error."""
-    error = sys.exc_info()[1]
-    while not (error is None or isinstance(error, Interruption)):
-        error = error.__cause__ or error.__context__
-    return error is not None
-
-
-class SignalGuard:
-    """Runs a function that signals interrupt.
-
-    Python drops exceptions in destructors, and some libraries while they are loaded, or they raise others instead. So
-    an interruption is raised again and again, unless it is on its way.
-    """
-
-    def __init__(self) -> None:
-        self._last = -_SAME_WISH
-        self._is_over = False
-        self._heard: set[int] = set()
-        self._dropped = sys.unraisablehook
-
-    def run(self, function: Callable[[], int]) -> int:
-        """Return the exit code that a function returns, or that of the signal that ended it."""
-        try:
-            try:
-                self._start()
-                code = function()
-            finally:
-                self._is_over = True  # from now on, signals end the process without more ado
-        except Interruption as error:  # perhaps one that came just before the line above
-            self._is_over = True
-            code = error.exit_code
-        finally:
-            _set_alarm(0)
-            for number in self._heard:
-                signal.signal(number, signal.SIG_DFL)
-            sys.unraisablehook = self._dropped
-        return code
-
-    def _start(self) -> None:
-        sys.unraisablehook = self._drop
-        Interruption.last = None
-        self._heard = unhandled_endings()
-        alarm = getattr(signal, "SIGALRM", None)
-        if alarm is not None:  # first, since what interrupts sets an alarm
-            signal.signal(alarm, self._hear_alarm)
-        for number in self._heard - {alarm}:
-            signal.signal(number, self._interrupt)
-
-    def _interrupt(self, number: int, frame: FrameType | None) -> None:
-        if self._is_over:
-            os._exit(128 + number)
-        if time.monotonic() - self._last >= _SAME_WISH:
-            self._last = time.monotonic()
-            _set_alarm(_AGAIN)
-            raise Interruption(number)
-
-    def _hear_alarm(self, alarm: int, frame: FrameType | None) -> None:
-        """Raise the last interruption again; without one the alarm is from outside, and an interruption itself."""
-        if Interruption.last is None:
-            if alarm in self._heard:
-                self._interrupt(alarm, frame)
-        elif not (self._is_over or _is_on_its_way()):
-            raise Interruption(Interruption.last.exit_code - 128)
-
-    def _drop(self, unraisable: sys.UnraisableHookArgs) -> None:
-        if not isinstance(unraisable.exc_value, Interruption):
-            self._dropped(unraisable)
-
-
-def _set_alarm(seconds: float) -> None:
-    """Let alarms come again and again, or no more."""
-    if hasattr(signal, "setitimer"):
-        signal.setitimer(signal.ITIMER_REAL, seconds, seconds)
-
-
-_INPUT, _OUTPUT, _ERROR = range(3)
-
-
-class ReaderGoneError(OutputError):
-    """The standard output is no longer read, as by `head`, which has what it wants."""
-
-
-class _RawOutput(io.FileIO):
-    """Standard output, which fails once at most: nothing else is written after that."""
-
-    _is_broken = False
-
-    def write(self, data: ReadableBuffer) -> int:
-        if self._is_broken:
-            return memoryview(data).nbytes
-        try:
-            return super().write(data)
-        except OSError as error:
-            self._is_broken = True
-            if error.errno == errno.EPIPE:
-                raise ReaderGoneError("<stdout>", "is no longer read", "let its reader read all") from error
-            cause = "is closed" if error.errno == errno.EBADF else f"cannot be written ({error.strerror})"
-            raise OutputError("<stdout>", cause, "free space or choose another place") from error
-
-
-class _RawError(io.FileIO):
-    """Standard error, which never fails."""
-
-    def write(self, data: ReadableBuffer) -> int:
-        with contextlib.suppress(OSError):
-            return super().write(data)
-        return memoryview(data).nbytes
-
-
-def prepare_streams(*, hear_libraries: bool) -> None:
-    """Replace the standard streams by ones that can be used; unless `hear_libraries`, what decoders print is lost."""
-    _fill_descriptors()
-    if sys.stdin is None:
-        sys.stdin = open(_INPUT, closefd=False)  # noqa: SIM115
-    if _is_at(sys.stdout, _OUTPUT):
-        sys.stdout = _text(_RawOutput(_OUTPUT, "w", closefd=False), sys.stdout)
-    if _is_at(sys.stderr, _ERROR):
-        ours = _ERROR if hear_libraries else _apart_from_libraries()
-        sys.stderr = _text(_RawError(ours, "w", closefd=False), sys.stderr)
-
-
-def _fill_descriptors() -> None:
-    """Open the descriptors that are closed, so that no file gets the number of a standard stream."""
-    # Writing to a descriptor that is open for reading only is an error, so nothing is lost silently.
-    for number, mode in ((_INPUT, os.O_RDONLY), (_OUTPUT, os.O_RDONLY), (_ERROR, os.O_WRONLY)):
-        try:
-            os.fstat(number)
-        except OSError:
-            os.open(os.devnull, mode)
-
-
-def _is_at(stream: TextIO | None, number: int) -> bool:
-    """Whether a stream is that of a descriptor; None: Python found the descriptor closed."""
-    if stream is None:
-        return True
-    try:
-        return stream.fileno() == number
-    except (AttributeError, OSError, ValueError):  # It is no file.
-        return False
-
-
-def _apart_from_libraries() -> int:
-    ours, nowhere = os.dup(_ERROR), os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, _ERROR)
-    os.close(nowhere)
-    return ours
-
-
-def _text(raw: io.FileIO, old: TextIO | None) -> TextIO:
-    encoding = "utf-8" if old is None else old.encoding
-    by_lines, buffered = raw.isatty() or isinstance(raw, _RawError), io.BufferedWriter(raw)
-    return io.TextIOWrapper(buffered, encoding=encoding, errors="backslashreplace", line_buffering=by_lines)

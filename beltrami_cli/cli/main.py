@@ -22,7 +22,9 @@ from beltrami_cli.cli.commands import (
     with_variables,
     write_notes,
 )
-from beltrami_cli.cli.console import Interruption, ReaderGoneError, SignalGuard, prepare_streams, printable
+from beltrami_cli.cli.console import printable
+from beltrami_cli.cli.interruption import Interruptible, Interruption
+from beltrami_cli.cli.streams import ReaderGoneError, prepare_streams
 from beltrami_cli.errors import BeltramiError, InputError, end_with_parent
 
 if TYPE_CHECKING:
@@ -153,7 +155,7 @@ def main() -> NoReturn:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if os.environ.pop("BELTRAMI_PARENT", "") == str(os.getppid()):
         end_with_parent(os.getppid(), signal.SIGTERM)
-    sys.exit(SignalGuard().run(_run))
+    sys.exit(Interruptible().run(_run))
 
 
 def _run() -> int:

@@ -92,9 +92,8 @@ def ended_at_every_step(folder, number, target, command=()):
 AT_A_LINE = """
 import os, signal, sys
 import beltrami_cli.cli.main as command
-from beltrami_cli.cli import console
-number, files = int(sys.argv[1]), (command.__file__, console.__file__)
-console._AGAIN = 2e-5  # seconds: before the next line, as on a machine with much else to do
+from beltrami_cli.cli import interruption
+number, files = int(sys.argv[1]), (command.__file__, interruption.__file__)
 
 def child(at):
     left = at
