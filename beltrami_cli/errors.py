@@ -37,9 +37,15 @@ class BeltramiError(Exception):
     exit_code : int
         What the command line exits with: 1 processing failed, 2 usage, 3 input unreadable or unsuitable,
         4 output not writable.
+    name : str
+        The file that the message begins with, as the user named it; empty if it is about none.
     """
 
     exit_code = 1
+
+    def __init__(self, cause: str, name: str = "") -> None:
+        super().__init__(f"{name}: {cause}" if name else cause)
+        self.name = name
 
 
 class ProcessingError(BeltramiError):
@@ -56,8 +62,8 @@ class FileError(BeltramiError):
     """A file, named as by the user, cannot be read or written: why and where in it, and what can be done about it."""
 
     def __init__(self, name: str, cause: str, remedy: str = "") -> None:
-        self.name, self.cause, self.remedy = name, one_line(cause), remedy
         super().__init__(one_line(f"{name}: {cause}" + (f"; {remedy}" if remedy else "")))
+        self.name, self.cause, self.remedy = name, one_line(cause), remedy
 
     def __reduce__(self) -> tuple[type[FileError], tuple[str, str, str]]:
         # Not by the message, which Exception would take: other processes make the error again.

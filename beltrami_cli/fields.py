@@ -307,7 +307,7 @@ def require_effect(kinds: Collection[str], name: str, given: Iterable[Parameter]
     """Raise UsageError if a parameter that was typed, or is given, has no effect on an input of some kinds."""
     for each in without_effect([*_TYPED.get(), *given], kinds):
         cause = f"{each.flag} has no effect on {' and '.join(kinds)}, only on {' and '.join(each.of)}"
-        raise UsageError(f"{name}: {cause}; leave it out")
+        raise UsageError(f"{cause}; leave it out", name)
 
 
 def parts(record: Any) -> dict[str, type]:

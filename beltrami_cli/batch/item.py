@@ -128,9 +128,8 @@ def do_item(
             done = _done(item, local or item, memory, progress, chunking)
         return Attempt(dataclasses.replace(done, seconds=round(time.monotonic() - start, 3)))
     except BeltramiError as error:
-        message = str(error)
-        if item.source not in message and item.target not in message:
-            message = f"{item.source}: {message}"
+        is_named = error.name in (item.source, item.target)
+        message = str(error) if is_named else f"{item.source}: {error}"
         outcome = failed(item, message, error.exit_code, time.monotonic() - start)
         if item.skip_uncoloured and isinstance(error, UnpaintedError):
             outcome = dataclasses.replace(outcome, status="uncoloured")
@@ -155,6 +154,8 @@ def _done(
             access = Access(local.outside, memory, stage.note, stage.bring, columns=local.columns)
             report = _made(copy, access, progress, chunking)
         except BeltramiError as error:
+            own = {stage.source: item.source, stage.target: item.target}
+            error.name = own.get(error.name, error.name)
             error.args = (str(error).replace(stage.source, item.source).replace(stage.target, item.target),)
             raise
         sidecars = report.written[1:]

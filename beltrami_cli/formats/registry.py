@@ -314,7 +314,7 @@ def choose_format(document: Document, target: str, chosen: str | None) -> Output
     elif format_of_suffix(f".{wanted}") is not None:
         cause = f".{wanted} is an image format, but {document.name} is a model"
         drawn = f"beltrami render {document.name} {target} draws it"
-        raise UsageError(f"{target}: {cause}; {drawn}, or end the name in .{usual}")
+        raise UsageError(f"{cause}; {drawn}, or end the name in .{usual}", target)
     else:
         known = ", ".join("." + f for f in OUTPUT_FORMATS)
         cause = f"no format is known for .{wanted}"
@@ -323,7 +323,7 @@ def choose_format(document: Document, target: str, chosen: str | None) -> Output
             cause = f".{wanted} files are read, but not written{why}"
         elif wanted in KEPT_FORMATS:
             cause = f"a .{document.format} file is not converted to .{wanted}"
-        raise UsageError(f"{target}: {cause}; end the name in {known}, or say --format")
+        raise UsageError(f"{cause}; end the name in {known}, or say --format", target)
     return OutputFormat(name, is_patched=name in (document.format, *document.forms))
 
 
@@ -344,7 +344,7 @@ def _image_format(document: Document, target: str, chosen: str | None) -> Output
             if is_model
             else f"no image format is known for {suffix}"
         )
-        raise UsageError(f"{target}: {cause}; end the name in {', '.join(WRITABLE)}, or say --format")
+        raise UsageError(f"{cause}; end the name in {', '.join(WRITABLE)}, or say --format", target)
     own = format_of(document.data, document.name)
     if not suffix or (own is not None and suffix.lower() in FORMATS[own].suffixes):
         own_suffix = Path(document.name).suffix or f".{label_of(own or '')}"

@@ -56,7 +56,7 @@ def kernel_file(
     source, target = os.fspath(source), os.fspath(target)
     suffix = ".csv" if target == "-" else Path(target).suffix.lower()
     if suffix not in (".ply", ".csv", *IMAGE_SUFFIXES):
-        raise UsageError(f"{target}: a kernel is written as .ply, .png or .csv; end the name in one")
+        raise UsageError("a kernel is written as .ply, .png or .csv; end the name in one", target)
     output = Output(target, overwrite=job.overwrite, is_text=suffix == ".csv", what="kernel", reads=[source])
     access = output.files.watching(job.access)
     document = open_input(source, settings, access)
@@ -64,14 +64,14 @@ def kernel_file(
     selection.require_scale()
     if selection.vertices + len(selection.slots) + selection.image > 1:
         remedy = "choose --on vertices, or --on texture and one of --slots"
-        raise UsageError(f"{document.name}: a kernel is of one image; {remedy}")
+        raise UsageError(f"a kernel is of one image; {remedy}", document.name)
     selection.require_memory("smoothed" if selection.image else "painted")
     (samples,) = (layer.normalised() for layer in selection.layers())
     where = samples.places()
     on_mesh = isinstance(where, SampledVertices)
     if suffix != ".csv" and (suffix == ".ply") != on_mesh:
         drawn_as = ".ply" if on_mesh else ".png"
-        raise UsageError(f"{target}: a kernel on {samples.label} is drawn as {drawn_as}, or written as .csv")
+        raise UsageError(f"a kernel on {samples.label} is drawn as {drawn_as}, or written as .csv", target)
     plan = samples.plan()
     most = plan.parameters.iterations
     if iteration > max(most, 1):

@@ -117,7 +117,7 @@ class Noising(Painter[Noisy]):
         changes = [each.repainted.change for each in painted]
         if any(each.count for each in changes) and not any(each.largest for each in changes):
             remedy = "add more, or choose a format without loss"
-            raise ProcessingError(f"{source}: nothing of the noise would be left in the file; {remedy}")
+            raise ProcessingError(f"nothing of the noise would be left in the file; {remedy}", source)
 
 
 def noise_file(

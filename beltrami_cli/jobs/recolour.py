@@ -334,8 +334,9 @@ def _files(
     if _has_textures(document, kind):
         if moved is not None:
             raise UsageError(
-                f"{document.name}: positions that --smooth-geometry moves cannot be converted together with textures; "
-                f"give the output the extension .{document.format}"
+                f"positions that --smooth-geometry moves cannot be converted together with textures; "
+                f"give the output the extension .{document.format}",
+                document.name,
             )
         mesh = with_images(document.textured_mesh(colours), images)
     else:

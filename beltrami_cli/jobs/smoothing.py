@@ -140,7 +140,7 @@ class Smoothing(Painter[Smoothed]):
         selection.require_scale()
         if self.levelling is not None and selection.image:
             cause = "an image has no charts that could differ in exposure; give a model with textures"
-            raise UsageError(f"{selection.document.name}: {cause}")
+            raise UsageError(cause, selection.document.name)
 
     def paint(self, layer: Layer, job: Job) -> Smoothed:
         if self.levelling is not None:

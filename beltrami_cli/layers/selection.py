@@ -155,8 +155,9 @@ class Selection:
             return
         if not self.vertices:
             raise UsageError(
-                f"{document.name}: --smooth-geometry moves vertices along with their colours, but only textures are "
-                "smoothed; choose --on vertices or --on both"
+                "--smooth-geometry moves vertices along with their colours, but only textures are "
+                "smoothed; choose --on vertices or --on both",
+                document.name,
             )
         if document.grid() is not None or not len(document.painted().faces):
             raise InputError(document.name, "it has no triangles, so there is no geometry to smooth")
@@ -331,7 +332,8 @@ def _without_empty_slots(selection: Selection) -> Selection:
         names = ", ".join(sorted({texture.name for texture in textures}))
         materials = ", ".join(sorted({name for texture in textures for name in texture.materials}))
         raise UsageError(
-            f"{document.name}: no texture fits the globs; there are {names}"
-            + (f", in the materials {materials}" if wanted.materials else "")
+            f"no texture fits the globs; there are {names}"
+            + (f", in the materials {materials}" if wanted.materials else ""),
+            document.name,
         )
     return selection if kept == selection.slots else replace(selection, slots=kept)

@@ -70,11 +70,11 @@ def unwrap(
     (inner, charts), answer = _ask_worker((job, {"positions": scaled, "faces": triangles}), progress)
     corners, size = answer["corners"], inner + 2 * padding
     if not np.isfinite(corners).all():
-        raise ProcessingError(f"{name}: no texture coordinates can be found for it; repair the mesh first")
+        raise ProcessingError("no texture coordinates can be found for it; repair the mesh first", name)
     largest = corners.reshape(-1, 2).max(axis=0)
     if largest.max() > inner:
         cause = f"its {charts} charts do not fit on a texture of {size} texels with {padding} between them"
-        raise ProcessingError(f"{name}: {cause}; raise the size or lower the padding")
+        raise ProcessingError(f"{cause}; raise the size or lower the padding", name)
     width, height = (_side(reach + 2 * padding, size) for reach in largest.tolist())
     uv = np.empty((len(faces), 3, 2))
     uv[whole] = (corners + padding) / [width, height]

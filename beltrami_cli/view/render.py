@@ -70,10 +70,10 @@ def picture_suffix(target: str, looks: RenderSettings, others: str = "") -> str:
     """Return the extension, with the dot, of an image that can be written; `others` is what else could be made."""
     suffix = ".png" if target == "-" else Path(target).suffix.lower()
     if format_of_suffix(suffix) is None:
-        raise UsageError(f"{target}: its extension is of no image format; call it .png{others}")
+        raise UsageError(f"its extension is of no image format; call it .png{others}", target)
     known = check_writable(new_picture(np.zeros((64, 64, 3), np.uint8), target), suffix)  # of any size
     if looks.background == "transparent" and not FORMATS[known].alpha:
-        raise UsageError(f"{target}: {suffix} files have no transparent background; choose .png, or a colour")
+        raise UsageError(f"{suffix} files have no transparent background; choose .png, or a colour", target)
     return suffix
 
 

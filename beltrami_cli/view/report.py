@@ -60,7 +60,7 @@ def report_file(
     known = names if parameters is None else [*names, parameters]
     output = Output(target, overwrite=job.overwrite, is_text=True, what="page", reads=known)
     if target != "-" and Path(target).suffix.lower() not in pages.PAGES:
-        raise UsageError(f"{target}: the report is a page; end its name in {' or '.join(pages.PAGES)}")
+        raise UsageError(f"the report is a page; end its name in {' or '.join(pages.PAGES)}", target)
     access = output.files.watching(job.access)
     job = dataclasses.replace(job, access=access)
     used = None if parameters is None else _parameters(parameters, access)

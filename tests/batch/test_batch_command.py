@@ -24,7 +24,10 @@ from batch.batches import (
     without_workers,
     write_textured,
 )
+from beltrami_cli.batch.item import Item, do_item
+from beltrami_cli.fields import override
 from beltrami_cli.formats.registry import open_document
+from beltrami_cli.layers.settings import DEFAULTS
 from cli.commands import COMMAND, SAMPLES, beltrami, refused
 from processes import children, described, wait_for
 
@@ -374,3 +377,19 @@ def test_files_without_colours_are_no_failures_if_they_may_be_skipped(tmp_path):
         assert "1 done, 1 skipped" in beltrami(*words, "--resume", "--skip-uncoloured", text=True).stderr
         (tmp_path / "a.ply").write_text("ply\n")
         assert "1 failed" in beltrami(*words, "--resume", "--skip-uncoloured", code=1, text=True).stderr
+
+
+@pytest.mark.parametrize(
+    ("sample", "settings"),
+    [
+        ("mirrored-noisy.obj", {"names": ("absent*",)}),  # about the model
+        ("knot-noisy.ply", {"height": "h.png"}),  # about an option
+        ("mirrored-noisy.obj", {"smooth_geometry": True}),
+        ("absent.ply", {}),  # about a file
+    ],
+)
+def test_a_failure_begins_with_its_file_once(sample, settings, tmp_path):
+    source, target = str(SAMPLES / sample), str(tmp_path / f"out{Path(sample).suffix}")
+    error = do_item(Item(source, target, override(DEFAULTS, **settings)), None).outcome.error
+    assert error.startswith(f"{source}: ")
+    assert error.count(f"{source}: ") == 1

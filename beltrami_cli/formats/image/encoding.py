@@ -117,7 +117,7 @@ def _encoded_by_openimageio(spec: Any, pixels: Array, known: str, name: str) -> 
 
     file = OpenImageIO.ImageOutput.create(plugin_of(known))
     if file is None:
-        raise ProcessingError(f"{name}: this OpenImageIO cannot write {known} images")
+        raise ProcessingError(f"this OpenImageIO cannot write {known} images", name)
     if str(spec.format) == "half" and not spec.channelformats:
         pixels = pixels.astype(np.float16)
     with scratch_file() as path:

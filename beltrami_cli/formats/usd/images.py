@@ -112,9 +112,7 @@ class Images:
             return path
         unfit = suffixes - {*IMAGES}
         if self._layers.package is not None and unfit and not stays:
-            raise UsageError(
-                f"{self._name}: packages hold no {min(unfit)} images; choose {', '.join(IMAGES)}"
-            )
+            raise UsageError(f"packages hold no {min(unfit)} images; choose {', '.join(IMAGES)}", self._name)
         suffix = common_suffix(suffixes)
         tiles = self._layers.folder.tiles.get(path, ())
         return names.image(path, None if stays else suffix, is_replaced=is_replaced, tiles=tiles)

@@ -151,7 +151,7 @@ def _opened_map(
 ) -> Output:
     """Check that a map can be written before anything is compared."""
     if Path(target).suffix.lower() not in _SUFFIXES:
-        raise UsageError(f"{target}: a map is drawn as .png, or of vertices as .ply; end the name in one")
+        raise UsageError("a map is drawn as .png, or of vertices as .ply; end the name in one", target)
     output = Output(target, overwrite=overwrite, what="map", is_own=is_map, reads=names)
     output.files.guard(settings.files_besides())
     return output
@@ -357,7 +357,7 @@ def draw_map(parts: Sequence[Measured], model: Document, target: str) -> tuple[W
     on_vertices = parts[0].part.kind == "vertices" and (not images or suffix == ".ply")
     if on_vertices != (suffix == ".ply"):
         form = "vertices is drawn as .ply" if on_vertices else "images and textures is drawn as .png"
-        raise UsageError(f"{target}: the map of {form}; end its name so")
+        raise UsageError(f"the map of {form}; end its name so", target)
     shown = parts[:1] if on_vertices else images
     # Delta E, or the error in per cent where Delta E is undefined.
     amounts = [np.where(np.isnan(each.delta_e), 100 * each.errors, each.delta_e) for each in shown]
