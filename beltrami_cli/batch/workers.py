@@ -42,6 +42,17 @@ class Lost:
     wants_memory: bool = False  # whether more memory might help
 
 
+@dataclass(frozen=True)
+class Order:
+    """A task for a worker process, which is called with its part first, if it has one."""
+
+    task: Task
+    arguments: tuple[Any, ...] = ()
+    key: int | None = None  # of its part; None: it has none
+    made: Any = None  # the part, unless the worker keeps it from an earlier order
+    kept: frozenset[int] = frozenset()  # the keys of the parts that the worker goes on to keep
+
+
 class Pool(Protocol):
     """Workers that do tasks."""
 
@@ -148,7 +159,8 @@ class Processes(Pool):
             worker = self._idle[-1]
             made = part() if part is not None and key not in worker.held else None
             try:
-                worker.channel.send((task, arguments, None if part is None else key, worker.held, made))
+                of_part = None if part is None else key
+                worker.channel.send(Order(task, arguments, of_part, made, frozenset(worker.held)))
                 break
             except ConnectionError:  # it died while it had nothing to do
                 self._idle.pop().end()
@@ -236,9 +248,9 @@ def serve(pipe: Connection[Any, Any], path: Path) -> None:
     progress = at_intervals(_PAUSE, report)
     with contextlib.suppress(EOFError, ConnectionError):
         while True:
-            task, arguments, key, keys, made = channel.receive()
-            held = {each: held[each] for each in keys}
-            if made is not None:
-                held[key] = copy.deepcopy(made)
-            parts = () if key is None else (held[key],)
-            channel.send((True, task(*parts, *arguments, progress)))
+            order: Order = channel.receive()
+            held = {key: held[key] for key in order.kept}
+            if order.key is not None and order.made is not None:
+                held[order.key] = copy.deepcopy(order.made)  # the arrays of a message last until the next
+            parts = () if order.key is None else (held[order.key],)
+            channel.send((True, order.task(*parts, *order.arguments, progress)))

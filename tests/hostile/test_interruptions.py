@@ -230,7 +230,7 @@ def test_every_signal_that_ends_a_process_and_can_be_caught_ends_the_command_in_
 WORKER = """
 import multiprocessing, sys, time
 from pathlib import Path
-from beltrami_cli.batch.workers import Channel, serve
+from beltrami_cli.batch.workers import Channel, Order, serve
 from beltrami_cli.formats.image.opening import scratch_file
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.jobs.output import FileSet, Output
@@ -244,7 +244,7 @@ def work(progress):
 
 ours, theirs = multiprocessing.Pipe()
 with scratch_file() as path:
-    Channel(ours, path).send((work, (), None, set(), None))
+    Channel(ours, path).send(Order(work))
     serve(theirs, path)
 """
 
