@@ -1,4 +1,4 @@
-"""Smooth the colours painted on a surface with the short-time Beltrami kernel.
+"""Smooth the colours of a surface with the short-time Beltrami kernel.
 
 `smooth` takes the arrays of a mesh or a point cloud, or a mesh of trimesh, Open3D or PyVista, `smooth_textured` a mesh
 with its images, and `smooth_image` the pixels of an image; the functions whose names end in `_file` or `_files` do what

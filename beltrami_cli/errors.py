@@ -80,7 +80,7 @@ class MemoryLimitError(InputError):
     """The input needs more memory than it may take."""
 
 
-class UnpaintedError(InputError):
+class NoColoursError(InputError):
     """The input is sound, but has no colours of the kind that was asked for."""
 
 

@@ -15,7 +15,7 @@ from harness import SAMPLES, arguments, show
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from beltrami_cli.flow.manifolds.canvas import painted
+from beltrami_cli.flow.manifolds.canvas import on_canvas
 from beltrami_cli.levelling.steps import ChartPlaces, steps_over_seams
 from levelling.exposure_scene import ExposureScene, fall
 
@@ -53,7 +53,7 @@ def judge(scene):
 def joined(scene):
     """Return which texels are of charts that seams without steps join, as numbers of groups."""
     atlas = scene.samples.atlas
-    colours = painted(atlas, scene.truth.astype(np.float32))
+    colours = on_canvas(atlas, scene.truth.astype(np.float32))
     steps = steps_over_seams(atlas, colours, ChartPlaces.of(atlas))
     signs = np.where(steps.ends[:, 0] < steps.ends[:, 1], 1, -1)[:, None]
     step = signs * (steps.colours[:, 1] - steps.colours[:, 0])

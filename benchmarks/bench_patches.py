@@ -165,7 +165,7 @@ def judge_vertices(sigma, path):
 
 def vertex_colours(path):
     """Return the colours of the vertices of a file."""
-    return np.asarray(open_document(str(path)).painted().colours)[:, :3]
+    return np.asarray(open_document(str(path)).coloured_vertices().colours)[:, :3]
 
 
 def write_vertices(folder):

@@ -68,8 +68,8 @@ def kinds(folders):
     bases = dict(interleaved(photographs, generated, noisy))
     found = {kind: on_pictures(kind, noise, bases) for kind, noise in NOISES.items()}
     found |= {kind: of_cameras(kind, bases, **camera) for kind, camera in CAMERAS.items()}
-    found |= {"chequers on vertices": chequers(), "vertices": painted("vertices", photographs, faces=True)}
-    found |= {"cloud": painted("cloud", photographs, faces=False)}
+    found |= {"chequers on vertices": chequers(), "vertices": coloured("vertices", photographs, faces=True)}
+    found |= {"cloud": coloured("cloud", photographs, faces=False)}
     found |= {"light": light("light", 0), "light with fireflies": light("light with fireflies", 0.002)}
     found["clean: photographs"] = untouched(photographs)
     found["clean: textures"] = untouched({"weave": weave(), "plaster": plaster(), **clean})
@@ -239,7 +239,7 @@ def chequers():
         yield on_mesh(name, clean, strength(number) * seeded("chequers", number).standard_normal(clean.shape))
 
 
-def painted(kind, photographs, *, faces):
+def coloured(kind, photographs, *, faces):
     """Yield spheres under paint and photographs with independent noise."""
     for number, (name, clean) in enumerate(islice(surfaces(photographs), 1 + len(photographs))):
         noise = strength(number) * seeded(kind, name).standard_normal(clean.shape)

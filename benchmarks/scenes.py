@@ -12,7 +12,7 @@ from oracles import surfaces
 
 @dataclass(frozen=True)
 class Scene:
-    """A painted surface: positions (V, 3) float64, faces (F, 3) int32, colours (V, 3) float32 in [0, 1]."""
+    """A coloured surface: positions (V, 3) float64, faces (F, 3) int32, colours (V, 3) float32 in [0, 1]."""
 
     positions: np.ndarray
     faces: np.ndarray
@@ -23,7 +23,7 @@ class Scene:
 def icosphere(subdivisions, pattern=None):
     """Return a sphere of 10 * 4^n + 2 vertices, in the order of subdivision (not cache friendly, as real files)."""
     positions, faces = surfaces.icosphere(subdivisions)
-    return painted(positions, faces, pattern or chequer)
+    return coloured(positions, faces, pattern or chequer)
 
 
 def torus(rings, sides):
@@ -35,10 +35,10 @@ def torus(rings, sides):
     there, beside = (ring + 1) % rings, (side + 1) % sides
     a, b, c, d = (r * sides + s for r, s in ((ring, side), (there, side), (there, beside), (ring, beside)))
     faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])]).astype(np.int32)
-    return painted(positions, faces, chequer)
+    return coloured(positions, faces, chequer)
 
 
-def painted(positions, faces, pattern):
+def coloured(positions, faces, pattern):
     """Return the surface with a pattern, smooth inside its regions, and noise; hardly anything would be clipped."""
     clean = pattern(positions)
     noise = SIGMA * np.random.default_rng(7).standard_normal(clean.shape)

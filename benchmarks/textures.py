@@ -94,12 +94,12 @@ def torus(size, charts=4, cuts=16):
         corners.append(on_torus((local + at) / charts))
         inset = rotated(local, turn) * (1 - 2 * gutter) + gutter
         uv.append((inset + where) / charts)
-        # The gutter continues the painting, which is a function of place.
+        # The gutter continues the pattern, which is a function of place.
         back = rotated((centre - gutter) / (1 - 2 * gutter), -turn)
         # Moved, so that no border of the pattern lies along a seam.
-        painted = chequer(on_torus((back + at) / charts).reshape(-1, 3) * 1.6 + (0.13, 0.09, 0.06))
+        shades = chequer(on_torus((back + at) / charts).reshape(-1, 3) * 1.6 + (0.13, 0.09, 0.06))
         x, y = where * cell
-        clean[y : y + cell, x : x + cell] = painted.reshape(cell, cell, 3)
+        clean[y : y + cell, x : x + cell] = shades.reshape(cell, cell, 3)
     corners, uv = np.concatenate(corners), np.concatenate(uv)
     everywhere = [np.ones((size, size), bool)]
     return TexturedScene("torus", corners, uv, np.zeros(len(uv), np.int64), [clean], everywhere)
@@ -299,9 +299,9 @@ def noisy_images(scene, sigma):
         clean, noisy = Path(folder) / "clean.obj", Path(folder) / "noisy.obj"
         write_obj(clean, scene, images)
         noise_file(clean, noisy, NoiseSettings(sigma=sigma), job=Job(overwrite=True))
-        painted = [np.rint(image * 255) for image in read_images(noisy)]
+        shades = [np.rint(image * 255) for image in read_images(noisy)]
     found = []
-    for image, surface, covered in zip(images, painted, scene.covered, strict=True):
+    for image, surface, covered in zip(images, shades, scene.covered, strict=True):
         flat = image + 255 * sigma * random.standard_normal(image.shape)
         on_surface = covered | (surface != image).any(axis=2)
         found.append(np.where(on_surface[..., None], surface, np.rint(flat).clip(0, 255)).astype(np.uint8))
@@ -323,9 +323,9 @@ def photograph_in_charts(name):
         where = np.array([place % 3, place // 3]) * cell
         corners.append(on_cube(local, side))
         uv.append((local * inner + NEAR + where) / size)
-        # The gutter continues the painting.
-        painted = np.rint(255 * on_sphere(image, on_cube(centre, side))) / 255
-        clean[where[1] : where[1] + cell, where[0] : where[0] + cell] = painted
+        # The gutter continues the pattern.
+        shades = np.rint(255 * on_sphere(image, on_cube(centre, side))) / 255
+        clean[where[1] : where[1] + cell, where[0] : where[0] + cell] = shades
     corners, uv = np.concatenate(corners), np.concatenate(uv)
     everywhere = [np.ones(clean.shape[:2], bool)]
     return TexturedScene(name, corners, uv, np.zeros(len(uv), np.int64), [clean], everywhere)

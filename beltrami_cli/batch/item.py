@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from beltrami_cli.batch.storage import hash_at, staged
-from beltrami_cli.errors import BeltramiError, MemoryLimitError, UnpaintedError
+from beltrami_cli.errors import BeltramiError, MemoryLimitError, NoColoursError
 from beltrami_cli.formats.access import (
     Access,
     is_url,
@@ -131,7 +131,7 @@ def do_item(
         is_named = error.name in (item.source, item.target)
         message = str(error) if is_named else f"{item.source}: {error}"
         outcome = failed(item, message, error.exit_code, time.monotonic() - start)
-        if item.skip_uncoloured and isinstance(error, UnpaintedError):
+        if item.skip_uncoloured and isinstance(error, NoColoursError):
             outcome = dataclasses.replace(outcome, status="uncoloured")
         return Attempt(outcome, isinstance(error, MemoryLimitError))
     except Exception as error:  # even a mistake of ours is of this file only

@@ -250,7 +250,7 @@ def _written(image, folder, number):
         _save(pixels_of(image), path, "OPEN_EXR" if image.is_float else "PNG", is_float=image.is_float)
         yield 0, path
         return
-    # Only the first tile can be reached by its pixels; a copy of all on disk has what was painted, too.
+    # Only the first tile can be reached by its pixels; a copy of all on disk has the new pixels, too.
     tiles = folder / f"tiles{number}"
     tiles.mkdir()
     suffix = Path(bpy.path.abspath(image.filepath_raw)).suffix or (".exr" if image.is_float else ".png")

@@ -123,7 +123,7 @@ class LazyGroup(click.Group):
 @click.version_option(None, "-V", "--version", package_name="beltrami-cli", prog_name="beltrami")
 @click.pass_context
 def group(context: click.Context, config_path: str | None) -> None:
-    """Smooth the colours painted on 3-D meshes: on the surface itself, keeping edges."""
+    """Smooth the colours of 3-D meshes: on the surface itself, keeping edges."""
     from beltrami_cli.cli.config import load
 
     context.obj = load(config_path)

@@ -6,7 +6,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s
 from beltrami_cli.flow.corrections.outliers import fill_outliers
-from beltrami_cli.flow.manifolds.canvas import find_colour_jumps, halo_beyond, painted, painted_by
+from beltrami_cli.flow.manifolds.canvas import fill_canvas, find_colour_jumps, halo_beyond, on_canvas
 from beltrami_cli.flow.manifolds.grid_gaussian import SUMMED_ROWS
 from beltrami_cli.flow.manifolds.grid_geometry import CanvasSamples
 from beltrami_cli.flow.manifolds.grid_manifold import CanvasColours, ColouredCanvas
@@ -37,16 +37,16 @@ def estimate_on_mesh(mesh: ColouredMesh) -> MeshColours:
 
 
 def estimate_on_canvas(canvas: ColouredCanvas) -> CanvasColours:
-    """Paint the colours, fill their outliers, estimate the noise of the others, and stabilise it."""
+    """Put the colours on the canvas, fill their outliers, estimate the noise of the others, and stabilise it."""
     wanted, atlas, is_light = canvas.parameters, canvas.atlas, canvas.light is not None
-    planes = painted_by(atlas, canvas.channels, canvas.colours_of)
+    planes = fill_canvas(atlas, canvas.channels, canvas.colours_of)
     planes, outliers = fill_outliers(planes, CanvasSamples(atlas), wanted, is_light=is_light)
     if outliers is not None:
         refresh_halo(planes, atlas)
     measured = None
     if canvas.deviations is not None:
         of_samples, sigma = relative_to_mean(canvas.deviations)
-        relative = painted(atlas, of_samples)
+        relative = on_canvas(atlas, of_samples)
         relative[relative == 0] = 1  # in empty cells
         measured = relative, sigma
     noise = estimate_noise(
@@ -60,8 +60,8 @@ def estimate_on_canvas(canvas: ColouredCanvas) -> CanvasColours:
 
 
 def with_known_noise(canvas: ColouredCanvas, rows: Float32s, noise: NoiseModel) -> CanvasColours:
-    """Paint other colours of the owned cells, shape (T, N), whose noise is the same at all levels, and known."""
-    return _end_at_jumps_in_place(canvas, painted(canvas.atlas, rows), noise, None)
+    """Put other colours of the owned cells, shape (T, N), whose noise is the same at all levels, and known."""
+    return _end_at_jumps_in_place(canvas, on_canvas(canvas.atlas, rows), noise, None)
 
 
 def _end_at_jumps_in_place(

@@ -59,8 +59,8 @@ class Written:
 class Changes:
     """Replacements in a document; every entry that equals the present one keeps its stored bytes."""
 
-    # Rows as in `painted().colours`, shape (V, C); None: unchanged. They are clipped to the range of the stored type
-    # and rounded to it once, to the nearest.
+    # Rows as in `coloured_vertices().colours`, shape (V, C); None: unchanged. They are clipped to the range of the
+    # stored type and rounded to it once, to the nearest.
     colours: Float32s | None
     # By slot and `Texture.key`, of the same size in pixels: each replaces that image in that slot and nowhere else. The
     # type of file may change.

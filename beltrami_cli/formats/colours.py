@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
-from beltrami_cli.errors import InputError, UnpaintedError
+from beltrami_cli.errors import InputError, NoColoursError
 from beltrami_cli.surface.colour_values import limits_of, linear_to_srgb, srgb_to_linear
 from beltrami_cli.surface.grouping import group_equal_rows
-from beltrami_cli.surface.records import Frame, MeshContents, PaintedVertices, require_finite, require_single
+from beltrami_cli.surface.records import ColouredVertices, Frame, MeshContents, require_finite, require_single
 
 BYTE = 255.0
 _GREY = "Grey is written as equal red, green and blue."
@@ -126,12 +126,12 @@ def quantised(values: Float32s, kind: DTypeLike, scale: float | None = None) -> 
     )
 
 
-def as_in_file(painted: PaintedVertices, colours: Float32s) -> Float32s:
-    """Return new colours of painted vertices, rounded to what their file holds of them."""
-    if not painted.stored.startswith(("uint", "int")):
+def as_in_file(vertices: ColouredVertices, colours: Float32s) -> Float32s:
+    """Return new colours of coloured vertices, rounded to what their file holds of them."""
+    if not vertices.stored.startswith(("uint", "int")):
         return colours
-    full = painted.full_scale
-    return (quantised(colours, painted.stored, full) / full).astype(np.float32)
+    full = vertices.full_scale
+    return (quantised(colours, vertices.stored, full) / full).astype(np.float32)
 
 
 def display_colours(contents: MeshContents) -> tuple[Float32s, list[str]]:
@@ -177,7 +177,7 @@ class ColouredPolygons:
     corners: Int64s  # (K,): vertices of all polygons, one polygon after the other
     sizes: Int64s  # how many corners each polygon has
     colours: Float32s  # (K, 3) of every corner, or (K, 4) with opacity; full scale 1, NaN where there is none
-    stored: str  # the type of colours in the file, as in `PaintedVertices`
+    stored: str  # the type of colours in the file, as in `ColouredVertices`
     left_out: tuple[str, ...] = ()  # what else the file holds
     frame: Frame = field(default_factory=Frame)
 
@@ -194,9 +194,9 @@ def check_polygons(found: ColouredPolygons, name: str) -> None:
     if not np.isfinite(found.colours).all(axis=1).any():
         if "textures" in found.left_out:
             cause = "its colours are textures, which are not read in files of this format"
-            raise UnpaintedError(name, cause, "convert it to glTF, for example with Blender")
+            raise NoColoursError(name, cause, "convert it to glTF, for example with Blender")
         cause = "none of its polygons or vertices has a colour"
-        raise UnpaintedError(name, cause, "give a file with vertex colours")
+        raise NoColoursError(name, cause, "give a file with vertex colours")
 
 
 def joined(found: ColouredPolygons) -> ColouredPolygons:

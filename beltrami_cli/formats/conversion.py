@@ -22,7 +22,7 @@ def vertex_mesh(document: Document, colours: Float32s | None = None) -> records.
 
 def _type_for(document: Document, mesh: records.MeshContents) -> str:
     """Return the type that another format needs for the present colours, where the stored one says little."""
-    shown = document.painted()
+    shown = document.coloured_vertices()
     says_little = mesh.stored == "text" or shown.assumed_scale == BYTE
     are_bytes = says_little and holds_bytes(shown.colours) and (mesh.alpha is None or holds_bytes(mesh.alpha))
     return "uint8" if are_bytes else mesh.stored

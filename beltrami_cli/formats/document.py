@@ -5,8 +5,8 @@ A format is a subclass of `Document`, in a folder of its own, and a line of `for
 - The constructor takes the bytes, the name for messages, the folder of sidecar files (None: there are none, as for
   standard input) and the `Access`, and calls `_open` with the folder. Files may be parsed lazily, and every count is
   held against the length of the data before anything is allocated.
-- `_mesh` (or `_painted` and `contents`), `_patched` and `facts` are required; the others have defaults for a format
-  without textures, sidecar files, range images, further attributes or movable vertices. With textures, `slots`,
+- `_mesh` (or `_coloured_vertices` and `contents`), `_patched` and `facts` are required; the others have defaults for a
+  format without textures, sidecar files, range images, further attributes or movable vertices. With textures, `slots`,
   `textured_mesh` and `_scene` are required, too: a `Scene` of `formats/scene.py`, which makes their surfaces
   and meshes.
 - `patch` with equal colours returns equal bytes. What changes is rounded once; every other byte stays.
@@ -25,14 +25,14 @@ from pathlib import Path
 from typing import Any, ClassVar, Self
 
 from beltrami_cli.arrays import Float32s, Float64s, Int64s
-from beltrami_cli.errors import InputError, Obstacle, UnpaintedError
+from beltrami_cli.errors import InputError, NoColoursError, Obstacle
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.changes import NO_IMAGES, Changes, Naming, NewImages, PlannedImages, Written
 from beltrami_cli.formats.comparison import Fingerprint
 from beltrami_cli.formats.image import Picture
 from beltrami_cli.surface import records
 from beltrami_cli.surface.geometry import triangulate
-from beltrami_cli.surface.records import PaintedVertices
+from beltrami_cli.surface.records import ColouredVertices
 
 
 class Document(ABC):
@@ -61,21 +61,21 @@ class Document(ABC):
         """Read what must be sound in every file of the format."""
         del folder  # for formats with sidecar files
 
-    def painted(self) -> PaintedVertices:
+    def coloured_vertices(self) -> ColouredVertices:
         """Return the vertex colours and their surface, always the same record; InputError without usable ones."""
         try:
-            return self._painted
-        except UnpaintedError as error:
+            return self._coloured_vertices
+        except NoColoursError as error:
             if not self.slots():
                 raise
             remedy = "smooth these, or move them into vertices by beltrami bake --to vertices"
-            raise UnpaintedError(self.name, "it has textures, but no vertex colours", remedy) from error
+            raise NoColoursError(self.name, "it has textures, but no vertex colours", remedy) from error
 
     @cached_property
-    def _painted(self) -> PaintedVertices:
+    def _coloured_vertices(self) -> ColouredVertices:
         mesh = self._mesh
         faces = triangulate(mesh.positions, mesh.corners, mesh.offsets)
-        return PaintedVertices(
+        return ColouredVertices(
             mesh.positions, faces, mesh.colours, self._channels, mesh.encoding, mesh.stored,
             assumed_scale=self._scale,
         )  # fmt: skip
@@ -104,17 +104,17 @@ class Document(ABC):
         return records.Frame()
 
     def hidden_places(self) -> tuple[str, ...]:
-        """Return words for the places of a mesh that `painted` and `textured` do not have, if there are any."""
+        """Describe the places of a mesh that `coloured_vertices` and `textured` skip, if there are any."""
         return ()
 
     def grid(self) -> Int64s | None:
-        """Return the rows of `painted()` on the grid of a range image, shape (H, W), -1: none; None without a grid."""
+        """Return the rows of `coloured_vertices()` on a range image's grid, (H, W), -1: none; None without a grid."""
         return None
 
     def has_vertex_colours(self) -> bool:
-        """Whether `painted` has anything to return, without checking all of it."""
+        """Whether `coloured_vertices` has anything to return, without checking all of it."""
         try:
-            self.painted()
+            self.coloured_vertices()
         except InputError:
             return False
         return True
@@ -124,7 +124,7 @@ class Document(ABC):
         return ()
 
     def attribute(self, name: str) -> Float64s:
-        """Return an attribute, shape (V, G), with rows as in `painted().colours`; InputError if there is none.
+        """Return an attribute, (V, G), with rows as in `coloured_vertices().colours`; InputError if there is none.
 
         The name is one of `attributes()`, in any case of letters. Integers are divided by their full scale only where
         the format says that they are fractions. Normals are of unit length or 0, in the space of the positions.
@@ -166,7 +166,7 @@ class Document(ABC):
         """Leave out slots whose images are missing, if there is something else that is coloured."""
         slots, found = tuple(slots), []
         for slot in slots:
-            with suppress(UnpaintedError):
+            with suppress(NoColoursError):
                 self.textured(slot)
                 found.append(slot)
         return tuple(found) if found or self.has_vertex_colours() else slots
@@ -213,7 +213,7 @@ class Document(ABC):
         return ()
 
     def contents(self) -> records.MeshContents:
-        """Return the mesh of the coloured vertices for another format; InputError as `painted`."""
+        """Return the mesh of the coloured vertices for another format; InputError as `coloured_vertices`."""
         return self._mesh
 
     def colours_at_vertices(self, colours: Float32s) -> Float32s:
@@ -224,14 +224,14 @@ class Document(ABC):
         """Return all polygons with materials and images for another format; `colours` as in `patch`."""
         raise InputError(self.name, f"the textures of a {self.format} file cannot be converted")
 
-    def repainted(
-        self, vertices: PaintedVertices | None, images: Mapping[tuple[records.Slot, str], bytes]
+    def with_colours(
+        self, vertices: ColouredVertices | None, images: Mapping[tuple[records.Slot, str], bytes]
     ) -> Self:
         """Return a copy to look at, but not to patch, with other vertex colours (None: the same) and image files."""
         made = copy(self)
         made.notices, made.obstacles, made._textured = [], [], {}
         if vertices is not None:
-            made._painted = vertices  # in place of what the property would cache
+            made._coloured_vertices = vertices  # in place of what the property would cache
         for slot in dict.fromkeys(slot for slot, _ in images):
             surface = self.textured(slot)
             made._textured[slot] = replace(

@@ -12,7 +12,7 @@ from typing import Any, get_args
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float64s, Int32s, Int64s
-from beltrami_cli.errors import InputError, Obstacle, UnpaintedError
+from beltrami_cli.errors import InputError, NoColoursError, Obstacle
 from beltrami_cli.formats.access import LARGE
 from beltrami_cli.formats.image.file_formats import suffix_for
 from beltrami_cli.formats.new_files import TileSets
@@ -44,14 +44,14 @@ def no_texture(
 ) -> InputError:
     """Return the error that nothing shows an image: as one is missing, for lack of coordinates, or for a reason."""
     for cause, remedy in missing:
-        return UnpaintedError(name, f"its {slot} texture cannot be read: {cause}", remedy)
+        return NoColoursError(name, f"its {slot} texture cannot be read: {cause}", remedy)
     if is_bare:
         cause = f"it has a {slot} texture, but no texture coordinates for it"
         return InputError(name, cause, "export it with them")
     cause = f"it has no {slot} texture"
     if why is None:
-        return UnpaintedError(name, cause)
-    return UnpaintedError(name, f"{cause}, because {why.cause}", why.remedy)
+        return NoColoursError(name, cause)
+    return NoColoursError(name, f"{cause}, because {why.cause}", why.remedy)
 
 
 @dataclass

@@ -17,8 +17,8 @@ from beltrami_cli.formats.image.picture import Picture, array_picture
 from beltrami_cli.layers.image_surface import ImageSurface
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.records import (
+    ColouredVertices,
     Encoding,
-    PaintedVertices,
     Texture,
     TexturedSurface,
     check_scale,
@@ -67,8 +67,8 @@ def _of_trimesh(mesh: Any) -> MeshArrays:
         raise UsageError("the mesh has colours of faces; set mesh.visual.vertex_colors")
     arrays = MeshArrays(np.asarray(mesh.vertices), None if faces is None else np.asarray(faces))
     if visual.kind != "texture":
-        is_painted = visual.kind == "vertex" and len(visual.vertex_colors)
-        return arrays._replace(colours=np.asarray(visual.vertex_colors) if is_painted else None)
+        is_coloured = visual.kind == "vertex" and len(visual.vertex_colors)
+        return arrays._replace(colours=np.asarray(visual.vertex_colors) if is_coloured else None)
     if hasattr(visual.material, "materials"):
         raise UsageError("the mesh has several materials; give smooth_textured images and texture_of")
     image = getattr(visual.material, "baseColorTexture", getattr(visual.material, "image", None))
@@ -171,9 +171,9 @@ def require_choice(name: str, value: str, choices: Sequence[str] = get_args(Enco
         raise UsageError(f"{name} is {value}, but must be {' or '.join(choices)}")
 
 
-def painted_arrays(
+def vertices_of_arrays(
     positions: ArrayLike, faces: ArrayLike | None, colours: ArrayLike, encoding: Encoding
-) -> PaintedVertices:
+) -> ColouredVertices:
     """Check the arrays of a mesh, or of points; channels have names, or else their numbers."""
     require_choice("encoding", encoding)
     places, shades = position_table(positions), colour_table(colours)
@@ -184,7 +184,7 @@ def painted_arrays(
         raise InputError(_ARRAYS, f"there are {len(places)} positions but {len(shades)} colours")
     require_finite(places, _ARRAYS, "the position of vertex")
     check_scale(places, triangles, _ARRAYS)
-    return PaintedVertices(places, triangles, shades, names, encoding, stored)
+    return ColouredVertices(places, triangles, shades, names, encoding, stored)
 
 
 def checked_surface(surface: ImageSurface | None, table: Float32s, shape: tuple[int, int]) -> ImageSurface:

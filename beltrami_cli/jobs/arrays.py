@@ -20,21 +20,21 @@ from beltrami_cli.jobs.array_arguments import (
     image_array,
     in_type_of,
     mesh_arrays,
-    painted_arrays,
     pixel_colours,
     require_choice,
     settings_for,
     textured_surface,
     textures_of,
     unpacked,
+    vertices_of_arrays,
 )
 from beltrami_cli.jobs.smoothing import smooth_layer
 from beltrami_cli.layers.image_surface import ImageSurface
 from beltrami_cli.layers.layer import SlotReport, VertexReport
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings
 from beltrami_cli.layers.texture_layer import TextureLayer
-from beltrami_cli.layers.vertex_layer import CloudCounts, GridLayer, VertexLayer, count_cloud, without_others
-from beltrami_cli.surface.records import Encoding, PaintedVertices, Slot
+from beltrami_cli.layers.vertex_layer import CloudCounts, GridLayer, MeshLayer, count_cloud, without_others
+from beltrami_cli.surface.records import ColouredVertices, Encoding, Slot
 
 Progress = Callable[[int, int], None]
 
@@ -209,29 +209,29 @@ def smooth(
        doi:10.1073/pnas.95.15.8431
     """
     positions, faces, colours, opacity = unpacked(positions, faces, colours)
-    painted = painted_arrays(positions, faces, colours, encoding)
-    shape = (len(painted.positions),)
-    settings, guides, noise = settings_for(parameters, guide, painted.channels, shape, overrides)
-    dimensions = painted.positions.shape[1]
+    vertices = vertices_of_arrays(positions, faces, colours, encoding)
+    shape = (len(vertices.positions),)
+    settings, guides, noise = settings_for(parameters, guide, vertices.channels, shape, overrides)
+    dimensions = vertices.positions.shape[1]
     if settings.embedding.smooth_geometry and dimensions != 3:
         raise UsageError(f"smooth_geometry needs positions in 3 dimensions, not {dimensions}")
     if faces is None and dimensions > 3:
         raise UsageError(f"positions in {dimensions} dimensions need faces")
-    rows = np.flatnonzero(np.isfinite(painted.colours).all(axis=1))
-    layer = VertexLayer(
-        painted=without_others(painted, rows), settings=settings, fits_surface=faces is None,
+    rows = np.flatnonzero(np.isfinite(vertices.colours).all(axis=1))
+    layer = MeshLayer(
+        vertices=without_others(vertices, rows), settings=settings, fits_surface=faces is None,
         guides=[replace(guide, values=guide.values[rows]) for guide in guides],
         noise=None if noise is None else noise[rows],
     ).normalised()  # fmt: skip
     done = smooth_layer(layer, progress)
-    report, repainted = done.report, done.repainted
+    report, stored = done.report, done.stored
     assert isinstance(report, VertexReport)
-    assert repainted.colours is not None
+    assert stored.colours is not None
     counts, geometry = report.counts, report.geometry or {}
-    after = _with_rows(painted.colours, rows, repainted.colours)
-    moved = repainted.positions
-    moved = None if moved is None else _with_rows(painted.positions, rows, moved)
-    new = in_type_of(array_of(colours, "colours"), painted.colours, after)
+    after = _with_rows(vertices.colours, rows, stored.colours)
+    moved = stored.positions
+    moved = None if moved is None else _with_rows(vertices.positions, rows, moved)
+    new = in_type_of(array_of(colours, "colours"), vertices.colours, after)
     new = new if opacity is None else np.concatenate([new, opacity], axis=1)
     return SmoothResult(
         colours=new, beta=report.beta, spacing=report.spacing, noise=report.noise,
@@ -314,7 +314,7 @@ def smooth_image(
     grid = np.full(shape, -1, np.int32)
     grid[place.valid] = np.arange(np.count_nonzero(valid))
     layer = GridLayer(
-        painted=PaintedVertices(
+        vertices=ColouredVertices(
             positions=np.empty((np.count_nonzero(valid), 0)),  # which `surface` has
             faces=np.empty((0, 3), np.int32),
             colours=table if valid.all() else table[valid],
@@ -331,7 +331,7 @@ def smooth_image(
     done = smooth_layer(layer, progress)
     report, smoothed = done.report, table.copy()
     assert isinstance(report, VertexReport)
-    smoothed[valid] = done.repainted.colours
+    smoothed[valid] = done.stored.colours
     return ImageResult(
         colours=in_type_of(given, table, smoothed).reshape(*shape, -1), beta=report.beta, spacing=report.spacing,
         noise=np.array(list(report.noise.values())), samples=int(report.counts["samples"]),
@@ -426,6 +426,6 @@ def smooth_textured(
     assert isinstance(done.report, SlotReport)
     smoothed = [
         in_type_of(old, picture.pixels, new.pixels).reshape(old.shape)
-        for old, picture, new in zip(given, pictures, done.repainted.shared, strict=True)
+        for old, picture, new in zip(given, pictures, done.stored.shared, strict=True)
     ]
-    return TexturedResult(smoothed, done.report, [*done.warnings, *done.repainted.notices])
+    return TexturedResult(smoothed, done.report, [*done.warnings, *done.stored.notices])

@@ -65,7 +65,7 @@ def kernel_file(
     if selection.vertices + len(selection.slots) + selection.image > 1:
         remedy = "choose --on vertices, or --on texture and one of --slots"
         raise UsageError(f"a kernel is of one image; {remedy}", document.name)
-    selection.require_memory("smoothed" if selection.image else "painted")
+    selection.require_memory("smoothed" if selection.image else "recoloured")
     (samples,) = (layer.normalised() for layer in selection.layers())
     where = samples.places()
     on_mesh = isinstance(where, SampledVertices)

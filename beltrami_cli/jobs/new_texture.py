@@ -60,7 +60,7 @@ class NewTexture:
     positions: Float64s
     faces: Int32s
     uv: Float64s  # (F, 3, 2), as in `TexturedSurface`
-    space_of: Int32s | None  # as in `PaintedVertices`
+    space_of: Int32s | None  # as in `ColouredVertices`
     pixels: Array  # uint8 or uint16, (H, W, 3) or (H, W, 4): the texture, sRGB
     charts: int | None  # how many, if it was unwrapped
     notices: tuple[str, ...]
@@ -112,7 +112,7 @@ def texture_from_vertices(
     if not len(faces):
         remedy = "a texture needs a surface; mesh the points first"
         raise InputError(document.name, "it has no triangles", remedy)
-    space_of = document.painted().space_of
+    space_of = document.coloured_vertices().space_of
     charts = None
     if wanted.keep_uv:
         uv, size = _kept_uv(document, contents.positions[faces], wanted.size)
@@ -242,8 +242,8 @@ def _what_textures_lose(document: Document, old: TexturedSurface, pictures: list
 
 def texels_of(surface: TexturedSurface, sizes: Int64s) -> float:
     """Return how many texels the textured triangles have together."""
-    painted = surface.texture_of >= 0
-    corners = surface.uv[painted] * sizes[surface.texture_of[painted]][:, None]
+    is_textured = surface.texture_of >= 0
+    corners = surface.uv[is_textured] * sizes[surface.texture_of[is_textured]][:, None]
     one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     return float(np.abs(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]).sum() / 2)
 

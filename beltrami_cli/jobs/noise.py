@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import ProcessingError, UsageError
-from beltrami_cli.flow.manifolds.canvas import painted as on_canvas
+from beltrami_cli.flow.manifolds.canvas import on_canvas
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.parameters import Space
 from beltrami_cli.formats.image import write_image
@@ -29,19 +29,19 @@ from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.image.writing import noise_losses
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
-from beltrami_cli.jobs.recolour import FileReport, Painted, Painter, recolour
+from beltrami_cli.jobs.recolour import ColourFilter, FileReport, FilterResult, recolour
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.layers.image_layer import ImageLayer
-from beltrami_cli.layers.layer import Layer, Repainted
+from beltrami_cli.layers.layer import Layer, StoredColours
 from beltrami_cli.layers.picture_layer import PictureLayer
 from beltrami_cli.layers.settings import DEFAULTS, SLOTS, SmoothSettings
 from beltrami_cli.layers.texture_layer import TextureLayer, all_texel_colours
-from beltrami_cli.layers.vertex_layer import PaintedLayer, change_of, coloured_rows
+from beltrami_cli.layers.vertex_layer import VertexLayer, change_of, coloured_rows
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.baking import Cells, places_of_texels
 from beltrami_cli.surface.colour_values import from_space, limits_of, to_space
 from beltrami_cli.surface.grouping import group_places
-from beltrami_cli.surface.records import PaintedVertices
+from beltrami_cli.surface.records import ColouredVertices
 
 _BAYER = np.array([[0, 1], [1, 2]])  # the channel that is measured, by row and column
 _LATTICE = 1 << 16  # random numbers, which points of a lattice share by a hash
@@ -88,15 +88,15 @@ class NoiseTargets:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Noisy(Painted):
+class Noisy(FilterResult):
     """Samples with noise, and what it changed."""
 
     added: Added
 
 
 @dataclass(frozen=True)
-class Noising(Painter[Noisy]):
-    """A painter that adds noise."""
+class Noising(ColourFilter[Noisy]):
+    """A filter that adds noise."""
 
     works_in_files: ClassVar[bool] = False
     noise: NoiseSettings
@@ -105,16 +105,16 @@ class Noising(Painter[Noisy]):
     def changes(self) -> bool:
         return self.noise.sigma != 0
 
-    def paint(self, layer: Layer, job: Job) -> Noisy:
+    def apply(self, layer: Layer, job: Job) -> Noisy:
         del job
         targets = _targets_of(layer)
         after = _with_noise(layer, targets, self.noise)
-        made = _repainted(layer, targets, after)
-        what = "vertex colours" if isinstance(layer, PaintedLayer) else layer.label
-        return Noisy(repainted=made, added=Added(what, len(after), made.change.summary()["rms"]))
+        made = _stored(layer, targets, after)
+        what = "vertex colours" if isinstance(layer, VertexLayer) else layer.label
+        return Noisy(stored=made, added=Added(what, len(after), made.change.summary()["rms"]))
 
-    def check_painted(self, source: str, painted: Sequence[Noisy]) -> None:
-        changes = [each.repainted.change for each in painted]
+    def check_results(self, source: str, results: Sequence[Noisy]) -> None:
+        changes = [each.stored.change for each in results]
         if any(each.count for each in changes) and not any(each.largest for each in changes):
             remedy = "add more, or choose a format without loss"
             raise ProcessingError(f"nothing of the noise would be left in the file; {remedy}", source)
@@ -158,10 +158,10 @@ def noise_file(
 def _targets_of(layer: Layer) -> NoiseTargets:
     """Return the colours of a layer that noise is added to: of vertices, texels or pixels."""
     space = layer.settings.space
-    if isinstance(layer, PaintedLayer):
-        painted, rows = layer.painted, _rows_of(layer)
-        before = to_space(painted.colours[rows][:, layer.channels.changing], painted.encoding, space)
-        return NoiseTargets(before, _places_of(painted, rows), space=space)
+    if isinstance(layer, VertexLayer):
+        vertices, rows = layer.vertices, _rows_of(layer)
+        before = to_space(vertices.colours[rows][:, layer.channels.changing], vertices.encoding, space)
+        return NoiseTargets(before, _places_of(vertices, rows), space=space)
     if isinstance(layer, ImageLayer):
         before = layer.colours.working(layer.picture, np.flatnonzero(layer.valid))
         return NoiseTargets(before, np.arange(len(before)), space=space)
@@ -180,15 +180,15 @@ def _targets_of(layer: Layer) -> NoiseTargets:
     )
 
 
-def _repainted(layer: Layer, targets: NoiseTargets, after: Float32s) -> Repainted:
+def _stored(layer: Layer, targets: NoiseTargets, after: Float32s) -> StoredColours:
     """Give the targets of a layer new colours."""
-    if isinstance(layer, PaintedLayer):
-        painted, changing = layer.painted, layer.channels.changing
-        colours, places = painted.colours.copy(), (_rows_of(layer)[:, None], changing)
+    if isinstance(layer, VertexLayer):
+        vertices, changing = layer.vertices, layer.channels.changing
+        colours, places = vertices.colours.copy(), (_rows_of(layer)[:, None], changing)
         # Conversion to the working space and back is not exact: unchanged colours keep their bits.
-        back = from_space(after, painted.encoding, targets.space)
+        back = from_space(after, vertices.encoding, targets.space)
         colours[places] = np.where(after != targets.colours, back, colours[places])
-        return Repainted(change_of(painted, colours), colours)
+        return StoredColours(change_of(vertices, colours), colours)
     if isinstance(layer, ImageLayer):
         new = NewColours.of(after, np.flatnonzero(layer.valid))
         remedy = "an OUTPUT in .png keeps all"
@@ -199,19 +199,19 @@ def _repainted(layer: Layer, targets: NoiseTargets, after: Float32s) -> Repainte
         beyond = np.ascontiguousarray(planes.reshape(len(planes), -1)[:, atlas.gutter_cells].T)
         new = NewColours.of(after, atlas.owned_texels, atlas.gutter_texels, beyond)
         remedy = "--texture-format png keeps all"
-    made = layer.repaint(new)
+    made = layer.encode(new)
     losses = [loss for each in layer.pictures for loss in noise_losses(each, layer.suffix, remedy)]
     return dataclasses.replace(made, notices=(*made.notices, *losses))
 
 
-def _rows_of(layer: PaintedLayer) -> NDArray[np.intp]:
-    return coloured_rows(layer.painted, in_triangles=layer.in_triangles)
+def _rows_of(layer: VertexLayer) -> NDArray[np.intp]:
+    return coloured_rows(layer.vertices, in_triangles=layer.in_triangles)
 
 
-def _places_of(painted: PaintedVertices, rows: NDArray[np.intp]) -> Int32s:
+def _places_of(vertices: ColouredVertices, rows: NDArray[np.intp]) -> Int32s:
     """Return the number of the place of each of some vertices."""
-    spaces = None if painted.space_of is None else painted.space_of[rows]
-    return group_places(painted.positions[rows], spaces)[0]
+    spaces = None if vertices.space_of is None else vertices.space_of[rows]
+    return group_places(vertices.positions[rows], spaces)[0]
 
 
 def _with_noise(layer: Layer, targets: NoiseTargets, settings: NoiseSettings) -> Float32s:
@@ -229,9 +229,9 @@ def _with_noise(layer: Layer, targets: NoiseTargets, settings: NoiseSettings) ->
 
 def _positions_of(layer: Layer) -> tuple[Float64s, Float64s]:
     """Return the positions of the targets, (K, 3), and their distance from neighbours, (K,)."""
-    if isinstance(layer, PaintedLayer):
+    if isinstance(layer, VertexLayer):
         rows = _rows_of(layer)
-        return layer.painted.positions[rows], _spacing(layer.painted, rows)
+        return layer.vertices.positions[rows], _spacing(layer.vertices, rows)
     cells = layer.places()
     assert isinstance(cells, Cells)
     if isinstance(layer, TextureLayer):
@@ -240,21 +240,21 @@ def _positions_of(layer: Layer) -> tuple[Float64s, Float64s]:
     return places.astype(np.float64), np.ones(len(places))
 
 
-def _spacing(painted: PaintedVertices, rows: NDArray[np.intp]) -> Float64s:
+def _spacing(vertices: ColouredVertices, rows: NDArray[np.intp]) -> Float64s:
     """Return the mean length of the sides at each vertex's place, or of points the distance to the next place."""
-    place_of = _places_of(painted, rows)
+    place_of = _places_of(vertices, rows)
     count = int(place_of.max(initial=-1)) + 1
     first = np.zeros(count, np.int64)
     first[place_of] = np.arange(len(rows))
-    places = painted.positions[rows[first]]
-    if not len(painted.faces) and count > 1:
+    places = vertices.positions[rows[first]]
+    if not len(vertices.faces) and count > 1:
         from scipy.spatial import cKDTree
 
         apart = np.asarray(cKDTree(places).query(places, k=2)[0], np.float64)
         return np.asarray(apart[place_of, 1])
-    number = np.full(len(painted.positions), -1)
+    number = np.full(len(vertices.positions), -1)
     number[rows] = place_of
-    corners = number[painted.faces]
+    corners = number[vertices.faces]
     sides = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
     sides = sides[(sides >= 0).all(axis=1) & (sides[:, 0] != sides[:, 1])]
     lengths = np.linalg.norm(places[sides[:, 0]] - places[sides[:, 1]], axis=1)

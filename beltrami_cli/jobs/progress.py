@@ -25,7 +25,7 @@ _SECONDS = {
     "laying out": (0.02, 0.15),
     "choosing parameters": (1.0, 0.45),
     "smoothing": (0.05, 2.0),
-    "painting": (0.02, 0.3),
+    "recolouring": (0.02, 0.3),
     "writing": (0.02, 0.05),
     "comparing": (0.02, 0.2),
     "measuring": (0.02, 0.45),

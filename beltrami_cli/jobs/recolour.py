@@ -1,6 +1,6 @@
-"""Give a file new colours: open it, choose format and names of the output, select, take layers, paint, write, report.
+"""Give a file new colours: open it, choose format and names of the output, select, take layers, filter, write, report.
 
-A painter gives a layer new colours: by the kernel, by adding noise, and the like. No code here asks which layers they
+A filter gives a layer new colours: by the kernel, by adding noise, and the like. No code here asks which layers they
 are. The files of the result have the format that the output asks for; in memory, the result is a document to look at.
 """
 
@@ -35,7 +35,7 @@ from beltrami_cli.formats.textured_mesh import with_images, with_suffixes
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.output import Output, shared_files
 from beltrami_cli.jobs.progress import phases_of
-from beltrami_cli.layers.layer import Layer, Repainted, all_images
+from beltrami_cli.layers.layer import Layer, StoredColours, all_images
 from beltrami_cli.layers.selection import Selection, select
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.geometry import vertex_normals
@@ -152,7 +152,7 @@ def begin(
     with watch.stage("read"):
         document = open_input(source, settings, access)
         if models_only and document.kind == "image":
-            document.painted()  # raises the error that it is no model
+            document.coloured_vertices()  # raises the error that it is no model
         kind = choose_format(document, target, job.format)
     return FileJob(source, target, replace(job, access=access), document, kind, output, watch)
 
@@ -218,18 +218,18 @@ def is_moved(source: str, target: str) -> bool:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Painted:
-    """What a painter made of samples; painters add what they report of it."""
+class FilterResult:
+    """New colours of a layer; filters add what they report of it."""
 
-    repainted: Repainted
+    stored: StoredColours
     warnings: Sequence[str] = ()
 
 
-AnyPainted = TypeVar("AnyPainted", bound=Painted)
+AnyResult = TypeVar("AnyResult", bound=FilterResult)
 
 
-class Painter(ABC, Generic[AnyPainted]):
-    """What gives samples new colours. It is immutable; what it did is in what it returns."""
+class ColourFilter(ABC, Generic[AnyResult]):
+    """Gives layers new colours. It is immutable; what it did is in its results."""
 
     # Whether channels of images that are no colours stay, unless they are named.
     colours_only: ClassVar[bool] = True
@@ -238,8 +238,8 @@ class Painter(ABC, Generic[AnyPainted]):
 
     @property
     def phases(self) -> Sequence[str]:
-        """Return the phases of `paint`, see `jobs/progress.py`."""
-        return ("painting",)
+        """Return the phases of `apply`, see `jobs/progress.py`."""
+        return ("recolouring",)
 
     @property
     def changes(self) -> bool:
@@ -248,84 +248,86 @@ class Painter(ABC, Generic[AnyPainted]):
 
     @property
     def works_in_groups(self) -> bool:
-        """Whether textures that do not touch are painted separately."""
+        """Whether textures that do not touch are filtered separately."""
         return False
 
     def check(self, selection: Selection, target: OutputFormat) -> None:
-        """Raise errors if the selection cannot be painted, before anything is computed."""
+        """Raise errors if the selection cannot be recoloured, before anything is computed."""
 
     @abstractmethod
-    def paint(self, layer: Layer, job: Job) -> AnyPainted:
+    def apply(self, layer: Layer, job: Job) -> AnyResult:
         """Give a layer new colours."""
 
-    def check_painted(self, source: str, painted: Sequence[AnyPainted]) -> None:
-        """Raise errors about what was painted, before it is written."""
+    def check_results(self, source: str, results: Sequence[AnyResult]) -> None:
+        """Raise errors about the results, before they are written."""
 
 
 def recolour(
-    source: str, target: str, settings: SmoothSettings, painter: Painter[AnyPainted], job: Job
-) -> tuple[FileReport, list[AnyPainted]]:
-    """Paint what the settings select of a file, and write it with nothing else changed."""
+    source: str, target: str, settings: SmoothSettings, colour_filter: ColourFilter[AnyResult], job: Job
+) -> tuple[FileReport, list[AnyResult]]:
+    """Recolour what the settings select of a file, and write it with nothing else changed."""
     file = begin(source, target, settings, job)
     document, kind, watch = file.document, file.format, file.watch
     with watch.stage("read"):
         selection = select(document, settings, file.job.access)
-        if not painter.changes and kind.suffix is None:
+        if not colour_filter.changes and kind.suffix is None:
             selection = Selection(document, settings, file.job.access)
-        painter.check(selection, kind)
+        colour_filter.check(selection, kind)
         naming = file.reserve(partial(_sidecar_names, selection, kind))
     place = None if file.output is None else target
-    with selection.within_memory(place, in_files=painter.works_in_files) as chunk_memory:
+    with selection.within_memory(place, in_files=colour_filter.works_in_files) as chunk_memory:
         with watch.stage("smooth"):
-            painted = paint(selection, painter, replace(file.job, chunk_memory=chunk_memory), kind.suffix)
-            painter.check_painted(source, painted)
+            results = apply_filter(
+                selection, colour_filter, replace(file.job, chunk_memory=chunk_memory), kind.suffix
+            )
+            colour_filter.check_results(source, results)
         with watch.stage("write"):
-            new = [each.repainted for each in painted]
+            new = [each.stored for each in results]
             images, said = all_images(new)
             written = _files(document, new, images, kind, naming, in_place=not is_moved(source, target))
         notices = [*selection.notices, *(notice for each in new for notice in each.notices), *said]
-        report = file.write(written, notices, [warning for each in painted for warning in each.warnings])
-    return report, painted
+        report = file.write(written, notices, [warning for each in results for warning in each.warnings])
+    return report, results
 
 
 def recolour_in_memory(
-    document: Document, settings: SmoothSettings, painter: Painter[AnyPainted], job: Job
-) -> tuple[Document, list[AnyPainted]]:
-    """Paint what the settings select, and return it as the document that would be written; the other is kept."""
+    document: Document, settings: SmoothSettings, colour_filter: ColourFilter[AnyResult], job: Job
+) -> tuple[Document, list[AnyResult]]:
+    """Recolour what the settings select, and return it as the document that would be written; the other is kept."""
     selection = Selection(document, settings, job.access)
-    if painter.changes:
+    if colour_filter.changes:
         selection = select(document, settings, job.access)
-    painter.check(selection, OutputFormat(document.format, is_patched=True))
-    with selection.within_memory(in_files=painter.works_in_files) as chunk_memory:
-        painted = paint(selection, painter, replace(job, chunk_memory=chunk_memory))
-    return with_new_colours(document, [each.repainted for each in painted]), painted
+    colour_filter.check(selection, OutputFormat(document.format, is_patched=True))
+    with selection.within_memory(in_files=colour_filter.works_in_files) as chunk_memory:
+        results = apply_filter(selection, colour_filter, replace(job, chunk_memory=chunk_memory))
+    return with_new_colours(document, [each.stored for each in results]), results
 
 
-def paint(
-    selection: Selection, painter: Painter[AnyPainted], job: Job, suffix: str | None = None
-) -> list[AnyPainted]:
-    """Paint the selected parts, layer by layer; `suffix`: of another image format that is written."""
-    painted = []
+def apply_filter(
+    selection: Selection, colour_filter: ColourFilter[AnyResult], job: Job, suffix: str | None = None
+) -> list[AnyResult]:
+    """Recolour the selected parts, layer by layer; `suffix`: of another image format that is written."""
+    results = []
     counts = selection.samples()
-    phases = [phases_of(["laying out", *painter.phases], count) for count in counts]
+    phases = [phases_of(["laying out", *colour_filter.phases], count) for count in counts]
     job.expect([*chain(*phases), *phases_of(["writing"], sum(counts))])
     job.begin("laying out")
-    options = {"colours_only": painter.colours_only, "in_groups": painter.works_in_groups}
+    options = {"colours_only": colour_filter.colours_only, "in_groups": colour_filter.works_in_groups}
     for layer in selection.layers(suffix, **options):
         layer.require_writable()
-        painted.append(painter.paint(layer, job))
-        job.begin("laying out" if len(painted) < len(counts) else "writing")
+        results.append(colour_filter.apply(layer, job))
+        job.begin("laying out" if len(results) < len(counts) else "writing")
         del layer
-    return painted
+    return results
 
 
 def _files(
-    document: Document, painted: Sequence[Repainted], images: dict[tuple[Slot, str], ImageFile],
+    document: Document, stored: Sequence[StoredColours], images: dict[tuple[Slot, str], ImageFile],
     kind: OutputFormat, naming: Naming, *, in_place: bool,
 ) -> Written:  # fmt: skip
     """Return the files of a document with new colours, images and positions, in the format of the output."""
-    colours = next((each.colours for each in painted if each.colours is not None), None)
-    places = next((each.positions for each in painted if each.positions is not None), None)
+    colours = next((each.colours for each in stored if each.colours is not None), None)
+    places = next((each.positions for each in stored if each.positions is not None), None)
     moved = None if places is None else moved_vertices(document, places)
     if in_place:
         images = {key: image for key, image in images.items() if _is_new(document, *key, image)}
@@ -365,19 +367,19 @@ def _has_textures(document: Document, kind: OutputFormat) -> bool:
 
 
 def moved_vertices(document: Document, positions: Float64s) -> MovedVertices:
-    """Return new positions, rows as in `painted`, with normals around moved vertices if every vertex has one."""
-    painted = document.painted()
+    """Return new positions of coloured vertices, with normals around moved vertices if every vertex has one."""
+    vertices = document.coloured_vertices()
     if not document.has_normals_by_vertex():
         return MovedVertices(positions)
     # Copies of a vertex that share a normal share the new one; others stay separate, so that hard edges stay hard.
-    columns = [*painted.positions.T, *document.attribute("normal").T]
-    if painted.space_of is not None:
-        columns.append(painted.space_of)
+    columns = [*vertices.positions.T, *document.attribute("normal").T]
+    if vertices.space_of is not None:
+        columns.append(vertices.space_of)
     group_of, _ = group_equal_rows(*columns)
-    normals = vertex_normals(positions, painted.faces, group_of)
-    moved = np.any(positions != painted.positions, axis=1)
+    normals = vertex_normals(positions, vertices.faces, group_of)
+    moved = np.any(positions != vertices.positions, axis=1)
     touched = np.zeros(int(group_of.max(initial=-1)) + 1, bool)
-    touched[group_of[painted.faces[moved[painted.faces].any(axis=1)]]] = True
+    touched[group_of[vertices.faces[moved[vertices.faces].any(axis=1)]]] = True
     normals[~touched[group_of] | ~normals.any(axis=1)] = np.nan
     return MovedVertices(positions, normals)
 
@@ -407,15 +409,15 @@ def _sidecar_names(selection: Selection, kind: OutputFormat, naming: Naming) -> 
     return names(naming.free_stem(names))
 
 
-def with_new_colours(document: Document, painted: Sequence[Repainted]) -> Document:
+def with_new_colours(document: Document, stored: Sequence[StoredColours]) -> Document:
     """Return what a document would be with new colours, rounded to what its file holds of them."""
-    images = {key: image.data for key, image in all_images(painted)[0].items()}
-    new = next((each for each in painted if each.colours is not None), None)
+    images = {key: image.data for key, image in all_images(stored)[0].items()}
+    new = next((each for each in stored if each.colours is not None), None)
     if document.kind == "image":
         return ImageDocument(images.get(("baseColor", ""), document.data), document.name)
     if new is None or new.colours is None:
-        return document.repainted(None, images)
-    vertices, colours = document.painted(), new.colours
+        return document.with_colours(None, images)
+    vertices, colours = document.coloured_vertices(), new.colours
     colours = as_in_file(vertices, colours)
     positions = vertices.positions if new.positions is None else new.positions
-    return document.repainted(replace(vertices, colours=colours, positions=positions), images)
+    return document.with_colours(replace(vertices, colours=colours, positions=positions), images)

@@ -1,4 +1,4 @@
-"""The painter that removes exposure steps and smooths, and the record of what was done."""
+"""The filter that removes exposure steps and smooths, and the record of what was done."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.registry import OutputFormat
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.progress import Label
-from beltrami_cli.jobs.recolour import FileReport, Painted, Painter
+from beltrami_cli.jobs.recolour import ColourFilter, FileReport, FilterResult
 from beltrami_cli.layers.layer import (
     Change,
     ImageReport,
@@ -37,7 +37,7 @@ _USUAL_TICKS = 30  # while parameters are chosen
 
 
 @dataclass(frozen=True, kw_only=True)
-class Smoothed(Painted):
+class Smoothed(FilterResult):
     """What smoothing makes of a layer."""
 
     part: Part  # of the document
@@ -73,10 +73,10 @@ def smooth_layer(
     choice = None if result.choice is None else result.choice.in_unit(layer.unit)
     samples_per_kernel = result.samples_per_kernel
     del plan, result  # before images as large are made
-    repainted = layer.repaint(new, is_smoothed=is_smoothed)
+    stored = layer.encode(new, is_smoothed=is_smoothed)
     return Smoothed(
-        part=layer.part, repainted=repainted,
-        report=dataclasses.replace(report, change=repainted.change.summary()), warnings=warnings,
+        part=layer.part, stored=stored,
+        report=dataclasses.replace(report, change=stored.change.summary()), warnings=warnings,
         choice=choice, samples_per_kernel=samples_per_kernel, levelled=layer.level_report,
     )  # fmt: skip
 
@@ -109,8 +109,8 @@ def smooth_in_job(layer: Layer, job: Job, label: str) -> Smoothed:
 
 
 @dataclass(frozen=True)
-class Smoothing(Painter[Smoothed]):
-    """A painter that removes exposure steps, if that is wanted, and then smooths."""
+class Smoothing(ColourFilter[Smoothed]):
+    """A filter that removes exposure steps, if that is wanted, and then smooths."""
 
     colours_only: ClassVar[bool] = False
 
@@ -123,7 +123,9 @@ class Smoothing(Painter[Smoothed]):
 
     @property
     def phases(self) -> Sequence[str]:
-        return ("choosing parameters", "smoothing") if self.settings.kernel.iterations != 0 else ("painting",)
+        return (
+            ("choosing parameters", "smoothing") if self.settings.kernel.iterations != 0 else ("recolouring",)
+        )
 
     @property
     def changes(self) -> bool:
@@ -142,7 +144,7 @@ class Smoothing(Painter[Smoothed]):
             cause = "an image has no charts that could differ in exposure; give a model with textures"
             raise UsageError(cause, selection.document.name)
 
-    def paint(self, layer: Layer, job: Job) -> Smoothed:
+    def apply(self, layer: Layer, job: Job) -> Smoothed:
         if self.levelling is not None:
             layer = layer.levelled(self.levelling)
         return smooth_in_job(layer, job, layer.label) if "smoothing" in self.phases else smooth_layer(layer)
@@ -188,7 +190,7 @@ def _joined(group: Sequence[Smoothed]) -> LayerReport:
         pitch=mean("pitch"),
         samples_per_kernel=round(mean("samples_per_kernel"), 2),
         patches=None if reports[0].patches is None else mean("patches"),
-        change=Change.joined(each.repainted.change for each in group).summary(),
+        change=Change.joined(each.stored.change for each in group).summary(),
     )
 
 

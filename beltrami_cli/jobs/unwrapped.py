@@ -12,7 +12,7 @@ from beltrami_cli.fields import require_effect
 from beltrami_cli.formats.image.sizes import measure_image
 from beltrami_cli.formats.registry import write_mesh
 from beltrami_cli.jobs.job import Job
-from beltrami_cli.jobs.recolour import FileJob, begin, paint
+from beltrami_cli.jobs.recolour import FileJob, apply_filter, begin
 from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.jobs.smoothing import Smoothed, Smoothing, SmoothReport, smooth_in_job, smooth_report
 from beltrami_cli.layers.layer import all_images
@@ -42,7 +42,7 @@ def smooth_unwrapped(
     notices = [*made.notices]
     if selection.slots and file.document.has_vertex_colours():
         notices.append("Vertex colours are not in the new file; --on vertices takes them, not the texture.")
-    notices += [notice for each in smoothed for notice in each.repainted.notices]
+    notices += [notice for each in smoothed for notice in each.stored.notices]
     with file.watch.stage("write"):
         written = write_mesh(made.mesh(image), file.format.name, stem)
     report = file.write(written, notices, [warning for each in smoothed for warning in each.warnings])
@@ -70,7 +70,7 @@ def _selected(file: FileJob, settings: SmoothSettings) -> Selection:
     shown = document.readable(slot for slot in document.slots() if slot == "baseColor")
     if settings.on == "texture" or (settings.on != "vertices" and shown):
         return Selection(document, settings, access, slots=("baseColor",))
-    document.painted()  # raises if there are none
+    document.coloured_vertices()  # raises if there are none
     return Selection(document, settings, access, vertices=True)
 
 
@@ -78,7 +78,7 @@ def _require_possible(selection: Selection) -> None:
     if selection.vertices:
         from beltrami_cli.layers.vertex_layer import require_surface  # which textures do without
 
-        require_surface(selection.document.painted(), selection.document.name)
+        require_surface(selection.document.coloured_vertices(), selection.document.name)
         return
     if selection.settings.embedding.guides:
         raise UsageError("--guide cannot guide the new texture that --unwrap makes; use both in turn")
@@ -102,14 +102,14 @@ def _new_texture(
             settings, textures=dataclasses.replace(textures, image_suffix=".tif", small=False)
         )
         with file.watch.stage("smooth"):
-            smoothed = paint(dataclasses.replace(selection, settings=exact), Smoothing(exact), job)
+            smoothed = apply_filter(dataclasses.replace(selection, settings=exact), Smoothing(exact), job)
     with file.watch.stage("unwrap"):
         if selection.vertices:
-            colours = smoothed[0].repainted.colours if smoothed else None
+            colours = smoothed[0].stored.colours if smoothed else None
             made = texture_from_vertices(document, wanted, job.progress, colours)
         else:
-            images = all_images(each.repainted for each in smoothed)[0]
-            exact_document = document.repainted(None, {key: image.data for key, image in images.items()})
+            images = all_images(each.stored for each in smoothed)[0]
+            exact_document = document.with_colours(None, {key: image.data for key, image in images.items()})
             made = texture_from_textures(exact_document, wanted, job.progress)
     if smoothed or not smooths:
         return (
@@ -121,7 +121,7 @@ def _new_texture(
         layer = TextureLayer.read(made.surface(), "baseColor", settings)
         layer.require_writable()
         again = smooth_in_job(layer, job, "the new texture")
-    (image,) = again.repainted.images.values()
+    (image,) = again.stored.images.values()
     return made, image, [again]
 
 

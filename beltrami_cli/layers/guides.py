@@ -49,7 +49,7 @@ def _values(document: Document, name: str, access: Access) -> Float64s:
         attributes = ", ".join(known) or "no others"
         cause = f"no such file, and no attribute of the vertices of {document.name}, which has {attributes}"
         raise InputError(name, cause)
-    return read_table(name, len(document.painted().positions), document.name, access)
+    return read_table(name, len(document.coloured_vertices().positions), document.name, access)
 
 
 def read_table(path: str, rows: int, model: str, access: Access) -> Float64s:
@@ -67,7 +67,9 @@ def read_table(path: str, rows: int, model: str, access: Access) -> Float64s:
     else:
         # The given columns belong to the smoothed points, not to a guide.
         table = (
-            document_of(data, path, dataclasses.replace(access, columns=(), channels=())).painted().colours
+            document_of(data, path, dataclasses.replace(access, columns=(), channels=()))
+            .coloured_vertices()
+            .colours
         )
     if table.ndim == 1:
         table = table[:, None]
@@ -81,7 +83,7 @@ def read_table(path: str, rows: int, model: str, access: Access) -> Float64s:
 
 def read_map(path: str, picture: Picture, access: Access) -> Float32s:
     """Read numbers of the pixels of a picture, shape (H * W, G)."""
-    image = read_of_size(path, picture, access, "painted")
+    image = read_of_size(path, picture, access, "recoloured")
     channels = [i for i in range(image.pixels.shape[2]) if i != image.alpha]
     numbers = np.asarray(full_scale_one(image.pixels[..., channels]), np.float32)
     return numbers.reshape(-1, numbers.shape[2])
@@ -241,7 +243,7 @@ def noise_of_vertices(kernel: KernelParameters, document: Document, access: Acce
     if given.kind == "attribute":
         values = document.attribute(given.source)
     else:
-        values = read_table(given.source, len(document.painted().positions), document.name, access)
+        values = read_table(given.source, len(document.coloured_vertices().positions), document.name, access)
     _check(values, given.source, "vertex")
     return values.astype(np.float32)
 

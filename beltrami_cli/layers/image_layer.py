@@ -29,7 +29,7 @@ from beltrami_cli.layers.image_surface import (
     canvas_of_image,
     read_surface,
 )
-from beltrami_cli.layers.layer import ImageReport, Part, Repainted, rewritten
+from beltrami_cli.layers.layer import ImageReport, Part, StoredColours, rewritten
 from beltrami_cli.layers.picture_layer import PictureColours, PictureLayer, with_chosen_layer
 from beltrami_cli.layers.settings import SmoothSettings, binding_parameters
 from beltrami_cli.surface.baking import Cells
@@ -135,7 +135,7 @@ class ImageLayer(PictureLayer):
             **self._used(plan, result),
         )
 
-    def repaint(self, new: NewColours, *, is_smoothed: bool = True) -> Repainted:
+    def encode(self, new: NewColours, *, is_smoothed: bool = True) -> StoredColours:
         del is_smoothed
         notices = [*self.remarks]
         if self.suffix is None and not self.valid.all() and not is_exact(self.picture):
@@ -147,7 +147,7 @@ class ImageLayer(PictureLayer):
         file, said = rewritten(self.picture, pixels, wanted, self.suffix, as_data=self.as_data)
         image = dataclasses.replace(file, suffix=self.suffix or Path(self.picture.name).suffix)
         change = self.change_in(image, 0, new, change)
-        return Repainted(change, images={("baseColor", ""): image}, notices=(*said, *turned, *notices))
+        return StoredColours(change, images={("baseColor", ""): image}, notices=(*said, *turned, *notices))
 
     def places(self) -> Cells:
         row, column = np.nonzero(self.valid)

@@ -30,7 +30,7 @@ from beltrami_cli.layers.settings import COLOUR_SLOTS, LevelSettings, SmoothSett
 from beltrami_cli.surface.atlas import Indices, store_integers
 from beltrami_cli.surface.baking import Cells
 from beltrami_cli.surface.large_arrays import blocks, kept_bytes
-from beltrami_cli.surface.records import ImageFile, PaintedVertices, Slot
+from beltrami_cli.surface.records import ColouredVertices, ImageFile, Slot
 
 Part = Literal["vertices", "textures", "image"]
 
@@ -52,7 +52,7 @@ class SharedImage:
 
 
 @dataclass(frozen=True)
-class Repainted:
+class StoredColours:
     """New colours for a document: of vertices, with their positions if they moved, or image files."""
 
     change: Change
@@ -67,7 +67,7 @@ class Repainted:
 class SampledVertices:
     """A mesh, and the sample that each of its V vertices belongs to."""
 
-    mesh: PaintedVertices
+    mesh: ColouredVertices
     sample_of: Int64s  # shape (V,); -1: none
 
 
@@ -157,7 +157,7 @@ class Layer(ABC):
         """Return the report of what was done, without the change of colours."""
 
     @abstractmethod
-    def repaint(self, new: NewColours, *, is_smoothed: bool = True) -> Repainted:
+    def encode(self, new: NewColours, *, is_smoothed: bool = True) -> StoredColours:
         """Write new colours of all samples back.
 
         Where neither smoothing nor levelling changed a texture, its gutter stays.
@@ -316,7 +316,7 @@ def rewritten(
 
 
 def all_images(
-    painted: Iterable[Repainted],
+    stored: Iterable[StoredColours],
 ) -> tuple[dict[tuple[Slot, str], ImageFile], list[str]]:
     """Return the new images of all layers, and notices about images that several slots show.
 
@@ -324,7 +324,7 @@ def all_images(
     """
     images = dict[tuple[Slot, str], ImageFile]()
     joined = dict[str, list[list[SharedImage]]]()
-    for each in painted:
+    for each in stored:
         images |= each.images
         for new in each.shared:
             groups = joined.setdefault(new.key, [])

@@ -97,7 +97,7 @@ class PictureLayer(Layer):
         `is_dithered`: so that smooth changes of colours are no bands in 8 bits.
         """
         pixels = large_arrays.copy_of(self.pictures[index].pixels)
-        return pixels, self._paint(pixels, index, new.places, new.take, is_dithered=is_dithered)
+        return pixels, self._fill(pixels, index, new.places, new.take, is_dithered=is_dithered)
 
     def change_in(self, file: ImageFile, index: int, new: NewColours, change: Change) -> Change:
         """Return the change of a picture's samples in the file that was written, where that does not hold all of it."""
@@ -128,7 +128,7 @@ class PictureLayer(Layer):
         inside = (texels >= begin) & (texels < end)
         return inside, texels[inside] - begin
 
-    def _paint(
+    def _fill(
         self, pixels: Array, index: int, texels: Indices, take: Callable[[slice, Bools | slice], Float32s], *,
         is_dithered: bool,
     ) -> Change:  # fmt: skip

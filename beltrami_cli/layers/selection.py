@@ -1,4 +1,4 @@
-"""Which parts of a document are painted, and as which layers.
+"""Which parts of a document are recoloured, and as which layers.
 
 Textures that touch each other nowhere on the surface have noise and parameters of their own: the fibres of a carpet are
 no noise of a plain wall, and parameters that suit wood smooth the wall too little.
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.arrays import Float64s, Int32s, Int64s
-from beltrami_cli.errors import InputError, Obstacle, UnpaintedError, UsageError
+from beltrami_cli.errors import InputError, NoColoursError, Obstacle, UsageError
 from beltrami_cli.fields import given_parameters, require_effect
 from beltrami_cli.flow.chunks import chunk_memory
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
@@ -32,7 +32,7 @@ from beltrami_cli.surface.large_arrays import kept_within
 from beltrami_cli.surface.records import Slot, TexturedSurface, check_scale
 
 if TYPE_CHECKING:
-    from beltrami_cli.layers.vertex_layer import PaintedLayer
+    from beltrami_cli.layers.vertex_layer import VertexLayer
 
 
 _TEXT_POINTS = ("xyz", "pts", "csv")  # formats
@@ -50,7 +50,7 @@ _ENOUGH_TEXELS = 1 << 16
 
 @dataclass(frozen=True)
 class Selection:
-    """The painted parts of a document: its vertex colours, the textures of slots, or the image itself."""
+    """The selected parts of a document: its vertex colours, the textures of slots, or the image itself."""
 
     document: Document
     settings: SmoothSettings
@@ -79,13 +79,13 @@ class Selection:
         return [kind for kind, is_there in kinds.items() if is_there]
 
     def images(self) -> Iterator[Iterator[tuple[str, bytes]]]:
-        """Give the names and bytes of the files that are painted together: the image, or the textures of each slot."""
+        """Yield names and bytes of the files that are recoloured together: the image, or the textures of each slot."""
         if self.image:
             yield iter([(self.document.name, self.document.data)])
         for surface in self.surfaces:
             yield ((texture.name, texture.data) for texture in surface.textures)
 
-    def require_memory(self, work: str = "painted") -> None:
+    def require_memory(self, work: str = "recoloured") -> None:
         """Raise InputError if images cannot fit into memory, slot by slot; see there for `work`."""
         for images in self.images():
             require_memory(images, self.access, work)
@@ -112,7 +112,7 @@ class Selection:
                 left = min(left, memory - largest - _MASKS * texels)
                 if left < 0:
                     raise too_large(name, size)
-        chunk = chunk_memory(len(self.document.painted().colours), left) if self.vertices else None
+        chunk = chunk_memory(len(self.document.coloured_vertices().colours), left) if self.vertices else None
         with kept_within(
             left, Path(target).absolute().parent if target else None, in_chunks=chunk is not None
         ):
@@ -145,7 +145,7 @@ class Selection:
             size = measure_image(self.document.data, self.document.name)
             counts.append(0 if size is None else size.texels)
         if self.vertices:
-            counts.append(_TEXELS_OF_A_VERTEX * len(self.document.painted().colours))
+            counts.append(_TEXELS_OF_A_VERTEX * len(self.document.coloured_vertices().colours))
         return [*counts, *(int(_covered_texels(surface).sum()) for surface in self.surfaces)]
 
     def require_geometry(self, *, is_patched: bool) -> None:
@@ -159,7 +159,7 @@ class Selection:
                 "smoothed; choose --on vertices or --on both",
                 document.name,
             )
-        if document.grid() is not None or not len(document.painted().faces):
+        if document.grid() is not None or not len(document.coloured_vertices().faces):
             raise InputError(document.name, "it has no triangles, so there is no geometry to smooth")
         if is_patched:
             document.require_movable()
@@ -168,8 +168,8 @@ class Selection:
         """Raise InputError if distances on the samples cannot be computed; say if positions are too coarse."""
         document, meshes = self.document, list[tuple[Float64s, Int32s]]()
         if self.vertices:
-            painted = document.painted()
-            meshes.append((painted.positions, painted.faces))
+            vertices = document.coloured_vertices()
+            meshes.append((vertices.positions, vertices.faces))
         for slot in self.slots:
             surface = document.textured(slot)
             meshes.append((surface.positions, surface.faces[surface.texture_of >= 0]))
@@ -179,7 +179,7 @@ class Selection:
 
 
 def select(document: Document, settings: SmoothSettings, access: Access = EVERYTHING_INSIDE) -> Selection:
-    """Choose the painted parts by the settings and the document; errors if there are none, or for unfit options."""
+    """Choose the parts by the settings and the document; errors if there are none, or for unfit options."""
     selection = _select(document, settings, access)
     # What fits no image, and the surface of images, is refused wherever it was given.
     given = binding_parameters(settings) if selection.image else given_parameters(settings.image)
@@ -200,7 +200,7 @@ def _select(document: Document, settings: SmoothSettings, access: Access) -> Sel
         slots = document.readable(slots)
     if settings.on == "vertices" or (settings.on == "auto" and not slots and coloured):
         if not coloured:
-            document.painted()  # raises an error with what there is instead
+            document.coloured_vertices()  # raises an error with what there is instead
         return Selection(document, settings, access, vertices=True)
     if settings.on == "both" and not (coloured and slots):
         missing = "vertex colours" if slots else "textures in the chosen slots"
@@ -219,19 +219,19 @@ def absent_slots(document: Document, settings: SmoothSettings) -> list[str]:
     return [] if wanted == SLOTS else [f"it has no {slot} textures" for slot in wanted if slot not in present]
 
 
-def vertex_layer(document: Document, settings: SmoothSettings, access: Access) -> PaintedLayer:
+def vertex_layer(document: Document, settings: SmoothSettings, access: Access) -> VertexLayer:
     """Take the coloured vertices of a model: on a mesh, on their own, on a grid, or on a level set."""
     from beltrami_cli.layers.guides import noise_of_vertices, vertex_guides
     from beltrami_cli.layers.levelled_charts import photographs_of
-    from beltrami_cli.layers.vertex_layer import GridLayer, VertexLayer
+    from beltrami_cli.layers.vertex_layer import GridLayer, MeshLayer
 
-    painted, grid = document.painted(), document.grid()
+    vertices, grid = document.coloured_vertices(), document.grid()
     guides = vertex_guides(document, settings, access)
     noise = noise_of_vertices(settings.kernel, document, access)
     if grid is None:
         in_triangles = document.kind == "volume"
-        return VertexLayer(
-            painted=painted,
+        return MeshLayer(
+            vertices=vertices,
             settings=settings,
             guides=guides,
             noise=noise,
@@ -241,7 +241,7 @@ def vertex_layer(document: Document, settings: SmoothSettings, access: Access) -
     if wrong := [each.flag for each in binding_parameters(settings) if each.of == ("vertex colours",)]:
         cause = f"{', '.join(wrong)}: not on range images, whose vertices lie on a grid; leave it out"
         raise UsageError(cause)
-    return GridLayer(painted=painted, grid=grid, settings=settings, guides=guides, noise=noise)
+    return GridLayer(vertices=vertices, grid=grid, settings=settings, guides=guides, noise=noise)
 
 
 def separate_surfaces(surface: TexturedSurface) -> list[TexturedSurface]:
@@ -294,19 +294,19 @@ def _large_parts(part_of: Int64s, covered: Float64s) -> list[list[int]]:
 
 def _no_such_textures(document: Document, present: Sequence[Slot], wanted: Sequence[str]) -> InputError:
     if not present:
-        return UnpaintedError(document.name, "it has no textures", "leave out --slots")
+        return NoColoursError(document.name, "it has no textures", "leave out --slots")
     cause = f"it has no {' or '.join(wanted)} textures, only {', '.join(present)} textures"
-    return UnpaintedError(document.name, cause, f"give --slots {present[0]}")
+    return NoColoursError(document.name, cause, f"give --slots {present[0]}")
 
 
 def _nothing_to_smooth(document: Document, present: Sequence[Slot], *, textures_only: bool) -> InputError:
     """Return the error that there are no colours of the requested kind, or that they are damaged."""
     why = Obstacle("")
     if textures_only and not present and document.has_vertex_colours():
-        return UnpaintedError(document.name, "it has no textures, only vertex colours", "use --on vertices")
+        return NoColoursError(document.name, "it has no textures, only vertex colours", "use --on vertices")
     try:
-        document.painted()
-    except UnpaintedError as error:
+        document.coloured_vertices()
+    except NoColoursError as error:
         why = Obstacle(error.cause, error.remedy)
     except InputError as error:
         return error
@@ -314,10 +314,10 @@ def _nothing_to_smooth(document: Document, present: Sequence[Slot], *, textures_
     cause = f"it has {kinds} to smooth"
     if present:
         cause = f"{cause}, but textures in the slots {', '.join(present)}"
-        return UnpaintedError(document.name, cause, f"give --slots {present[0]}")
+        return NoColoursError(document.name, cause, f"give --slots {present[0]}")
     if document.obstacles:
         why = Obstacle(document.obstacles[0].cause, document.obstacles[0].remedy or why.remedy)
-    return UnpaintedError(document.name, cause + (f" ({why.cause})" if why.cause else ""), why.remedy)
+    return NoColoursError(document.name, cause + (f" ({why.cause})" if why.cause else ""), why.remedy)
 
 
 def _without_empty_slots(selection: Selection) -> Selection:

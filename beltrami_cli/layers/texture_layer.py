@@ -15,7 +15,7 @@ from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import FlowResult
 from beltrami_cli.flow.estimation import estimate_on_canvas
-from beltrami_cli.flow.manifolds.canvas import canvas_margin, painted_by
+from beltrami_cli.flow.manifolds.canvas import canvas_margin, fill_canvas
 from beltrami_cli.flow.manifolds.grid_geometry import colours_at
 from beltrami_cli.flow.manifolds.grid_manifold import ColouredCanvas, GridManifold, grid_manifold
 from beltrami_cli.flow.manifolds.new_colours import NewColours
@@ -175,7 +175,7 @@ class TextureLayer(PictureLayer):
             **self._planned(plan),
         }
 
-    def repaint(self, new: NewColours, *, is_smoothed: bool = True) -> layer.Repainted:
+    def encode(self, new: NewColours, *, is_smoothed: bool = True) -> layer.StoredColours:
         is_tried, is_covered = is_smoothed or self.level_report is not None, len(self.atlas.owned_texels) > 0
         notices = _notices_of(self.atlas) if is_tried or not is_covered else []
         is_levelled, wanted = self.levelled_colours is not None, self.settings.textures
@@ -200,7 +200,7 @@ class TextureLayer(PictureLayer):
             changes.append(self.change_in(file, index, new, change))
             notices += said
         change = layer.Change.joined(changes)
-        return layer.Repainted(change, images=images, shared=tuple(shared), notices=tuple(notices))
+        return layer.StoredColours(change, images=images, shared=tuple(shared), notices=tuple(notices))
 
     def _refill_gutter(
         self, pixels: Array, index: int, new: NewColours, gutter: int, *, is_dithered: bool
@@ -209,7 +209,7 @@ class TextureLayer(PictureLayer):
         picture, threads = self.pictures[index], self.settings.kernel.thread_count
         covered, known, rows = self._near_charts(index, pixels.shape[:2], new, gutter)
         beyond = NewColours.of(new.beyond[rows])
-        self._paint(pixels, index, new.beyond_places[rows], beyond.take, is_dithered=is_dithered)
+        self._fill(pixels, index, new.beyond_places[rows], beyond.take, is_dithered=is_dithered)
         _keep_others(
             picture.pixels, pixels, covered, known, partial(self.colours.shown, picture),
             width=gutter, lone=self._of_picture(self.atlas.lone_texels, index)[1], threads=threads,
@@ -237,7 +237,7 @@ class TextureLayer(PictureLayer):
             raise UsageError(f"{self.label}: {cause}")
         if not self.is_whole:
             raise UsageError(f"{self.label}: exposures are fitted to all textures of a slot together")
-        planes = painted_by(self.atlas, len(self.names), self._colours_of)
+        planes = fill_canvas(self.atlas, len(self.names), self._colours_of)
         textures = self.surface.textures
         is_coloured = self.names == ("red", "green", "blue")
         spans = [max(each.span) if is_coloured and each is not None else 1 for each in self.tables]
@@ -352,7 +352,7 @@ def _keep_others(
 
     A texel continues its chart if the step to the nearest covered texel was, but for noise, what it is now; or if there
     was none, and then it is left to be filled from there. All else is background, or the edge of a colour that lies on
-    the chart's border, or paint of another chart, material or model. Single texels of such paint may resemble the
+    the chart's border, or a colour of another chart, material or model. Single texels of those may resemble the
     chart, so half of the uncovered texels around must continue it, too. Of lone texels it is not known which part of
     the surface they show.
 
@@ -361,7 +361,7 @@ def _keep_others(
     """
     rows, new_rows, is_known = old.reshape(covered.size, -1), new.reshape(covered.size, -1), known.reshape(-1)
     limit = _REAL_STEP * _taken_away(rows, new_rows, covered, shown)
-    painted, continues = np.flatnonzero(is_known), np.zeros(covered.shape, bool)
+    candidates, continues = np.flatnonzero(is_known), np.zeros(covered.shape, bool)
     for texels, nearest in nearest_covered(covered, width + 1 if width else 0, threads=threads):
         for block in large_arrays.blocks(len(texels), large_arrays.CACHED):
             here, there = texels[block], nearest[block]
@@ -377,7 +377,7 @@ def _keep_others(
     continues &= _is_half(continues, ~covered)
     continues.reshape(-1)[lone] = False
     stays = ~(continues | covered)
-    restored = painted[stays.reshape(-1)[painted]]
+    restored = candidates[stays.reshape(-1)[candidates]]
     new_rows[restored] = rows[restored]
     known[stays] = True
 

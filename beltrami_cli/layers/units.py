@@ -9,7 +9,7 @@ import numpy as np
 from beltrami_cli.arrays import Array, Float32s, Int64s
 from beltrami_cli.formats.colours import BYTE, INTEGER_SCALES, holds_bytes
 from beltrami_cli.formats.image import Picture
-from beltrami_cli.surface.records import PaintedVertices
+from beltrami_cli.surface.records import ColouredVertices
 
 # Samples whose quantiles give a unit: that of 0.99 lies between those of 0.9892 and 0.9908 in 95 of 100 cases.
 _ENOUGH = 60_000
@@ -31,16 +31,16 @@ _HEADROOM = 1.2
 _MOST_CONTRAST, _PERCEIVED, _LEAST_RANGE = 8.0, 1 / 2.4, 1e-3
 
 
-def unit_of_vertices(painted: PaintedVertices, channels: Sequence[int], *, are_data: bool) -> float:
+def unit_of_vertices(vertices: ColouredVertices, channels: Sequence[int], *, are_data: bool) -> float:
     """Return the unit of chosen channels of vertices."""
-    full, rows = painted.full_scale, painted.colours
-    is_whole = painted.stored.startswith(("uint", "int")) or full in INTEGER_SCALES
-    joined = np.full(len(rows), not len(painted.faces))
-    joined[painted.faces] = True  # vertices in no triangle stay
+    full, rows = vertices.full_scale, vertices.colours
+    is_whole = vertices.stored.startswith(("uint", "int")) or full in INTEGER_SCALES
+    joined = np.full(len(rows), not len(vertices.faces))
+    joined[vertices.faces] = True  # vertices in no triangle stay
     places = np.flatnonzero(joined)
     values = rows[places[:: 1 + len(places) // _ENOUGH]][:, channels]
     return value_unit(
-        values, 1 / full if is_whole else 0.0, is_display=painted.encoding == "srgb" and not are_data
+        values, 1 / full if is_whole else 0.0, is_display=vertices.encoding == "srgb" and not are_data
     )
 
 

@@ -36,8 +36,8 @@ from beltrami_cli.layers.layer import (
     Layer,
     LevelReport,
     Part,
-    Repainted,
     SampledVertices,
+    StoredColours,
     VertexReport,
     choose_channels,
 )
@@ -50,32 +50,32 @@ from beltrami_cli.surface.geometry import bounds, count_topology
 from beltrami_cli.surface.grouping import VertexSampling, sample_vertices
 from beltrami_cli.surface.large_arrays import blocks, copy_of, kept
 from beltrami_cli.surface.reconstruction import faces_of_points
-from beltrami_cli.surface.records import PaintedVertices, SampledSurface
+from beltrami_cli.surface.records import ColouredVertices, SampledSurface
 
 # Kernels from which the mean number of samples is estimated, within a few per cent, in milliseconds.
 _PROBED_KERNELS = 1000
 
 
-def describe_colours(painted: PaintedVertices) -> dict[str, object]:
+def describe_colours(vertices: ColouredVertices) -> dict[str, object]:
     """Return facts about colours of vertices, in JSON types."""
-    colours = painted.colours
+    colours = vertices.colours
     return {
-        "channels": list(painted.channels),
-        "stored": painted.stored,
-        "encoding": painted.encoding,
-        "full_scale": painted.full_scale,
+        "channels": list(vertices.channels),
+        "stored": vertices.stored,
+        "encoding": vertices.encoding,
+        "full_scale": vertices.full_scale,
         "least": [float(value) for value in colours.min(axis=0)] if len(colours) else [],
         "greatest": [float(value) for value in colours.max(axis=0)] if len(colours) else [],
     }
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class PaintedLayer(Layer):
+class VertexLayer(Layer):
     """The common part of vertices on a mesh and on a grid."""
 
     part: ClassVar[Part] = "vertices"
 
-    painted: PaintedVertices
+    vertices: ColouredVertices
     settings: SmoothSettings
     guides: Sequence[Guide] = ()
     noise: Float32s | None = None  # standard deviations, with a row for each vertex
@@ -85,24 +85,24 @@ class PaintedLayer(Layer):
     names: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        channels = choose_channels(self.painted.channels, self.settings, "the colours have")
+        channels = choose_channels(self.vertices.channels, self.settings, "the colours have")
         object.__setattr__(self, "channels", channels)
-        object.__setattr__(self, "names", tuple(self.painted.channels[each] for each in channels.sampled))
+        object.__setattr__(self, "names", tuple(self.vertices.channels[each] for each in channels.sampled))
 
     def normalised(self) -> Self:
-        return self._in_unit_of(self.painted)
+        return self._in_unit_of(self.vertices)
 
-    def _in_unit_of(self, painted: PaintedVertices) -> Self:
-        found = unit_of_vertices(painted, self.channels.sampled, are_data=self.settings.space == "data")
+    def _in_unit_of(self, vertices: ColouredVertices) -> Self:
+        found = unit_of_vertices(vertices, self.channels.sampled, are_data=self.settings.space == "data")
         return self if found == self.stored_unit else dataclasses.replace(self, stored_unit=found)
 
     def unit_in(self, space: str) -> float:
-        return unit_in_space(self.stored_unit, self.painted.encoding, space)
+        return unit_in_space(self.stored_unit, self.vertices.encoding, space)
 
     def _report(self, plan: Plan[Any], result: FlowResult[Any], counts: dict[str, float]) -> VertexReport:
         return VertexReport(
             counts={
-                "vertices": len(self.painted.colours),
+                "vertices": len(self.vertices.colours),
                 **counts,
                 "samples_per_kernel": round(result.samples_per_kernel, 2),
                 "truncated_kernels": result.truncated,
@@ -111,34 +111,34 @@ class PaintedLayer(Layer):
             **self._used(plan, result),
         )
 
-    def _repainted(
+    def _stored_colours(
         self,
         vertices: NDArray[np.integer[Any]],
         rows: NDArray[np.integer[Any]],
         after: Float32s,
         positions: Float64s | None = None,
-    ) -> Repainted:
+    ) -> StoredColours:
         """Give vertices the colours in rows; conversion there and back is not exact, but its result stays in range."""
-        painted, changing = self.painted, self.channels.changing
-        colours = copy_of(painted.colours)
+        before, changing = self.vertices, self.channels.changing
+        colours = copy_of(before.colours)
         if len(vertices):
-            low, high = (limit(axis=0)[changing] for limit in (painted.colours.min, painted.colours.max))
+            low, high = (limit(axis=0)[changing] for limit in (before.colours.min, before.colours.max))
         for block in blocks(len(vertices)):
-            back = from_space(after[rows[block]], painted.encoding, self.settings.space, self.stored_unit)
+            back = from_space(after[rows[block]], before.encoding, self.settings.space, self.stored_unit)
             colours[vertices[block, None], changing] = np.clip(back, low, high)
-        return Repainted(change_of(painted, colours), colours, positions)
+        return StoredColours(change_of(before, colours), colours, positions)
 
 
-def change_of(painted: PaintedVertices, colours: Float32s) -> Change:
+def change_of(vertices: ColouredVertices, colours: Float32s) -> Change:
     """Return how new colours of vertices change them in the file."""
     return Change.joined(
-        Change.between(as_in_file(painted, painted.colours[block]), as_in_file(painted, colours[block]))
+        Change.between(as_in_file(vertices, vertices.colours[block]), as_in_file(vertices, colours[block]))
         for block in blocks(len(colours))
     )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class VertexLayer(PaintedLayer):
+class MeshLayer(VertexLayer):
     """Vertices of a mesh; points without triangles are sampled on the surface that they lie on."""
 
     label = "vertex colours"
@@ -151,22 +151,22 @@ class VertexLayer(PaintedLayer):
 
     @property
     def _is_cloud(self) -> bool:
-        return self.fits_surface and not len(self.painted.faces)
+        return self.fits_surface and not len(self.vertices.faces)
 
     @property
     def _is_light(self) -> bool:
-        colours = self.painted.colours
-        return self.painted.encoding == "linear" and bool(colours.max(initial=0) > 1)
+        colours = self.vertices.colours
+        return self.vertices.encoding == "linear" and bool(colours.max(initial=0) > 1)
 
     @cached_property
-    def joined(self) -> PaintedVertices:
+    def joined(self) -> ColouredVertices:
         """The vertices with triangles: from the file, or of the surface that is fitted to points."""
-        return with_surface(self.painted, self.settings) if self._is_cloud else self.painted
+        return with_surface(self.vertices, self.settings) if self._is_cloud else self.vertices
 
     @cached_property
     def sampling(self) -> VertexSampling:
         # Points stay apart that rounding alone distinguishes: triangles between points have no open borders.
-        return sample_vertices(dataclasses.replace(self.joined, faces=self.painted.faces))
+        return sample_vertices(dataclasses.replace(self.joined, faces=self.vertices.faces))
 
     @cached_property
     def _stored(self) -> Float32s:
@@ -205,7 +205,7 @@ class VertexLayer(PaintedLayer):
         return choose_parameters(mesh_manifold(mesh, estimate_on_mesh(mesh)), mesh.parameters, tick)
 
     def report(self, plan: Plan[MeshManifold], result: FlowResult[MeshManifold]) -> VertexReport:
-        counts: dict[str, float] = {"triangles": len(self.painted.faces)}
+        counts: dict[str, float] = {"triangles": len(self.vertices.faces)}
         if self._is_cloud:
             counts = dataclasses.asdict(count_cloud(self.joined))
         samples = len(self.sampling.first_vertex)
@@ -215,7 +215,7 @@ class VertexLayer(PaintedLayer):
         if moving is None:
             return report
         positions = result.manifold.geometry.in_order(moving.positions)[self.sampling.sample_of]
-        moves = np.linalg.norm(positions - self.painted.positions, axis=1)
+        moves = np.linalg.norm(positions - self.vertices.positions, axis=1)
         geometry = {
             "normal_noise": moving.sigma,
             "normal_beta": moving.beta,
@@ -226,18 +226,18 @@ class VertexLayer(PaintedLayer):
         return dataclasses.replace(report, geometry=geometry)
 
     def describe(self) -> dict[str, object]:
-        painted, counts, plan = self.joined, self._counts(), self.plan()
+        vertices, counts, plan = self.joined, self._counts(), self.plan()
         manifold, planned = plan.manifold, self._planned(plan)
         if (moved := manifold.moving) is not None:
             planned["smooth"] |= {"normal_noise": float(moved.sigma), "normal_beta": float(moved.beta)}
         in_kernel = samples_per_kernel(manifold, _PROBED_KERNELS, plan.step(0))
         planned["smooth"]["samples_per_kernel"] = round(in_kernel, 1)
-        where = {"mean_edge_length": manifold.geometry.spacing, "bounds": bounds(painted.positions)}
+        where = {"mean_edge_length": manifold.geometry.spacing, "bounds": bounds(vertices.positions)}
         what = "cloud" if self._is_cloud else "surface"
-        return {"colours": describe_colours(painted), what: counts | where, **planned}
+        return {"colours": describe_colours(vertices), what: counts | where, **planned}
 
     def _counts(self) -> dict[str, object]:
-        vertices, samples = len(self.painted.colours), len(self.sampling.first_vertex)
+        vertices, samples = len(self.vertices.colours), len(self.sampling.first_vertex)
         places, place_of = self.sampling.places, self.sampling.place_of
         if self._is_cloud:
             counts = {"points": vertices, "samples": samples, "coincident_points": vertices - places}
@@ -248,7 +248,7 @@ class VertexLayer(PaintedLayer):
         positions[place_of] = surface.positions
         return {
             "vertices": vertices,
-            "triangles": len(self.painted.faces),
+            "triangles": len(self.vertices.faces),
             "samples": samples,
             "coincident_vertices": vertices - places,
             "hard_edge_samples": samples - places,
@@ -258,7 +258,7 @@ class VertexLayer(PaintedLayer):
     def places(self) -> SampledVertices:
         return SampledVertices(self.joined, self.sampling.sample_of.astype(np.int64))
 
-    def levelled(self, wanted: LevelSettings) -> VertexLayer:
+    def levelled(self, wanted: LevelSettings) -> MeshLayer:
         if self.photographs_of is None:
             raise UsageError(f"{self.label}: nothing says which photograph each vertex is from")
         photographs, surface = self.photographs_of(wanted.photographs), self.surface()
@@ -267,18 +267,18 @@ class VertexLayer(PaintedLayer):
         colours, report = level_photographs(self.label, surface, photograph_of, wanted)
         return dataclasses.replace(self, levelled_colours=colours, level_report=report)
 
-    def repaint(self, new: NewColours, *, is_smoothed: bool = True) -> Repainted:
+    def encode(self, new: NewColours, *, is_smoothed: bool = True) -> StoredColours:
         del is_smoothed
         written, sample_of = self.channels.written, self.sampling.sample_of
         after = new.table()[:, written]
         changed = np.any(after != self._stored[:, written], axis=1)[sample_of]
         vertices = np.flatnonzero(changed)
         positions = None if new.positions is None else new.positions[sample_of]
-        return self._repainted(vertices, sample_of[vertices], after, positions)
+        return self._stored_colours(vertices, sample_of[vertices], after, positions)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class GridLayer(PaintedLayer):
+class GridLayer(VertexLayer):
     """Colours on a grid: the vertices of a range image, or the pixels of an image that is no file."""
 
     label = "range image"
@@ -293,11 +293,11 @@ class GridLayer(PaintedLayer):
         if surface is None:
             measured = self.grid >= 0
             positions = np.full((*self.grid.shape, 3), np.nan)
-            positions[measured] = self.painted.positions[self.grid[measured]]
+            positions[measured] = self.vertices.positions[self.grid[measured]]
             surface = ImageSurface(positions=positions, valid=measured)
         canvas = canvas_of_image(
             surface, self._working, self.kernel, metric_channels=self.channels.metric,
-            light=space if self.painted.encoding == "linear" and space != "data" else None,
+            light=space if self.vertices.encoding == "linear" and space != "data" else None,
             guides=[dataclasses.replace(each, values=self._by_pixel(each.values)) for each in self.guides],
             deviations=None if self.deviations is None else self._by_pixel(self.deviations),
         )  # fmt: skip
@@ -312,22 +312,22 @@ class GridLayer(PaintedLayer):
 
     def _working(self, places: Int64s) -> Float32s:
         """Return the colours at some places of the grid in the working space, shape (T, N)."""
-        colours = self.painted.colours[self.grid.reshape(-1)[places]][:, self.channels.sampled]
-        return to_space(colours, self.painted.encoding, self.settings.space, self.stored_unit)
+        colours = self.vertices.colours[self.grid.reshape(-1)[places]][:, self.channels.sampled]
+        return to_space(colours, self.vertices.encoding, self.settings.space, self.stored_unit)
 
     def report(self, plan: Plan[GridManifold], result: FlowResult[GridManifold]) -> VertexReport:
         samples = len(plan.manifold.geometry.atlas.owned_texels)
-        counts: dict[str, float] = {"triangles": len(self.painted.faces)}
+        counts: dict[str, float] = {"triangles": len(self.vertices.faces)}
         return self._report(plan, result, {**counts, "samples": samples, "hard_edge_samples": 0})
 
     def describe(self) -> dict[str, object]:
         plan, grid = self.plan(), self.grid
         measured = len(plan.manifold.geometry.atlas.owned_texels)
         return {
-            "colours": describe_colours(self.painted),
+            "colours": describe_colours(self.vertices),
             "surface": {
                 "range_image": [grid.shape[1], grid.shape[0]],
-                "vertices": len(self.painted.positions),
+                "vertices": len(self.vertices.positions),
                 "samples": measured,
                 "holes": grid.size - measured,
                 "mean_edge_length": plan.manifold.geometry.spacing,
@@ -337,24 +337,24 @@ class GridLayer(PaintedLayer):
 
     def places(self) -> SampledVertices:
         measured = self.grid[self.grid >= 0]
-        sample_of = np.full(len(self.painted.positions), -1)
+        sample_of = np.full(len(self.vertices.positions), -1)
         sample_of[measured] = np.arange(len(measured))
-        return SampledVertices(self.painted, sample_of)
+        return SampledVertices(self.vertices, sample_of)
 
-    def repaint(self, new: NewColours, *, is_smoothed: bool = True) -> Repainted:
+    def encode(self, new: NewColours, *, is_smoothed: bool = True) -> StoredColours:
         del is_smoothed
         written = self.channels.written
         after = new.table()[:, written]
         moved = np.flatnonzero(np.any(self._working(new.places)[:, written] != after, axis=1))
-        return self._repainted(self.grid.reshape(-1)[new.places[moved]], moved, after)
+        return self._stored_colours(self.grid.reshape(-1)[new.places[moved]], moved, after)
 
 
-def require_surface(painted: PaintedVertices, name: str) -> None:
+def require_surface(vertices: ColouredVertices, name: str) -> None:
     """Raise InputError if no triangles join the vertices of a file."""
-    if not len(painted.faces):
+    if not len(vertices.faces):
         raise InputError(
             name,
-            f"its {len(painted.positions)} coloured vertices have no faces, so there is no surface to smooth on",
+            f"its {len(vertices.positions)} coloured vertices have no faces, so there is no surface to smooth on",
             "triangulate the points first",
         )
 
@@ -367,64 +367,64 @@ class CloudCounts:
     outliers: int
 
 
-def with_surface(painted: PaintedVertices, settings: SmoothSettings) -> PaintedVertices:
-    """Return painted vertices with their triangles, or else with triangles of the surface through the points."""
+def with_surface(vertices: ColouredVertices, settings: SmoothSettings) -> ColouredVertices:
+    """Return coloured vertices with their triangles, or else with triangles of the surface through the points."""
     # Points too far from all others, or in one line with them, are in no triangle; nor are those without a finite
     # position, which then is the centre of the others.
-    if len(painted.faces):
-        return painted
+    if len(vertices.faces):
+        return vertices
     if settings.embedding.smooth_geometry:
         raise UsageError("smooth_geometry needs faces, but there are only points")
-    measured = np.asarray(np.isfinite(painted.positions).all(axis=1))
+    measured = np.asarray(np.isfinite(vertices.positions).all(axis=1))
     if measured.all():
         return dataclasses.replace(
-            painted, faces=kept(faces_of_points(painted, settings.kernel.thread_count))
+            vertices, faces=kept(faces_of_points(vertices, settings.kernel.thread_count))
         )
     rows = np.flatnonzero(measured).astype(np.int32)
-    there = only_rows(painted, rows)
-    middle = there.positions.mean(axis=0) if len(rows) else np.zeros(painted.positions.shape[1])
+    there = only_rows(vertices, rows)
+    middle = there.positions.mean(axis=0) if len(rows) else np.zeros(vertices.positions.shape[1])
     return dataclasses.replace(
-        painted,
-        positions=np.where(measured[:, None], painted.positions, middle),
+        vertices,
+        positions=np.where(measured[:, None], vertices.positions, middle),
         faces=rows[faces_of_points(there, settings.kernel.thread_count)],
     )
 
 
-def count_cloud(surface: PaintedVertices) -> CloudCounts:
+def count_cloud(surface: ColouredVertices) -> CloudCounts:
     """Count what `with_surface` found between points."""
     joined = np.zeros(len(surface.positions), bool)
     joined[surface.faces] = True
     return CloudCounts(len(surface.faces), int(np.count_nonzero(~joined)))
 
 
-def coloured_rows(painted: PaintedVertices, *, in_triangles: bool = False) -> NDArray[np.intp]:
+def coloured_rows(vertices: ColouredVertices, *, in_triangles: bool = False) -> NDArray[np.intp]:
     """Return the vertices with a finite position, or only those in triangles."""
-    valid = np.asarray(np.isfinite(painted.positions).all(axis=1))
+    valid = np.asarray(np.isfinite(vertices.positions).all(axis=1))
     if in_triangles:
         found = np.zeros(len(valid), bool)
-        found[painted.faces] = True
+        found[vertices.faces] = True
         valid &= found
     return np.flatnonzero(valid)
 
 
-def without_others(painted: PaintedVertices, rows: NDArray[np.intp]) -> PaintedVertices:
+def without_others(vertices: ColouredVertices, rows: NDArray[np.intp]) -> ColouredVertices:
     """Return some of the vertices, in ascending order, with the triangles that have all corners among them."""
-    if len(rows) == len(painted.positions):
-        return painted
-    number = np.full(len(painted.positions), -1, np.int32)
+    if len(rows) == len(vertices.positions):
+        return vertices
+    number = np.full(len(vertices.positions), -1, np.int32)
     number[rows] = np.arange(len(rows))
-    faces = number[painted.faces]
-    return only_rows(painted, rows, faces[(faces >= 0).all(axis=1)])
+    faces = number[vertices.faces]
+    return only_rows(vertices, rows, faces[(faces >= 0).all(axis=1)])
 
 
 def only_rows(
-    painted: PaintedVertices, rows: NDArray[np.integer[Any]], faces: Int32s | None = None
-) -> PaintedVertices:
+    vertices: ColouredVertices, rows: NDArray[np.integer[Any]], faces: Int32s | None = None
+) -> ColouredVertices:
     """Return some of the vertices, with triangles of these, or none."""
     return dataclasses.replace(
-        painted,
-        positions=painted.positions[rows],
+        vertices,
+        positions=vertices.positions[rows],
         faces=np.empty((0, 3), np.int32) if faces is None else faces,
-        colours=painted.colours[rows],
-        space_of=None if painted.space_of is None else painted.space_of[rows],
+        colours=vertices.colours[rows],
+        space_of=None if vertices.space_of is None else vertices.space_of[rows],
     )

@@ -18,7 +18,7 @@ from beltrami_cli.formats.registry import open_bytes
 from beltrami_cli.formats.volume import read_colours, read_volume, require_package
 from beltrami_cli.layers.settings import Inside, LevelSetSettings
 from beltrami_cli.surface import reconstruction
-from beltrami_cli.surface.records import Encoding, MeshContents, PaintedVertices, require_single
+from beltrami_cli.surface.records import ColouredVertices, Encoding, MeshContents, require_single
 
 Source = reconstruction.GridColours | reconstruction.NearColours
 
@@ -40,10 +40,8 @@ def _find_colours(
     data, folder = read_source(path, access), Path(path).parent
     colours = read_colours(data, path, ModelFolder(folder, access), max_size)
     if colours is None:
-        painted = open_bytes(data, path, folder, access).painted()
-        colours = reconstruction.NearColours(
-            painted.positions, painted.colours, painted.encoding, painted.stored
-        )
+        found = open_bytes(data, path, folder, access).coloured_vertices()
+        colours = reconstruction.NearColours(found.positions, found.colours, found.encoding, found.stored)
     return colours, path
 
 
@@ -97,10 +95,10 @@ class LevelSetDocument(Document):
 
     def __init__(
         self, name: str, folder: Path | None, access: Access, *,
-        vertices: PaintedVertices, contents: MeshContents, facts: dict[str, object],
+        vertices: ColouredVertices, contents: MeshContents, facts: dict[str, object],
     ) -> None:  # fmt: skip
         super().__init__(b"", name, folder, access)
-        self._painted, self._contents, self._facts = vertices, contents, facts
+        self._coloured_vertices, self._contents, self._facts = vertices, contents, facts
 
     def contents(self) -> MeshContents:
         return self._contents
@@ -153,7 +151,7 @@ def read_level_set(
         name,
         folder,
         access,
-        vertices=PaintedVertices(positions, whole, colours, names, encoding, stored),
+        vertices=ColouredVertices(positions, whole, colours, names, encoding, stored),
         contents=MeshContents(positions, faces.ravel(), offsets, colours, encoding, stored, alpha),
         facts=facts,
     )

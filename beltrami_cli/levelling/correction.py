@@ -60,7 +60,7 @@ class Levelled:
     verdict: Verdict | None
     exposures: Exposures | None
     facts: SeamFacts
-    groups: Indices  # (charts,): charts that are joined by seams without paint
+    groups: Indices  # (charts,): charts that are joined by seams without outliers
 
 
 def judge_steps(steps: Steps, fixed: Bools | None = None) -> Verdict | None:
@@ -85,7 +85,7 @@ def find_exposures(
 
 def _facts(steps: Steps, found: Exposures, strength: float) -> SeamFacts:
     inside = steps.between
-    between, painted = steps.part(inside), found.is_painted(steps)[inside]
+    between, outliers = steps.part(inside), found.are_outliers(steps)[inside]
     _, first, seam = np.unique(between.seams, return_index=True, return_inverse=True)
     changed = between.colours + strength * (found.sides(between) - between.colours)
     before, after = (np.sqrt(squared_steps(between, each, seam)) for each in (between.colours, changed))
@@ -93,7 +93,7 @@ def _facts(steps: Steps, found: Exposures, strength: float) -> SeamFacts:
     return SeamFacts(
         seams=len(first),
         stepped=int(np.count_nonzero(before > VISIBLE)),
-        painted=int(np.count_nonzero(painted[first])),
+        painted=int(np.count_nonzero(outliers[first])),
         before=weighted_median(before, texels),
         after=weighted_median(after, texels),
     )

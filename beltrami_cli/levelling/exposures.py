@@ -42,7 +42,7 @@ from beltrami_cli.surface.grouping import connected
 SPREADS = {"plain": (0.1, 0.03), "tilted": (0.05, 0.02, 0.06, 0.06)}
 # Deviations beyond which a step is an outlier: larger than cameras make, or an edge of paint along the seam.
 OUTLIER = 2.5
-# Scales of the weights, narrowed to 1 and kept there; in the last third painted seams are left out.
+# Scales of the weights, narrowed to 1 and kept there; in the last third seams of outliers are left out.
 SCALES = (4.0, 2.8, 2.0, 1.4, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
 # Of the F-test. At 0.975 no model without exposure steps is changed, and all exposures of the fox are found; at 0.99
 # clipped ones are missed: bench_levelling.py.
@@ -93,7 +93,7 @@ class Exposures:
             found.append(((steps.colours[:, side].T - offset) / factor).T)
         return np.stack(found, axis=1)
 
-    def is_painted(self, steps: Steps) -> Bools:
+    def are_outliers(self, steps: Steps) -> Bools:
         """Return for each stretch whether its seam has outliers for steps on the whole."""
         return steps.means(self.weights, steps.seams)[steps.seams] < 1 / 4
 
@@ -112,12 +112,12 @@ def fit_exposures(steps: Steps, spread: tuple[float, ...], fixed: Bools | None =
         noise = deviations(steps, sides)
         squares = np.where(known, np.square(sides[:, 1] - sides[:, 0]), 0).sum(axis=1)
         squares /= np.maximum(known.sum(axis=1), 1)
-        # A seam that varies far more than others do is painted.
+        # A seam that varies far more than others do is an outlier.
         limit = OUTLIER * weighted_median(noise, steps.counts) if is_settled else np.inf
         allowed = np.square(scale * OUTLIER * np.minimum(noise, limit))
         weights = np.where(used & known.any(axis=1), 1 / np.square(1 + squares / allowed), 0)
         if is_settled:
-            used &= ~Exposures(found.terms, weights).is_painted(steps)
+            used &= ~Exposures(found.terms, weights).are_outliers(steps)
             weights *= used
         by_channel = (weights * trust / np.square(noise))[:, None] * known
         found = Exposures(_solved(steps, found, by_channel, spread, fixed), weights)

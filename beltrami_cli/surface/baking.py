@@ -194,7 +194,7 @@ def expanded(starts: Int64s, counts: Int64s) -> tuple[Int64s, Int64s]:
 
 
 def bake(uv: Float64s, size: tuple[int, int], shade: Shade, channels: int, dtype: DTypeLike) -> Array:
-    """Paint a texture, shape (height, width, channels), with what `shade` gives for triangles and weights."""
+    """Fill a texture, shape (height, width, channels), with what `shade` gives for triangles and weights."""
     # Texels just beyond the border of a chart continue its triangles (there weights leave [0, 1]), so that
     # bilinear lookups on the border are right; all others have the colour of the nearest chart.
     width, height = size

@@ -23,7 +23,7 @@ VIRIDIS = np.array([
     [0.164, 0.471, 0.558], [0.128, 0.567, 0.551], [0.135, 0.659, 0.518], [0.267, 0.749, 0.441],
     [0.478, 0.821, 0.318], [0.741, 0.873, 0.150], [0.993, 0.906, 0.144],
 ])  # fmt: skip
-# The greys of a painting where there is no value: neither black nor white.
+# The greys of a picture where there is no value: neither black nor white.
 _GREY_FROM, _GREY_TO = 0.35, 0.9
 
 # Share of samples beyond 0 or full scale up to which these are limits: single spikes and rounding prove nothing.
@@ -61,12 +61,12 @@ def limits_of(colours: Array) -> tuple[float, float]:
     return low, high
 
 
-def colour_by_value(values: Float32s, painting: Float32s, known: Bools) -> Float64s:
-    """Colour values in [0, 1], of any shape, by viridis; where none is known, the painting's grey shows."""
+def colour_by_value(values: Float32s, colours: Float32s, known: Bools) -> Float64s:
+    """Colour values in [0, 1], of any shape, by viridis; where none is known, the grey of `colours` shows."""
     at = np.clip(np.where(known, values, 0), 0, 1)
     steps = np.linspace(0, 1, len(VIRIDIS))
     colours = np.stack([np.interp(at, steps, channel) for channel in VIRIDIS.T], axis=-1)
-    grey = _GREY_FROM + (_GREY_TO - _GREY_FROM) * (painting.astype(np.float64) @ LUMINANCE)
+    grey = _GREY_FROM + (_GREY_TO - _GREY_FROM) * (colours.astype(np.float64) @ LUMINANCE)
     return np.where(known[..., None], colours, grey[..., None])
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
-from beltrami_cli.surface.records import PaintedVertices, SampledSurface, typical_edge
+from beltrami_cli.surface.records import ColouredVertices, SampledSurface, typical_edge
 
 # Odd constants of the splitmix64 generator (Steele, Lea, Flood 2014): each step is a bijection of 64-bit words.
 _INCREMENT = np.uint64(0x9E3779B97F4A7C15)
@@ -210,23 +210,23 @@ class VertexSampling:
         sums = [np.bincount(self.sample_of, column, samples) for column in values.T.astype(np.float64)]
         return np.ascontiguousarray((np.array(sums) / count).T, np.float32)
 
-    def surface(self, painted: PaintedVertices, colours: Float32s) -> SampledSurface:
+    def surface(self, vertices: ColouredVertices, colours: Float32s) -> SampledSurface:
         """Return the samples of the vertices as a surface, with their colours in the working space, shape (S, N)."""
         if self.places == len(self.sample_of):
-            return SampledSurface(painted.positions, painted.faces, np.empty((0, 3), np.int32), colours)
-        faces = self.sample_of[painted.faces]
+            return SampledSurface(vertices.positions, vertices.faces, np.empty((0, 3), np.int32), colours)
+        faces = self.sample_of[vertices.faces]
         bridges = build_bridges(faces, self.place_of, colours)
-        positions = np.ascontiguousarray(painted.positions[self.first_vertex])
+        positions = np.ascontiguousarray(vertices.positions[self.first_vertex])
         return SampledSurface(positions, faces, bridges, colours)
 
 
-def sample_vertices(painted: PaintedVertices) -> VertexSampling:
+def sample_vertices(vertices: ColouredVertices) -> VertexSampling:
     """Join the vertices that are at one place, and have one colour."""
-    place_of, first_of_place = group_places(painted.positions, painted.space_of, painted.faces)
+    place_of, first_of_place = group_places(vertices.positions, vertices.space_of, vertices.faces)
     if len(first_of_place) == len(place_of):  # nothing is split: the vertices are the samples
         every = np.arange(len(place_of), dtype=np.int32)
         return VertexSampling(every, every, every, len(every))
-    sample_of, first_vertex = group_equal_rows(place_of, *painted.colours.T)
+    sample_of, first_vertex = group_equal_rows(place_of, *vertices.colours.T)
     return VertexSampling(sample_of, first_vertex, place_of[first_vertex], len(first_of_place))
 
 

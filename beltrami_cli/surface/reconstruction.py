@@ -39,7 +39,7 @@ from beltrami_cli.surface.baking import expanded
 from beltrami_cli.surface.geometry import centred
 from beltrami_cli.surface.grouping import connected, edges_of, group_places, without_unused
 from beltrami_cli.surface.large_arrays import blocks, kept
-from beltrami_cli.surface.records import Encoding, PaintedVertices
+from beltrami_cli.surface.records import ColouredVertices, Encoding
 
 # In units of the change of values across the surface: nearer to the level than that is outside by that
 # much, since marching cubes leaves holes where values are on the level itself.
@@ -88,7 +88,7 @@ class Volume:
     values: Array
     known: Bools | None = None  # (X, Y, Z): false where the value is unknown whatever it is; None: nowhere
     level: float | None = None  # value on the surface, where the file says so
-    colours: GridColours | NearColours | None = None  # what paints the surface, where the file says so
+    colours: GridColours | NearColours | None = None  # the colours of the surface, where the file says so
 
 
 _NEIGHBOURS = 4  # points that a vertex takes its colour from: about what surrounds it on a surface
@@ -276,22 +276,22 @@ _NEAREST = (24, 64, 192)
 _POINTS_AT_ONCE = 1 << 17  # which bounds the memory that their neighbours take
 
 
-def faces_of_points(painted: PaintedVertices, threads: int) -> Int32s:
-    """Find triangles between painted points in at most three dimensions, whose own faces do not count."""
+def faces_of_points(vertices: ColouredVertices, threads: int) -> Int32s:
+    """Find triangles between coloured points in at most three dimensions, whose own faces do not count."""
     # Coincident points are each a corner of the triangles that their place has.
-    place_of, first = group_places(painted.positions, painted.space_of)
-    if painted.space_of is None and len(first) == len(place_of):
+    place_of, first = group_places(vertices.positions, vertices.space_of)
+    if vertices.space_of is None and len(first) == len(place_of):
         del place_of, first  # the points are the places
-        return triangulate_points(painted.positions, threads)
-    places = painted.positions[first]
-    if painted.space_of is None:
+        return triangulate_points(vertices.positions, threads)
+    places = vertices.positions[first]
+    if vertices.space_of is None:
         faces = triangulate_points(places, threads)
     else:  # distances between spaces are undefined
-        spaces = painted.space_of[first]
+        spaces = vertices.space_of[first]
         members = [np.flatnonzero(spaces == space).astype(np.int32) for space in np.unique(spaces)]
         parts = (rows[triangulate_points(places[rows], threads)] for rows in members)
         faces = np.concatenate([np.empty((0, 3), np.int32), *parts])
-    return first[faces] if len(first) == len(place_of) else _with_copies(faces, place_of, painted.colours)
+    return first[faces] if len(first) == len(place_of) else _with_copies(faces, place_of, vertices.colours)
 
 
 def triangulate_points(positions: Float64s, threads: int = 1, at_once: int = _POINTS_AT_ONCE) -> Int32s:

@@ -1,4 +1,4 @@
-"""The records that formats, layers and flow hand to each other: painted vertices, textures, whole meshes, samples.
+"""The records that formats, layers and flow hand to each other: coloured vertices, textures, whole meshes, samples.
 
 And what every surface must fulfil before anything is computed on it.
 """
@@ -18,8 +18,8 @@ Encoding = Literal["srgb", "linear"]
 
 
 @dataclass(frozen=True)
-class PaintedVertices:
-    """Vertex colours and the surface that they are painted on."""
+class ColouredVertices:
+    """Vertex colours and the surface that they are on."""
 
     # Rows are the colour entries of the document in file order, so that new colours can be handed back row
     # by row. Vertices that the format splits are still split here.
@@ -51,9 +51,9 @@ class PaintedVertices:
 
 @dataclass(frozen=True)
 class MovedVertices:
-    """New places of painted vertices."""
+    """New places of coloured vertices."""
 
-    positions: Float64s  # (V, 3): rows and space as in `PaintedVertices`
+    positions: Float64s  # (V, 3): rows and space as in `ColouredVertices`
     # Shape (V, 3): new unit normals, for a document that has one for each vertex; NaN where the old one
     # stays. None: all stay.
     normals: Float32s | None = None
@@ -73,7 +73,7 @@ Slot = Literal["baseColor", "emissive", "normal", "occlusion", "metallicRoughnes
 
 @dataclass(frozen=True)
 class Texture:
-    """An image file that is painted on a surface."""
+    """An image file that is shown on a surface."""
 
     key: str  # what the document knows it by; new images are handed back under it
     name: str  # for messages and globs: the file's name, or the image's name in a container
@@ -105,7 +105,7 @@ class TexturedSurface:
     uv: Float64s
     texture_of: Int32s  # (F,): index into `textures`, or -1 where the triangle has none
     textures: tuple[Texture, ...]  # each image once
-    space_of: Int32s | None = None  # (V,): as in `PaintedVertices`
+    space_of: Int32s | None = None  # (V,): as in `ColouredVertices`
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ class MeshContents:
     offsets: Int64s  # (P + 1,): polygon p has the corners ``corners[offsets[p]:offsets[p + 1]]``
     colours: Float32s  # (V, C): colour channels, full scale 1; C is 1 or 3, or 0 without colours
     encoding: Encoding = "srgb"  # what the numbers in `colours` mean
-    stored: str = "float32"  # type of the colours in the source, as in `PaintedVertices`
+    stored: str = "float32"  # type of the colours in the source, as in `ColouredVertices`
     alpha: Float32s | None = None  # (V,): opacity in [0, 1]
     normals: Float32s | None = None  # (V, 3): vertex normals, where the source has them per vertex
     # What the source holds and this record does not ("materials", "animations", ...), for the
@@ -229,7 +229,7 @@ class MeshContents:
 
 @dataclass(frozen=True)
 class SampledSurface:
-    """Samples of an image painted on a triangulated surface."""
+    """Samples of an image on a triangulated surface."""
 
     positions: Float64s  # (S, M): positions, finite
     faces: Int32s  # (F, 3): triangles of the surface in space

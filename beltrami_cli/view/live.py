@@ -202,8 +202,8 @@ class Live:
         """Smooth the whole as `smooth` does, and show it."""
         request, settings = change.request, change.settings
         try:
-            result, painted = self._whole(change)
-            made = smooth_report(FileReport(input=self._source, output="", format=""), painted, settings)
+            result, results = self._whole(change)
+            made = smooth_report(FileReport(input=self._source, output="", format=""), results, settings)
             used = used_parameters(json.loads(json.dumps(dataclasses.asdict(made))))
         except GoneError:
             raise
@@ -212,10 +212,10 @@ class Live:
             message = str(error) if is_known else f"unexpected error: {type(error).__name__}: {error}"
             request.send(kind="failed", message=message)
             return
-        choices = [done.report.choice for done in painted if done.report.choice is not None]
-        said = [each for done in painted for each in (*done.warnings, *done.repainted.notices)]
+        choices = [done.report.choice for done in results if done.report.choice is not None]
+        said = [each for done in results for each in (*done.warnings, *done.stored.notices)]
         noisiest = max(
-            (each.report for each in painted), key=lambda own: max(own.noise.values(), default=0.0)
+            (each.report for each in results), key=lambda own: max(own.noise.values(), default=0.0)
         )
         noise = noise_of(dataclasses.asdict(noisiest)) if any(noisiest.noise.values()) else "none"
         with self._previewing:

@@ -1,4 +1,4 @@
-"""What was painted before and after on one model, as one binary glTF file for the viewer of pages.
+"""The colours before and after of one model, as one binary glTF file for the viewer of pages.
 
 Each layer is a scene, with its triangles, points or lines in a box of size 1. Vertex colours are display values in the
 attributes _BEFORE and _AFTER; `extras` name both textures of a part, and whether opacity hides it.
@@ -39,7 +39,7 @@ from beltrami_cli.formats.image.reading import read_image, read_texture
 from beltrami_cli.layers.settings import COLOUR_SLOTS
 from beltrami_cli.surface.colour_values import VIRIDIS, as_bytes, linear_to_srgb
 from beltrami_cli.surface.grouping import connected, edges_of, group_equal_rows, group_places
-from beltrami_cli.surface.records import PaintedVertices, Slot, Texture, TexturedSurface
+from beltrami_cli.surface.records import ColouredVertices, Slot, Texture, TexturedSurface
 from beltrami_cli.view.pages import png_of
 from beltrami_cli.view.views import disc_radii, framed, light_of, sheet_of
 
@@ -81,7 +81,7 @@ class ModelWriter:
             self._scene("image", [], middle=[0, 0, 0], pairs=[images], flatOnly=True)
             return
         if slot is None:
-            self._add_painted(*(document.painted() for document in documents))
+            self._add_vertices(*(document.coloured_vertices() for document in documents))
             return
         surface, other = (document.textured(slot) for document in documents)
         pairs = [
@@ -164,7 +164,7 @@ class ModelWriter:
             self._images.append(image)
         return self._textures[key]
 
-    def _add_painted(self, one: PaintedVertices, other: PaintedVertices) -> None:
+    def _add_vertices(self, one: ColouredVertices, other: ColouredVertices) -> None:
         finite = np.asarray(np.isfinite(np.hstack([one.positions, other.positions])).all(axis=1))
         self.boxes.append(box := Box(one))
         size = 0.0
@@ -228,7 +228,7 @@ class ModelWriter:
 class Box:
     """The box around a model but for its outliers, whose longest side becomes 1."""
 
-    def __init__(self, model: PaintedVertices | TexturedSurface) -> None:
+    def __init__(self, model: ColouredVertices | TexturedSurface) -> None:
         positions = framed(model.positions, model.faces)
         self.low, high = positions.min(axis=0), positions.max(axis=0)
         self.size = max(float((high - self.low).max()), np.finfo(float).tiny)
@@ -311,9 +311,9 @@ def packed_array(values: Array, level: int) -> str:
     return base64.b64encode(zlib.compress(data, level)).decode()
 
 
-def displayed_colours(painted: PaintedVertices) -> NDArray[np.uint16]:
+def displayed_colours(vertices: ColouredVertices) -> NDArray[np.uint16]:
     """Return vertex colours as display values of 16 bits, (V, 3)."""
-    return np.asarray(np.rint(_FULL * linear_to_srgb(light_of(painted))), np.uint16)
+    return np.asarray(np.rint(_FULL * linear_to_srgb(light_of(vertices))), np.uint16)
 
 
 def charts_of(surface: TexturedSurface) -> tuple[Int32s, Int64s]:

@@ -26,9 +26,9 @@ from beltrami_cli.layers.image_surface import ImageSurface
 from beltrami_cli.layers.layer import Layer
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.layers.texture_layer import TextureLayer, choose_textures
-from beltrami_cli.layers.vertex_layer import GridLayer, PaintedLayer, VertexLayer, only_rows
+from beltrami_cli.layers.vertex_layer import GridLayer, MeshLayer, VertexLayer, only_rows
 from beltrami_cli.surface.geometry import triangle_areas
-from beltrami_cli.surface.records import PaintedVertices, Slot, Texture, TexturedSurface
+from beltrami_cli.surface.records import ColouredVertices, Slot, Texture, TexturedSurface
 from beltrami_cli.view.models import (
     Box,
     ModelWriter,
@@ -89,8 +89,8 @@ class LayerView:
         self._order: tuple[bytes, Int64s] | None = None  # of triangles or points, by the last focus
 
     @cached_property
-    def _painted(self) -> PaintedVertices:
-        return self._document.painted()
+    def _vertices(self) -> ColouredVertices:
+        return self._document.coloured_vertices()
 
     @cached_property
     def _pieces(self) -> tuple[TexturedSurface, Float64s]:
@@ -101,7 +101,7 @@ class LayerView:
 
     @cached_property
     def _centres(self) -> Float64s:
-        model = self._painted if self.slot is None else self._pieces[0]
+        model = self._vertices if self.slot is None else self._pieces[0]
         return model.positions[model.faces].mean(axis=1) if len(model.faces) else model.positions
 
     @property
@@ -155,26 +155,29 @@ class LayerView:
     def _of_vertices(
         self, settings: SmoothSettings, focus: Focus, budget: int, progress: Progress | None
     ) -> list[Patch]:
-        painted, grid, order = self._painted, self._document.grid(), self._around(focus)
-        is_mesh = len(painted.faces) > 0
-        layer: PaintedLayer
+        coloured, grid, order = self._vertices, self._document.grid(), self._around(focus)
+        is_mesh = len(coloured.faces) > 0
+        layer: VertexLayer
         if grid is not None:
-            vertex = painted.faces[order[0], 0] if is_mesh else order[0]
+            vertex = coloured.faces[order[0], 0] if is_mesh else order[0]
             middle = np.array(np.unravel_index(int(np.argmax(grid == vertex)), grid.shape), np.float64)
             part = np.ascontiguousarray(grid[_window(grid.shape, middle, budget)])
             rows = own = part[part >= 0]
-            layer = GridLayer(painted=painted, grid=part, settings=settings)
+            layer = GridLayer(vertices=coloured, grid=part, settings=settings)
         else:
             order = order[: budget * (2 if is_mesh else 1)]
-            rows = np.unique(painted.faces[order]).astype(np.int64) if is_mesh else np.sort(order)
+            rows = np.unique(coloured.faces[order]).astype(np.int64) if is_mesh else np.sort(order)
             own = np.arange(len(rows))
-            faces = np.searchsorted(rows, painted.faces[order] if is_mesh else painted.faces)
-            vertices = only_rows(painted, rows, faces.astype(np.int32))
-            layer = VertexLayer(painted=vertices, settings=settings)
-        made = smooth_layer(layer, progress).repainted
+            faces = np.searchsorted(rows, coloured.faces[order] if is_mesh else coloured.faces)
+            vertices = only_rows(coloured, rows, faces.astype(np.int32))
+            layer = MeshLayer(vertices=vertices, settings=settings)
+        made = smooth_layer(layer, progress).stored
         assert made.colours is not None
         kept = dataclasses.replace(
-            layer.painted, colours=made.colours[own], positions=layer.painted.positions[own], faces=_NO_FACES
+            layer.vertices,
+            colours=made.colours[own],
+            positions=layer.vertices.positions[own],
+            faces=_NO_FACES,
         )
         return [Patch(-1, rows, rows, displayed_colours(kept), made.positions)]
 
@@ -247,11 +250,11 @@ class LayerView:
         """Return the patches that show the part as it is in a result."""
         self._shown.clear()
         if self.slot is None and not self._is_image:
-            painted = result.painted()
-            rows = np.arange(len(painted.positions))
-            self._can_move |= not np.array_equal(painted.positions, self._painted.positions, equal_nan=True)
-            places = painted.positions if self._can_move else None
-            return [self._patched(Patch(-1, rows, rows, displayed_colours(painted), places))]
+            vertices = result.coloured_vertices()
+            rows = np.arange(len(vertices.positions))
+            self._can_move |= not np.array_equal(vertices.positions, self._vertices.positions, equal_nan=True)
+            places = vertices.positions if self._can_move else None
+            return [self._patched(Patch(-1, rows, rows, displayed_colours(vertices), places))]
         old, new = textures_of(self._document, self.slot), textures_of(result, self.slot)
         found = []
         for index, (before, after) in enumerate(zip(old, new, strict=True)):

@@ -112,15 +112,15 @@ def _tried(
     opened: Mapping[str, Document], settings: SmoothSettings, job: Job
 ) -> tuple[dict[str, float], Document]:
     """Smooth with some settings; return also the figures of the result."""
-    result, painted = recolour_in_memory(opened["before"], settings, Smoothing.of(settings), job)
-    figures = _estimates(painted)
+    result, results = recolour_in_memory(opened["before"], settings, Smoothing.of(settings), job)
+    figures = _estimates(results)
     if "reference" in opened:
         figures = _figures(opened["reference"], result, settings, job) | figures
     return figures, result
 
 
-def _estimates(painted: Sequence[Smoothed]) -> dict[str, float]:
-    choice = painted[0].report.choice if painted else None
+def _estimates(results: Sequence[Smoothed]) -> dict[str, float]:
+    choice = results[0].report.choice if results else None
     found = {} if choice is None else {"estimated_psnr": choice["psnr"], "estimated_gain": choice["gain"]}
     return {key: float(value) for key, value in found.items() if value is not None}  # type: ignore[arg-type]
 

@@ -1,4 +1,4 @@
-"""Painted triangles drawn by ray tracing, with Embree, what they are painted with, and cameras that look at them.
+"""Coloured triangles drawn by ray tracing, with Embree, their colours, and cameras that look at them.
 
 View coordinates are x to the right, y up, z towards the eye.
 
@@ -32,13 +32,13 @@ Sheet = Float32s
 """An image in linear light with opacity, shape (H, W, 4); colours are not multiplied by it."""
 
 _EXACT = 1 << 13  # texels from the origin up to which single precision does
-_UNPAINTED = 0.32  # linear light of a middle grey
+_UNTEXTURED = 0.32  # linear light of a middle grey
 _SMALLEST = 1e-13  # of the distance from the origin: smaller models are lost in rounding
 _NARROWEST = 1e-3  # degrees, below which rays are parallel
 _MARGIN = 0.92  # of the shorter side of a view that a model fills
 
 
-class VertexPaint:
+class InterpolatedColours:
     """Linear light at vertices, (V, 3), interpolated between them."""
 
     is_opaque = True  # whether nothing behind the surface can be seen through it
@@ -53,7 +53,7 @@ class VertexPaint:
         return mixed
 
 
-class TexturePaint:
+class TextureColours:
     """Textures, looked up bilinearly; in smaller copies of themselves where a point stands for several texels."""
 
     def __init__(self, surface: TexturedSurface, sheets: Sequence[Sheet], areas: Float64s) -> None:
@@ -74,7 +74,7 @@ class TexturePaint:
         self.is_opaque = all(pyramid.is_opaque for pyramid in self._pyramids)
 
     def __call__(self, faces: Int32s, weights: Float32s, footprints: Float64s) -> Float32s:
-        colours = np.full((len(faces), 4), _UNPAINTED, np.float32)
+        colours = np.full((len(faces), 4), _UNTEXTURED, np.float32)
         colours[:, 3] = 1
         of, uv = self._surface.texture_of[faces], _interpolated(self._uv, faces, weights)
         texels = footprints * self._density[faces]
@@ -84,7 +84,7 @@ class TexturePaint:
         return colours
 
 
-Paint = VertexPaint | TexturePaint
+SurfaceColours = InterpolatedColours | TextureColours
 
 
 class Pyramid:
@@ -251,12 +251,12 @@ def require_embree() -> tuple[Any, Any]:
 
 
 class SurfaceView:
-    """A painted surface of at least one triangle, seen from both sides, to be looked at from anywhere."""
+    """A coloured surface of at least one triangle, seen from both sides, to be looked at from anywhere."""
 
-    def __init__(self, positions: Float64s, faces: Int32s, paint: Paint) -> None:
+    def __init__(self, positions: Float64s, faces: Int32s, colours: SurfaceColours) -> None:
         scenes, meshes = require_embree()
         self.positions, self.faces = without_unused(positions, faces)
-        self._paint = paint
+        self._colours = colours
         low, high = self.positions.min(axis=0), self.positions.max(axis=0)
         # Embree computes in single precision: around the middle and of unit size, large coordinates lose no digits.
         self._middle, self._size = (low + high) / 2, size_between(low, high)
@@ -316,10 +316,10 @@ class SurfaceView:
             rays, faces, weights, distances = self._cast(starts, directions)
             directions, active = directions[rays], active[rays]
             travelled = travelled[rays] + distances
-            colours = self._paint(faces, weights, (camera.breadth(travelled) * pixel) ** 2)
+            colours = self._colours(faces, weights, (camera.breadth(travelled) * pixel) ** 2)
             if lit:
                 colours[:, :3] *= self._light(camera, faces, weights, directions)[:, None]
-            if self._paint.is_opaque:
+            if self._colours.is_opaque:
                 seen[active] = colours
                 break
             total = seen[active]

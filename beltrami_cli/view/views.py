@@ -1,4 +1,4 @@
-"""Views of a file: a painted surface, points drawn as discs, or an image."""
+"""Views of a file: a coloured surface, points drawn as discs, or an image."""
 
 from __future__ import annotations
 
@@ -21,9 +21,17 @@ from beltrami_cli.surface.baking import expanded, runs_of
 from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.geometry import triangle_areas, vertex_areas
 from beltrami_cli.surface.grouping import connected, group_equal_rows
-from beltrami_cli.surface.records import PaintedVertices, Slot
+from beltrami_cli.surface.records import ColouredVertices, Slot
 from beltrami_cli.view.settings import RenderSettings
-from beltrami_cli.view.tracing import SAMPLES, Camera, Sheet, SurfaceView, TexturePaint, VertexPaint, Window
+from beltrami_cli.view.tracing import (
+    SAMPLES,
+    Camera,
+    InterpolatedColours,
+    Sheet,
+    SurfaceView,
+    TextureColours,
+    Window,
+)
 
 _FAR = 128  # models beyond 2^128 or below 2^-128 are rescaled, which keeps their fourth powers within 2^256
 _MAX_OUTLIER_SHARE = 0.01  # of the surface or the points, so that parts of some size are always framed
@@ -139,12 +147,12 @@ def view_of(document: Document, settings: RenderSettings) -> Drawable:
         sheets = [sheet_of(read_texture(texture), is_data=is_data) for texture in surface.textures]
         positions = within_reach(surface.positions)
         areas = triangle_areas(positions, surface.faces)
-        return SurfaceView(positions, surface.faces, TexturePaint(surface, sheets, areas))
-    painted = document.painted()
-    light, finite = light_of(painted), np.isfinite(painted.positions).all(axis=1)
-    positions = within_reach(painted.positions)
-    if len(painted.faces):
-        return SurfaceView(positions, painted.faces, VertexPaint(painted.faces, light))
+        return SurfaceView(positions, surface.faces, TextureColours(surface, sheets, areas))
+    vertices = document.coloured_vertices()
+    light, finite = light_of(vertices), np.isfinite(vertices.positions).all(axis=1)
+    positions = within_reach(vertices.positions)
+    if len(vertices.faces):
+        return SurfaceView(positions, vertices.faces, InterpolatedColours(vertices.faces, light))
     return CloudView(positions[finite], light[finite])
 
 
@@ -182,12 +190,12 @@ def sheet_of(picture: Picture, *, is_data: bool = False) -> Float32s:
     return np.concatenate([light, np.nan_to_num(opacity)], axis=2).astype(np.float32)
 
 
-def light_of(painted: PaintedVertices) -> Float64s:
+def light_of(vertices: ColouredVertices) -> Float64s:
     """Return vertex colours in linear light, (V, 3); channels other than red, green and blue are shown as grey."""
-    is_rgb = set(_RGB) <= set(painted.channels)
-    chosen = [painted.channels.index(name) for name in _RGB] if is_rgb else [0, 0, 0]
-    colours = np.clip(painted.colours[:, chosen].astype(np.float64), 0, 1)
-    return np.asarray(srgb_to_linear(colours) if painted.encoding == "srgb" else colours, np.float64)
+    is_rgb = set(_RGB) <= set(vertices.channels)
+    chosen = [vertices.channels.index(name) for name in _RGB] if is_rgb else [0, 0, 0]
+    colours = np.clip(vertices.colours[:, chosen].astype(np.float64), 0, 1)
+    return np.asarray(srgb_to_linear(colours) if vertices.encoding == "srgb" else colours, np.float64)
 
 
 def within_reach(positions: Float64s) -> Float64s:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.view.panels import displayed
 from beltrami_cli.view.settings import DEFAULT_RENDER
-from beltrami_cli.view.tracing import SurfaceView, VertexPaint, fitted, orientation
+from beltrami_cli.view.tracing import InterpolatedColours, SurfaceView, fitted, orientation
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -94,7 +94,7 @@ def view(
     lower = np.column_stack([corner + 1, corner + columns, corner + columns + 1])
     faces = np.concatenate([upper, lower]).astype(np.int32)
     light = srgb_to_linear(np.clip(colours, 0, 1).reshape(-1, 3))
-    surface = SurfaceView(positions, faces, VertexPaint(faces, light))
+    surface = SurfaceView(positions, faces, InterpolatedColours(faces, light))
     camera = fitted(positions, orientation(*angles), 0, 1)
     drawn = surface.draw(camera, (size, size), (0.0, 0.0, 1.0, 1.0), lit=shade)
     seen = drawn[..., 3] > 0

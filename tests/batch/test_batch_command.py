@@ -248,7 +248,7 @@ def test_a_manifest_has_parameters_for_each_file(name, scans, tmp_path):
 
 
 def test_files_in_manifests_lie_beside_them(scans, tmp_path):
-    count = len(open_document(str(scans / "a.ply")).painted().positions)
+    count = len(open_document(str(scans / "a.ply")).coloured_vertices().positions)
     np.save(scans / "sigma.npy", np.full(count, 0.05, np.float32))
     (scans / "jobs.toml").write_text('[[files]]\ninput = "a.ply"\nnoise = "sigma.npy"\n')
     batch(scans / "jobs.toml", "--out-dir", tmp_path / "out", *QUICK, cwd=tmp_path)

@@ -20,7 +20,7 @@ from batch.chunk_work import add, die, die_once, refuse, sleep
 from beltrami_cli.batch.cluster import OnDask
 from beltrami_cli.batch.run import ChunkRunner
 from beltrami_cli.batch.workers import Channel, Processes
-from beltrami_cli.errors import InputError, OutputError, ProcessingError, UnpaintedError
+from beltrami_cli.errors import InputError, NoColoursError, OutputError, ProcessingError
 from beltrami_cli.flow import chunks
 from beltrami_cli.flow.chunks import Chunk
 from cli.commands import copy_samples
@@ -161,7 +161,7 @@ def test_the_message_names_what_failed_on_dask():
         done_on_dask(Client(None, nthreads=Mock(side_effect=OSError("timed out"))))
 
 
-@pytest.mark.parametrize("kind", [InputError, OutputError, UnpaintedError])
+@pytest.mark.parametrize("kind", [InputError, OutputError, NoColoursError])
 def test_an_error_of_a_file_comes_back_from_another_process(kind):
     error = kind("scan.ply", "the file is cut off", "copy it again")
     again = pickle.loads(pickle.dumps(error))

@@ -85,9 +85,9 @@ def of_image(image):
     return found.reshape(image.size[1], image.size[0], image.channels)
 
 
-def painted_sphere():
+def coloured_sphere():
     item = sphere()
-    attribute = item.data.color_attributes.new("paint", "BYTE_COLOR", "POINT")
+    attribute = item.data.color_attributes.new("colour", "BYTE_COLOR", "POINT")
     attribute.data.foreach_set("color_srgb", np.random.default_rng(0).random(len(attribute.data) * 4, "f4"))
     item.data.color_attributes.active_color = attribute
     return item

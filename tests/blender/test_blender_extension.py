@@ -11,11 +11,11 @@ from blender.scenes import (
     SMALL_STEPS,
     bpy,
     choose,
+    coloured_sphere,
     extension,
     np,
     numbers,
     of_image,
-    painted_sphere,
     psnr,
     scene,
     sphere,
@@ -32,7 +32,7 @@ def two_colours(places):
 @pytest.mark.parametrize("domain", ["POINT", "CORNER"])
 def test_a_colour_attribute_is_smoothed_with_undo_and_redo(scene, domain, kind):
     item = sphere()
-    attribute = item.data.color_attributes.new("paint", kind, domain)
+    attribute = item.data.color_attributes.new("colour", kind, domain)
     item.data.color_attributes.active_color = attribute
     places = numbers(item.data.vertices, "co", 3)
     noise = np.random.default_rng(1).normal(0, 0.05, places.shape)
@@ -43,13 +43,13 @@ def test_a_colour_attribute_is_smoothed_with_undo_and_redo(scene, domain, kind):
     colours[:, :3] = np.clip(clean + noise, 0, 1)[vertex_of]
     attribute.data.foreach_set("color_srgb", colours.ravel())
     before = numbers(attribute.data, "color_srgb", 4)
-    bpy.ops.ed.undo_push(message="painted")
+    bpy.ops.ed.undo_push(message="coloured")
     choose(scene, "COLOURS", **SMALL_STEPS)
     assert bpy.ops.object.beltrami_smooth() == {"FINISHED"}
     bpy.ops.ed.undo_push(message="smoothed")
 
     def current():
-        return numbers(bpy.context.active_object.data.color_attributes["paint"].data, "color_srgb", 4)
+        return numbers(bpy.context.active_object.data.color_attributes["colour"].data, "color_srgb", 4)
 
     after = current()
     assert psnr(after[:, :3], clean[vertex_of]) > psnr(before[:, :3], clean[vertex_of]) + 6
@@ -77,10 +77,10 @@ def test_what_cannot_be_done_is_said_and_changes_nothing(scene):
 
 
 def test_what_is_gone_when_the_result_comes_is_said(scene, extension):
-    item = painted_sphere()
+    item = coloured_sphere()
     choose(scene, "COLOURS", **SMALL_STEPS)
     run = extension.Run(bpy.context)
-    item.data.color_attributes.remove(item.data.color_attributes["paint"])
+    item.data.color_attributes.remove(item.data.color_attributes["colour"])
     run.process.wait()
     with pytest.raises(extension.exchange.ExchangeError, match="was changed meanwhile"):
         run.finish()
@@ -98,7 +98,7 @@ def test_blender_installs_it_and_it_names_what_cannot_be_started(written):
     name = "bl_ext.user_default.beltrami"
     preferences = bpy.context.preferences.addons[name].preferences
     try:
-        painted_sphere()
+        coloured_sphere()
         choose(bpy.context.scene, "COLOURS", **SMALL_STEPS)
         assert bpy.ops.object.beltrami_smooth() == {"FINISHED"}
         assert bpy.context.scene.beltrami_said.startswith(f"{bpy.context.active_object.name}: ")
@@ -181,7 +181,7 @@ class Modal:
 
 @pytest.mark.parametrize("stopped", [False, True])
 def test_blender_stays_usable_meanwhile_and_escape_stops_it(scene, extension, stopped):
-    attribute = painted_sphere().data.color_attributes["paint"]
+    attribute = coloured_sphere().data.color_attributes["colour"]
     before = numbers(attribute.data, "color_srgb", 4)
     choose(scene, "COLOURS", **SMALL_STEPS)
     modal = Modal(extension, bpy.context)
@@ -201,7 +201,7 @@ def test_blender_stays_usable_meanwhile_and_escape_stops_it(scene, extension, st
 
 
 def test_progress_is_read_from_the_program(scene, extension):
-    painted_sphere()
+    coloured_sphere()
     choose(scene, "COLOURS", **SMALL_STEPS)
     run = extension.Run(bpy.context)
     run.process.wait()
@@ -239,7 +239,7 @@ def test_an_image_is_smoothed_where_it_lies_with_undo_and_redo(scene, extension,
     bpy.ops.mesh.primitive_plane_add()
     textured(bpy.context.active_object, image)
     before = of_image(image)
-    bpy.ops.ed.undo_push(message="painted")
+    bpy.ops.ed.undo_push(message="coloured")
     choose(scene, "IMAGES", **SMALL_STEPS)
     scene.beltrami.saves = True
     assert bpy.ops.object.beltrami_smooth() == {"FINISHED"}

@@ -16,7 +16,7 @@ def pixels(path):
     return read_image(path.read_bytes(), path.name).pixels
 
 
-def painted_square(path, colour):
+def coloured_square(path, colour):
     """Write a square of one colour, 0 to 1, as PLY in sRGB or as GLB in linear light."""
     corners, offsets = np.array([0, 1, 2, 0, 2, 3], np.int32), np.array([0, 3, 6])
     write, encoding = (write_glb, "linear") if path.suffix == ".glb" else (write_ply, "srgb")
@@ -38,7 +38,7 @@ def plain_image(path, colour, size=40):
     return path
 
 
-def painted_file(path, positions, faces, colours, alpha=None, stored="uint8"):
+def coloured_file(path, positions, faces, colours, alpha=None, stored="uint8"):
     offsets, colours = np.arange(0, 3 * len(faces) + 1, 3), colours.astype(np.float32)
     contents = MeshContents(positions, faces.ravel(), offsets, colours, "srgb", stored, alpha)
     path.write_bytes(b"".join(bytes(piece) for piece in write_ply(contents, path.stem).main))

@@ -11,7 +11,7 @@ from beltrami_cli.formats.image import read_image, write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.registry import open_document
 from cli.commands import SAMPLES, beltrami, copy_samples
-from cli.pictures import painted_file
+from cli.pictures import coloured_file
 from formats.volume_files import sphere_file
 from oracles import surfaces
 
@@ -23,14 +23,14 @@ def smooth_colours(positions):
 @pytest.fixture
 def sphere(tmp_path):
     positions, faces = surfaces.icosphere(3)
-    return painted_file(tmp_path / "sphere.ply", positions, faces, smooth_colours(positions))
+    return coloured_file(tmp_path / "sphere.ply", positions, faces, smooth_colours(positions))
 
 
 def vertices(path):
     """Colours by place, for comparison whatever the order of vertices."""
-    painted = open_document(str(path)).painted()
-    order = np.lexsort(np.rint(1e5 * painted.positions).T)
-    return painted.positions[order], painted.colours[order], painted
+    vertices = open_document(str(path)).coloured_vertices()
+    order = np.lexsort(np.rint(1e5 * vertices.positions).T)
+    return vertices.positions[order], vertices.colours[order], vertices
 
 
 @pytest.mark.parametrize("extension", ["ply", "gltf"])
@@ -38,10 +38,10 @@ def test_smooth_colours_go_to_a_texture_and_come_back(extension, sphere, tmp_pat
     textured, back = tmp_path / f"textured.{extension}", tmp_path / "back.ply"
     beltrami("bake", sphere, textured, "--to", "texture")
     beltrami("bake", textured, back, "--to", "vertices")
-    places, colours, painted = vertices(back)
+    places, colours, mesh = vertices(back)
     old_places, old_colours, old = vertices(sphere)
-    assert painted.stored == "uint8"
-    assert len(painted.faces) == len(old.faces)
+    assert mesh.stored == "uint8"
+    assert len(mesh.faces) == len(old.faces)
     assert np.abs(places - old_places).max() < 1e-6
     # Linear interpolation over an edge h is off by h^2 / 8 times the second derivative, up to 1.6, and by four times
     # that beyond the border of a chart. Three roundings to 8 bits add to it.
@@ -53,7 +53,7 @@ def test_smooth_colours_go_to_a_texture_and_come_back(extension, sphere, tmp_pat
 def test_linear_colours_of_gltf_make_the_texture_that_those_of_ply_make(sphere, tmp_path):
     glb = tmp_path / "sphere.glb"
     beltrami("smooth", sphere, glb, "-n", 0)
-    assert open_document(str(glb)).painted().encoding == "linear"
+    assert open_document(str(glb)).coloured_vertices().encoding == "linear"
     seen = []
     for source in (sphere, glb):
         textured, back = tmp_path / f"from{source.suffix}.obj", tmp_path / f"back{source.suffix}.ply"
@@ -82,9 +82,9 @@ def test_vertices_stay_split_only_where_a_seam_is_a_real_edge(tmp_path):
         result = tmp_path / f"{right}.ply"
         said = beltrami("bake", source, result, "--to", "vertices").stderr
         assert b"Not converted: texture coordinates; textures; materials; lines and points.\n" in said
-        painted = open_document(str(result)).painted()
-        assert len(painted.positions) == count
-        middle = 255 * painted.colours[painted.positions[:, 0] == 1]
+        vertices = open_document(str(result)).coloured_vertices()
+        assert len(vertices.positions) == count
+        middle = 255 * vertices.colours[vertices.positions[:, 0] == 1]
         assert np.allclose(np.sort(middle[:, 0]), expected, atol=0.51)
 
 
@@ -132,7 +132,7 @@ def test_one_colour_stays_exactly_that_colour(extension, kind, tmp_path):
     positions, faces = surfaces.icosphere(1)
     full = np.iinfo(kind).max
     colour, alpha = np.array([13, 130, 251]) / 255, np.float32(128 / 255)
-    source = painted_file(
+    source = coloured_file(
         tmp_path / "plain.ply", positions, faces, np.tile(colour, (len(positions), 1)),
         np.full(len(positions), alpha), stored=kind,
     )  # fmt: skip

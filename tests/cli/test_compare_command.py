@@ -21,7 +21,7 @@ from beltrami_cli.jobs.settings import Limits, NoiseSettings
 from cli.commands import COMMAND, SAMPLES, beltrami
 from formats.image_files import encode, stored
 from formats.volume_files import sphere_file
-from jobs.cut_boards import CHART, SIDE, painted, write_board
+from jobs.cut_boards import CHART, SIDE, cut, write_board
 
 DOCS = Path(__file__).parents[2] / "docs"
 CLEAN, NOISY = SAMPLES / "head-tex-clean.glb", SAMPLES / "head-tex-noisy.glb"
@@ -36,7 +36,7 @@ def board(path, change=0):
     """Write a board with a slope from texel to texel, and a change of it."""
     y, x = np.mgrid[:SIDE, :SIDE]
     painting = 20000 + 300 * np.stack([x, y, x + y], axis=2) + change
-    return write_board(path, painted(painting.astype(np.uint16)))
+    return write_board(path, cut(painting.astype(np.uint16)))
 
 
 def psnr_of(offset):
@@ -56,14 +56,14 @@ def test_an_offset_has_the_psnr_that_it_has(tmp_path):
 
 def test_one_wrong_vertex_is_found_and_counts_by_its_area(tmp_path):
     document = open_document(str(SAMPLES / "terrain-clean.ply"))
-    colours = document.painted().colours.copy()
+    colours = document.coloured_vertices().colours.copy()
     colours[77, 1] = 1 - colours[77, 1]
     (tmp_path / "t.ply").write_bytes(b"".join(document.patch(colours, Naming("t", keeps=True)).main))
     compared = compare_files(SAMPLES / "terrain-clean.ply", tmp_path / "t.ply")
     error = compared.overall["worst"]["error"]
     assert compared.overall["worst"]["vertex"] == 77
     assert compared.overall["psnr"] == pytest.approx(psnr_of(error / (3 * len(colours)) ** 0.5), abs=1e-3)
-    positions, faces = document.painted().positions, document.painted().faces
+    positions, faces = document.coloured_vertices().positions, document.coloured_vertices().faces
     sides = positions[faces[:, 1:]] - positions[faces[:, :1]]
     areas = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
     share = areas[(faces == 77).any(axis=1)].sum() / 3 / areas.sum()
@@ -77,7 +77,7 @@ def test_texels_that_faces_look_up_around_charts_have_figures_of_their_own(tmp_p
     equal = compare_files(one, other).overall["around_charts"]
     assert equal["psnr"] is None
     assert equal["worst"] == 0
-    uncovered = painted(np.ones((SIDE, SIDE, 3), np.uint16)) == 0
+    uncovered = cut(np.ones((SIDE, SIDE, 3), np.uint16)) == 0
     changed = np.where(uncovered, pixels + 6554, pixels)
     picture(other.with_suffix(".png"), changed)
     compared = compare_files(one, other).overall
@@ -139,7 +139,7 @@ def test_vertices_are_drawn_as_a_mesh_with_their_differences(tmp_path):
     document = open_document(str(drawn))
     found = document.attribute("delta_e")[:, 0]
     assert found.mean() == pytest.approx(compared.overall["delta_e"]["mean"], rel=1e-5)
-    lightness = document.painted().colours.sum(axis=1)
+    lightness = document.coloured_vertices().colours.sum(axis=1)
     assert lightness[found.argmax()] > lightness[found.argmin()] + 0.5
     with pytest.raises(UsageError, match=r"\.ply"):
         compare_files(SAMPLES / "knot-clean.ply", tmp_path / "n.ply", map_to=tmp_path / "map.png")

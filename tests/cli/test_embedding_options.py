@@ -25,12 +25,12 @@ def run(*arguments, **more):
     return beltrami(*arguments, *iterations, *FIXED, **more)
 
 
-def painted(path):
-    return open_document(str(path)).painted()
+def vertices_of(path):
+    return open_document(str(path)).coloured_vertices()
 
 
 def psnr(path, truth=CLEAN):
-    return -10 * np.log10(np.mean((painted(path).colours - painted(truth).colours) ** 2))
+    return -10 * np.log10(np.mean((vertices_of(path).colours - vertices_of(truth).colours) ** 2))
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +67,7 @@ def test_the_normal_map_of_a_material_guides_its_base_colour(textured):
 
 
 def test_vertices_are_guided_by_models_arrays_and_attributes_alike(tmp_path):
-    colours = painted(CLEAN).colours
+    colours = vertices_of(CLEAN).colours
     np.save(tmp_path / "guide.npy", colours)
     np.savez(tmp_path / "guide.npz", anything=colours.astype(np.float64))
     results = []
@@ -88,7 +88,7 @@ def test_a_property_of_the_vertices_guides_and_stays(tmp_path):
     source, target = tmp_path / "source.ply", tmp_path / "target.ply"
     source.write_bytes(ply("float x y z nx ny nz red green blue", rows, faces.tolist()))
     run("smooth", source, target, "--guide", "normal", "--metric-channels", "none", "-n", 10)
-    smoothed, document = painted(target).colours, open_document(str(target))
+    smoothed, document = vertices_of(target).colours, open_document(str(target))
     step = smoothed[side == 1].mean(axis=0) - smoothed[side == 0].mean(axis=0)
     # Averages within a region move its mean by less than the scatter of 0.15 over some 200 samples.
     assert np.allclose(step, colours[side == 1].mean(axis=0) - colours[side == 0].mean(axis=0), atol=0.01)
@@ -100,10 +100,10 @@ def test_channels_change_and_metric_channels_count(tmp_path):
     names, colours = {"all": [], "one": [*one, "--metric-channels", "r,g,b"], "alone": one}, {}
     for name, options in names.items():
         run("smooth", NOISY, tmp_path / "out.ply", *options)
-        colours[name] = painted(tmp_path / "out.ply").colours
+        colours[name] = vertices_of(tmp_path / "out.ply").colours
     # What only enters the metric is smoothed along, though it is not written: so red comes out as with all channels.
     assert np.array_equal(colours["one"][:, 0], colours["all"][:, 0])
-    assert np.array_equal(colours["one"][:, 1:], painted(NOISY).colours[:, 1:])
+    assert np.array_equal(colours["one"][:, 1:], vertices_of(NOISY).colours[:, 1:])
     assert not np.array_equal(colours["alone"][:, 0], colours["all"][:, 0])
 
 
@@ -113,13 +113,13 @@ def test_vertices_move_if_that_is_asked_for_and_the_report_says_how_far(extensio
     report = tmp_path / "run.json"
     options = ("--guide", CLEAN, "--guide-beta", 5)
     run("smooth", source, target, *options)
-    before = painted(source)
-    assert np.array_equal(painted(target).positions, before.positions)
+    before = vertices_of(source)
+    assert np.array_equal(vertices_of(target).positions, before.positions)
     run("smooth", source, target, *options, "--smooth-geometry", "--report", report)
     reported = json.loads(report.read_text())
     assert reported["parameters"]["embedding"]["smooth_geometry"] is True
     assert reported["vertices"]["guides"] == {str(CLEAN): 5.0}
-    moves = np.linalg.norm(painted(target).positions - before.positions, axis=1)
+    moves = np.linalg.norm(vertices_of(target).positions - before.positions, axis=1)
     geometry = reported["vertices"]["geometry"]
     assert geometry["normal_beta"] > 0
     assert moves.max() == pytest.approx(geometry["largest_move"], rel=1e-2)
@@ -131,6 +131,6 @@ def test_vertices_move_if_that_is_asked_for_and_the_report_says_how_far(extensio
 def test_moved_vertices_may_go_into_another_format(tmp_path):
     for name in ("same.ply", "other.glb"):  # in which the quads become triangles
         run("smooth", NOISY, tmp_path / name, "--smooth-geometry")
-    same, other = (painted(tmp_path / name).positions for name in ("same.ply", "other.glb"))
-    assert not np.array_equal(same, painted(NOISY).positions)
+    same, other = (vertices_of(tmp_path / name).positions for name in ("same.ply", "other.glb"))
+    assert not np.array_equal(same, vertices_of(NOISY).positions)
     assert np.allclose(same, other, atol=1e-6)

@@ -16,7 +16,7 @@ from cli.commands import SAMPLES, beltrami, colours_in, copy_samples
 from formats.gltf_files import Textured
 from formats.image_files import encode
 from formats.volume_files import sphere_file
-from oracles.paintings import photograph
+from oracles.pictures import photograph
 from small_models import COLOURED, ply, textured_squares
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from cli.commands import interrupted
-from cli.pictures import painted_file
+from cli.pictures import coloured_file
 from formats.image_files import encode
 from oracles import surfaces
 from processes import children, is_running, wait_for
@@ -59,9 +59,9 @@ def inputs(tmp_path_factory):
     """Meshes and an image on which every step takes seconds."""
     folder, random = tmp_path_factory.mktemp("large"), np.random.default_rng(0)
     positions, faces = surfaces.plane(280, 280)
-    painted_file(folder / "in.ply", positions, faces, random.random(positions.shape))
+    coloured_file(folder / "in.ply", positions, faces, random.random(positions.shape))
     positions, faces = surfaces.icosphere(5)
-    painted_file(folder / "in.sphere.ply", positions, faces, random.random(positions.shape))
+    coloured_file(folder / "in.sphere.ply", positions, faces, random.random(positions.shape))
     (folder / "in.png").write_bytes(encode(random.integers(0, 256, (800, 800, 3), np.uint8), "png"))
     return folder
 

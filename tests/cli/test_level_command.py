@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import beltrami_cli
-from beltrami_cli.flow.manifolds.canvas import canvas_colours, painted
+from beltrami_cli.flow.manifolds.canvas import canvas_colours, on_canvas
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.inspect import check_files
 from beltrami_cli.jobs.job import PLAIN_JOB
-from beltrami_cli.jobs.recolour import Painter, recolour
+from beltrami_cli.jobs.recolour import ColourFilter, recolour
 from beltrami_cli.layers.layer import dithered
 from beltrami_cli.layers.settings import DEFAULTS
 from cli.commands import SAMPLES
@@ -26,13 +26,13 @@ PLAIN = beltrami_cli.SmoothSettings(kernel=beltrami_cli.KernelParameters())
 beltrami = partial(run_beltrami, text=True)
 
 
-class Exposing(Painter):
-    """A painter that gives charts known exposures."""
+class Exposing(ColourFilter):
+    """A colour_filter that gives charts known exposures."""
 
     def paint(self, layer, job):
         _, colours = ExposureScene(layer, stored_colours(layer).astype(float)).exposed(1)
-        planes = painted(layer.atlas, colours.astype(np.float32))
-        return SimpleNamespace(repainted=layer.repaint(canvas_colours(layer.atlas, planes)), warnings=())
+        planes = on_canvas(layer.atlas, colours.astype(np.float32))
+        return SimpleNamespace(stored=layer.encode(canvas_colours(layer.atlas, planes)), warnings=())
 
 
 @pytest.fixture(scope="module")
@@ -120,7 +120,7 @@ def photographed(path, *, exposed):
         colours = colours * np.array([[0.9, 1, 1], [1.1, 1, 0.85], [1, 0.9, 1.1]])[photograph]
     table = np.column_stack([positions, np.rint(colours), photograph]).astype(int)
     path.write_bytes(ply(f"{COLOURED}, int camera", table.tolist(), faces.tolist()))
-    return open_document(str(path)).painted().colours
+    return open_document(str(path)).on_canvas().colours
 
 
 @pytest.mark.slow
@@ -131,7 +131,7 @@ def test_vertices_are_levelled_by_the_photographs_that_an_attribute_names(tmp_pa
     assert known["is_exposure"]
     assert known["seams"] == 2
     beltrami("level", tmp_path / "exposed.ply", tmp_path / "out.ply")
-    after = open_document(str(tmp_path / "out.ply")).painted().colours
+    after = open_document(str(tmp_path / "out.ply")).on_canvas().colours
 
     def off(colours):
         return np.std(colours - truth * colours.mean(axis=0) / truth.mean(axis=0))

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from cli.commands import beltrami, colours_in
-from cli.pictures import painted_file
+from cli.pictures import coloured_file
 from formats.image_files import encode
 from oracles import surfaces
-from oracles.paintings import photograph, with_noise
+from oracles.pictures import photograph, with_noise
 
 SIDE = 40
 POSITIONS, FACES = surfaces.plane(SIDE, SIDE)
@@ -25,7 +25,7 @@ def picture(tmp_path):
 
 @pytest.fixture
 def mesh(tmp_path):
-    return painted_file(tmp_path / "noisy.ply", POSITIONS, FACES, NOISY.reshape(-1, 3))
+    return coloured_file(tmp_path / "noisy.ply", POSITIONS, FACES, NOISY.reshape(-1, 3))
 
 
 def smoothed(source, *options):

@@ -58,9 +58,11 @@ def test_points_of_every_format_become_the_same_and_outliers_are_counted(clouds,
     assert 1.95 * squares < counts["triangles"] < 2.1 * squares
     beltrami("check", source, target)
     beltrami("smooth", clouds / "scan.xyz", tmp_path / "text.xyz", *given)
-    painted, expected = (open_document(str(path)).painted() for path in (target, tmp_path / "text.xyz"))
-    assert not len(painted.faces)
-    colours = linear_to_srgb(painted.colours) if painted.encoding == "linear" else painted.colours
+    vertices, expected = (
+        open_document(str(path)).coloured_vertices() for path in (target, tmp_path / "text.xyz")
+    )
+    assert not len(vertices.faces)
+    colours = linear_to_srgb(vertices.colours) if vertices.encoding == "linear" else vertices.colours
     assert np.abs(colours - expected.colours).max() <= 1.01 / 255  # which are rounded to 8 bits
     beltrami("smooth", source, tmp_path / f"same.{extension}", "-n", "0")
     assert (tmp_path / f"same.{extension}").read_bytes() == source.read_bytes()
@@ -120,7 +122,7 @@ def test_points_that_were_not_measured_stay_and_do_not_count(tmp_path, extension
     expected = colours.copy()
     expected[~gone] = np.loadtxt(tmp_path / "done.xyz")[:, 3:]
     if extension == "ply":
-        found = np.rint(255 * PlyDocument(target.read_bytes(), "x.ply").painted().colours)
+        found = np.rint(255 * PlyDocument(target.read_bytes(), "x.ply").coloured_vertices().colours)
     else:
         found = np.load(target)["colours"] if extension == "npz" else np.loadtxt(target)[:, 3:]
     assert np.abs(found.astype(int) - expected).max() <= 1

@@ -13,7 +13,7 @@ from packaging.utils import canonicalize_name
 
 from batch.batches import without_workers
 from cli.commands import SAMPLES, beltrami, refused
-from cli.pictures import painted_file, pixels
+from cli.pictures import coloured_file, pixels
 from formats.image_files import encode
 from formats.volume_files import nrrd_file
 from oracles.level_sets import sphere
@@ -32,7 +32,7 @@ def folder(tmp_path_factory):
         np.save(path / f"{name}.npy", array)
     (path / "damaged.npy").write_bytes((path / "hollow.npy").read_bytes()[:-9])
     np.savez(path / "many.npz", one=np.zeros(VERTICES), two=np.zeros(VERTICES))
-    painted_file(path / "points.ply", np.eye(3), np.zeros((0, 3), int), np.eye(3))
+    coloured_file(path / "points.ply", np.eye(3), np.zeros((0, 3), int), np.eye(3))
     numbers = np.random.default_rng(0).integers(0, 256, (9, 7))
     np.savetxt(path / "scan.txt", numbers, "%d", ",")
     (path / "colourless.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")

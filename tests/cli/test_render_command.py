@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cli.commands import SAMPLES, beltrami
-from cli.pictures import painted_square, pixels, plain_image
+from cli.pictures import coloured_square, pixels, plain_image
 
 pytest.importorskip("embreex")
 
@@ -12,7 +12,7 @@ pytest.importorskip("embreex")
 def test_colours_come_out_as_they_are_shown_whatever_the_file_stores(tmp_path):
     srgb = np.array([200, 100, 30]) / 255
     light = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-    ply, glb = painted_square(tmp_path / "a.ply", srgb), painted_square(tmp_path / "a.glb", light)
+    ply, glb = coloured_square(tmp_path / "a.ply", srgb), coloured_square(tmp_path / "a.glb", light)
     png = plain_image(tmp_path / "a.png", [200, 100, 30])
     out = tmp_path / "out.png"
     beltrami("render", ply, glb, png, out, "--size", 50, "--no-labels")

@@ -17,7 +17,7 @@ NOISY = SAMPLES / "terrain-noisy.ply"
 
 
 def colours(path):
-    return open_document(str(path)).painted().colours
+    return open_document(str(path)).coloured_vertices().colours
 
 
 @pytest.mark.slow
@@ -110,8 +110,8 @@ def test_a_scalar_of_a_mesh_is_smoothed_alike_in_any_unit_and_nothing_else_chang
         facts = json.loads(beltrami("info", source, "--fast", "--json", *options).stdout)
         assert list(facts["noise"]) == [name]
         document = open_document(str(target), Access(channels=(name,)))
-        painted = document.painted()
-        results.append(painted.colours[:, 0].astype(np.float64) * painted.full_scale / unit)
+        vertices = document.coloured_vertices()
+        results.append(vertices.colours[:, 0].astype(np.float64) * vertices.full_scale / unit)
     np.testing.assert_allclose(results[0], results[1], rtol=1e-6)
     assert np.sqrt(np.mean(np.square(results[0] - clean))) < 0.07  # of 0.2
 

@@ -93,9 +93,9 @@ def kit(folder):
     atlas[:, SIDE // 2 :] = 40, 90, 200
     noisy = np.clip(np.rint(atlas + random.normal(0, 12, atlas.shape)), 0, 255).astype(np.uint8)
     (folder / "atlas.png").write_bytes(encode(noisy, "png"))
-    (folder / "kit.mtl").write_text("newmtl paint\nmap_Kd atlas.png\n")
+    (folder / "kit.mtl").write_text("newmtl skin\nmap_Kd atlas.png\n")
     for name, first in (("wall", 0.0), ("roof", 0.5)):
-        lines = ["mtllib kit.mtl", "usemtl paint"]
+        lines = ["mtllib kit.mtl", "usemtl skin"]
         lines += [f"v {x} {y} 0\nvt {first + x / 2} {y}" for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))]
         (folder / f"{name}.obj").write_text("\n".join([*lines, "f 1/1 2/2 3/3 4/4", ""]))
     return atlas
@@ -191,11 +191,11 @@ def test_another_image_format_is_written_without_iterations(target, tmp_path):
     assert np.array_equal(pixels(out), pixels(MIRRORED))
 
 
-PAINTED = [path.name for path in sorted(SAMPLES.glob("nonmanifold-noisy.*"))]
+COLOURED = [path.name for path in sorted(SAMPLES.glob("nonmanifold-noisy.*"))]
 IMAGES = ["scan-noisy.jpg", "mirrored-noisy.png"]
 
 
-@pytest.mark.parametrize("name", [*TEXTURED, *PAINTED, *IMAGES])
+@pytest.mark.parametrize("name", [*TEXTURED, *COLOURED, *IMAGES])
 def test_no_iterations_carry_every_file_byte_by_byte_to_another_folder(name, tmp_path):
     smooth(SAMPLES / name, tmp_path / name, "-n", "0")
     written = files(tmp_path)

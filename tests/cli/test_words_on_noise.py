@@ -13,7 +13,7 @@ from beltrami_cli.layers.layer import describe_reading
 from beltrami_cli.view.words import noise_in_words, noise_of
 from cli.commands import SAMPLES, beltrami, colours_in
 from formats.image_files import encode
-from oracles.paintings import photograph
+from oracles.pictures import photograph
 
 ADVICE = re.compile(r"--\w[\w-]*(?: (?:[\d.]+(?:/255)?|smooth))?")
 

@@ -18,7 +18,7 @@ from beltrami_cli.flow.noise.model import NoiseModel, Reading
 from beltrami_cli.flow.parameters import STRENGTHS, TUNABLE, KernelParameters
 from cli.commands import SAMPLES, beltrami
 from oracles import surfaces
-from oracles.paintings import photograph, psnr, shapes, with_noise
+from oracles.pictures import photograph, psnr, shapes, with_noise
 
 SIGMA = 20 / 255
 CHOSEN = KernelParameters(free=TUNABLE)

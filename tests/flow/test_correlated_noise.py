@@ -14,7 +14,7 @@ from beltrami_cli.flow.noise.model import draw_model, sigma_of_covariances
 from flow.noisy_surfaces import by_camera, in_8_bits, noise_of_image
 from flow.test_choice import Blur
 from formats.image_files import encode
-from oracles.paintings import shapes
+from oracles.pictures import shapes
 
 LUMA = np.full((3, 3), 1 / 3)
 SHARED = np.array([LUMA + share * (np.eye(3) - LUMA) for share in (0.1, 0.3, 0.8, 1.0)])

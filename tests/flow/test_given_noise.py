@@ -12,7 +12,7 @@ from beltrami_cli.flow.parameters import GivenNoise, file_of_noise, given_noise
 from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.layers.guides import deviation_in_frame
 from hostile.textured_models import ONCE, PICTURE, write_model
-from oracles.paintings import photograph, psnr
+from oracles.pictures import photograph, psnr
 from oracles.surfaces import icosphere
 from small_models import COLOURED, ply
 

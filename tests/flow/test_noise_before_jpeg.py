@@ -23,7 +23,7 @@ from cli.commands import beltrami
 from flow.noisy_surfaces import noise_of_image
 from flow.test_correlated_noise import painting, stored
 from formats.image_files import encode
-from oracles.paintings import psnr
+from oracles.pictures import psnr
 
 CLEAN = painting(256)
 SMALL = painting(160)  # for whole commands

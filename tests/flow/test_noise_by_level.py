@@ -17,7 +17,7 @@ from beltrami_cli.jobs.inspect import inspect_file
 from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED
 from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
 from flow.noisy_surfaces import noise_of_image
-from oracles.paintings import photograph
+from oracles.pictures import photograph
 
 SHOT, READ = 0.004, 0.005
 

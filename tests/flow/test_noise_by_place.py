@@ -6,7 +6,7 @@ from scipy.ndimage import map_coordinates
 
 from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
 from flow.noisy_surfaces import manifold_of, noise_of_image
-from oracles.paintings import flat_paint, line_art, photograph, with_noise
+from oracles.pictures import flat_areas, line_art, photograph, with_noise
 from oracles.surfaces import icosphere
 
 SIZE, QUIET, LOUD = 256, 5 / 255, 20 / 255
@@ -36,7 +36,7 @@ def test_noise_reaches_the_border_of_a_noisy_part(border):
 
 @pytest.mark.parametrize(
     ("scene", "sigma", "channels"),
-    [(photograph, 5, 1), (flat_paint, 20, 1), (line_art, 0, 1), (photograph, 0, 3), (photograph, 20, 3)],
+    [(photograph, 5, 1), (flat_areas, 20, 1), (line_art, 0, 1), (photograph, 0, 3), (photograph, 20, 3)],
 )
 def test_textures_and_even_noise_are_the_same_everywhere(scene, sigma, channels):
     noisy = with_noise(scene(SIZE)[..., :channels], sigma / 255, seed=1)

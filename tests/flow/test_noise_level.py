@@ -13,7 +13,7 @@ from beltrami_cli.flow.vertex_graph import Graph
 from flow.noisy_surfaces import in_8_bits as stored
 from flow.noisy_surfaces import noise_of_image
 from oracles import surfaces
-from oracles.paintings import photograph, with_noise
+from oracles.pictures import photograph, with_noise
 
 noisy = partial(with_noise, seed=5, cut_off=False)
 

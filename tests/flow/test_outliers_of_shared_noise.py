@@ -8,7 +8,7 @@ import beltrami_cli
 from beltrami_cli.flow.corrections.coarse_levels import fill_dark_outliers_in_place
 from flow.noisy_surfaces import by_camera, in_8_bits, manifold_of, with_grain
 from oracles import surfaces
-from oracles.paintings import psnr
+from oracles.pictures import psnr
 
 SIDE = 128
 SIGMA = 12 / 255

@@ -9,7 +9,7 @@ from beltrami_cli import _native, smooth, smooth_image
 from beltrami_cli.flow.corrections.clipping import ClippedChannels, normal_tables
 from beltrami_cli.flow.parameters import PRESETS
 from oracles import surfaces
-from oracles.paintings import flat_paint, line_art, photograph, psnr, with_noise
+from oracles.pictures import flat_areas, line_art, photograph, psnr, with_noise
 
 SIGMA = 0.08
 # Noise that is the same everywhere.
@@ -96,7 +96,7 @@ def test_terms_of_the_blend_are_those_of_the_closed_form(in_rows):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("clean", "sigma"), [(photograph, 20), (flat_paint, 5), (line_art, 10)])
+@pytest.mark.parametrize(("clean", "sigma"), [(photograph, 20), (flat_areas, 5), (line_art, 10)])
 def test_the_blend_is_hardly_worse_than_kernel_or_patches_alone(clean, sigma):
     """Photographs are taken from patches, and paint from the kernel."""
     truth = clean(96)
@@ -135,7 +135,7 @@ def test_patches_are_taken_where_the_kernel_is_chosen_from_the_data_or_they_are_
 
 
 def test_what_has_no_noise_is_the_same_with_and_without_patches():
-    for clean in (flat_paint(64).astype(np.float32), np.zeros((20, 20, 3), np.float32)):
+    for clean in (flat_areas(64).astype(np.float32), np.zeros((20, 20, 3), np.float32)):
         kernel, both = (smooth_image(clean, patches=wanted) for wanted in ("off", "on"))
         assert both.patches is None
         assert np.array_equal(both.colours, kernel.colours)

@@ -10,7 +10,7 @@ from beltrami_cli.flow.noise.model import draw_noise_of_clusters, sigma_of_covar
 from beltrami_cli.flow.vertex_graph import levels_of
 from flow.noisy_surfaces import manifold_of, with_grain
 from oracles import surfaces
-from oracles.paintings import psnr
+from oracles.pictures import psnr
 
 SIGMA = 12 / 255
 
@@ -20,7 +20,7 @@ def sphere():
     return surfaces.icosphere(5)
 
 
-def painted(positions):
+def pattern(positions):
     """Return waves, mostly grey as in photographs, far from black and white."""
     grey, tint = (np.sin(k * positions @ np.random.default_rng(k).normal(size=(3, 3))) for k in (4, 2))
     return 0.5 + 0.15 * grey[:, :1] + 0.05 * tint
@@ -29,7 +29,7 @@ def painted(positions):
 def test_noise_that_vertices_share_is_found(sphere):
     """To a quarter."""
     positions, faces = sphere
-    manifold = manifold_of(positions, faces, with_grain(positions, painted(positions), SIGMA))
+    manifold = manifold_of(positions, faces, with_grain(positions, pattern(positions), SIGMA))
     assert manifold.noise.is_shared
     assert manifold.noise.as_read().of_input == pytest.approx(SIGMA, rel=0.25)
     assert manifold.noise.grain > 1.5
@@ -47,7 +47,7 @@ def test_the_channel_with_more_of_the_noise_that_vertices_share_is_known(sphere)
 
 def test_independent_noise_of_vertices_is_not_taken_for_shared_noise(sphere):
     positions, faces = sphere
-    clean = painted(positions)
+    clean = pattern(positions)
     noisy = clean + 5 / 255 * np.random.default_rng(2).standard_normal(clean.shape)
     assert not manifold_of(positions, faces, noisy).noise.is_shared
 
@@ -55,7 +55,7 @@ def test_independent_noise_of_vertices_is_not_taken_for_shared_noise(sphere):
 def test_drawn_noise_has_the_details_of_what_was_found(sphere):
     """At single vertices and two levels, to four standard errors of a variance and what it varies in size."""
     positions, faces = sphere
-    manifold = manifold_of(positions, faces, with_grain(positions, painted(positions), SIGMA))
+    manifold = manifold_of(positions, faces, with_grain(positions, pattern(positions), SIGMA))
     covariances = manifold.noise.covariances
     levels = list(islice(levels_of(manifold.graph), len(covariances) + 1))
     random = np.random.default_rng(5)
@@ -72,7 +72,7 @@ def test_drawn_noise_has_the_details_of_what_was_found(sphere):
 
 def test_noise_that_vertices_share_is_removed_and_no_psnr_is_predicted(sphere):
     positions, faces = sphere
-    clean = painted(positions)
+    clean = pattern(positions)
     noisy = with_grain(positions, clean, SIGMA)
     result = smooth(positions, faces, noisy)
     assert psnr(result.colours, clean) > psnr(noisy, clean) + 5
@@ -84,6 +84,6 @@ def test_noise_that_vertices_share_is_removed_and_no_psnr_is_predicted(sphere):
 def test_black_stays_black_where_vertices_share_noise(sphere):
     """To a fifth of the 0.4 standard deviations by which noise that is cut off at 0 makes it brighter."""
     positions, faces = sphere
-    clean = np.where(positions[:, 2:] > 0, painted(positions), 0)
+    clean = np.where(positions[:, 2:] > 0, pattern(positions), 0)
     result = smooth(positions, faces, with_grain(positions, clean, SIGMA))
     assert result.colours[positions[:, 2] < -0.2].mean() < 0.4 * SIGMA / 5

@@ -8,7 +8,7 @@ import beltrami_cli
 from flow.noisy_surfaces import manifold_of
 from flow.test_correlated_noise import stored
 from oracles import surfaces
-from oracles.paintings import psnr, with_noise
+from oracles.pictures import psnr, with_noise
 
 SIDE = 320
 GRASS = np.array([0.6, 0.78, 0.12])

@@ -1,4 +1,4 @@
-"""Geometry compressed with Draco or meshoptimizer: read as before compression, and painted.
+"""Geometry compressed with Draco or meshoptimizer: read as before compression, and recoloured.
 
 Data of Draco stay, and new colours lie beside them; views of meshoptimizer are compressed again without loss.
 """
@@ -74,10 +74,10 @@ def test_colours_triangles_and_coordinates_are_those_that_were_compressed(make, 
     model.tree["meshes"][0]["primitives"][0]["material"] = model.material(
         baseColor=model.texture(model.image(picture(1)))
     )
-    painted, surface = model.document().painted(), model.document().textured("baseColor")
-    assert triangles(painted.positions, painted.faces) == triangles(GRID, CORNERS)
-    stored = np.rint(painted.colours * np.float64(full)).astype(int)
-    assert by_point(painted.positions, stored) == by_point(GRID, COLOURS[:, :3])
+    vertices, surface = model.document().coloured_vertices(), model.document().textured("baseColor")
+    assert triangles(vertices.positions, vertices.faces) == triangles(GRID, CORNERS)
+    stored = np.rint(vertices.colours * np.float64(full)).astype(int)
+    assert by_point(vertices.positions, stored) == by_point(GRID, COLOURS[:, :3])
     where = by_point(GRID, UV)
     corners = np.rint(surface.positions[surface.faces]).astype(int).tolist()
     expected = np.array([[where[tuple(corner)] for corner in face] for face in corners])
@@ -88,12 +88,12 @@ def test_colours_triangles_and_coordinates_are_those_that_were_compressed(make, 
 def test_new_colours_lie_beside_the_compressed_data_which_stays(in_order):
     model = draco_model(COLOURS, in_order=in_order)
     opened = model.document()
-    painted = opened.painted()
-    after = joined(opened.patch(1 - painted.colours, Naming("out")))
+    vertices = opened.coloured_vertices()
+    after = joined(opened.patch(1 - vertices.colours, Naming("out")))
     (old, old_buffers), (new, new_buffers) = unpacked(model.glb()), unpacked(after)
     primitive = new["meshes"][0]["primitives"][0]
     found = numbers(new, new_buffers, primitive["attributes"]["COLOR_0"])
-    assert by_point(painted.positions, found) == by_point(
+    assert by_point(vertices.positions, found) == by_point(
         GRID, np.concatenate([255 - COLOURS[:, :3], COLOURS[:, 3:]], axis=1)
     )
     assert new_buffers[0].startswith(old_buffers[0][: old["buffers"][0]["byteLength"]])
@@ -107,11 +107,15 @@ def test_new_colours_lie_beside_the_compressed_data_which_stays(in_order):
     accessor = new["accessors"][colour]
     assert (accessor["min"], accessor["max"]) == (found.min(axis=0).tolist(), found.max(axis=0).tolist())
     again = GltfDocument(after, "out.glb", None)
-    assert triangles(again.painted().positions, again.painted().faces) == triangles(GRID, CORNERS)
-    np.testing.assert_allclose(again.painted().colours, 1 - painted.colours, atol=1e-6)
-    second = joined(again.patch(painted.colours, Naming("out")))  # in place
+    assert triangles(again.coloured_vertices().positions, again.coloured_vertices().faces) == triangles(
+        GRID, CORNERS
+    )
+    np.testing.assert_allclose(again.coloured_vertices().colours, 1 - vertices.colours, atol=1e-6)
+    second = joined(again.patch(vertices.colours, Naming("out")))  # in place
     assert len(second) == len(after)
-    np.testing.assert_array_equal(GltfDocument(second, "out.glb", None).painted().colours, painted.colours)
+    np.testing.assert_array_equal(
+        GltfDocument(second, "out.glb", None).coloured_vertices().colours, vertices.colours
+    )
 
 
 @settings(max_examples=20, deadline=None)
@@ -133,11 +137,11 @@ def test_accessors_that_describe_several_meshes_are_kept_apart(same, stranger, s
     model.mesh(first)
     model.mesh(second, translation=[9, 0, 0])
     opened = model.document()
-    painted = opened.painted()
-    assert len(painted.positions) == len(GRID) * (1 if same else 2)
-    data = joined(opened.patch(1 - painted.colours, Naming("out")))
+    vertices = opened.coloured_vertices()
+    assert len(vertices.positions) == len(GRID) * (1 if same else 2)
+    data = joined(opened.patch(1 - vertices.colours, Naming("out")))
     after, tree = GltfDocument(data, "out.glb", None), unpacked(data)[0]
-    np.testing.assert_allclose(after.painted().colours, 1 - painted.colours, atol=1e-6)
+    np.testing.assert_allclose(after.coloured_vertices().colours, 1 - vertices.colours, atol=1e-6)
     if stranger:
         kept = tree["meshes"][0]["primitives"][0]["attributes"]["_KEPT"]
         assert "bufferView" not in tree["accessors"][kept]
@@ -172,7 +176,7 @@ def test_an_uncompressed_substitute_gets_the_same_colours_if_its_vertices_are_in
         model.tree["accessors"][accessor]["bufferView"] = model.view(array.tobytes())
     model.mesh(primitive)
     opened = model.document()
-    colours = 1 - opened.painted().colours
+    colours = 1 - opened.coloured_vertices().colours
     if is_turned:
         with pytest.raises(InputError, match="another order than its uncompressed fallback"):
             opened.patch(colours, Naming("out"))
@@ -192,7 +196,7 @@ def test_points_are_refused_however_many_they_claim_to_be(claimed):
         points[11 : 11 + len(claimed)] = claimed  # the number of points, for which memory would be taken
     model.tree["meshes"][0]["primitives"][0]["extensions"][DRACO]["bufferView"] = model.view(bytes(points))
     with pytest.raises(InputError, match="holds points, not triangles"):
-        model.document().painted()
+        model.document().coloured_vertices()
 
 
 def stored_after(opened, colours):
@@ -221,7 +225,7 @@ def test_exponents_of_positions_are_decoded():
         model, GRID, filtered=packed.astype("<i4"), filter_name="EXPONENTIAL", bounds=True
     )
     model.tree["meshes"][0]["primitives"][0]["attributes"]["POSITION"] = position
-    np.testing.assert_array_equal(model.document().painted().positions, GRID)
+    np.testing.assert_array_equal(model.document().coloured_vertices().positions, GRID)
 
 
 @pytest.mark.parametrize("kind", ["u1", "u2"])
@@ -261,7 +265,7 @@ def test_only_the_compressed_colours_change(tmp_path_factory, extension, seed, f
     data = model.glb()
     for step in steps:
         opened = GltfDocument(data, "model.glb", folder)
-        colours = opened.painted().colours
+        colours = opened.coloured_vertices().colours
         flat = np.full(colours.shape, 0.5)
         made = {"noise": rng.random(colours.shape), "flat": flat, "turned": 1 - colours}
         written = opened.patch(made[step].astype(np.float32), Naming("out", keeps=True))
@@ -296,7 +300,7 @@ def test_colours_interleaved_with_other_attributes_leave_these_alone():
     attributes["POSITION"] = model.accessor(GRID, view, bounds=True)
     attributes["COLOR_0"] = model.accessor(COLOURS, view, offset=12, normalized=True)
     opened = model.document()
-    after = stored_after(opened, 1 - opened.painted().colours)
+    after = stored_after(opened, 1 - opened.coloured_vertices().colours)
     np.testing.assert_array_equal(after[attributes["COLOR_0"]][:, :3], 255 - COLOURS[:, :3])
     np.testing.assert_array_equal(after[attributes["POSITION"]], GRID)
 
@@ -308,7 +312,7 @@ def test_data_that_two_views_share_is_not_written_over():
     accessors.append({**accessors[1], "bufferView": len(views) - 1})
     model.tree["meshes"][0]["primitives"][0]["attributes"]["_KEPT"] = len(accessors) - 1
     opened = model.document()
-    flat = np.full_like(opened.painted().colours, 0.5)  # which takes less room than noise
+    flat = np.full_like(opened.coloured_vertices().colours, 0.5)  # which takes less room than noise
     after = stored_after(opened, flat)
     np.testing.assert_array_equal(after[-1], COLOURS)
     assert set(after[1][:, 0].tolist()) == {128}
@@ -329,7 +333,7 @@ def test_a_substitute_that_becomes_part_of_the_file_is_no_substitute_any_more(tm
     (buffer,) = unpacked(merged)[0]["buffers"]
     assert "extensions" not in buffer
     again = GltfDocument(merged, "out.glb", None)
-    np.testing.assert_array_equal(again.painted().colours, opened.painted().colours)
+    np.testing.assert_array_equal(again.coloured_vertices().colours, opened.coloured_vertices().colours)
 
 
 @pytest.mark.parametrize(
@@ -343,7 +347,7 @@ def test_without_a_package_its_extra_is_named(make, module, extra, extension, mo
     opened = make(COLOURS).document()
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(InputError) as caught:
-        opened.painted()
+        opened.coloured_vertices()
     assert extension in str(caught.value)
     assert f"pip install 'beltrami-cli[{extra}]'" in str(caught.value)
     assert opened.facts()["extensions required"] == [extension]
@@ -355,6 +359,6 @@ def test_colours_compressed_as_indices_are_refused_rather_than_damaged(mode):
     view = packed_view(model, np.arange(len(GRID), dtype="<u4").tobytes(), 4, mode)
     model.tree["accessors"][1]["bufferView"] = view
     opened = model.document()
-    colours = opened.painted().colours
+    colours = opened.coloured_vertices().colours
     with pytest.raises(InputError, match=f"mode: is {mode}, which is not for vertex data"):
         opened.patch(1 - colours, Naming("out"))

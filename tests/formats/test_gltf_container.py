@@ -31,7 +31,9 @@ def test_a_byte_order_mark_is_reported_and_kept():
     data = b"\xef\xbb\xbf" + small().data_text(indent=1)
     document = GltfDocument(data, "model.gltf", None)
     assert [notice for notice in document.notices if "byte order mark" in notice]
-    assert joined(document.patch(1 - document.painted().colours, Naming("out"))).startswith(data[:20])
+    assert joined(document.patch(1 - document.coloured_vertices().colours, Naming("out"))).startswith(
+        data[:20]
+    )
 
 
 @pytest.mark.parametrize("uri", ["../up.bin", "%2e%2e/up.bin", "..%5cup.bin", "missing.bin", ""])
@@ -43,7 +45,7 @@ def test_buffers_outside_the_folder_are_never_read(tmp_path, uri):
     assert not document.references()
     assert [notice for notice in document.notices if "buffers[0]" in notice]
     with pytest.raises(InputError, match=r"buffers\[0\].uri"):
-        document.painted()
+        document.coloured_vertices()
 
 
 SPELLINGS = [
@@ -62,12 +64,12 @@ def test_files_inside_the_folder_are_found_and_listed(tmp_path, uri):
     (tmp_path / "x.png").write_bytes(b"\x89PNG")
     model.tree["images"] = [{"uri": "x.png"}, {"uri": "y.png"}, {"uri": "data:image/png;base64,AA=="}]
     document = GltfDocument(model.text(uri), "model.gltf", tmp_path)
-    assert len(document.painted().colours) == 5
+    assert len(document.coloured_vertices().colours) == 5
     assert document.references() == ["sub dir/ü.bin", "x.png"]
     assert [notice for notice in document.notices if "'y.png' is missing" in notice]
-    written = document.patch(1 - document.painted().colours, Naming("out", keeps=True))
+    written = document.patch(1 - document.coloured_vertices().colours, Naming("out", keeps=True))
     assert list(written.sidecars) == ["sub dir/ü.bin"]
-    moved = document.patch(1 - document.painted().colours, Naming("out"))
+    moved = document.patch(1 - document.coloured_vertices().colours, Naming("out"))
     assert list(moved.sidecars) == ["sub dir/out.bin"]
     assert b'"sub%20dir/out.bin"' in joined(moved)
 
@@ -79,21 +81,21 @@ def test_two_buffers_over_one_file_stay_one_file(tmp_path):
     tree["buffers"].append({"uri": "./x.bin", "byteLength": len(model.binary)})
     tree["bufferViews"][-1]["buffer"] = 1  # the colours, seen through the second buffer
     document = GltfDocument(json.dumps(tree).encode(), "model.gltf", tmp_path)
-    colours = 1 - document.painted().colours
+    colours = 1 - document.coloured_vertices().colours
     written = document.patch(colours, Naming("out"))
     (tmp_path / "out.bin").write_bytes(bytes(written.sidecars["out.bin"]))
     again = GltfDocument(joined(written), "out.gltf", tmp_path)
     assert {buffer["uri"] for buffer in json.loads(joined(written))["buffers"]} == {"out.bin"}
-    np.testing.assert_allclose(again.painted().colours, colours, atol=0.5 / 255)
+    np.testing.assert_allclose(again.coloured_vertices().colours, colours, atol=0.5 / 255)
 
 
 def test_percent_encoded_data_uris_are_read_and_rewritten():
     model = small()
     uri = "data:application/octet-stream," + "".join(f"%{octet:02x}" for octet in model.binary)
     document = GltfDocument(model.text(uri), "model.gltf", None)
-    colours = 1 - document.painted().colours
+    colours = 1 - document.coloured_vertices().colours
     again = GltfDocument(joined(document.patch(colours, Naming("out"))), "out.gltf", None)
-    np.testing.assert_allclose(again.painted().colours, colours, atol=0.5 / 255)
+    np.testing.assert_allclose(again.coloured_vertices().colours, colours, atol=0.5 / 255)
 
 
 def same(first, second):
@@ -112,7 +114,7 @@ def test_binary_to_text_and_back_gives_the_same_file(tmp_path_factory, seed, com
     folder = tmp_path_factory.mktemp("repackaged")
     data = (meshopt_model(COLOURS) if compressed else small(seed)).glb(indent=indent)
     document = GltfDocument(data, "a.glb", folder)
-    colours = document.painted().colours
+    colours = document.coloured_vertices().colours
     wanted = 1 - colours if changed else colours
     text = document.patch(wanted, Naming("b"), form="gltf")
     (folder / "b.bin").write_bytes(bytes(text.sidecars["b.bin"]))
@@ -121,7 +123,7 @@ def test_binary_to_text_and_back_gives_the_same_file(tmp_path_factory, seed, com
     if not changed:
         same(decompressed(*unpacked(data)), decompressed(tree, buffers))
     middle = GltfDocument(joined(text), "b.gltf", folder)
-    np.testing.assert_allclose(middle.painted().colours, wanted, atol=0.5 / 255)
+    np.testing.assert_allclose(middle.coloured_vertices().colours, wanted, atol=0.5 / 255)
     back = joined(middle.patch(colours, Naming("c"), form="glb"))
     assert unpacked(back)[0] == unpacked(data)[0]
     same(decompressed(*unpacked(back)), decompressed(*unpacked(data)))
@@ -144,7 +146,7 @@ def test_several_buffers_and_images_become_one_chunk(tmp_path):
     for name, data in files.items():
         (tmp_path / name).write_bytes(data)
     document = GltfDocument(json.dumps(tree, indent=1).encode(), "a.gltf", tmp_path)
-    written = document.patch(document.painted().colours, Naming("b", keeps=True), form="glb")
+    written = document.patch(document.coloured_vertices().colours, Naming("b", keeps=True), form="glb")
     after, buffers = unpacked(joined(written))
     assert not written.sidecars
     assert len(after["buffers"]) == len(buffers) == 1
@@ -155,14 +157,14 @@ def test_several_buffers_and_images_become_one_chunk(tmp_path):
     assert buffers[0][place["byteOffset"] :][: place["byteLength"]] == png
     assert after["images"][1:] == tree["images"][1:]
     assert len([notice for notice in written.notices if "stays outside" in notice]) == 2
-    colours = 1 - document.painted().colours
+    colours = 1 - document.coloured_vertices().colours
     again = GltfDocument(joined(document.patch(colours, Naming("b"), form="glb")), "b.glb", None)
-    np.testing.assert_allclose(again.painted().colours, colours, atol=0.002)
+    np.testing.assert_allclose(again.coloured_vertices().colours, colours, atol=0.002)
 
 
 def test_lost_chunks_are_reported():
     document = GltfDocument(small().glb((b"XTRA", b"1234")), "a.glb", None)
-    written = document.patch(document.painted().colours, Naming("b"), form="gltf")
+    written = document.patch(document.coloured_vertices().colours, Naming("b"), form="gltf")
     assert [notice for notice in written.notices if "unknown type" in notice]
 
 
@@ -273,7 +275,7 @@ FILES = rare_uses().glb(), rare_uses().data_text(indent=1)
 def test_truncated_files_raise_input_errors(form, share):
     cut = max(1, int(share * len(FILES[form])))
     with pytest.raises(InputError):
-        GltfDocument(FILES[form][:cut], "model", None).painted()
+        GltfDocument(FILES[form][:cut], "model", None).coloured_vertices()
 
 
 @pytest.mark.parametrize(
@@ -293,7 +295,7 @@ def test_what_is_no_gltf_is_refused(text, cause):
 
 
 def plain():
-    """Return a painted and textured triangle: accessors and views 0 of positions, 1 of colours, 2 of coordinates."""
+    """Return a coloured and textured triangle: accessors and views 0 of positions, 1 of colours, 2 of coordinates."""
     model = Textured()
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "<f4")
     position, colour, uv = map(model.packed, (corners, np.eye(3, dtype="<f4"), corners[:, :2]))
@@ -399,6 +401,6 @@ DAMAGES = [
 def test_damage_is_named_with_its_place(message, model):
     with pytest.raises(InputError, match=r"^model\.glb: [^\n]*$") as caught:  # noqa: PT012
         document = GltfDocument(model.glb(), "model.glb", None)
-        document.painted()
+        document.coloured_vertices()
         document.textured("baseColor")
     assert message in str(caught.value)

@@ -126,8 +126,8 @@ def test_results_are_as_valid_as_their_sources(tmp_path):
             model.tree = {key: value for key, value in model.tree.items() if value != []}
             source = model.written_to(folder, form)
             target = folder / "after" / source.name
-            is_painted = "COLOR_0" in source.read_bytes().decode("latin-1")
-            on = "both" if "textures" in model.tree and is_painted else "auto"
+            has_colours = "COLOR_0" in source.read_bytes().decode("latin-1")
+            on = "both" if "textures" in model.tree and has_colours else "auto"
             smooth_file(source, target, ONCE, on=on)
             files[folder.name] = source, target
     before, after = (issues(*column) for column in zip(*files.values(), strict=True))

@@ -80,19 +80,19 @@ def test_only_changed_colours_change_and_each_is_rounded_once(
     case = data.draw(cases(arrangement))
     source = case.model.written_to(folder, form, (b"XTRA", b"kept"), indent=indent)
     document, data, before = open_document(str(source)), source.read_bytes(), opened(source)
-    painted = document.painted()
+    vertices = document.coloured_vertices()
     for unchanged in (
-        document.patch(painted.colours.copy(), Naming("out")),
+        document.patch(vertices.colours.copy(), Naming("out")),
         document.patch(None, Naming("out")),
     ):
         assert (joined(unchanged), unchanged.sidecars) == (data, {})
     scale = 1 if case.stored.dtype.kind == "f" else np.iinfo(case.stored.dtype).max
     np.testing.assert_array_equal(
-        painted.colours, (case.stored[:, :3] / np.float64(scale)).astype(np.float32)
+        vertices.colours, (case.stored[:, :3] / np.float64(scale)).astype(np.float32)
     )
     rng = np.random.default_rng(seed)
-    changed = rng.random(painted.colours.shape) < 0.4
-    colours = np.where(changed, rng.random(painted.colours.shape), painted.colours).astype(np.float32)
+    changed = rng.random(vertices.colours.shape) < 0.4
+    colours = np.where(changed, rng.random(vertices.colours.shape), vertices.colours).astype(np.float32)
 
     written = document.patch(colours, Naming("out", keeps=moved))
 
@@ -132,7 +132,7 @@ def test_sidecars_never_take_a_name_that_the_source_uses(tmp_path):
     model = coloured("dense", np.random.default_rng(0)).model
     (tmp_path / "out.bin").write_bytes(bytes(model.binary))
     document = GltfDocument(model.text("out.bin"), "out.gltf", tmp_path)
-    written = document.patch(1 - document.painted().colours, Naming("out"))
+    written = document.patch(1 - document.coloured_vertices().colours, Naming("out"))
     assert list(written.sidecars) == ["out-2.bin"]
     assert json.loads(joined(written))["buffers"][0]["uri"] == "out-2.bin"
 
@@ -260,7 +260,7 @@ def put(value, path, last):
     return (value or {}) | {key: put((value or {}).get(key), rest, last)}
 
 
-def repainted(source, new, key="image 0", **naming):
+def with_image(source, new, key="image 0", **naming):
     """Replace an image of a file."""
     return open_document(str(source)).patch(None, Naming("out", **naming), images={("baseColor", key): new})
 
@@ -273,7 +273,7 @@ def test_colours_of_extensions_follow_the_slot_that_shows_their_image(name, is_d
     model.tree = put(model.tree, (*place, name), {"index": 0})
     if is_data_elsewhere:
         model.tree = put(model.tree, (*place, "maskTexture"), {"index": 0})
-    written = repainted(model.written_to(tmp_path), new_image(1))
+    written = with_image(model.written_to(tmp_path), new_image(1))
     tree, *_ = opened(save(written, "o.glb", tmp_path))
     material, shader = tree["materials"][0], tree["materials"][0]["extensions"]["UNKNOWN_shader"]
     assert shader[name] == material["pbrMetallicRoughness"]["baseColorTexture"]
@@ -287,7 +287,7 @@ def test_only_what_shows_a_texture_keeps_it_as_it_was(tmp_path, path):
     model = with_images()
     model.tree = put(model.tree, path, {"index": 0, "weight": 1})
     source = model.written_to(tmp_path)
-    target = save(repainted(source, new_image(1)), "o.glb", tmp_path)
+    target = save(with_image(source, new_image(1)), "o.glb", tmp_path)
     tree, *_ = opened(target)
     assert len(tree["textures"]) == (2 if INDICES[path] else 1)
     assert tree["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]["index"] == INDICES[path]
@@ -303,7 +303,7 @@ def test_webp_stays_webp_or_leaves_no_trace(tmp_path, fallback, suffix):
     model = with_better_image("webp", picture(2, WEBP), picture(1) if fallback else None)
     model.tree["extensionsUsed"].insert(0, "KHR_other")
     (better,) = model.tree["textures"][0]["extensions"]["EXT_texture_webp"].values()
-    written = repainted(model.written_to(tmp_path), new_image(1, suffix), f"image {better}", keeps=True)
+    written = with_image(model.written_to(tmp_path), new_image(1, suffix), f"image {better}", keeps=True)
     tree, buffers = unpacked(joined(written))
     assert image_of(tree, buffers, {}, tree["textures"][0]) == new_image(1, suffix).data
     if suffix == ".webp":
@@ -334,7 +334,7 @@ def test_image_files_are_named_after_the_output_and_spare_the_sources(
     model.tree["images"][0]["uri"] = name.replace("%", "%25").replace(" ", "%20")
     model.tree["images"].append({"uri": "Taken.jpg"})
     model.files = {name: picture(1), "Taken.jpg": picture(3)}
-    written = repainted(model.written_to(tmp_path, "gltf"), new_image(1, suffix), keeps=moved)
+    written = with_image(model.written_to(tmp_path, "gltf"), new_image(1, suffix), keeps=moved)
     assert list(written.sidecars) == [expected]
     uri = json.loads(joined(written))["images"][0]["uri"]
     assert uri == expected.replace("%", "%25").replace(" ", "%20")
@@ -345,7 +345,7 @@ def test_a_name_that_stays_keeps_its_spelling(tmp_path):
     model.tree["images"][0]["uri"] = "sk%69n,(1).png"
     model.files = {"skin,(1).png": picture(1)}
     source = model.written_to(tmp_path, "gltf")
-    written = repainted(source, new_image(1), keeps=True)
+    written = with_image(source, new_image(1), keeps=True)
     assert joined(written) == source.read_bytes()
     assert written.sidecars == {"skin,(1).png": new_image(1).data}
 
@@ -365,7 +365,7 @@ def test_images_are_replaced_on_the_way_to_the_other_form(tmp_path, place, form)
 
 def test_types_that_gltf_cannot_hold_are_refused(tmp_path):
     with pytest.raises(OutputError, match=r"cannot hold \.exr textures.*--texture-format"):
-        repainted(with_images().written_to(tmp_path), ImageFile(b"v/1", ".exr"))
+        with_image(with_images().written_to(tmp_path), ImageFile(b"v/1", ".exr"))
 
 
 @pytest.mark.slow
@@ -410,7 +410,7 @@ def test_bytes_that_something_else_reads_stay_where_they_are(tmp_path, reader):
         model.tree["images"][0]["bufferView"] = model.view(picture(1, size=80))
         model.view(b"tiny")
     path, new = model.written_to(tmp_path), new_image(2, size=60)
-    patched = save(repainted(path, new), "o.glb", tmp_path)
+    patched = save(with_image(path, new), "o.glb", tmp_path)
     check_rest(path, patched)
     assert shown(patched) == {(0, "baseColor"): (new.data, {})}
     (_, (old,), _), (tree, buffers, _) = opened(path), opened(patched)
@@ -428,7 +428,7 @@ def test_bytes_that_nothing_names_are_kept(tmp_path, place):
     model.binary += 20 * b"nameless"
     if place == "in front of others":
         model.view(b"tiny")
-    written = repainted(model.written_to(tmp_path), new_image(2, size=100))
+    written = with_image(model.written_to(tmp_path), new_image(2, size=100))
     assert 20 * b"nameless" in joined(written)
 
 
@@ -439,7 +439,7 @@ def test_a_second_buffer_over_one_file_keeps_its_bytes(tmp_path):
     tree = json.loads(path.read_text())
     tree["buffers"] *= 2
     path.write_text(json.dumps(tree))
-    written = repainted(path, new_image(2, size=20))
+    written = with_image(path, new_image(2, size=20))
     (data,) = written.sidecars.values()
     assert all(each["byteLength"] <= len(data) for each in json.loads(joined(written))["buffers"])
 
@@ -453,7 +453,7 @@ def test_images_that_share_bytes_are_one_and_all_stay_in_use(tmp_path):
         model.triangles(SQUARE + number, SQUARE[:, :2], model.material(baseColor=model.texture(number)))
     source = model.written_to(tmp_path)
     (texture,) = open_document(str(source)).textured("baseColor").textures
-    target = save(repainted(source, new_image(1), texture.key), "out.glb", tmp_path)
+    target = save(with_image(source, new_image(1), texture.key), "out.glb", tmp_path)
     assert all(opened(target)[0][key] == model.tree[key] for key in ("images", "textures", "materials"))
     assert {data for data, _ in shown(target).values()} == {new_image(1).data}
 
@@ -470,7 +470,7 @@ def test_an_image_over_the_bytes_of_another_changes_unless_something_shows_it(tm
     model.triangles(SQUARE, SQUARE[:, :2], model.material(**slots))
     source, new = model.written_to(tmp_path), new_image(1)
     (tmp_path / "out").mkdir()
-    target = save(repainted(source, new, keeps=True), source.name, tmp_path / "out")
+    target = save(with_image(source, new, keeps=True), source.name, tmp_path / "out")
     for name in model.files:
         (tmp_path / "out" / name).parent.mkdir(exist_ok=True)
         if not (tmp_path / "out" / name).exists():

@@ -1,4 +1,4 @@
-"""What is painted and textured in a glTF file: rows, faces, places and texture coordinates."""
+"""Colours and textures of a glTF file: rows, faces, places and texture coordinates."""
 
 import math
 
@@ -57,7 +57,7 @@ def test_every_mode_draws_the_triangles_of_the_specification(mode, kind, size, s
         corners = rng.integers(0, 7, size).astype(kind)
         primitive["indices"] = model.indices(corners)
     model.mesh(primitive)
-    np.testing.assert_array_equal(model.document().painted().faces, drawn(mode, corners.tolist()))
+    np.testing.assert_array_equal(model.document().coloured_vertices().faces, drawn(mode, corners.tolist()))
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -79,7 +79,7 @@ def test_world_positions_agree_with_trimesh_on_node_hierarchies(seed):
         parent = int(rng.integers(-1, index))
         holder = nodes[parent].setdefault("children", []) if parent >= 0 else model.tree["scenes"][0]["nodes"]
         holder.append(index)
-    found = model.document().painted().positions.reshape(count, 3, 3)
+    found = model.document().coloured_vertices().positions.reshape(count, 3, 3)
     scene = trimesh.load(trimesh.util.wrap_as_stream(model.glb()), file_type="glb", process=False)
     other = np.array([mesh.triangles[0] for mesh in scene.dump()])
     for place in found:
@@ -91,7 +91,7 @@ def test_a_skinned_mesh_stays_where_it_is_stored():
     model = Model()
     model.mesh(triangle(model), translation=[5, 6, 7], skin=0)
     model.tree["skins"] = [{"joints": [0]}]
-    np.testing.assert_array_equal(model.document().painted().positions, TRIANGLE)
+    np.testing.assert_array_equal(model.document().coloured_vertices().positions, TRIANGLE)
 
 
 def test_primitives_that_share_a_pair_share_rows():
@@ -99,9 +99,9 @@ def test_primitives_that_share_a_pair_share_rows():
     first = triangle(model, indices=model.indices(np.array([0, 1, 2], "<u1")))
     second = {"attributes": first["attributes"], "indices": model.indices(np.array([2, 1, 0], "<u1"))}
     model.mesh(first, second, second)
-    painted = model.document().painted()
-    assert len(painted.positions) == 3
-    np.testing.assert_array_equal(painted.faces, [[0, 1, 2], [2, 1, 0]])
+    vertices = model.document().coloured_vertices()
+    assert len(vertices.positions) == 3
+    np.testing.assert_array_equal(vertices.faces, [[0, 1, 2], [2, 1, 0]])
 
 
 def test_colours_used_at_two_places_have_one_row_and_a_notice():
@@ -110,11 +110,11 @@ def test_colours_used_at_two_places_have_one_row_and_a_notice():
     second = {"attributes": first["attributes"] | {"POSITION": model.packed(TRIANGLE + 5)}}
     model.mesh(first, second)
     opened = model.document()
-    painted = opened.painted()
-    assert opened.painted() is painted
-    np.testing.assert_array_equal(painted.positions, TRIANGLE)
+    vertices = opened.coloured_vertices()
+    assert opened.coloured_vertices() is vertices
+    np.testing.assert_array_equal(vertices.positions, TRIANGLE)
     assert [notice for notice in opened.notices if "other positions" in notice]
-    assert painted.faces.tolist() == [[0, 1, 2]]
+    assert vertices.faces.tolist() == [[0, 1, 2]]
 
 
 def test_scenes_and_meshes_outside_them_are_spaces_of_their_own():
@@ -123,14 +123,14 @@ def test_scenes_and_meshes_outside_them_are_spaces_of_their_own():
         model.mesh(triangle(model), translation=[shift, 0, 0], node=shift != 3)
     model.tree["scenes"] = [{"nodes": [0]}, {"nodes": [1, 2]}]
     model.tree["scene"] = 1
-    painted = model.document().painted()
-    space = painted.space_of.reshape(4, 3)
+    vertices = model.document().coloured_vertices()
+    space = vertices.space_of.reshape(4, 3)
     assert (space == space[:, :1]).all()
     assert space[1, 0] == space[2, 0] == 0
     assert len(set(space[:, 0].tolist())) == 3
-    np.testing.assert_array_equal(painted.positions[9:], TRIANGLE)
+    np.testing.assert_array_equal(vertices.positions[9:], TRIANGLE)
     del model.tree["scene"]
-    assert set(model.document().painted().space_of[:9]) == {0}
+    assert set(model.document().coloured_vertices().space_of[:9]) == {0}
 
 
 def test_mixed_types_are_called_by_the_coarsest():
@@ -141,10 +141,10 @@ def test_mixed_types_are_called_by_the_coarsest():
         triangle(model, np.eye(3, 4, dtype="<f4")),
     )
     model.tree["accessors"][3]["normalized"] = True
-    painted = model.document().painted()
-    assert painted.stored == "uint16"
-    assert (painted.encoding, painted.space_of) == ("linear", None)
-    np.testing.assert_array_equal(painted.colours, np.tile(np.eye(3, dtype=np.float32), (3, 1)))
+    vertices = model.document().coloured_vertices()
+    assert vertices.stored == "uint16"
+    assert (vertices.encoding, vertices.space_of) == ("linear", None)
+    np.testing.assert_array_equal(vertices.colours, np.tile(np.eye(3, dtype=np.float32), (3, 1)))
 
 
 def test_normals_turn_as_surfaces_do_under_uneven_and_mirrored_scales():
@@ -298,8 +298,8 @@ def test_instances_are_taken_once_and_mirrored_nodes_turned(tmp_path):
     model.tree["nodes"].append({"mesh": mesh, "translation": [9, 9, 9]})
     model.tree["scenes"][0]["nodes"].append(1)
     document = open_document(str(model.written_to(tmp_path)))
-    painted, found = document.painted(), document.textured("baseColor")
-    for each in (painted, found):
+    vertices, found = document.coloured_vertices(), document.textured("baseColor")
+    for each in (vertices, found):
         np.testing.assert_array_equal(each.positions[each.faces], (SQUARE * [-2, 1, 1])[CORNERS[:, ::-1]])
     np.testing.assert_array_equal(found.uv, UV[CORNERS[:, ::-1]])
     for words in ("several nodes", "several places"):

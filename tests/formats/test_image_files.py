@@ -88,7 +88,7 @@ def test_every_value_is_read_as_it_was_and_written_back_so(known, kind, channels
             assert again.spec.get_int_attribute("oiio:UnassociatedAlpha") != is_associated
 
 
-def repainted(picture, values, changed):
+def with_values(picture, values, changed):
     """Return the pixels of a picture, of which some numbers are stored anew from float values."""
     pixels = picture.pixels.copy()
     table, wanted = pixels.reshape(-1, pixels.shape[2]), changed.reshape(-1, pixels.shape[2])
@@ -107,10 +107,10 @@ def test_only_changed_entries_change_and_are_rounded_once(kind, seed):
     else:
         picture = read_image(encode(noise(kind, 4), "tiff", kind), "x.tif")
     values = to_float(picture)
-    np.testing.assert_array_equal(repainted(picture, values, np.ones(values.shape, bool)), picture.pixels)
+    np.testing.assert_array_equal(with_values(picture, values, np.ones(values.shape, bool)), picture.pixels)
     changed = rng.random(values.shape) < 0.5
     new = rng.normal(0.5, 1, values.shape).astype(np.float32)
-    pixels = repainted(picture, new, changed)
+    pixels = with_values(picture, new, changed)
     np.testing.assert_array_equal(pixels[~changed], picture.pixels[~changed])
     for channel, name in enumerate(channels):
         if name in ("uint8", "uint16"):

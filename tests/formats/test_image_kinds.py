@@ -34,7 +34,7 @@ from formats.image_files import (
     with_alpha,
 )
 from hostile.textured_models import write_model
-from oracles.paintings import psnr
+from oracles.pictures import psnr
 
 ONCE = KernelParameters(iterations=1, t=2, beta=20)
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 0, 0], [1, 1, 0], [0, 1, 0]], "f4")

@@ -43,13 +43,13 @@ def test_only_coordinates_that_differ_change_in_a_ply_file(encoding, kind):
     places = MovedVertices(CORNERS + MOVES, normals)
     patched = joined(document.patch(None, Naming("out"), places=places))
     again = PlyDocument(patched, "model.ply", None)
-    assert np.array_equal(again.painted().positions, CORNERS + MOVES)
+    assert np.array_equal(again.coloured_vertices().positions, CORNERS + MOVES)
     assert np.allclose(again.attribute("normal"), [[0, 0, 1], [0, 0, 1], [0.6, 0, 0.8], [0, 0, 1]])
     assert joined(document.patch(None, Naming("out"), places=MovedVertices(CORNERS))) == built.data
-    colours = 1 - document.painted().colours
+    colours = 1 - document.coloured_vertices().colours
     both = PlyDocument(joined(document.patch(colours, Naming("out"), places=places)), "model.ply", None)
-    assert np.array_equal(both.painted().positions, CORNERS + MOVES)
-    assert np.allclose(both.painted().colours, colours, atol=1 / 510)
+    assert np.array_equal(both.coloured_vertices().positions, CORNERS + MOVES)
+    assert np.allclose(both.coloured_vertices().colours, colours, atol=1 / 510)
     changed = [("vertex", r, "xyz"[a]) for r, a in zip(*np.nonzero(MOVES), strict=True)]
     changed += [("vertex", 2, "nx"), ("vertex", 2, "nz")]
     assert built.is_same_but_at(changed, patched)
@@ -74,7 +74,7 @@ f 1//1 2//1 3//1 4//1
 
 def test_only_coordinates_that_differ_change_in_an_obj_file():
     document = ObjDocument(OBJ.encode(), "model.obj", None)
-    places = document.painted().positions.copy()
+    places = document.coloured_vertices().positions.copy()
     places[0, 2], places[2, 1], places[3, 1] = 0.1234567891, -1000.5, 1.25
     written = document.patch(None, Naming("out"), places=MovedVertices(places))
     expected = OBJ.replace("v 0 0 0 1", "v 0 0 0.1235 1", 1).replace("v 1 1 0", "v 1 -1000.5000 0")
@@ -87,7 +87,7 @@ def test_decimals_of_an_obj_file_follow_the_size_of_the_model():
     for scale, token in ((1e-6, b"0.0000001250000"), (1.0, b"0.1250000"), (1e6, b"125000.0")):
         text = "".join(f"v {x * scale:g} {y * scale:g} 0 1 1 1\n" for x, y in ((0, 0), (1, 0), (0, 1)))
         document = ObjDocument((text + "f 1 2 3\n").encode(), "model.obj", None)
-        places = document.painted().positions.copy()
+        places = document.coloured_vertices().positions.copy()
         places[0, 0] = 0.125 * scale
         assert token in joined(document.patch(None, Naming("out"), places=MovedVertices(places)))
 
@@ -108,7 +108,7 @@ def test_normals_of_an_obj_file_are_an_attribute_if_each_vertex_has_one():
 
 
 def square(model, *, positions=None, colours=None, **more):
-    """A painted square with normals; `more` is for its positions."""
+    """A coloured square with normals; `more` is for its positions."""
     positions = CORNERS.astype("<f4") if positions is None else positions
     colours = np.tile(np.array([10, 20, 30], "u1"), (4, 1)) if colours is None else colours
     attributes = {
@@ -136,7 +136,7 @@ def test_places_in_a_gltf_file_go_back_through_its_nodes(form):
     source = model.glb() if form == "glb" else model.data_text()
     document = GltfDocument(source, f"model.{form}", None)
     document.require_movable()
-    assert np.allclose(document.painted().positions, to_world(CORNERS))
+    assert np.allclose(document.coloured_vertices().positions, to_world(CORNERS))
     assert document.attributes() == ("normal", "_QUALITY")
     assert np.array_equal(document.attribute("_quality")[:, 0], np.arange(4))
     # The normal of a plane that is tilted in its own space, and in the world by the inverse transpose.
@@ -165,7 +165,7 @@ def test_places_in_a_gltf_file_go_back_through_its_nodes(form):
 def moved(model, moves=MOVES):
     """Return the JSON, the buffers and the notices of a model whose positions moved."""
     document = GltfDocument(model.glb(), "model.glb", None)
-    places = MovedVertices(document.painted().positions + moves)
+    places = MovedVertices(document.coloured_vertices().positions + moves)
     written = document.patch(None, Naming("out"), places=places)
     return *unpacked(joined(written)), written.notices
 

@@ -33,7 +33,7 @@ def as_ply(kind, numbers, what="colours"):
 
 
 def scale_of(data):
-    return PlyDocument(data, "in.ply").painted().full_scale
+    return PlyDocument(data, "in.ply").coloured_vertices().full_scale
 
 
 @pytest.mark.parametrize(

@@ -25,17 +25,17 @@ def opened(data):
 )  # fmt: skip
 def test_every_shape_of_a_corner(face):
     for mark in (b"", b"\xef\xbb\xbf"):
-        assert opened(mark + THREE + face.encode()).painted().faces.tolist() == [[0, 1, 2]]
+        assert opened(mark + THREE + face.encode()).coloured_vertices().faces.tolist() == [[0, 1, 2]]
 
 
 def test_negative_indices_count_back_from_the_vertices_before_the_face():
     data = THREE + b"f -3 -2 -1\n" + THREE + b"f -3 -2 -1\nf 1 5 6\n"
-    assert opened(data).painted().faces.tolist() == [[0, 1, 2], [3, 4, 5], [0, 4, 5]]
+    assert opened(data).coloured_vertices().faces.tolist() == [[0, 1, 2], [3, 4, 5], [0, 4, 5]]
 
 
 def test_polygons_are_kept_for_conversion_and_cut_for_the_surface():
     document = opened(THREE + b"v 1 1 0 1 1 1\nf 1 2 4 3\nf 1 2 3\nl 1 2\np 1\n")
-    assert document.painted().faces.shape == (3, 3)
+    assert document.coloured_vertices().faces.shape == (3, 3)
     assert document.contents().offsets.tolist() == [0, 4, 7]
     assert document.contents().left_out == ("lines and points",)
 
@@ -57,13 +57,16 @@ def test_weights_and_alpha_are_distinguished_from_colours(lines, alpha):
 
 
 def test_seven_numbers_with_red_and_opacity_full_are_colours():
-    assert opened(b"v 0 0 0 1 .2 .3 1\n").painted().colours.tolist() == np.float32([[1, 0.2, 0.3]]).tolist()
+    assert (
+        opened(b"v 0 0 0 1 .2 .3 1\n").coloured_vertices().colours.tolist()
+        == np.float32([[1, 0.2, 0.3]]).tolist()
+    )
 
 
 def test_uncoloured_vertices_and_their_faces_take_no_part():
     document = opened(b"v 9 9 9\n" + THREE + b"f 1 2 3\nf 2 3 4\nf 4 1\n")
-    assert document.painted().faces.tolist() == [[0, 1, 2]]
-    assert document.painted().positions[0].tolist() == [0, 0, 0]
+    assert document.coloured_vertices().faces.tolist() == [[0, 1, 2]]
+    assert document.coloured_vertices().positions[0].tolist() == [0, 0, 0]
     assert "1 of 4 vertices have no colour" in document.notices[0]
     assert patched(document, np.full((3, 3), 0.5)).startswith(
         b"v 9 9 9\nv 0 0 0 0.500000 0.500000 0.500000\n"
@@ -94,7 +97,7 @@ def test_uncoloured_vertices_and_their_faces_take_no_part():
 )
 def test_the_message_names_the_cause_and_the_line(data, message):
     with pytest.raises(InputError) as caught:
-        opened(data).painted()
+        opened(data).coloured_vertices()
     assert message in str(caught.value)
 
 
@@ -137,7 +140,7 @@ def test_only_changed_tokens_change(file, data):
     pieces, tokens = file
     source = "".join(pieces).encode()
     document = ObjDocument(source, "random.obj", None)
-    before = document.painted().colours
+    before = document.coloured_vertices().colours
     assert patched(document, before.copy()) == patched(document, None) == source
     whole = "." not in tokens[0][0]
     stored = np.array(tokens, float) / (255 if whole else 1)
@@ -156,7 +159,7 @@ def test_only_changed_tokens_change(file, data):
     again = ObjDocument(after, "again.obj", None)
     if any("0..255" in notice for notice in again.notices) == whole:  # otherwise the brightest vertex is gone
         expected = np.rint(new.astype(float) * 255) / 255 if whole else np.round(new.astype(float), 6)
-        np.testing.assert_array_equal(again.painted().colours, expected.astype(np.float32))
+        np.testing.assert_array_equal(again.coloured_vertices().colours, expected.astype(np.float32))
 
 
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
@@ -174,8 +177,8 @@ def test_polypaint_keeps_masks_and_every_byte_that_is_no_changed_colour(style, n
         return newline.join([*(f"v 0 0 {i}" for i in range(140)), *blocks, "f 1 2 3", ""]).encode()
 
     document = opened(text(levels))
-    np.testing.assert_array_equal(np.rint(document.painted().colours * 255), levels[:, 1:])
-    assert patched(document, document.painted().colours) == text(levels)
+    np.testing.assert_array_equal(np.rint(document.coloured_vertices().colours * 255), levels[:, 1:])
+    assert patched(document, document.coloured_vertices().colours) == text(levels)
     assert patched(document, new[:, 1:] / 255).lower() == text(new).lower()
 
 
@@ -190,12 +193,12 @@ def test_polypaint_keeps_masks_and_every_byte_that_is_no_changed_colour(style, n
 )
 def test_damaged_polypaint_is_refused(lines, message):
     with pytest.raises(InputError, match=re.escape(message)):
-        opened(SQUARE + lines).painted()
+        opened(SQUARE + lines).coloured_vertices()
 
 
 def test_colours_of_vertices_go_before_polypaint_which_stays_and_is_mentioned():
     source = "v 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 1\n#MRGB ff000000ff000000ff000000\nf 1 2 3\n"
     document = opened(source)
-    written = patched(document, document.painted().colours * 0.5)
+    written = patched(document, document.coloured_vertices().colours * 0.5)
     assert b"#MRGB ff000000ff000000ff000000\n" in written
     assert any("#MRGB" in notice for notice in document.notices)

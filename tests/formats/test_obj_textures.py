@@ -163,7 +163,7 @@ def test_colours_and_names_change_together_and_nothing_else(tmp_path):
     lines = ["mtllib m.mtl", "v 0 0 9 0.250000 0 1", "# mtllib m.mtl", "v 0 0 9 0.250000 0 1"]
     lines = [*lines, "mtllib  m.mtl  m.mtl # x", "", f"{COLOURED}{CORNERS}mtllib m.mtl", "usemtl one", FACE]
     document = model(tmp_path, obj="\n".join(lines))
-    colours = document.painted().colours.copy()
+    colours = document.coloured_vertices().colours.copy()
     colours[1, 0] = 0.75
     written = document.patch(colours, Naming("a longer"), images={("baseColor", "a.png"): NEW})
     lines[3] = "v 0 0 9 0.750000 0 1"

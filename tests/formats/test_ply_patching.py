@@ -86,8 +86,8 @@ def files(draw):
 def test_only_changed_colour_entries_change_and_they_are_rounded_once(file, data):
     built, names, kind, colours = file
     document = PlyDocument(built.data + b"trailing bytes", "random.ply")
-    assert patched(document, document.painted().colours) == patched(document, None) == document.data
-    before, full = document.painted().colours, document.painted().full_scale
+    assert patched(document, document.coloured_vertices().colours) == patched(document, None) == document.data
+    before, full = document.coloured_vertices().colours, document.coloured_vertices().full_scale
     stored = np.array(colours) * FULL.get(CODES[kind], 1)
     np.testing.assert_array_equal(before, (stored / full).astype(np.float32))
     new = before.copy()
@@ -100,11 +100,11 @@ def test_only_changed_colour_entries_change_and_they_are_rounded_once(file, data
     changed = [("vertex", row, names[channel]) for row, channel in np.argwhere(new != before)]
     longest = 14 if CODES[kind] == "f" else 24  # nine or 17 digits, a point and an exponent
     assert built.is_same_but_at(changed, after, longest)
-    again = PlyDocument(after, "again.ply").painted()
+    again = PlyDocument(after, "again.ply").coloured_vertices()
     # The new numbers may fit into fewer bits.
     expected = np.rint(new.astype(np.float64) * full) / again.full_scale if full > 1 else new
     np.testing.assert_array_equal(again.colours, np.asarray(expected).astype(np.float32))
-    np.testing.assert_array_equal(again.faces, document.painted().faces)
+    np.testing.assert_array_equal(again.faces, document.coloured_vertices().faces)
 
 
 def test_text_keeps_spacing_tokens_and_line_ends():
@@ -115,7 +115,7 @@ def test_text_keeps_spacing_tokens_and_line_ends():
         b"  1.500\t2e0  3   007  8 9 \r\n4 5 6\r\n 1 2 3\r\n\r\n"
     )
     document = PlyDocument(data, "spaced.ply")
-    colours = document.painted().colours.copy()
+    colours = document.coloured_vertices().colours.copy()
     assert np.rint(colours * 255).tolist() == [[9, 8, 7], [3, 2, 1]]
     colours[0, 1] = 200 / 255
     colours[1, 0] = 1
@@ -133,17 +133,17 @@ def test_integers_are_clipped_to_their_range_and_alpha_is_kept(encoding):
     built = build(tables, encoding)
     document = PlyDocument(built.data, "x.ply")
     again = PlyDocument(patched(document, [[-1, 0.5, 2]] * 4), "y.ply")
-    assert np.rint(again.painted().colours * 255).tolist() == [[0, 128, 255]] * 4
+    assert np.rint(again.coloured_vertices().colours * 255).tolist() == [[0, 128, 255]] * 4
     assert np.rint(again.contents().alpha * 255).tolist() == [0, 1, 2, 3]
 
 
 def test_float_colours_of_0_to_255_keep_their_scale_with_a_notice():
     document = PlyDocument(build(coloured(colour="float", value=51.0), "binary_little_endian").data, "x.ply")
-    colours = document.painted().colours
+    colours = document.coloured_vertices().colours
     np.testing.assert_allclose(colours, 0.2)
     assert "0..255" in document.notices[0]
     again = PlyDocument(patched(document, colours * 2), "y.ply")
-    np.testing.assert_allclose(again.painted().colours, 0.4)
+    np.testing.assert_allclose(again.coloured_vertices().colours, 0.4)
     assert "0..255" in again.notices[0]
 
 
@@ -252,7 +252,9 @@ def test_faces_whose_coordinates_are_not_finite_are_left_out_with_a_notice(tmp_p
 
 @given(st.sampled_from(ENCODINGS), st.sampled_from(["\n", "\r\n"]), st.booleans(), st.booleans(), st.data())
 @settings(max_examples=40, deadline=None)
-def test_only_the_name_changes_and_colours_beside_it(tmp_path_factory, encoding, newline, moved, paint, data):
+def test_only_the_name_changes_and_colours_beside_it(
+    tmp_path_factory, encoding, newline, moved, recolours, data
+):
     folder = tmp_path_factory.mktemp("p")
     colour = data.draw(st.integers(0, 255))
     tables = pentagon()
@@ -261,8 +263,8 @@ def test_only_the_name_changes_and_colours_beside_it(tmp_path_factory, encoding,
         row.extend([colour, 7, 9])
     document = opened(folder, tables, encoding, newline, "a b.png", "b.png", "a b.png")
     source = (folder / "model.ply").read_bytes()
-    colours = document.painted().colours.copy()
-    if paint:
+    colours = document.coloured_vertices().colours.copy()
+    if recolours:
         colours[:, 0] = (255 - colour) / 255
         for row in tables[0].rows:
             row[5] = 255 - colour

@@ -23,10 +23,14 @@ def test_mixed_polygons_keep_their_order_and_corners(encoding):
     random = np.random.default_rng(4)
     faces = [random.integers(0, 50, random.integers(0, 7)).tolist() for _ in range(200)]
     document = PlyDocument(build(coloured(50, faces), encoding).data, "x.ply")
-    contents, painted = document.contents(), document.painted()
+    contents, vertices = document.contents(), document.coloured_vertices()
     assert contents.positions.tolist() == [[i, i * i, 0] for i in range(50)]
-    assert (painted.stored, painted.encoding, painted.channels) == ("uint8", "srgb", ("red", "green", "blue"))
-    np.testing.assert_allclose(painted.colours, 10 / 255, rtol=1e-6)
+    assert (vertices.stored, vertices.encoding, vertices.channels) == (
+        "uint8",
+        "srgb",
+        ("red", "green", "blue"),
+    )
+    np.testing.assert_allclose(vertices.colours, 10 / 255, rtol=1e-6)
     read = [
         contents.corners[a:b].tolist() for a, b in zip(contents.offsets, contents.offsets[1:], strict=False)
     ]
@@ -39,20 +43,20 @@ def test_strips_are_unrolled_with_one_orientation(encoding):
     tables[1] = Table(
         "tristrips", [("vertex_indices", "int int")], [[[0, 1, 2, 3, 4, -1, 5, 6, 7, -1, 1, 2, 2, 3]]]
     )
-    faces = PlyDocument(build(tables, encoding).data, "x.ply").painted().faces
+    faces = PlyDocument(build(tables, encoding).data, "x.ply").coloured_vertices().faces
     assert faces.tolist() == [[0, 1, 2], [1, 3, 2], [2, 3, 4], [5, 6, 7]]
 
 
 def test_intensity_in_range_is_grey_and_elsewhere_a_scalar_whose_full_scale_is_its_largest():
     tables = coloured(colour="float", value=0.25)
     tables[0].properties[3:] = [(name, "float") for name in ("intensity", "quality", "r")]
-    painted = PlyDocument(build(tables).data, "x.ply").painted()
-    assert painted.channels == ("grey",)
-    np.testing.assert_array_equal(painted.colours, 0.25)
+    vertices = PlyDocument(build(tables).data, "x.ply").coloured_vertices()
+    assert vertices.channels == ("grey",)
+    np.testing.assert_array_equal(vertices.colours, 0.25)
     tables[0].rows[1][3] = -2.5
-    painted = PlyDocument(build(tables).data, "x.ply").painted()
-    assert (painted.channels, painted.full_scale) == (("intensity",), 2.5)
-    np.testing.assert_allclose(painted.colours[:2, 0], [0.1, -1])
+    vertices = PlyDocument(build(tables).data, "x.ply").coloured_vertices()
+    assert (vertices.channels, vertices.full_scale) == (("intensity",), 2.5)
+    np.testing.assert_allclose(vertices.colours[:2, 0], [0.1, -1])
 
 
 def asked_for(tables, *channels):
@@ -67,20 +71,20 @@ def test_one_scalar_that_is_named_is_smoothed_in_place_of_colours(kind):
     for number, row in enumerate(tables[0].rows):
         row += [100 * number, 7]
     document = asked_for(tables, "quality")
-    painted = document.painted()
-    assert painted.channels == ("quality",)
+    vertices = document.coloured_vertices()
+    assert vertices.channels == ("quality",)
     values = [row[-2] for row in tables[0].rows]
-    np.testing.assert_allclose(painted.colours[:, 0] * painted.full_scale, values, rtol=1e-6)
-    assert patched(document, painted.colours) == document.data
-    changed = painted.colours.copy()
-    changed[1] = 0.5 * 100 / painted.full_scale
+    np.testing.assert_allclose(vertices.colours[:, 0] * vertices.full_scale, values, rtol=1e-6)
+    assert patched(document, vertices.colours) == document.data
+    changed = vertices.colours.copy()
+    changed[1] = 0.5 * 100 / vertices.full_scale
     result = PlyDocument(patched(document, changed), "x.ply", access=document.access)
     values[1] = 50
-    again = result.painted()
+    again = result.coloured_vertices()
     np.testing.assert_allclose(again.colours[:, 0] * again.full_scale, values, rtol=1e-6)
     assert result.fingerprint().parts == document.fingerprint().parts
     for channels in [("red",), ("r",), ("x",), ("quality", "label"), ()]:
-        assert asked_for(tables, *channels).painted().channels == ("red", "green", "blue")
+        assert asked_for(tables, *channels).coloured_vertices().channels == ("red", "green", "blue")
 
 
 def test_what_conversion_drops_is_listed():
@@ -114,10 +118,10 @@ def scan(kind, values, name="intensity"):
 def test_intensities_of_points_are_of_any_type_and_range(encoding, kind, values, expected, new, stored):
     data = build(scan(kind, values), encoding).data
     document = PlyDocument(data, "x.ply")
-    painted = document.painted()
-    assert len(painted.channels) == 1
-    assert np.allclose(painted.colours[:, 0], expected, atol=1e-4)
-    colours = painted.colours.copy()
+    vertices = document.coloured_vertices()
+    assert len(vertices.channels) == 1
+    assert np.allclose(vertices.colours[:, 0], expected, atol=1e-4)
+    colours = vertices.colours.copy()
     assert patched(document, colours) == data
     colours[1] = new
     values = [values[0], stored, values[2]]
@@ -132,22 +136,24 @@ def test_intensities_count_where_there_are_no_colours(name):
     tables = scan("float", [3, 5, 9], name)
     faces = Table("face", [("vertex_indices", "uchar int")], [[[0, 1, 2]]])
     for both in (tables, [*tables, faces]):
-        assert PlyDocument(build(both).data, "x.ply").painted().channels == ("intensity",)
+        assert PlyDocument(build(both).data, "x.ply").coloured_vertices().channels == ("intensity",)
     tables[0].properties += [("red", "uchar"), ("green", "uchar"), ("blue", "uchar")]
     for row in tables[0].rows:
         row += [1, 2, 3]
-    assert PlyDocument(build(tables).data, "x.ply").painted().channels == ("red", "green", "blue")
+    assert PlyDocument(build(tables).data, "x.ply").coloured_vertices().channels == ("red", "green", "blue")
 
 
 def read(data):
     document = PlyDocument(data, "bad.ply")
-    painted = document.painted()
+    vertices = document.coloured_vertices()
     document.contents()
     document.facts()
-    assert np.isfinite(painted.positions).all()
-    assert np.isfinite(painted.colours).all()
-    assert painted.faces.size == 0 or 0 <= painted.faces.min() <= painted.faces.max() < len(painted.positions)
-    patched(document, painted.colours * 0.5)
+    assert np.isfinite(vertices.positions).all()
+    assert np.isfinite(vertices.colours).all()
+    assert vertices.faces.size == 0 or 0 <= vertices.faces.min() <= vertices.faces.max() < len(
+        vertices.positions
+    )
+    patched(document, vertices.colours * 0.5)
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
@@ -240,7 +246,7 @@ def packed(colour, kind):
 
 def changed(document):
     """Return a document with other colours, of which nothing else may differ."""
-    colours = document.painted().colours
+    colours = document.coloured_vertices().colours
     assert patched(document, colours) == patched(document, None) == document.data
     again = open_bytes(patched(document, 1 - colours), "out.ply", None)
     assert again.fingerprint().parts == document.fingerprint().parts
@@ -267,8 +273,10 @@ def test_colours_under_other_names_are_the_same(dialect, encoding):
     properties, value = DIALECTS[dialect]
     data = build(grid(properties, [value(colour) for colour in COLOURS]), encoding).data
     document = open_bytes(data, "in.ply", None)
-    np.testing.assert_allclose(document.painted().colours, np.array(COLOURS) / 255, atol=1e-6)
-    np.testing.assert_allclose(changed(document).painted().colours, 1 - np.array(COLOURS) / 255, atol=1e-6)
+    np.testing.assert_allclose(document.coloured_vertices().colours, np.array(COLOURS) / 255, atol=1e-6)
+    np.testing.assert_allclose(
+        changed(document).coloured_vertices().colours, 1 - np.array(COLOURS) / 255, atol=1e-6
+    )
     assert ("rgb" in str(document.attributes())) <= dialect.startswith("packed")
 
 
@@ -277,8 +285,8 @@ def test_colours_of_faces_stay_colours_of_faces(encoding):
     levels = np.random.default_rng(2).integers(60, 180, (len(CORNERS), 3))
     tables = grid([], [[]] * len(PLACES), named("red green blue", "uchar"), levels.tolist())
     document = open_bytes(build(tables, encoding).data, "in.ply", None)
-    np.testing.assert_allclose(document.painted().colours, levels / 255, atol=1e-6)
-    np.testing.assert_allclose(changed(document).painted().colours, 1 - levels / 255, atol=1e-6)
+    np.testing.assert_allclose(document.coloured_vertices().colours, levels / 255, atol=1e-6)
+    np.testing.assert_allclose(changed(document).coloured_vertices().colours, 1 - levels / 255, atol=1e-6)
     assert document.contents().colours.shape == document.contents().positions.shape == (len(PLACES), 3)
 
 
@@ -303,7 +311,7 @@ def test_numbers_that_are_none_are_known_as_microsoft_spells_them(suffix, spelli
     data = build([Table("vertex", [*XYZ, *named("red green blue", "uchar")], points)]).data
     data = data if suffix == "ply" else data[data.index(b"end_header\n") + 11 :]
     document = open_bytes(data, f"in.{suffix}", None)
-    new = patched(document, 1 - document.painted().colours)
+    new = patched(document, 1 - document.coloured_vertices().colours)
     assert new != data
     assert new.count(spelling.encode()) == 3
 
@@ -353,4 +361,4 @@ def test_gaussian_splats_are_refused_by_name():
     names = "f_dc_0 f_dc_1 f_dc_2 opacity scale_0 rot_0"
     tables = [Table("vertex", [*XYZ, *named(names, "float")], [[0] * 9])]
     with pytest.raises(InputError, match="Gaussian splats"):
-        open_bytes(build(tables, ENCODINGS[1]).data, "in.ply", None).painted()
+        open_bytes(build(tables, ENCODINGS[1]).data, "in.ply", None).coloured_vertices()

@@ -11,7 +11,7 @@ import zlib
 import numpy as np
 import pytest
 
-from beltrami_cli.errors import InputError, UnpaintedError
+from beltrami_cli.errors import InputError, NoColoursError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.archives import NpzArchive
 from beltrami_cli.formats.points.archive import NpzPointsDocument
@@ -48,11 +48,11 @@ def unnpz(data):
 )  # fmt: skip
 def test_arrays_are_known_by_their_names(key, values, channels, first):
     place = {3: "points", 1: "xyz"}[channels] if values.dtype.kind == "f" else "positions"
-    painted = opened(npz(**{place: POSITIONS, key: values})).painted()
-    assert np.array_equal(painted.positions, POSITIONS)
-    assert painted.colours.shape == (4, channels)
-    assert np.allclose(painted.colours[0], first, atol=1e-3)
-    assert painted.faces.shape == (0, 3)
+    vertices = opened(npz(**{place: POSITIONS, key: values})).coloured_vertices()
+    assert np.array_equal(vertices.positions, POSITIONS)
+    assert vertices.colours.shape == (4, channels)
+    assert np.allclose(vertices.colours[0], first, atol=1e-3)
+    assert vertices.faces.shape == (0, 3)
 
 
 def test_points_of_two_dimensions_are_a_range_image():
@@ -60,7 +60,7 @@ def test_points_of_two_dimensions_are_a_range_image():
     positions[0, 1] = np.nan
     document = opened(npz(positions=positions, colours=colours))
     assert document.grid().tolist() == [[0, -1], [1, 2]]
-    assert len(document.painted().positions) == 3
+    assert len(document.coloured_vertices().positions) == 3
     assert "1 of 4 points have no place" in document.notices[0]
     assert opened(npz(positions=POSITIONS, colours=COLOURS)).grid() is None
     new = unnpz(patched(document, np.zeros((3, 3))))["colours"]
@@ -84,7 +84,7 @@ def test_only_the_colours_change_and_every_other_array_stays(compressed, stored,
     data = npz(compressed=compressed, **others, positions=POSITIONS, colours=colours)
     data = data.replace(b"\0\0\x21\0", b"\0\0\x22\0")  # the date of all members, the second of January 1980
     document = opened(data)
-    same = document.painted().colours
+    same = document.coloured_vertices().colours
     assert patched(document, same) == data
     assert patched(document, None) == data
     new = same.copy()
@@ -108,7 +108,7 @@ def test_only_the_colours_change_and_every_other_array_stays(compressed, stored,
 @pytest.mark.parametrize(
     ("arrays", "error", "said"),
     [
-        ({"positions": POSITIONS}, UnpaintedError, "no array of colours"),
+        ({"positions": POSITIONS}, NoColoursError, "no array of colours"),
         ({"rgb": COLOURS}, InputError, "no array of positions"),
         ({"positions": POSITIONS[:, :2], "rgb": COLOURS}, InputError, r"\(4, 2\), not \(..., 3\)"),
         ({"positions": POSITIONS, "rgb": COLOURS[:3]}, InputError, r"of shape \(3, 3\)"),
@@ -125,7 +125,7 @@ def test_only_the_colours_change_and_every_other_array_stays(compressed, stored,
 )
 def test_what_does_not_go_together_is_refused_in_one_line(arrays, error, said):
     with pytest.raises(error, match=said) as caught:
-        opened(npz(**arrays)).painted()
+        opened(npz(**arrays)).coloured_vertices()
     assert "\n" not in str(caught.value)
 
 
@@ -134,7 +134,7 @@ def test_pickles_are_not_opened_but_stay():
     data = npz(compressed=False, positions=POSITIONS, colours=COLOURS, things=things)
     document = opened(data)
     assert document.attributes() == ()
-    result = patched(document, 1 - document.painted().colours)
+    result = patched(document, 1 - document.coloured_vertices().colours)
     with zipfile.ZipFile(io.BytesIO(result)) as new, zipfile.ZipFile(io.BytesIO(data)) as old:
         assert new.read("things.npy") == old.read("things.npy")
 
@@ -143,8 +143,8 @@ def test_arrays_beyond_the_memory_allowed_are_refused_before_they_are_unnpz():
     data = npz(positions=np.zeros((200_000, 3)), colours=np.zeros((200_000, 3), np.uint8))
     assert len(data) < 100_000
     with pytest.raises(InputError, match="raise --max-memory"):
-        opened(data, Access(memory=10_000_000)).painted()
-    assert len(opened(data, Access(memory=100_000_000)).painted().positions) == 200_000
+        opened(data, Access(memory=10_000_000)).coloured_vertices()
+    assert len(opened(data, Access(memory=100_000_000)).coloured_vertices().positions) == 200_000
 
 
 def test_other_arrays_of_the_points_are_attributes():
@@ -158,7 +158,7 @@ def test_other_arrays_of_the_points_are_attributes():
 def test_opacity_and_faces_stay_and_count_in_comparisons():
     faces, rgba = [[0, 1, 2], [1, 3, 2]], np.column_stack([COLOURS, [9, 8, 7, 6]]).astype(np.uint8)
     document = opened(npz(positions=POSITIONS, rgba=rgba, faces=faces))
-    assert document.painted().faces.tolist() == faces
+    assert document.coloured_vertices().faces.tolist() == faces
     assert np.allclose(document.contents().alpha, rgba[:, 3] / 255)
     assert (document.facts()["points"], document.facts()["organised"]) == (4, [4])
     new = patched(document, np.ones((4, 3)))
@@ -174,7 +174,7 @@ def test_an_archive_whose_members_would_start_before_it_is_refused():
     data = bytearray(npz(positions=POSITIONS, colours=COLOURS))
     where = len(data) - 6  # of the place of its directory, in the record at its end
     data[where : where + 4] = (int.from_bytes(data[where : where + 4], "little") + 1).to_bytes(4, "little")
-    for use in (NpzPointsDocument.painted, NpzPointsDocument.fingerprint):
+    for use in (NpzPointsDocument.coloured_vertices, NpzPointsDocument.fingerprint):
         with pytest.raises(InputError, match="damaged"):
             use(opened(bytes(data)))
 
@@ -326,7 +326,9 @@ def test_colours_or_intensities_alone_change(tmp_path, write, suffix, form, colo
     assert b"copc" not in (tmp_path / f"out.{suffix}").read_bytes()
     said = beltrami("check", f"in.{suffix}", f"out.{suffix}", cwd=tmp_path, text=True).stdout
     assert said.endswith("nothing else differs\n")
-    old, new = (open_document(str(tmp_path / f"{stem}.{suffix}")).painted() for stem in ("in", "out"))
+    old, new = (
+        open_document(str(tmp_path / f"{stem}.{suffix}")).coloured_vertices() for stem in ("in", "out")
+    )
     np.testing.assert_allclose(old.positions, XYZ + ([0, 0, 5] if suffix == "e57" else 0), atol=1e-3)
     expected = SHADES / 255 if colours else INTENSITY[:, None] / (4096 if suffix == "e57" else 4095)
     np.testing.assert_allclose(old.colours, expected, atol=1e-6)

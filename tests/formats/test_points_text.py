@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from beltrami_cli.errors import InputError, UnpaintedError
+from beltrami_cli.errors import InputError, NoColoursError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.points.text_document import TextPointsDocument
 from beltrami_cli.formats.registry import open_bytes
@@ -35,26 +35,26 @@ def opened(data, name="a.xyz", **access):
     ],
 )  # fmt: skip
 def test_numbers_are_read_whatever_their_range_separators_and_line_ends(text, channels, colours):
-    painted = opened(text).painted()
-    assert painted.channels == channels
-    assert painted.positions[0].tolist() == [1, 2, 3]
-    assert np.allclose(painted.colours[0], colours, atol=1e-6)
-    assert painted.faces.shape == (0, 3)
+    vertices = opened(text).coloured_vertices()
+    assert vertices.channels == channels
+    assert vertices.positions[0].tolist() == [1, 2, 3]
+    assert np.allclose(vertices.colours[0], colours, atol=1e-6)
+    assert vertices.faces.shape == (0, 3)
 
 
 def test_what_is_not_obvious_is_said():
     document = opened(b"1 2 3 977 0 51 255")
-    document.painted()
+    document.coloured_vertices()
     assert document.notices == ["Its 7 columns are taken for x y z intensity red green blue."]
     document = opened(b"1 2 3 -1024.5")
-    document.painted()
+    document.coloured_vertices()
     assert "1024.5" in document.notices[-1]
 
 
 @pytest.mark.parametrize(
     ("text", "error", "said"),
     [
-        (b"1 2 3", UnpaintedError, "no colours"),
+        (b"1 2 3", NoColoursError, "no colours"),
         (b"1 2 3 0 0.6 -0.8\n1 2 3 1 0 0", InputError, "normals"),
         (b"1 2 3 4 5 6 7 8", InputError, "4 to 6 or 5 to 7 or 6 to 8; .*--columns.*x,y,z,r,g,b,scalar"),
         (b"1 2\n3 4\n", InputError, "2 numbers each, and it is not clear which are colours"),
@@ -70,7 +70,7 @@ def test_what_is_not_obvious_is_said():
         (b"1 2 3 4 5 nan\n", InputError, "the colour of point 0 is not finite"),
         (b"nan 2 3 4 5 6\n", InputError, "1 of 1 positions are not finite"),
         (b"1 2 3 4 5 6000.5\n", InputError, "full scale"),
-        (b"x y z r g\n1 2 3 4 5\n", UnpaintedError, "x y z r g have no colours"),
+        (b"x y z r g\n1 2 3 4 5\n", NoColoursError, "x y z r g have no colours"),
         (b"a,b,c\n1,2,3\n", InputError, "a b c have no x, y and z"),
         (b"words\nthese are 3 files\n", InputError, "line 2: 'these' is no number, so this is no table"),
         (b"ncols 4\nnrows 4\n0 0 0 0\n", InputError, "line 1: 'ncols' is no number, so this is no table"),
@@ -85,7 +85,7 @@ def test_what_is_not_obvious_is_said():
 )
 def test_what_cannot_be_read_is_refused_in_one_line(text, error, said):
     with pytest.raises(error, match=said) as caught:
-        open_bytes(text, "a.txt", None).painted()
+        open_bytes(text, "a.txt", None).coloured_vertices()
     assert "\n" not in str(caught.value)
     assert "\0" not in str(caught.value)
 
@@ -125,7 +125,7 @@ def table(layout, separator=" ", head=""):
 
 def changed_columns(data, document):
     """The columns in which new colours differ from the old, every other byte being the same."""
-    new = patched(document, 1 - document.painted().colours)
+    new = patched(document, 1 - document.coloured_vertices().colours)
     separators = bytes.maketrans(b",;\t", b"   ")
     before, after = (
         np.array([line.split() for line in text.translate(separators).splitlines()[-COUNT:]])
@@ -197,7 +197,7 @@ UNCLEAR = [
 @pytest.mark.parametrize(("layout", "cause"), UNCLEAR)
 def test_two_readings_or_none_are_refused_with_the_option_that_decides(layout, cause):
     with pytest.raises(InputError, match=f"{cause}; give --columns") as caught:
-        opened(table(layout)).painted()
+        opened(table(layout)).coloured_vertices()
     assert "\n" not in str(caught.value)
     with pytest.raises(InputError, match=cause):  # and not compared as if there were no colours
         opened(table(layout)).fingerprint()
@@ -213,7 +213,7 @@ def test_two_readings_or_none_are_refused_with_the_option_that_decides(layout, c
 )
 def test_names_that_do_not_fit_are_refused(given, cause):
     with pytest.raises(InputError, match=cause):
-        opened(table("x y z r g b class"), columns=tuple(given.split())).painted()
+        opened(table("x y z r g b class"), columns=tuple(given.split())).coloured_vertices()
 
 
 @pytest.mark.parametrize(
@@ -233,7 +233,7 @@ def test_the_check_takes_the_columns_of_the_first_file_for_both(layout, tmp_path
     before, after = tmp_path / "a.xyz", tmp_path / "b.xyz"
     before.write_bytes(data)
     document = opened(data)
-    after.write_bytes(patched(document, np.rint(document.painted().colours)))
+    after.write_bytes(patched(document, np.rint(document.coloured_vertices().colours)))
     report = check_files(before, after)
     assert report.faithful
     assert [each.what for each in report.differences] == ["point colours"]
@@ -248,7 +248,7 @@ def test_the_check_takes_the_columns_of_the_first_file_for_both(layout, tmp_path
 
 def test_counts_may_head_several_scans():
     document = opened(b"2\n0 0 0 1 2 3 4\n1 0 0 5 6 7 8\n1\n0 1 0 1 2 3 4\n", "scan.pts")
-    assert len(document.painted().positions) == 3
+    assert len(document.coloured_vertices().positions) == 3
     assert document.facts()["announced"] == [2, 1]
     assert document.facts()["columns"] == ["x", "y", "z", "intensity", "red", "green", "blue"]
 
@@ -256,7 +256,7 @@ def test_counts_may_head_several_scans():
 def test_points_without_a_place_take_no_part_and_keep_their_bytes():
     text = b"0 0 0 10 20 30\nnan nan nan 0 0 0\n1 0 inf 9 9 9\n1 0 0 40 50 60\n"
     document = opened(text)
-    assert len(document.painted().positions) == 2
+    assert len(document.coloured_vertices().positions) == 2
     assert "2 of 4 points have no place" in document.notices[0]
     result = patched(document, np.array([[1, 0, 0], [0, 0, 1]]))
     assert result == b"0 0 0 255 0 0\nnan nan nan 0 0 0\n1 0 inf 9 9 9\n1 0 0 0 0 255\n"
@@ -264,7 +264,7 @@ def test_points_without_a_place_take_no_part_and_keep_their_bytes():
 
 def test_colours_that_stay_keep_their_bytes_to_the_last():
     document = opened(b"  1 2.50 3 010 +20 030 # a\r\n\r\n// b\r\n4,5,6;\t40 50\t60")
-    same = document.painted().colours
+    same = document.coloured_vertices().colours
     assert patched(document, same) == b"  1 2.50 3 010 +20 030 # a\r\n\r\n// b\r\n4,5,6;\t40 50\t60"
     assert patched(document, None) == patched(document, same)
     # A change that is lost in rounding is none.

@@ -12,7 +12,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from beltrami_cli.errors import InputError, UnpaintedError, UsageError
+from beltrami_cli.errors import InputError, NoColoursError, UsageError
 from beltrami_cli.formats.changes import Naming
 from beltrami_cli.formats.colours import ColouredPolygons, colours_of_vertices
 from beltrami_cli.formats.registry import open_bytes
@@ -29,10 +29,10 @@ def test_off_with_colours_of_vertices(style, prefix, extra):
     data = coff(style, prefix, extra)
     # Counts may stand right behind the mark.
     for text in (data, data.replace(b"OFF\n# a comment\n4 2 0", b"OFF 4 2 0")):
-        painted = opened(text, "x.off").painted()
-        np.testing.assert_array_equal(painted.positions, SQUARE)
-        np.testing.assert_allclose(painted.colours, LEVELS / 255, atol=1e-7)
-        assert painted.faces.tolist() == FACES
+        vertices = opened(text, "x.off").coloured_vertices()
+        np.testing.assert_array_equal(vertices.positions, SQUARE)
+        np.testing.assert_allclose(vertices.colours, LEVELS / 255, atol=1e-7)
+        assert vertices.faces.tolist() == FACES
 
 
 @pytest.mark.parametrize("alpha", ["", " 255"])
@@ -40,7 +40,7 @@ def test_off_with_colours_of_faces_gives_vertices_their_mean(alpha):
     places = "\n".join(" ".join(map(str, place)) for place in [*SQUARE.tolist(), [0.0, 3.0, 0.0]])
     lines = f"3 0 1 2 255 0 0{alpha}\n3 0 2 3 0 255 0{alpha}\n3 3 2 4 0 0 255{alpha}"
     document = opened(f"OFF 5 3 0\n{places}\n{lines}\n".encode(), "x.off")
-    colours = document.painted().colours
+    colours = document.coloured_vertices().colours
     # The areas are 1/2, 1/2 and 1.
     expected = [[0.5, 0.5, 0], [1, 0, 0], [0.25, 0.25, 0.5], [0, 1 / 3, 2 / 3], [0, 0, 1]]
     np.testing.assert_allclose(colours, expected, atol=1e-5)
@@ -70,35 +70,37 @@ def test_off_with_colours_of_faces_gives_vertices_their_mean(alpha):
 )  # fmt: skip
 def test_damaged_off_files_are_refused(data, message):
     with pytest.raises(InputError, match=re.escape(message)):
-        opened(data, "x.off").painted()
+        opened(data, "x.off").coloured_vertices()
 
 
 def test_stl_colours_of_both_dialects():
     # VisCAM: blue is lowest, the highest bit marks a colour.
-    painted = opened(stl([31 << 10 | 1 << 15, 31 << 5 | 1 << 15]), "x.stl").painted()
-    assert len(painted.positions) == 4  # of six, those at one place being one
-    for place, colour in zip(painted.positions.tolist(), painted.colours.tolist(), strict=True):
+    vertices = opened(stl([31 << 10 | 1 << 15, 31 << 5 | 1 << 15]), "x.stl").coloured_vertices()
+    assert len(vertices.positions) == 4  # of six, those at one place being one
+    for place, colour in zip(vertices.positions.tolist(), vertices.colours.tolist(), strict=True):
         expected = {1.0: [0.5, 0.5, 0], 0.5: None}.get(place[0] == place[1]) or (
             [1, 0, 0] if place[0] else [0, 1, 0]
         )
         np.testing.assert_allclose(colour, expected, atol=1e-6)
-    magics = opened(stl([31, 1 << 15], b"a COLOR=\x00\xff\x00\xff"), "x.stl").painted()  # red is lowest
+    magics = opened(
+        stl([31, 1 << 15], b"a COLOR=\x00\xff\x00\xff"), "x.stl"
+    ).coloured_vertices()  # red is lowest
     alone = {tuple(p): c for p, c in zip(magics.positions.tolist(), magics.colours.tolist(), strict=True)}
     assert alone[1, 0, 0] == [1, 0, 0]
     assert alone[0, 1, 0] == [0, 1, 0]  # the colour of the whole
 
 
 def test_stl_without_colours_or_damaged_is_refused():
-    with pytest.raises(UnpaintedError, match="none of its polygons"):
-        opened(stl([0, 0]), "x.stl").painted()
-    with pytest.raises(UnpaintedError, match="in text has no colours"):
-        opened(b"solid x\nendsolid\n", "x.stl").painted()
+    with pytest.raises(NoColoursError, match="none of its polygons"):
+        opened(stl([0, 0]), "x.stl").coloured_vertices()
+    with pytest.raises(NoColoursError, match="in text has no colours"):
+        opened(b"solid x\nendsolid\n", "x.stl").coloured_vertices()
     with pytest.raises(InputError, match="no known format"):
         open_bytes(stl([0, 0])[:-1], "x.stl", None)
     bad = bytearray(stl([1 << 15, 1 << 15]))
     bad[84 + 12 : 84 + 16] = struct.pack("<f", np.nan)
     with pytest.raises(InputError, match="is not finite"):
-        opened(bytes(bad), "x.stl").painted()
+        opened(bytes(bad), "x.stl").coloured_vertices()
 
 
 @pytest.mark.parametrize("suffix", ["ply", "glb", "obj"])
@@ -115,7 +117,7 @@ def test_they_are_smoothed_and_written_as_another_format_with_a_line_that_says_s
     mesh = trimesh.load_mesh(tmp_path / f"out.{suffix}", process=False)
     assert len(mesh.vertices) == 64
     assert len(mesh.faces) == 98
-    again = open_bytes((tmp_path / f"out.{suffix}").read_bytes(), f"x.{suffix}", None).painted()
+    again = open_bytes((tmp_path / f"out.{suffix}").read_bytes(), f"x.{suffix}", None).coloured_vertices()
     smoothed = linear_to_srgb(again.colours) if again.encoding == "linear" else again.colours
     assert smoothed.std() < (levels / 255).std()
     with pytest.raises(InputError, match="name an output in"):
@@ -147,13 +149,13 @@ def test_vertices_have_the_mean_of_their_corners_and_nothing_beyond(data):
 @pytest.mark.parametrize("relations", ["_rels/.rels", "_rels/none"])  # else the usual name counts
 def test_3mf_colours_of_corners(relations):
     data = threemf(model(OBJECT)).replace(b"_rels/.rels", relations.encode().ljust(11))
-    painted = opened(data, "x.3mf").painted()
+    vertices = opened(data, "x.3mf").coloured_vertices()
     with pytest.raises(InputError, match=r"bytes, more than the .* that are read; raise --max-memory"):
-        opened(data, "x.3mf", 100).painted()
-    np.testing.assert_array_equal(painted.positions, SQUARE)
-    np.testing.assert_array_equal(painted.faces, FACES)
-    np.testing.assert_allclose(painted.colours, LEVELS / 255, atol=1e-7)
-    assert painted.stored == "uint8"
+        opened(data, "x.3mf", 100).coloured_vertices()
+    np.testing.assert_array_equal(vertices.positions, SQUARE)
+    np.testing.assert_array_equal(vertices.faces, FACES)
+    np.testing.assert_allclose(vertices.colours, LEVELS / 255, atol=1e-7)
+    assert vertices.stored == "uint8"
 
 
 def test_3mf_materials_parts_transforms_and_other_files():
@@ -177,7 +179,7 @@ def test_3mf_materials_parts_transforms_and_other_files():
     np.testing.assert_allclose(contents.alpha, [1, 1, 1, 1, 128 / 255, 128 / 255, 128 / 255, 1], atol=1e-6)
     data = threemf(model(OBJECT, '<item objectid="1" transform="2 0 0 0 2 0 0 0 2 0 3 1"/>'))
     mesh = trimesh.load_scene(io.BytesIO(data), file_type="3mf").to_mesh()
-    ours = opened(data, "x.3mf").painted()
+    ours = opened(data, "x.3mf").coloured_vertices()
     np.testing.assert_allclose(mesh.vertices[mesh.faces], ours.positions[ours.faces])
 
 
@@ -213,7 +215,7 @@ LAUGHS = '<!DOCTYPE model [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;">
 )
 def test_damaged_3mf_files_are_refused(data, message):
     with pytest.raises(InputError) as caught:
-        opened(data, "x.3mf", 1 << 30).painted()
+        opened(data, "x.3mf", 1 << 30).coloured_vertices()
     assert message in str(caught.value)
 
 
@@ -264,7 +266,7 @@ IMAGE = '<library_images><image id="i"><init_from>a.png</init_from></image></lib
 )
 def test_damaged_and_textured_dae_files_are_refused(text, message):
     with pytest.raises(InputError, match=message):
-        opened(text.encode(), "x.dae").painted()
+        opened(text.encode(), "x.dae").coloured_vertices()
 
 
 MATERIAL = "".join(
@@ -323,12 +325,12 @@ def test_dae_colours_are_read_in_their_place_and_precision_whatever_is_beside_th
         archive.writestr("model.dae", COMPANIONS[left_out])
     data = packed.getvalue() if suffix == "zae" else COMPANIONS[left_out].encode()
     document = opened(data, f"x.{suffix}")
-    painted = document.painted()
+    vertices = document.coloured_vertices()
     # Polygons with a skin are where they were bound.
     places = SQUARE[FACES] + [0, 0, 3 if left_out == "skins" else 7]
-    np.testing.assert_array_equal(painted.positions[painted.faces], places)
+    np.testing.assert_array_equal(vertices.positions[vertices.faces], places)
     levels = np.float32([[1, 0, 0], [0, 0.5, 0], [0, 0, 0.25], [0.1, 0.2, 0.3]])
-    np.testing.assert_array_equal(painted.colours[painted.faces], levels[FACES])
+    np.testing.assert_array_equal(vertices.colours[vertices.faces], levels[FACES])
     assert {left_out} - {""} <= {*document.contents().left_out}
 
 

@@ -36,10 +36,10 @@ from formats.gltf_compressed import GRID, draco_model, meshopt_model
 from formats.gltf_files import coloured, joined, numbers, unpacked
 from formats.gltf_showcase import showcase
 from formats.image_files import encode, noise
-from formats.tile_files import painting as painted_tiles
+from formats.tile_files import painting as tile_picture
 from formats.tile_files import part, tiled_model
 from formats.usd_files import BOUND, COLOURS, PICTURE, material_text, mesh_text, scene
-from formats.usd_files import coloured as painted
+from formats.usd_files import coloured as usd_colours
 from formats.volume_files import npz
 from hostile.folders import write
 from hostile.textured_models import write_model
@@ -119,7 +119,7 @@ def test_the_registry_loads_no_format():
 MAPS = "newmtl skin\nmap_Kd c.png\nmap_Ka c.png\nnorm n.png\nmap_Ke c.png\nmap_Ks shine.png\n"
 
 
-def painted_vertices():
+def with_vertex_colours():
     return coloured("dense", np.random.default_rng(1)).model
 
 
@@ -127,13 +127,13 @@ def several_maps(folder):
     path = tiled_model(folder)
     (folder / "model.mtl").write_text(MAPS)
     for number, name in enumerate(("c.png", "n.png", "shine.png")):
-        (folder / name).write_bytes(encode(np.roll(part(painted_tiles(), (0, 0)), number, 0), "png"))
+        (folder / name).write_bytes(encode(np.roll(part(tile_picture(), (0, 0)), number, 0), "png"))
     return path
 
 
 def in_two_buffers(folder):
     """The second buffer holds the colours, the first nothing that changes."""
-    path = painted_vertices().written_to(folder, "gltf")
+    path = with_vertex_colours().written_to(folder, "gltf")
     text = path.read_text().replace('"buffers": [', '"buffers": [{"byteLength": 4, "uri": "other.bin"},')
     path.write_text(text.replace('"buffer": 0', '"buffer": 1'))
     (folder / "other.bin").write_bytes(bytes(4))
@@ -141,7 +141,7 @@ def in_two_buffers(folder):
 
 
 def with_fallback(folder):
-    files = {f"b.{kind}": encode(painted_tiles()[:16, :16], kind) for kind in ("png", "webp")}
+    files = {f"b.{kind}": encode(tile_picture()[:16, :16], kind) for kind in ("png", "webp")}
     model = with_better_image("webp", files["b.webp"], files["b.png"])
     for image, name in zip(model.tree["images"], files, strict=True):
         image.pop("bufferView")
@@ -153,7 +153,7 @@ def with_fallback(folder):
 LEVELS = np.random.default_rng(1).integers(0, 256, (len(GRID), 3), np.uint8)
 USD = {
     "usda": scene(mesh_text(BOUND), material_text("skin.png")),
-    "usda vertices": scene(mesh_text(painted(COLOURS))),
+    "usda vertices": scene(mesh_text(usd_colours(COLOURS))),
 }
 # The colours of compressed models are decoded from a buffer, which changes, or from one that stays and is added to.
 MODELS = {
@@ -162,7 +162,7 @@ MODELS = {
     "obj tiles": tiled_model,
     "gltf everything": lambda folder: showcase("file").written_to(folder, "gltf"),
     "glb everything": lambda folder: showcase("view").written_to(folder, "glb"),
-    "gltf vertices": lambda folder: painted_vertices().written_to(folder, "gltf"),
+    "gltf vertices": lambda folder: with_vertex_colours().written_to(folder, "gltf"),
     "gltf two buffers": in_two_buffers,
     "gltf draco": lambda folder: draco_model(LEVELS).written_to(folder, "gltf"),
     "gltf meshopt": lambda folder: meshopt_model(LEVELS).written_to(folder, "gltf"),
@@ -351,7 +351,7 @@ def test_every_srgb_level_comes_back_from_the_linear_light_of_gltf(stored):
 )
 def test_colours_keep_a_type_that_holds_them(form, stored, encoding, kept):
     written = write_mesh(mesh(stored=stored, encoding=encoding), form, "x")
-    assert open_bytes(joined(written), f"x.{form}", None).painted().stored == kept
+    assert open_bytes(joined(written), f"x.{form}", None).coloured_vertices().stored == kept
 
 
 @pytest.mark.parametrize(("name", "scale", "digits", "kept"), [
@@ -369,7 +369,7 @@ def test_colours_become_bytes_where_these_hold_them(name, scale, digits, kept):
         text = "\n".join(["ply", "format ascii 1.0", "element vertex 256", *shorts, "end_header", text, ""])
     document = open_bytes(text.encode(), name, None)
     written = joined(write_mesh(vertex_mesh(document), "ply", "x"))
-    found = open_bytes(written, "x.ply", None).painted()
+    found = open_bytes(written, "x.ply", None).coloured_vertices()
     assert found.stored == kept
     np.testing.assert_allclose(found.colours, levels / (scale if scale > 1 else 255), atol=0.5e-5)
 
@@ -407,7 +407,7 @@ def test_obj_has_a_normal_for_every_vertex():
 
 def test_polygons_of_less_than_three_corners_are_no_triangles_of_gltf():
     data = joined(write_mesh(mesh((2, 3, 1, 4)), "glb", "x"))
-    assert len(open_bytes(data, "x.glb", None).painted().faces) == 3
+    assert len(open_bytes(data, "x.glb", None).coloured_vertices().faces) == 3
 
 
 @pytest.mark.parametrize("form", [form for form in MESHES if form != "gltf"])  # whose buffer is another file
@@ -418,8 +418,8 @@ def test_another_reader_finds_the_same(form):
     other = other if form != "glb" else next(iter(other.geometry.values()))
     places = contents.positions[contents.corners].reshape(-1, 3, 3)
     np.testing.assert_allclose(other.vertices[other.faces], places, atol=1e-7)
-    painted = open_bytes(data, f"x.{form}", None).painted()
-    np.testing.assert_allclose(painted.positions[painted.faces], places, atol=1e-7)
+    found = open_bytes(data, f"x.{form}", None).coloured_vertices()
+    np.testing.assert_allclose(found.positions[found.faces], places, atol=1e-7)
     if form != "glb":  # trimesh takes its linear 16-bit numbers for levels
         levels = np.rint(contents.colours * 255)[contents.corners].reshape(-1, 3, 3)
         np.testing.assert_array_equal(other.visual.vertex_colors[other.faces][..., :3], levels)

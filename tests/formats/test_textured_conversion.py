@@ -283,7 +283,7 @@ def test_every_place_where_a_gltf_mesh_is_shown_is_in_the_obj(tmp_path):
     model = Textured()
     place = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "f4")
     uv = np.array([[0, 0], [1, 0], [0, 1]], "f4")
-    material = model.material("paint", baseColor=model.texture(model.image(IMAGES["skin"])))
+    material = model.material("colour", baseColor=model.texture(model.image(IMAGES["skin"])))
     model.triangles(place, uv, material)
     model.tree["nodes"][0]["name"] = "first"
     model.tree["nodes"].append({"mesh": 0, "translation": [0, 0, 5], "name": "second"})

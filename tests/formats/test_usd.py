@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from beltrami_cli.errors import InputError, UnpaintedError
+from beltrami_cli.errors import InputError, NoColoursError
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.formats.usd.layers import layer_from
 from beltrami_cli.jobs.inspect import check_files
@@ -58,11 +58,11 @@ def test_of_a_text_only_the_colours_change(on, kind, tmp_path):
     old, new = ((tmp_path / name).read_text().splitlines() for name in ("a.usda", "b.usda"))
     changed = [one for one, other in zip(old, new, strict=True) if one != other]
     assert [line.split()[1] for line in changed] == ["primvars:displayColor"]
-    painted = open_document(str(tmp_path / "a.usda")).painted()
-    assert painted.stored == {"color3f": "float32", "color3h": "float16"}[kind]
-    assert painted.encoding == "linear"
+    vertices = open_document(str(tmp_path / "a.usda")).coloured_vertices()
+    assert vertices.stored == {"color3f": "float32", "color3h": "float16"}[kind]
+    assert vertices.encoding == "linear"
     places = POINTS.round(6)[QUADS.ravel()] if on == "faceVarying" else POINTS.round(6)
-    np.testing.assert_allclose(painted.positions, places, atol=1e-6)
+    np.testing.assert_allclose(vertices.positions, places, atol=1e-6)
 
 
 def test_of_a_binary_layer_only_the_colours_change(tmp_path):
@@ -76,7 +76,9 @@ def test_of_a_binary_layer_only_the_colours_change(tmp_path):
     changed = np.flatnonzero(old != np.frombuffer((tmp_path / "b.usd").read_bytes(), np.uint8))
     assert 0 < changed[-1] - changed[0] < 12 * len(POINTS)
     smooth_file(tmp_path / "a.usd", tmp_path / "c.usda", GIVEN)
-    one, other = (open_document(str(tmp_path / name)).painted().colours for name in ("b.usd", "c.usda"))
+    one, other = (
+        open_document(str(tmp_path / name)).coloured_vertices().colours for name in ("b.usd", "c.usda")
+    )
     np.testing.assert_array_equal(one, other)
 
 
@@ -96,13 +98,13 @@ def test_a_unit_in_single_precision_is_read(tmp_path):
 def test_colours_of_a_palette_get_one_of_their_own_at_each_place(tmp_path):
     palette = rows(np.arange(len(POINTS)) % 7)
     (tmp_path / "a.usda").write_text(scene(mesh_text(coloured(COLOURS[:7], indices=palette))))
-    before = open_document(str(tmp_path / "a.usda")).painted().colours
+    before = open_document(str(tmp_path / "a.usda")).coloured_vertices().colours
     np.testing.assert_array_equal(before, COLOURS[np.arange(len(POINTS)) % 7])
-    assert len(np.unique(smoothed(tmp_path).painted().colours, axis=0)) > 7
+    assert len(np.unique(smoothed(tmp_path).coloured_vertices().colours, axis=0)) > 7
 
 
 def test_the_surface_is_that_which_is_shown(tmp_path):
-    painted = coloured(COLOURS[: len(POINTS)])
+    shown = coloured(COLOURS[: len(POINTS)])
     moved = (
         "        matrix4d xformOp:transform = ( (0, 2, 0, 0), (-2, 0, 0, 0), (0, 0, 2, 0), (5, 6, 7, 1) )\n"
     )
@@ -110,12 +112,12 @@ def test_the_surface_is_that_which_is_shown(tmp_path):
     left = '        uniform token orientation = "leftHanded"\n        int[] holeIndices = [0, 3]\n'
     hidden = '        token visibility = "invisible"\n', '        uniform token purpose = "guide"\n'
     flat = '        color3f[] primvars:displayColor = [(1, 0, 0)] ( interpolation = "constant" )\n'
-    bodies = [painted + moved, painted + moved + left, *(painted + line for line in hidden), flat]
-    cloud = mesh_text(painted, "cloud").replace("def Mesh", "def Points")
+    bodies = [shown + moved, shown + moved + left, *(shown + line for line in hidden), flat]
+    cloud = mesh_text(shown, "cloud").replace("def Mesh", "def Points")
     text = scene(*(mesh_text(body, f"mesh{number}") for number, body in enumerate(bodies)), cloud)
     (tmp_path / "a.usda").write_text(text)
     document = open_document(str(tmp_path / "a.usda"))
-    found = document.painted()
+    found = document.coloured_vertices()
     wanted = POINTS.round(6).astype(np.float32) @ [[0, 2, 0], [-2, 0, 0], [0, 0, 2]] + [5, 6, 7]
     np.testing.assert_allclose(found.positions, np.concatenate([wanted, wanted]), atol=1e-6)
     a, b, c = found.positions[found.faces].transpose(1, 0, 2)
@@ -220,7 +222,7 @@ def test_instances_are_smoothed_once(tmp_path):
     proto = '    class Xform "proto"\n    {\n' + mesh_text(coloured(COLOURS[: len(POINTS)])) + "    }\n"
     (tmp_path / "a.usda").write_text(scene(twice, proto, mesh_text(name="bare")))
     document = smoothed(tmp_path)
-    assert len(document.painted().colours) == len(POINTS)
+    assert len(document.coloured_vertices().colours) == len(POINTS)
     assert ["instances of others" in notice for notice in document.notices] == [True]
     lost = {"further places of a mesh", "uncoloured meshes", "texture coordinates"}
     assert lost <= {*document.contents().left_out}
@@ -234,8 +236,8 @@ def test_layers_outside_are_not_read(tmp_path):
         "in/a.png": PICTURE,
     })  # fmt: skip
     document = open_document(str(tmp_path / "in" / "a.usda"))
-    with pytest.raises(UnpaintedError):
-        document.painted()
+    with pytest.raises(NoColoursError):
+        document.coloured_vertices()
     said = " ".join(document.notices)
     for cause in ("leaves the model's folder", "is not a relative path", "is missing", "is no USD layer"):
         assert cause in said
@@ -441,7 +443,9 @@ def test_the_axis_and_the_unit_of_a_scene_are_kept_in_gltf(lines, unwrap, tmp_pa
     else:
         report = smooth_file(tmp_path / "a.usda", tmp_path / "b.glb", GIVEN, unwrap=unwrap)
     document = open_document(str(tmp_path / "b.glb"))
-    surface = document.painted() if document.has_vertex_colours() else document.textured("baseColor")
+    surface = (
+        document.coloured_vertices() if document.has_vertex_colours() else document.textured("baseColor")
+    )
     corners = np.unique(surface.positions[surface.faces].reshape(-1, 3), axis=0)
     # What was z is up, in metres, and the handedness is the same.
     expected = np.unique(POINTS[:, [0, 2, 1]] * [0.01, 0.01, -0.01], axis=0)

@@ -118,7 +118,7 @@ def test_vertex_colours_become_linear_light_and_come_back(tmp_path):
     np.testing.assert_allclose([*map(float, opacity.split(","))], [0.5, 1, 0.25])
     smooth_file(tmp_path / "a.obj", tmp_path / "b.usdz", GIVEN, iterations=0)
     smooth_file(tmp_path / "b.usdz", tmp_path / "c.obj", GIVEN, iterations=0)
-    one, other = (open_document(str(tmp_path / name)).painted() for name in ("a.obj", "c.obj"))
+    one, other = (open_document(str(tmp_path / name)).coloured_vertices() for name in ("a.obj", "c.obj"))
     np.testing.assert_allclose(other.colours, one.colours, atol=1e-5)
     np.testing.assert_array_equal(other.faces, one.faces)
 

@@ -51,7 +51,7 @@ def test_an_archive_gives_its_arrays_whatever_the_spelling():
     assert other.known is other.level is None
 
 
-def test_an_archive_may_paint_by_points():
+def test_an_archive_may_give_colours_by_points():
     points, colours = RANDOM.random((6, 3)), RANDOM.random((6, 4))
     near = read(npz(sdf=VALUES, points=points, point_colors=colours)).colours
     assert isinstance(near, NearColours)

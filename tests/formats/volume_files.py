@@ -62,6 +62,6 @@ def sphere_file(folder, spacing, colours=None, **arrays):
     """Write a sphere with the colours of a function of places."""
     values, steps, origin = sphere(spacing)
     at = places(values.shape, steps, origin)
-    painted = pattern(directions(at)) if colours is None else colours(at)
-    arrays = {"values": values, "colours": painted, "spacing": steps, "origin": origin} | arrays
+    shades = pattern(directions(at)) if colours is None else colours(at)
+    arrays = {"values": values, "colours": shades, "spacing": steps, "origin": origin} | arrays
     return write(folder / "sphere.npz", npz(**arrays))

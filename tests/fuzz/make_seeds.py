@@ -69,11 +69,11 @@ def ply_seeds() -> dict[str, bytes]:
         build([vertices, wedge], ENCODINGS[1], comments=["TextureFile a.png"]).data, a_png=PICTURE
     )
     strip = Table("tristrips", [("vertex_indices", "int int")], [[[0, 1, 2, -1, 1, 2, 3]]])
-    painted = [(axis, "float") for axis in "xyz"] + [
+    properties = [(axis, "float") for axis in "xyz"] + [
         (f"diffuse_{name}", "ushort") for name in ("red", "green", "blue")
     ]
     rows = [[*place, 1, 2, 65535] for place in PLACES.tolist()]
-    seeds["strips"] = build([strip, Table("vertex", painted, rows)], ENCODINGS[2], "\r\n").data
+    seeds["strips"] = build([strip, Table("vertex", properties, rows)], ENCODINGS[2], "\r\n").data
     return seeds
 
 

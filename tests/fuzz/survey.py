@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.errors import BeltramiError, InputError, UnpaintedError
+from beltrami_cli.errors import BeltramiError, InputError, NoColoursError
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.registry import open_document
@@ -56,7 +56,7 @@ PRELOADED = ("layers.texture_layer", "layers.vertex_layer")
 OUTCOMES = {
     "smoothed": "only colours changed",
     "converted": "read, written as PLY",
-    "unpainted": "no colours",
+    "uncoloured": "no colours",
     "missing": "files missing",
     "refused": "damaged or not supported",
     "FAILED": "failed",
@@ -77,9 +77,9 @@ def attempt(source: Path, out: Path) -> tuple[str, str]:
         both = document.has_vertex_colours() and set(document.slots()) & set(SETTINGS.textures.slots)
         settings = replace(SETTINGS, on="both") if both else SETTINGS
         report = smooth_file(source, target, settings, job=Job(access=ACCESS))
-    except UnpaintedError as error:
+    except NoColoursError as error:
         missing = "is missing" in error.cause
-        return _refused("missing" if missing else "unpainted", error, out)
+        return _refused("missing" if missing else "uncoloured", error, out)
     except InputError as error:
         return _refused("missing" if "is missing" in error.cause else "refused", error, out)
     except BeltramiError as error:
@@ -97,7 +97,10 @@ def attempt(source: Path, out: Path) -> tuple[str, str]:
 
 def _within_range(document: Document, target: Path) -> bool:
     """Return whether averages lie within what they were made of, or on the nearest value that the file can hold."""
-    before, after = document.painted().colours, open_document(str(target), ACCESS).painted().colours
+    before, after = (
+        document.coloured_vertices().colours,
+        open_document(str(target), ACCESS).coloured_vertices().colours,
+    )
     slack = 1 / 255 + 1e-4 * np.abs(before).max()
     low, high = before.min(axis=0), before.max(axis=0)
     low, high = np.minimum(low, np.clip(low, 0, 1)), np.maximum(high, np.clip(high, 0, 1))

@@ -65,18 +65,20 @@ def read_model(data, name):
 
 
 def _use_vertices(document, folder):
-    painted = document.painted()
-    assert np.isfinite(painted.colours).all()
-    assert painted.faces.size == 0 or 0 <= painted.faces.min() <= painted.faces.max() < len(painted.colours)
-    if len(painted.faces):  # points may lack places that were not measured
-        assert np.isfinite(painted.positions[painted.faces]).all()
+    vertices = document.coloured_vertices()
+    assert np.isfinite(vertices.colours).all()
+    assert vertices.faces.size == 0 or 0 <= vertices.faces.min() <= vertices.faces.max() < len(
+        vertices.colours
+    )
+    if len(vertices.faces):  # points may lack places that were not measured
+        assert np.isfinite(vertices.positions[vertices.faces]).all()
     for name in document.attributes()[:3]:
         with contextlib.suppress(InputError):
             document.attribute(name)
     # What numbers mean that can mean two things may look otherwise in the result; the user sees a notice.
     doubtful = any("taken for" in notice for notice in document.notices)
     if any(document.format == line.name for line in TEXTURED) and not doubtful:
-        colours = np.clip(painted.colours * np.float32(0.5), 0, 1)
+        colours = np.clip(vertices.colours * np.float32(0.5), 0, 1)
         _compare(document, document.patch(colours, Naming("out", keeps=True)), folder)
 
 

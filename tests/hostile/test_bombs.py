@@ -95,7 +95,7 @@ def primitive(**more):
     return {"attributes": {"POSITION": 0, "COLOR_0": 1}, **more}
 
 
-def painted(position, colour, *others, primitives=None, **more):
+def coloured(position, colour, *others, primitives=None, **more):
     """A glTF whose primitives are of two accessors, and maybe of others."""
     meshes = [{"primitives": primitives or [primitive()]}]
     return gltf({"accessors": [position, colour, *others], "meshes": meshes, **more})
@@ -114,7 +114,7 @@ def packed_elements(count):
     tree["buffers"].append({"byteLength": length})
     view = {"buffer": 1, "byteLength": length, "byteStride": 12}
     tree["bufferViews"] = [{**view, "extensions": {"EXT_meshopt_compression": packed}}]
-    return painted(*[accessor(count, bufferView=0)] * 2, extensionsUsed=["EXT_meshopt_compression"], **tree)
+    return coloured(*[accessor(count, bufferView=0)] * 2, extensionsUsed=["EXT_meshopt_compression"], **tree)
 
 
 def with_texture(image):
@@ -250,14 +250,14 @@ BOMBS = {
     "elements": file("a.ply", ply(*(f"element e{i} 0" for i in range(200_000)))),
     "list": file("a.ply", ply("element vertex 1", VERTICES, *LONG_LIST, body=bytes(15) + MOST_ENTRIES)),
     "sparse file": sparse_file,
-    "elements without bytes": painted(accessor(2**31 - 1), accessor(2**31 - 1, 5121, normalized=True)),
+    "elements without bytes": coloured(accessor(2**31 - 1), accessor(2**31 - 1, 5121, normalized=True)),
     "packed elements": packed_elements(1 << 27),
     "buffer": gltf({"buffers": [{"byteLength": 2**40, "uri": "data:;base64,AAAA"}]}),
     "chunk": file("a.glb", struct.pack("<4sIIII", b"glTF", 2, 20, 2**32 - 1, 0x4E4F534A)),
     "nested": file("a.gltf", NESTED),
     "repeated keys": file("a.gltf", REPEATED),
     "scenes of all nodes": gltf({**CROWD, "scenes": [{"nodes": [0]}] * 20_000}),
-    "triangles drawn again": painted(
+    "triangles drawn again": coloured(
         accessor(100, bufferView=0),
         accessor(100, 5121, bufferView=0, normalized=True),
         *(accessor(50_000, 5121, "SCALAR", bufferView=0, byteOffset=i) for i in range(3000)),

@@ -80,7 +80,9 @@ def _smoothed(source, target, *options):
         assert list(target.parent.iterdir()) == []
         return
     before, after = (open_document(str(path)) for path in (source, target))
-    surfaces = [each.textured("baseColor") if each.slots() else each.painted() for each in (before, after)]
+    surfaces = [
+        each.textured("baseColor") if each.slots() else each.coloured_vertices() for each in (before, after)
+    ]
     assert len(surfaces[0].faces) == len(surfaces[1].faces)
     corners = [surface.positions[surface.faces].reshape(-1, 3) for surface in surfaces]
     np.testing.assert_allclose(*corners, atol=1e-6)

@@ -29,7 +29,7 @@ def write_board(path, image):
     return path
 
 
-def painted(painting):
+def cut(painting):
     """Lay a painting (32, 32, 3) out in the image (48, 48, 3); the rest is 0."""
     image = BOARD.image_of(painting.astype(float)) * 0
     rows, columns = BOARD.texel_places()

@@ -30,7 +30,7 @@ def saved(written, path):
 def halved(source, target):
     """Write a file with darker vertex colours."""
     document = open_document(str(source))
-    colours = document.painted().colours * np.float32(0.5)
+    colours = document.coloured_vertices().colours * np.float32(0.5)
     return saved(document.patch(colours, Naming(target.stem, keeps=source.parent != target.parent)), target)
 
 
@@ -68,9 +68,9 @@ def test_every_byte_counts_unless_it_makes_another_colour_or_spells_it_otherwise
     except (InputError, UsageError):
         return
     if report.faithful:
-        known = [open_document(str(path)).painted().colours for path in (before, after)]
+        known = [open_document(str(path)).coloured_vertices().colours for path in (before, after)]
         after.write_bytes(good)
-        true = open_document(str(after)).painted().colours
+        true = open_document(str(after)).coloured_vertices().colours
         if after.suffix == ".obj" and same_but_for_spelling(good, good[:at] + new + good[at + 1 :]):
             return
         assert not np.array_equal(known[1], true) or np.array_equal(known[0], true)

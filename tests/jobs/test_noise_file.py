@@ -12,7 +12,7 @@ from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
 from cli.commands import SAMPLES, beltrami
 from formats.image_files import encode, stored
-from jobs.cut_boards import painted, write_board
+from jobs.cut_boards import cut, write_board
 
 SIGMA = 20 / 255
 # Standard errors that a figure of one seeded draw may be off by: 6e-5 of all draws are further off.
@@ -87,7 +87,7 @@ def test_vertices_at_one_place_get_one_noise_whatever_their_colours(tmp_path):
 
 
 def test_the_gutter_can_be_kept(tmp_path):
-    image = painted(np.full((32, 32, 3), 128, np.uint8))
+    image = cut(np.full((32, 32, 3), 128, np.uint8))
     kept = SmoothSettings(textures=TextureSettings(gutter=None))
     noise_file(write_board(tmp_path / "b.obj", image), tmp_path / "n.obj", NoiseSettings(0.1), kept)
     made = stored(tmp_path / "n.png")

@@ -59,7 +59,7 @@ def test_the_change_of_vertices_is_rounded_as_the_file_is(tmp_path):
     faces = [[a, a + 1, a + 21, a + 20] for a in range(379) if a % 20 < 19]
     (tmp_path / "in.ply").write_bytes(ply(COLOURED, rows, faces))
     (added,) = noise_file(tmp_path / "in.ply", tmp_path / "out.ply", NoiseSettings(sigma=0.3 / 255)).added
-    stored = open_document(str(tmp_path / "out.ply")).painted().colours
+    stored = open_document(str(tmp_path / "out.ply")).coloured_vertices().colours
     assert added.rms == pytest.approx(np.sqrt(np.mean(np.square(stored - 100 / 255))), rel=1e-3)
 
 

@@ -42,9 +42,9 @@ def test_colours_come_from_another_file_alike(source, tmp_path):
         rows = [[*place, *shade] for place, shade in zip(points.tolist(), colours.tolist(), strict=True)]
         other = write(tmp_path / "points.ply", ply("double x y z, uchar red green blue", rows))
     settings = SmoothSettings(level_set=LevelSetSettings(colours=str(other)))
-    painted = opened(volume, settings).painted()
+    vertices = opened(volume, settings).coloured_vertices()
     # Linear colours are exact; the pattern bends by less than 6 and points are some 0.05 away.
-    np.testing.assert_allclose(painted.colours, pattern(directions(painted.positions)), atol=0.05)
+    np.testing.assert_allclose(vertices.colours, pattern(directions(vertices.positions)), atol=0.05)
     with pytest.raises(InputError, match="--colours"):
         opened(volume)
 
@@ -60,8 +60,10 @@ def test_archives_and_nrrd_files_give_the_same_mesh(tmp_path):
     settings = SmoothSettings(level_set=LevelSetSettings(colours=str(write(tmp_path / "c.nrrd", paint))))
     second = opened(volume, settings)
     for field in ("positions", "faces", "colours"):
-        np.testing.assert_array_equal(getattr(first.painted(), field), getattr(second.painted(), field))
-    assert first.painted().stored == second.painted().stored == "uint8"
+        np.testing.assert_array_equal(
+            getattr(first.coloured_vertices(), field), getattr(second.coloured_vertices(), field)
+        )
+    assert first.coloured_vertices().stored == second.coloured_vertices().stored == "uint8"
     assert first.facts() == second.facts()
 
 
@@ -70,14 +72,14 @@ def test_vertices_without_a_colour_stay_white_and_do_not_count(tmp_path):
         return np.where(at[..., :1] > 0.3, np.nan, 0.2 + 0.1 * RANDOM.random((*at.shape[:3], 3)))
 
     document = opened(sphere_file(tmp_path, 0.2, partly))
-    painted = document.painted()
-    bare = (painted.colours == 1).all(axis=1)
+    vertices = document.coloured_vertices()
+    bare = (vertices.colours == 1).all(axis=1)
     assert f"{bare.sum()} of {len(bare)} vertices have no colour" in document.notices[0]
-    assert painted.positions[bare, 0].min() > 0.1
-    after = smooth(painted.positions, painted.faces, painted.colours).colours
+    assert vertices.positions[bare, 0].min() > 0.1
+    after = smooth(vertices.positions, vertices.faces, vertices.colours).colours
     assert (after[bare] == 1).all()
     assert after[~bare].max() <= 0.3
-    assert len(document.contents().offsets) - 1 > len(painted.faces)  # the surface itself has no hole
+    assert len(document.contents().offsets) - 1 > len(vertices.faces)  # the surface itself has no hole
 
 
 def outward(document):

@@ -21,8 +21,8 @@ CLEAR = 8  # rows at the ends of a seam where the plane ends, too
 def halves(folder, pixels, extra=""):
     """Write a plane of two charts, whose texture is given, and more of the model, whose first vertex has number 7."""
     (folder / "plane.png").write_bytes(encode(pixels.astype(np.uint8), "png"))
-    (folder / "plane.mtl").write_text("newmtl paint\nmap_Kd plane.png\n")
-    lines = ["mtllib plane.mtl", "usemtl paint"]
+    (folder / "plane.mtl").write_text("newmtl skin\nmap_Kd plane.png\n")
+    lines = ["mtllib plane.mtl", "usemtl skin"]
     lines += [f"v {x} {y} 0" for y in (0, BOTTOM - TOP) for x in (0, 32, 64)]
     for first, last in (LEFT, RIGHT):
         lines += [f"vt {x / WIDTH} {1 - y / HEIGHT}" for y in (TOP, BOTTOM) for x in (first, last)]
@@ -75,7 +75,7 @@ def test_a_noisy_gutter_that_continues_its_chart_is_refilled(tmp_path):
         assert found[rows, column].std() < 0.5 * SIGMA
 
 
-def test_a_border_that_is_painted_otherwise_stays(tmp_path):
+def test_a_border_of_another_colour_stays(tmp_path):
     """A white line around a chart, which is no continuation of it."""
     pixels = noisy()
     line = slice(TOP - 1, BOTTOM + 1), LEFT[0] - 1
@@ -87,23 +87,23 @@ def test_a_border_that_is_painted_otherwise_stays(tmp_path):
 
 COLUMNS = np.arange(WIDTH)[:, None]
 # What lies close around charts, and is none of theirs.
-OTHER_PAINT = {
+OTHER_COLOURS = {
     "another colour": noisy(90.0, seed=5),
-    "flat paint": np.full((HEIGHT, WIDTH, 3), 90.0),
+    "flat areas": np.full((HEIGHT, WIDTH, 3), 90.0),
     "a dark background": np.zeros((HEIGHT, WIDTH, 3)),
     "stripes through the colour of the charts": noisy(128 + 60 * np.sin(COLUMNS), seed=5),
     "texture around the colour of the charts": noisy(sigma=10 * SIGMA, seed=5),
 }
 
 
-@pytest.mark.parametrize("kind", OTHER_PAINT)
-def test_paint_of_others_around_charts_stays(tmp_path, kind):
+@pytest.mark.parametrize("kind", OTHER_COLOURS)
+def test_colours_of_others_around_charts_stay(tmp_path, kind):
     """At open borders, and where halos continue the chart over it."""
     outside = np.ones((HEIGHT, WIDTH), bool)
     for first, last in (LEFT, RIGHT):
         outside[TOP:BOTTOM, first:last] = False
     pixels = noisy()
-    pixels[outside] = OTHER_PAINT[kind][outside]
+    pixels[outside] = OTHER_COLOURS[kind][outside]
     found = smoothed(halves(tmp_path, pixels))
     assert (found != pixels)[~outside].mean() > 0.5
     # Paint that passes through the colour of the chart is within three deviations of it here and there, and only then

@@ -36,7 +36,7 @@ def layer(request, tmp_path):
 
 
 def is_equal(one, other):
-    """Whether two results of `repaint` are the same to the last bit."""
+    """Whether two results of `encode` are the same to the last bit."""
     assert one.images.keys() == other.images.keys()
     if one.colours is not None:
         return np.array_equal(one.colours, other.colours)
@@ -50,7 +50,7 @@ def test_the_order_of_calls_makes_no_difference(layer):
     facts = layer.describe()
     again = smooth_layer(layer)
     assert first.report == again.report
-    assert is_equal(first.repainted, again.repainted)
+    assert is_equal(first.stored, again.stored)
     assert layer.describe() == facts
     with pytest.raises(FrozenInstanceError):
         layer.settings = None
@@ -60,20 +60,20 @@ def test_the_order_of_calls_makes_no_difference(layer):
 def test_levelling_leaves_the_layer_as_it_was(layer):
     before = smooth_layer(layer)
     if layer.part == "vertices":
-        photographs = (layer.painted.positions[:, 0] > 0).astype(np.int64)
+        photographs = (layer.vertices.positions[:, 0] > 0).astype(np.int64)
         layer = replace(layer, photographs_of=lambda _: photographs)
     other = layer.levelled(LevelSettings())
     assert layer.level_report is None
     assert other.level_report is not None
     darker = replace(other, levelled_colours=unchanged(layer).table() * np.float32(0.9))
-    assert not is_equal(smooth_layer(darker).repainted, before.repainted)
+    assert not is_equal(smooth_layer(darker).stored, before.stored)
     assert describe_exposure(darker) == describe_exposure(darker)
-    assert is_equal(smooth_layer(layer).repainted, before.repainted)
+    assert is_equal(smooth_layer(layer).stored, before.stored)
 
 
 @pytest.mark.parametrize("layer", NAMES, indirect=True)
 def test_unchanged_colours_change_nothing(layer):
-    assert layer.repaint(unchanged(layer), is_smoothed=False).change.largest == 0
+    assert layer.encode(unchanged(layer), is_smoothed=False).change.largest == 0
 
 
 @pytest.mark.parametrize("layer", ["grid.npz", "picture.png"], indirect=True)

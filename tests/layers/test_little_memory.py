@@ -26,7 +26,7 @@ from beltrami_cli.surface.atlas import OWNED, build_atlas
 from beltrami_cli.surface.records import Texture, TexturedSurface
 from formats.image_files import encode
 from formats.tile_files import GIVEN, tiled_model
-from oracles.paintings import photograph, with_noise
+from oracles.pictures import photograph, with_noise
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 

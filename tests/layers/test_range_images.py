@@ -81,7 +81,7 @@ FILES = {
 def colours_on_grid(path):
     document = open_document(str(path))
     grid, image = document.grid(), np.zeros((ROWS, COLUMNS, 3), np.float32)
-    image[grid >= 0] = document.painted().colours[grid[grid >= 0]]
+    image[grid >= 0] = document.coloured_vertices().colours[grid[grid >= 0]]
     return image
 
 

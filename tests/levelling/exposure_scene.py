@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from beltrami_cli.flow.beltrami_flow import smooth_in_place
-from beltrami_cli.flow.manifolds.canvas import canvas_colours, painted
+from beltrami_cli.flow.manifolds.canvas import canvas_colours, on_canvas
 from beltrami_cli.formats.image import read_image, write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.registry import open_document
@@ -27,7 +27,7 @@ def stored_colours(layer):
 
 
 def unchanged(layer):
-    """Return the colours that a layer has, as its `repaint` takes them."""
+    """Return the colours that a layer has, as its `encode` takes them."""
     kernel = unsmoothed(layer.settings.kernel)
     still = replace(layer, settings=replace(layer.settings, kernel=kernel))
     return smooth_in_place(still.plan()).manifold.new_colours()
@@ -54,8 +54,8 @@ class ExposureScene:
         surface, textures = self.samples.surface, []
         settings = SmoothSettings(textures=TextureSettings(image_suffix=".png"))
         samples = TextureLayer.read(surface, "baseColor", settings)
-        planes = painted(samples.atlas, colours.astype(np.float32))
-        images = samples.repaint(canvas_colours(samples.atlas, planes)).images
+        planes = on_canvas(samples.atlas, colours.astype(np.float32))
+        images = samples.encode(canvas_colours(samples.atlas, planes)).images
         for texture in surface.textures:
             png = read_image(images["baseColor", texture.key].data, texture.name)
             new = new_picture(png.pixels, texture.name)
@@ -103,7 +103,7 @@ class ExposureScene:
     def levelled(self, colours, strength=1.0, fixed=None):
         """Return the colours after levelling, and what was found."""
         atlas = self.samples.atlas
-        planes = painted(atlas, colours.astype(np.float32))
+        planes = on_canvas(atlas, colours.astype(np.float32))
         found, _ = level_canvas(atlas, planes, strength, fixed)
         return planes.reshape(len(planes), -1)[:, atlas.owned_cells].T.astype(float), found
 

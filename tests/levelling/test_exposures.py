@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from beltrami_cli.flow.manifolds.canvas import painted
+from beltrami_cli.flow.manifolds.canvas import on_canvas
 from beltrami_cli.levelling import exposures
 from beltrami_cli.levelling.correction import (
     LUMA,
@@ -83,7 +83,7 @@ def test_mixed_hues_become_those_of_their_chart_and_brightness_stays(head):
     hue = random.uniform(-0.2, 0.2, (atlas.charts, 3))
     hue -= (hue @ LUMA)[:, None]
     grey = random.uniform(0.3, 0.7, (len(head.charts), 1))
-    planes = painted(atlas, (grey + hue[head.charts]).astype(np.float32))
+    planes = on_canvas(atlas, (grey + hue[head.charts]).astype(np.float32))
     cells, flat = mixed_cells(atlas, [2]), planes.reshape(3, -1)
     wanted = flat[:, cells]
     mixed = random.uniform(-0.2, 0.2, (len(cells), 3))
@@ -132,7 +132,7 @@ def test_reference_charts_keep_every_bit_and_give_the_others_their_exposure(head
 
 
 def stripes(scene, chart):
-    """Return texels of a chart with other colours painted on it, which vary over it: its seams are painted edges."""
+    """Return texels of a chart with other colours on it, which vary over it: its seams are edges of colour."""
     cells = np.array(np.divmod(scene.samples.atlas.owned_cells, scene.samples.atlas.kind.shape[1])).T
     inside = scene.charts == chart
     pattern = np.sin(cells[inside, 0] / 5)[:, None] * [0.2, 0.25, 0.3] + [0.45, 0.4, 0.35]
@@ -140,15 +140,15 @@ def stripes(scene, chart):
 
 
 @pytest.mark.slow
-def test_painted_edges_along_seams_move_by_less_than_a_step(head):
+def test_colour_edges_along_seams_move_by_less_than_a_step(head):
     inside, pattern = stripes(head, 5)
-    painted_head = ExposureScene(head.samples, head.truth.copy())
-    painted_head.truth[inside] = pattern
-    after, _ = painted_head.levelled(painted_head.truth)
-    assert np.abs(after - painted_head.truth).mean() < 0.5 / 255
-    truth, exposed = painted_head.exposed(1)
+    outlier_head = ExposureScene(head.samples, head.truth.copy())
+    outlier_head.truth[inside] = pattern
+    after, _ = outlier_head.levelled(outlier_head.truth)
+    assert np.abs(after - outlier_head.truth).mean() < 0.5 / 255
+    truth, exposed = outlier_head.exposed(1)
     exposed[inside] = np.rint(255 * truth[inside]) / 255  # its own exposure cannot be known
-    after, _ = painted_head.levelled(exposed)
+    after, _ = outlier_head.levelled(exposed)
     assert np.abs(after - exposed)[inside].mean() < 1 / 255
     assert fall(exposed[~inside], after[~inside], truth[~inside]) >= 12
 
@@ -159,17 +159,17 @@ def steps_of(ends, sides, seams):
     return Steps(ends.max() + 1, ends, sides, np.zeros((count, 2, 2)), seams, np.full(count, 4.0), none, none)
 
 
-def seam(paint):
-    """Return a seam of two charts with a gain of 1.1 between them; a part is painted over on one side."""
+def seam(outliers):
+    """Return a seam of two charts with a gain of 1.1 between them; a part is recoloured on one side."""
     random = np.random.default_rng(4)
     colours = random.uniform(0.3, 0.7, (400, 1))
     sides = np.stack([colours, 1.1 * colours + random.normal(0, 0.002, colours.shape)], axis=1)
-    sides[:paint, 1] = 0.9
+    sides[:outliers, 1] = 0.9
     return steps_of(np.tile([0, 1], (400, 1)), sides, np.zeros(400, int))
 
 
-def test_a_painted_tenth_of_a_seam_does_not_bend_the_rest():
-    clean, edged = (fit_exposures(seam(paint), SPREADS["plain"]).sides(seam(0)) for paint in (0, 40))
+def test_a_recoloured_tenth_of_a_seam_does_not_bend_the_rest():
+    clean, edged = (fit_exposures(seam(outliers), SPREADS["plain"]).sides(seam(0)) for outliers in (0, 40))
     assert np.abs(clean[:, 1] - clean[:, 0]).mean() < 1 / 255
     assert np.abs(edged - clean).mean() < 0.5 / 255
 
@@ -267,7 +267,7 @@ def test_nothing_is_fitted_without_steps(monkeypatch):
     assert fits
 
 
-def test_charts_of_unrelated_textures_are_painted_however_well_exposures_explain_their_steps():
+def test_charts_of_unrelated_textures_are_kept_however_well_exposures_explain_their_steps():
     plain = grid(4, 0.0, 6, np.random.default_rng(6).uniform(0.9, 1.1, 16))
     noise = np.random.default_rng(7).normal(0, 6 / 255, plain.colours.shape)
     verdict = judge(replace(plain, colours=plain.colours + noise))
@@ -298,6 +298,6 @@ def test_white_beside_what_was_brighter_than_full_scale_becomes_as_bright():
 def test_steps_are_measured_at_the_seam_without_the_slope_of_the_colours(head):
     # The head's painting is continuous, and slopes on both sides of its seams.
     atlas = head.samples.atlas
-    steps = steps_over_seams(atlas, painted(atlas, head.truth.astype(np.float32)), ChartPlaces.of(atlas))
+    steps = steps_over_seams(atlas, on_canvas(atlas, head.truth.astype(np.float32)), ChartPlaces.of(atlas))
     sizes = np.abs(steps.colours[:, 1] - steps.colours[:, 0]).max(axis=1)
     assert weighted_median(sizes, steps.counts) < 1 / 255

@@ -63,7 +63,7 @@ def meshes(**options):
 
 
 @st.composite
-def painted(draw, mesh=None, channels=(1, 4)):
+def coloured_meshes(draw, mesh=None, channels=(1, 4)):
     """Draw (positions, faces, colours (V, C) float32 in [0, 1])."""
     positions, faces = draw(meshes() if mesh is None else mesh)
     shape = len(positions), draw(st.integers(*channels))

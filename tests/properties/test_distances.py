@@ -16,10 +16,10 @@ from properties.manifolds import apply_kernel, distances, image_manifold, segmen
 
 
 @pytest.mark.slow
-@given(strategies.painted(strategies.meshes(general=True)))
+@given(strategies.coloured_meshes(strategies.meshes(general=True)))
 @settings(max_examples=75, deadline=None)
-def test_distances_equal_those_of_a_textbook_march_on_any_mesh(painted):
-    positions, faces, colours = painted
+def test_distances_equal_those_of_a_textbook_march_on_any_mesh(mesh):
+    positions, faces, colours = mesh
     manifold = image_manifold(positions, faces, colours, 2.0)
     oracle = Manifold(np.hstack([positions, 2.0 * colours.astype(float)]), faces)
     for source in range(len(positions)):
@@ -70,10 +70,10 @@ def test_kernels_of_some_vertices_are_those_of_all(manifold):
 
 
 @pytest.mark.slow
-@given(strategies.painted(strategies.meshes(general=True)))
+@given(strategies.coloured_meshes(strategies.meshes(general=True)))
 @settings(max_examples=20, deadline=None)  # each makes a graph of 30 points an edge, which is what takes time
-def test_distances_lie_between_geodesics_and_paths_over_edges_on_any_mesh(painted):
-    positions, faces, colours = painted
+def test_distances_lie_between_geodesics_and_paths_over_edges_on_any_mesh(mesh):
+    positions, faces, colours = mesh
     manifold = segment_manifold(positions, faces, colours, 2.0)
     embedded = np.hstack([positions, 2.0 * colours.astype(float)])
     over_edges = graph_distances(embedded, faces, extra=0)
@@ -114,10 +114,10 @@ def graph_distances(embedded, faces, extra):
     return dijkstra(graph, directed=False, indices=range(count))[:, :count]
 
 
-@given(strategies.painted(strategies.meshes(general=True)), st.sampled_from((0.05, 5.0)))
+@given(strategies.coloured_meshes(strategies.meshes(general=True)), st.sampled_from((0.05, 5.0)))
 @settings(max_examples=40, deadline=None)
-def test_kernels_side_by_side_are_those_of_single_marches_on_any_mesh(painted, t):
-    positions, faces, colours = painted
+def test_kernels_side_by_side_are_those_of_single_marches_on_any_mesh(mesh, t):
+    positions, faces, colours = mesh
     weights = np.random.default_rng(0).random(len(positions)).astype(np.float32) + 0.1
     manifold = segment_manifold(positions, faces, colours, 2.0)
     radius = sqrt(-4 * t * log(0.01))

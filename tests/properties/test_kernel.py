@@ -18,10 +18,14 @@ from properties.manifolds import apply_kernel, image_manifold, one_iteration, se
 CUT_OFF = 1e-4
 
 
-@given(strategies.painted(strategies.meshes(general=True)), st.sampled_from((0.05, 0.5, 5.0)), st.booleans())
+@given(
+    strategies.coloured_meshes(strategies.meshes(general=True)),
+    st.sampled_from((0.05, 0.5, 5.0)),
+    st.booleans(),
+)
 @settings(max_examples=60, deadline=None)
-def test_a_kernel_equals_the_textbook_on_any_mesh_and_any_number_of_channels(painted, t, weighted):
-    positions, faces, colours = painted
+def test_a_kernel_equals_the_textbook_on_any_mesh_and_any_number_of_channels(mesh, t, weighted):
+    positions, faces, colours = mesh
     weights = np.random.default_rng(0).random(len(positions)) if weighted else None
     ours = one_iteration(positions, faces, colours, 2.0, t, CUT_OFF, weights)
     truth = short_time_kernel(embed(positions, colours, 2.0), faces, colours, t, CUT_OFF, weights)
@@ -107,8 +111,8 @@ def test_isolated_vertices_and_meshes_without_faces_stay_and_change_nothing_else
     for patches, count in (("off", 9 * len(positions)), ("on", 3)):
         strays, more = 1000 + random.random((count, 3)), random.random((count, 3))
         plain = beltrami_cli.smooth(positions, faces, colours, beta=8, patches=patches).colours
-        places, paint = np.concatenate([positions, strays]), np.concatenate([colours, more])
-        both = beltrami_cli.smooth(places, faces, paint, beta=8, patches=patches).colours
+        places, shades = np.concatenate([positions, strays]), np.concatenate([colours, more])
+        both = beltrami_cli.smooth(places, faces, shades, beta=8, patches=patches).colours
         assert flips(both[: len(plain)], plain)
         np.testing.assert_allclose(both[len(plain) :], more, atol=1e-6)
     nothing = beltrami_cli.smooth(positions, np.empty((0, 3), int), colours)

@@ -6,7 +6,7 @@ import pytest
 from beltrami_cli import smooth, smooth_image
 from beltrami_cli.layers.image_surface import ImageSurface
 from oracles import surfaces
-from oracles.paintings import photograph, psnr, with_noise
+from oracles.pictures import photograph, psnr, with_noise
 from properties import textured_planes
 from properties.textured_planes import Board
 

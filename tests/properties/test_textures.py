@@ -151,7 +151,7 @@ def sides(line):
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("line", LINES)
 def test_the_colours_of_the_two_sides_of_a_slit_do_not_mix(line, scheme):
-    """Paint on one side changes nothing on the other, though both sides touch; it does without the cut."""
+    """A colour on one side changes nothing on the other, though both sides touch; it does without the cut."""
     left, right = sides(line)
     picture = np.random.default_rng(3).normal(0.5, 0.08, (*left.shape, 3))
     other = picture.copy()

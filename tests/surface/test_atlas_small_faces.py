@@ -49,8 +49,8 @@ def test_a_sliver_at_the_border_does_not_throw_the_halo_far_away():
 
 
 @pytest.mark.parametrize("width", [1.0, 2.0])
-def test_a_strip_without_area_in_the_image_shows_the_texels_that_it_is_painted_with(width):
-    """All of the strip is painted with column 30 of the other chart, which lies far from it on the surface."""
+def test_a_strip_without_area_in_the_image_shows_the_texels_that_it_shows(width):
+    """All of the strip shows column 30 of the other chart, which lies far from it on the surface."""
     spans = [((0, 12), (0, 12)), ((12, 12 + width), (30.5, 30.5)), ((12 + width, 40), (20, 48 - width))]
     atlas = build_atlas(strips(spans, SIZE), [SIZE], MARGIN)
     u, x = shown(atlas, lambda column: column)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 import beltrami_cli
 from beltrami_cli.surface import grouping
 from beltrami_cli.surface.grouping import group_equal_rows, group_places, sample_vertices
-from beltrami_cli.surface.records import PaintedVertices
+from beltrami_cli.surface.records import ColouredVertices
 from oracles import surfaces
 
 SIDE = 12  # vertices
@@ -96,10 +96,10 @@ def test_borders_that_are_further_apart_than_rounding_are_two():
     assert len(first) == len(both)
 
 
-def painted(positions, faces, colours, space_of=None):
+def vertices(positions, faces, colours, space_of=None):
     colours, faces = np.asarray(colours, np.float32), np.asarray(faces, np.int32)
     names = tuple("rgb"[: colours.shape[1]])
-    return PaintedVertices(positions, faces, colours, names, "srgb", "float32", space_of)
+    return ColouredVertices(positions, faces, colours, names, "srgb", "float32", space_of)
 
 
 ROWS = st.tuples(st.integers(-2, 2), st.sampled_from((0.0, -0.0, 1.5, 1e-300)))
@@ -123,7 +123,7 @@ def test_rows_with_equal_hashes_are_kept_apart(monkeypatch):
 
 def test_vertices_in_different_spaces_are_not_joined():
     positions = np.zeros((4, 3))
-    record = painted(positions, [[0, 1, 2]], np.full((4, 3), 0.5), np.array([0, 0, 1, 1], np.int32))
+    record = vertices(positions, [[0, 1, 2]], np.full((4, 3), 0.5), np.array([0, 0, 1, 1], np.int32))
     assert sample_vertices(record).sample_of.tolist() == [0, 0, 1, 1]
 
 
@@ -171,7 +171,7 @@ def test_three_copies_of_an_edge_form_one_chain_and_walls_have_no_area():
     positions = np.array([[0, 0, 0], [0, 1, 0]] * 3 + [[1, 0, 0], [-1, 0, 0], [0, 0, 1]], float)
     faces = [[0, 1, 6], [2, 3, 7], [4, 5, 8]]
     colours = np.array([[0.9]] * 2 + [[0.1]] * 2 + [[0.5]] * 2 + [[0.5]] * 3)
-    record = painted(positions, faces, colours)
+    record = vertices(positions, faces, colours)
     surface = sampled_surface(record)
     assert len(surface.bridges) == 8
     walls = surface.colours[surface.bridges][:, :, 0].tolist()
@@ -181,6 +181,6 @@ def test_three_copies_of_an_edge_form_one_chain_and_walls_have_no_area():
 def test_copies_that_share_one_end_are_joined_by_a_single_triangle():
     positions = np.array([[0, 0, 0], [0, 1, 0], [1, 0, 0], [0, 1, 0], [-1, 0, 0]], float)
     faces = [[0, 1, 2], [0, 3, 4]]
-    record = painted(positions, faces, np.array([[0.5], [0.2], [0.2], [0.7], [0.7]]))
+    record = vertices(positions, faces, np.array([[0.5], [0.2], [0.2], [0.7], [0.7]]))
     surface = sampled_surface(record)
     assert len({frozenset(wall) for wall in surface.bridges.tolist()}) == 1

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from beltrami_cli.surface.grouping import sample_vertices
 from beltrami_cli.surface.reconstruction import faces_of_points, triangulate_points
-from beltrami_cli.surface.records import PaintedVertices
+from beltrami_cli.surface.records import ColouredVertices
 from oracles import surfaces
 
 
@@ -188,9 +188,9 @@ def test_large_clouds_are_handled_in_blocks():
     assert as_set(triangulate_points(positions, at_once=100)) == as_set(faces)
 
 
-def painted(positions, colours, space_of=None):
+def vertices(positions, colours, space_of=None):
     none, colours = np.empty((0, 3), np.int32), np.asarray(colours, np.float32)
-    return PaintedVertices(positions, none, colours, ("grey",), "srgb", "float32", space_of)
+    return ColouredVertices(positions, none, colours, ("grey",), "srgb", "float32", space_of)
 
 
 def test_coincident_points_take_part_each_with_its_colour():
@@ -198,7 +198,7 @@ def test_coincident_points_take_part_each_with_its_colour():
     places = lifted(grid(12, 12, 0.3))
     positions = np.concatenate([places, places[:70], places[:70], places[30:40]])
     colours = np.concatenate([np.zeros(144), np.zeros(70), rng.random(80)])[:, None]
-    record = painted(positions, colours)
+    record = vertices(positions, colours)
     faces = faces_of_points(record, 1)
     assert not len(outliers(len(positions), faces))
     record = dataclasses.replace(record, faces=faces)
@@ -212,7 +212,7 @@ def test_coincident_points_take_part_each_with_its_colour():
 def test_points_of_different_spaces_are_not_joined():
     places = lifted(grid(8, 8, 0.3))
     spaces = np.repeat(np.array([4, 2], np.int32), 64)
-    record = painted(np.concatenate([places, places + 0.01]), np.zeros((128, 1)), spaces)
+    record = vertices(np.concatenate([places, places + 0.01]), np.zeros((128, 1)), spaces)
     count, label = components(128, faces_of_points(record, 1))
     assert count == 2
     assert len(np.unique(label[:64])) == 1

@@ -14,12 +14,12 @@ from beltrami_cli.formats.access import EVERYTHING_INSIDE
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.recolour import open_input
 from beltrami_cli.layers.settings import DEFAULTS
-from beltrami_cli.surface.records import PaintedVertices
+from beltrami_cli.surface.records import ColouredVertices
 from beltrami_cli.view.models import ModelWriter
 from beltrami_cli.view.settings import RenderSettings
 from beltrami_cli.view.sweep import sweep_file
 from cli.commands import SAMPLES, beltrami
-from cli.pictures import painted_square, plain_image, textured_square
+from cli.pictures import coloured_square, plain_image, textured_square
 from formats.gltf_comparison import issues, needs_validator
 from formats.image_files import encode
 from oracles import surfaces
@@ -37,7 +37,7 @@ def reported(before, after, page, *options):
 @pytest.fixture(scope="module")
 def squares(tmp_path_factory):
     folder = tmp_path_factory.mktemp("squares")
-    files = painted_square(folder / "a.ply", (1, 0, 0)), painted_square(folder / "b.ply", (0, 0, 1))
+    files = coloured_square(folder / "a.ply", (1, 0, 0)), coloured_square(folder / "b.ply", (0, 0, 1))
     return reported(*files, folder / "page.html")
 
 
@@ -59,7 +59,7 @@ def test_the_line_parts_both_models_and_one_camera_turns_them(browser, squares):
     [(0.9, "light", (128,) * 3), (0.4, "light", WHITE), (0.05, "dark", (128,) * 3), (0.4, "dark", (36, 39, 43))],
 )  # fmt: skip
 def test_models_stand_out_from_the_stage(browser, tmp_path, grey, scheme, stage):
-    square = painted_square(tmp_path / "a.ply", (grey,) * 3)
+    square = coloured_square(tmp_path / "a.ply", (grey,) * 3)
     viewer = Viewer(browser, reported(square, square, tmp_path / "page.html"), color_scheme=scheme)
     assert viewer.pixel(0.2, 0.1) == pytest.approx((255 * grey,) * 3, abs=1)
     viewer.turn(90)
@@ -102,8 +102,8 @@ def test_a_finger_drags_the_line(browser, squares):
 
 def test_the_difference_has_the_colours_of_its_scale(browser, tmp_path):
     files = (
-        painted_square(tmp_path / "a.ply", (0.2, 0.2, 0.2)),
-        painted_square(tmp_path / "b.ply", (0.6, 0.2, 0.2)),
+        coloured_square(tmp_path / "a.ply", (0.2, 0.2, 0.2)),
+        coloured_square(tmp_path / "b.ply", (0.6, 0.2, 0.2)),
     )
     viewer = Viewer(browser, reported(*files, tmp_path / "page.html"))
     assert not viewer.part("legend").is_visible()
@@ -181,23 +181,25 @@ def scattered(side):
     order = random.permutation(len(positions))
     faces = random.permutation(np.argsort(order)[faces]).astype(np.int32)
     colours = (random.integers(90, 110, (len(positions), 3)) / 255).astype(np.float32)
-    return PaintedVertices(positions[order], faces, colours[order], ("red", "green", "blue"), "srgb", "uint8")
+    return ColouredVertices(
+        positions[order], faces, colours[order], ("red", "green", "blue"), "srgb", "uint8"
+    )
 
 
 def test_what_is_packed_is_restored_and_takes_little_space(browser, squares):
-    painted, writer = scattered(81), ModelWriter()
-    document = SimpleNamespace(kind="mesh", painted=lambda: painted)
+    vertices, writer = scattered(81), ModelWriter()
+    document = SimpleNamespace(kind="mesh", coloured_vertices=lambda: vertices)
     writer.add((document, document), None)
     packed, _ = writer.packed(8)
     # A report of 400,000 triangles shall take at most 2 MB, including 0.3 MB of scripts.
-    assert len(packed["data"]) < 1.7e6 * len(painted.faces) / 400_000
+    assert len(packed["data"]) < 1.7e6 * len(vertices.faces) / 400_000
     page = Viewer(browser, squares).page
     index, positions, colours = page.evaluate(RESTORED, packed)
     order = np.argsort(writer.row_of)
-    assert np.abs(positions - (painted.positions - painted.positions.min(axis=0))[order]).max() < 1e-5
-    assert np.abs(colours - painted.colours[order]).max() < 1e-6
+    assert np.abs(positions - (vertices.positions - vertices.positions.min(axis=0))[order]).max() < 1e-5
+    assert np.abs(colours - vertices.colours[order]).max() < 1e-6
     assert {tuple(face) for face in np.sort(np.reshape(index, (-1, 3))).tolist()} == {
-        tuple(face) for face in np.sort(writer.row_of[painted.faces]).tolist()
+        tuple(face) for face in np.sort(writer.row_of[vertices.faces]).tolist()
     }
 
 

@@ -17,7 +17,7 @@ from beltrami_cli.jobs.job import PLAIN_JOB
 from beltrami_cli.jobs.recolour import open_input, recolour_in_memory
 from beltrami_cli.jobs.smoothing import Smoothing
 from beltrami_cli.layers.settings import DEFAULTS
-from beltrami_cli.surface.records import PaintedVertices
+from beltrami_cli.surface.records import ColouredVertices
 from beltrami_cli.view.controls import plain_settings, settings_from, values_of
 from beltrami_cli.view.models import ModelWriter, displayed_colours, displayed_pixels
 from beltrami_cli.view.preview import Focus, LayerView, NoPreviewError
@@ -55,15 +55,18 @@ def test_controls_that_are_let_go_are_chosen_again():
 
 
 def test_moved_vertices_go_back_on_every_page():
-    painted = PaintedVertices(
+    vertices = ColouredVertices(
         np.eye(3), np.array([[0, 1, 2]], np.int32), np.zeros((3, 3), np.float32), ("red", "green", "blue"),
         "srgb", "uint8",
     )  # fmt: skip
     still, moved = (
         SimpleNamespace(
-            kind="mesh", slots=tuple, has_vertex_colours=lambda: True, painted=lambda shown=shown: shown
+            kind="mesh",
+            slots=tuple,
+            has_vertex_colours=lambda: True,
+            coloured_vertices=lambda shown=shown: shown,
         )
-        for shown in (painted, replace(painted, positions=painted.positions + 0.1))
+        for shown in (vertices, replace(vertices, positions=vertices.positions + 0.1))
     )
     layer = LayerView(still, None)
     layer.add_to(ModelWriter(is_live=True))
@@ -77,7 +80,7 @@ def middle(kind, document):
     """Return a focus on the middle from the front, or on the middle of an image."""
     if kind == "image":
         return Focus(np.array([0.5, 0.5, 0.0]))
-    positions = document.painted().positions if kind is None else document.textured(kind).positions
+    positions = document.coloured_vertices().positions if kind is None else document.textured(kind).positions
     low, high = positions.min(axis=0), positions.max(axis=0)
     return Focus((low + high) / 2 + [0, 0, 3 * (high - low).max()], np.array([0.0, 0, -1]))
 
@@ -125,7 +128,7 @@ def test_most_of_a_preview_is_what_the_whole_becomes(inputs, name, slot, budget,
     whole, _ = recolour_in_memory(document, settings, Smoothing.of(settings), PLAIN_JOB)
     for patch in patches:
         if slot is None:
-            expected, one = displayed_colours(whole.painted())[patch.rows], 257
+            expected, one = displayed_colours(whole.coloured_vertices())[patch.rows], 257
         else:
             data = whole.data if slot == "image" else whole.textured(slot).textures[patch.texture].data
             expected, one = displayed_pixels(read_image(data, name))[patch.rows, patch.columns], 1
@@ -137,7 +140,7 @@ def test_most_of_a_preview_is_what_the_whole_becomes(inputs, name, slot, budget,
         )
         assert (patch.places is not None) == settings.embedding.smooth_geometry
         if patch.places is not None:
-            before, after = (each.painted().positions[patch.rows] for each in (document, whole))
+            before, after = (each.coloured_vertices().positions[patch.rows] for each in (document, whole))
             moves = np.linalg.norm(after - before, axis=1)
             assert np.median(np.linalg.norm(patch.places - after, axis=1)) < 0.4 * np.median(moves)
 

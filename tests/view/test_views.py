@@ -14,9 +14,9 @@ from beltrami_cli.view.settings import DEFAULT_RENDER, RenderSettings
 from beltrami_cli.view.tracing import (  # fmt: skip
     AMBIENT,
     LAMP,
+    InterpolatedColours,
     SurfaceView,
-    TexturePaint,
-    VertexPaint,
+    TextureColours,
     fitted,
     orientation,
 )
@@ -43,8 +43,8 @@ def textured_square(sheet, alpha_hides=True, is_backed=False):
     uv = ((corners[:, :2] * (1, -1) + 1) / 2)[faces]
     texture = Texture("0", "a.png", b"", wrap=("clamp", "clamp"), alpha_hides=alpha_hides)
     surface = TexturedSurface(corners, faces, uv, np.int32([0, 0, -1, -1])[: len(faces)], (texture,))
-    paint = TexturePaint(surface, [sheet.astype(np.float32)], triangle_areas(corners, faces))
-    return SurfaceView(corners, faces, paint)
+    colours = TextureColours(surface, [sheet.astype(np.float32)], triangle_areas(corners, faces))
+    return SurfaceView(corners, faces, colours)
 
 
 def front_camera(view, field=0.0):
@@ -57,8 +57,8 @@ def seen_from_the_front(view, side, window=INSIDE):
 
 def sphere(colour=1.0):
     positions, faces = surfaces.icosphere(5)
-    paint = VertexPaint(faces, np.full((len(positions), 3), colour))
-    return SurfaceView(positions, faces, paint), surfaces.mean_edge_length(positions, faces)
+    colours = InterpolatedColours(faces, np.full((len(positions), 3), colour))
+    return SurfaceView(positions, faces, colours), surfaces.mean_edge_length(positions, faces)
 
 
 @pytest.mark.slow
@@ -258,7 +258,11 @@ def test_models_of_any_size_look_alike(scale, with_faces):
         positions, faces = surfaces.icosphere(2)
         places = within_reach(positions * factor)
         grey = np.repeat(np.linspace(0, 1, len(positions))[:, None], 3, axis=1)
-        view = SurfaceView(places, faces, VertexPaint(faces, grey)) if with_faces else CloudView(places, grey)
+        view = (
+            SurfaceView(places, faces, InterpolatedColours(faces, grey))
+            if with_faces
+            else CloudView(places, grey)
+        )
         pictures.append(draw_views([view], [""], looks))
     assert np.ptp(pictures[0]) > 200
     assert np.array_equal(pictures[0], pictures[1])

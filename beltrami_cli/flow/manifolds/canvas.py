@@ -1,4 +1,4 @@
-"""The canvas of an atlas: painting it, seams at which colours jump, similar patches on it, and its coarse levels."""
+"""The canvas of an atlas: filling it, seams at which colours jump, similar patches on it, and its coarse levels."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ _FEWEST = 8
 _SEED = 21
 
 
-def painted(atlas: Atlas, colours: Float32s) -> Float32s:
-    """Put the colours of the owned cells, shape (T, N), on the canvas; see `painted_by`."""
-    return painted_by(atlas, colours.shape[1], colours.__getitem__)
+def on_canvas(atlas: Atlas, colours: Float32s) -> Float32s:
+    """Put the colours of the owned cells, shape (T, N), on the canvas; see `fill_canvas`."""
+    return fill_canvas(atlas, colours.shape[1], colours.__getitem__)
 
 
-def painted_by(atlas: Atlas, channels: int, colours_of: Callable[[slice], Float32s]) -> Float32s:
+def fill_canvas(atlas: Atlas, channels: int, colours_of: Callable[[slice], Float32s]) -> Float32s:
     """Return planes, shape (N, R, C), with the owned cells' colours, halo included, and 0 in empty cells."""
     planes = large_arrays.zeros((channels, *atlas.kind.shape), np.float32)
     for block in large_arrays.blocks(len(atlas.owned_cells), large_arrays.CACHED):

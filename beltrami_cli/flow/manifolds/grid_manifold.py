@@ -22,7 +22,7 @@ from beltrami_cli.flow.manifolds.canvas import (
     collaborate_on_canvas,
     end_at_seams_in_place,
     kernel_margin,
-    painted,
+    on_canvas,
     squares_for,
 )
 from beltrami_cli.flow.manifolds.domain import Gaussian, Mixing, Stack
@@ -104,7 +104,7 @@ def grid_manifold(canvas: ColouredCanvas, colours: CanvasColours) -> GridManifol
 
 
 def _guide_on_canvas(guide: Guide, grid: GridGeometry) -> Stack:
-    planes = painted(grid.atlas, guide.values)
+    planes = on_canvas(grid.atlas, guide.values)
     if guide.in_chart_frame:
         end_at_seams_in_place(planes, grid.atlas, grid.threads)
     return planes

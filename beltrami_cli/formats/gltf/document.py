@@ -37,15 +37,21 @@ from beltrami_cli.formats.gltf.container import (
     revised,
 )
 from beltrami_cli.formats.gltf.edit import Edit, accessor_uses, merge_buffers
-from beltrami_cli.formats.gltf.painted import Surface, placements
 from beltrami_cli.formats.gltf.textured import gather_textured, present_slots, read_textured_mesh
-from beltrami_cli.formats.gltf.textures import IMAGE_EXTENSIONS, Images, embed_images, repaint, texture_infos
+from beltrami_cli.formats.gltf.textures import (
+    IMAGE_EXTENSIONS,
+    Images,
+    embed_images,
+    show_images,
+    texture_infos,
+)
+from beltrami_cli.formats.gltf.vertex_colours import Surface, placements
 from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError, is_outside
 from beltrami_cli.formats.new_files import NewFiles
 from beltrami_cli.surface.records import (
+    ColouredVertices,
     ImageFile,
     MeshContents,
-    PaintedVertices,
     Slot,
     Texture,
     TexturedSurface,
@@ -84,7 +90,7 @@ class GltfDocument(Document):
         return surface
 
     @cached_property
-    def _painted(self) -> PaintedVertices:
+    def _coloured_vertices(self) -> ColouredVertices:
         return self.surface.vertices()
 
     def has_vertex_colours(self) -> bool:
@@ -117,10 +123,10 @@ class GltfDocument(Document):
     def _patched(self, new: Changes, naming: Naming) -> Written:
         edit = Edit(self.container, self.accessors, self.container.copy_of_tree())
         if new.colours is not None:
-            self.surface.recolour(edit, self.painted().colours, new.colours)
+            self.surface.recolour(edit, self.coloured_vertices().colours, new.colours)
         if new.places is not None:
-            self.surface.move(edit, self.painted().positions, new.places)
-        repaint(edit, self.images, new.images)
+            self.surface.move(edit, self.coloured_vertices().positions, new.places)
+        show_images(edit, self.images, new.images)
         return _written(edit, naming, new.form or self.format, self._folder)
 
     def sidecar_names(
@@ -132,7 +138,7 @@ class GltfDocument(Document):
         edit = Edit(self.container, self.accessors, self.container.copy_of_tree())
         if colours:
             self.surface.replace_all(edit, places=places)
-        repaint(edit, self.images, images)
+        show_images(edit, self.images, images)
         edit.finish()
         return _placed(edit, naming, form, self._folder).written().sidecar_names
 
@@ -140,7 +146,7 @@ class GltfDocument(Document):
         return [*self._files.present]
 
     def contents(self) -> MeshContents:
-        shown = self.painted()
+        shown = self.coloured_vertices()
         return MeshContents(
             positions=shown.positions,
             corners=shown.faces.reshape(-1),
@@ -157,7 +163,7 @@ class GltfDocument(Document):
         stored = "float32"
         by_primitive: dict[tuple[int, int], Float32s] = {}
         if self.has_vertex_colours():
-            shown = self.painted()
+            shown = self.coloured_vertices()
             stored, values = shown.stored, shown.colours if colours is None else colours
             alpha = self.surface.opacity()
             rows = values if alpha is None else np.column_stack([values, alpha])
@@ -180,7 +186,7 @@ class GltfDocument(Document):
         parts, images = fingerprint(self.container, self.accessors, self.images)
         colours: dict[str, Float32s] = {}
         if self.has_vertex_colours():
-            colours["vertex colours"] = self.painted().colours
+            colours["vertex colours"] = self.coloured_vertices().colours
             opacity = [
                 stored[:, 3].tobytes() for stored in self.surface.stored_colours if stored.shape[1] == 4
             ]
@@ -249,7 +255,7 @@ def fingerprint(
 ) -> tuple[dict[str, bytes], dict[str, Texture]]:
     """Return all parts of a glTF file but its colours and images, and its images."""
     # Entries that a patch may add or that say where images and colours are stored become None.
-    tree, paintings = container.copy_of_tree(), dict[str, Texture]()
+    tree, textures = container.copy_of_tree(), dict[str, Texture]()
     parts = {f"chunk {n} of type {c.kind:#x}": bytes(c.data) for n, c in enumerate(container.unknown_chunks)}
     parts["what follows the last chunk"] = bytes(container.tail)
     parts["byte order mark"] = bytes([container.has_bom])
@@ -259,17 +265,17 @@ def fingerprint(
         {k: v for k, v in each.items() if k not in ("uri", "byteLength")} for each in tree.get("buffers", [])
     ]
     tree["buffers"] = [each or None for each in buffers]
-    _hide_images(images, tree, paintings)
+    _hide_images(images, tree, textures)
     parts |= _hide_colours(tree) | _numbers(accessors, container.tree, tree)
     for key, value in tree.items():
         entries = (
             {f"{key}[{n}]": each for n, each in enumerate(value)} if isinstance(value, list) else {key: value}
         )
         parts |= {place: _spelled(each) for place, each in entries.items() if each is not None}
-    return parts, paintings
+    return parts, textures
 
 
-def _hide_images(images: Images, tree: Tree, paintings: dict[str, Texture]) -> None:
+def _hide_images(images: Images, tree: Tree, textures: dict[str, Texture]) -> None:
     """Describe textures where materials name them, without where their images are, and note the images."""
     apart = ("materials", "accessors", "bufferViews", "buffers", "images", "textures")
     others = [texture_infos(value, key) for key, value in tree.items() if key not in apart]
@@ -278,9 +284,9 @@ def _hide_images(images: Images, tree: Tree, paintings: dict[str, Texture]) -> N
         number = info.pop("index")
         if 0 <= number < len(images.textures):
             shown.add(number)
-            info["texture"] = _texture(images, tree, number, place, paintings)
+            info["texture"] = _texture(images, tree, number, place, textures)
     tree["textures"] = [
-        _texture(images, tree, number, f"textures[{number}]", paintings)
+        _texture(images, tree, number, f"textures[{number}]", textures)
         if number not in shown or number in elsewhere
         else None
         for number in range(len(images.textures))
@@ -288,14 +294,14 @@ def _hide_images(images: Images, tree: Tree, paintings: dict[str, Texture]) -> N
     tree.pop("images", None)
 
 
-def _texture(images: Images, tree: Tree, number: int, place: str, paintings: dict[str, Texture]) -> Tree:
+def _texture(images: Images, tree: Tree, number: int, place: str, textures: dict[str, Texture]) -> Tree:
     """Return a texture without where its image is, and note the image."""
     texture = dict(tree["textures"][number])
     texture.pop("source", None)
     kept = {k: v for k, v in texture.pop("extensions", {}).items() if k not in IMAGE_EXTENSIONS}
     try:
         image = images.shown(number)
-        paintings[place] = Texture(place, images.name(image), images.data(image))
+        textures[place] = Texture(place, images.name(image), images.data(image))
     except UnfitReferenceError as error:
         return texture | {"extensions": kept, "image": str(error)}
     others = {key: value for key, value in tree["images"][image].items() if key not in _PLACE}

@@ -210,11 +210,11 @@ def _gaps(spans: Iterable[tuple[int, int]]) -> Iterator[tuple[int, int]]:
 
 @dataclass(frozen=True)
 class Column:
-    """Numbers of one vertex attribute that painted primitives share."""
+    """Numbers of one vertex attribute that coloured primitives share."""
 
     accessor: Accessor  # where they are read
     members: Set[int]  # all accessors over these numbers that primitives name as this attribute
-    users: Mapping[tuple[int, int], Primitive]  # painted primitives that do, by mesh and index in the mesh
+    users: Mapping[tuple[int, int], Primitive]  # coloured primitives that do, by mesh and index in the mesh
     position: Accessor  # positions that they belong to
     before: Stored  # shape (rows, width)
     after: Stored
@@ -288,7 +288,7 @@ def _put_numbers(edit: Edit, column: Column) -> int:
 
 
 def _detach(edit: Edit, attribute: str, column: Column) -> None:
-    """Let the painted primitives not name a column in the data that Draco has compressed any more."""
+    """Let the coloured primitives not name a column in the data that Draco has compressed any more."""
     for (mesh, part), primitive in column.users.items():
         _require_same_order(edit, primitive, attribute)
         extensions = edit.tree["meshes"][mesh]["primitives"][part]["extensions"]

@@ -15,8 +15,8 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.colours import display_colour
 from beltrami_cli.formats.gltf.accessors import TRIANGLES, Accessor, Accessors, Primitive, fractions
 from beltrami_cli.formats.gltf.container import Entry
-from beltrami_cli.formats.gltf.painted import Placement, instances
 from beltrami_cli.formats.gltf.textures import SLOT_PATHS, Images, image_key
+from beltrami_cli.formats.gltf.vertex_colours import Placement, instances
 from beltrami_cli.formats.gltf.writer import OWN_COLOURS
 from beltrami_cli.formats.model_folder import UnfitReferenceError
 from beltrami_cli.formats.scene import Scene, ShownMap, no_texture

@@ -198,7 +198,7 @@ def _names_texture(name: str) -> bool:
     return name.startswith("materials") or "texture" in name.lower()
 
 
-def repaint(edit: Edit, images: Images, new: NewImages) -> None:
+def show_images(edit: Edit, images: Images, new: NewImages) -> None:
     """Show new images, as for `Document.patch`; ValueError if a slot lacks an image."""
     wanted = _wanted(edit, images, new)
     if not wanted:

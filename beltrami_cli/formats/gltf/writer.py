@@ -46,13 +46,13 @@ _MOST_FOR_U16 = 65535  # vertices: index 65535 would mean the restart of a strip
 
 
 Model = tuple[list[Tree], Tree, Mapping[str, ImageFile]]
-"""Meshes, the members of the JSON that paint these, and images by the names of their files."""
+"""Meshes, the members of the JSON that colour these, and images by the names of their files."""
 
 
 def _written(mesh: MeshContents, stem: str, *, is_binary: bool) -> Written:
     """Write a mesh as one binary file, or as JSON text with sidecar files for its numbers and its images."""
     arrays, sidecars, shown, mesh = Arrays(), dict[str, bytes](), list[Tree](), triangulated(mesh)
-    meshes, painting, images = (_coloured if mesh.uv is None else _textured)(mesh, stem, arrays)
+    meshes, look, images = (_coloured if mesh.uv is None else _textured)(mesh, stem, arrays)
     arrays.notices += not_converted(mesh, keeps_frame=True)
     for name, image in images.items():
         if is_binary:
@@ -66,7 +66,7 @@ def _written(mesh: MeshContents, stem: str, *, is_binary: bool) -> Written:
         "asset": {"version": "2.0", "generator": "beltrami"},
         **_scene(meshes, mesh.frame),
         "meshes": meshes,
-        **painting,
+        **look,
         "accessors": arrays.accessors,
         "bufferViews": arrays.views,
         "images": shown,
@@ -207,12 +207,12 @@ def _textured(mesh: MeshContents, stem: str, arrays: Arrays) -> Model:
             for material in np.unique(material_of).tolist()
         ]
         meshes.append({"primitives": primitives, "name": plain_name(mesh.groups[number]) or stem})
-    painting: Tree = {"materials": [], "textures": [], "samplers": []}
+    look: Tree = {"materials": [], "textures": [], "samplers": []}
     for each in mesh.materials:
-        painting["materials"].append(_material(each, painting, mesh.images, stem))
+        look["materials"].append(_material(each, look, mesh.images, stem))
     images = {name: image.file for name, image in zip(image_names(mesh, stem), mesh.images, strict=True)}
     arrays.notices[:] = dict.fromkeys(arrays.notices)
-    return meshes, painting, images
+    return meshes, look, images
 
 
 def _with_bare_materials(mesh: MeshContents) -> MeshContents:
@@ -255,7 +255,7 @@ def _index(entry: Tree, entries: list[Tree]) -> int:
     return entries.index(entry)
 
 
-def _material(material: Material, painting: Tree, images: Sequence[MeshImage], stem: str) -> Tree:
+def _material(material: Material, look: Tree, images: Sequence[MeshImage], stem: str) -> Tree:
     """Return a material, whose textures and samplers are added to the tree."""
     base: Tree = {}
     name = plain_name(material.name) or stem
@@ -263,8 +263,8 @@ def _material(material: Material, painting: Tree, images: Sequence[MeshImage], s
     for slot, shown in material.maps.items():
         *parents, last = SLOT_PATHS[slot][0]
         wraps = {"wrapS": WRAPS[shown.wrap[0]], "wrapT": WRAPS[shown.wrap[1]]}
-        sampler = _index({"magFilter": _LINEAR, "minFilter": _MIPMAPS, **wraps}, painting["samplers"])
-        texture = _index({"sampler": sampler, "source": images.index(shown.image)}, painting["textures"])
+        sampler = _index({"magFilter": _LINEAR, "minFilter": _MIPMAPS, **wraps}, look["samplers"])
+        texture = _index({"sampler": sampler, "source": images.index(shown.image)}, look["textures"])
         holder = tree
         for key in parents:
             holder = holder.setdefault(key, {})

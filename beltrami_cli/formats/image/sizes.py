@@ -14,11 +14,11 @@ from beltrami_cli.formats.image.opening import UNNAMED, error_of, opened, seek_c
 # PNG and JPEG files have their size before their pixels, mostly in this many bytes, so that not all of them are copied.
 _SIZE_FIRST, _HEAD = (b"\x89PNG", b"\xff\xd8\xff"), 1 << 16
 
-# Bytes per pixel and per sample that a job on images needs in memory at least, besides the decoded images: to paint one
+# Bytes per pixel and per sample that a job on images needs at least, besides the decoded images: to recolour one
 # at a time, its old and new colours in single precision; to smooth an image without files, the least of the peaks on
 # noise of 1536 x 1536 pixels with one channel and three (40 + 13); to compare two (28 + 2); to read heights or
 # positions, as coordinates in double precision, as read and for each pixel.
-_PIXEL_BYTES = {"painted": (0, 2 * 4), "smoothed": (40, 13), "compared": (28, 2), "mapped": (3 * 8, 8)}
+_PIXEL_BYTES = {"recoloured": (0, 2 * 4), "smoothed": (40, 13), "compared": (28, 2), "mapped": (3 * 8, 8)}
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ def sizes_of(images: Iterable[tuple[str, bytes]]) -> Iterator[tuple[str, ImageSi
             yield name, size, len(data)
 
 
-def require_memory(images: Iterable[tuple[str, bytes]], access: Access, work: str = "painted") -> None:
+def require_memory(images: Iterable[tuple[str, bytes]], access: Access, work: str = "recoloured") -> None:
     """Raise InputError if images cannot fit into memory: all as stored, and one of them as it is worked on."""
     if access.memory is None:
         return

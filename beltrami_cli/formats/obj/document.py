@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
-from beltrami_cli.errors import InputError, Obstacle, UnpaintedError
+from beltrami_cli.errors import InputError, NoColoursError, Obstacle
 from beltrami_cli.formats.changes import Changes, Naming, PlannedImages, Written
 from beltrami_cli.formats.colours import full_scale, opacity
 from beltrami_cli.formats.comparison import Fingerprint, labelled
@@ -27,8 +27,8 @@ from beltrami_cli.formats.obj.vertices import (
     among,
     new_positions,
     read_normals,
-    repainted_entries,
     scan_file,
+    with_entries,
 )
 from beltrami_cli.formats.scene import Scene
 from beltrami_cli.formats.tokens import (
@@ -95,13 +95,13 @@ class ObjDocument(Document):
         renamed = renaming(self._materials, new.images, self.name, naming)
         sidecars, spans = renamed.written(), renamed.spans
         data = exchange_spans(self.data, spans)
-        known, paint = self._scan.vertices, self._scan.polypaint
+        known, polypaint = self._scan.vertices, self._scan.polypaint
         starts, ends = (shifted(tokens, spans) for tokens in (known.token_starts, known.token_ends))
         parts = []
         if colours is not None:
-            if paint is not None:
+            if polypaint is not None:
                 changed = colours != self._colours
-                data = repainted_entries(data, shifted(paint.starts, spans), colours, changed)
+                data = with_entries(data, shifted(polypaint.starts, spans), colours, changed)
             else:
                 both = self._colours, colours
                 parts.append(new_colours(data, starts[:, 3:], ends[:, 3:], *both, self._scale))
@@ -166,7 +166,7 @@ class ObjDocument(Document):
             tokens = vertices.token_starts, vertices.token_ends
             starts, ends = (np.sort(shifted(places[:, 3:].ravel(), mentions)) for places in tokens)
             text = without_tokens(text, starts, ends)
-        parts, paintings, folder = {"statements": text}, dict[str, str](), self._folder
+        parts, images, folder = {"statements": text}, dict[str, str](), self._folder
         for number, library in enumerate(libraries, 1):
             there = [found for found, path in library.maps if path is not None]
             names: Spans = {(found.start, found.end): PLACEHOLDER for found in there}
@@ -174,9 +174,9 @@ class ObjDocument(Document):
             for index, (found, path) in enumerate(library.maps, 1):
                 label = f"material {found.material!r}, {found.keyword} ({number}.{index})"
                 tiles = folder.tiles.get(path or "", {})
-                paintings |= {f"{label}, tile {tile}": file for tile, file in tiles.items()}
-                paintings |= {label: path} if path is not None and not tiles else {}
-        return Fingerprint(parts, colours, labelled(paintings, folder.content))
+                images |= {f"{label}, tile {tile}": file for tile, file in tiles.items()}
+                images |= {label: path} if path is not None and not tiles else {}
+        return Fingerprint(parts, colours, labelled(images, folder.content))
 
     def facts(self) -> dict[str, object]:
         return {
@@ -221,7 +221,7 @@ class ObjDocument(Document):
         if not vertices.coloured.size:
             cause = "there are no vertex colours on its 'v' lines"
             cause += ", only materials" if self._scan.libraries else ""
-            raise UnpaintedError(self.name, cause, "export the mesh with vertex colours (v x y z r g b)")
+            raise NoColoursError(self.name, cause, "export the mesh with vertex colours (v x y z r g b)")
         if self._scan.polypaint is not None:
             return 255.0
         scale, notice = full_scale(vertices.colours, self.name)

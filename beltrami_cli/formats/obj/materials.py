@@ -37,7 +37,7 @@ SLOTS: dict[str, Slot] = {
 }
 """The slot of each map keyword; the first keyword that a material has counts."""
 
-PAINTED = tuple(dict.fromkeys(SLOTS.values()))  # the slots that maps are painted in
+MAP_SLOTS = tuple(dict.fromkeys(SLOTS.values()))  # the slots that maps fill
 ALONG = ("map_ka", "map_d")  # maps that the base colour stands for where they show its image
 _FOLLOWING = (*ALONG, "map_ks")  # and those that show its new image, too
 # Possessive (++), so that lines of a million blanks or digits are not tried again from each of them.
@@ -152,9 +152,9 @@ class Materials:
                         self._shown[found.material, slot] = found, file
             known |= library.materials
 
-    def paintings(self, material: str) -> dict[Slot, tuple[Map, str | None]]:
+    def maps_of(self, material: str) -> dict[Slot, tuple[Map, str | None]]:
         """Return the map that a material has in each slot, and its file if that can be used."""
-        return {slot: self._shown[material, slot] for slot in PAINTED if (material, slot) in self._shown}
+        return {slot: self._shown[material, slot] for slot in MAP_SLOTS if (material, slot) in self._shown}
 
     def obstacle(self, name: str) -> Obstacle:
         return self._unread.get(name, Obstacle("cannot be read"))
@@ -166,7 +166,7 @@ class Materials:
 
     def slots(self) -> tuple[Slot, ...]:
         shown = {slot for _, slot in self._shown}
-        return tuple(slot for slot in PAINTED if slot in shown)
+        return tuple(slot for slot in MAP_SLOTS if slot in shown)
 
     def uses(self, path: str) -> int:
         return sum(used == path for library in self.libraries for _, used in library.maps)
@@ -174,10 +174,10 @@ class Materials:
     def affected(self, slot: Slot, path: str) -> Iterator[tuple[Library, Map]]:
         """Yield all maps through which an image is visible in a slot."""
         for library in self.libraries:
-            painted = {m.material for m, p in library.maps if p == path and SLOTS.get(m.keyword) == slot}
+            showing = {m.material for m, p in library.maps if p == path and SLOTS.get(m.keyword) == slot}
             along = _FOLLOWING if slot == "baseColor" else ()
             for found, its_path in library.maps:
-                goes_along = found.keyword in along and found.material in painted
+                goes_along = found.keyword in along and found.material in showing
                 if its_path == path and (goes_along or SLOTS.get(found.keyword) == slot):
                     yield library, found
 

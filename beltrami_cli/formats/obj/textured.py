@@ -71,7 +71,7 @@ def _materials_of(statements: Statements, materials: Materials) -> tuple[list[st
 def read_scene(scan: Scan, coordinates: Coordinates, materials: Materials, name: str) -> Scene:
     """Return the polygons of a file with their materials; polygons without one have the last."""
     names, values = (*coordinates.names, ""), _read_values(materials)
-    found = [materials.paintings(material) for material in names]
+    found = [materials.maps_of(material) for material in names]
     unnamed, known = len(coordinates.names), coordinates.material_of
     material_of = np.where(known < 0, unnamed, known)
 
@@ -124,7 +124,7 @@ def convert(scene: Scene, statements: Statements, scan: Scan, materials: Materia
 
 def _converted_maps(materials: Materials, name: str, left_out: list[str]) -> _Found:
     """Return the maps of a material that other formats can have, and note the others."""
-    found = materials.paintings(name)
+    found = materials.maps_of(name)
     normal, path = found.get("normal", (None, None))
     if normal is not None and path is not None and normal.keyword != "norm" and _is_grey(materials, path):
         left_out.append("bump maps, which are heights and no normals")

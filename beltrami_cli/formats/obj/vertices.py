@@ -117,7 +117,7 @@ def _read_polypaint(data: bytes, vertices: int, name: str) -> Polypaint | None:
     return Polypaint(digits[:, :, 0] * np.uint8(16) + digits[:, :, 1], starts)
 
 
-def _painted_by(paint: Polypaint, vertices: Vertices, statements: Statements) -> Vertices:
+def _with_polypaint(polypaint: Polypaint, vertices: Vertices, statements: Statements) -> Vertices:
     """Return vertices without colours on their lines with the polypaint colours; only positions have tokens."""
     tokens, offsets = statements.arguments(statements.select(b"v"))
     kept = np.flatnonzero(vertices.finite)
@@ -125,13 +125,13 @@ def _painted_by(paint: Polypaint, vertices: Vertices, statements: Statements) ->
     return replace(
         vertices,
         coloured=kept,
-        colours=paint.colours.astype(np.float64),
+        colours=polypaint.colours.astype(np.float64),
         token_starts=statements.starts[places],
         token_ends=statements.ends[places],
     )
 
 
-def repainted_entries(data: bytes, starts: Int64s, colours: Float32s, changed: Bools) -> bytes:
+def with_entries(data: bytes, starts: Int64s, colours: Float32s, changed: Bools) -> bytes:
     """Exchange the digits of the colours that changed, (N, 3), rounded to 8 bit; every other byte stays."""
     text = np.frombuffer(data, np.uint8).copy()
     written = text[starts[:, None] + np.arange(_ENTRY)]
@@ -189,7 +189,7 @@ def scan_file(statements: Statements) -> Scan:
         notices.append(_TWICE)
     if polypaint is not None:
         polypaint = Polypaint(polypaint.colours[vertices.finite], polypaint.starts[vertices.finite])
-        vertices = _painted_by(polypaint, vertices, statements)
+        vertices = _with_polypaint(polypaint, vertices, statements)
     corners, _, offsets = statements.corners(b"v")
     libraries = [statements.rest(chosen) for chosen in statements.select(b"mtllib").tolist()]
     dropped = [what for what, words in _DROPPED.items() if any(statements.select(w).size for w in words)]

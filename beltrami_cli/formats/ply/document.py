@@ -60,7 +60,7 @@ class PlyDocument(Document):
     def _mesh(self) -> MeshContents:
         corners, offsets = self._polygons
         positions = self._positions if len(corners) else self._measured
-        if self._paints_faces:
+        if self._colours_faces:
             positions, corners = dual(positions, *self._coloured_faces)
             offsets, corners = 3 * np.arange(len(corners) + 1), corners.ravel()
             self.notices.append("Its faces have the colours; each is a sample at the centre of its face.")
@@ -68,11 +68,11 @@ class PlyDocument(Document):
 
     @property
     def _stored(self) -> str:
-        return str(np.dtype(self._paint.type))
+        return str(np.dtype(self._properties.type))
 
     @property
     def _channels(self) -> tuple[str, ...]:
-        return self._paint.channels
+        return self._properties.channels
 
     @property
     def _scale(self) -> float:
@@ -83,7 +83,7 @@ class PlyDocument(Document):
 
     def has_vertex_colours(self) -> bool:
         try:
-            return bool(self._paint.names)
+            return bool(self._properties.names)
         except InputError:
             return False
 
@@ -117,8 +117,8 @@ class PlyDocument(Document):
         return texturing.renamed_images(self._images, images, self.name, naming)[0].sidecar_names
 
     def _recoloured(self, colours: Float32s) -> list[_Change]:
-        columns = zip(self._paint.names, self._colours.values.T, colours.T, strict=True)
-        kind, scale = self._paint.type, self._scale
+        columns = zip(self._properties.names, self._colours.values.T, colours.T, strict=True)
+        kind, scale = self._properties.type, self._scale
         return [
             _Change(self._coloured.places(name), new != old, quantised(new[new != old], kind, scale))
             for name, old, new in columns
@@ -136,9 +136,11 @@ class PlyDocument(Document):
         return changes
 
     def attributes(self) -> tuple[str, ...]:
-        if self.has_vertex_colours() and self._paints_faces:
+        if self.has_vertex_colours() and self._colours_faces:
             return ()
-        return elements.attribute_names(self._kinds, self._paint.names if self.has_vertex_colours() else ())
+        return elements.attribute_names(
+            self._kinds, self._properties.names if self.has_vertex_colours() else ()
+        )
 
     def _attribute(self, name: str) -> Float64s:
         names = elements.NORMAL if name == "normal" else (name,)
@@ -146,7 +148,7 @@ class PlyDocument(Document):
         return unit_vectors(values) if name == "normal" else values
 
     def require_movable(self) -> None:
-        if self._paints_faces:
+        if self._colours_faces:
             raise InputError(
                 self.name, "its colours are of faces, which do not move", "leave --smooth-geometry out"
             )
@@ -160,8 +162,8 @@ class PlyDocument(Document):
         return list(dict.fromkeys(path for path in paths if path is not None and not is_outside(path)))
 
     def contents(self) -> MeshContents:
-        of_faces = self._paint.names if self._paints_faces else ()
-        corners, offsets = self._coloured_faces if self._paints_faces else self._polygons
+        of_faces = self._properties.names if self._colours_faces else ()
+        corners, offsets = self._coloured_faces if self._colours_faces else self._polygons
         return dataclasses.replace(
             self._mesh,
             positions=self._positions,
@@ -174,7 +176,7 @@ class PlyDocument(Document):
         )
 
     def colours_at_vertices(self, colours: Float32s) -> Float32s:
-        if not self._paints_faces:
+        if not self._colours_faces:
             return colours
         self.notices += [_MEANS] if _MEANS not in self.notices else []
         corners, offsets = self._coloured_faces
@@ -194,7 +196,9 @@ class PlyDocument(Document):
     @property
     def _converted(self) -> set[str]:
         """The properties of vertices that every conversion takes over."""
-        colours = {*self._paint.names, self._paint.alpha} if self.has_vertex_colours() else set[str]()
+        colours = (
+            {*self._properties.names, self._properties.alpha} if self.has_vertex_colours() else set[str]()
+        )
         return {*elements.POSITION, *colours, *(elements.NORMAL if self._has_normals else ())}
 
     def facts(self) -> dict[str, object]:
@@ -212,9 +216,9 @@ class PlyDocument(Document):
         parts = {"header": tokens.exchange_spans(self.data[:start], spans)}
         hidden, size, colours = np.empty(0, np.int64), 0, {}
         if self.has_vertex_colours():
-            places = [indices(self._coloured.places(name)) for name in self._paint.names]
-            hidden, size = np.concatenate(places), np.dtype(self._paint.type).itemsize
-            colours = {f"{self._paint.element} colours": self._colours.values}
+            places = [indices(self._coloured.places(name)) for name in self._properties.names]
+            hidden, size = np.concatenate(places), np.dtype(self._properties.type).itemsize
+            colours = {f"{self._properties.element} colours": self._colours.values}
         body = f"elements {', '.join(self._tables)}"
         if self._header.order:
             parts[body] = tokens.zeroed(self.data, hidden, size)[start:]
@@ -254,17 +258,17 @@ class PlyDocument(Document):
         return self._vertices.element.scalars
 
     @cached_property
-    def _paint(self) -> elements.Paint:
+    def _properties(self) -> elements.ColourProperties:
         tables = self._header, self._vertices, self._tables.get("face")
-        return elements.find_paint(*tables, self.access.channels)
+        return elements.find_colours(*tables, self.access.channels)
 
     @property
     def _coloured(self) -> Table:
-        return self._tables[self._paint.element]
+        return self._tables[self._properties.element]
 
     @property
-    def _paints_faces(self) -> bool:
-        return self._paint.element == "face"
+    def _colours_faces(self) -> bool:
+        return self._properties.element == "face"
 
     @property
     def _coloured_faces(self) -> tuple[Int32s, Int64s]:
@@ -274,7 +278,7 @@ class PlyDocument(Document):
 
     @cached_property
     def _colours(self) -> elements.Colours:
-        colours = elements.read_colours(self._coloured, self._paint)
+        colours = elements.read_colours(self._coloured, self._properties)
         self.notices += [colours.notice] if colours.notice else []
         return colours
 
@@ -294,12 +298,12 @@ class PlyDocument(Document):
         return elements.read_polygons(self._tables, self._vertices.element.count, self.name)
 
     def _alpha(self) -> Float32s | None:
-        if not self._paint.alpha or self._paints_faces:
+        if not self._properties.alpha or self._colours_faces:
             return None
-        alpha = elements.finite_columns(self._vertices, (self._paint.alpha,), "alpha")[:, 0]
-        kind = self._kinds[self._paint.alpha]
+        alpha = elements.finite_columns(self._vertices, (self._properties.alpha,), "alpha")[:, 0]
+        kind = self._kinds[self._properties.alpha]
         scale = float(np.iinfo(kind).max) if kind[0] != "f" else 1.0
-        scale = self._scale if kind == self._paint.type else scale
+        scale = self._scale if kind == self._properties.type else scale
         return np.clip(alpha / scale, 0, 1).astype(np.float32)
 
     @property

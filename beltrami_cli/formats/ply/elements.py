@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
-from beltrami_cli.errors import InputError, UnpaintedError
+from beltrami_cli.errors import InputError, NoColoursError
 from beltrami_cli.formats.colours import full_scale, integer_scale, intensity_scale
 from beltrami_cli.formats.ply.tables import COLOUR_PROPERTIES, Header, Table, plain
 from beltrami_cli.surface.geometry import unrolled
@@ -45,7 +45,7 @@ _SPLATS = ({"f_dc_0", "rot_0"}, {"packed_rotation", "packed_scale"})
 
 
 @dataclass(frozen=True)
-class Paint:
+class ColourProperties:
     """The colour properties of the vertices, or of the faces."""
 
     names: tuple[str, ...]  # in the table: red, green and blue, or grey alone
@@ -64,37 +64,41 @@ class Paint:
         return (self.names[0].lower() if is_named else "intensity",) if self.any_range else ("grey",)
 
 
-def find_paint(header: Header, vertices: Table, faces: Table | None, wanted: Sequence[str] = ()) -> Paint:
+def find_colours(
+    header: Header, vertices: Table, faces: Table | None, wanted: Sequence[str] = ()
+) -> ColourProperties:
     """Find the colour properties; InputError if there are none, or they are of type char or of several types.
 
     `wanted`: channels that are asked for; one that is no colour may be any scalar.
     """
     types, name = vertices.element.scalars, vertices.body.name
-    if (paint := _scalar(types, wanted) or _by_name(vertices)) is not None:
-        return paint
+    if (found := _scalar(types, wanted) or _by_name(vertices)) is not None:
+        return found
     has_faces = any(element.count for element in header.elements if element.name in VERTEX_LISTS)
     if _INTENSITY in types and _is_grey(vertices, types[_INTENSITY], "iu" if has_faces else "u"):
-        return Paint((_INTENSITY,), "alpha" if "alpha" in types else "", types[_INTENSITY])
-    if faces is not None and faces.element.count and (paint := _by_name(faces)) is not None:
-        return paint
+        return ColourProperties((_INTENSITY,), "alpha" if "alpha" in types else "", types[_INTENSITY])
+    if faces is not None and faces.element.count and (found := _by_name(faces)) is not None:
+        return found
     for known in types:
         if plain(known) in _INTENSITIES:
-            return Paint((known,), "alpha" if "alpha" in types else "", types[known], any_range=True)
+            return ColourProperties(
+                (known,), "alpha" if "alpha" in types else "", types[known], any_range=True
+            )
     among = ", ".join(known.name for known in vertices.element.properties)[:300]
     cause = f"no vertex colours among the vertex properties {among}"
     remedy = "export the mesh with vertex colours, which are red, green, blue, or name a scalar by --channels"
-    raise UnpaintedError(name, cause, remedy)
+    raise NoColoursError(name, cause, remedy)
 
 
-def _scalar(types: Mapping[str, str], wanted: Sequence[str]) -> Paint | None:
+def _scalar(types: Mapping[str, str], wanted: Sequence[str]) -> ColourProperties | None:
     """Return the only wanted channel if a property has its name, which is none of positions and colours."""
     taken = {*POSITION, *_INTENSITIES, *(word for words, _ in _COLOURS for word in words)}
     named = {known.lower(): known for known in types if plain(known) not in taken}
     known = named.get(wanted[0].lower()) if len(wanted) == 1 else None
-    return None if known is None else Paint((known,), "", types[known], any_range=True)
+    return None if known is None else ColourProperties((known,), "", types[known], any_range=True)
 
 
-def _by_name(table: Table) -> Paint | None:
+def _by_name(table: Table) -> ColourProperties | None:
     types, name = table.element.scalars, table.body.name
     actual = {plain(known): known for known in reversed(types)}
     for words, alpha in _COLOURS:
@@ -108,7 +112,7 @@ def _by_name(table: Table) -> Paint | None:
         if kind == "i1":
             cause = f"{', '.join(names)} are of type char, which holds no more than 127"
             raise InputError(name, cause, "store colours as uchar, ushort or float")
-        return Paint(names, actual.get(alpha, ""), kind, table.element.name)
+        return ColourProperties(names, actual.get(alpha, ""), kind, table.element.name)
     return None
 
 
@@ -135,22 +139,22 @@ class Colours(NamedTuple):
     notice: str  # about the scale, or empty
 
 
-def read_colours(vertices: Table, paint: Paint) -> Colours:
+def read_colours(vertices: Table, found: ColourProperties) -> Colours:
     """Read the colours of all vertices, at least one."""
-    values = np.empty((vertices.element.count, len(paint.names)), np.float32)
-    if paint.any_range or paint.type[0] == "f":
-        stored = finite_columns(vertices, paint.names, "colour")
+    values = np.empty((vertices.element.count, len(found.names)), np.float32)
+    if found.any_range or found.type[0] == "f":
+        stored = finite_columns(vertices, found.names, "colour")
         require_single(stored, vertices.body.name, f"the colour of {vertices.element.name}")
-        scale, notice = intensity_scale(stored) if paint.any_range else full_scale(stored, vertices.body.name)
+        scale, notice = intensity_scale(stored) if found.any_range else full_scale(stored, vertices.body.name)
         columns = list(stored.T)
     else:
-        columns = [vertices.scalars(known) for known in paint.names]
+        columns = [vertices.scalars(known) for known in found.names]
         # Opacity of the same type has the same full scale, which it mostly reaches.
-        is_alike = vertices.element.scalars.get(paint.alpha) == paint.type
-        known = [*columns, *([vertices.scalars(paint.alpha)] if is_alike else [])]
+        is_alike = vertices.element.scalars.get(found.alpha) == found.type
+        known = [*columns, *([vertices.scalars(found.alpha)] if is_alike else [])]
         largest = max(max(int(column.max()), -int(column.min())) for column in known)
-        is_intensity = paint.names == (_INTENSITY,)
-        scale, notice = integer_scale(largest, paint.type, is_intensity=is_intensity)
+        is_intensity = found.names == (_INTENSITY,)
+        scale, notice = integer_scale(largest, found.type, is_intensity=is_intensity)
     for channel, column in enumerate(columns):
         values[:, channel] = column / scale
     return Colours(values, scale, notice)

@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
-from beltrami_cli.errors import InputError, MemoryLimitError, UnpaintedError
+from beltrami_cli.errors import InputError, MemoryLimitError, NoColoursError
 from beltrami_cli.formats.archives import POSITION_KEYS, NpzArchive
 from beltrami_cli.formats.changes import Changes, Naming, Written
 from beltrami_cli.formats.colours import (
@@ -291,7 +291,7 @@ def _required(archive: NpzArchive, keys: tuple[str, ...], what: str) -> str:
     if key is None:
         there = ", ".join(archive.names)[:200] or "no arrays"
         cause = f"it has no array of {what} ({', '.join(keys)}), but {there}"
-        raise UnpaintedError(archive.name, cause, _NAMES)
+        raise NoColoursError(archive.name, cause, _NAMES)
     return key
 
 

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Array, Bools, Float64s, Int64s
-from beltrami_cli.errors import InputError, UnpaintedError
+from beltrami_cli.errors import InputError, NoColoursError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.changes import Changes, Naming, Written
 from beltrami_cli.formats.colours import display_colours, quantised
@@ -188,7 +188,7 @@ def _find_columns(names: tuple[str, ...], values: Float64s, name: str, *, is_pts
     width = values.shape[1]
     if width == 3:
         cause = "its points have 3 numbers each, so there are no colours"
-        raise UnpaintedError(name, cause, "add r g b to each line")
+        raise NoColoursError(name, cause, "add r g b to each line")
     names = (*_POSITION, *(("intensity",) if width == 4 else _further_names(values, name, is_pts)))
     notice = "" if width == 6 else f"Its {width} columns are taken for {' '.join(names)}."
     return _by_name(names, name, notice)
@@ -298,7 +298,7 @@ def _by_name(names: tuple[str, ...], name: str, notice: str) -> _Columns:
     intensity = next(((names.index(known),) for known in _INTENSITIES if known in names), ())
     colours = _together(names, _COLOUR_NAMES) or intensity
     if not colours:
-        raise UnpaintedError(name, f"the columns {' '.join(names)[:200]} have no colours", remedy)
+        raise NoColoursError(name, f"the columns {' '.join(names)[:200]} have no colours", remedy)
     normal = _together(names, _NORMAL_NAMES)
     used = {*position, *colours, *normal}
     others = {known: column for column, known in enumerate(names) if column not in used}
@@ -356,7 +356,7 @@ class TextPointsDocument(PointsDocument):
         """Whether there are colours that can be used; InputError if it is not clear which these are."""
         try:
             return bool(self._columns.colours) and self.has_vertex_colours()
-        except UnpaintedError:
+        except NoColoursError:
             return False
 
     @cached_property

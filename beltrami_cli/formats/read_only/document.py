@@ -29,7 +29,7 @@ from xml.parsers import expat
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
-from beltrami_cli.errors import InputError, UnpaintedError
+from beltrami_cli.errors import InputError, NoColoursError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.archives import Archive
 from beltrami_cli.formats.changes import Changes, Naming, Written
@@ -150,8 +150,8 @@ def _read_off(data: bytes, name: str) -> ColouredPolygons:
         inside = (corners >= 0) & (corners < vertices)  # other corners are refused later
         colours = scaled[np.where(inside, corners, 0)]
     else:
-        painted, scale = _of_faces(lines, rows, sizes)
-        colours = np.repeat(painted, sizes, axis=0)
+        shades, scale = _of_faces(lines, rows, sizes)
+        colours = np.repeat(shades, sizes, axis=0)
     stored = "uint8" if scale > 1 else "float32"
     left = [what for what, there in (("normals", normals), ("texture coordinates", texture)) if there]
     return ColouredPolygons(table[:, :3], corners, sizes, colours, stored, tuple(left))
@@ -206,13 +206,13 @@ def _of_faces(lines: Lines, rows: slice, sizes: Int64s) -> tuple[Float32s, float
         given = np.flatnonzero(behind == count)
         tokens = firsts[given, None] + np.arange(count)
         found[given, :count] = lines.numbers(tokens.ravel()).reshape(-1, count)
-    painted = ~np.isnan(found[:, :3]).any(axis=1)
-    if not painted.any():
+    is_coloured = ~np.isnan(found[:, :3]).any(axis=1)
+    if not is_coloured.any():
         return np.full((len(sizes), 3), np.nan, np.float32), 1.0
     result = np.full((len(sizes), 4), np.nan, np.float32)
-    scaled, scale = _scaled(found[painted, :3], lines.name)
-    alpha = found[painted, 3] / (scale if np.nanmax(found[painted, 3], initial=0) > 1 else 1)
-    result[painted] = np.column_stack([scaled, np.where(np.isnan(alpha), 1, alpha)])
+    scaled, scale = _scaled(found[is_coloured, :3], lines.name)
+    alpha = found[is_coloured, 3] / (scale if np.nanmax(found[is_coloured, 3], initial=0) > 1 else 1)
+    result[is_coloured] = np.column_stack([scaled, np.where(np.isnan(alpha), 1, alpha)])
     return result, scale
 
 
@@ -242,7 +242,7 @@ def _read_stl(data: bytes, name: str) -> ColouredPolygons:
     """Read a binary STL file; vertices at one place become one."""
     if not _is_binary_stl(data):
         cause = "an STL file in text has no colours"
-        raise UnpaintedError(name, cause, "export it as PLY or OBJ with colours")
+        raise NoColoursError(name, cause, "export it as PLY or OBJ with colours")
     from trimesh.exchange.stl import load_stl_binary
 
     triangles = load_stl_binary(io.BytesIO(data))

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Int32s, Int64s
-from beltrami_cli.errors import InputError, Obstacle, UnpaintedError
+from beltrami_cli.errors import InputError, NoColoursError, Obstacle
 from beltrami_cli.formats.changes import Changes, Naming, PlannedImages, Written
 from beltrami_cli.formats.colours import display_colour
 from beltrami_cli.formats.comparison import Fingerprint, labelled
@@ -41,7 +41,7 @@ _COUNTS = {
     "unread": "{} material(s) are no UsdPreviewSurface, and no MaterialX surface whose colour is an image",
     "bare": "{} part(s) have no texture coordinates for a texture",
 }
-_REMEDIES = {"unread": "bake their colours into images, or paint the vertices"}
+_REMEDIES = {"unread": "bake their colours into images, or give the vertices colours"}
 
 _HIDES = "Variants of another layer have colours of their own; the new ones hold whichever is selected."
 
@@ -112,7 +112,7 @@ class UsdDocument(Document):
     def _mesh(self) -> MeshContents:
         if not self.has_vertex_colours():
             cause = "its meshes have no colours of vertices (displayColor)"
-            raise UnpaintedError(self.name, cause, "paint them first")
+            raise NoColoursError(self.name, cause, "give them colours first")
         positions = self._arrays["positions"][self._arrays["colour_vertex"]]
         colours = self._arrays["colours"]
         require_finite(positions, self.name, "the place of vertex")
@@ -175,7 +175,7 @@ class UsdDocument(Document):
     def _patched(self, new: Changes, naming: Naming) -> Written:
         colours, form, package = new.colours, new.form or self.format, self._layers.package
         sidecars, renamed = self._images.renamed(new.images, naming)
-        if colours is not None and np.array_equal(colours, self._painted.colours):
+        if colours is not None and np.array_equal(colours, self._coloured_vertices.colours):
             colours = None
         root = {}
         if colours is not None or renamed or form != self.format:
@@ -237,7 +237,7 @@ class UsdDocument(Document):
             known = {*named.values(), *package.layers}
             others = [each for each in package.members if each not in known]
             parts |= {f"file {name}": package.read(name) for name in others}
-        colours = {"vertex colours": self._painted.colours} if self.has_vertex_colours() else {}
+        colours = {"vertex colours": self._coloured_vertices.colours} if self.has_vertex_colours() else {}
         faults = package.faults() if package is not None else ()
         return Fingerprint(parts, colours, labelled(named, self._layers.image), faults)
 

@@ -244,7 +244,7 @@ def moves_between(documents: Documents, selection: Selection) -> Moves:
     """Measure how far vertices moved, in all that is compared."""
     found = [np.zeros(0)]
     if selection.vertices:
-        found.append(moves_of(*(document.painted().positions for document in documents)))
+        found.append(moves_of(*(document.coloured_vertices().positions for document in documents)))
     if selection.slots:
         surfaces = [document.textured(selection.slots[0]) for document in documents]
         found.append(moves_of(*(surface.positions[surface.faces].reshape(-1, 3) for surface in surfaces)))
@@ -375,13 +375,13 @@ def draw_map(parts: Sequence[Measured], model: Document, target: str) -> tuple[W
 
 def _draw_vertices(measured: Measured, amounts: Float64s, scale: float, document: Document) -> Written:
     """Draw the differences of vertices as a mesh, with delta_e and error (NaN where nothing is compared)."""
-    painted = document.painted()
-    drawn, delta_e, error = np.full((3, len(painted.positions)), np.nan, np.float32)
+    vertices = document.coloured_vertices()
+    drawn, delta_e, error = np.full((3, len(vertices.positions)), np.nan, np.float32)
     for table, values in ((drawn, amounts / scale), (delta_e, measured.delta_e), (error, measured.errors)):
         table[measured.part.index] = values
     shades = as_bytes(colour_by_value(drawn, np.ones((len(drawn), 3), np.float32), np.isfinite(drawn)))
     scalars = {"error": error} if np.isnan(delta_e).all() else {"delta_e": delta_e, "error": error}
-    return write_scalars_as_ply(np.nan_to_num(painted.positions), painted.faces, shades, scalars)
+    return write_scalars_as_ply(np.nan_to_num(vertices.positions), vertices.faces, shades, scalars)
 
 
 def _image_of(part: ComparedColours, values: Float64s) -> Uint8s:

@@ -39,7 +39,7 @@ from beltrami_cli.surface.atlas import (
 from beltrami_cli.surface.colour_values import to_space
 from beltrami_cli.surface.geometry import vertex_areas
 from beltrami_cli.surface.grouping import group_places
-from beltrami_cli.surface.records import PaintedVertices, Slot, Texture, TexturedSurface
+from beltrami_cli.surface.records import ColouredVertices, Slot, Texture, TexturedSurface
 
 Documents = tuple[Document, Document]
 
@@ -110,9 +110,9 @@ def compare_vertices(
     documents: Documents, settings: SmoothSettings, weights: Weights, *, is_extra: bool
 ) -> ComparedColours:
     """Bring the vertex colours of two models together; `is_extra`: textures are compared, too."""
-    one, other = _on_one_scale(*(document.painted() for document in documents))
+    one, other = _on_one_scale(*(document.coloured_vertices() for document in documents))
     _require_one_model(documents, (one, other))
-    held = [coloured_rows(each.painted(), in_triangles=each.kind == "volume") for each in documents]
+    held = [coloured_rows(each.coloured_vertices(), in_triangles=each.kind == "volume") for each in documents]
     rows = np.intersect1d(held[0], held[1])
     channels, space = choose_channels(one.channels, settings, "the colours have").changing, settings.space
 
@@ -149,7 +149,9 @@ def _differ(one: Float32s | None, other: Float32s | None) -> bool:
     return bool(np.abs(difference).max(initial=0) > _STEP)
 
 
-def _on_one_scale(one: PaintedVertices, other: PaintedVertices) -> tuple[PaintedVertices, PaintedVertices]:
+def _on_one_scale(
+    one: ColouredVertices, other: ColouredVertices
+) -> tuple[ColouredVertices, ColouredVertices]:
     """Return colours of one full scale, since a smoothed file may fit into fewer bits."""
     scales = np.array([one.full_scale, other.full_scale])
     if one.stored != other.stored or scales[0] == scales[1] or scales.min() <= 1:
@@ -162,11 +164,11 @@ def _on_one_scale(one: PaintedVertices, other: PaintedVertices) -> tuple[Painted
     return first, second
 
 
-def _areas(painted: PaintedVertices, rows: NDArray[np.intp], settings: SmoothSettings) -> Float64s:
+def _areas(vertices: ColouredVertices, rows: NDArray[np.intp], settings: SmoothSettings) -> Float64s:
     """Return the area that each vertex stands for; of points, on the surface that they lie on."""
-    if len(painted.faces):
-        return vertex_areas(painted.positions, painted.faces)[rows].astype(np.float64)
-    surface = with_surface(only_rows(painted, rows), settings)
+    if len(vertices.faces):
+        return vertex_areas(vertices.positions, vertices.faces)[rows].astype(np.float64)
+    surface = with_surface(only_rows(vertices, rows), settings)
     return vertex_areas(surface.positions, surface.faces).astype(np.float64)
 
 
@@ -304,9 +306,9 @@ def moves_of(places: Float64s, others: Float64s) -> Float64s:
     return moves / size if size > 0 else np.where(moves > 0, np.inf, 0.0)
 
 
-def _require_one_model(documents: Documents, painted: tuple[PaintedVertices, PaintedVertices]) -> None:
+def _require_one_model(documents: Documents, vertices: tuple[ColouredVertices, ColouredVertices]) -> None:
     """Raise InputError if two models differ in more than colours and positions."""
-    one, other = painted
+    one, other = vertices
     names = documents[0].name, documents[1].name
     counts = len(one.positions), len(other.positions)
     if counts[0] != counts[1]:
@@ -318,7 +320,7 @@ def _require_one_model(documents: Documents, painted: tuple[PaintedVertices, Pai
         first = int((faces != others).any(axis=1).argmax())
         raise InputError(names[1], f"its triangle {first} is another than that of {names[0]}", _OTHER_MODEL)
     if one.channels != other.channels:
-        channels = [", ".join(each.channels) for each in painted]
+        channels = [", ".join(each.channels) for each in vertices]
         cause = f"its channels are {channels[1]}, but {names[0]} has {channels[0]}"
         raise InputError(names[1], cause, "compare files with the same channels")
     if not len(one.faces) and moves_of(one.positions, other.positions).max(initial=0) > ROUNDED_MOVE:
@@ -329,7 +331,7 @@ def _triangles(document: Document) -> Int32s:
     """Return the triangles of a model, shape (F, 3); of a level set those without colours too."""
     if document.kind == "volume":
         return document.contents().corners.reshape(-1, 3)
-    return document.painted().faces
+    return document.coloured_vertices().faces
 
 
 def _require_as_many(faces: Int32s, others: Int32s, names: tuple[str, str]) -> None:

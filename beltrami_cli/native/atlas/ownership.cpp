@@ -13,9 +13,9 @@ constexpr double on_edge = 1e-4;
 
 constexpr std::int64_t texels_per_poll = 1 << 22;
 
-class Painter {
+class Rasteriser {
  public:
-  Painter(const Mesh& mesh, const Charts& charts, const Windows& windows, const Allocate& allocate, const Poll& poll)
+  Rasteriser(const Mesh& mesh, const Charts& charts, const Windows& windows, const Allocate& allocate, const Poll& poll)
       : mesh_(mesh), charts_(charts), windows_(windows), poll_(poll) {
     const auto texels = static_cast<std::size_t>(mesh.surface->texel_count());
     for (Array<Index>* array : {&result_.window, &result_.face}) {
@@ -33,9 +33,9 @@ class Painter {
     overlapped_in_.assign(mesh.surface->textures.size(), 0);
   }
 
-  Ownership paint() {
-    for (std::size_t i = 0; i < windows_.windows.size(); ++i) paint_faces(i);
-    for (std::size_t i = 0; i < windows_.windows.size(); ++i) paint_borders(i);
+  Ownership rasterise() {
+    for (std::size_t i = 0; i < windows_.windows.size(); ++i) rasterise_faces(i);
+    for (std::size_t i = 0; i < windows_.windows.size(); ++i) rasterise_borders(i);
     for (const auto count : covered_in_) result_.covered += count;
     for (const auto count : overlapped_in_) result_.overlapped += count;
     return std::move(result_);
@@ -51,7 +51,7 @@ class Painter {
     return mesh_.surface->textures[static_cast<std::size_t>(window.texture)];
   }
 
-  void paint_faces(std::size_t index) {
+  void rasterise_faces(std::size_t index) {
     const Window& window = windows_.windows[index];
     const Texture& grid = grid_of(window);
     if (is_full(window, overlapped_in_)) {  // nothing is left to find out here
@@ -123,15 +123,15 @@ class Painter {
     ++overlapped_in_[static_cast<std::size_t>(window.texture)];
   }
 
-  void paint_borders(std::size_t index) {
+  void rasterise_borders(std::size_t index) {
     const Window& window = windows_.windows[index];
     if (is_full(window, covered_in_)) return;
     const auto chart = static_cast<std::size_t>(window.chart);
     for (Index i = charts_.border_offsets[chart]; i < charts_.border_offsets[chart + 1]; ++i)
-      paint_border(index, charts_.borders[static_cast<std::size_t>(i)].edge);
+      rasterise_border(index, charts_.borders[static_cast<std::size_t>(i)].edge);
   }
 
-  void paint_border(std::size_t index, Edge edge) {
+  void rasterise_border(std::size_t index, Edge edge) {
     const Window& window = windows_.windows[index];
     const Texture& grid = grid_of(window);
     const auto [a, b] = mesh_.ends(edge);
@@ -186,7 +186,7 @@ void Extent::add(std::int64_t x, std::int64_t y) {
 
 Ownership make_ownership(const Mesh& mesh, const Charts& charts, const Windows& windows, const Allocate& allocate,
                          const Poll& poll) {
-  return Painter(mesh, charts, windows, allocate, poll).paint();
+  return Rasteriser(mesh, charts, windows, allocate, poll).rasterise();
 }
 
 }  // namespace beltrami::atlas

@@ -21,7 +21,7 @@ PAGES = (".html", ".htm")
 """Extensions of pages."""
 
 _LIBRARY = "three.js"  # that viewers draw with
-_VIEWER_SCRIPTS = ("unpacking.js", "shapes.js", "painting.js", "operating.js", "viewer.js")
+_VIEWER_SCRIPTS = ("unpacking.js", "shapes.js", "patching.js", "operating.js", "viewer.js")
 
 
 def rendered(template: str, **values: object) -> Markup:

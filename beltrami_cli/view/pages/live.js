@@ -131,13 +131,13 @@
       say("The whole follows.");
     },
     preview: async ({ patches, samples, stage, seconds }) => {
-      await viewer.painting.paint(patches);
+      await viewer.patching.apply(patches);
       part("viewer").dataset.previews = Number(part("viewer").dataset.previews || 0) + 1;
       part("viewer").dataset.latency = performance.now() - part("viewer").dataset.asked;
       say(`Preview of ${samples} samples in the middle${stage}, ${seconds.toFixed(2)} s; the whole follows.`);
     },
     whole: async ({ patches, used, chosen, notices, noise }) => {
-      await viewer.painting.paint(patches);
+      await viewer.patching.apply(patches);
       part("progress").value = 1;
       none = "";
       say("Done.");

@@ -32,12 +32,12 @@ const Operating = (() => {
       this.viewer.canvas.setAttribute("aria-label", "The model, before to the left of the line and after to its right. Arrow keys turn it, + and - zoom.");
       this.viewer.canvas.addEventListener("keydown", (event) => this.turnByKey(event));
       document.addEventListener("keydown", (event) => this.switchByKey(event));
-      this.paintScale();
+      this.drawScale();
       this.limit(this.viewer.data.reach);
       this.swipe(50);
     }
 
-    paintScale() {
+    drawScale() {
       const stops = this.viewer.data.scale.map((colour) => `rgb(${colour.map((value) => Math.round(255 * value)).join(" ")})`);
       Viewer.found(this.viewer.root, "gradient").style.background = `linear-gradient(to right, ${stops.join(", ")})`;
     }

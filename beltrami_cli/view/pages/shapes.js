@@ -71,18 +71,18 @@ const Shapes = (() => {
     }
 
     addShape(layer, shape) {
-      const { textures = null, hides = false, size = 0 } = shape.userData, { _before: painted, _moved: moved } = shape.geometry.attributes;
-      shape.material = this.material({ textures, hides, size, painted, moved, points: shape.isPoints });
+      const { textures = null, hides = false, size = 0 } = shape.userData, { _before: coloured, _moved: moved } = shape.geometry.attributes;
+      shape.material = this.material({ textures, hides, size, coloured, moved, points: shape.isPoints });
       shape.frustumCulled = false;
       layer.materials.push(shape.material);
       layer.textured.push([textures, shape.material]);
       if (!shape.isPoints) layer.wires.push(this.wires(shape.geometry, layer.solid));
     }
 
-    material({ textures = null, hides = false, size = 0, painted, moved, points = false }) {
+    material({ textures = null, hides = false, size = 0, coloured, moved, points = false }) {
       const [old, fresh] = textures ? textures.map((number) => this.maps[number]) : [null, null];
       const own = {
-        disc: size, moves: moved ? 1 : 0, hides: hides ? 1 : 0, textured: old ? 1 : 0, plain: old || painted ? 0 : 1,
+        disc: size, moves: moved ? 1 : 0, hides: hides ? 1 : 0, textured: old ? 1 : 0, plain: old || coloured ? 0 : 1,
         discs: points ? 1 : 0, mapOld: old, mapFresh: fresh,
       };
       const uniforms = Object.fromEntries(Object.entries(own).map(([name, value]) => [name, { value }]));

@@ -1,4 +1,4 @@
-// Draws what was painted before and after, under one camera, with a line between them: in the report and the live view.
+// Draws the colours before and after, under one camera, with a line between them: in the report and the live view.
 "use strict";
 const Viewer = (() => {
   const FIELD = 30, DISTANCE = 2.4;
@@ -18,7 +18,7 @@ const Viewer = (() => {
       this.at = 50;
       this.show = "swipe";
       this.operating = new Operating(this);
-      this.painting = new Painting(this);
+      this.patching = new Patching(this);
     }
 
     async start() {

@@ -18,7 +18,7 @@ def photograph(side, seed=1, contrast=0.12):
     return np.clip(0.5 + contrast * colours / colours.std(axis=(0, 1)), 0, 1)
 
 
-def flat_paint(side, width=40):
+def flat_areas(side, width=40):
     """Return squares of few colours."""
     y, x = np.mgrid[:side, :side] // width
     return _PALETTE[(3 * x + 5 * y) % len(_PALETTE)]

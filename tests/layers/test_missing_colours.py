@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from beltrami_cli.errors import InputError, UnpaintedError
+from beltrami_cli.errors import InputError, NoColoursError
 from beltrami_cli.formats.registry import open_bytes, open_document
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
@@ -35,13 +35,13 @@ OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 )
 def test_the_reason_is_reported(name, text, reason, tmp_path):
     (tmp_path / name).write_text(text)
-    with pytest.raises(UnpaintedError, match=f"neither vertex colours nor textures .*{reason}"):
+    with pytest.raises(NoColoursError, match=f"neither vertex colours nor textures .*{reason}"):
         smooth_file(tmp_path / name, tmp_path / "out.ply")
 
 
 def test_vertex_colours_are_not_denied_where_textures_are_asked_for(tmp_path):
     (tmp_path / "a.obj").write_text(f"{COLOURED_OBJ}f 1 2 3\n")
-    with pytest.raises(UnpaintedError, match="it has no textures, only vertex colours; use --on vertices"):
+    with pytest.raises(NoColoursError, match="it has no textures, only vertex colours; use --on vertices"):
         smooth_file(tmp_path / "a.obj", tmp_path / "out.obj", SmoothSettings(on="texture"))
 
 
@@ -100,15 +100,15 @@ def test_vertex_colours_do_not_need_a_missing_texture(name, text, target, tmp_pa
     report = smooth_file(tmp_path / name, tmp_path / target, iterations=1, beta=1e-3)
     assert "'gone.png' is missing, and is left alone." in report.warnings
     before, after = (open_document(str(tmp_path / each)) for each in (name, target))
-    assert np.abs(after.painted().colours - before.painted().colours).max() > 0.1
+    assert np.abs(after.coloured_vertices().colours - before.coloured_vertices().colours).max() > 0.1
     view_of(before, RenderSettings())
-    with pytest.raises(UnpaintedError, match=r"'gone\.png' is missing; keep the model's files together"):
+    with pytest.raises(NoColoursError, match=r"'gone\.png' is missing; keep the model's files together"):
         smooth_file(tmp_path / name, tmp_path / f"c{name}", SmoothSettings(on="texture"))
 
 
 @pytest.mark.parametrize("form", ["gltf", "obj", "ply"])
 def test_the_remedy_is_that_of_the_cause_whatever_a_file_is_called(form, tmp_path):
     model = write_model(tmp_path, form, ".is missing.png")
-    with pytest.raises(UnpaintedError, match="is a hidden file") as refused:
+    with pytest.raises(NoColoursError, match="is a hidden file") as refused:
         smooth_file(model, tmp_path / f"o.{form}", SmoothSettings(on="texture"))
     assert refused.value.remedy == ""

@@ -1,4 +1,4 @@
-"""Where the meshes of a glTF file stand, and its painted primitives, in blocks of rows, with new numbers for them.
+"""Where the meshes of a glTF file stand, and its coloured primitives, in blocks of rows, with new numbers for them.
 
 A mesh is taken at the first node that shows it. A block is one pair of positions and colours. Primitives that use the
 same pair (the same accessors, or accessors over the same bytes) share its rows, so that every stored colour has
@@ -15,13 +15,13 @@ from functools import cached_property
 import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-from beltrami_cli.errors import UnpaintedError
+from beltrami_cli.errors import NoColoursError
 from beltrami_cli.formats.colours import quantised
 from beltrami_cli.formats.gltf.accessors import Accessor, Accessors, Primitive, Stored, fractions
 from beltrami_cli.formats.gltf.container import Entry, primitives_of
 from beltrami_cli.formats.gltf.edit import Column, Edit, exchange
 from beltrami_cli.surface.geometry import unit_vectors
-from beltrami_cli.surface.records import MovedVertices, PaintedVertices
+from beltrami_cli.surface.records import ColouredVertices, MovedVertices
 
 _COLOUR_TYPES = ("uint8", "uint16", "float32")  # component types of COLOR_0, the coarsest first
 _MOST_ROWS = np.iinfo(np.int32).max
@@ -170,8 +170,8 @@ class Surface:
             for part, primitive in enumerate(mesh):
                 self._take(primitive, placement, (number, part))
         if not self.blocks:
-            remedy = "paint the vertices first"
-            raise UnpaintedError(name, "the model has no vertex colours (COLOR_0)", remedy)
+            remedy = "give its vertices colours first"
+            raise NoColoursError(name, "the model has no vertex colours (COLOR_0)", remedy)
 
     def _take(self, primitive: Primitive, placement: Placement, number: tuple[int, int]) -> None:
         if "COLOR_0" not in primitive:
@@ -229,7 +229,7 @@ class Surface:
             "uncoloured": "{} primitive(s) without COLOR_0 are left as they are.",
             "elsewhere": "{} primitive(s) reuse colours with other positions; the colours are smoothed where "
             "they occur first.",
-            "instanced": "{} painted part(s) are shown by several nodes; each is smoothed once, at its first place.",
+            "instanced": "{} coloured part(s) are shown by several nodes; each is smoothed once, at its first place.",
             "morphed": "{} primitive(s) have morph targets of COLOR_0, which are left as they are.",
             "plain": "{} primitive(s) store integer colours that are not marked as normalised; they are read as if "
             "they were.",
@@ -241,12 +241,12 @@ class Surface:
         """Colours of every block as stored, each of shape (rows of the block, 3 or 4)."""
         return [block.accessors["COLOR_0"].finite("colour") for block in self.blocks]
 
-    def vertices(self) -> PaintedVertices:
+    def vertices(self) -> ColouredVertices:
         """Return the rows of all blocks."""
         spaces = np.concatenate([np.full(each.count, each.placement.space, np.int32) for each in self.blocks])
         places = [block.placement.positions(block.accessors["POSITION"]) for block in self.blocks]
         types = {numbers.dtype.name for numbers in self.stored_colours}
-        return PaintedVertices(
+        return ColouredVertices(
             positions=np.concatenate(places),
             faces=np.concatenate([np.empty((0, 3), np.int32), *self._faces.values()]),
             colours=np.concatenate([fractions(numbers[:, :3]) for numbers in self.stored_colours]),
@@ -300,12 +300,12 @@ class Surface:
         if new.shape != old.shape or not np.isfinite(new).all():
             raise ValueError(f"colours must be finite and of shape {old.shape}, not {new.shape}")
 
-        def painted(block: Block, before: Stored) -> Stored:
+        def recoloured(block: Block, before: Stored) -> Stored:
             entries, after = new[block.rows] != old[block.rows], before.copy()
             after[:, :3][entries] = quantised(new[block.rows][entries], before.dtype)
             return after
 
-        self._exchange(edit, "COLOR_0", painted)
+        self._exchange(edit, "COLOR_0", recoloured)
 
     def replace_all(self, edit: Edit, *, places: bool) -> None:
         """Put dummy numbers, each unlike the present one, into a file: for colours, or positions and normals, too."""
@@ -359,7 +359,9 @@ class Surface:
     def _exchange(self, edit: Edit, attribute: str, renewed: Callable[[Block, Stored], Stored]) -> None:
         """Exchange an attribute of all blocks, which may share its numbers; only new rows are written."""
         accessors = self._accessors
-        members: dict[Hashable, set[int]] = defaultdict(set)  # accessors that primitives name, painted or not
+        members: dict[Hashable, set[int]] = defaultdict(
+            set
+        )  # accessors that primitives name, coloured or not
         for _, primitive in primitives_of(edit.container.tree):
             index = primitive.get("attributes", {}).get(attribute, -1)
             if 0 <= index < len(accessors):

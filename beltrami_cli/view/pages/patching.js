@@ -1,22 +1,22 @@
 // Shows new colours: of all or some vertices, of a texture, or of a part of one.
 "use strict";
-const Painting = (() => {
-  class Painting {
+const Patching = (() => {
+  class Patching {
     constructor(viewer) {
       this.viewer = viewer;
     }
 
-    async paint(patches) {
+    async apply(patches) {
       for (const patch of patches) {
         const layer = this.viewer.layers[patch.layer];
-        if (patch.colours) await this.paintVertices(layer, patch);
-        else if (patch.source) await this.paintTexture(layer, patch);
-        else await this.paintTexels(layer, patch);
+        if (patch.colours) await this.patchVertices(layer, patch);
+        else if (patch.source) await this.patchTexture(layer, patch);
+        else await this.patchTexels(layer, patch);
       }
       this.viewer.draw();
     }
 
-    async paintVertices(layer, patch) {
+    async patchVertices(layer, patch) {
       const rows = new Uint32Array(await Unpacking.inflated(patch.rows)), colours = new Uint16Array(await Unpacking.inflated(patch.colours));
       const { _after: after } = layer.meshes[0].geometry.attributes;
       for (let at = 0; at < rows.length; at++)
@@ -43,7 +43,7 @@ const Painting = (() => {
       return layer.textured.filter(([textures]) => textures && textures[0] === layer.pairs[number][0]);
     }
 
-    async paintTexture(layer, patch) {
+    async patchTexture(layer, patch) {
       const { image } = await Viewer.loaded(patch.source), parts = this.using(layer, patch.texture);
       if (parts.length) this.replace(parts, image);
     }
@@ -58,7 +58,7 @@ const Painting = (() => {
       return made;
     }
 
-    async paintTexels(layer, patch) {
+    async patchTexels(layer, patch) {
       const parts = this.using(layer, patch.texture), { uniforms } = parts[0][1];
       let map = uniforms.mapFresh.value;
       if (map === uniforms.mapOld.value) map = this.replace(parts, map.image);
@@ -72,5 +72,5 @@ const Painting = (() => {
     }
   }
 
-  return Painting;
+  return Patching;
 })();
