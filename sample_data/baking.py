@@ -15,7 +15,7 @@ NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -
 
 
 def baked(
-    paint: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    pattern: Callable[[NDArray[np.float64]], NDArray[np.float64]],
     corners: NDArray[np.float64],
     uv: NDArray[np.float64],
     size: tuple[int, int],
@@ -25,7 +25,7 @@ def baked(
 
     Parameters
     ----------
-    paint : callable
+    pattern : callable
         Colours, shape (K, C), of positions, shape (K, 3).
     corners : ndarray of float64, shape (F, 3, 3)
         Positions of the triangles' corners.
@@ -39,8 +39,8 @@ def baked(
     Returns
     -------
     pixels : ndarray of float64, shape (H, W, C)
-        Zero where nothing is painted.
-    painted : ndarray of bool, shape (H, W)
+        Zero in the background.
+    filled : ndarray of bool, shape (H, W)
         Texels of charts and gutters.
     """
     scaled = uv * size
@@ -48,9 +48,9 @@ def baked(
     row, column = np.nonzero(seen >= 0)
     triangle = scaled[seen[row, column]]
     weights = barycentric(triangle, np.column_stack([column, row]) + 0.5)
-    # In the gutter a weight is negative: the plane of the nearest triangle is continued, and the painting with it.
+    # In the gutter a weight is negative: the plane of the nearest triangle is continued, and the pattern with it.
     places = np.round(np.einsum("kc,kcx->kx", weights, corners[seen[row, column]]), 7)
-    colours = paint(places)
+    colours = pattern(places)
     pixels = np.zeros((size[1], size[0], colours.shape[1]))
     pixels[row, column] = colours
     return pixels, seen >= 0

@@ -21,7 +21,7 @@ def make() -> Sample:
     """Return the head with 10 FREQUENCY^2 + 2 vertices, which lie closer together on the face."""
     sphere, polygons = geodesic_sphere()
     positions = normalised(surface(gathered(sphere)))
-    return Sample(positions, polygons, quantised(paint(positions)))
+    return Sample(positions, polygons, quantised(pattern(positions)))
 
 
 def geodesic_sphere(frequency: int = FREQUENCY) -> tuple[Array, tuple[tuple[int, ...], ...]]:
@@ -86,7 +86,7 @@ def hair_line(x: Array, y: Array, z: Array) -> Array:
     return np.maximum(fringe, back)
 
 
-def paint(positions: Array) -> Array:
+def pattern(positions: Array) -> Array:
     """Return the face, shape (V, 3) in [0, 1]. All borders are sharp, all else is shaded slowly."""
     x, y, z = positions.T
     side, front = np.abs(x), z > 0.1

@@ -1,4 +1,4 @@
-"""The head with its painting in a texture: two dozen charts, turned and shuffled, with gutters."""
+"""The head with its colours in a texture: two dozen charts, turned and shuffled, with gutters."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from baking import baked
 from charts import segmented
 from packing import unwrapped
 from samples import normalised
-from textured import Painting, TexturedSample
+from textured import Texture, TexturedSample
 
 FREQUENCY = 13
 CHARTS = 24
@@ -25,6 +25,6 @@ def make() -> TexturedSample:
     positions = normalised(head.surface(head.gathered(sphere)))
     chart_of = segmented(positions, faces, CHARTS, random, ragged=0.25, delay=0.15)
     coordinates, corners = unwrapped(positions, faces, chart_of, SIZE, SCALE, GUTTER, random)
-    pixels, painted = baked(head.paint, positions[faces], coordinates[corners], (SIZE, SIZE), GUTTER)
-    painting = Painting("skin", pixels, painted, "png8")
-    return TexturedSample(positions, coordinates, faces, corners, np.zeros(len(faces), np.int64), (painting,))
+    pixels, filled = baked(head.pattern, positions[faces], coordinates[corners], (SIZE, SIZE), GUTTER)
+    texture = Texture("skin", pixels, filled, "png8")
+    return TexturedSample(positions, coordinates, faces, corners, np.zeros(len(faces), np.int64), (texture,))

@@ -12,7 +12,7 @@ import OpenImageIO
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from textured import Painting
+    from textured import Texture
 
 SUFFIX = {"png8": ".png", "png16": ".png", "jpeg": ".jpg", "exr": ".exr"}
 MIME = {".png": "image/png", ".jpg": "image/jpeg"}
@@ -26,9 +26,9 @@ ATTRIBUTES = {
 }
 
 
-def encode(painting: Painting) -> bytes:
-    """Return the painting as an image file, rounded once to its stored type."""
-    pixels, kind = np.round(painting.pixels, 9), painting.kind
+def encode(texture: Texture) -> bytes:
+    """Return the texture as an image file, rounded once to its stored type."""
+    pixels, kind = np.round(texture.pixels, 9), texture.kind
     if kind == "exr":
         stored = np.round(linear(np.maximum(pixels, 0)), 7).astype(np.float16)
     else:

@@ -1,4 +1,4 @@
-"""A tube about a torus knot: closed, of genus one, painted in ribbons and spots with smooth gradients."""
+"""A tube about a torus knot: closed, of genus one, coloured in ribbons and spots with smooth gradients."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def make() -> Sample:
     c, d = there + side, there + (side + 1) % SIDES
     triangles = np.stack([a, b, d, a, d, c], axis=1).reshape(-1, 3)
     polygons = tuple(map(tuple, triangles.tolist()))
-    return Sample(normalised(surface(along, around)), polygons, quantised(paint(ring, side)))
+    return Sample(normalised(surface(along, around)), polygons, quantised(pattern(ring, side)))
 
 
 def surface(along: Array, around: Array) -> Array:
@@ -44,7 +44,7 @@ def centre(s: Array) -> Array:
     return np.column_stack([reach * np.cos(2 * s), reach * np.sin(2 * s), 0.45 * np.sin(3 * s)])
 
 
-def paint(ring: NDArray[np.int64], side: NDArray[np.int64]) -> Array:
+def pattern(ring: NDArray[np.int64], side: NDArray[np.int64]) -> Array:
     """Return two ribbons that wind about the tube, and a row of spots, shape (V, 3) in [0, 1].
 
     Inside each region the colour changes slowly; all borders are sharp.

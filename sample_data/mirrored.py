@@ -1,4 +1,4 @@
-"""A vase whose two halves, left and right, are painted with the same texels."""
+"""A vase whose two halves, left and right, show the same texels."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from baking import baked
 from nonmanifold import grid_triangles
 from samples import normalised
-from textured import Painting, TexturedSample
+from textured import Texture, TexturedSample
 
 Array = NDArray[np.float64]
 AROUND, UP = 20, 36  # edges about each half, and along the profile
@@ -46,12 +46,12 @@ def make() -> TexturedSample:
     flat = np.column_stack([1 - i.ravel() / AROUND, 1 - j.ravel() / UP])
     coordinates = np.round(0.5 + (flat - 0.5) * (1 - 2 * GUTTER / np.array(SIZE)), 6)
     right = positions[vertices[0]], coordinates[corners[0]]
-    painting = Painting("clay", *baked(paint, *right, SIZE, GUTTER), "png8")
+    texture = Texture("clay", *baked(pattern, *right, SIZE, GUTTER), "png8")
     both = np.concatenate(vertices), np.concatenate(corners)
-    return TexturedSample(positions, coordinates, *both, np.zeros(len(both[0]), np.int64), (painting,))
+    return TexturedSample(positions, coordinates, *both, np.zeros(len(both[0]), np.int64), (texture,))
 
 
-def paint(positions: Array) -> Array:
+def pattern(positions: Array) -> Array:
     """Return the grey, shape (K, 1) in [0, 1]: bands of ornament in glaze on clay."""
     x, y, z = positions.T
     # A quarter of a turn to either side of the front is 1; the ornament is symmetric about front and back.

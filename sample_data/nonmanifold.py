@@ -22,13 +22,13 @@ def make() -> Sample:
     faces: list[NDArray[np.int64]] = []
     count = HEIGHT
     for number in range(3):
-        points, paint, triangles = sheet(number)
+        points, shades, triangles = sheet(number)
         # Row h of a sheet starts at the spine, whose vertices come first; its own follow those before it.
         faces.append(np.where(triangles < HEIGHT, triangles, triangles + count - HEIGHT))
         positions.append(points)
-        colours.append(paint)
+        colours.append(shades)
         count += len(points)
-    points, paint, triangles = ribbon()
+    points, shades, triangles = ribbon()
     faces.append(triangles + count)
     lone = np.array([[0.55, 1.12, 0.0]])
     # The duplicate lies inside the second sheet; the face without area on three places in line on its border.
@@ -36,8 +36,8 @@ def make() -> Sample:
     border = second + (WIDTH - 1) * HEIGHT
     faces += [faces[1][[90]], np.array([[border, border + 1, border + 2]])]
     everything = normalised(np.concatenate([*positions, points, lone]))
-    painted = np.concatenate([*colours, paint, [[0.2, 0.7, 0.3]]])
-    return Sample(everything, tuple(map(tuple, np.concatenate(faces).tolist())), quantised(painted))
+    everywhere = np.concatenate([*colours, shades, [[0.2, 0.7, 0.3]]])
+    return Sample(everything, tuple(map(tuple, np.concatenate(faces).tolist())), quantised(everywhere))
 
 
 def grid_triangles(index: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -65,10 +65,14 @@ def sheet(number: int) -> tuple[Array, Array, NDArray[np.int64]]:
         # The two columns at one place are not joined by faces: that makes the border of colours a hard edge.
         parts = [parts[0][: HARD + 1], parts[0][HARD + 1 :]]
     doubled = np.arange(len(column)) >= HARD * HEIGHT
-    return points, sheet_paint(number, reach, up, doubled), np.concatenate([grid_triangles(p) for p in parts])
+    return (
+        points,
+        sheet_colours(number, reach, up, doubled),
+        np.concatenate([grid_triangles(p) for p in parts]),
+    )
 
 
-def sheet_paint(number: int, reach: Array, up: Array, beyond: NDArray[np.bool_]) -> Array:
+def sheet_colours(number: int, reach: Array, up: Array, beyond: NDArray[np.bool_]) -> Array:
     """Return the colours of a sheet, shape (V, 3): a flag, a sun, or a chequer, each shaded slowly."""
     shade = (0.12 * up + 0.06 * reach)[:, None]
     if number == 0:
@@ -88,5 +92,5 @@ def ribbon() -> tuple[Array, Array, NDArray[np.int64]]:
     points = np.column_stack([0.62 * np.sin(angle), 1.28 + 0.05 * row, 0.34 * np.sin(2 * angle)])
     stripe = (step % ROUND) // 6 % 2 == 0
     shade = 0.10 * np.cos(angle)[:, None]
-    paint = np.where(stripe[:, None], (0.58, 0.26, 0.60), (0.88, 0.82, 0.88)) + shade
-    return points, np.round(paint, 9), grid_triangles(np.arange(len(step)).reshape(-1, ACROSS))
+    shades = np.where(stripe[:, None], (0.58, 0.26, 0.60), (0.88, 0.82, 0.88)) + shade
+    return points, np.round(shades, 9), grid_triangles(np.arange(len(step)).reshape(-1, ACROSS))

@@ -1,4 +1,4 @@
-"""The record of a painted sample mesh, and the noise that is put on it."""
+"""The record of a coloured sample mesh, and the noise that is put on it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ NOISE = 20.0 / 255.0
 
 @dataclass(frozen=True)
 class Sample:
-    """A small painted mesh.
+    """A small coloured mesh.
 
     Attributes
     ----------

@@ -13,7 +13,7 @@ from charts import segmented
 from packing import unwrapped
 from samples import normalised
 from solid_noise import fractal, solid_noise
-from textured import Painting, TexturedSample
+from textured import Texture, TexturedSample
 
 Array = NDArray[np.float64]
 FREQUENCY, ROUNDS = 11, 6
@@ -37,9 +37,9 @@ def make() -> TexturedSample:
     positions = normalised(raw[used])
     chart_of = segmented(positions, faces, CHARTS, random, ragged=0.9, delay=0.8)
     coordinates, corners = unwrapped(positions, faces, chart_of, SIZE, SCALE, GUTTER, random)
-    pixels, painted = baked(paint, positions[faces], coordinates[corners], (SIZE, SIZE), GUTTER)
-    painting = Painting("scan", pixels, painted, "jpeg")
-    return TexturedSample(positions, coordinates, faces, corners, np.zeros(len(faces), np.int64), (painting,))
+    pixels, filled = baked(pattern, positions[faces], coordinates[corners], (SIZE, SIZE), GUTTER)
+    texture = Texture("scan", pixels, filled, "jpeg")
+    return TexturedSample(positions, coordinates, faces, corners, np.zeros(len(faces), np.int64), (texture,))
 
 
 def exposed(sample: TexturedSample) -> TexturedSample:
@@ -47,14 +47,14 @@ def exposed(sample: TexturedSample) -> TexturedSample:
 
     Stored as PNG: JPEG would mix the colours of neighbouring charts at their borders.
     """
-    (painting,) = sample.paintings
+    (texture,) = sample.textures
     covered = covering(sample.coordinates[sample.corners] * (SIZE, SIZE), (SIZE, SIZE))
     chart = connected(sample.corners, len(sample.coordinates))[grown(covered, GUTTER)]
     random = np.random.Generator(np.random.PCG64(EXPOSURE_SEED))
     gain = random.uniform(*GAINS, (chart.max() + 1, 3))
     offset = random.uniform(-OFFSET, OFFSET, gain.shape)
-    pixels = np.where(painting.painted[:, :, None], painting.pixels * gain[chart] + offset[chart], 0)
-    return replace(sample, paintings=(replace(painting, pixels=pixels, kind="png8"),))
+    pixels = np.where(texture.filled[:, :, None], texture.pixels * gain[chart] + offset[chart], 0)
+    return replace(sample, textures=(replace(texture, pixels=pixels, kind="png8"),))
 
 
 def connected(corners: NDArray[np.int64], count: int) -> NDArray[np.int64]:
@@ -118,7 +118,7 @@ def surface(sphere: Array) -> Array:
     return points
 
 
-def paint(positions: Array) -> Array:
+def pattern(positions: Array) -> Array:
     """Return the colours, shape (K, 3) in [0, 1]: an orange skin with pores and green flecks, and a woody stalk."""
     x, y, z = positions.T
     groove = 1 - np.abs(np.cos(RIBS / 2 * np.arctan2(z, x))) ** 0.7

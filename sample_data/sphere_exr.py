@@ -9,7 +9,7 @@ from baking import baked
 from nonmanifold import grid_triangles
 from samples import normalised
 from solid_noise import fractal, solid_noise
-from textured import Painting, TexturedSample
+from textured import Texture, TexturedSample
 
 Array = NDArray[np.float64]
 CUTS = 14  # edges along a side of the cube
@@ -46,13 +46,13 @@ def make() -> TexturedSample:
     flat, triangles = np.concatenate(coordinates), np.concatenate(corners)
     vertices = vertex_of.reshape(-1)[triangles]
     size = SHEET[0] * CELL, SHEET[1] * CELL
-    painting = Painting("planet", *baked(paint, positions[vertices], flat[triangles], size, GUTTER), "exr")
+    texture = Texture("planet", *baked(pattern, positions[vertices], flat[triangles], size, GUTTER), "exr")
     return TexturedSample(
-        positions, flat, vertices, triangles, np.zeros(len(triangles), np.int64), (painting,)
+        positions, flat, vertices, triangles, np.zeros(len(triangles), np.int64), (texture,)
     )
 
 
-def paint(positions: Array) -> Array:
+def pattern(positions: Array) -> Array:
     """Return sRGB display values, shape (K, 3): seas, coasts, land, ice and clouds; the glint is above 1."""
     y = positions[:, 1]
     ground = fractal(positions, 3.1, 501, 5)

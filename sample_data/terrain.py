@@ -1,4 +1,4 @@
-"""An open height field with a hole, of quads and triangles, unevenly spaced, painted like a map."""
+"""An open height field with a hole, of quads and triangles, unevenly spaced, coloured like a map."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def make() -> Sample:
     row = np.full(len(u), -1)
     row[used] = np.arange(len(used))
     positions = normalised(np.column_stack([u, ground, -v])[used])
-    painted = quantised(paint(u[used], v[used], np.round(ground[used], 6)))
-    return Sample(positions, tuple(tuple(row[list(p)].tolist()) for p in polygons), painted)
+    colours = quantised(pattern(u[used], v[used], np.round(ground[used], 6)))
+    return Sample(positions, tuple(tuple(row[list(p)].tolist()) for p in polygons), colours)
 
 
 def warped_grid() -> tuple[Array, Array]:
@@ -66,7 +66,7 @@ def cells(kept: NDArray[np.bool_]) -> tuple[tuple[int, ...], ...]:
     return tuple(polygons)
 
 
-def paint(u: Array, v: Array, ground: Array) -> Array:
+def pattern(u: Array, v: Array, ground: Array) -> Array:
     """Return a map's colours by height with fields and a road, shape (V, 3) in [0, 1]."""
     light = 0.05 * np.cos(2.2 * u - 1.4 * v)[:, None]
     colours = np.empty((len(u), 3))

@@ -16,8 +16,8 @@ Kind = Literal["png8", "png16", "jpeg", "exr"]
 
 
 @dataclass(frozen=True)
-class Painting:
-    """An image that is painted on a surface, before it is rounded and encoded.
+class Texture:
+    """An image on a surface, before it is rounded and encoded.
 
     Attributes
     ----------
@@ -25,7 +25,7 @@ class Painting:
         Of the material and, where a model has several images, in the file's name.
     pixels : ndarray of float64, shape (H, W, C)
         sRGB display values, 1 to 3 channels; in [0, 1], but for "exr", which is encoded as linear light.
-    painted : ndarray of bool, shape (H, W)
+    filled : ndarray of bool, shape (H, W)
         Texels that a triangle covers, and the gutters about them. The others are background.
     kind : {"png8", "png16", "jpeg", "exr"}
         How it is stored.
@@ -33,7 +33,7 @@ class Painting:
 
     name: str
     pixels: NDArray[np.float64]
-    painted: NDArray[np.bool_]
+    filled: NDArray[np.bool_]
     kind: Kind
 
 
@@ -50,8 +50,8 @@ class TexturedSample:
     vertices, corners : ndarray of int64, shape (F, 3)
         Rows of `positions` and of `coordinates`. A row of coordinates belongs to one vertex.
     material_of : ndarray of int64, shape (F,)
-        Index into `paintings`, ascending.
-    paintings : tuple of Painting
+        Index into `textures`, ascending.
+    textures : tuple of Texture
         One for each material.
     """
 
@@ -60,19 +60,19 @@ class TexturedSample:
     vertices: NDArray[np.int64]
     corners: NDArray[np.int64]
     material_of: NDArray[np.int64]
-    paintings: tuple[Painting, ...]
+    textures: tuple[Texture, ...]
 
 
 def noisy(sample: TexturedSample, seed: int) -> TexturedSample:
-    """Add independent Gaussian noise of standard deviation 20/255 to every channel of every painted texel.
+    """Add independent Gaussian noise of standard deviation 20/255 to each channel of all texels but the background.
 
     It is added to the sRGB values, of covered texels and gutters alike, as if each image had been taken by a
     camera; the two sides of a seam get noise of their own.
     """
     random = np.random.Generator(np.random.PCG64(seed))
-    paintings = []
-    for painting in sample.paintings:
-        noise = random.standard_normal(painting.pixels.shape) * NOISE
-        pixels = painting.pixels + np.where(painting.painted[:, :, None], noise, 0)
-        paintings.append(replace(painting, pixels=pixels))
-    return replace(sample, paintings=tuple(paintings))
+    textures = []
+    for texture in sample.textures:
+        noise = random.standard_normal(texture.pixels.shape) * NOISE
+        pixels = texture.pixels + np.where(texture.filled[:, :, None], noise, 0)
+        textures.append(replace(texture, pixels=pixels))
+    return replace(sample, textures=tuple(textures))

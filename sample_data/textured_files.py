@@ -1,4 +1,4 @@
-"""Write textured samples as OBJ with MTL, PLY, GLB and glTF. Plain on purpose, like the writers of painted ones."""
+"""Write textured samples as OBJ with MTL, PLY, GLB and glTF. Plain on purpose, like the writers of coloured ones."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ REPEAT, CLAMP_TO_EDGE = 10497, 33071
 
 def images_of(sample: TexturedSample, stem: str) -> Files:
     """Return the image files by name; a single one is named like the model."""
-    single = len(sample.paintings) == 1
-    names = [stem if single else f"{stem}-{painting.name}" for painting in sample.paintings]
-    parts = zip(names, sample.paintings, strict=True)
-    return {name + SUFFIX[painting.kind]: encode(painting) for name, painting in parts}
+    single = len(sample.textures) == 1
+    names = [stem if single else f"{stem}-{texture.name}" for texture in sample.textures]
+    parts = zip(names, sample.textures, strict=True)
+    return {name + SUFFIX[texture.kind]: encode(texture) for name, texture in parts}
 
 
 def obj(sample: TexturedSample, stem: str) -> Files:
@@ -32,9 +32,9 @@ def obj(sample: TexturedSample, stem: str) -> Files:
     lines += ["v {:.5f} {:.5f} {:.5f}".format(*p) for p in sample.positions.tolist()]
     lines += [f"vt {u:.6f} {1 - v:.6f}" for u, v in sample.coordinates.tolist()]
     material = [f"# {NOTE}"]
-    for number, (painting, image) in enumerate(zip(sample.paintings, images, strict=True)):
-        material += [f"newmtl {painting.name}", "Kd 1 1 1", f"map_Kd {image}"]
-        lines.append(f"usemtl {painting.name}")
+    for number, (texture, image) in enumerate(zip(sample.textures, images, strict=True)):
+        material += [f"newmtl {texture.name}", "Kd 1 1 1", f"map_Kd {image}"]
+        lines.append(f"usemtl {texture.name}")
         mine = sample.material_of == number
         faces = np.stack([sample.vertices[mine], sample.corners[mine]], axis=2).reshape(-1, 6) + 1
         lines += ["f {}/{} {}/{} {}/{}".format(*face) for face in faces.tolist()]
@@ -68,10 +68,10 @@ def glb(sample: TexturedSample, stem: str) -> Files:
     """Return a GLB file with the images inside."""
     document, views = description(sample)
     document["images"] = []
-    for painting in sample.paintings:
-        image = {"name": painting.name, "mimeType": MIME[SUFFIX[painting.kind]], "bufferView": len(views)}
+    for texture in sample.textures:
+        image = {"name": texture.name, "mimeType": MIME[SUFFIX[texture.kind]], "bufferView": len(views)}
         document["images"].append(image)
-        views.append((encode(painting), {}))
+        views.append((encode(texture), {}))
     return {f"{stem}.glb": glb_file(document, views)}
 
 
@@ -102,14 +102,14 @@ def description(sample: TexturedSample) -> tuple[dict, list[tuple[bytes, dict[st
         (part.astype("<f4").tobytes(), {"target": ARRAY_BUFFER}) for part in (stored, sample.coordinates)
     ]
     primitives, materials = [], []
-    for number, painting in enumerate(sample.paintings):
+    for number, texture in enumerate(sample.textures):
         triangles = sample.corners[sample.material_of == number]
         accessors.append(accessor(len(views), "u2", triangles.size, "SCALAR"))
         views.append((triangles.astype("<u2").tobytes(), {"target": ELEMENT_ARRAY_BUFFER}))
         attributes = {"POSITION": 0, "TEXCOORD_0": 1}
         primitives.append({"attributes": attributes, "indices": 2 + number, "material": number})
         look = {"baseColorTexture": {"index": number}, "metallicFactor": 0, "roughnessFactor": 1}
-        materials.append({"name": painting.name, "pbrMetallicRoughness": look, "doubleSided": True})
+        materials.append({"name": texture.name, "pbrMetallicRoughness": look, "doubleSided": True})
     repeats = sample.coordinates.max() > 1
     wrap = REPEAT if repeats else CLAMP_TO_EDGE
     return {

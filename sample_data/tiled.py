@@ -6,7 +6,7 @@ import numpy as np
 
 from nonmanifold import grid_triangles
 from samples import normalised
-from textured import Painting, TexturedSample
+from textured import Texture, TexturedSample
 
 COLUMNS, ROWS = 48, 32
 REPEATS = np.array([6, 4])
@@ -21,13 +21,13 @@ def make() -> TexturedSample:
     coordinates = np.round(np.column_stack([j.ravel() / COLUMNS, i.ravel() / ROWS]) * REPEATS, 6)
     triangles = grid_triangles(np.arange((ROWS + 1) * (COLUMNS + 1)).reshape(ROWS + 1, COLUMNS + 1))
     centre = (np.arange(SIZE) + 0.5) / SIZE
-    painting = Painting("tiles", paint(*np.meshgrid(centre, centre)), np.ones((SIZE, SIZE), bool), "png16")
+    texture = Texture("tiles", pattern(*np.meshgrid(centre, centre)), np.ones((SIZE, SIZE), bool), "png16")
     positions = normalised(np.column_stack([x, hills, z]))
     nothing = np.zeros(len(triangles), np.int64)
-    return TexturedSample(positions, coordinates, triangles, triangles, nothing, (painting,))
+    return TexturedSample(positions, coordinates, triangles, triangles, nothing, (texture,))
 
 
-def paint(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+def pattern(u: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Return the ornament over one period, shape (..., 3) in [0, 1]: four tiles about an eight-pointed star."""
     u, v = u - 0.5, v - 0.5
     glaze = (0.05 * np.cos(2 * np.pi * u) * np.cos(2 * np.pi * v) + 0.03 * np.sin(2 * np.pi * (u + v)))[

@@ -9,7 +9,7 @@ from baking import baked
 from nonmanifold import grid_triangles
 from samples import normalised
 from solid_noise import fractal, solid_noise
-from textured import Painting, TexturedSample
+from textured import Texture, TexturedSample
 
 Array = NDArray[np.float64]
 AROUND, ACROSS = 64, 12  # edges along the ring, and over each half of the tube
@@ -33,7 +33,7 @@ def make() -> TexturedSample:
     positions = normalised(
         np.column_stack([reach * np.cos(theta), TUBE * np.sin(phi), reach * np.sin(theta)])
     )
-    coordinates, vertices, corners, paintings = [], [], [], []
+    coordinates, vertices, corners, textures = [], [], [], []
     for half, (name, size) in enumerate(SIZES.items()):
         i, j = np.mgrid[: AROUND + 1, : ACROSS + 1]
         vertices.append(grid_triangles(i % AROUND * side + (j + half * ACROSS) % side)[:, ::-1])
@@ -43,14 +43,14 @@ def make() -> TexturedSample:
         flat = np.column_stack([1 - i.ravel() / AROUND, 1 - j.ravel() / ACROSS])
         coordinates.append(np.round(0.5 + (flat - 0.5) * inside, 6))
         places = positions[vertices[half]], coordinates[half][corners[half]]
-        paintings.append(Painting(name, *baked(paint, *places, size, GUTTER), "png8"))
+        textures.append(Texture(name, *baked(pattern, *places, size, GUTTER), "png8"))
     material_of = np.repeat([0, 1], len(vertices[0]))
     corners[1] = corners[1] + len(coordinates[0])
     parts = map(np.concatenate, (coordinates, vertices, corners))
-    return TexturedSample(positions, *parts, material_of, tuple(paintings))
+    return TexturedSample(positions, *parts, material_of, tuple(textures))
 
 
-def paint(positions: Array) -> Array:
+def pattern(positions: Array) -> Array:
     """Return the colours, shape (K, 3) in [0, 1]: pink icing with sprinkles over golden dough with a pale ring."""
     x, y, z = positions.T
     theta, out = np.arctan2(z, x), np.hypot(x, z) - RING

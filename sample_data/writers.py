@@ -1,4 +1,4 @@
-"""Write painted samples as PLY, OBJ and GLB. Plain on purpose: samples must not depend on what they test."""
+"""Write coloured samples as PLY, OBJ and GLB. Plain on purpose: samples must not depend on what they test."""
 
 from __future__ import annotations
 

@@ -193,7 +193,7 @@ def _show_levelled(messages: Messages, reports: Sequence[LevelReport], name: str
         steps = f"median step {255 * each.before:.1f}/255, now {255 * each.after:.1f}/255"
         messages.say(f"{name}{seams}, {steps}, by {how}{mean}")
         messages.detail(
-            f"{each.stepped} of the seams had a step, {each.painted} of all are taken for paint; "
+            f"{each.stepped} of the seams had a step, {each.painted} of all are edges of colour; "
             f"one exposure per chart explains {100 * each.explained:.0f} % of the steps at seams that were held out"
         )
 

@@ -431,7 +431,7 @@ class LevelReport:
     charts: int  # charts of textures, or parts of vertices by photograph
     seams: int  # between two of them
     stepped: int  # seams with a mean step of 2/255 or more
-    painted: int  # seams whose steps are taken for paint
+    painted: int  # seams whose steps are edges of colour
     before: float  # median over all seams, by length, of the mean step, full scale 1, in the working space
     after: float
     explained: float  # the share of the steps at held-out seams that one exposure per chart explains

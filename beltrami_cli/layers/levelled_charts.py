@@ -105,7 +105,7 @@ def _report(what: str, found: Levelled, change: float, charts: Sequence[dict[str
                 pair = {"gain": (1 + of_chart[:, 0]).tolist(), "offset": of_chart[:, 1].tolist()}
                 exposures.append({**each, **pair})
     return LevelReport(
-        what=what, charts=len(charts), seams=facts.seams, stepped=facts.stepped, painted=facts.painted,
+        what=what, charts=len(charts), seams=facts.seams, stepped=facts.stepped, painted=facts.edges,
         before=facts.before, after=facts.after if change else facts.before,
         explained=0.0 if verdict is None else verdict.share,
         tilted=verdict is not None and len(verdict.spread) > 2, levelled=change > 0, reason=reason,
@@ -117,9 +117,9 @@ def _why_not(verdict: Verdict) -> str:
     share = f"{100 * verdict.share:.0f} %"
     explained = f"one exposure per chart explains {share} of the steps"
     if verdict.confidence >= CONFIDENCE:
-        return f"{explained}, but they are paint: the pattern does not continue across the seams"
+        return f"{explained}, but they are edges of colour: the pattern does not continue across the seams"
     if verdict.is_flat and verdict.share > 0:
-        return f"{explained}, which could be paint: no pattern crosses the seams"
+        return f"{explained}, which could be edges of colour: no pattern crosses the seams"
     return f"the seam steps do not agree with one exposure per chart, which explains {share} of them"
 
 

@@ -1,1 +1,1 @@
-"""Exposure steps at the seams of a surface: found, distinguished from paint, and removed."""
+"""Exposure steps at the seams of a surface: found, distinguished from edges of colour, and removed."""

@@ -48,7 +48,7 @@ class SeamFacts:
 
     seams: int = 0
     stepped: int = 0
-    painted: int = 0
+    edges: int = 0
     before: float = 0.0
     after: float = 0.0
 
@@ -93,7 +93,7 @@ def _facts(steps: Steps, found: Exposures, strength: float) -> SeamFacts:
     return SeamFacts(
         seams=len(first),
         stepped=int(np.count_nonzero(before > VISIBLE)),
-        painted=int(np.count_nonzero(outliers[first])),
+        edges=int(np.count_nonzero(outliers[first])),
         before=weighted_median(before, texels),
         after=weighted_median(after, texels),
     )

@@ -6,13 +6,13 @@ On the two sides p and q of a seam between charts of gains 1 + g and offsets o t
 
 where T is the mean of both sides as corrected so far. So a gain common to all charts makes no difference (if T were
 the colour on either side, noise would draw all gains to -1). The terms are drawn to 0, each by its expected deviation.
-Weights follow the estimator of Geman and McClure, whose scale is narrowed step by step [1], so that a painted
-edge counts for nothing.
+Weights follow the estimator of Geman and McClure, whose scale is narrowed step by step [1], so that an edge
+of colour counts for nothing.
 
 A fit can remove any step. But only under exposures does a fit to some seams predict the steps at the others, since a
 chart has one exposure at all of its seams. Each held-out seam gives its gain x = (b - a) / (b + a), where b and a are
 its mean squared step before and after the prediction is removed. The F-test is of the mean evidence, which is x, or
-where a seam has no pattern x - (1 - x): paint of one colour per chart predicts some of the steps as well. It is
+where a seam has no pattern x - (1 - x): one colour per chart predicts some of the steps as well. It is
 weighted by the length of seams, with 1 and n - 1 degrees of freedom, n = (sum w)^2 / sum w^2. Two seams predict each
 other by the product of their steps, which enters both of their x, so that the variance of the mean is up to twice that
 of independent x; twice is taken. Seams are held out fold by fold, until it is all but certain how the test of all of
@@ -40,7 +40,7 @@ from beltrami_cli.surface.grouping import connected
 
 # Expected deviations of the gains and offsets of cameras; and, where gains change linearly over charts, also of tilts.
 SPREADS = {"plain": (0.1, 0.03), "tilted": (0.05, 0.02, 0.06, 0.06)}
-# Deviations beyond which a step is an outlier: larger than cameras make, or an edge of paint along the seam.
+# Deviations beyond which a step is an outlier: larger than cameras make, or an edge of colour along the seam.
 OUTLIER = 2.5
 # Scales of the weights, narrowed to 1 and kept there; in the last third seams of outliers are left out.
 SCALES = (4.0, 2.8, 2.0, 1.4, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
@@ -70,7 +70,7 @@ class Exposures:
     """The terms of charts, and how far the stretches of seams agree with them."""
 
     terms: Float64s  # (N, charts, 2 or 4): gain - 1, offset, tilts of the gain along rows and columns
-    weights: Float64s  # (K,): 1 where sides agree, 1/4 at an outlier, towards 0 where they differ by paint
+    weights: Float64s  # (K,): 1 where sides agree, 1/4 at an outlier, towards 0 where an edge of colour is
 
     @classmethod
     def none(cls, steps: Steps, terms: int = 2) -> Exposures:

@@ -68,7 +68,7 @@ def view(
     lying: bool = False,
     shade: bool = False,
 ) -> NDArray[np.float32]:
-    """Return a view of a surface over the image plane, painted with the image, cropped to its visible part.
+    """Return a view of a surface over the image plane, coloured by the image, cropped to its visible part.
 
     Parameters
     ----------

@@ -49,7 +49,7 @@ def make_face() -> Face:
     y, x = np.mgrid[:HEIGHT, :WIDTH].astype(float)
     u, v = (x - (WIDTH - 1) / 2) / UNIT, (y - (HEIGHT - 1) / 2) / UNIT
     heights = UNIT * shape(u, v)
-    clean = np.clip(paint(u, v) * lighting(heights)[..., None], 0, 1)
+    clean = np.clip(pattern(u, v) * lighting(heights)[..., None], 0, 1)
     noise = np.random.default_rng(5).normal(0, NOISE, clean.shape)
     return Face(
         clean,
@@ -94,7 +94,7 @@ def lip_line(u: Array, v: Array) -> Array:
     return np.where(np.abs(u) < 0.30, line, np.inf)
 
 
-def paint(u: Array, v: Array) -> Array:
+def pattern(u: Array, v: Array) -> Array:
     """Return the colours of the skin, the lips, the eyes, the brows and the hair, without light."""
     side = np.abs(u)
     spots = np.random.default_rng(3).normal(0, 1, (60, 2)) * [0.35, 0.10] + [0, 0.08]

@@ -35,8 +35,8 @@ def picture(path, pixels):
 def board(path, change=0):
     """Write a board with a slope from texel to texel, and a change of it."""
     y, x = np.mgrid[:SIDE, :SIDE]
-    painting = 20000 + 300 * np.stack([x, y, x + y], axis=2) + change
-    return write_board(path, cut(painting.astype(np.uint16)))
+    phantom = 20000 + 300 * np.stack([x, y, x + y], axis=2) + change
+    return write_board(path, cut(phantom.astype(np.uint16)))
 
 
 def psnr_of(offset):

@@ -29,7 +29,7 @@ beltrami = partial(run_beltrami, text=True)
 class Exposing(ColourFilter):
     """A colour_filter that gives charts known exposures."""
 
-    def paint(self, layer, job):
+    def apply(self, layer, job):
         _, colours = ExposureScene(layer, stored_colours(layer).astype(float)).exposed(1)
         planes = on_canvas(layer.atlas, colours.astype(np.float32))
         return SimpleNamespace(stored=layer.encode(canvas_colours(layer.atlas, planes)), warnings=())
@@ -88,7 +88,7 @@ def test_smooth_levels_first(exposed, tmp_path):
     assert step(target) < 0.1 * step(exposed)
 
 
-# Takes 4 s with the scan: no smaller sample has seams where paint differs.
+# Takes 4 s with the scan: no smaller sample has seams where colours differ.
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["head-tex-clean.glb", "scan-clean.glb"])
 def test_smooth_without_iterations_only_levels_also_around_charts(name, tmp_path):
@@ -111,7 +111,7 @@ def test_no_strength_is_not_said_of_the_steps(exposed, tmp_path):
 
 
 def photographed(path, *, exposed):
-    """Write a plane of vertices with a smooth painting, of three photographs."""
+    """Write a plane of vertices with a smooth pattern, of three photographs."""
     positions, faces = surfaces.plane(40, 40)
     column, row, _ = positions.T
     photograph = (column > 12).astype(int) + (column + row // 3 > 32)
@@ -120,7 +120,7 @@ def photographed(path, *, exposed):
         colours = colours * np.array([[0.9, 1, 1], [1.1, 1, 0.85], [1, 0.9, 1.1]])[photograph]
     table = np.column_stack([positions, np.rint(colours), photograph]).astype(int)
     path.write_bytes(ply(f"{COLOURED}, int camera", table.tolist(), faces.tolist()))
-    return open_document(str(path)).on_canvas().colours
+    return open_document(str(path)).coloured_vertices().colours
 
 
 @pytest.mark.slow
@@ -131,7 +131,7 @@ def test_vertices_are_levelled_by_the_photographs_that_an_attribute_names(tmp_pa
     assert known["is_exposure"]
     assert known["seams"] == 2
     beltrami("level", tmp_path / "exposed.ply", tmp_path / "out.ply")
-    after = open_document(str(tmp_path / "out.ply")).on_canvas().colours
+    after = open_document(str(tmp_path / "out.ply")).coloured_vertices().colours
 
     def off(colours):
         return np.std(colours - truth * colours.mean(axis=0) / truth.mean(axis=0))

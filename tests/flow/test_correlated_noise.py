@@ -20,7 +20,7 @@ LUMA = np.full((3, 3), 1 / 3)
 SHARED = np.array([LUMA + share * (np.eye(3) - LUMA) for share in (0.1, 0.3, 0.8, 1.0)])
 
 
-def painting(size=96):
+def phantom(size=96):
     """Return shapes that are a bit soft."""
     return gaussian_filter(shapes(size), (1, 1, 0))
 
@@ -59,7 +59,7 @@ def test_drawn_noise_has_the_covariances_that_were_given():
 
 def test_the_estimated_error_is_the_true_one_where_neighbours_share_noise():
     """Over many draws within four standard errors and 3 per cent of the noise; by independent signs it is far off."""
-    clean, sigma = painting(64), 0.06
+    clean, sigma = phantom(64), 0.06
     covariances = sigma**2 * SHARED
     own = sigma_of_covariances(covariances)
     step = Step(beta=1 / sigma, t=2.4, regularised=False)
@@ -83,7 +83,7 @@ def test_the_estimated_error_is_the_true_one_where_neighbours_share_noise():
 @pytest.mark.parametrize(("quality", "subsampling", "sigma"), [(80, "4:4:4", 12), (92, "4:2:0", 20)])
 def test_the_noise_that_jpeg_left_is_found(quality, subsampling, sigma, tmp_path):
     """Within a third of what JPEG made of a plain picture with that noise; a fourth channel keeps its own."""
-    image = jpeg(stored(painting(512), sigma), quality, subsampling, tmp_path)
+    image = jpeg(stored(phantom(512), sigma), quality, subsampling, tmp_path)
     left = jpeg(stored(np.full((512, 512, 3), 0.5), sigma), quality, subsampling, tmp_path) - 128 / 255
     alpha = 0.5 + 0.03 * np.random.default_rng(1).standard_normal((512, 512, 1))
     noise = found(np.concatenate([image, alpha], axis=2))
@@ -103,8 +103,8 @@ def one_hue(hue, side=192):
     [
         (one_hue((1, 0.7, 0.1)), 92, "4:2:0", 6, 0.15),
         (one_hue((0.1, 0.8, 0.3)), 85, "4:4:4", 10, 0.15),
-        (painting(96), 85, "4:2:0", 20, 0.3),
-        (painting(144), 85, "4:2:0", 20, 0.3),
+        (phantom(96), 85, "4:2:0", 20, 0.3),
+        (phantom(144), 85, "4:2:0", 20, 0.3),
     ],
     ids=["orange", "green", "small", "less small"],
 )
@@ -134,7 +134,7 @@ def test_the_noise_of_a_camera_in_plain_pictures_is_known_to_a_fifth(colour):
 
 
 def test_jpeg_without_noise_stays(tmp_path):
-    image = jpeg(stored(painting(256), 0), 80, "4:2:0", tmp_path)
+    image = jpeg(stored(phantom(256), 0), 80, "4:2:0", tmp_path)
     result = beltrami_cli.smooth_image(image, space="data")
     assert np.mean(np.square(result.colours - image)) < 10**-4.5
 

@@ -10,7 +10,7 @@ from oracles import surfaces
 SIDE, SIGMA = 64, 0.05
 
 
-def painting():
+def phantom():
     """Return two plain halves and a slope, shape (SIDE, SIDE, 1), within 0.2 and 0.8."""
     y, x = np.mgrid[:SIDE, :SIDE] / SIDE
     return np.where(x > 0.5, 0.7, 0.3)[..., None] + 0.1 * y[..., None]
@@ -34,7 +34,7 @@ def noise(channels):
     [("image", "srgb", -0.01), ("image", "linear", -5.0), ("image", "srgb", 40.0), ("mesh", "linear", 40.0)],
 )
 def test_one_sample_changes_nothing_far_from_it(on, encoding, value):
-    truth, noisy = np.repeat(painting(), 3, axis=2), np.repeat(painting(), 3, axis=2) + noise(3)
+    truth, noisy = np.repeat(phantom(), 3, axis=2), np.repeat(phantom(), 3, axis=2) + noise(3)
     single = noisy.copy()
     single[5, 6, 1] = value
     far = np.ones((SIDE, SIDE), bool)
@@ -48,7 +48,7 @@ def test_one_sample_changes_nothing_far_from_it(on, encoding, value):
 @pytest.mark.slow
 @pytest.mark.parametrize(("on", "shift"), [("image", -0.5), ("image", 10.0), ("mesh", 0.5)])
 def test_values_beyond_0_and_1_are_smoothed_as_those_between(on, shift):
-    truth = painting()
+    truth = phantom()
     noisy = truth + noise(1)
     within = smoothed(noisy, on, "srgb") - truth
     beyond = smoothed(noisy + shift, on, "srgb") - shift - truth

@@ -9,7 +9,7 @@ from beltrami_cli.flow.manifolds.guides import Guide, choose_guide_beta
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface.atlas import build_atlas
 from oracles import surfaces
-from properties.textured_planes import Board, painting, smoothed, texel_plan
+from properties.textured_planes import Board, phantom, smoothed, texel_plan
 
 SIDE = 48
 POSITIONS, FACES = surfaces.plane(SIDE, SIDE)
@@ -123,7 +123,7 @@ TURNED = [(1, 1, 1, False), (0, 0, 2, False), (0, 1, 3, False), (1, 0, 1, False)
 def test_guides_reach_over_seams_as_the_colours_do():
     board = Board(cells=8, texels=6, block=4, slot=32, slots=2, places=TURNED)
     whole = Board(8, 6, 8, SIDE, 1, [(0, 0, 0, False)])
-    picture, guide = painting(SIDE, 3), painting(SIDE, 2)
+    picture, guide = phantom(SIDE, 3), phantom(SIDE, 2)
     cut = with_guide(board.surface(), board.image_of(picture), board.image_of(guide))
     truth = with_guide(whole.surface(), picture, guide)
     # The same arithmetic in another order, see the same test of colours.

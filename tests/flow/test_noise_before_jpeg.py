@@ -21,12 +21,12 @@ from beltrami_cli.flow.corrections.coded_picture import (
 from beltrami_cli.formats.image.jpeg import read_jpeg_tables
 from cli.commands import beltrami
 from flow.noisy_surfaces import noise_of_image
-from flow.test_correlated_noise import painting, stored
+from flow.test_correlated_noise import phantom, stored
 from formats.image_files import encode
 from oracles.pictures import psnr
 
-CLEAN = painting(256)
-SMALL = painting(160)  # for whole commands
+CLEAN = phantom(256)
+SMALL = phantom(160)  # for whole commands
 
 
 def jpeg_file(pixels, quality, subsampling="4:2:0"):

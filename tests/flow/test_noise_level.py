@@ -70,7 +70,7 @@ def test_noise_is_found_where_all_is_cut_off():
     assert on_grid(stored(noisy(np.ones((128, 128, 1)), 30 / 255))) == pytest.approx(30, rel=0.15)
 
 
-def test_line_art_and_flat_paint_have_no_noise():
+def test_line_art_and_flat_areas_have_no_noise():
     """Colours at 0 and 1 with sharp or antialiased borders, and areas that are plain but for a few borders."""
     y, x = np.mgrid[:96, :96] / 96
     letters = np.clip(8 * np.sin(40 * x) * np.sin(30 * y + 9 * x) + 0.5, 0, 1)
@@ -80,8 +80,8 @@ def test_line_art_and_flat_paint_have_no_noise():
 
 
 @pytest.mark.parametrize("side", [4, 12, 17])
-def test_few_samples_are_paint(side):
-    """An icon has too few to tell noise from paint."""
+def test_few_samples_are_detail(side):
+    """An icon has too few to tell noise from detail."""
     icon = np.random.default_rng(side).choice([0.1, 0.4, 0.9], (side, side, 3)).astype(np.float32)
     assert np.array_equal(beltrami_cli.smooth_image(icon).colours, icon)
     part = icon[:12, :12]  # meshes have enough from some 200 vertices on
@@ -89,7 +89,7 @@ def test_few_samples_are_paint(side):
     assert (on_mesh(part.reshape(-1, 3), faces) == 0).all()
 
 
-def test_noise_that_is_too_large_for_the_range_of_colours_is_paint():
+def test_noise_that_is_too_large_for_the_range_of_colours_is_detail():
     """Four colours without any order; each channel has two values."""
     colours = np.array([[1, 0, 0], [0, 1, 0], [1, 0, 1], [0, 1, 1]], np.float32)
     random = np.random.default_rng(3)

@@ -240,10 +240,10 @@ def test_outliers_are_found_across_seams():
     places = [(0, 0, 0, False), (0, 1, 1, False), (1, 0, 2, True), (1, 1, 3, False)]
     board = Board(cells=4, texels=24, block=2, slot=64, slots=2, places=places)
     truth = (picture(96) / 255.0).astype(np.float32)
-    painting, where = salted(truth, 0.03)
-    painting[where] /= 255
+    phantom, where = salted(truth, 0.03)
+    phantom[where] /= 255
     y, x = board.texel_places()
-    new, plan = smooth_image(board.surface(), board.image_of(painting), iterations=1, beta=1e6)
+    new, plan = smooth_image(board.surface(), board.image_of(phantom), iterations=1, beta=1e6)
     assert plan.outliers["count"] == where.sum()
     away = np.abs(new[y, x] - truth)[where]
     assert np.median(away) < 0.02

@@ -15,15 +15,15 @@ from beltrami_cli.flow.parameters import parameters_with
 from beltrami_cli.flow.plan import choose_parameters
 from beltrami_cli.surface.atlas import grid_atlas
 from flow.split_surfaces import SURFACE
-from flow.test_correlated_noise import painting
+from flow.test_correlated_noise import phantom
 
 CAMERA = "shot:0.01,read:0.005"  # whose colours are stabilised
 
 
 @pytest.fixture(scope="module")
 def shared():
-    """A painting with noise that neighbours share, which is removed before parameters are chosen."""
-    random, truth = np.random.default_rng(4), painting(96)
+    """A phantom with noise that neighbours share, which is removed before parameters are chosen."""
+    random, truth = np.random.default_rng(4), phantom(96)
     small = random.normal(0, 25, (48, 48, 3)).repeat(2, axis=0).repeat(2, axis=1)
     return np.clip(truth + small / 255, 0, 1).astype(np.float32)
 

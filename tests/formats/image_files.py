@@ -53,7 +53,7 @@ def noise(kind, channels, height=5, width=7, seed=0):
     )
 
 
-def painting(channels=3, side=32):
+def phantom(channels=3, side=32):
     """Smooth colours with noise."""
     rows, columns = np.mgrid[:side, :side] * (200 // side)
     plain = np.stack([rows, columns, (rows + columns) // 2, 255 - rows][:channels], axis=-1)

@@ -26,7 +26,7 @@ from formats.image_files import (
     encode,
     exact_webp,
     noise,
-    painting,
+    phantom,
     png_chunks,
     png_file,
     saved,
@@ -49,7 +49,7 @@ BOTH = [pytest.param(known, marks=needs(known)) for known in ("ktx2", "avif")]
 
 
 def file_of(known, channels=3, **options):
-    pixels = painting(channels)
+    pixels = phantom(channels)
     if options:
         import alktx2
 
@@ -61,7 +61,7 @@ def file_of(known, channels=3, **options):
 @pytest.mark.parametrize("channels", [3, 4])
 @pytest.mark.parametrize("known", BOTH)
 def test_what_is_written_is_read_again_and_its_cost_is_told(known, channels):
-    pixels = painting(channels)
+    pixels = phantom(channels)
     file = write_image(new_picture(pixels, "skin"), pixels, suffix=f".{known}")
     again = read_image(file.data, f"skin.{known}")
     assert (again.format, again.pixels.shape, file.suffix) == (known, pixels.shape, f".{known}")
@@ -95,7 +95,7 @@ def test_metadata_stay_in_avif_and_are_named_where_they_are_lost():
     profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
     exif = b"II*\0\x08\0\0\0" + bytes(6)
     options = {"icc_profile": profile, "quality": 90, "exif": exif, "xmp": b"<x/>"}
-    old = read_image(saved(Image.fromarray(painting()), ".avif", **options), "x.avif")
+    old = read_image(saved(Image.fromarray(phantom()), ".avif", **options), "x.avif")
     for suffix in (None, ".png"):
         file = write_image(old, old.pixels // 2, suffix=suffix)
         new = read_image(file.data, "x")
@@ -113,7 +113,7 @@ def test_metadata_stay_in_avif_and_are_named_where_they_are_lost():
 def test_the_extension_of_a_texture_follows_the_image_that_is_written(tmp_path, known, fallback, suffix):
     if suffix == ".ktx2" and extra_codecs.missing_package("ktx2"):
         pytest.skip("not installed: alktx2")
-    plain = encode(painting(), "png") if fallback else None
+    plain = encode(phantom(), "png") if fallback else None
     source = with_better_image(known, file_of(known), plain).written_to(tmp_path)
     target = tmp_path / "out.glb"
     settings = SmoothSettings(kernel=ONCE, textures=TextureSettings(image_suffix=suffix))
@@ -137,7 +137,7 @@ def test_the_extension_of_a_texture_follows_the_image_that_is_written(tmp_path, 
     if fallback and suffix is None:
         images = open_document(str(target)).images
         plain, better = (read_image(images.data(index), "x").pixels for index in (0, 1))
-        assert psnr(plain / 255, better / 255) > psnr(painting() / 255, better / 255) + 3
+        assert psnr(plain / 255, better / 255) > psnr(phantom() / 255, better / 255) + 3
 
 
 @pytest.mark.parametrize("known", BOTH)
@@ -145,7 +145,7 @@ def test_without_its_package_a_texture_is_left_as_it_is_and_the_package_is_named
     tmp_path, known, monkeypatch
 ):
     model = with_better_image(known, file_of(known))
-    plain = model.texture(model.image(encode(painting(), "png")))
+    plain = model.texture(model.image(encode(phantom(), "png")))
     model.triangles(SQUARE + 2, SQUARE[:, :2], model.material(baseColor=plain))
     source, image = model.written_to(tmp_path), file_of(known)
     for module in ("beltrami_cli.formats.gltf.textures", extra_codecs.__name__):
@@ -156,7 +156,7 @@ def test_without_its_package_a_texture_is_left_as_it_is_and_the_package_is_named
     with pytest.raises(InputError, match=r"need the package a package; install it with: .*pip install"):
         read_image(image, f"x.{known}")
     with pytest.raises(UsageError, match=r"the package a package is needed; install it with: .*pip install"):
-        write_image(new_picture(painting(), "x"), painting(), suffix=f".{known}")
+        write_image(new_picture(phantom(), "x"), phantom(), suffix=f".{known}")
 
 
 HEADERS = {

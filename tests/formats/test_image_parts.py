@@ -21,7 +21,7 @@ from beltrami_cli.formats.image.jpeg import read_jpeg_tables
 from beltrami_cli.formats.image.sizes import measure_image
 from beltrami_cli.surface.colour_values import srgb_to_linear
 from cli.commands import beltrami
-from formats.image_files import encode, jpeg_segment, painting, saved
+from formats.image_files import encode, jpeg_segment, phantom, saved
 from formats.tiff_files import exr_file
 
 SIDE = 24
@@ -293,7 +293,7 @@ def ultra_hdr(order="<"):
         f'Item:Length="{len(gain)}"/></rdf:li>'
     )
     container = xmp("", f"<Container:Directory><rdf:Seq>{items}</rdf:Seq></Container:Directory>")
-    plain = encode(painting(side=64), "jpeg", compression="jpeg:95")
+    plain = encode(phantom(side=64), "jpeg", compression="jpeg:95")
     return in_one_file(with_segments(plain, container, jpeg_segment(0xE2, _ISO + bytes(4))), [gain], order)
 
 
@@ -321,7 +321,7 @@ def test_a_gain_map_is_kept_and_not_applied(order):
     source = ultra_hdr(order)
     picture = read_image(source, "x.jpg")
     assert (picture.stored, picture.pixels.shape, picture.notices) == ("uint8", (64, 64, 3), ())
-    assert np.abs(picture.pixels.mean() - painting(side=64).mean()) < 1
+    assert np.abs(picture.pixels.mean() - phantom(side=64).mean()) < 1
     size = measure_image(source, "x.jpg")
     assert (size.channels, size.sample) == (3, 1)
     new = write_image(picture, picture.pixels // 2 + 60).data
@@ -339,7 +339,7 @@ def test_a_gain_map_is_kept_and_not_applied(order):
 @pytest.mark.parametrize("quality", [30, 98])  # smaller and larger than the source
 def test_the_index_finds_all_pictures_again(order, quality):
     others = [encode(np.full((16, 16, 3), level, np.uint8), "jpeg") for level in (50, 200)]
-    source = in_one_file(encode(painting(side=64), "jpeg", compression="jpeg:80"), others, order)
+    source = in_one_file(encode(phantom(side=64), "jpeg", compression="jpeg:80"), others, order)
     assert len(pictures_of(source)) == 3
     picture = read_image(source, "x.jpg")
     new = write_image(picture, picture.pixels[::-1], jpeg_quality=quality).data
@@ -357,12 +357,12 @@ def test_other_formats_report_the_loss_and_claim_no_gain_map(suffix):
     assert any("what follows it in the JPEG file is dropped" in notice for notice in losses(picture, suffix))
     new = write_image(picture, picture.pixels, suffix=suffix).data
     assert not any(word in new for word in (b"hdrgm", b"GainMap", _ISO))
-    assert not losses(read_image(encode(painting(side=64), "jpeg"), "x.jpg"), ".png")
+    assert not losses(read_image(encode(phantom(side=64), "jpeg"), "x.jpg"), ".png")
 
 
 @pytest.mark.parametrize("damage", [b"MPF\0II*\0\xff\xff\xff\xff", b"MPF\0", b"MPF\0II*\0\x08\0\0\0\0\0"])
 def test_an_index_that_cannot_be_read_stays_as_it_is(damage):
-    source = with_segments(encode(painting(side=64), "jpeg"), jpeg_segment(0xE2, damage)) + b"video"
+    source = with_segments(encode(phantom(side=64), "jpeg"), jpeg_segment(0xE2, damage)) + b"video"
     picture = read_image(source, "x.jpg")
     new = write_image(picture, picture.pixels // 2).data
     assert jpeg_segment(0xE2, damage) in new
@@ -371,7 +371,7 @@ def test_an_index_that_cannot_be_read_stays_as_it_is(damage):
 
 @pytest.mark.parametrize("progressive", [0, 1])
 def test_the_end_of_a_picture_is_found_behind_all_its_scans(progressive):
-    plain = encode(painting(side=64), "jpeg", jpeg__progressive=progressive)
+    plain = encode(phantom(side=64), "jpeg", jpeg__progressive=progressive)
     picture = read_image(plain + b"\xff\xd8\xff", "x.jpg")
     assert write_image(picture, 255 - picture.pixels).data.count(b"\xff\xd9\xff\xd8\xff") == 1
     np.testing.assert_array_equal(picture.pixels, read_image(plain, "x.jpg").pixels)

@@ -36,8 +36,8 @@ from formats.gltf_compressed import GRID, draco_model, meshopt_model
 from formats.gltf_files import coloured, joined, numbers, unpacked
 from formats.gltf_showcase import showcase
 from formats.image_files import encode, noise
-from formats.tile_files import painting as tile_picture
 from formats.tile_files import part, tiled_model
+from formats.tile_files import phantom as tile_phantom
 from formats.usd_files import BOUND, COLOURS, PICTURE, material_text, mesh_text, scene
 from formats.usd_files import coloured as usd_colours
 from formats.volume_files import npz
@@ -127,7 +127,7 @@ def several_maps(folder):
     path = tiled_model(folder)
     (folder / "model.mtl").write_text(MAPS)
     for number, name in enumerate(("c.png", "n.png", "shine.png")):
-        (folder / name).write_bytes(encode(np.roll(part(tile_picture(), (0, 0)), number, 0), "png"))
+        (folder / name).write_bytes(encode(np.roll(part(tile_phantom(), (0, 0)), number, 0), "png"))
     return path
 
 
@@ -141,7 +141,7 @@ def in_two_buffers(folder):
 
 
 def with_fallback(folder):
-    files = {f"b.{kind}": encode(tile_picture()[:16, :16], kind) for kind in ("png", "webp")}
+    files = {f"b.{kind}": encode(tile_phantom()[:16, :16], kind) for kind in ("png", "webp")}
     model = with_better_image("webp", files["b.webp"], files["b.png"])
     for image, name in zip(model.tree["images"], files, strict=True):
         image.pop("bufferView")

@@ -18,7 +18,7 @@ from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.baking import look_up
 from formats.image_files import encode, saved
-from formats.tile_files import GIVEN, SIDE, TILES, obj_text, painting, part, sheet, tiled_model
+from formats.tile_files import GIVEN, SIDE, TILES, obj_text, part, phantom, sheet, tiled_model
 
 REPEAT = ("repeat", "repeat")
 PATTERNS = ["skin.<UDIM>.png", "skin_<udim>.png", "<UVTILE>.skin.png", "skin<uvtile>.png"]
@@ -69,12 +69,12 @@ def test_tiles_are_smoothed_as_one_image_would_be(pattern, tmp_path):
     (tmp_path / "one").mkdir()
     (tmp_path / "one" / "model.obj").write_text(obj_text(uv / 2, positions, quads))
     (tmp_path / "one" / "model.mtl").write_text("newmtl skin\nmap_Kd skin.png\n")
-    (tmp_path / "one" / "skin.png").write_bytes(encode(painting(), "png"))
+    (tmp_path / "one" / "skin.png").write_bytes(encode(phantom(), "png"))
     smooth_file(tmp_path / "one" / "model.obj", tmp_path / "one" / "new.obj", GIVEN)
     difference = np.abs(assembled(tmp_path, f"new_{pattern}") - pixels(tmp_path / "one" / "new_skin.png"))
     assert difference.max() <= 1
     assert np.count_nonzero(difference) <= 10
-    assert np.abs(assembled(tmp_path, f"new_{pattern}") - painting()).mean() > 3
+    assert np.abs(assembled(tmp_path, f"new_{pattern}") - phantom()).mean() > 3
 
 
 def test_nothing_but_the_images_changes(tmp_path):
@@ -119,7 +119,7 @@ def test_a_tile_that_is_missing_is_a_hole(tmp_path):
 
 def test_tiles_may_differ_in_size_and_depth(tmp_path):
     model = tiled_model(tmp_path)
-    small = encode(part(painting("uint16"), (1, 0))[::2, ::2], "png")
+    small = encode(part(phantom("uint16"), (1, 0))[::2, ::2], "png")
     (tmp_path / "skin.1002.png").write_bytes(small)
     (entry,) = inspect_file(model, GIVEN)["textures"]
     found = [(image["width"], image["stored"]) for image in entry["images"]]
@@ -144,7 +144,7 @@ def test_converted_tiles_show_the_same_colours(suffix, tmp_path):
     inside = np.flatnonzero((np.abs(surface.uv.mean(axis=1) - 0.5) < 0.4).all(axis=1))
     for face in inside:
         shown = look_up(images[surface.texture_of[face]], surface.uv[face].mean(axis=0)[None], REPEAT)
-        wanted = look_up(painting() / 255, middles[face][None] * [0.5, -0.5] + [0, 1], REPEAT)
+        wanted = look_up(phantom() / 255, middles[face][None] * [0.5, -0.5] + [0, 1], REPEAT)
         np.testing.assert_allclose(shown, wanted, atol=1e-3)
 
 

@@ -24,7 +24,7 @@ pytest.importorskip("pxr", reason="usd-core is not installed")
 
 from formats.gltf_files import joined
 from formats.image_files import encode
-from formats.tile_files import TILES, painting
+from formats.tile_files import TILES, phantom
 from formats.usd_files import (
     BOUND,
     GIVEN,
@@ -61,7 +61,7 @@ def test_a_scan_keeps_its_layers_and_gets_new_images_in_their_place(scan, smooth
     before, after = members(scan), members(smoothed)
     assert list(before) == list(after) == ["baked.usdc", "0/baked_tex0.png"]
     assert before["baked.usdc"] == after["baked.usdc"]
-    assert np.abs(pixels(after["0/baked_tex0.png"]) - painting()).mean() > 3
+    assert np.abs(pixels(after["0/baked_tex0.png"]) - phantom()).mean() > 3
     report = check_files(scan, smoothed)
     assert (report.faithful, len(report.differences)) == (True, 1)
     document = open_document(str(scan))
@@ -163,7 +163,7 @@ def test_text_that_is_damaged_is_kept_and_compared(tmp_path):
     for folder, damage in (("in", b"K\xf6eln"), ("out", b""), ("other", b"K\xe4eln")):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "a.usdc").write_bytes(layer.replace(b"Koeln", damage or b"Koeln"))
-        (tmp_path / folder / "a.png").write_bytes(encode(painting(), "png"))
+        (tmp_path / folder / "a.png").write_bytes(encode(phantom(), "png"))
     source, target, other = (tmp_path / folder / "a.usdc" for folder in ("in", "out", "other"))
     smooth_file(source, target, GIVEN, Job(overwrite=True))
     assert target.read_bytes() == source.read_bytes()

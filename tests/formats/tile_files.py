@@ -24,7 +24,7 @@ def sheet(size=2):
     return positions, uv, quads.reshape(-1, 4)
 
 
-def painting(kind="uint8", size=2):
+def phantom(kind="uint8", size=2):
     """Return noisy stripes over all tiles."""
     y, x = np.mgrid[: size * SIDE, : size * SIDE] / SIDE
     stripes = np.stack([np.sin(4 * x + y), np.sign(np.sin(3 * y - x)), np.cos(3 * x)], axis=2)
@@ -52,7 +52,7 @@ def tiled_model(folder, pattern="skin.<UDIM>.png", kind="uint8", size=2):
     positions, uv, quads = sheet(size)
     (folder / "model.obj").write_text(obj_text(uv, positions, quads))
     (folder / "model.mtl").write_text(f"newmtl skin\nmap_Kd {pattern}\n")
-    image = painting(kind, size)
+    image = phantom(kind, size)
     for tile in ((u, v) for v in range(size) for u in range(size)):
         (folder / tile_name(pattern, tile)).write_bytes(encode(part(image, tile), "png"))
     return folder / "model.obj"

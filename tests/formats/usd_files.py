@@ -8,11 +8,11 @@ from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.tile_names import tile_name
 from beltrami_cli.layers.settings import SmoothSettings
 from formats.image_files import encode
-from formats.tile_files import TILES, painting, part, sheet
+from formats.tile_files import TILES, part, phantom, sheet
 
 GIVEN = SmoothSettings(KernelParameters(iterations=1, beta=20))
 HEADER = '#usda 1.0\n(\n    defaultPrim = "scan"\n    metersPerUnit = 1\n    upAxis = "Y"\n)\n'
-PICTURE = encode(painting(), "png")
+PICTURE = encode(phantom(), "png")
 POINTS, _, QUADS = sheet()
 COLOURS = np.random.default_rng(5).random((64, 3)).astype(np.float32).round(3)
 
@@ -92,10 +92,10 @@ def phone_scan(folder, *, udim=False):
     mesh = mesh_text(BOUND)
     if udim:
         for tile in TILES:
-            (folder / tile_name(pattern, tile)).write_bytes(encode(part(painting(), tile), "png"))
+            (folder / tile_name(pattern, tile)).write_bytes(encode(part(phantom(), tile), "png"))
         mesh = mesh.replace(rows((sheet()[1] / 2).round(6)), rows(sheet()[1].round(6)))
     else:
-        (folder / pattern).write_bytes(encode(painting(), "png"))
+        (folder / pattern).write_bytes(encode(phantom(), "png"))
     layer = Sdf.Layer.CreateAnonymous(".usda")
     layer.ImportFromString(scene(mesh, material_text(pattern)))
     layer.Export(str(folder / "baked.usdc"))

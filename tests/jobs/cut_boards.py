@@ -29,9 +29,9 @@ def write_board(path, image):
     return path
 
 
-def cut(painting):
-    """Lay a painting (32, 32, 3) out in the image (48, 48, 3); the rest is 0."""
-    image = BOARD.image_of(painting.astype(float)) * 0
+def cut(phantom):
+    """Lay a phantom (32, 32, 3) out in the image (48, 48, 3); the rest is 0."""
+    image = BOARD.image_of(phantom.astype(float)) * 0
     rows, columns = BOARD.texel_places()
-    image[rows, columns] = painting
-    return image.astype(painting.dtype)
+    image[rows, columns] = phantom
+    return image.astype(phantom.dtype)

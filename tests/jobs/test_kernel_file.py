@@ -194,8 +194,8 @@ def test_a_picture_shows_painting_distances_and_weights_side_by_side(tmp_path):
     assert side % cells == 0
     gap, zoom = (picture.shape[1] - 3 * side) // 2, side // cells
     panels = [picture[zoom // 2 :: zoom, k * (side + gap) : k * (side + gap) + side] for k in range(3)]
-    painting, distances, weights = (panel[:, zoom // 2 :: zoom] for panel in panels)
-    np.testing.assert_allclose(painting, read_pixels(PICTURE)[293:308, 93:108, :3], atol=0.6 / 255)
+    phantom, distances, weights = (panel[:, zoom // 2 :: zoom] for panel in panels)
+    np.testing.assert_allclose(phantom, read_pixels(PICTURE)[293:308, 93:108, :3], atol=0.6 / 255)
     columns = facts.table
     held = {(y - 293, x - 93) for x, y in zip(columns["x"], columns["y"], strict=True)}
     for panel in (distances, weights):

@@ -12,7 +12,7 @@ from beltrami_cli.jobs.compare.files import compare_files
 from beltrami_cli.jobs.noise import noise_file
 from beltrami_cli.jobs.settings import NoiseSettings
 from cli.commands import refused
-from formats.image_files import encode, painting
+from formats.image_files import encode, phantom
 from hostile.textured_models import write_model
 from small_models import COLOURED, ply
 
@@ -34,7 +34,7 @@ def rms_between(before, after):
 def test_the_change_of_an_image_is_that_of_the_file(own, suffix, tmp_path):
     source, target = tmp_path / f"in{own}", tmp_path / f"out{suffix}"
     known, options = SOURCES[own]
-    source.write_bytes(encode(painting(), known, **options))
+    source.write_bytes(encode(phantom(), known, **options))
     (added,) = noise_file(source, target, NoiseSettings(sigma=0.1)).added
     assert added.rms == pytest.approx(rms_between(source, target), rel=1e-3)
     smoothed = tmp_path / f"smooth{suffix}"
@@ -45,7 +45,7 @@ def test_the_change_of_an_image_is_that_of_the_file(own, suffix, tmp_path):
 @pytest.mark.parametrize("suffix", [None, ".jpg"])
 def test_the_change_of_a_texture_is_that_of_the_file(suffix, tmp_path):
     source, target = write_model(tmp_path / "in", "obj", "skin.png"), tmp_path / "out.obj"
-    (source.parent / "skin.png").write_bytes(encode(painting(), "png"))
+    (source.parent / "skin.png").write_bytes(encode(phantom(), "png"))
     wanted = dataclasses.replace(SmoothSettings().textures, image_suffix=suffix)
     settings = SmoothSettings(textures=wanted)
     report = noise_file(source, target, NoiseSettings(sigma=0.1), settings)
@@ -69,7 +69,7 @@ def test_noise_of_which_nothing_is_left_is_an_error(name, tmp_path):
         rows = [[0, 0, 0, 9, 9, 9], [1, 0, 0, 9, 9, 9], [0, 1, 0, 9, 9, 9]]
         data = ply(COLOURED, rows, [[0, 1, 2]])
     else:
-        data = encode(painting(), "jpeg", compression="jpeg:30", jpeg__subsampling="4:2:0")
+        data = encode(phantom(), "jpeg", compression="jpeg:30", jpeg__subsampling="4:2:0")
     (tmp_path / name).write_bytes(data)
     words = ("noise", name, f"out{name[-4:]}", "--sigma", "0.05/255")
     refused(tmp_path, *words, code=1, said=f"{name}: nothing of the noise would be left")

@@ -56,8 +56,8 @@ def test_archives_and_nrrd_files_give_the_same_mesh(tmp_path):
     first = opened(write(tmp_path / "a.npz", archive))
     axes = np.diag(steps)
     volume = write(tmp_path / "v.nrrd", nrrd_file(values, "gzip", **lattice_fields(axes, origin)))
-    paint = nrrd_file(np.moveaxis(colours, -1, 0), **lattice_fields(axes, origin, 0))
-    settings = SmoothSettings(level_set=LevelSetSettings(colours=str(write(tmp_path / "c.nrrd", paint))))
+    shades = nrrd_file(np.moveaxis(colours, -1, 0), **lattice_fields(axes, origin, 0))
+    settings = SmoothSettings(level_set=LevelSetSettings(colours=str(write(tmp_path / "c.nrrd", shades))))
     second = opened(volume, settings)
     for field in ("positions", "faces", "colours"):
         np.testing.assert_array_equal(

@@ -106,7 +106,7 @@ def test_colours_of_others_around_charts_stay(tmp_path, kind):
     pixels[outside] = OTHER_COLOURS[kind][outside]
     found = smoothed(halves(tmp_path, pixels))
     assert (found != pixels)[~outside].mean() > 0.5
-    # Paint that passes through the colour of the chart is within three deviations of it here and there, and only then
+    # A pattern that passes through the colour of the chart is within three deviations of it here and there, and then
     # becomes that colour.
     changed = np.abs(found - pixels)[outside].max(axis=1)
     assert np.mean(changed > 0) < 0.05

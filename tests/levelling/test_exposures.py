@@ -1,4 +1,4 @@
-"""Known exposures are found and taken out; paint, and models without exposure steps, stay."""
+"""Known exposures are found and taken out; edges of colour, and models without exposure steps, stay."""
 
 from dataclasses import replace
 
@@ -296,7 +296,7 @@ def test_white_beside_what_was_brighter_than_full_scale_becomes_as_bright():
 
 
 def test_steps_are_measured_at_the_seam_without_the_slope_of_the_colours(head):
-    # The head's painting is continuous, and slopes on both sides of its seams.
+    # The head's phantom is continuous, and slopes on both sides of its seams.
     atlas = head.samples.atlas
     steps = steps_over_seams(atlas, on_canvas(atlas, head.truth.astype(np.float32)), ChartPlaces.of(atlas))
     sizes = np.abs(steps.colours[:, 1] - steps.colours[:, 0]).max(axis=1)

@@ -1,4 +1,4 @@
-"""Pictures without noise, by formulas: like a photograph, flat paint, line art and shapes; and white noise on them."""
+"""Pictures without noise, by formulas: like a photograph, flat areas, line art and shapes; and white noise on them."""
 
 import numpy as np
 

@@ -16,7 +16,7 @@ from beltrami_cli._native import (
     vertex_order,
 )
 from oracles import surfaces
-from properties.textured_planes import painting
+from properties.textured_planes import phantom
 
 RANDOM = np.random.default_rng(1)
 
@@ -51,7 +51,7 @@ def test_the_unit_of_length_is_a_geometric_mean():
 def test_window_sweeps_agree_with_the_heap_march(beta, t, mean, most, window):
     """One outward pass misses paths that bend around colour edges; they are rare, and long, so they weigh little."""
     kind, lengths = grid(64)
-    noisy = np.ascontiguousarray(painting(64).transpose(2, 0, 1), np.float32)
+    noisy = np.ascontiguousarray(phantom(64).transpose(2, 0, 1), np.float32)
     parameters = (beta, t, float(np.sqrt(-4 * t * log(0.01))), window // 2)
     swept, marched = (
         smooth_grid(kind, lengths, None, None, noisy, noisy, *parameters, scheme, 1, None)[0]
@@ -91,7 +91,7 @@ def test_a_cell_that_repeats_a_texel_counts_for_its_share(scheme):
     repeats = RANDOM.integers(1, 5, kind.shape).astype(np.uint8)
     repeats[:, :15] = 1  # of samples: only what lies beyond a seam is repeated
     kind[:, 15:] = np.where(kind[:, 15:] == 1, 2, kind[:, 15:])
-    colours = np.ascontiguousarray(painting(30).transpose(2, 0, 1), np.float32)
+    colours = np.ascontiguousarray(phantom(30).transpose(2, 0, 1), np.float32)
     shares = (1 / repeats).astype(np.float32)
     both = np.concatenate([colours * shares, shares[None]])
     more = (0.0, 1.5, 5.0, 3, scheme, 1, None)

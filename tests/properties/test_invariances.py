@@ -68,7 +68,7 @@ def image(**parameters):
         result = beltrami_cli.smooth_image(pixels, surface=surface, **{**parameters, **others})
         return result.colours.reshape(colours.shape)
 
-    colours = textured_planes.painting(COLUMNS)[:ROWS].clip(0, 1).astype(np.float32)
+    colours = textured_planes.phantom(COLUMNS)[:ROWS].clip(0, 1).astype(np.float32)
     return Scene(smooth, places.reshape(-1, 3), None, colours.reshape(-1, 3), measured.ravel())
 
 
@@ -81,7 +81,7 @@ def texture(**parameters):
         smoothed, _ = textured_planes.smooth_image(own, pixels, **{**parameters, **others})
         return smoothed.reshape(colours.shape)
 
-    colours = BOARD.image_of(textured_planes.painting(48)).astype(np.float32)
+    colours = BOARD.image_of(textured_planes.phantom(48)).astype(np.float32)
     covered = np.zeros((size, size), bool)
     covered[BOARD.texel_places()] = True
     return Scene(smooth, surface.positions, surface.faces, colours.reshape(-1, 3), covered.ravel())

@@ -19,9 +19,9 @@ FIXED = {"iterations": 1, "t": 2.0, "beta": 8.0, "patches": "on", "threads": 2}
 RANDOM = np.random.default_rng(5)
 
 
-def on_board(board, painting, **parameters):
-    """Smooth a painting on a plane that is cut into charts; return it as it lies on the plane."""
-    image = board.image_of(painting)
+def on_board(board, phantom, **parameters):
+    """Smooth a phantom on a plane that is cut into charts; return it as it lies on the plane."""
+    image = board.image_of(phantom)
     result, _ = textured_planes.smooth_image(board.surface(), image, **{**FIXED, **parameters})
     return result[board.texel_places()]
 

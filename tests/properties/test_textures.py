@@ -7,7 +7,7 @@ from beltrami_cli._native import halo_repeats
 from beltrami_cli.flow.parameters import PRESETS, KernelParameters
 from oracles import surfaces
 from oracles.textured import quads, slit
-from properties.textured_planes import Board, painting, smooth_image, textured
+from properties.textured_planes import Board, phantom, smooth_image, textured
 
 RANDOM = np.random.default_rng(1)
 
@@ -34,7 +34,7 @@ REGULARISED = {"metric_scale": 0.7, "metric_steps": 2, "beta": 8.0}
 def test_a_plane_cut_into_charts_gives_the_uncut_result(places, parameters):
     board = Board(cells=8, texels=6, block=4, slot=32, slots=2, places=places)
     whole = uncut(8, 6)
-    picture = painting(48)
+    picture = phantom(48)
     cut, plan = smooth_image(board.surface(), board.image_of(picture), **parameters)
     truth, _ = smooth_image(whole.surface(), picture, **parameters)
     assert plan.manifold.jumps == 0
@@ -178,7 +178,7 @@ def test_no_kernel_reaches_over_charts_that_are_neighbours_in_the_image_only(sch
     chart = (surface.uv.mean(axis=1) >= 0.5) @ [1, 2]
     positions = apart[surface.faces].reshape(-1, 3) + 100.0 * np.repeat(chart, 3)[:, None]
     faces = np.arange(len(positions), dtype=np.int32).reshape(-1, 3)
-    image = board.image_of(painting(48))
+    image = board.image_of(phantom(48))
     together, _ = smooth_image(textured(positions, faces, surface.uv), image, **parameters)
     for number in range(4):
         alone = image.copy()
@@ -214,7 +214,7 @@ def test_a_fine_chart_is_not_spoilt_by_a_coarse_one_beyond_its_seam():
 def test_a_regularised_metric_resists_the_noise_that_it_does_not_see():
     """Distances from smoothed colours reach further over noise, and beta means the same in both."""
     board = uncut(16, 6)
-    picture = painting(96)
+    picture = phantom(96)
     clean = picture - np.random.default_rng(5).normal(0, 20 / 255, (96, 96, 3))
 
     def psnr(**parameters):

@@ -50,15 +50,15 @@ class Board:
             uv[inside] = (self._turn(local, turns, mirrored) + self._origin(row, column)) / self.size
         return textured(positions, faces, uv)
 
-    def image_of(self, painting):
-        """Lay a painting (side, side, N), a texel per place, out in the image; the rest is noise."""
-        image = np.random.default_rng(99).random((self.size, self.size, painting.shape[2]))
+    def image_of(self, phantom):
+        """Lay a phantom (side, side, N), a texel per place, out in the image; the rest is noise."""
+        image = np.random.default_rng(99).random((self.size, self.size, phantom.shape[2]))
         y, x = self.texel_places()
-        image[y, x] = painting
+        image[y, x] = phantom
         return image
 
     def texel_places(self):
-        """Row and column in the image of every texel of the painting."""
+        """Row and column in the image of every texel of the phantom."""
         side = self.cells * self.texels
         centre = np.stack(np.meshgrid(np.arange(side) + 0.5, np.arange(side) + 0.5), axis=-1)
         extent, charts = self.block * self.texels, self.cells // self.block
@@ -113,7 +113,7 @@ def smooth_image(surface, image, **parameters):
     return new.reshape(image.shape), plan
 
 
-def painting(side, channels=3):
+def phantom(side, channels=3):
     """Two regions with a slow gradient, and noise of 20 / 255."""
     y, x = np.mgrid[0:side, 0:side] / side
     base = np.where((x + 0.3 * y > 0.6)[..., None], 0.7 - 0.2 * y[..., None], 0.3 + 0.2 * x[..., None])
