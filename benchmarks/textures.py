@@ -185,7 +185,7 @@ def close_to(lines, size):
 
 
 def from_file(path):
-    """Return the textured surface of a file; images that are no pictures are left out."""
+    """Return the textured surface of a file; images that are not pictures are left out."""
     surface = open_document(str(path)).textured("baseColor")
     decoded = [read_texture(texture) for texture in surface.textures]
     large = [min(picture.pixels.shape[:2]) >= SMALLEST for picture in decoded]

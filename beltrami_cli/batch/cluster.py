@@ -75,7 +75,7 @@ def _require_listener(address: str) -> None:
 
 
 async def _require_scheduler(address: str, security: Any) -> None:
-    """Raise an exception of any kind if what listens at an address is no scheduler, where a client would hang."""
+    """Raise an exception of any kind if what listens at an address is not a scheduler, where a client would hang."""
     from distributed.core import rpc
 
     arguments = security.get_connection_args("client")

@@ -45,7 +45,7 @@ class Item:
     unwrap: BakeSettings | None = None
     outside: bool = False  # whether files are followed that the model names beyond its own folder
     overwrite: bool = False
-    skip_uncoloured: bool = False  # whether a file without the colours that are asked for is no failure
+    skip_uncoloured: bool = False  # whether a file without the colours that are asked for is not a failure
     columns: tuple[str, ...] = ()  # names of the columns of points in text files
     # Whether an attempt that was cut off may have written files; existing ones must then be equal.
     again: bool = False

@@ -189,7 +189,7 @@ def _parts_of(entry: object, origin: str) -> tuple[str, str, dict[str, object]]:
     options = {key: value for key, value in entry.items() if value not in ("", None)}
     source, target = options.pop("input", None), options.pop("output", "")
     if not isinstance(source, str) or not isinstance(target, str):
-        raise InputError(origin, "it has no input, or one that is no text", _WAY_OUT)
+        raise InputError(origin, "it has no input, or one that is not text", _WAY_OUT)
     return source, target, options
 
 

@@ -33,9 +33,9 @@ def without_scheme(name: str) -> str:
 
 
 def require_name(name: object) -> str:
-    """Return what can be the name of a file; ValueError if it is no text, or one that no file can have."""
+    """Return what can be the name of a file; ValueError if it is not text, or cannot name a file."""
     if not isinstance(name, str) or "\0" in name:
-        raise ValueError("it is no name of a file")
+        raise ValueError("it cannot be the name of a file")
     os.fsencode(name)  # a UnicodeError is a ValueError
     return name
 

@@ -242,7 +242,7 @@ def serve(pipe: Connection[Any, Any], path: Path) -> None:
     def report(*event: object) -> None:
         try:
             channel.send((False, event))
-        except ConnectionError:  # the process that leads is gone, which is no error of a task
+        except ConnectionError:  # the process that leads is gone, which is not the task's error
             sys.exit()
 
     progress = at_intervals(_PAUSE, report)

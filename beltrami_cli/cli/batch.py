@@ -52,7 +52,7 @@ _KINDS = {"vertices": "vertex colours", "image": "images", "textures": "textures
     help="Go on from the report of an earlier run: skip what it has done, if neither the files nor the parameters have "
     "changed since.",
 )  # fmt: skip
-@click.option("--skip-uncoloured", is_flag=True, help="Files without colours are no failures.")
+@click.option("--skip-uncoloured", is_flag=True, help="Files without colours do not count as failures.")
 @click.option("--fail-fast", is_flag=True, help="Stop at the first failure.")
 @click.option(
     "--dry-run", is_flag=True,

@@ -59,7 +59,7 @@ def values_for(options: Mapping[str, click.Option], table: Mapping[str, object])
     for name, value in table.items():
         option = options.get(plain(name))
         if option is None or option.name is None:
-            raise ValueError(f"{name} is no option there")
+            raise ValueError(f"{name} is not an option of this command")
         if option.name in values:
             raise ValueError(f"{name} is given twice, under two names")
         values[option.name] = _value(option, name, value)

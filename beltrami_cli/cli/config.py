@@ -54,7 +54,7 @@ class Configuration:
             common = {key: value for key, value in self.common.items() if plain(key) in known}
             for key in set(self.common) - set(common):
                 if not any(plain(key) in options_by_name(command(each)) for each in names):
-                    raise ValueError(f"{key} is no option of any command")
+                    raise ValueError(f"{key} is not an option of any command")
             values = values_for(known, common)
             if shared:
                 theirs = values_for(options_by_name(command("smooth")), self.tables.get("smooth", {}))
@@ -73,7 +73,7 @@ class Configuration:
                 continue
             if not self.is_named and not may_be_found(option, values[option.name]):
                 raise ValueError(
-                    f"{long_name(option)} may not be set by a file that was only found, since it is no parameter of "
+                    f"{long_name(option)} may not be set by a file that was only found, since it is not a parameter of "
                     f"the method; give it on the command line, or name the file: --config {self.path}"
                 )
             try:
@@ -106,7 +106,7 @@ def load(named: str | None) -> Configuration:
 
 
 def _table_in(path: Path, text: str) -> dict[str, object] | None:
-    """Return the table of options in a file; None if it is one of other programs; ValueError if it is no TOML."""
+    """Return the table of options in a file; None if it is one of other programs; ValueError if it is not TOML."""
     tree = parse_toml(text)
     tool = tree.get("tool", {})
     if isinstance(tool, dict) and "beltrami" in tool:
@@ -114,13 +114,13 @@ def _table_in(path: Path, text: str) -> dict[str, object] | None:
     elif path.name == SHARED_NAME:
         return None
     if not isinstance(tree, dict):
-        raise InputError(str(path), "[tool.beltrami] is no table", "see beltrami config --help")
+        raise InputError(str(path), "[tool.beltrami] is not a table", "see beltrami config --help")
     return tree
 
 
 OWN_NAME, SHARED_NAME = "beltrami.toml", "pyproject.toml"
 
-# The options that are no parameters of a record, but of the method or of encoding. Whatever is not here is refused.
+# The options that are not parameters of a record, but of the method or of encoding. Whatever is not here is refused.
 _HARMLESS = frozenset({
     "preset", "output_format", "unwrap", "to", "at", "iteration", "whole", "no_labels",
 })  # fmt: skip

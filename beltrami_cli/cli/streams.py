@@ -81,7 +81,7 @@ def _is_at(stream: TextIO | None, number: int) -> bool:
         return True
     try:
         return stream.fileno() == number
-    except (AttributeError, OSError, ValueError):  # It is no file.
+    except (AttributeError, OSError, ValueError):  # It is not a file.
         return False
 
 

@@ -311,7 +311,7 @@ def _left_in_cgroups() -> Iterator[int]:
         own = root / path.strip("/")
         for folder in (own, *own.parents):
             if folder.is_relative_to(root):
-                with contextlib.suppress(OSError, ValueError):  # "max" is no limit
+                with contextlib.suppress(OSError, ValueError):  # "max" is not a limit
                     limit = int((folder / most).read_text())
                     yield max(limit - int((folder / current).read_text()) + _cached(folder), 0)
 

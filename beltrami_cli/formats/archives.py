@@ -217,7 +217,7 @@ def _parse(start: bytes) -> Header:
         try:
             shape, fortran, dtype = read(file, max_header_size=_LONGEST_HEADER)
         except (SyntaxError, tokenize.TokenError, TypeError, RecursionError, MemoryError) as error:
-            raise ValueError("its header is no description of an array") from error
+            raise ValueError("its header is not a description of an array") from error
     if any(side < 0 for side in shape):
         raise ValueError(f"the shape is {shape}")
     return Header(shape, dtype, fortran, file.tell())

@@ -181,7 +181,7 @@ class ModelFolder:
 
 
 def _spellings(name: str) -> list[str]:
-    """Return a name, or of one that is no UTF-8 what it is in the encodings of Windows programs."""
+    """Return a name, or of one that is not UTF-8 what it is in the encodings of Windows programs."""
     octets, spellings = os.fsencode(name), []
     for encoding in ("utf-8", *_ENCODINGS):
         with contextlib.suppress(UnicodeDecodeError):

@@ -56,7 +56,7 @@ class NewFiles:
         return self._reserve(new, may_stay=keeps and new == path, tiles=tuple(tiles))
 
     def other(self, path: str, suffix: str) -> str:
-        """Return the path of a file that is no image, in place of another."""
+        """Return the path of a file that is not an image, in place of another."""
         if self._naming.keeps and not is_outside(path):
             return self._reserve(path, may_stay=True)
         return self.new(suffix, PurePosixPath(path_inside(path)).parent)

@@ -91,7 +91,7 @@ def material_names(materials: Sequence[Material], default: str) -> list[str]:
 
 
 def plain_name(name: str) -> str:
-    """Return a name on one line, in characters: bytes that are no UTF-8 are taken for Latin-1."""
+    """Return a name on one line, in characters: bytes that are not UTF-8 are taken for Latin-1."""
     line = " ".join(name.split())
     try:
         line.encode()

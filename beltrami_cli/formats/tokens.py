@@ -89,7 +89,7 @@ class Lines:
             only = np.where(inside[:-1].view(np.bool_), only, np.uint8(ord(" ")))
         values = read_numbers(only.tobytes())
         if len(values) < len(tokens):
-            raise self.error(tokens[len(values)], "is no number")
+            raise self.error(tokens[len(values)], "is not a number")
         return values
 
     def word(self, token: int | np.int64) -> bytes:

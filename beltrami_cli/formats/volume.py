@@ -62,7 +62,7 @@ def read_volume(data: bytes, name: str, folder: ModelFolder, most: int) -> Volum
 
 
 def read_colours(data: bytes, name: str, folder: ModelFolder, most: int) -> GridColours | NearColours | None:
-    """Read a file of colours for a level set as `read_volume`; None if it is no volume and no archive."""
+    """Read a file of colours for a level set as `read_volume`; None if it is neither a level set nor an archive."""
     if data.startswith(_NRRD):
         return read_nrrd_colours(data, name, folder, most)
     if not is_npz(data):
@@ -237,7 +237,7 @@ def _data(header: dict[str, Any], rest: bytes, name: str, folder: ModelFolder) -
         return rest
     found = folder.find(str(named))
     if found is None:
-        cause = f"its data are in {named}, which is no file in its folder"
+        cause = f"its data are in {named}, which is not a file in its folder"
         raise InputError(name, cause, "put both in one folder")
     try:
         return folder.read(found)

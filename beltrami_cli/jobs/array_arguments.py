@@ -84,7 +84,7 @@ def mesh_arrays(mesh: Any) -> MeshArrays | None:
     if hasattr(mesh, "point_data"):
         padded = np.asarray(getattr(mesh, "faces", [0]))  # each face: its number of corners, and these
         if len(padded) % 4 or (padded[::4] != 3).any() or mesh.n_strips:
-            raise UsageError("the mesh is no PolyData of triangles; call extract_surface().triangulate()")
+            raise UsageError("the mesh is not a PolyData of triangles; call extract_surface().triangulate()")
         active_first = sorted(mesh.point_data.keys(), key=lambda name: name != mesh.active_scalars_name)
         tables = (np.asarray(mesh.point_data[name]) for name in active_first)
         shades = (table for table in tables if table.dtype == np.uint8 and table.shape[1:] in ((3,), (4,)))
@@ -266,7 +266,7 @@ def in_type_of(given: Array, before: Array, after: Array) -> Array:
 
 
 def image_array(image: Any, name: str) -> Array:
-    """Make an array of an image; one of Pillow whose numbers are no grey, red, green and blue is converted."""
+    """Make an array of an image; one of Pillow whose numbers are not grey, red, green and blue is converted."""
     mode = getattr(image, "mode", None)
     if mode is not None and mode not in ("L", "LA", "RGB", "RGBA", "I;16", "F"):
         has_alpha = mode == "PA" or "transparency" in image.info

@@ -192,7 +192,7 @@ def smooth(
     ------
     UsageError
         If a parameter is unknown or out of its range, the shape or type of an array is wrong, a face refers to a
-        vertex that does not exist, or a mesh has no colours of vertices, or faces that are no triangles.
+        vertex that does not exist, or a mesh has no colours of vertices, or faces that are not triangles.
     InputError
         If positions are not finite, or positions and colours differ in number.
 

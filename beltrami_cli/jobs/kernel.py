@@ -116,7 +116,7 @@ def _vertex_at(at: str, where: SampledVertices, name: str) -> Place:
         numbers = [float(np.nanargmin(squared))]
     if len(numbers) != 1 or numbers[0] not in range(len(positions)) or sample_of[int(numbers[0])] < 0:
         remedy = f"give its index, 0 to {len(positions) - 1}, or a position X,Y,Z"
-        raise UsageError(f"--at {at} is no coloured vertex of {name}; {remedy}")
+        raise UsageError(f"--at {at} is not a coloured vertex of {name}; {remedy}")
     known, first = np.unique(sample_of, return_index=True)
     first, vertex = first[known >= 0], int(numbers[0])
     columns = {"vertex": first, **dict(zip("xyz", positions[first].T, strict=True))}
@@ -139,7 +139,7 @@ def _texel_at(at: str, cells: Cells, what: str, *, is_flipped: bool) -> Place:
     last = size - 1 if is_image else size
     if len(numbers) != 2 or not ((numbers >= 0) & (numbers <= last)).all() or not mine.any():
         form = "column and row as X,Y" if is_image else "texture coordinates U,V from 0 to 1"
-        raise UsageError(f"--at {at} is no place in {what}, {size[0]} x {size[1]}; give {form}")
+        raise UsageError(f"--at {at} is not inside {what}, {size[0]} x {size[1]}; give {form}")
     nearest = np.square(np.stack([column, row], axis=1) - numbers).sum(axis=1).argmin()
     name, columns = f"{column[nearest]},{row[nearest]}", {"x": cells.column, "y": cells.row}
     if not is_image:
@@ -154,7 +154,9 @@ def _numbers(at: str) -> list[float]:
     except ValueError:
         numbers = []
     if not numbers or not np.isfinite(numbers).all():
-        raise UsageError(f"--at {at} is no place; give the index of a vertex, X,Y,Z, U,V, or a pixel X,Y")
+        raise UsageError(
+            f"--at {at} cannot be understood; give the index of a vertex, X,Y,Z, U,V, or a pixel X,Y"
+        )
     return numbers
 
 

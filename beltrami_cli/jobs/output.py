@@ -163,7 +163,7 @@ class Output:
         except OSError:
             head = b"?"
         if head and not is_own(head):
-            cause = f"exists, and is no {self.what} of this program as far as can be seen"
+            cause = f"exists, and is not a {self.what} of this program as far as can be seen"
             remedy = "choose another name, or remove it"
             raise OutputError(self.target, cause, remedy)
 
@@ -173,7 +173,7 @@ class Output:
             if not folder.exists():
                 raise OutputError(self.target, f"the folder {name} does not exist", "make it first")
             if not folder.is_dir():
-                raise OutputError(self.target, f"{name} is no folder", "choose another place")
+                raise OutputError(self.target, f"{name} is not a folder", "choose another place")
             with replacing.endings_held(), tempfile.TemporaryFile(dir=folder):
                 pass  # it can be written to
             replacing.recover(folder)
@@ -220,7 +220,7 @@ class FileSet:
         self.streams.clear()
 
     def _remove_temporary(self) -> None:
-        """Remove the temporary files; files that stay are no failure, since all others are complete."""
+        """Remove the temporary files; files that stay are not a failure, since all others are complete."""
         stay = [] if self._journal is None else self._journal.close()
         self._journal = None
         self._staged.clear()

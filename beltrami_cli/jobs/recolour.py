@@ -152,7 +152,7 @@ def begin(
     with watch.stage("read"):
         document = open_input(source, settings, access)
         if models_only and document.kind == "image":
-            document.coloured_vertices()  # raises the error that it is no model
+            document.coloured_vertices()  # raises the error that it is not a model
         kind = choose_format(document, target, job.format)
     return FileJob(source, target, replace(job, access=access), document, kind, output, watch)
 
@@ -231,7 +231,7 @@ AnyResult = TypeVar("AnyResult", bound=FilterResult)
 class ColourFilter(ABC, Generic[AnyResult]):
     """Gives layers new colours. It is immutable; what it did is in its results."""
 
-    # Whether channels of images that are no colours stay, unless they are named.
+    # Whether channels of images that are not colours stay, unless they are named.
     colours_only: ClassVar[bool] = True
     # Whether large arrays are in files where memory is too small for them.
     works_in_files: ClassVar[bool] = True

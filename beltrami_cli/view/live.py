@@ -249,7 +249,7 @@ class Live:
 def _part(request: dict[str, Any], name: str, kind: type[Part]) -> Part:
     """Return a part of a request, which must be of a type."""
     value = request.get(name)
-    if type(value) is not kind:  # True is no number
+    if type(value) is not kind:  # True is not a number
         raise MalformedError
     return value
 

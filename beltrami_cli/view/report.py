@@ -111,7 +111,7 @@ def _parameters(path: str, access: Access) -> dict[str, Any]:
         return used_parameters(parse_json(text_in(io.BytesIO(read_source(path, access)), REPORT)))
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         remedy = "give the file that `beltrami smooth --report` wrote"
-        raise InputError(path, "it is no report of beltrami smooth", remedy) from error
+        raise InputError(path, "it is not a report of beltrami smooth", remedy) from error
 
 
 def _figures(differing: Sequence[Measured]) -> list[dict[str, Any]]:

@@ -260,7 +260,7 @@ def test_files_in_manifests_lie_beside_them(scans, tmp_path):
 @pytest.mark.parametrize(
     ("text", "code", "words"),
     [
-        ('[[files]]\ninput = "a.ply"\nbetta = 8', 2, "file 1: betta is no option there"),
+        ('[[files]]\ninput = "a.ply"\nbetta = 8', 2, "file 1: betta is not an option of this command"),
         ('[[files]]\ninput = "a.ply"\nbeta = true', 2, "file 1: beta can be no truth value"),
         ('[[files]]\ninput = "a.ply"\nwindow = 4', 2, "file 1: --window is 4"),
         ('[[files]]\ninput = "a.ply"\nspace = "pink"', 2, "file 1: Invalid value for '--space'"),

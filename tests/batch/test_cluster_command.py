@@ -152,7 +152,7 @@ def reset_at_once(connection):
     connection.close()
 
 
-# What may listen at an address that is no scheduler.
+# What may listen at an address that is not a scheduler.
 LISTENERS = {
     "silent": b"", "drops connections": socket.socket.close, "resets connections": reset_at_once,
     "a web server": b"HTTP/1.1 400 Bad Request\r\nContent-Length: 0\r\n\r\n", "zeros": bytes(4096),

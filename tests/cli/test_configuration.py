@@ -111,9 +111,9 @@ def test_a_preset_beats_what_is_given_less_directly(run, tmp_path):
 @pytest.mark.parametrize(
     ("text", "words", "code"),
     [
-        ("[smooth]\nbetta = 8", "betta is no option there", 2),
+        ("[smooth]\nbetta = 8", "betta is not an option of this command", 2),
         ("[smoth]\nbeta = 8", "there is no command smoth", 2),
-        ("betta = 8", "betta is no option of any command", 2),
+        ("betta = 8", "betta is not an option of any command", 2),
         ('[smooth]\nbeta = "much"', "beta: 'much' is not a valid float", 2),
         ("[smooth]\nthreads = 0", "threads is 0, but must be between 1 and 1024", 2),
         ("[smooth]\ngutter = -1", "--gutter is -1, but must be", 2),

@@ -46,7 +46,7 @@ def option_for(name, declared):
 
 
 def beyond(declared):
-    """Numbers just outside the range of a parameter, and texts that are no number."""
+    """Numbers just outside the range of a parameter, and texts that are not numbers."""
     outside = [math.nan, math.inf] if declared.kind is float else []
     if declared.low is not None:
         outside.append(declared.low if declared.is_open else declared.low - 1)

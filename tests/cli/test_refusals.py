@@ -82,7 +82,7 @@ REFUSED = [
     ("smooth @knot-noisy.ply out.stl", 2, "out.stl: .stl files are read, but not written: the STL format"),
     ("smooth @knot-noisy.ply kept", 4, "kept: is a folder; name a file"),
     ("smooth @knot-noisy.ply none/x.ply", 4, "none/x.ply: the folder none does not exist; make it first"),
-    ("smooth @knot-noisy.ply kept/there.ply/x.ply", 4, "kept/there.ply is no folder; choose another place"),
+    ("smooth @knot-noisy.ply kept/there.ply/x.ply", 4, "kept/there.ply is not a folder; choose another place"),
     (f"smooth @knot-noisy.ply kept/{300 * 'x'}.ply", 4, ".ply: no file can be called so (File name too long)"),
     ("smooth @knot-noisy.ply picture.png", 2, "picture.png draws it"),
     ("smooth @knot-noisy.ply out.ply --report nowhere/r.json", 4, "nowhere"),
@@ -235,8 +235,8 @@ REFUSED = [
     # places of kernels
     ("kernel --fast @nonmanifold-noisy.ply k.ply --at 999999", 2, "vertex"),
     ("kernel --fast @nonmanifold-noisy.ply k.ply --at 0.1,0.2", 2, "vertex"),
-    ("kernel --fast @nonmanifold-noisy.ply k.ply --at nowhere", 2, "no place"),
-    ("kernel --fast @nonmanifold-noisy.ply k.ply --at nan,0,0", 2, "no place"),
+    ("kernel --fast @nonmanifold-noisy.ply k.ply --at nowhere", 2, "cannot be understood"),
+    ("kernel --fast @nonmanifold-noisy.ply k.ply --at nan,0,0", 2, "cannot be understood"),
     ("kernel --fast @nonmanifold-noisy.ply k.png --at 12", 2, ".ply"),
     ("kernel --fast @nonmanifold-noisy.ply k.xyz --at 12", 2, "k.xyz: a kernel is written as .ply, .png or .csv"),
     ("kernel --fast @tiled-noisy.glb k.png --at 12", 2, "texture coordinates"),
@@ -244,8 +244,8 @@ REFUSED = [
     ("kernel --fast @tiled-noisy.glb k.ply --at 0.3,0.3", 2, ".png"),
     ("kernel --fast @torus-two-noisy.gltf k.png --at 0.3,0.3", 2, "several textures"),
     ("kernel --fast @torus-two-noisy.gltf k.png --at nosuch*:0.3,0.3", 2, "no texture"),
-    ("kernel --fast @mirrored-noisy.png k.png --at -1,3", 2, "no place"),
-    ("kernel --fast @mirrored-noisy.png k.png --at 3,320", 2, "no place"),
+    ("kernel --fast @mirrored-noisy.png k.png --at -1,3", 2, "is not inside"),
+    ("kernel --fast @mirrored-noisy.png k.png --at 3,320", 2, "is not inside"),
 ]  # fmt: skip
 
 

@@ -408,6 +408,6 @@ def test_grey_pictures_have_one_table_and_other_files_none():
     for end in range(2, whole.index(b"\xff\xda") + 20):
         found = read_jpeg_tables(bytes(whole[:end]))
         assert found is None or np.array_equal(found.steps, tables.steps)
-    whole[at] = 0  # which is no step
+    whole[at] = 0  # which is not a step
     for data in (jpeg(mode="CMYK"), jpeg(keep_rgb=True), jpeg(suffix=".png"), b"", bytes(whole)):
         assert read_jpeg_tables(data) is None

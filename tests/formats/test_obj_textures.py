@@ -119,7 +119,7 @@ def test_materials_that_share_a_file_share_a_texture(tmp_path):
     ("line", "cause"),
     [("f 1/9 2/1 3/1", "'1/9' refers to no texture"), ("f 1/0 2/1 3/1", "index 0"), ("f 1/x 2/1 3/1", "'1/x'"),
      ("f 1/-5 2/1 3/1", "'1/-5' refers"), ("vt\nf 1/1 2/1 3/1", "no numbers"),
-     ("vt a b\nf 1/1 2/1 3/1", "is no number")],
+     ("vt a b\nf 1/1 2/1 3/1", "is not a number")],
 )  # fmt: skip
 def test_damaged_coordinates_are_refused_with_their_line(tmp_path, line, cause):
     obj = f"mtllib m.mtl\n{SQUARE}{CORNERS}usemtl one\n{line}\n"

@@ -61,8 +61,8 @@ def test_what_is_not_obvious_is_said():
         (b"1 2 3 -4 5 -6 7 8", InputError, "8 numbers each, and it is not clear which are colours"),
         (b"1 2 3 0 0 1 1 0 0", InputError, "columns 4 to 6 or .* or 7 to 9"),
         (b"1 2 3 4 5 6\n1 2 3 4 5\n", InputError, "line 2: 5 numbers, but the first point has 6"),
-        (b"\n1 2 3 4 5 6\n1 2 3 four 5 6\n", InputError, "line 3: 'four' is no number"),
-        (b"C 0 0 0\n", InputError, "line 1: 'C' is no number"),
+        (b"\n1 2 3 4 5 6\n1 2 3 four 5 6\n", InputError, "line 3: 'four' is not a number"),
+        (b"C 0 0 0\n", InputError, "line 1: 'C' is not a number"),
         (b"3\n1 2 3 4 5 6\n1 2 3 4 5 6\n", InputError, "line 1: 3 points are announced, but 2 follow"),
         (b"1 2 3 4 5 6\n1\n1 2 3 4 5 6\n", InputError, "line 2: one number only"),
         (b"0\n", InputError, "no points"),
@@ -72,15 +72,23 @@ def test_what_is_not_obvious_is_said():
         (b"1 2 3 4 5 6000.5\n", InputError, "full scale"),
         (b"x y z r g\n1 2 3 4 5\n", NoColoursError, "x y z r g have no colours"),
         (b"a,b,c\n1,2,3\n", InputError, "a b c have no x, y and z"),
-        (b"words\nthese are 3 files\n", InputError, "line 2: 'these' is no number, so this is no table"),
-        (b"ncols 4\nnrows 4\n0 0 0 0\n", InputError, "line 1: 'ncols' is no number, so this is no table"),
+        (
+            b"words\nthese are 3 files\n",
+            InputError,
+            "line 2: 'these' is not a number, so this is not a table",
+        ),
+        (
+            b"ncols 4\nnrows 4\n0 0 0 0\n",
+            InputError,
+            "line 1: 'ncols' is not a number, so this is not a table",
+        ),
         (b"1,5;2,5;3,5;200;100;50\n", InputError, "line 1: commas stand in some places.*with a point"),
         (b"# x y z r g b\n1,5 2,5 3,5 200 100 50\n", InputError, "line 2: commas stand in some places"),
         (b"1,2,3,,5,6\n1,2,3,4,5,6\n", InputError, "line 2: 6 numbers, but the first point has 5"),
         (b"x y z r g b\n1 2 3 4\n", InputError, "names 6 columns, but there are 4"),
-        (b"\xff\xfe1\x00 \x002\x00\n1 2 3 4", InputError, "it is no plain text; export"),
-        (b"\0" * 40, InputError, "it is no plain text; export"),
-        (b"[Points]\n1 2 3 4 5 6\n\xc0\0\n", InputError, "it is no plain text; export"),
+        (b"\xff\xfe1\x00 \x002\x00\n1 2 3 4", InputError, "it is not plain text; export"),
+        (b"\0" * 40, InputError, "it is not plain text; export"),
+        (b"[Points]\n1 2 3 4 5 6\n\xc0\0\n", InputError, "it is not plain text; export"),
     ],
 )
 def test_what_cannot_be_read_is_refused_in_one_line(text, error, said):
@@ -257,7 +265,7 @@ def test_points_without_a_place_take_no_part_and_keep_their_bytes():
     text = b"0 0 0 10 20 30\nnan nan nan 0 0 0\n1 0 inf 9 9 9\n1 0 0 40 50 60\n"
     document = opened(text)
     assert len(document.coloured_vertices().positions) == 2
-    assert "2 of 4 points have no place" in document.notices[0]
+    assert "2 of 4 points have no finite position" in document.notices[0]
     result = patched(document, np.array([[1, 0, 0], [0, 0, 1]]))
     assert result == b"0 0 0 255 0 0\nnan nan nan 0 0 0\n1 0 inf 9 9 9\n1 0 0 0 0 255\n"
 

@@ -127,7 +127,7 @@ def test_the_surface_is_that_which_is_shown(tmp_path):
     said = " ".join(document.notices)
     assert "2 mesh(es) are invisible" in said
     assert "1 mesh(es) have one colour" in said
-    assert "1 prim(s) that are no meshes have colours of points" in said
+    assert "1 prim(s) that are not meshes have colours of points" in said
 
 
 MOVED = shader(
@@ -239,7 +239,7 @@ def test_layers_outside_are_not_read(tmp_path):
     with pytest.raises(NoColoursError):
         document.coloured_vertices()
     said = " ".join(document.notices)
-    for cause in ("leaves the model's folder", "is not a relative path", "is missing", "is no USD layer"):
+    for cause in ("leaves the model's folder", "is not a relative path", "is missing", "is not a USD layer"):
         assert cause in said
 
 
@@ -286,8 +286,11 @@ def test_materialx_networks_in_layers_show_their_image(tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (("ND_tiledimage_color3", "ND_multiply_color3"), "no MaterialX surface whose colour is an image"),
-        (('def Material "skin"', 'def Material "skin" ( references = @a.mtlx@ )'), "is no USD layer.*usdcat"),
+        (("ND_tiledimage_color3", "ND_multiply_color3"), "a MaterialX surface whose colour is an image"),
+        (
+            ('def Material "skin"', 'def Material "skin" ( references = @a.mtlx@ )'),
+            "is not a USD layer.*usdcat",
+        ),
         (("@a.png@", "@../a.png@"), "leaves the model's folder.*copy its files into"),
     ],
 )

@@ -155,7 +155,7 @@ def test_damaged_packages_are_refused_in_one_line_without_names_of_code(scan, ki
 
 @pytest.mark.usefixtures("usd_core_here")
 def test_text_that_is_damaged_is_kept_and_compared(tmp_path):
-    """A note that is no UTF-8: `smooth` keeps it, and `check` sees where it was not kept."""
+    """A note that is not UTF-8: `smooth` keeps it, and `check` sees where it was not kept."""
     note = '        string note = "a wall in Koeln"\n'
     text = scene(mesh_text(BOUND + note), material_text("a.png"))
     layer = layer_from(text.encode(), ".usdc", "a.usdc")
@@ -174,7 +174,7 @@ def test_text_that_is_damaged_is_kept_and_compared(tmp_path):
 def test_a_package_that_begins_with_something_else_is_no_archive_to_unpack(tmp_path):
     with zipfile.ZipFile(tmp_path / "scan.usdz", "w") as file:
         file.writestr("readme.txt", "a scan")
-    with pytest.raises(InputError, match="its first file is no USD layer"):
+    with pytest.raises(InputError, match="its first file is not a USD layer"):
         open_document(str(tmp_path / "scan.usdz"))
 
 

@@ -187,5 +187,5 @@ def test_only_a_report_is_replaced_by_a_report(name, scan, tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / name).write_bytes(b"precious")
     words = (scan, "--out-dir", tmp_path / "out", "--overwrite", "--report")
-    assert "exists, and is no report" in batch(*words, tmp_path / name, code=4)
+    assert "exists, and is not a report" in batch(*words, tmp_path / name, code=4)
     assert (tmp_path / name).read_bytes() == b"precious"

@@ -113,7 +113,7 @@ HEAD = SAMPLES / "head-clean.ply"
         ((SAMPLES / "head-tex-clean.obj", SAMPLES / "mirrored-clean.obj"), "mirrored-clean.*triangles"),
         ((SAMPLES / "head-tex-clean.png", SAMPLES / "mirrored-clean.png"), "mirrored-clean.*pixels"),
         ((HEAD, SAMPLES / "head-tex-clean.png"), "head-tex-clean.*an image"),
-        # Vertices have no windows of pixels; numbers that are no colours, or two channels of some, have no Delta E.
+        # Vertices have no windows of pixels; numbers that are not colours, or two channels of some, have no Delta E.
         ((HEAD, HEAD, Limits(min_ssim=0.5)), "head-clean.*--min-ssim cannot be tested.*leave that limit out"),
         ((HEAD, HEAD, Limits(max_delta_e=50.0), SmoothSettings(space="data")), "--max-delta-e cannot be tested"),
         ((HEAD, HEAD, Limits(max_delta_e=50.0), SmoothSettings(channels=("red", "green"))), "--max-delta-e cannot"),

@@ -344,7 +344,7 @@ def accessor_uses(tree: Tree) -> Iterator[tuple[tuple[int, int] | None, Tree, st
 def _alone(edit: Edit, columns: Sequence[Column], shared: set[int]) -> list[bool]:
     """Return for every column of one attribute whether nothing else uses its bytes and its accessors."""
     # The uses of every byte are counted, once for each column and for everything else that lies there: other
-    # accessors element by element (so that interleaving is no conflict), sparse parts, and whole views that
+    # accessors element by element (so that interleaving is not a conflict), sparse parts, and whole views that
     # serve images, extensions, or nothing that we know.
     accessors = edit.accessors
 

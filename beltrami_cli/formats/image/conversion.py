@@ -157,9 +157,9 @@ def _spec(picture: Picture, shape: tuple[int, ...], names: list[str], stored: st
     spec.channelnames = tuple(
         name.encode(errors="surrogateescape").decode(errors="replace") for name in names
     )
-    # Copied one by one from Python, integers of 16 bits are lost, and texts that are no UTF-8 cannot be.
+    # Copied one by one from Python, integers of 16 bits are lost, and texts that are not UTF-8 cannot be.
     spec.extra_attribs = picture.spec.extra_attribs
-    # By patterns: names that are no UTF-8 cannot be given from Python.
+    # By patterns: names that are not UTF-8 cannot be given from Python.
     for pattern in (*(f"{prefix}.*" for prefix in TECHNICAL), "ICCProfile", "chromaticities"):
         spec.erase_attribute(pattern)
     if known not in _TURNED_BY_TAGS:

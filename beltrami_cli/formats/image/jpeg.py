@@ -135,7 +135,7 @@ def further_pictures(data: bytes) -> bytes:
 
 
 CODED_TOGETHER = 16  # blocks of all planes begin at rows and columns that are multiples of this
-_RGB = [*b"RGB"]  # identifiers of components that are no luma and chroma
+_RGB = [*b"RGB"]  # identifiers of components that are not luma and chroma
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from beltrami_cli.surface.large_arrays import blocks
 from beltrami_cli.surface.records import fits_single
 
 _INDICES = {
-    b"v": (0, "vertex", "is no vertex index"),
+    b"v": (0, "vertex", "is not a vertex index"),
     b"vt": (1, "texture coordinates", "has no index of texture coordinates behind its first '/'"),
     b"vn": (2, "normal", "has no index of a normal behind its second '/'"),
 }

@@ -198,11 +198,11 @@ def scan_file(statements: Statements) -> Scan:
     unknown = int(np.count_nonzero(~vertices.finite))
     if unknown:
         notices.append(
-            f"{unknown} of {count} vertices have no finite position; they and their faces take no part."
+            f"{unknown} of {count} vertices have no finite position; they and their faces are ignored."
         )
         dropped.append("vertices without a finite position and their faces")
     if unknown < missing < count:
-        notices.append(f"{missing} of {count} vertices have no colour; they and their faces take no part.")
+        notices.append(f"{missing} of {count} vertices have no colour; they and their faces are ignored.")
         dropped.append("vertices without colour and their faces")
     whole = corners.astype(np.int32)
     return Scan(vertices, polypaint, whole, offsets, libraries, tuple(dropped), tuple(notices))

@@ -69,7 +69,7 @@ def find_colours(
 ) -> ColourProperties:
     """Find the colour properties; InputError if there are none, or they are of type char or of several types.
 
-    `wanted`: channels that are asked for; one that is no colour may be any scalar.
+    `wanted`: channels that are asked for; one that is not a colour may be any scalar.
     """
     types, name = vertices.element.scalars, vertices.body.name
     if (found := _scalar(types, wanted) or _by_name(vertices)) is not None:

@@ -119,7 +119,7 @@ def read_header(data: bytes, name: str) -> Header:
 
 def _add_element(elements: list[Element], name: str, count: str) -> None:
     if not (count.isascii() and count.isdigit() and len(count) <= _DIGITS):
-        raise ValueError(f"'{count[:30]}' is no count of elements")
+        raise ValueError(f"'{count[:30]}' is not a count of elements")
     if any(element.name == name for element in elements):
         raise ValueError(f"element '{name}' is announced twice")
     if len(elements) >= _MOST:
@@ -132,7 +132,7 @@ def _add_property(elements: list[Element], name: str, kind: str, count: str = ""
         raise ValueError(f"property '{name}' belongs to no element")
     for word in (kind, count):
         if word and word not in TYPES:
-            raise ValueError(f"'{word[:30]}' is no PLY type")
+            raise ValueError(f"'{word[:30]}' is not a PLY type")
     if count and TYPES[count][0] == "f":
         raise ValueError(f"the count of a list cannot be a {count}")
     element = elements[-1]
@@ -192,7 +192,9 @@ class TextBody(Body):
         fits = (values == np.rint(values)) & (values >= limits.min) & (values <= limits.max)
         if not fits.all():
             row = int(np.argmin(fits))
-            raise InputError(self.name, f"{where}: {values[row]:g} in row {row} is no {np.dtype(kind)}")
+            raise InputError(
+                self.name, f"{where}: {values[row]:g} in row {row} is not of type {np.dtype(kind)}"
+            )
         return values.astype(kind)
 
 

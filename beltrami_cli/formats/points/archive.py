@@ -126,7 +126,7 @@ class PointsDocument(Document):
     def contents(self) -> MeshContents:
         tables, dropped = self._tables, self._dropped()
         if len(self._measured) < tables.count:
-            dropped.append("points without a place")
+            dropped.append("points without a finite position")
         alpha = opacity(self._stored[self._measured, -1], self._scale) if tables.has_alpha else None
         normals = None
         if tables.normals:
@@ -150,14 +150,14 @@ class PointsDocument(Document):
 
     @cached_property
     def _measured(self) -> NDArray[np.intp]:
-        """Rows of the points that have a place; scanners write NaN where nothing was measured."""
+        """Rows of the points with a finite position; scanners write NaN where nothing was measured."""
         finite = np.asarray(np.isfinite(self._positions).all(axis=1))
         count = int(np.count_nonzero(~finite))
         if count and (not finite.any() or self._tables.faces):
             cause = f"{count} of {len(finite)} positions are not finite"
             raise InputError(self.name, cause, "replace or remove them")
         if count:
-            self.notices.append(f"{count} of {len(finite)} points have no place, and take no part.")
+            self.notices.append(f"{count} of {len(finite)} points have no finite position and are ignored.")
         return np.flatnonzero(finite)
 
     @property
@@ -193,7 +193,7 @@ class PointsDocument(Document):
 
 
 class NpzPointsDocument(PointsDocument):
-    """An archive of positions and colours; InputError if it is no archive of arrays."""
+    """An archive of positions and colours; InputError if it is not an archive of arrays."""
 
     format: ClassVar[str] = "npz"
 

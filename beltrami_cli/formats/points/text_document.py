@@ -61,7 +61,7 @@ _MOST_COLUMNS = 4096  # as for properties of PLY; real files have a hundred at m
 _MOST_SHOWN = 40  # characters of a token in a message
 # Names of tables that no column has, since those are printable.
 _POSITIONS, _COLOURS, _NORMALS = "positions\n", "colours\n", "normals\n"
-_NO_TABLE = "is no number, so this is no table of points"
+_NO_TABLE = "is not a number, so this is not a table of points"
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class _Reader(Lines):
 
     def __init__(self, data: bytes, name: str) -> None:
         if b"\0" in data[:_HEAD]:
-            raise InputError(name, "it is no plain text", "export its points as lines of numbers, or as PLY")
+            raise InputError(name, "it is not plain text", "export its points as lines of numbers, or as PLY")
         self._comments = _COMMENT.findall(data[:_HEAD])
         super().__init__(data, without_comments(data.translate(_SEPARATORS), b"#", b"//"), name)
 

@@ -79,7 +79,7 @@ class _Model:
     objects: dict[str, _Object] = field(default_factory=dict)
     colours: dict[str, list[Rgba]] = field(default_factory=dict)
     built: list[_Part] = field(default_factory=list)
-    others: set[str] = field(default_factory=set)  # kinds of groups that are no colours
+    others: set[str] = field(default_factory=set)  # kinds of groups that are not colours
     unit: float = _UNITS["millimeter"]  # metres
 
 
@@ -101,7 +101,7 @@ def _read_model(text: bytes, name: str) -> _Model:
     try:
         parser.Parse(text, True)
     except expat.ExpatError as error:
-        raise InputError(name, f"its model is no XML ({error})", "export it again") from error
+        raise InputError(name, f"its model is not XML ({error})", "export it again") from error
     except (ValueError, KeyError, OverflowError) as error:
         cause = f"line {parser.CurrentLineNumber} of its model is damaged ({error})"
         raise InputError(name, cause, "export it again") from error
@@ -162,7 +162,7 @@ def _part(known: Attributes) -> _Part:
 def _colour(text: str) -> Rgba:
     digits = text.strip().removeprefix("#")
     if len(digits) not in (6, 8):
-        raise ValueError(f"{text[:20]!r} is no colour")
+        raise ValueError(f"{text[:20]!r} is not a colour")
     octets = bytes.fromhex(digits.ljust(8, "f"))
     return octets[0], octets[1], octets[2], octets[3]
 

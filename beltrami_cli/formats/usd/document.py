@@ -19,6 +19,7 @@ from beltrami_cli.formats.conversion import with_vertex_colours
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.model_folder import LEFT_ALONE
 from beltrami_cli.formats.scene import SLOTS, Scene, ShownMap
+from beltrami_cli.formats.usd.contents import MaterialInputs, SceneContents
 from beltrami_cli.formats.usd.images import Images
 from beltrami_cli.formats.usd.layers import Layers
 from beltrami_cli.surface.records import (
@@ -37,8 +38,8 @@ _COUNTS = {
     "flat": "{} mesh(es) have one colour, or one for each face, which is left as it is",
     "unfit": "{} mesh(es) have colours that do not fit their points; these are left as they are",
     "animated": "{} mesh(es) have colours that change with time, which are left as they are",
-    "no mesh": "{} prim(s) that are no meshes have colours of points, which are left as they are",
-    "unread": "{} material(s) are no UsdPreviewSurface, and no MaterialX surface whose colour is an image",
+    "no mesh": "{} prim(s) that are not meshes have colours of points, which are left as they are",
+    "unread": "{} material(s) are neither a UsdPreviewSurface nor a MaterialX surface whose colour is an image",
     "bare": "{} part(s) have no texture coordinates for a texture",
 }
 _REMEDIES = {"unread": "bake their colours into images, or give the vertices colours"}
@@ -46,14 +47,14 @@ _REMEDIES = {"unread": "bake their colours into images, or give the vertices col
 _HIDES = "Variants of another layer have colours of their own; the new ones hold whichever is selected."
 
 
-def _material(known: dict[str, Any]) -> Material:
-    """Return a material without its maps, whose colours are linear light in USD."""
-    values = known["values"]
+def _material(inputs: MaterialInputs) -> Material:
+    """Return a material without its maps; USD stores its colours as linear light."""
+    values = inputs.values
     opacity, cutoff = values.get("opacity", 1.0), values.get("opacityThreshold", 0.0)
-    seen_through = known["alpha"] or opacity < 1
+    seen_through = inputs.has_alpha or opacity < 1
     alpha: AlphaMode = "mask" if seen_through and cutoff > 0 else "blend" if seen_through else "opaque"
     return Material(
-        name=known["name"],
+        name=inputs.name,
         colour=display_colour(values.get("diffuseColor", [0.18] * 3)),
         emission=display_colour(values.get("emissiveColor", [0.0] * 3)),
         opacity=_within(opacity),
@@ -74,27 +75,26 @@ class UsdDocument(Document):
     format: str  # type: ignore[misc]  # one class reads all forms, so only an instance knows its format
 
     def _open(self, folder: Path | None) -> None:
-        self._compared = False  # whether the scene is read for that
+        self._compared = False  # whether the scene is read for a comparison
         self._layers = Layers.of(self.data, self.name, folder, self.access)
         is_package = self._layers.package is not None
         self.format = "usdz" if is_package else Path(self._layers.root).suffix[1:]
         self.forms = ("usdz",) if is_package else ("usd", "usda", "usdc")
 
     @cached_property
-    def _read(self) -> tuple[dict[str, Any], dict[str, Array]]:
-        words, arrays = self._layers.scene(text=self._compared)
-        counts = words["counts"]
+    def _read(self) -> tuple[SceneContents, dict[str, Array]]:
+        contents, arrays = self._layers.scene(text=self._compared)
         for path, (cause, remedy) in self._layers.obstacles.items():
             self.obstacles.append(Obstacle(f"'{path}' {cause}", remedy))
             self.notices.append(f"'{path}' {cause}{LEFT_ALONE}")
         for key, cause in _COUNTS.items():
-            if number := counts.get(key):
+            if number := contents.counts.get(key):
                 self.obstacles.append(Obstacle(cause.format(number), _REMEDIES.get(key, "")))
                 self.notices.append(f"{cause.format(number)}.")
-        return words, arrays
+        return contents, arrays
 
     @property
-    def _words(self) -> dict[str, Any]:
+    def _contents(self) -> SceneContents:
         return self._read[0]
 
     @property
@@ -103,10 +103,10 @@ class UsdDocument(Document):
 
     @cached_property
     def _images(self) -> Images:
-        return Images(self._words, self._layers, self.name)
+        return Images(self._contents, self._layers, self.name)
 
     def has_vertex_colours(self) -> bool:
-        return bool(self._words["blocks"])
+        return bool(self._contents.blocks)
 
     @cached_property
     def _mesh(self) -> MeshContents:
@@ -117,7 +117,7 @@ class UsdDocument(Document):
         colours = self._arrays["colours"]
         require_finite(positions, self.name, "the place of vertex")
         require_single(colours, self.name, "the colour of vertex")
-        kinds = {block["type"] for block in self._words["blocks"]}
+        kinds = {block.type for block in self._contents.blocks}
         stored = kinds.pop() if len(kinds) == 1 else "float32"
         polygons = self._coloured_polygons
         return MeshContents(
@@ -133,24 +133,24 @@ class UsdDocument(Document):
 
     @property
     def frame(self) -> Frame:
-        up, unit = self._words["up"], self._words["unit"]
+        up, unit = self._contents.up, self._contents.unit
         return Frame("Z" if up == "Z" else "Y", unit if 0 < unit < np.inf else 1.0)
 
     def slots(self) -> tuple[Slot, ...]:
-        return tuple(slot for slot in SLOTS if slot in self._words["slots"])
+        return tuple(slot for slot in SLOTS if slot in self._contents.slots)
 
     @property
     def _scene(self) -> Scene:
-        words, arrays = self._words, self._arrays
+        contents, arrays = self._contents, self._arrays
         if not len(arrays.get("sizes", ())):
             raise InputError(self.name, "it has no polygons, so there is nothing to show a texture")
         require_finite(arrays["positions"], self.name, "the place of vertex")
-        known, corners, images = words["materials"], arrays["corners"].astype(np.int32), self._images
+        known, corners, images = contents.materials, arrays["corners"].astype(np.int32), self._images
         maps: list[dict[Slot, ShownMap]] = [{} for _ in (*known, None)]
-        for use in words["uses"]:
-            file, wrap = use["file"], tuple(use["wrap"])
-            shown = ShownMap(file, images.paths.get(file), images.obstacles.get(file, Obstacle("")), wrap)
-            maps[use["material"]][use["slot"]] = shown
+        for use in contents.uses:
+            obstacle = images.obstacles.get(use.file, Obstacle(""))
+            shown = ShownMap(use.file, images.paths.get(use.file), obstacle, use.wrap)
+            maps[use.material][use.slot] = shown
         bare = np.full((len(corners), 2), np.nan)
         return Scene(
             name=self.name,
@@ -167,7 +167,7 @@ class UsdDocument(Document):
         )
 
     def hidden_places(self) -> tuple[str, ...]:
-        return ("further places of a mesh",) if self._words["counts"].get("instanced") else ()
+        return ("further places of a mesh",) if self._contents.counts.get("instanced") else ()
 
     def references(self) -> Sequence[str]:
         return [] if self._layers.package is not None else self._images.references()
@@ -181,9 +181,9 @@ class UsdDocument(Document):
         if colours is not None or renamed or form != self.format:
             same = form == self.format
             suffix = Path(self._layers.root).suffix if same else f".{form}"
-            blocks, arrays = ([], {}) if colours is None else (self._words["blocks"], {"colours": colours})
-            order = {"task": "edit", "blocks": blocks, "files": renamed, "suffix": suffix, "same": same}
-            said, made = self._layers.ask(order, arrays)
+            order: dict[str, Any] = {"task": "edit", "files": renamed, "suffix": suffix, "same": same}
+            order["blocks"] = [] if colours is None else list(map(dataclasses.asdict, self._contents.blocks))
+            said, made = self._layers.ask(order, {} if colours is None else {"colours": colours})
             root = {self._layers.root: made["layer"].tobytes()}
             notices = (*sidecars.notices, *([_HIDES] if said["hides"] else []))
             sidecars = dataclasses.replace(sidecars, notices=notices)
@@ -197,9 +197,9 @@ class UsdDocument(Document):
         return written.sidecar_names if self._layers.package is None else []
 
     def contents(self) -> MeshContents:
-        mesh, counts, arrays = self._mesh, self._words["counts"], self._arrays
+        mesh, counts, arrays = self._mesh, self._contents.counts, self._arrays
         held = {
-            "materials": self._words["materials"],
+            "materials": self._contents.materials,
             "uncoloured meshes": any(map(counts.get, ("uncoloured", "flat", "unfit", "animated"))),
             "texture coordinates": any(
                 np.isfinite(arrays[name]).any() for name in arrays if name.startswith("uv")
@@ -211,25 +211,25 @@ class UsdDocument(Document):
         return dataclasses.replace(mesh, alpha=alpha, left_out=left_out)
 
     def textured_mesh(self, colours: Float32s | None = None) -> MeshContents:
-        groups, normals = (tuple(self._words["meshes"]), self._arrays["mesh_of"]), self._arrays["normals"]
+        groups, normals = (self._contents.meshes, self._arrays["mesh_of"]), self._arrays["normals"]
         mesh = dataclasses.replace(self._scene.mesh(self._left_out(), groups, normals), frame=self.frame)
         return with_vertex_colours(mesh, self, colours)
 
     def _left_out(self) -> list[str]:
-        words = self._words
-        others = [f"{kind} prims" for kind in words["others"]]
-        others += ["variants"] if words["variants"] else []
+        contents = self._contents
+        others = [f"{kind} prims" for kind in contents.others]
+        others += ["variants"] if contents.variants else []
         others += self.hidden_places()
-        others += ["further vertex attributes"] if words["counts"].get("further") else []
-        others += dict.fromkeys(lost for known in words["materials"] for lost in known["lost"])
-        return [*others, *(["node hierarchy"] if len(words["meshes"]) > 1 else [])]
+        others += ["further vertex attributes"] if contents.counts.get("further") else []
+        others += dict.fromkeys(lost for inputs in contents.materials for lost in inputs.lost)
+        return [*others, *(["node hierarchy"] if len(contents.meshes) > 1 else [])]
 
     def fingerprint(self) -> Fingerprint:
         self._compared = True
-        words = self._words
-        if "text" not in words:  # the scene was read for something else before
-            words = self._layers.scene(text=True)[0]
-        parts = {"root layer": words["text"].encode()}
+        contents = self._contents
+        if not contents.text:  # the scene was read for something else before
+            contents = self._layers.scene(text=True)[0]
+        parts = {"root layer": contents.text.encode()}
         parts |= {f"layer {name}": self._layers.contents[name] for name in self._layers.others}
         named = self._images.files()
         package = self._layers.package
@@ -242,16 +242,16 @@ class UsdDocument(Document):
         return Fingerprint(parts, colours, labelled(named, self._layers.image), faults)
 
     def facts(self) -> dict[str, object]:
-        words = self._words
+        contents = self._contents
         return {
             "layers": list(self._layers.contents),
-            "meshes": len(words["meshes"]),
+            "meshes": len(contents.meshes),
             "polygons": len(self._arrays.get("sizes", ())),
-            "coloured meshes": len(words["blocks"]),
-            "materials": [material["name"] for material in words["materials"]],
+            "coloured meshes": len(contents.blocks),
+            "materials": [material.name for material in contents.materials],
             "slots": list(self.slots()),
-            "up axis": words["up"],
-            "metres per unit": words["unit"],
-            "variants": words["variants"],
-            "other": words["others"],
+            "up axis": contents.up,
+            "metres per unit": contents.unit,
+            "variants": list(contents.variants),
+            "other": list(contents.others),
         }

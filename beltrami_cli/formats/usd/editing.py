@@ -1,10 +1,11 @@
-"""Tasks of the process with usd-core that make layers: with new values, or in another form.
+"""The tasks of the process with usd-core that write layers: with new values, or in another form.
 
 Where the stored layer cannot be patched, usd-core exports the whole of it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 from pxr import Sdf, UsdGeom, Vt
 
 from beltrami_cli.arrays import Array, Float32s, Uint8s
+from beltrami_cli.formats.usd.contents import ColourBlock
 from beltrami_cli.formats.usd.patching import Values, patched
 from beltrami_cli.formats.usd.stage import opened
 
@@ -19,28 +21,30 @@ _MADE = "made"  # name of a layer that is written, without its suffix
 
 
 def edit(order: dict[str, Any], arrays: dict[str, Array]) -> tuple[dict[str, Any], dict[str, Array]]:
-    """Return the root layer with other colours and images, in the same form or as `suffix` says."""
+    """Return the root layer with new colours and images, in the same form or in that of `suffix`."""
     stage = opened(order["root"], order["layers"], order["refused"])
-    root, before = stage.GetRootLayer(), _stored(stage, order)
+    blocks = [ColourBlock(**block) for block in order["blocks"]]
+    root, before = stage.GetRootLayer(), _stored(stage, blocks, order["files"])
     hides = [
-        *(_recolour(stage, block, arrays["colours"]) for block in order["blocks"]),
+        *(_recolour(stage, block, arrays["colours"][block.rows]) for block in blocks),
         *(_set(stage, path, Sdf.AssetPath(name)) for path, name in order["files"].items()),
     ]
-    made = patched(Path(order["root"]), root, before, _stored(stage, order)) if order["same"] else None
+    made = None
+    if order["same"]:
+        made = patched(Path(order["root"]), root, before, _stored(stage, blocks, order["files"]))
     layer = _exported(root, order["suffix"]) if made is None else np.frombuffer(made, np.uint8)
     return {"hides": any(hides)}, {"layer": layer}
 
 
-def _stored(stage: Any, order: dict[str, Any]) -> Values:
-    """Return the present values of what an order replaces."""
-    colours = [np.array(stage.GetAttributeAtPath(block["attribute"]).Get()) for block in order["blocks"]]
-    return colours, [stage.GetAttributeAtPath(path).Get().path for path in order["files"]]
+def _stored(stage: Any, blocks: Sequence[ColourBlock], files: Iterable[str]) -> Values:
+    """Return the present colours of some blocks, and the images that some attributes name."""
+    colours = [np.array(stage.GetAttributeAtPath(block.attribute).Get()) for block in blocks]
+    return colours, [stage.GetAttributeAtPath(path).Get().path for path in files]
 
 
-def _recolour(stage: Any, block: dict[str, Any], colours: Float32s) -> bool:
-    """Give a mesh its rows of new colours; indexed ones stay indexed where possible. Return the same as `_set`."""
-    colours = colours[block["first"] : block["first"] + block["count"]]
-    attribute = stage.GetAttributeAtPath(block["attribute"])
+def _recolour(stage: Any, block: ColourBlock, colours: Float32s) -> bool:
+    """Give a mesh new colours; indexed ones stay indexed where possible. Return the same as `_set`."""
+    attribute = stage.GetAttributeAtPath(block.attribute)
     primvar = UsdGeom.Primvar(attribute)
     old = np.array(primvar.ComputeFlattened(), np.float64)
     if np.array_equal(old.astype(np.float32), colours):
@@ -56,7 +60,7 @@ def _recolour(stage: Any, block: dict[str, Any], colours: Float32s) -> bool:
     else:
         values = colours
     dtype = np.array(attribute.Get()).dtype
-    return _set(stage, block["attribute"], kind.FromNumpy(np.ascontiguousarray(values.astype(dtype))))
+    return _set(stage, block.attribute, kind.FromNumpy(np.ascontiguousarray(values.astype(dtype))))
 
 
 def _set(stage: Any, path: str, value: object) -> bool:
@@ -98,5 +102,5 @@ def convert(order: dict[str, Any], arrays: dict[str, Array]) -> tuple[dict[str, 
     """Return the text of a layer in the form that a suffix says."""
     layer = Sdf.Layer.CreateAnonymous(".usda")
     if not layer.ImportFromString(arrays["text"].tobytes().decode()):
-        raise ValueError("the text is no layer")
+        raise ValueError("the text is not a layer")
     return {}, {"layer": _exported(layer, order["suffix"])}

@@ -5,25 +5,25 @@ from __future__ import annotations
 import posixpath
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from beltrami_cli.errors import InputError, Obstacle, UsageError
 from beltrami_cli.formats.changes import Naming, NewImages, Written
 from beltrami_cli.formats.image.file_formats import format_of, format_of_suffix
 from beltrami_cli.formats.model_folder import UnfitReferenceError
 from beltrami_cli.formats.new_files import NewFiles, SlotsByPath, common_suffix, new_files, slots_by_path
+from beltrami_cli.formats.usd.contents import SceneContents
 from beltrami_cli.formats.usd.layers import IMAGES, Layers
 from beltrami_cli.surface.records import ImageFile, Slot
 
 
 class Images:
-    """The images that a scene names; `words` is what usd-core says of it."""
+    """The images that a scene names."""
 
-    def __init__(self, words: dict[str, Any], layers: Layers, name: str) -> None:
-        self._words, self._layers, self._name = words, layers, name
+    def __init__(self, contents: SceneContents, layers: Layers, name: str) -> None:
+        self._contents, self._layers, self._name = contents, layers, name
         self.paths: dict[str, str] = {}  # of images, or of sets of tiles, by their names in the scene
         self.obstacles: dict[str, Obstacle] = {}  # why others are not read
-        for file in dict.fromkeys([*(use["file"] for use in words["uses"]), *words["images"].values()]):
+        for file in dict.fromkeys([*(use.file for use in contents.uses), *contents.images.values()]):
             try:
                 self.paths[file] = layers.locate(file)
             except UnfitReferenceError as error:
@@ -32,7 +32,7 @@ class Images:
     def files(self) -> dict[str, str]:
         """Return every image file by where it is named, in a slot or elsewhere."""
         found: dict[str, str] = {}
-        for attribute, file in self._words["images"].items():
+        for attribute, file in self._contents.images.items():
             path = self.paths.get(file)
             tiles = self._layers.folder.tiles.get(path or "", {})
             found |= {f"{attribute}, tile {tile}": each for tile, each in tiles.items()}
@@ -43,15 +43,15 @@ class Images:
         """Return the attributes that name a path, in some slots or anywhere."""
         paths = self.paths
         if slots is None:
-            return {name for name, file in self._words["images"].items() if paths.get(file) == path}
-        shown = [use for use in self._words["uses"] if use["slot"] in slots]
-        return {use["attribute"] for use in shown if paths.get(use["file"]) == path}
+            return {name for name, file in self._contents.images.items() if paths.get(file) == path}
+        shown = [use for use in self._contents.uses if use.slot in slots]
+        return {use.attribute for use in shown if paths.get(use.file) == path}
 
     def _replaced(self, images: NewImages) -> SlotsByPath:
         """Return the slots in which a path, or files of a set of tiles, are replaced by the same new files."""
 
         def paths_of(slot: Slot, file: str) -> list[str]:
-            shown = [use["file"] for use in self._words["uses"] if use["slot"] == slot]
+            shown = [use.file for use in self._contents.uses if use.slot == slot]
             paths = dict.fromkeys(self.paths[name] for name in shown if name in self.paths)
             return [path for path in paths if file in self._layers.folder.files(path)]
 
@@ -86,9 +86,7 @@ class Images:
         for (path, changed), slots in self._replaced(images).items():
             attributes = self._attributes(path, slots)
             is_replaced = attributes == self._attributes(path)
-            for attribute in sorted(
-                self._attributes(path) - {use["attribute"] for use in self._words["uses"]}
-            ):
+            for attribute in sorted(self._attributes(path) - {use.attribute for use in self._contents.uses}):
                 names.keep_shown(attribute, path)
             new = self._new_path(path, dict(changed), names, is_replaced=is_replaced)
             own = new_files(path, new, self._layers.folder.tiles)
@@ -118,5 +116,5 @@ class Images:
         return names.image(path, None if stays else suffix, is_replaced=is_replaced, tiles=tiles)
 
     def references(self) -> list[str]:
-        """Return the files in the folder of a scene that is no package: other layers and images."""
+        """Return the files in the folder of a scene that is not a package: other layers and images."""
         return [*self._layers.others, *dict.fromkeys(self.files().values())]

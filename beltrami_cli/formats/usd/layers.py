@@ -30,6 +30,7 @@ from beltrami_cli.formats.changes import Bytes
 from beltrami_cli.formats.foreign_library import ForeignLibrary, serve_files
 from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError, is_outside
 from beltrami_cli.formats.tile_names import found_tiles, has_token
+from beltrami_cli.formats.usd.contents import SceneContents
 from beltrami_cli.surface.worker_process import Message, temporary_folder, writing_temporary_files
 
 LAYERS = (".usd", ".usda", ".usdc")  # suffixes of files that usd-core reads
@@ -55,7 +56,9 @@ class Package(Archive):
             cause = "it has two files of one name" if wrong is None else f"it has a file named {wrong[:80]!r}"
             raise InputError(name, f"{cause}, which a package cannot have", "export it again")
         if not self.members or not self.members[0].lower().endswith(LAYERS):
-            raise InputError(name, "its first file is no USD layer", "export it again, by a program for USDZ")
+            raise InputError(
+                name, "its first file is not a USD layer", "export it again, by a program for USDZ"
+            )
         self.layers = [member for member in self.members if member.lower().endswith(LAYERS)]
 
     def faults(self) -> list[str]:
@@ -139,13 +142,13 @@ class Layers:
         """The paths of all layers but the root."""
         return [layer for layer in self.contents if layer != self.root]
 
-    def scene(self, *, text: bool = False) -> Message:
+    def scene(self, *, text: bool = False) -> tuple[SceneContents, dict[str, Array]]:
         """Read the scene, with all layers that it needs; `text`: with the text of the root layer for fingerprints."""
         while True:
-            words, arrays = self.ask({"task": "read", "text": text}, {})
-            if "needs" not in words:
-                return words, arrays
-            for layer, path in words["needs"]:
+            found, arrays = self.ask({"task": "read", "text": text}, {})
+            if "needs" not in found:
+                return SceneContents.from_json(found), arrays
+            for layer, path in found["needs"]:
                 if (layer, path) in self.refused:  # it is asked for again, whatever that means
                     raise InputError(self.name, f"its layer {path[:80]!r} cannot be left out", _EXPORT)
                 self._fetch(layer, path)
@@ -156,7 +159,7 @@ class Layers:
             wanted = posixpath.normpath(posixpath.join(posixpath.dirname(layer), path))
             if not wanted.lower().endswith(LAYERS):
                 remedy = "write the scene as one layer (usdcat --flatten), and give that"
-                raise UnfitReferenceError("is no USD layer; only .usd, .usda and .usdc are read", remedy)
+                raise UnfitReferenceError("is not a USD layer; only .usd, .usda and .usdc are read", remedy)
             if wanted in self.contents:
                 raise UnfitReferenceError("names a layer in a way that is not understood")
             file = self.locate(wanted)

@@ -1,4 +1,4 @@
-"""Materials of USD scenes: the images that a UsdPreviewSurface [1]_ or a surface of MaterialX [2]_ shows, and where.
+"""Materials of USD scenes: the images that a UsdPreviewSurface [1]_ or a MaterialX surface [2]_ shows, and where.
 
 References
 ----------
@@ -8,24 +8,28 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from pxr import UsdShade
 
 from beltrami_cli.arrays import Float64s
+from beltrami_cli.formats.usd.contents import MaterialInputs
 from beltrami_cli.formats.usd.stage import layer_of, placed
+from beltrami_cli.surface.records import Slot, Wrap
 
-# The inputs of a UsdPreviewSurface by slot; the last ones are one image's green and blue.
-INPUTS = {
+# The inputs of a UsdPreviewSurface by slot; the last two are the green and blue of one image.
+INPUTS: dict[Slot, tuple[str, ...]] = {
     "baseColor": ("diffuseColor",),
     "emissive": ("emissiveColor",),
     "normal": ("normal",),
     "occlusion": ("occlusion",),
     "metallicRoughness": ("roughness", "metallic"),
 }
-# Colours of MaterialX surfaces that may be an image each.
-_MTLX = {
+# The colour inputs of MaterialX surfaces, each of which may be an image.
+_MTLX: dict[str, dict[Slot, str]] = {
     "ND_standard_surface_surfaceshader": {"baseColor": "base_color", "emissive": "emission_color"},
     "ND_open_pbr_surface_surfaceshader": {"baseColor": "base_color", "emissive": "emission_color"},
     "ND_gltf_pbr_surfaceshader": {"baseColor": "base_color", "emissive": "emissive"},
@@ -34,82 +38,116 @@ _MTLX = {
 _MTLX_IMAGES = ("ND_image_color3", "ND_image_color4", "ND_tiledimage_color3", "ND_tiledimage_color4")
 _MTLX_READERS = {"ND_geompropvalue_vector2": "geomprop", "ND_UsdPrimvarReader_vector2": "varname"}
 _MTLX_WRAPS = {"periodic": "repeat", "mirror": "mirror"}
-_CHANNELS = {"occlusion": ("r",), "metallicRoughness": ("g", "b")}
-_WRAPS = {"repeat": "repeat", "mirror": "mirror"}  # all else shows nothing, or the border
+_CHANNELS: dict[Slot, tuple[str, ...]] = {"occlusion": ("r",), "metallicRoughness": ("g", "b")}
+_WRAPS = {"repeat": "repeat", "mirror": "mirror"}  # other modes show nothing beyond the image, or its border
 _NUMBERS = ("metallic", "roughness", "opacity", "opacityThreshold")
 _COLOURS = ("diffuseColor", "emissiveColor")
-AS_STORED: dict[str, Any] = {"coordinates": "st", "matrix": [[1, 0], [0, 1]], "offset": [0, 0]}
-# By slot, the least and most that glTF multiplies an image by, and what it adds; of others 0, 1 and 0.
-_SCALES = {"normal": (2, 2, -1), "occlusion": (1, 1, 0)}
+# By slot, the least and greatest scale and the bias of an image that glTF can express.
+_SCALES: dict[Slot, tuple[int, int, int]] = {"normal": (2, 2, -1), "occlusion": (1, 1, 0)}
+_USUAL_SCALE = (0, 1, 0)  # of the other slots
 _UNFIT = " laid out otherwise than in glTF"
-_DEEPEST = 8  # transforms of texture coordinates, one after the other
+_DEEPEST = 8  # transforms of texture coordinates in a chain
 
 
-def read_material(material: Any) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-    """Return the numbers of a material, and by slot the image that it shows."""
-    known: dict[str, Any] = {"name": material.GetPrim().GetName(), "values": {}, "alpha": False, "lost": []}
-    uses: dict[str, dict[str, Any]] = {}
+@dataclass(frozen=True)
+class UvMapping:
+    """Which texture coordinates an image is shown at, and the affine map that moves them; it acts on rows."""
+
+    primvar: str
+    matrix: tuple[tuple[float, ...], ...]  # (2, 2)
+    offset: tuple[float, ...]  # (2,)
+
+    @classmethod
+    def of(cls, primvar: str, matrix: Float64s, offset: Float64s) -> UvMapping:
+        return cls(primvar, tuple(map(tuple, matrix.tolist())), tuple(offset.tolist()))
+
+
+AS_STORED = UvMapping("st", ((1, 0), (0, 1)), (0, 0))
+
+
+@dataclass(frozen=True)
+class ShownImage:
+    """An image as an input of a surface shows it."""
+
+    file: str  # relative to the folder of the root layer
+    attribute: str  # path of the attribute that names the file
+    shader: str  # path of the texture's shader
+    output: str  # "rgb", or one channel
+    wrap: tuple[Wrap, Wrap]
+    mapping: UvMapping
+    scale: tuple[float, ...]  # (4,); infinite where it is not known
+    bias: tuple[float, ...]
+
+
+def read_material(material: Any) -> tuple[MaterialInputs, dict[Slot, ShownImage]]:
+    """Return the inputs of a material, and the image that it shows in each slot."""
+    inputs, images = MaterialInputs(material.GetPrim().GetName()), dict[Slot, ShownImage]()
     surface = material.ComputeSurfaceSource()[0]
     if not surface or surface.GetIdAttr().Get() != "UsdPreviewSurface":
-        uses = _of_materialx(material)
-        known["unread"] = not uses and bool(material.GetPrim().GetChildren())
-        known["values"] = _factors(uses)
-        return known, uses
+        images = _of_materialx(material)
+        inputs.is_unread = not images and bool(material.GetPrim().GetChildren())
+        inputs.values = _factors(images)
+        return inputs, images
     for name in (*_NUMBERS, *_COLOURS):
         numbers = _floats(surface, name)
         if len(numbers) == (3 if name in _COLOURS else 1):
-            known["values"][name] = numbers if name in _COLOURS else numbers[0]
-    for slot, inputs in INPUTS.items():
-        found = [use for name in inputs for use in _textures(surface, name)]
-        outputs = tuple(use["output"] for use in found)
-        is_one = len(found) == len(inputs) and len({use["shader"] for use in found}) == 1
+            inputs.values[name] = numbers if name in _COLOURS else numbers[0]
+    for slot, names in INPUTS.items():
+        found = [shown for name in names if (shown := _image_at(surface, name)) is not None]
+        outputs = tuple(shown.output for shown in found)
+        is_one = len(found) == len(names) and len({shown.shader for shown in found}) == 1
         if is_one and outputs == _CHANNELS.get(slot, outputs):
-            uses[slot] = found[0]
+            images[slot] = found[0]
         elif found:
-            known["lost"].append(f"{slot} maps{_UNFIT}")
-    for use in _textures(surface, "opacity"):
-        base = uses.get("baseColor", {})
-        if use["output"] == "a" and all(use[key] == base.get(key) for key in ("file", *AS_STORED)):
-            known["alpha"], known["values"]["opacity"] = True, use["scale"][3]
+            inputs.lost.append(f"{slot} maps{_UNFIT}")
+    opacity, base = _image_at(surface, "opacity"), images.get("baseColor")
+    if opacity is not None:
+        is_of_base = base is not None and (opacity.file, opacity.mapping) == (base.file, base.mapping)
+        if opacity.output == "a" and is_of_base:
+            inputs.has_alpha, inputs.values["opacity"] = True, opacity.scale[3]
         else:
-            known["lost"].append(f"opacity maps{_UNFIT}")
-    unusual = [slot for slot, use in uses.items() if not _has_usual_scale(slot, use)]
-    known["lost"] += [f"the scale or bias of {slot} maps" for slot in unusual]
-    known["values"] |= _factors(uses)
-    return known, uses
+            inputs.lost.append(f"opacity maps{_UNFIT}")
+    unusual = [slot for slot, shown in images.items() if not _has_usual_scale(slot, shown)]
+    inputs.lost += [f"the scale or bias of {slot} maps" for slot in unusual]
+    inputs.values |= _factors(images)
+    return inputs, images
 
 
-def _has_usual_scale(slot: str, use: dict[str, Any]) -> bool:
-    """Return whether materials of glTF can say what the colours of an image are multiplied by, and added to."""
-    least, most, bias = _SCALES.get(slot, (0, 1, 0))
-    is_scale_fit = all(least <= part <= most for part in use["scale"][:3])
-    return is_scale_fit and all(part == bias for part in use["bias"][:3])
+def _has_usual_scale(slot: Slot, shown: ShownImage) -> bool:
+    """Whether materials of glTF can express the scale and bias of an image."""
+    least, most, bias = _SCALES.get(slot, _USUAL_SCALE)
+    is_scale_fit = all(least <= part <= most for part in shown.scale[:3])
+    return is_scale_fit and all(part == bias for part in shown.bias[:3])
 
 
-def _factors(uses: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    """Return what images are multiplied by, as the inputs of a surface that they stand for."""
-    colours = {slot: INPUTS[slot][0] for slot in ("baseColor", "emissive") if slot in uses}
-    factors = {name: uses[slot]["scale"][:3] for slot, name in colours.items()}
-    data = "metallicRoughness"
-    return factors | (dict(zip(INPUTS[data], uses[data]["scale"][1:3], strict=True)) if data in uses else {})
+def _factors(images: Mapping[Slot, ShownImage]) -> dict[str, Any]:
+    """Return the scales of images as values of the inputs that the images replace."""
+    colours: tuple[Slot, ...] = ("baseColor", "emissive")
+    factors: dict[str, Any] = {
+        INPUTS[slot][0]: [*images[slot].scale[:3]] for slot in colours if slot in images
+    }
+    if "metallicRoughness" in images:
+        data = images["metallicRoughness"].scale[1:3]
+        factors |= zip(INPUTS["metallicRoughness"], data, strict=True)
+    return factors
 
 
-def _of_materialx(material: Any) -> dict[str, dict[str, Any]]:
-    """Return by slot the image that is the colour of a surface of MaterialX."""
+def _of_materialx(material: Any) -> dict[Slot, ShownImage]:
+    """Return the images that are colours of a MaterialX surface, by slot."""
     surface = material.ComputeSurfaceSource("mtlx")[0]
     inputs = _MTLX.get(str(surface.GetIdAttr().Get()), {}) if surface else {}
-    found = {slot: _textures(surface, name) for slot, name in inputs.items()}
-    return {slot: uses[0] for slot, uses in found.items() if uses}
+    found = {slot: _image_at(surface, name) for slot, name in inputs.items()}
+    return {slot: shown for slot, shown in found.items() if shown is not None}
 
 
 def _sources(shader: Any, name: str) -> list[Any]:
-    """Return the attributes that an input of a shader gets its value from, through node graphs and materials."""
+    """Return the attributes that give an input its value, through node graphs and materials."""
     found = shader.GetInput(name)
     return list(found.GetValueProducingAttributes()) if found else []
 
 
 def _floats(shader: Any, name: str) -> list[float]:
-    """Return the numbers of an input of a shader; none if it has no value, or others than finite numbers."""
+    """Return the numbers of an input; empty unless they are finite."""
     sources = _sources(shader, name)
     try:
         numbers = np.array(sources[0].Get() if sources else [], np.float64).ravel()
@@ -118,52 +156,52 @@ def _floats(shader: Any, name: str) -> list[float]:
     return numbers.tolist() if np.isfinite(numbers).all() else []
 
 
-def _four(shader: Any, name: str, usual: float) -> list[float]:
+def _four(shader: Any, name: str, usual: float) -> tuple[float, ...]:
     """Return an input of four numbers; infinite if they are not known."""
     if not _sources(shader, name):
-        return [usual] * 4
+        return (usual,) * 4
     numbers = _floats(shader, name)
-    return numbers if len(numbers) == 4 else [np.inf] * 4
+    return tuple(numbers) if len(numbers) == 4 else (np.inf,) * 4
 
 
-def _image_of(shader: Any) -> dict[str, str]:
-    """Return the attribute that names the image of a shader, with that image; nothing if it shows none."""
-    files = _sources(shader, "file") if shader.GetIdAttr().Get() in ("UsdUVTexture", *_MTLX_IMAGES) else []
+def _image_at(surface: Any, name: str) -> ShownImage | None:
+    """Return the image that an input of a surface shows; None if it shows none that is understood."""
+    sources = _sources(surface, name)
+    if not sources:
+        return None
+    shader, output = UsdShade.Shader(sources[0].GetPrim()), sources[0].GetName()
+    kind = shader.GetIdAttr().Get()
+    is_mtlx = kind in _MTLX_IMAGES
+    mapping = _mapping_of_materialx(shader) if is_mtlx else _mapping_of(shader)
+    files = _sources(shader, "file") if kind in ("UsdUVTexture", *_MTLX_IMAGES) else []
     authored: Any = files[0].Get() if files else None
-    if not getattr(authored, "path", ""):
-        return {}
-    return {str(files[0].GetPath()): placed(layer_of(files[0]), authored.path)}
+    if not output.startswith("outputs:") or mapping is None or not getattr(authored, "path", ""):
+        return None
+    return ShownImage(
+        file=placed(layer_of(files[0]), authored.path),
+        attribute=str(files[0].GetPath()),
+        shader=str(shader.GetPath()),
+        output=output.removeprefix("outputs:"),
+        wrap=_wraps(shader, is_mtlx=is_mtlx),
+        mapping=mapping,
+        scale=_four(shader, "scale", 1.0),
+        bias=_four(shader, "bias", 0.0),
+    )
 
 
-def _textures(surface: Any, name: str) -> list[dict[str, Any]]:
-    """Return the image that an input of a surface shows, in a list, if it does."""
-    found = []
-    for attribute in _sources(surface, name)[:1]:
-        shader, output = UsdShade.Shader(attribute.GetPrim()), attribute.GetName()
-        is_mtlx = shader.GetIdAttr().Get() in _MTLX_IMAGES
-        placing = _placed_by_materialx(shader) if is_mtlx else _placing(shader)
-        if not output.startswith("outputs:") or placing is None:
-            continue
-        shown: dict[str, Any] = {"shader": str(shader.GetPath()), "output": output.removeprefix("outputs:")}
-        shown |= {"wrap": _wraps(shader, is_mtlx=is_mtlx)}
-        shown |= {"scale": _four(shader, "scale", 1.0), "bias": _four(shader, "bias", 0.0)}
-        for path, file in _image_of(shader).items():
-            found.append({**placing, **shown, "attribute": path, "file": file})
-    return found
-
-
-def _wraps(shader: Any, *, is_mtlx: bool) -> list[str]:
-    """Return what an image shows beyond 0 and 1, along u and along v."""
+def _wraps(shader: Any, *, is_mtlx: bool) -> tuple[Wrap, Wrap]:
+    """Return the wrap modes of an image along u and v."""
     names, known, usual = ("wrapS", "wrapT"), _WRAPS, "clamp"
     if is_mtlx:
         names, known, usual = ("uaddressmode", "vaddressmode"), _MTLX_WRAPS, "repeat"
-    sources = [_sources(shader, name)[:1] for name in names]
-    return [known.get(str(each[0].Get()), "clamp") if each else usual for each in sources]
+    u, v = (_sources(shader, name)[:1] for name in names)
+    modes: list[Any] = [known.get(str(each[0].Get()), "clamp") if each else usual for each in (u, v)]
+    return modes[0], modes[1]
 
 
-def _placed_by_materialx(shader: Any) -> dict[str, Any] | None:
-    """Return which coordinates an image of MaterialX is shown at, and what moves them, as `_placing`."""
-    varname = "st"  # the first coordinates
+def _mapping_of_materialx(shader: Any) -> UvMapping | None:
+    """Return where an image of MaterialX is shown; None if that is not understood."""
+    varname = "st"  # the first set of coordinates
     for source in _sources(shader, "texcoord")[:1]:
         reader = UsdShade.Shader(source.GetPrim())
         kind = str(reader.GetIdAttr().Get())
@@ -178,11 +216,11 @@ def _placed_by_materialx(shader: Any) -> dict[str, Any] | None:
         return None
     scale = tile / image
     matrix, moved = np.diag(tiling * scale), -offset * scale
-    return {"coordinates": varname, "matrix": matrix.tolist(), "offset": moved.tolist()}
+    return UvMapping.of(varname, matrix, moved)
 
 
-def _placing(shader: Any) -> dict[str, Any] | None:
-    """Return which coordinates a texture is shown at, and the matrix and offset that move them; acts on rows."""
+def _mapping_of(shader: Any) -> UvMapping | None:
+    """Return where a texture is shown, through a chain of transforms; None if that is not understood."""
     matrix, offset = np.eye(2), np.zeros(2)
     chain, name = shader, "st"
     for _ in range(_DEEPEST):
@@ -194,7 +232,7 @@ def _placing(shader: Any) -> dict[str, Any] | None:
         if kind == "UsdPrimvarReader_float2":
             names = _sources(chain, "varname")
             varname = str(names[0].Get()) if names else ""
-            return {"coordinates": varname, "matrix": matrix.tolist(), "offset": offset.tolist()}
+            return UvMapping.of(varname, matrix, offset)
         if kind != "UsdTransform2d":
             return None
         scale, move = _pair(chain, "scale", 1), _pair(chain, "translation", 0)

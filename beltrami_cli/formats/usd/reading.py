@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -9,63 +10,67 @@ from typing import Any
 from pxr import Sdf, Usd, UsdGeom
 
 from beltrami_cli.arrays import Array
-from beltrami_cli.formats.usd.scene import Scene
+from beltrami_cli.formats.usd.contents import SceneContents, TextureUse
+from beltrami_cli.formats.usd.geometry import Geometry
 from beltrami_cli.formats.usd.stage import NeedsLayersError, files_in_variants, files_of, opened
 
 
 def read(order: dict[str, Any], _: dict[str, Array]) -> tuple[dict[str, Any], dict[str, Array]]:
-    """Return a scene, or which layers it needs as well."""
+    """Return the `SceneContents` and arrays of a scene, or the layers that it needs as well."""
     try:
         stage = opened(order["root"], order["layers"], order["refused"])
     except NeedsLayersError as error:
         return {"needs": error.needs}, {}
-    scene = Scene()
+    geometry = Geometry()
     others: set[str] = set()
     images = files_in_variants(stage, order["layers"])
     for prim in Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()):
         if prim.IsA(UsdGeom.Mesh):
-            scene.take(prim)
+            geometry.take(prim)
             continue
         images |= files_of(prim)
         if prim.IsA(UsdGeom.Gprim):
             others.add(str(prim.GetTypeName()))
             colours = UsdGeom.Gprim(prim).GetDisplayColorAttr().Get(Usd.TimeCode.EarliestTime())
-            scene.counts["no mesh"] += int(colours is not None and len(colours) > 1)
-    shown = enumerate(scene.uses)
-    uses = [{**use, "material": n, "slot": slot} for n, each in shown for slot, use in each.items()]
-    words = {
-        "uses": uses,
-        "images": {use["attribute"]: use["file"] for use in uses} | images,
-        "materials": scene.materials,
-        "blocks": scene.blocks,
-        "meshes": scene.meshes,
-        "counts": dict(scene.counts),
-        "slots": sorted(scene.slots),
-        "others": sorted(others),
-        "up": str(UsdGeom.GetStageUpAxis(stage)),
+            geometry.counts["no mesh"] += int(colours is not None and len(colours) > 1)
+    uses = tuple(
+        TextureUse(material, slot, shown.attribute, shown.file, shown.wrap)
+        for material, by_slot in enumerate(geometry.images)
+        for slot, shown in by_slot.items()
+    )
+    contents = SceneContents(
+        uses=uses,
+        images={use.attribute: use.file for use in uses} | images,
+        materials=tuple(geometry.materials),
+        blocks=tuple(geometry.blocks),
+        meshes=tuple(geometry.meshes),
+        counts=dict(geometry.counts),
+        slots=tuple(sorted(geometry.slots)),
+        others=tuple(sorted(others)),
+        up=str(UsdGeom.GetStageUpAxis(stage)),
         # `UsdGeom.GetStageMetersPerUnit` refuses single precision, as old exporters wrote it.
-        "unit": float(stage.GetMetadata("metersPerUnit")),
-        "variants": [
+        unit=float(stage.GetMetadata("metersPerUnit")),
+        variants=tuple(
             f"{prim.GetPath()}{{{name}={sets.GetVariantSelection(name)}}}"
             for prim in stage.Traverse()
             for sets in [prim.GetVariantSets()]
             for name in sets.GetNames()
-        ],
-    }
+        ),
+    )
     if order.get("text"):
-        words["text"] = _without_colours(stage, words)
-    return words, scene.joined()
+        contents = dataclasses.replace(contents, text=_without_colours(stage, contents))
+    return dataclasses.asdict(contents), geometry.joined()
 
 
-def _without_colours(stage: Any, words: dict[str, Any]) -> str:
+def _without_colours(stage: Any, contents: SceneContents) -> str:
     """Return the text of the root layer without colours and names of images."""
     bare = Sdf.Layer.CreateAnonymous(".usda")
     bare.TransferContent(stage.GetRootLayer())
-    paths = [use["attribute"] for use in words["uses"]]
-    for block in words["blocks"]:
-        primvar = UsdGeom.Primvar(stage.GetAttributeAtPath(block["attribute"]))
+    paths = [use.attribute for use in contents.uses]
+    for block in contents.blocks:
+        primvar = UsdGeom.Primvar(stage.GetAttributeAtPath(block.attribute))
         indices = [str(primvar.GetIndicesAttr().GetPath())] if primvar.IsIndexed() else []
-        paths += [block["attribute"], *indices]
+        paths += [block.attribute, *indices]
     for path in dict.fromkeys(paths):
         for spec in stage.GetAttributeAtPath(path).GetPropertyStack():
             # Several instances have the same one.

@@ -102,7 +102,7 @@ class Measured:
     part: ComparedColours
     errors: Float32s  # (S,): the largest in any channel
     rms: Float32s  # (S,): root mean squares over the channels; squares could vanish in single precision
-    delta_e: Float32s  # (S,): CIEDE2000 differences; NaN where the numbers are no colours
+    delta_e: Float32s  # (S,): CIEDE2000 differences; NaN where the numbers are not colours
     ssim: float | None
     change: float  # mean absolute change of the channels
 
@@ -327,7 +327,7 @@ def _near_grey(chroma: Float64s) -> Float64s:
 
 
 def colour_differences(reference: Float32s, test: Float32s, space: Space) -> Float64s:
-    """Compute how different colours look, shape (S,); NaN if they are no colours."""
+    """Compute how different colours look, shape (S,); NaN if they are not colours."""
     if space not in ("srgb", "linear") or reference.shape[1] not in (1, 3):
         return np.full(len(reference), np.nan)
     light = (srgb_to_linear(each) if space == "srgb" else each for each in (reference, test))

@@ -124,7 +124,7 @@ def compare_vertices(
 
     reference, test = read(rows)
     if not np.isfinite(test).all():
-        cause = "some of its colours are no finite numbers, which cannot be compared"
+        cause = "some of its colours are not finite numbers, which cannot be compared"
         raise InputError(documents[1].name, cause)
     place, _ = group_places(one.positions[rows], None if one.space_of is None else one.space_of[rows])
     split = np.bincount(place)[place] > 1 if len(place) else np.zeros(0, bool)
@@ -201,7 +201,7 @@ def compare_images(
         cause = f"it has the channels {', '.join(other.names)}, but {names[0]} {', '.join(one.names)}"
         raise InputError(names[1], cause, "compare images with the same channels, or choose with --channels")
     if count := int(np.count_nonzero(~other.finite(pictures[1])[valid])):
-        raise InputError(names[1], f"{count} of its pixels are no finite numbers, but are in {names[0]}")
+        raise InputError(names[1], f"{count} of its pixels are not finite numbers, but are in {names[0]}")
     opacities = [None if "alpha" in one.names else _opacity(picture) for picture in pictures]
     return ComparedColours(
         name="image", kind="image", index=large_arrays.find(valid, True),

@@ -1,8 +1,4 @@
-"""The process that opens USD layers with usd-core: a scene as arrays, with its materials.
-
-usd-core is not made for malicious files, so it runs as `python -m` of `layers` in this package, with a limit on
-memory and time, in a folder that holds nothing but the layers that may be read.
-"""
+"""The visible meshes of a USD scene as arrays: positions, polygons, colours, texture coordinates and normals."""
 
 from __future__ import annotations
 
@@ -14,22 +10,24 @@ import numpy as np
 from pxr import Usd, UsdGeom, UsdShade
 
 from beltrami_cli.arrays import Array, Float64s, Int64s
-from beltrami_cli.formats.usd.materials import AS_STORED, INPUTS, read_material
+from beltrami_cli.formats.usd.contents import ColourBlock, MaterialInputs
+from beltrami_cli.formats.usd.materials import AS_STORED, INPUTS, ShownImage, UvMapping, read_material
+from beltrami_cli.surface.records import Slot
 
 _SMOOTH = ("vertex", "varying")
 
 
 @dataclass
-class Scene:
+class Geometry:
     """The visible geometry, collected mesh by mesh; lists of arrays are joined in the end."""
 
     arrays: dict[str, list[Array]] = field(default_factory=dict)
-    uses: list[dict[str, dict[str, Any]]] = field(default_factory=list)  # images of each material, by slot
-    materials: list[dict[str, Any]] = field(default_factory=list)
-    blocks: list[dict[str, Any]] = field(default_factory=list)  # of coloured rows
+    images: list[dict[Slot, ShownImage]] = field(default_factory=list)  # of each material
+    materials: list[MaterialInputs] = field(default_factory=list)
+    blocks: list[ColourBlock] = field(default_factory=list)
     meshes: list[str] = field(default_factory=list)
     counts: Counter[str] = field(default_factory=Counter)
-    slots: set[str] = field(default_factory=set)
+    slots: set[Slot] = field(default_factory=set)
     _number_of: dict[str, int] = field(default_factory=dict)
     _seen: set[str] = field(default_factory=set)
     _vertices: int = 0
@@ -43,7 +41,7 @@ class Scene:
         return {name: np.concatenate(values) for name, values in self.arrays.items()}
 
     def take(self, prim: Any) -> None:
-        """Take a mesh, where it stands first."""
+        """Add a mesh, at the first place where it is shown."""
         shown = UsdGeom.Imageable(prim)
         if shown.ComputePurpose() not in ("default", "render") or shown.ComputeVisibility() == "invisible":
             self.counts["hidden"] += 1
@@ -74,8 +72,8 @@ class Scene:
             "rows": rows,
             "normals": _normals(mesh, polygons, matrix),
         }
-        uses = [self.uses[number] for number in np.unique(materials[materials >= 0]).tolist()]
-        read = {use["coordinates"] for each in uses for use in each.values()} or {"st"}
+        images = [self.images[number] for number in np.unique(materials[materials >= 0]).tolist()]
+        read = {shown.mapping.primvar for each in images for shown in each.values()} or {"st"}
         read |= {"normals", "displayColor", *(["displayOpacity"] if (rows >= 0).any() else [])}
         primvars = UsdGeom.PrimvarsAPI(prim).GetPrimvarsWithAuthoredValues()
         self.counts["further"] += int(any(each.GetPrimvarName() not in read for each in primvars))
@@ -105,11 +103,11 @@ class Scene:
         for slot in INPUTS:
             uv = found[f"uv {slot}"] = bare.copy()
             for number in np.unique(materials[materials >= 0]).tolist():
-                use = self.uses[number].get(slot)
-                if use is None:
+                shown = self.images[number].get(slot)
+                if shown is None:
                     continue
                 self.slots.add(slot)
-                own = _coordinates(prim, use, polygons)
+                own = _coordinates(prim, shown.mapping, polygons)
                 if own is None:
                     self.counts["bare"] += 1
                     continue
@@ -123,14 +121,14 @@ class Scene:
         path = str(material.GetPath())
         if path not in self._number_of:
             self._number_of[path] = len(self.materials)
-            known, uses = read_material(material)
-            self.counts["unread"] += int(known.pop("unread", False))
-            self.uses.append(uses)
-            self.materials.append(known)
+            inputs, images = read_material(material)
+            self.counts["unread"] += int(inputs.is_unread)
+            self.images.append(images)
+            self.materials.append(inputs)
         return self._number_of[path]
 
     def _colour_rows(self, prim: Any, polygons: _Polygons) -> Int64s:
-        """Take the colours of a mesh; return which row of all colours each corner has, -1 where it has none."""
+        """Add the colours of a mesh; return the row of each corner among all colours, -1: the mesh has none."""
         primvar = UsdGeom.Gprim(prim).GetDisplayColorPrimvar()
         values = _flat(primvar)
         kind = str(primvar.GetInterpolation()) if primvar else ""
@@ -150,8 +148,8 @@ class Scene:
             self.counts["transparent"] += int((alpha < 1).any())
             self.add(colours=values, colour_vertex=vertex + self._vertices, opacity=alpha)
             stored = np.array(primvar.Get(Usd.TimeCode.EarliestTime())).dtype.name
-            place = {"attribute": str(primvar.GetAttr().GetPath()), "first": self._rows, "count": len(values)}
-            self.blocks.append({**place, "type": stored})
+            attribute = str(primvar.GetAttr().GetPath())
+            self.blocks.append(ColourBlock(attribute, self._rows, len(values), stored))
             self._rows += len(values)
             return rows + self._rows - len(values)
         return np.full(len(polygons.vertex), -1)
@@ -202,14 +200,14 @@ def _on_corners(primvar: Any, polygons: _Polygons) -> Float64s | None:
     return None if values is None else polygons.spread(values, str(primvar.GetInterpolation()))
 
 
-def _coordinates(prim: Any, use: dict[str, Any], polygons: _Polygons) -> Float64s | None:
+def _coordinates(prim: Any, mapping: UvMapping, polygons: _Polygons) -> Float64s | None:
     """Return the texture coordinates of the corners of polygons, v up, transforms applied."""
-    primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(use["coordinates"])
+    primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(mapping.primvar)
     uv = _on_corners(primvar, polygons)
     if uv is None or uv.shape[1:] != (2,):
         return None
     with np.errstate(over="ignore", invalid="ignore"):
-        moved: Float64s = uv @ np.array(use["matrix"]) + np.array(use["offset"])
+        moved: Float64s = uv @ np.array(mapping.matrix) + np.array(mapping.offset)
     return moved
 
 

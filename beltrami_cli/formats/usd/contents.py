@@ -1,0 +1,74 @@
+"""Records of a scene, which the process with usd-core fills and sends as JSON to the process that asked for it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from beltrami_cli.surface.records import Slot, Wrap
+
+
+@dataclass(frozen=True)
+class TextureUse:
+    """An image that a material shows in a slot."""
+
+    material: int
+    slot: Slot
+    attribute: str  # path of the shader's attribute that names the image
+    file: str  # relative to the folder of the root layer
+    wrap: tuple[Wrap, Wrap]
+
+
+@dataclass(frozen=True)
+class ColourBlock:
+    """The rows of one mesh among the colours of all meshes."""
+
+    attribute: str  # path of its displayColor
+    first: int
+    count: int
+    type: str  # stored type, by NumPy's name
+
+    @property
+    def rows(self) -> slice:
+        return slice(self.first, self.first + self.count)
+
+
+@dataclass
+class MaterialInputs:
+    """A material without its images."""
+
+    name: str
+    values: dict[str, Any] = field(default_factory=dict)  # by input of a UsdPreviewSurface
+    has_alpha: bool = False  # whether the base colour image is the opacity, too
+    lost: list[str] = field(default_factory=list)  # what other formats cannot hold
+    is_unread: bool = False  # neither a UsdPreviewSurface nor a MaterialX surface with an image
+
+
+@dataclass(frozen=True)
+class SceneContents:
+    """A scene without its arrays."""
+
+    uses: tuple[TextureUse, ...]
+    images: Mapping[str, str]  # all images that the layers name, by attribute
+    materials: tuple[MaterialInputs, ...]
+    blocks: tuple[ColourBlock, ...]
+    meshes: tuple[str, ...]  # names
+    counts: Mapping[str, int]  # of parts that are skipped or special, by the keys of `_COUNTS` and others
+    slots: tuple[Slot, ...]
+    others: tuple[str, ...]  # types of geometry other than meshes
+    up: str
+    unit: float  # metres
+    variants: tuple[str, ...]
+    text: str = ""  # of the root layer without colours and names of images, if it was asked for
+
+    @classmethod
+    def from_json(cls, found: Mapping[str, Any]) -> SceneContents:
+        """Make the record from what `dataclasses.asdict` made of it and JSON left of that."""
+        records = {
+            "uses": tuple(TextureUse(**{**each, "wrap": tuple(each["wrap"])}) for each in found["uses"]),
+            "materials": tuple(MaterialInputs(**each) for each in found["materials"]),
+            "blocks": tuple(ColourBlock(**each) for each in found["blocks"]),
+        }
+        names = {key: tuple(found[key]) for key in ("meshes", "slots", "others", "variants")}
+        return cls(**{**found, **names, **records})
