@@ -92,12 +92,14 @@ class OutputError(FileError):
 
 # Signals whose default is not to end a process, that cannot be caught, or that mean faults in native code,
 # which would fault again and again if Python handled them.
-_OTHERS = (
+_NOT_ENDING = (
     "SIGCHLD", "SIGCONT", "SIGINFO", "SIGTSTP", "SIGTTIN", "SIGTTOU", "SIGURG", "SIGWINCH",
     "SIGKILL", "SIGSTOP",
     "SIGBUS", "SIGEMT", "SIGFPE", "SIGILL", "SIGSEGV", "SIGSYS", "SIGTRAP",
 )  # fmt: skip
-ENDING_SIGNALS = frozenset(map(int, signal.valid_signals() - {getattr(signal, each, 0) for each in _OTHERS}))
+ENDING_SIGNALS = frozenset(
+    map(int, signal.valid_signals() - {getattr(signal, each, 0) for each in _NOT_ENDING})
+)
 
 
 _PR_SET_PDEATHSIG = 1  # of <sys/prctl.h>

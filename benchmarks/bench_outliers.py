@@ -20,8 +20,8 @@ from beltrami_cli.surface.atlas import grid_atlas
 LARGEST = 512  # pixels a side that are looked at
 PHOTOGRAPHS = 4  # the most colourful ones take impulses
 TRIED = {
-    "_FAR": [(2.5, 0.1), (4, 0.1), (5, 0.1), (3, 0.07), (3, 0.15)], "_WEAK": [0.2, 0.5], "_ALIKE": [0.03, 0.12],
-    "_FEWEST": [10, 30], "_MOST": [0.5, 0.8],
+    "_OUTLIER_LIMIT": [(2.5, 0.1), (4, 0.1), (5, 0.1), (3, 0.07), (3, 0.15)], "_WEAK_LIMIT": [0.2, 0.5],
+    "_SAME_VALUE": [0.03, 0.12], "_MIN_CLUMPS": [10, 30], "_MAJORITY": [0.5, 0.8],
 }  # fmt: skip
 
 

@@ -32,7 +32,7 @@ from pictures import PHOTOGRAPHS, SIDE, on_sphere, photograph
 
 SUBDIVISIONS = 6  # of the icosphere: 40,962 vertices
 MARGIN = 20  # texels around what is judged that peers see, too: half of BM3D's window
-MOST_COMPARED = 40_000  # texels of which colours are compared as they look
+MAX_COMPARED = 40_000  # texels of which colours are compared as they look
 PEERS = {"bilateral": peers.bilateral, "non-local means": peers.nonlocal_means, "BM3D": peers.bm3d}
 OURS = {"`--patches off`": "off", "default": "auto"}
 
@@ -143,7 +143,7 @@ def psnr(image, clean, mask):
 def judge(image, clean, masks):
     """Return the PSNR over covered texels, near seams, and the mean CIEDE2000 over evenly chosen texels."""
     color = peers.needed("skimage.color")
-    chosen = slice(None, None, max(1, int(masks[0].sum()) // MOST_COMPARED))
+    chosen = slice(None, None, max(1, int(masks[0].sum()) // MAX_COMPARED))
     shown = (color.rgb2lab(colours[masks[0]][chosen]) for colours in (image / 255, clean))
     return *(psnr(image, clean, mask) for mask in masks), float(color.deltaE_ciede2000(*shown).mean())
 

@@ -21,7 +21,7 @@ from beltrami_cli import _native
 
 BETA = 5.0
 SAMPLES = (20, 50)  # a kernel
-MOST_ITERATIONS = 30
+MAX_ITERATIONS = 30
 COLOUR_SMOOTHING = {
     "PyMeshLab Laplacian": peers.pymeshlab_smoothing,
     "Open3D Laplacian": partial(peers.open3d_smoothing, "laplacian"),
@@ -104,13 +104,11 @@ def quality_rows(sphere, pattern):
     yield Row(f"{where}: noisy", f"{psnr(sphere.noisy, sphere.clean):.1f} dB")
     for name, run in COLOUR_SMOOTHING.items():
         try:
-            reached, iterations = run(sphere, MOST_ITERATIONS)
+            reached, iterations = run(sphere, MAX_ITERATIONS)
         except peers.PeerError as missing:
             yield Row(f"{where}: {name}", str(missing))
             continue
-        yield Row(
-            f"{where}: {name}, best of {MOST_ITERATIONS}", f"{reached:.1f} dB ({iterations} iterations)"
-        )
+        yield Row(f"{where}: {name}, best of {MAX_ITERATIONS}", f"{reached:.1f} dB ({iterations} iterations)")
     for name, settings in OURS.items():
         yield Row(f"{where}: {name}", f"{psnr(smooth(sphere, **settings).colours, sphere.clean):.1f} dB")
 

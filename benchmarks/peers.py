@@ -7,7 +7,7 @@ import time
 import numpy as np
 from harness import SIGMA, psnr
 
-MOST_ITERATIONS = 8
+MAX_ITERATIONS = 8
 
 
 class PeerError(Exception):
@@ -57,7 +57,7 @@ def bilateral(noisy, score, *, window=7, sigma=SIGMA):
     image = noisy.astype(np.float32) / 255
     for colour, space in itertools.product((1, 1.5, 2, 2.7, 4), (1.2, 1.8, 3, 5)):
         smoothed = image
-        for _ in range(MOST_ITERATIONS):
+        for _ in range(MAX_ITERATIONS):
             smoothed = cv2.bilateralFilter(smoothed, window, colour * sigma, space)
             found.append(score(smoothed))
     return max(found, key=lambda scores: scores[0])

@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter
 
 from pictures import pictures
 
-SIDE, LEAST_SIDE = 192, 128  # of crops, in texels
+SIDE, MIN_SIDE = 192, 128  # of crops, in texels
 
 
 def halved(image):
@@ -31,7 +31,7 @@ def textures(folder, count):
         image = cropped(pixels / 255)
         opaque = image.shape[2] % 2 or (image[..., -1] == 1).all()
         colours = np.repeat(image[..., :1], 3, axis=2) if image.shape[2] < 3 else image[..., :3]
-        if opaque and min(image.shape[:2]) >= LEAST_SIDE and colours.std() > 0.02:
+        if opaque and min(image.shape[:2]) >= MIN_SIDE and colours.std() > 0.02:
             yield path.name, colours
             found += 1
         if found == count:

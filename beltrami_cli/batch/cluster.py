@@ -28,9 +28,9 @@ from beltrami_cli.formats.access import CONFIGURATION, is_file, is_url, parse_js
 from beltrami_cli.jobs.progress import Progress, at_intervals
 
 _LOST = "the connection to the scheduler was lost"
-_PATIENCE = 10.0  # seconds for a scheduler to accept a connection, and again to say what it is
+_CONNECT_TIMEOUT = 10.0  # seconds for a scheduler to accept a connection, and again to say what it is
 _POLL = 0.1  # seconds between two checks of the connection and of the number of workers
-_PAUSE = 0.3  # seconds between two messages on progress
+_PROGRESS_INTERVAL = 0.3  # seconds between two messages on progress
 
 
 @contextlib.contextmanager
@@ -52,7 +52,7 @@ def connected(address: str) -> Iterator[Any]:
         _require_listener(where)
         security = Security()  # certificates, and whether they are required, from Dask's own configuration
         asyncio.run(_require_scheduler(where, security))
-        client = Client(where, timeout=_PATIENCE, set_as_default=False, security=security)
+        client = Client(where, timeout=_CONNECT_TIMEOUT, set_as_default=False, security=security)
     except Exception as error:  # Dask raises whatever comes of bytes that are not its own
         cause = " ".join(f"{type(error).__name__}: {error}".split())[:200]
         raise ProcessingError(
@@ -71,7 +71,7 @@ def _require_listener(address: str) -> None:
         return
     if not parts.hostname or not parts.port:
         raise ValueError("an address is like tcp://HOST:PORT")
-    socket.create_connection((parts.hostname, parts.port), timeout=_PATIENCE).close()
+    socket.create_connection((parts.hostname, parts.port), timeout=_CONNECT_TIMEOUT).close()
 
 
 async def _require_scheduler(address: str, security: Any) -> None:
@@ -79,11 +79,13 @@ async def _require_scheduler(address: str, security: Any) -> None:
     from distributed.core import rpc
 
     arguments = security.get_connection_args("client")
-    async with rpc(address, timeout=_PATIENCE, connection_args=arguments) as peer:
+    async with rpc(address, timeout=_CONNECT_TIMEOUT, connection_args=arguments) as peer:
         try:
-            identity = await asyncio.wait_for(peer.identity(), _PATIENCE)
+            identity = await asyncio.wait_for(peer.identity(), _CONNECT_TIMEOUT)
         except TimeoutError as error:
-            raise TimeoutError(f"it accepts connections, and says nothing for {_PATIENCE:g} s") from error
+            raise TimeoutError(
+                f"it accepts connections, and says nothing for {_CONNECT_TIMEOUT:g} s"
+            ) from error
     if identity["type"] != "Scheduler":
         raise ValueError(f"it is a {identity['type']}")
 
@@ -214,7 +216,7 @@ def _on_worker(task: Task, topic: str, key: int, client_version: str, *arguments
     # Arrays that change: what Dask has received may be read-only, and stays for another attempt.
     values = [[np.array(each) for each in value] if isinstance(value, list) else value for value in arguments]
     try:
-        return task(*values, at_intervals(_PAUSE, progress))
+        return task(*values, at_intervals(_PROGRESS_INTERVAL, progress))
     except _Cancelled:
         return Lost("given up")
 

@@ -32,9 +32,9 @@ from beltrami_cli.layers.settings import IMAGE_FORMATS, IMAGE_SUFFIXES
 
 # What a folder stands for: models and points. Its images may be their textures, and its texts and tables anything: both
 # are named by themselves.
-_ANYTHING = (".txt", ".csv")
+_AMBIGUOUS = (".txt", ".csv")
 _SUFFIXES = tuple(f".{name}" for name in (*OUTPUT_FORMATS, *KEPT_FORMATS))
-_MODELS = {*_SUFFIXES} - {*_ANYTHING}
+_MODELS = {*_SUFFIXES} - {*_AMBIGUOUS}
 _CONVERTIBLE = _MODELS | {f".{name}" for name in READ_ONLY}
 _WRITABLE = {*_SUFFIXES, *IMAGE_SUFFIXES, *(f".{name}" for name in IMAGE_FORMATS)}
 _WAY_OUT = "see beltrami batch --help for what a manifest looks like"

@@ -24,8 +24,8 @@ from beltrami_cli.jobs.progress import Progress, at_intervals
 
 # Attempts at a chunk before its file fails: a machine that restarts loses a few workers, and a chunk that is too large
 # for the memory kills every worker. A choice.
-_TRIES = 5
-_PAUSE = 0.1  # seconds between two messages on progress
+_MAX_ATTEMPTS = 5
+_PROGRESS_INTERVAL = 0.1  # seconds between two messages on progress
 
 Advanced = Callable[[int, str, int, int], None]  # called with a key and its progress
 
@@ -181,10 +181,10 @@ def in_pieces(pool: Pool, count: int, memory: int | None, advanced: Advanced, th
         attempt = do_item(item, memory, progress, is_alone=False, chunking=chunking)
         return dataclasses.replace(attempt, pieces=runner.most)
 
-    return Workers(Here(advanced), lambda item: (do_in_pieces, item), threads)
+    return Workers(InProcess(advanced), lambda item: (do_in_pieces, item), threads)
 
 
-class Here(Pool):
+class InProcess(Pool):
     """Does one task at a time in this process."""
 
     def __init__(self, advanced: Advanced) -> None:
@@ -201,7 +201,7 @@ class Here(Pool):
 
     def events(self) -> Iterator[tuple[int, Any]]:
         key, task, arguments = self._waiting.pop()
-        yield key, task(*arguments, at_intervals(_PAUSE, partial(self._advanced, key)))
+        yield key, task(*arguments, at_intervals(_PROGRESS_INTERVAL, partial(self._advanced, key)))
 
     def give_up(self) -> None:
         self._waiting.clear()
@@ -210,7 +210,7 @@ class Here(Pool):
 class ChunkRunner:
     """Works on chunks with workers that may die; a `Runner`."""
 
-    def __init__(self, pool: Pool, tries: int = _TRIES) -> None:
+    def __init__(self, pool: Pool, tries: int = _MAX_ATTEMPTS) -> None:
         self._pool, self._tries = pool, tries
         self._chunks: Sequence[Chunk] = ()  # whose parts workers keep, so that only colours are sent
         self.most = 0  # chunks that a surface was cut into

@@ -21,14 +21,14 @@ from beltrami_cli.errors import InputError, OutputError, install_hint
 from beltrami_cli.formats.access import is_file, is_there, is_url, open_regular
 from beltrami_cli.surface.worker_process import temporary_folder
 
-_HERE = re.compile(r"(?:file|local)://", re.IGNORECASE)
+_LOCAL_URL = re.compile(r"(?:file|local)://", re.IGNORECASE)
 # Where a file appears only once it is whole; elsewhere it is uploaded under another name and renamed.
-_WHOLE_OR_NOT = frozenset({"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "adl", "memory"})
+_ATOMIC_UPLOADS = frozenset({"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "adl", "memory"})
 
 
 def without_scheme(name: str) -> str:
     """Return the path that a file:// URL means, and any other name as it is."""
-    found = _HERE.match(name)
+    found = _LOCAL_URL.match(name)
     return name if found is None else unquote(name[found.end() :])
 
 
@@ -210,7 +210,7 @@ def _upload(path: Path, url: str) -> None:
     files, there = filesystem(url)
     files.makedirs(there.rpartition("/")[0], exist_ok=True)
     schemes = {files.protocol} if isinstance(files.protocol, str) else {*files.protocol}
-    if _WHOLE_OR_NOT & schemes:
+    if _ATOMIC_UPLOADS & schemes:
         files.put_file(str(path), there)
         return
     folder, _, name = there.rpartition("/")

@@ -1,8 +1,7 @@
 """Tasks for workers that may die: in processes of this machine, here, or on a Dask scheduler, see `cluster.py`.
 
 The pool of the standard library fails everything when a process dies, as it does when the system runs out of memory.
-Here each has a pipe of its own to the process that leads, which alone decides, in one thread; one that dies loses only
-its own task.
+Each worker has a pipe to the process that leads, which alone decides, in one thread; one that dies loses only its task.
 """
 
 from __future__ import annotations
@@ -27,8 +26,8 @@ from beltrami_cli.errors import ProcessingError, end_with_parent, unhandled_endi
 from beltrami_cli.formats.image.opening import scratch_file
 from beltrami_cli.jobs.progress import at_intervals
 
-_GRACE = 5.0  # seconds: enough to remove files that were not finished
-_PAUSE = 0.1  # seconds between two messages on progress
+_TERMINATION_TIMEOUT = 5.0  # seconds: enough to remove files that were not finished
+_PROGRESS_INTERVAL = 0.1  # seconds between two messages on progress
 _ALIGNMENT = 64  # bytes: arrays begin at multiples of it, as C++ may ask of them
 
 Task = Callable[..., Any]  # called with the arguments that it was started with, and a progress
@@ -199,7 +198,7 @@ class Processes(Pool):
         self._busy.clear()
 
     def close(self) -> None:
-        workers, deadline = [*self._idle, *self._busy], time.monotonic() + _GRACE
+        workers, deadline = [*self._idle, *self._busy], time.monotonic() + _TERMINATION_TIMEOUT
         for worker in workers:
             worker.process.terminate()
         for worker in workers:
@@ -245,7 +244,7 @@ def serve(pipe: Connection[Any, Any], path: Path) -> None:
         except ConnectionError:  # the process that leads is gone, which is not the task's error
             sys.exit()
 
-    progress = at_intervals(_PAUSE, report)
+    progress = at_intervals(_PROGRESS_INTERVAL, report)
     with contextlib.suppress(EOFError, ConnectionError):
         while True:
             order: Order = channel.receive()

@@ -29,8 +29,8 @@ def blender_extension(target: str, overwrite: bool, messages: Messages) -> None:
 _FILES = {"addon.py": "__init__.py"}  # all others keep their names
 # Blender chooses the colours, their files and their surface itself, and has nothing else that could guide.
 _GROUPS = ("Kernel", "Colours", "Textures")
-_LEFT_OUT = ("on", "slots", "materials", "names", "image_suffix", "jpeg_quality", "small")
-_SINCE = (1980, 1, 1, 0, 0, 0)  # the date of every file, so that equal programs write equal files
+_OMITTED_OPTIONS = ("on", "slots", "materials", "names", "image_suffix", "jpeg_quality", "small")
+_TIMESTAMP = (1980, 1, 1, 0, 0, 0)  # the date of every file, so that equal programs write equal files
 
 
 def write_blender_extension(target: str, *, overwrite: bool) -> int:
@@ -47,8 +47,8 @@ def write_blender_extension(target: str, *, overwrite: bool) -> int:
         for source in sorted(resources.files("beltrami_cli").joinpath("blender").iterdir(), key=str):
             if source.is_file():
                 name = _FILES.get(source.name, source.name)
-                archive.writestr(zipfile.ZipInfo(name, _SINCE), source.read_bytes())
-        archive.writestr(zipfile.ZipInfo("parameters.json", _SINCE), json.dumps(about, indent=1))
+                archive.writestr(zipfile.ZipInfo(name, _TIMESTAMP), source.read_bytes())
+        archive.writestr(zipfile.ZipInfo("parameters.json", _TIMESTAMP), json.dumps(about, indent=1))
     output.write(Written(main=[buffer.getvalue()]))
     return len(declared)
 
@@ -56,7 +56,7 @@ def write_blender_extension(target: str, *, overwrite: bool) -> int:
 def declared_parameters() -> Iterator[dict[str, Any]]:
     """Give the parameters of smoothing that the extension shows, in JSON types."""
     for each in parameters(SmoothSettings, deep=True):
-        if not each.flags or each.group not in _GROUPS or each.name in _LEFT_OUT:
+        if not each.flags or each.group not in _GROUPS or each.name in _OMITTED_OPTIONS:
             continue
         flag = each.flag.partition("/")[0]
         is_number = each.kind in (bool, int, float) and each.parse is None and not each.several

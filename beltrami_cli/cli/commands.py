@@ -161,11 +161,11 @@ def write_notes(formatter: click.HelpFormatter, text: str) -> None:
         formatter.write_text(text)
 
 
-_FEW = 12  # up to this many options are shown at once
+_MAX_UNGROUPED = 12  # up to this many options are shown at once
 _EXAMPLES = 8  # lines of examples in the short help
 _OPTION = re.compile(r"(?<=\s)--?[a-zA-Z][\w-]*")
 
-DAILY = "Options"  # the group of options without one
+DEFAULT_GROUP = "Options"  # the group of options without one
 
 
 def complete_files(_context: click.Context, _parameter: click.Parameter, typed: str) -> list[CompletionItem]:
@@ -195,7 +195,7 @@ class HelpfulCommand(click.Command):
     def __init__(self, *arguments: Any, **attributes: Any) -> None:
         super().__init__(*arguments, **attributes)
         options = [each for each in self.params if isinstance(each, click.Option)]
-        self._is_long = len(options) > _FEW and any(getattr(each, "group", "") for each in options)
+        self._is_long = len(options) > _MAX_UNGROUPED and any(getattr(each, "group", "") for each in options)
         help_all = click.Option(
             ["--help-all"], is_flag=True, expose_value=False, is_eager=True, callback=_show_all,
             hidden=not self._is_long, help="Show all options, examples and notes.",
@@ -223,21 +223,21 @@ class HelpfulCommand(click.Command):
         """Return the options by group, the daily ones first."""
         options = [each for each in self.get_params(context) if isinstance(each, click.Option)]
         if not self._is_long:
-            return {DAILY: options}
-        groups: dict[str, list[click.Option]] = {DAILY: []}
+            return {DEFAULT_GROUP: options}
+        groups: dict[str, list[click.Option]] = {DEFAULT_GROUP: []}
         for option in options:
-            groups.setdefault(getattr(option, "group", "") or DAILY, []).append(option)
+            groups.setdefault(getattr(option, "group", "") or DEFAULT_GROUP, []).append(option)
         return groups
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         groups, shown = self.option_groups(ctx), str if self._is_full(ctx) else _in_short
         for title, options in groups.items():
-            if title == DAILY or self._is_full(ctx):
+            if title == DEFAULT_GROUP or self._is_full(ctx):
                 records = filter(None, (option.get_help_record(ctx) for option in options))
                 with formatter.section(title):
                     formatter.write_dl([(name, shown(text)) for name, text in records])
         if not self._is_full(ctx):
-            others = ", ".join(title for title in groups if title != DAILY).lower()
+            others = ", ".join(title for title in groups if title != DEFAULT_GROUP).lower()
             formatter.write_paragraph()
             formatter.write_text(f"--help-all says more, and shows more options: {others}.")
 
@@ -248,7 +248,7 @@ class HelpfulCommand(click.Command):
     def _first_examples(self, text: str, context: click.Context) -> str:
         """Return the first examples, with whole commands, that take no option but those of the short help."""
         head, title, *lines = text.partition("\n\n")[0].split("\n")
-        shown = {name for option in self.option_groups(context)[DAILY] for name in option.opts}
+        shown = {name for option in self.option_groups(context)[DEFAULT_GROUP] for name in option.opts}
         chosen: list[str] = []
         for example in re.findall(r"(?:.*\\\n)*.+", "\n".join(lines)):
             if len(chosen) < _EXAMPLES and {*_OPTION.findall(example.partition(" #")[0])} <= shown:

@@ -121,7 +121,7 @@ def _table_in(path: Path, text: str) -> dict[str, object] | None:
 OWN_NAME, SHARED_NAME = "beltrami.toml", "pyproject.toml"
 
 # The options that are not parameters of a record, but of the method or of encoding. Whatever is not here is refused.
-_HARMLESS = frozenset({
+_IGNORED_OPTIONS = frozenset({
     "preset", "output_format", "unwrap", "to", "at", "iteration", "whole", "no_labels",
 })  # fmt: skip
 
@@ -134,7 +134,7 @@ def may_be_found(option: click.Parameter, value: object = None) -> bool:
     """Whether a file that was only found may set an option: not one that names a file or lifts a limit."""
     if isinstance(option, ParameterOption):
         return not option.declared.is_deliberate(value)
-    return option.name in _HARMLESS
+    return option.name in _IGNORED_OPTIONS
 
 
 def candidates() -> Iterator[Path]:

@@ -14,7 +14,8 @@ from typing import ClassVar
 from beltrami_cli.errors import unhandled_endings
 
 _DUPLICATE = 1.0  # seconds in which another signal is the same wish, and would only disturb the tidying
-_AGAIN = 0.05  # seconds until a signal is sent again whose exception was dropped: longer than most destructors take
+# Seconds until a signal is sent again whose exception was dropped: longer than most destructors take.
+_RESEND_DELAY = 0.05
 
 
 class Interruption(BaseException):
@@ -79,6 +80,6 @@ class Interruptible:
             self._usual_hook(unraisable)
             return
         self._last = -_DUPLICATE
-        timer = threading.Timer(_AGAIN, os.kill, (os.getpid(), dropped.number))
+        timer = threading.Timer(_RESEND_DELAY, os.kill, (os.getpid(), dropped.number))
         timer.daemon = True
         timer.start()

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import click
 
-from beltrami_cli.cli.commands import DAILY, HELP_ALL, command, docs_folder
+from beltrami_cli.cli.commands import DEFAULT_GROUP, HELP_ALL, command, docs_folder
 from beltrami_cli.cli.main import COMMANDS, group
 
 _ENVIRONMENT = (
@@ -26,13 +26,13 @@ _EXIT_STATUS = (
     ("0", "Done."), ("1", "Processing failed, or a limit is broken."), ("2", "Wrong usage."),
     ("3", "An input is unreadable or not fit."), ("4", "An output is not writable."), ("130", "Interrupted."),
 )  # fmt: skip
-_LEFT_OUT = {"index", "changelog"}  # they consist of links and of another file
+_OMITTED_PAGES = {"index", "changelog"}  # they consist of links and of another file
 _MARKS = re.compile(r"^<!--.*-->\n", re.MULTILINE)
 
 
 def pages() -> dict[str, Path]:
     """Return the topics and their files."""
-    return {path.stem: path for path in sorted(docs_folder().glob("*.md")) if path.stem not in _LEFT_OUT}
+    return {path.stem: path for path in sorted(docs_folder().glob("*.md")) if path.stem not in _OMITTED_PAGES}
 
 
 def page_text(path: Path) -> str:
@@ -67,7 +67,9 @@ class _Roff(click.HelpFormatter):
 
     def write_heading(self, heading: str) -> None:
         self.write(
-            f".SH {heading.upper()}\n" if heading in (DAILY, "Commands") else f'.SS "{_text(heading)}"\n'
+            f".SH {heading.upper()}\n"
+            if heading in (DEFAULT_GROUP, "Commands")
+            else f'.SS "{_text(heading)}"\n'
         )
 
     def write_paragraph(self) -> None:

@@ -223,12 +223,12 @@ TEXTURES = ("threads", "space", "channels", "on", "slots", "materials", "names")
 COLOURS = (*TEXTURES, "mask", "iso", "inside", "colours", "max_voxels")
 ENCODING = ("gutter", "image_suffix", "jpeg_quality", "small")
 # Averages alone can be taken in Oklab.
-_TAKEN = (
+_SPACE_HELP = (
     "What colours are taken as: display values, linear light, or with data the stored numbers as they are."
 )
-UNMIXED = {"space": {"choices": ("srgb", "linear", "data"), "help": _TAKEN}}
+SPACE_WITHOUT_OKLAB = {"space": {"choices": ("srgb", "linear", "data"), "help": _SPACE_HELP}}
 COMPARED: dict[str, dict[str, Any]] = {
-    **UNMIXED,
+    **SPACE_WITHOUT_OKLAB,
     "weights": {"of": ("vertex colours", "textures")},  # samples of textures can count by their area, too
     "on": {"help": "The vertex colours, the textures, or both; auto takes what there is."},
     "slots": {"unset": "all that the files have"},

@@ -40,9 +40,9 @@ def render(sources: tuple[str, ...], target: str, no_labels: bool, messages: Mes
 
 
 _SWEPT = ("beta", "t", "iterations", "metric_scale", "metric_steps")
-_SHOWN = {"iterations": "n", "metric_scale": "metric scale", "metric_steps": "metric steps"}
+_LABELS = {"iterations": "n", "metric_scale": "metric scale", "metric_steps": "metric steps"}
 # Options of a single picture, or that follow from the options of smoothing.
-_NOT_LOOKS = ("slot", "on", "side_by_side", "labels")
+_NOT_APPEARANCE = ("slot", "on", "side_by_side", "labels")
 
 
 def _listed(declared: Parameter) -> Parameter:
@@ -79,7 +79,7 @@ _LISTS = [_listed(each) for each in parameters(KernelParameters) if each.name in
 @options.adding(_LISTS[::-1])
 @options.options_of(SmoothSettings, without=_SWEPT)
 @options.preset
-@options.options_of(RenderSettings, without=_NOT_LOOKS)
+@options.options_of(RenderSettings, without=_NOT_APPEARANCE)
 @options.writing
 def sweep(
     source: str,
@@ -123,7 +123,7 @@ def _trials(given: dict[str, Any]) -> tuple[list[tuple[dict[str, float], SmoothS
     for combination in itertools.product(*swept.values()):
         chosen = dict(zip(swept, combination, strict=True))
         settings = options.settings_from({**plain, **chosen})
-        trials.append(({_SHOWN.get(name, name): value for name, value in chosen.items()}, settings))
+        trials.append(({_LABELS.get(name, name): value for name, value in chosen.items()}, settings))
     rows = [len(values) for values in swept.values() if len(values) > 1]
     return trials, max(2, rows[-1] if rows else 2)
 

@@ -49,7 +49,7 @@ def _reporting(command: Callable[..., Any]) -> Callable[..., Any]:
     return options.as_json(_report(command))
 
 
-def _besides(command: Callable[..., Any]) -> Callable[..., Any]:
+def _report_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options of a dry run, a report and a preview."""
     return _dry_run(_reporting(_preview(command)))
 
@@ -60,7 +60,7 @@ def _besides(command: Callable[..., Any]) -> Callable[..., Any]:
 @options.output_format
 @options.reading
 @options.overwrite
-@_besides
+@_report_options
 @options.messages
 def smooth(source: str, target: str, messages: Messages, **smoothing: Any) -> None:
     """Smooth the colours of INPUT, in its vertices, textures or pixels, and write OUTPUT with nothing else changed."""
@@ -159,12 +159,12 @@ def _show_unchanged(messages: Messages, report: SmoothReport, *, unwrapped: bool
 @command("level", source="INPUT", target="OUTPUT")
 @options.options_of(LevelSettings)
 @options.options_of(
-    SmoothSettings, only=(*options.TEXTURES, *options.ENCODING, "alpha"), changed=options.UNMIXED
+    SmoothSettings, only=(*options.TEXTURES, *options.ENCODING, "alpha"), changed=options.SPACE_WITHOUT_OKLAB
 )
 @options.output_format
 @options.reading
 @options.overwrite
-@_besides
+@_report_options
 @options.messages
 def level(source: str, target: str, messages: Messages, **values: Any) -> None:
     """Remove the exposure steps between the charts of the textures of INPUT, and write OUTPUT."""
@@ -269,7 +269,9 @@ def bake(source: str, target: str, to: BakeTo, messages: Messages, **values: Any
 
 @command("noise", source="INPUT", target="OUTPUT")
 @options.options_of(NoiseSettings)
-@options.options_of(SmoothSettings, only=(*options.COLOURS, *options.ENCODING), changed=options.UNMIXED)
+@options.options_of(
+    SmoothSettings, only=(*options.COLOURS, *options.ENCODING), changed=options.SPACE_WITHOUT_OKLAB
+)
 @options.output_format
 @_reporting
 @options.writing

@@ -129,7 +129,7 @@ IN_ONE_PIECE = Resources()
 
 # ---- canvases
 # Cells of a chunk at least: patches around a square as large repeat less than half of the work.
-LEAST_CELLS = 1 << 18
+MIN_CELLS = 1 << 18
 
 Rectangle: TypeAlias = tuple[Any, ...]
 """The index of some cells in stacks of a canvas: an ellipsis, a slice of rows, and one of columns."""
@@ -149,7 +149,7 @@ def chunks_of_canvas(
     They begin at multiples of `unit`, at which the order of sums repeats itself. A part has some cells more before and
     after; `cut` is called with the index of all of them, and with that of the rectangle among them.
     """
-    count = min(count, max(1, int(np.count_nonzero(owned)) // LEAST_CELLS))
+    count = min(count, max(1, int(np.count_nonzero(owned)) // MIN_CELLS))
     bands = int(np.clip(round((count * owned.shape[0] / max(1, owned.shape[1])) ** 0.5), 1, count))
     shares = np.linspace(0, count, bands + 1).round().astype(int)
     heights, chunks = _even(owned.sum(axis=1), shares / count, unit), []
@@ -175,12 +175,12 @@ def _even(counts: Int64s, shares: Float64s, unit: int) -> list[slice]:
 
 # ---- meshes
 # Samples of a chunk at least, as above.
-LEAST_SAMPLES = 1 << 14
+MIN_SAMPLES = 1 << 14
 
 
 def runs(size: int, count: int) -> list[tuple[int, int]]:
     """Cut samples, in an order in which neighbours are near each other, into runs of whole blocks."""
     blocks = -(-size // PATCH_BLOCK_SIZE)
-    count = min(count, max(1, size // LEAST_SAMPLES), blocks)
+    count = min(count, max(1, size // MIN_SAMPLES), blocks)
     borders = np.linspace(0, blocks, count + 1).round().astype(int) * PATCH_BLOCK_SIZE
     return list(pairwise(np.minimum(borders, size).tolist()))

@@ -40,13 +40,13 @@ _SEGMENTS_REACH = 14
 # A Gaussian of a smaller standard deviation, in sample spacings, has no weight beyond its own sample.
 _SMALLEST_SCALE = 0.05
 
-_CHOSEN = "chosen from the data, else {default}"
+_CHOSEN_FROM_DATA = "chosen from the data, else {default}"
 
 # With the default time step this is a Gaussian of 219 sample spacings, sqrt(2 n t): wider than any noise.
-MOST_ITERATIONS = 10_000
+MAX_ITERATIONS = 10_000
 
 # Logarithm of the growth at which any difference in colour is far beyond the kernel, and numbers do not overflow yet.
-MOST_GROWTH = 25.0
+MAX_GROWTH = 25.0
 
 _CAMERA = re.compile(r"shot:([^,]+),read:([^,]+)")
 
@@ -140,14 +140,14 @@ class KernelParameters:
     iterations: int = parameter(
         5,
         "Kernel iterations; more smooth further. 0 leaves every byte unchanged.",
-        low=0, high=MOST_ITERATIONS, unset=_CHOSEN, flags=("-n", "--iterations"), metavar="N", is_daily=True,
+        low=0, high=MAX_ITERATIONS, unset=_CHOSEN_FROM_DATA, flags=("-n", "--iterations"), metavar="N", is_daily=True,
     )  # fmt: skip
     t: float = parameter(
         2.4,
         "Time step of an iteration: away from edges, a Gaussian of variance 2T. On "
         "textures and images the window bounds the kernel, so that it is this Gaussian only if the window "
         "holds it: raise --window for a large T.",
-        low=0, is_open=True, unit="squared units of length, see --units", unset=_CHOSEN,
+        low=0, is_open=True, unit="squared units of length, see --units", unset=_CHOSEN_FROM_DATA,
         flags=("-t", "--time-step", "t"), metavar="T", is_daily=True,
     )  # fmt: skip
     beta: float | None = parameter(
@@ -160,7 +160,7 @@ class KernelParameters:
     beta_growth: float = parameter(
         2.0,
         "Multiply beta by G from one iteration to the next: as less noise is left, finer edges count.",
-        low=1, high=100, unset=_CHOSEN, metavar="G",
+        low=1, high=100, unset=_CHOSEN_FROM_DATA, metavar="G",
     )  # fmt: skip
     threshold: float = parameter(
         0.01,
@@ -206,7 +206,7 @@ class KernelParameters:
         2,
         "Measure distances in smoothed colours in the first K iterations, and in unsmoothed ones in the "
         "others.",
-        low=0, high=MOST_ITERATIONS, unset=_CHOSEN, metavar="K",
+        low=0, high=MAX_ITERATIONS, unset=_CHOSEN_FROM_DATA, metavar="K",
     )  # fmt: skip
     scheme: Scheme = parameter(
         "triangles",
@@ -297,7 +297,7 @@ class KernelParameters:
 
     def growth(self, iteration: int) -> float:
         """Return by what factor beta is larger in an iteration, counted from 0, than in the first."""
-        return math.exp(min(iteration * math.log(self.beta_growth), MOST_GROWTH))
+        return math.exp(min(iteration * math.log(self.beta_growth), MAX_GROWTH))
 
     @property
     def evens_noise(self) -> bool:

@@ -25,10 +25,10 @@ from beltrami_cli.errors import InputError, MemoryLimitError
 from beltrami_cli.fields import Checked, names_in, parameter, show_size, size_in
 
 # Without O_NONBLOCK, opening a FIFO without a writer would wait for ever.
-_OPENING = (
+_OPEN_FLAGS = (
     os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOCTTY", 0)
 )
-_LEAST_UNPACKED, _MOST_RATIO = 1 << 26, 100  # up to this many bytes any ratio is accepted
+_MIN_UNPACKED, _MAX_RATIO = 1 << 26, 100  # up to this many bytes any ratio is accepted
 LARGE = 1 << 20
 """Bytes; images of at least so many are read whenever they are needed, since all of a model may not fit into memory."""
 
@@ -91,7 +91,7 @@ class Access(Checked):
         return self.instead.get(Path(os.path.realpath(path.parent), path.name), path)
 
 
-EVERYTHING_INSIDE = Access()  # the default: files in the model's folder, of any size
+DEFAULT_ACCESS = Access()  # the default: files in the model's folder, of any size
 
 
 class NotRegularError(OSError):
@@ -110,7 +110,7 @@ def is_there(path: str | os.PathLike[str]) -> bool:
 
 def most_unpacked(packed: int) -> int:
     """Return the size to which a real model of so many bytes unpacks at most."""
-    return max(_LEAST_UNPACKED, _MOST_RATIO * packed)
+    return max(_MIN_UNPACKED, _MAX_RATIO * packed)
 
 
 def is_too_dense(packed: int, unpacked: int) -> bool:
@@ -127,7 +127,7 @@ def require_ratio(name: str, what: str, packed: int, unpacked: int) -> None:
 
 def open_regular(path: Path) -> BufferedReader:
     """Open a regular file, never waiting for a writer; OSError if it cannot be opened, or is none."""
-    file = os.fdopen(os.open(path, _OPENING), "rb")
+    file = os.fdopen(os.open(path, _OPEN_FLAGS), "rb")
     try:
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
             raise NotRegularError(errno.EINVAL, "it is not a regular file")
@@ -149,7 +149,7 @@ def read_regular(path: Path, access: Access, most: int = -1) -> bytes:
     return data
 
 
-def read_source(source: str, access: Access = EVERYTHING_INSIDE) -> bytes:
+def read_source(source: str, access: Access = DEFAULT_ACCESS) -> bytes:
     """Return the bytes of a file, or of standard input for "-"; InputError if it cannot be read."""
     if source == "-":
         return _read_stdin(access)
@@ -203,8 +203,8 @@ def _read_stdin(access: Access) -> bytes:
 
 
 CONFIGURATION, MANIFEST, REPORT = 1 << 20, 1 << 24, 1 << 24  # bytes that such a file has at most
-_DEEPEST = 50  # levels of tables and lists
-_LARGEST = 1 << 64
+_MAX_NESTING = 50  # levels of tables and lists
+_MAX_INTEGER = 1 << 64
 # Characters of TOML, whose parser takes the square of the time for keys with very many dots.
 _LONGEST_LINE = 1 << 13
 _UNFIT = re.compile("[\0\ud800-\udc7f\udd00-\udfff]")  # the other surrogates stand for bytes of names
@@ -248,18 +248,18 @@ def require_text(text: str) -> str:
 
 
 def _checked(load: Callable[[], Any]) -> Any:
-    too_deep = ValueError(f"it is nested more than {_DEEPEST} levels deep")
+    too_deep = ValueError(f"it is nested more than {_MAX_NESTING} levels deep")
     try:
         tree = load()
     except RecursionError:
         raise too_deep from None
     level = [tree]
-    for _ in range(_DEEPEST):
+    for _ in range(_MAX_NESTING):
         inner: list[Any] = []
         for value in level:
             if isinstance(value, str):
                 require_text(value)
-            elif isinstance(value, int) and abs(value) > _LARGEST:
+            elif isinstance(value, int) and abs(value) > _MAX_INTEGER:
                 raise ValueError("it has a whole number of more than 64 bits")
             elif isinstance(value, dict):
                 inner += [*value, *value.values()]
@@ -271,7 +271,7 @@ def _checked(load: Callable[[], Any]) -> Any:
     raise too_deep
 
 
-_LEAST_MEMORY = 1 << 26  # bytes that a command takes in any case
+_MIN_MEMORY = 1 << 26  # bytes that a command takes in any case
 _STATUS = Path("/proc/self/status")
 _MEMORY, _OWN_CGROUPS, _CGROUPS = Path("/proc/meminfo"), Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
 # What the program itself takes: libraries, and for each processor the stacks of its threads.
@@ -281,7 +281,7 @@ _PROGRAM, _PER_PROCESSOR = 160 << 20, 24 << 20
 def default_memory() -> int | None:
     """Return half of the bytes that are available to this process now; None if they are unknown."""
     known = [size for size in (_available(), *_left_in_cgroups()) if size is not None]
-    return max(min(known) // 2, _LEAST_MEMORY) if known else None
+    return max(min(known) // 2, _MIN_MEMORY) if known else None
 
 
 def _available() -> int | None:

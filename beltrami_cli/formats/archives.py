@@ -21,9 +21,9 @@ import numpy as np
 
 from beltrami_cli.arrays import Array
 from beltrami_cli.errors import InputError, MemoryLimitError
-from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, require_ratio
+from beltrami_cli.formats.access import DEFAULT_ACCESS, Access, require_ratio
 
-_LARGEST = 1 << 30  # bytes of a member, where no memory limit is given
+_MAX_MEMBER = 1 << 30  # bytes of a member, where no memory limit is given
 _READ_ERRORS = (zipfile.BadZipFile, zlib.error, RuntimeError, EOFError, OSError, ValueError)
 _DAMAGED = "repack it, or export it again"
 
@@ -31,10 +31,10 @@ _DAMAGED = "repack it, or export it again"
 class Archive:
     """A ZIP archive in memory; members are read one by one, within limits. InputError if it is damaged."""
 
-    def __init__(self, data: bytes, name: str, access: Access = EVERYTHING_INSIDE, share: int = 1) -> None:
+    def __init__(self, data: bytes, name: str, access: Access = DEFAULT_ACCESS, share: int = 1) -> None:
         """`share` is how many times its size in memory a member takes while it is used."""
         self.name = name
-        self._most = _LARGEST if access.memory is None else min(_LARGEST, access.memory // share)
+        self._most = _MAX_MEMBER if access.memory is None else min(_MAX_MEMBER, access.memory // share)
         with _refusing_damage(name, "the archive"):
             self._file = zipfile.ZipFile(io.BytesIO(data))
         self.entries = [entry for entry in self._file.infolist() if not entry.filename.endswith("/")]

@@ -24,7 +24,7 @@ _COLOUR_SCALES = (BYTE, 1023.0, 4095.0, 65535.0)
 INTEGER_SCALES = (BYTE, 1023.0, 4095.0, 16383.0, 65535.0)
 
 # Quantile of the colours other than 0 that gives the range of float colours: larger ones may be spikes of a renderer.
-_USUAL_SHARE = 0.99
+_RANGE_QUANTILE = 0.99
 
 
 def full_scale(colours: Float64s, name: str) -> tuple[float, str]:
@@ -48,7 +48,7 @@ def full_scale(colours: Float64s, name: str) -> tuple[float, str]:
 def _usual_largest(values: Array) -> float:
     """Return the magnitude that few of the numbers other than 0 exceed."""
     seen = np.abs(values[values != 0])
-    return float(np.quantile(seen, _USUAL_SHARE, method="higher")) if seen.size else 0.0
+    return float(np.quantile(seen, _RANGE_QUANTILE, method="higher")) if seen.size else 0.0
 
 
 def integer_scale(largest: int, kind: DTypeLike, *, is_intensity: bool = False) -> tuple[float, str]:
@@ -164,9 +164,9 @@ def _three_channels(colours: Float32s, notices: list[str], grey: str) -> Float32
     return np.repeat(colours, 3, axis=1)
 
 
-_LEAST_WEIGHT = 1e-6  # of a polygon without area, against the mean one
-_MEANS = "Where polygons of different colours meet, vertices have the mean of their colours: {} of {}."
-_BARE = "{} of {} vertices have no colour, and are white."
+_MIN_WEIGHT = 1e-6  # of a polygon without area, against the mean one
+_MEANS_NOTICE = "Where polygons of different colours meet, vertices have the mean of their colours: {} of {}."
+_UNCOLOURED_NOTICE = "{} of {} vertices have no colour, and are white."
 
 
 @dataclass(frozen=True)
@@ -221,11 +221,11 @@ def colours_of_vertices(found: ColouredPolygons) -> tuple[Float32s, list[str]]:
         sums = np.bincount(corners, weights * colours[:, channel], count)
         result[mixed, channel] = (sums[mixed] / total[mixed]).astype(np.float32)
     if mixed.any():
-        notices.append(_MEANS.format(int(mixed.sum()), count))
+        notices.append(_MEANS_NOTICE.format(int(mixed.sum()), count))
     used = np.bincount(found.corners, minlength=count) > 0
     bare = int(np.count_nonzero(used & (total == 0)))
     if bare:
-        notices.append(_BARE.format(bare, count))
+        notices.append(_UNCOLOURED_NOTICE.format(bare, count))
     return result, notices
 
 
@@ -241,4 +241,4 @@ def _areas(found: ColouredPolygons) -> Float64s:
     across = np.cross(points, points[after])
     sums = np.stack([np.bincount(polygon, column, len(starts)) for column in across.T], axis=1)
     areas: Float64s = np.linalg.norm(sums, axis=1)
-    return areas / (areas.mean() or 1.0) + _LEAST_WEIGHT
+    return areas / (areas.mean() or 1.0) + _MIN_WEIGHT

@@ -26,7 +26,7 @@ from typing import Any, ClassVar, Self
 
 from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError, NoColoursError, Obstacle
-from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
+from beltrami_cli.formats.access import DEFAULT_ACCESS, Access
 from beltrami_cli.formats.changes import NO_IMAGES, Changes, Naming, NewImages, PlannedImages, Written
 from beltrami_cli.formats.comparison import Fingerprint
 from beltrami_cli.formats.image import Picture
@@ -48,7 +48,7 @@ class Document(ABC):
     """Formats in which `patch` can write it with all that it holds."""
 
     def __init__(
-        self, data: bytes, name: str, folder: Path | None = None, access: Access = EVERYTHING_INSIDE
+        self, data: bytes, name: str, folder: Path | None = None, access: Access = DEFAULT_ACCESS
     ) -> None:
         self.data, self.access = data, access
         self.name = name  # of the file as the user named it, for messages

@@ -13,7 +13,7 @@ from beltrami_cli.errors import InputError, MemoryLimitError, install_hint
 from beltrami_cli.formats.access import most_unpacked
 from beltrami_cli.surface.worker_process import Message, WorkerError, ask, serve
 
-_PATIENCE = 60  # seconds
+_TIMEOUT = 60  # seconds
 _MISSING, _EXHAUSTED = 77, 78  # exit codes where a package is not installed, and where memory is used up
 _LIBRARIES = 512 << 20  # bytes that they take
 _PER_PROCESSOR = 24 << 20  # bytes: the stack of a thread, and the arena of its allocations
@@ -36,7 +36,7 @@ class ForeignLibrary:
 
         A damaged file may ask for any memory, so it gets no more than a file of its size can need.
         """
-        seconds, most = _PATIENCE + self.per_mebibyte * (size >> 20), _COPIES * most_unpacked(size)
+        seconds, most = _TIMEOUT + self.per_mebibyte * (size >> 20), _COPIES * most_unpacked(size)
         allowed = most if memory is None else min(most, memory)
         try:
             return ask(self.module, question, seconds, allowed, seconds=seconds)

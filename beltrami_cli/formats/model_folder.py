@@ -12,18 +12,18 @@ from itertools import product
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from beltrami_cli.errors import InputError, Obstacle
-from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_regular
+from beltrami_cli.formats.access import DEFAULT_ACCESS, Access, read_regular
 from beltrami_cli.formats.tile_names import found_tiles, has_token, tile_name
 from beltrami_cli.surface.tiling import COLUMNS, Tile
 
 _SCHEME = re.compile(r"[a-z][a-z0-9+.-]*:", re.IGNORECASE)  # a URL, or the letter of a drive
 _NETWORK = re.compile(r"[a-z][a-z0-9+.-]+:|//", re.IGNORECASE)
-_HERE = PurePosixPath()
+_MODEL_FOLDER = PurePosixPath()
 _ENCODINGS = ("gbk", "cp932", "cp1252")  # in China, in Japan and in the West
 _TILES = Obstacle(
     "stands for a set of tiles (UDIM), which are not read", "give each tile a material and a name of its own"
 )
-_NOWHERE = Obstacle(
+_OUTSIDE_FOLDER = Obstacle(
     "is a file in the folder of the model, which is not known", "give the model as a file, not through a pipe"
 )
 _OUTSIDE = Obstacle(
@@ -31,7 +31,7 @@ _OUTSIDE = Obstacle(
     "copy its files into the model's folder; for other formats than USD, --allow-outside reads them as well",
 )
 
-LEFT_ALONE = ", and is left alone."  # behind the cause why a file is not read
+IGNORED = ", and is left alone."  # behind the cause why a file is not read
 
 
 class UnfitReferenceError(Exception):
@@ -50,7 +50,7 @@ def _missing(hint: str) -> UnfitReferenceError:
 class ModelFolder:
     """The folder of a model (None: it has none), which no name leaves unless the access allows it."""
 
-    def __init__(self, folder: Path | None, access: Access = EVERYTHING_INSIDE) -> None:
+    def __init__(self, folder: Path | None, access: Access = DEFAULT_ACCESS) -> None:
         self._folder = None if folder is None else folder.resolve()
         self._known: dict[tuple[str, PurePosixPath], str | Obstacle] = {}
         self._listings: dict[Path, dict[str, str]] = {}
@@ -63,7 +63,7 @@ class ModelFolder:
         except UnfitReferenceError:
             return None
 
-    def locate(self, name: str, within: PurePosixPath = _HERE) -> str:
+    def locate(self, name: str, within: PurePosixPath = _MODEL_FOLDER) -> str:
         """Return the path of a regular file, relative to the folder; UnfitReferenceError if there is none."""
         key = name, within
         if key not in self._known:  # A hostile file names the same one a million times.
@@ -79,7 +79,7 @@ class ModelFolder:
     def _locate(self, name: str, within: PurePosixPath) -> str:
         path = checked_path(name, within, outside=self.access.outside)
         if self._folder is None:
-            raise UnfitReferenceError(*_NOWHERE)
+            raise UnfitReferenceError(*_OUTSIDE_FOLDER)
         if self.access.bring is not None:
             self.access.bring(self._folder / path)
         try:
@@ -101,7 +101,7 @@ class ModelFolder:
         return path
 
     def locate_alike(
-        self, name: str, within: PurePosixPath = _HERE, *, tiles: bool = True
+        self, name: str, within: PurePosixPath = _MODEL_FOLDER, *, tiles: bool = True
     ) -> tuple[str, str]:
         """Return the path of a file (`tiles`: or a set of tiles) that a name means, and what to say behind it, or "".
 
@@ -114,19 +114,19 @@ class ModelFolder:
             failed = error
         for spelling in _spellings(name):
             last = PureWindowsPath(spelling).name
-            for known, folder in ((spelling, within), (last, within), (last, _HERE)):
+            for known, folder in ((spelling, within), (last, within), (last, _MODEL_FOLDER)):
                 with contextlib.suppress(UnfitReferenceError):
                     path = locate(known, folder)
                     return path, f"is not followed; '{path}' in the model's folder is taken for it."
         raise failed
 
-    def locate_any(self, pattern: str, within: PurePosixPath = _HERE) -> str:
+    def locate_any(self, pattern: str, within: PurePosixPath = _MODEL_FOLDER) -> str:
         """Return the path of a file, or of a set of tiles; UnfitReferenceError if it is not there."""
         if not has_token(pattern):
             return self.locate(pattern, within)
         path = checked_path(pattern, within, outside=self.access.outside, tiles=True)
         if self._folder is None:
-            raise UnfitReferenceError(*_NOWHERE)
+            raise UnfitReferenceError(*_OUTSIDE_FOLDER)
         folder = PurePosixPath(path).parent
         if self.access.bring is not None:
             # The hundred tiles that a set has at most in practice, for storage that is not listed.
@@ -195,7 +195,9 @@ def _case_folded(name: str) -> str:
     return unicodedata.normalize("NFC", name).casefold()
 
 
-def checked_path(name: str, within: PurePosixPath = _HERE, *, outside: bool, tiles: bool = False) -> str:
+def checked_path(
+    name: str, within: PurePosixPath = _MODEL_FOLDER, *, outside: bool, tiles: bool = False
+) -> str:
     """Return the path that a name stands for, as `ModelFolder.locate` does, but without looking at the disk."""
     plain = name.replace("\\", "/")
     if not name:

@@ -15,8 +15,8 @@ from beltrami_cli.formats.tile_names import has_token, tile_name, token_in
 from beltrami_cli.surface.records import ImageFile, Slot
 from beltrami_cli.surface.tiling import Tile
 
-_HERE = PurePosixPath()
-_STAYS = "lies outside the model's folder; the output names it as the input does, and it is not copied."
+_MODEL_FOLDER = PurePosixPath()
+_NOT_COPIED = "lies outside the model's folder; the output names it as the input does, and it is not copied."
 
 TileSets = Mapping[str, Mapping[Tile, str]]  # the files of sets of tiles, by the path of the set
 SlotsByPath = dict[tuple[str, tuple[tuple[str, ImageFile], ...]], list[Slot]]
@@ -61,14 +61,14 @@ class NewFiles:
             return self._reserve(path, may_stay=True)
         return self.new(suffix, PurePosixPath(path_inside(path)).parent)
 
-    def new(self, suffix: str, folder: PurePosixPath = _HERE) -> str:
+    def new(self, suffix: str, folder: PurePosixPath = _MODEL_FOLDER) -> str:
         """Return the path of a file that replaces none: the stem with a suffix."""
         return self._reserve(str(folder / (self._naming.stem + suffix)))
 
     def leave(self, name: str) -> None:
         """Leave a file outside the folder where it is, and have the output name it as before."""
         if self.copies:
-            self.notices[f"'{name}' {_STAYS}"] = None
+            self.notices[f"'{name}' {_NOT_COPIED}"] = None
 
     def keep_shown(self, what: str, path: str) -> None:
         """Say that something goes on to show the old one of an image that is replaced."""

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_source
+from beltrami_cli.formats.access import DEFAULT_ACCESS, Access, read_source
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.changes import Written
@@ -52,7 +52,7 @@ _UNREAD: dict[str, tuple[tuple[str, ...], bytes, str]] = {
 _HEAD = 512  # bytes in which a file says what it is
 _JSON = rb"(?:\xef\xbb\xbf)?[ \t\r\n]*\{"
 _PCD = rb"# \.PCD|VERSION 0?\.7"
-_COMMON = (".png", ".jpg", ".jpeg")
+_COMMON_IMAGES = (".png", ".jpg", ".jpeg")
 _TEXTS = ("xyzrgb", "asc", "txt")
 READ_ONLY = ("off", "stl", "3mf", "dae", "zae")
 
@@ -136,12 +136,12 @@ FORMATS = (
         "obj", None, "obj.ObjDocument", by_name=True, textured_sidecars=".mtl .*",
         slots=("baseColor", "emissive", "normal", "metallicRoughness"),
     ),
-    _textured("glb", _starts(rb"glTF"), "gltf.GltfDocument", images=_COMMON),
+    _textured("glb", _starts(rb"glTF"), "gltf.GltfDocument", images=_COMMON_IMAGES),
     Format("vrm", None, "gltf", "document.GltfDocument", keeps_form=True),  # a GLB with an avatar
     _textured(
-        "gltf", _starts(_JSON), "gltf.GltfDocument", sidecars=".bin", textured_sidecars=".bin .*", images=_COMMON
+        "gltf", _starts(_JSON), "gltf.GltfDocument", sidecars=".bin", textured_sidecars=".bin .*", images=_COMMON_IMAGES
     ),
-    _textured("usdz", _is_usdz, "usd.UsdDocument", images=_COMMON),
+    _textured("usdz", _is_usdz, "usd.UsdDocument", images=_COMMON_IMAGES),
     _textured("usda", _starts(rb"#usda"), "usd.UsdDocument", textured_sidecars=".*"),
     _textured("usdc", _starts(rb"PXR-USDC"), "usd.UsdDocument", textured_sidecars=".*"),
     # It is of one of the two forms before.
@@ -181,19 +181,19 @@ KEPT_FORMATS = tuple(line.name for line in FORMATS if line.keeps_form)
 """The formats that only documents of the same format are written in."""
 
 
-def open_document(source: str, access: Access = EVERYTHING_INSIDE) -> Document:
+def open_document(source: str, access: Access = DEFAULT_ACCESS) -> Document:
     """Open a file, or standard input for "-", as the model that it is; InputError if it is none or damaged."""
     return document_of(read_source(source, access), source, access)
 
 
-def document_of(data: bytes, source: str, access: Access = EVERYTHING_INSIDE) -> Document:
+def document_of(data: bytes, source: str, access: Access = DEFAULT_ACCESS) -> Document:
     """Open a source whose bytes have been read already; see `open_document`."""
     if source == "-":
         return open_bytes(data, "<stdin>", None, access)
     return open_bytes(data, source, Path(source).parent, access)
 
 
-def open_bytes(data: bytes, name: str, folder: Path | None, access: Access = EVERYTHING_INSIDE) -> Document:
+def open_bytes(data: bytes, name: str, folder: Path | None, access: Access = DEFAULT_ACCESS) -> Document:
     """Open the bytes of a model whose sidecars lie in a folder (None: nowhere); InputError as `open_document`."""
     return open_as(recognised(data, name, models_only=True), data, name, folder, access)
 

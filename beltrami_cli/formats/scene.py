@@ -35,7 +35,7 @@ from beltrami_cli.surface.records import (
 from beltrami_cli.surface.tiling import Tile
 
 SLOTS: tuple[Slot, ...] = get_args(Slot)
-_LARGEST = 1e30  # texture coordinate that single precision holds with room for computing
+_MAX_COORDINATE = 1e30  # texture coordinate that single precision holds with room for computing
 _UNREAD = Obstacle("cannot be read")
 
 
@@ -55,7 +55,7 @@ def no_texture(
 
 
 @dataclass
-class _Shown:
+class _SlotImages:
     """The images that materials show in a slot."""
 
     texture_of: Int32s  # of each material: -1 where it has none, -2 minus the index in `sets` for tiles
@@ -139,9 +139,9 @@ class Scene:
         bare_notice = f"{lost} triangles of textured materials have no texture coordinates."
         return surface, shown.notices(slot) + ([bare_notice] if lost else [])
 
-    def _shown(self, slot: Slot) -> _Shown:
+    def _shown(self, slot: Slot) -> _SlotImages:
         """Read the images of one slot."""
-        shown = _Shown(np.full(len(self.maps), -1, np.int32))
+        shown = _SlotImages(np.full(len(self.maps), -1, np.int32))
         for number in np.unique(self.material_of).tolist():
             found, material = self.maps[number].get(slot), self.materials[number].name
             if found is None:
@@ -259,7 +259,7 @@ class Scene:
             if slot is None and not fresh.any():
                 break
             own = self._uv(slot)
-            own = np.where(np.abs(own) < _LARGEST, own, np.nan)
+            own = np.where(np.abs(own) < _MAX_COORDINATE, own, np.nan)
             has_map = np.array([slot is None or slot in maps for maps in self.maps])[material_of]
             given = has_map & ~np.isnan(own).any(axis=1)
             if slot is not None:

@@ -20,9 +20,9 @@ _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 # Not finite numbers as Microsoft's C library spelled them until 2015.
 _MICROSOFT_NAN = re.compile(rb"(?<!\S)[-+]?1\.#(?:[QS]NAN|IND|INF)\d*(?=[\s,;]|\Z)")
 _SOLID = bytes(character not in b" \t\n\v\f\r" for character in range(256))
-_MOST_SHOWN = 40  # bytes of a token in a message
+_MAX_SHOWN = 40  # bytes of a token in a message
 _LONGEST_LINE = 1 << 22  # bytes: a polygon of some 200,000 corners
-_LEAST_DIGITS, _MOST_DIGITS = 6, 9  # of full scale: as fine as 20 bits, and all that single precision has
+_MIN_DIGITS, _MAX_DIGITS = 6, 9  # of full scale: as fine as 20 bits, and all that single precision has
 _WITH_EXPONENT = b"%.9g"
 _BLOCK = 1 << 16  # tokens exchanged or lines made at a time, which bounds the memory that the pieces take
 
@@ -96,7 +96,7 @@ class Lines:
         return self.data[int(self.starts[token]) : int(self.ends[token])]
 
     def error(self, token: int | np.int64, cause: str) -> InputError:
-        shown = self.word(token)[:_MOST_SHOWN].decode("ascii", "backslashreplace")
+        shown = self.word(token)[:_MAX_SHOWN].decode("ascii", "backslashreplace")
         return InputError(self.name, f"line {self.line(token)}: '{shown}' {cause}")
 
     def line(self, token: int | np.int64) -> int:
@@ -229,7 +229,7 @@ def _colour_decimals(text: bytes, starts: Int64s, ends: Int64s, scale: float) ->
     if found < 0 and scale > 1:
         return -1
     left = int(np.floor(np.log10(scale)))  # digits before the point, but for one
-    return min(max(found, _LEAST_DIGITS - left, 0), max(_MOST_DIGITS - left, 0))
+    return min(max(found, _MIN_DIGITS - left, 0), max(_MAX_DIGITS - left, 0))
 
 
 def without_tokens(text: bytes, starts: Int64s, ends: Int64s) -> bytes:

@@ -40,7 +40,7 @@ _OPENVDB = b" BDV\0\0\0\0"
 _COLOURS = ("colours", "colors")
 _POINT_COLOURS = ("point_colours", "point_colors")
 _CHANNELS = 4
-_SIDE = 2  # a cell has two samples along each axis
+_MIN_SIDE = 2  # a cell has two samples along each axis
 
 
 def is_volume(data: bytes, name: str) -> bool:
@@ -79,7 +79,7 @@ def _read_npz(archive: NpzArchive, most: int) -> Volume:
         cause = f"there is no array of values among {', '.join(archive.names)}"
         raise InputError(archive.name, cause, "name it values")
     shape = archive.header(key).shape
-    if len(shape) != 3 or min(shape) < _SIDE:
+    if len(shape) != 3 or min(shape) < _MIN_SIDE:
         cause = f"the array {key} is of shape {shape}"
         raise InputError(archive.name, cause, "give 2 or more samples along x, y and z")
     mask = None
@@ -163,9 +163,9 @@ _SPATIAL_KINDS = ("domain", "space")
 _UNKNOWN_KINDS = ("???", "none")
 _REPAIR = "write the file again"
 # Any unit of length from picometres to light hours; squares fit into float32.
-_SMALLEST, _LARGEST = 1e-12, 1e12
-_UNLIKE = 1e4  # how much longer than others a step may be
-_FURTHEST = 1e9  # steps from the origin: doubles resolve millionths of a step there
+_MIN_STEP, _MAX_STEP = 1e-12, 1e12
+_MAX_ANISOTROPY = 1e4  # how much longer than others a step may be
+_MAX_ORIGIN = 1e9  # steps from the origin: doubles resolve millionths of a step there
 _FLAT = 1e-6  # directions closer to one plane than that are a mistake
 # What pynrrd raises for headers and data that it does not understand, besides errors of its own.
 _DAMAGE = (ValueError, KeyError, IndexError, TypeError, AttributeError, OSError, OverflowError, StopIteration)
@@ -349,13 +349,17 @@ def checked_lattice(axes: Float64s, origin: Float64s, name: str) -> Lattice:
     if not (np.isfinite(axes).all() and np.isfinite(origin).all()):
         raise InputError(name, "its spacing or origin is not finite", "repair it")
     longest = np.abs(axes).max(axis=1)
-    if longest.min() < _SMALLEST or longest.max() > _LARGEST or longest.max() > _UNLIKE * longest.min():
+    if (
+        longest.min() < _MIN_STEP
+        or longest.max() > _MAX_STEP
+        or longest.max() > _MAX_ANISOTROPY * longest.min()
+    ):
         steps = ", ".join(f"{step:g}" for step in longest)
         cause = (
-            f"its spacings are {steps}, but must be from {_SMALLEST:g} to {_LARGEST:g} and of similar size"
+            f"its spacings are {steps}, but must be from {_MIN_STEP:g} to {_MAX_STEP:g} and of similar size"
         )
         raise InputError(name, cause, "choose another unit")
-    if np.abs(origin).max() > _FURTHEST * longest.min():
+    if np.abs(origin).max() > _MAX_ORIGIN * longest.min():
         raise InputError(name, "its origin is too far away for its spacing", "move it")
     if abs(np.linalg.det(axes / np.linalg.norm(axes, axis=1)[:, None])) < _FLAT:
         raise InputError(name, "its space directions lie in one plane", "repair them")

@@ -14,7 +14,7 @@ PRIVATE = 0o600
 
 _OWNER = 0o700  # bits of a mode
 # Beginnings of the names of attributes that are kept: what users say of a file, access lists, and labels.
-_KEPT = ("user.", "system.", "security.selinux")
+_KEPT_ATTRIBUTES = ("user.", "system.", "security.selinux")
 _ACCESS_LISTS = "system."
 
 
@@ -74,7 +74,7 @@ def _take_attributes(old: Path, new: Path, *, has_group: bool) -> bool:
 
 def _attributes(path: Path) -> set[str]:
     try:
-        return {name for name in os.listxattr(path) if name.startswith(_KEPT)}
+        return {name for name in os.listxattr(path) if name.startswith(_KEPT_ATTRIBUTES)}
     except OSError as error:
         if error.errno in (errno.ENOTSUP, errno.ENOSYS):
             return set()

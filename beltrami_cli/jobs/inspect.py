@@ -17,7 +17,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Bools
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
+from beltrami_cli.formats.access import DEFAULT_ACCESS, Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, read_image
 from beltrami_cli.formats.image.picture import full_scale_one
@@ -40,7 +40,7 @@ from beltrami_cli.surface.records import Texture
 def inspect_file(
     source: str | os.PathLike[str],
     settings: SmoothSettings = DEFAULTS,
-    access: Access = EVERYTHING_INSIDE,
+    access: Access = DEFAULT_ACCESS,
     progress: Progress | None = None,
 ) -> dict[str, object]:
     """Describe a mesh file or an image, and what `smooth_file` would do with it.
@@ -158,7 +158,7 @@ def _describe_under_textures(selection: Selection) -> dict[str, object]:
     return {"surface": counts}
 
 
-Held = TypeVar("Held")
+Value = TypeVar("Value")
 
 
 @dataclass(frozen=True)
@@ -195,7 +195,7 @@ class CheckReport:
 
 
 def check_files(
-    before: str | os.PathLike[str], after: str | os.PathLike[str], access: Access = EVERYTHING_INSIDE
+    before: str | os.PathLike[str], after: str | os.PathLike[str], access: Access = DEFAULT_ACCESS
 ) -> CheckReport:
     """Compare a file with what was made of it, in the same format."""
     original = open_document(os.fspath(before), access)
@@ -234,7 +234,9 @@ def _visible_texels(document: Document) -> dict[bytes, Bools]:
 
 
 def _between(
-    old: Mapping[str, Held], new: Mapping[str, Held], differ: Callable[[Held, Held], tuple[str, bool] | None]
+    old: Mapping[str, Value],
+    new: Mapping[str, Value],
+    differ: Callable[[Value, Value], tuple[str, bool] | None],
 ) -> list[Difference]:
     """Compare what two files hold by its place; `differ` says how, and whether in colour, or None."""
     found = []

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
-from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
+from beltrami_cli.formats.access import DEFAULT_ACCESS, Access
 from beltrami_cli.jobs.progress import Expected, Progress, Work
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ class Job:
         Bytes that a chunk of a mesh may take; larger meshes are cut. Set as `access` limits the memory.
     """
 
-    access: Access = EVERYTHING_INSIDE
+    access: Access = DEFAULT_ACCESS
     progress: Progress | None = None
     overwrite: bool = False
     dry_run: bool = False

@@ -268,7 +268,9 @@ def _rounded(values: Float64s, dtype: Depth) -> Array:
 
 
 _DEFAULTS = BakeSettings()
-_ALIKE = 8 / 255  # a step that can hardly be seen, and that texels of several triangles' colours make anyway
+_INVISIBLE_STEP = (
+    8 / 255
+)  # a step that can hardly be seen, and that texels of several triangles' colours make anyway
 _SIGMAS = 4 * np.sqrt(2)  # of the difference of two noisy values
 _MEDIAN = 1.4826  # from the median magnitude to the standard deviation
 _FINENESS = ("uint8", "uint16", "float16", "float32")
@@ -332,7 +334,7 @@ def _colours_from_textures(document: Document) -> tuple[MeshContents, tuple[str,
     place = group_places(surface.positions, surface.space_of, surface.faces)[0][corners]
     uv = np.where(textured[:, None], surface.uv.reshape(-1, 2), 0.0)
     side, _ = group_equal_rows(place, np.repeat(surface.texture_of, 3), *uv.T)
-    split = (_spread(values, place, textured) > _ALIKE + _SIGMAS * noise).any(axis=1)[place]
+    split = (_spread(values, place, textured) > _INVISIBLE_STEP + _SIGMAS * noise).any(axis=1)[place]
     vertex_of, first = group_equal_rows(place, np.where(split, side, -1))
     colours = _mean(values, vertex_of, textured, len(first))
     contents = MeshContents(

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Literal
 from urllib.parse import quote
 
 from beltrami_cli.errors import OutputError
-from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, is_url, read_regular
+from beltrami_cli.formats.access import DEFAULT_ACCESS, Access, is_url, read_regular
 from beltrami_cli.formats.registry import OUTPUT_FORMATS, READ_ONLY
 from beltrami_cli.jobs import replacing
 from beltrami_cli.jobs.file_rights import take_over
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 LOG = logging.getLogger(__name__)
 # "own": only files that this program wrote, as far as that can be seen in them.
 Overwrite = bool | Literal["own"]
-_OWN_HEAD = 1 << 16  # bytes in which it is seen
+_SIGNATURE_BYTES = 1 << 16  # bytes in which it is seen
 
 
 class Output:
@@ -157,7 +157,7 @@ class Output:
     def _require_own(self, is_own: Callable[[bytes], bool]) -> None:
         try:
             with self.path.open("rb") as file:
-                head = file.read(_OWN_HEAD)
+                head = file.read(_SIGNATURE_BYTES)
         except FileNotFoundError:
             return
         except OSError:
@@ -174,7 +174,7 @@ class Output:
                 raise OutputError(self.target, f"the folder {name} does not exist", "make it first")
             if not folder.is_dir():
                 raise OutputError(self.target, f"{name} is not a folder", "choose another place")
-            with replacing.endings_held(), tempfile.TemporaryFile(dir=folder):
+            with replacing.signals_deferred(), tempfile.TemporaryFile(dir=folder):
                 pass  # it can be written to
             replacing.recover(folder)
         except OSError as error:
@@ -211,7 +211,7 @@ class FileSet:
         return self
 
     def __exit__(self, *error: object) -> None:
-        with replacing.endings_held():
+        with replacing.signals_deferred():
             self._remove_temporary()
             for folder in self._made_folders:
                 with contextlib.suppress(OSError):  # it may hold other files now
@@ -281,7 +281,7 @@ class FileSet:
             may_replace = output.overwrite and path in own
             try:
                 if self._journal is None:
-                    with replacing.folders_locked([main.path.parent]), replacing.endings_held():
+                    with replacing.folders_locked([main.path.parent]), replacing.signals_deferred():
                         self._journal = replacing.Journal(main.path.parent)
                 self._make_folder(path.parent)
                 self._staged[path] = self._journal.write_aside(path, pieces, overwrite=may_replace)
@@ -318,7 +318,7 @@ class FileSet:
         ranks = {output.path: output.is_result for output in self._outputs}
         order = sorted(self._staged, key=lambda path: (path in ranks, ranks.get(path, False), str(path)))
         try:
-            with replacing.folders_locked(path.parent for path in order), replacing.endings_held():
+            with replacing.folders_locked(path.parent for path in order), replacing.signals_deferred():
                 if self._journal is not None:
                     self._journal.put_together([self._replacing_newer(self._staged[path]) for path in order])
                 self._made_folders.clear()
@@ -355,7 +355,7 @@ def _unwritable(name: str, error: OSError) -> OutputError:
 
 
 # Files of a folder whose heads are searched.
-_MOST_FILES = 1000
+_MAX_FILES = 1000
 # Bytes of each file. OBJ and PLY name their files in front of the vertices; materials and the JSON of glTF are short,
 # unless buffers are written into them.
 _HEAD = 1 << 18
@@ -369,9 +369,9 @@ def shared_files(folder: Path, target: Path, names: Iterable[str]) -> list[str]:
     files = list[str]()
     with contextlib.suppress(OSError), os.scandir(folder) as entries:  # some folders must not be listed
         files = sorted(entry.name for entry in entries if _may_refer(entry.name))
-    for name in files[:_MOST_FILES]:
+    for name in files[:_MAX_FILES]:
         with contextlib.suppress(OSError):
-            heads[name] = read_regular(folder / name, EVERYTHING_INSIDE, _HEAD)
+            heads[name] = read_regular(folder / name, DEFAULT_ACCESS, _HEAD)
     others = {target.name, *replaced}
     libraries = [name for name in _naming(heads, replaced) if name.endswith(".mtl") and name not in others]
     users = [name for name in _naming(heads, [*replaced, *libraries]) if name not in {*others, *libraries}]

@@ -34,15 +34,15 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.changes import Bytes
 
 _JOURNAL = re.compile(r"\.beltrami-[0-9a-f]{12}\.tmp")
-_SETTLED = True  # as the last line of a journal: the set is complete, or undone
+_COMMITTED = True  # as the last line of a journal: the set is complete, or undone
 _LARGEST_JOURNAL = 1 << 26  # bytes: 10,000 files with paths of 4096 bytes
 _user = getattr(os, "geteuid", int)  # 0 where there are no users
-_OPENING = (
+_OPEN_FLAGS = (
     os.O_RDWR | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 )
 
 _BLOCK = 1 << 20  # bytes that are read back at a time
-_PATIENCE, _PAUSE = 30.0, 0.02  # seconds that a run waits for another, and between two looks
+_LOCK_TIMEOUT, _LOCK_POLL = 30.0, 0.02  # seconds that a run waits for another, and between two looks
 
 
 # Size and time of the last change of the content, which a file keeps when it is linked, renamed, or moved elsewhere.
@@ -73,7 +73,7 @@ class Journal:
     def __init__(self, folder: Path) -> None:
         self._path = folder / f".beltrami-{os.urandom(6).hex()}.tmp"
         self._files, self._is_needed = list[TemporaryFile](), False
-        self._descriptor = os.open(self._path, _OPENING | os.O_CREAT | os.O_EXCL, 0o600)
+        self._descriptor = os.open(self._path, _OPEN_FLAGS | os.O_CREAT | os.O_EXCL, 0o600)
         _try_lock(self._descriptor)
 
     def write_aside(self, path: Path, pieces: Iterable[Bytes], *, overwrite: bool) -> TemporaryFile:
@@ -111,14 +111,14 @@ class Journal:
                 done.append(file)
             if not os.fstat(self._descriptor).st_nlink:
                 raise OSError(errno.ESTALE, "another run has removed its temporary files")
-            self._write(_SETTLED)
+            self._write(_COMMITTED)
         except BaseException as error:
             if (stuck := _undo(done)) is not None:
                 self._is_needed = True
                 state = f"{stuck.filename} stays until the next run with this output ({stuck.strerror})"
                 raise OSError(errno.EIO, f"{error}; {state}") from error
             with contextlib.suppress(OSError):  # Undoing it again would do no harm.
-                self._write(_SETTLED)
+                self._write(_COMMITTED)
             raise
         with contextlib.suppress(OSError):  # On the disk before what was replaced is removed.
             os.fsync(self._descriptor)
@@ -170,7 +170,7 @@ def recover(folder: Path) -> None:
         # In the lock of the folder, since two runs would take each other for the one that goes on.
         with folders_locked([folder]), contextlib.ExitStack() as opened:
             try:
-                file = opened.enter_context(os.fdopen(os.open(journal, _OPENING), "rb"))
+                file = opened.enter_context(os.fdopen(os.open(journal, _OPEN_FLAGS), "rb"))
             except OSError:
                 continue
             status = os.fstat(file.fileno())
@@ -178,7 +178,7 @@ def recover(folder: Path) -> None:
             if not is_ours or not _try_lock(file.fileno()):
                 continue  # another user's, or of a run that goes on
             files, is_settled = _read(journal, file.read(_LARGEST_JOURNAL))
-            with folders_locked({each.path.parent for each in files} - {folder}), endings_held():
+            with folders_locked({each.path.parent for each in files} - {folder}), signals_deferred():
                 if not is_settled and (stuck := _undo(files)) is not None:
                     raise stuck
                 _remove(files, journal)
@@ -193,7 +193,7 @@ def _read(journal: Path, text: bytes) -> tuple[list[TemporaryFile], bool]:
     for line in text.split(b"\n")[:-1]:
         with contextlib.suppress(ValueError, TypeError):
             value = parse_json(line)
-            if value is _SETTLED:
+            if value is _COMMITTED:
                 is_settled = True
                 continue
             name, target, overwrite, put = value
@@ -272,12 +272,12 @@ def folders_locked(folders: Iterable[Path]) -> Iterator[None]:
             except OSError:  # as on Windows, or without the right to list it
                 continue
             locks.callback(_close, descriptor)  # which unlocks it
-            end = time.monotonic() + _PATIENCE
+            end = time.monotonic() + _LOCK_TIMEOUT
             while _try_lock(descriptor) is False:
                 if time.monotonic() > end:
-                    cause = f"another run has been putting files in place there for {_PATIENCE:.0f} s"
+                    cause = f"another run has been putting files in place there for {_LOCK_TIMEOUT:.0f} s"
                     raise OSError(errno.EBUSY, cause, str(folder))
-                time.sleep(_PAUSE)
+                time.sleep(_LOCK_POLL)
         yield
 
 
@@ -301,7 +301,7 @@ def _try_lock(descriptor: int) -> bool | None:
 
 
 @contextlib.contextmanager
-def endings_held() -> Iterator[None]:
+def signals_deferred() -> Iterator[None]:
     """Defer signals that end the process."""
     waiting: list[int] = []
     before: dict[int, signal._HANDLER] = {}

@@ -27,10 +27,10 @@ from beltrami_cli.surface.atlas import Atlas, texels_by_texture
 from beltrami_cli.surface.baking import look_up
 from beltrami_cli.surface.records import Slot, Texture, TexturedSurface, require_single
 
-_MOST_NUMBERS = 1 << 31  # of an array, before it is known that it fits
-_ONE_ROW = "it needs one row for each coloured vertex, in the order of the file"
+_MAX_NUMBERS = 1 << 31  # of an array, before it is known that it fits
+_ONE_ROW_REMEDY = "it needs one row for each coloured vertex, in the order of the file"
 # Values of a material without a texture in a slot: glTF 2.0, section 3.9; a normal is perpendicular to the surface.
-_WITHOUT = {"normal": (0.5, 0.5, 1.0), "emissive": (0.0, 0.0, 0.0)}
+_VALUES_WITHOUT_TEXTURE = {"normal": (0.5, 0.5, 1.0), "emissive": (0.0, 0.0, 0.0)}
 
 
 def vertex_guides(document: Document, settings: SmoothSettings, access: Access) -> list[Guide]:
@@ -63,7 +63,7 @@ def read_table(path: str, rows: int, model: str, access: Access) -> Float64s:
         if len(archive.names) != 1:
             which = ", ".join(archive.names)
             raise InputError(path, f"which of its arrays {which} is meant is not clear", "save it alone")
-        table = archive.array(archive.names[0], _MOST_NUMBERS)
+        table = archive.array(archive.names[0], _MAX_NUMBERS)
     else:
         # The given columns belong to the smoothed points, not to a guide.
         table = (
@@ -75,7 +75,9 @@ def read_table(path: str, rows: int, model: str, access: Access) -> Float64s:
         table = table[:, None]
     if table.ndim != 2 or table.shape[0] != rows or not table.shape[1]:
         shape = " x ".join(map(str, table.shape))
-        raise InputError(path, f"its {shape} numbers do not fit the {rows} vertices of {model}", _ONE_ROW)
+        raise InputError(
+            path, f"its {shape} numbers do not fit the {rows} vertices of {model}", _ONE_ROW_REMEDY
+        )
     numbers = table.astype(np.float64)
     require_single(numbers, path, "its row")
     return numbers
@@ -167,7 +169,7 @@ class GuidedTexels:
         for index, inside, texels in texels_by_texture(self.atlas.texture_offsets, self.atlas.owned_texels):
             shown = self._shown_with(index, guiding, slot)
             if shown is None:
-                values[inside] = np.resize(_WITHOUT.get(slot, (1.0,)), width)
+                values[inside] = np.resize(_VALUES_WITHOUT_TEXTURE.get(slot, (1.0,)), width)
                 continue
             shape, size = pictures[shown].pixels.shape[:2], self.pictures[index].pixels.shape[:2]
             image = colours.working(pictures[shown], np.arange(shape[0] * shape[1])).reshape(*shape, width)
@@ -209,7 +211,7 @@ def _at_size(image: Float32s, size: tuple[int, ...], texture: Texture, texels: I
 
 
 # Pixels a side of the squares in which the deviation of a frame is measured: with 289 it is known to 4 %.
-_AROUND = 17
+_FRAME_WINDOW = 17
 
 
 def noise_of_pixels(
@@ -252,7 +254,7 @@ def deviation_in_frame(frame: Float32s) -> Float32s:
     """Return the local standard deviation of a frame without a scene, (H, W, K); light may fall off across it."""
     from scipy.ndimage import uniform_filter
 
-    size = (_AROUND, _AROUND, 1)
+    size = (_FRAME_WINDOW, _FRAME_WINDOW, 1)
     residual = frame - uniform_filter(frame, size, mode="reflect")
     return np.asarray(np.sqrt(uniform_filter(np.square(residual), size, mode="reflect").clip(0)), np.float32)
 

@@ -22,7 +22,7 @@ from beltrami_cli.surface.records import SampledSurface, Texture
 _PHOTOGRAPHS = ("photograph", "photo", "image", "camera", "view")
 _NO_SEAMS = "no seam joins two of its charts"
 _NO_STEPS = "hardly any of its seams has a step beyond the noise"
-_TOO_SMALL = "the change would be too small to be seen"
+_INVISIBLE_CHANGE = "the change would be too small to be seen"
 
 
 Chart = tuple[Texture, dict[str, object]]  # a chart that owns texels: its texture, and facts for reports
@@ -91,7 +91,7 @@ def _reference(charts: Sequence[Chart], count: int, wanted: Sequence[str]) -> Bo
 
 def _report(what: str, found: Levelled, change: float, charts: Sequence[dict[str, object]]) -> LevelReport:
     facts, verdict = found.facts, found.verdict
-    reason = "" if change else _TOO_SMALL
+    reason = "" if change else _INVISIBLE_CHANGE
     if verdict is None:
         reason = _NO_STEPS if facts.seams else _NO_SEAMS
     elif found.exposures is None:

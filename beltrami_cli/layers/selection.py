@@ -20,7 +20,7 @@ from beltrami_cli.arrays import Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, NoColoursError, Obstacle, UsageError
 from beltrami_cli.fields import given_parameters, require_effect
 from beltrami_cli.flow.chunks import chunk_memory
-from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
+from beltrami_cli.formats.access import DEFAULT_ACCESS, Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.sizes import measure_image, require_memory, sizes_of, too_large
 from beltrami_cli.layers.layer import Layer
@@ -45,7 +45,7 @@ _TEXELS_OF_A_VERTEX = 6
 _MASKS = 2
 
 # Covered texels by which noise and parameters are found well; parts of a surface with fewer are put together.
-_ENOUGH_TEXELS = 1 << 16
+_SUFFICIENT_TEXELS = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -178,7 +178,7 @@ class Selection:
             document.notices += [each for each in coarse_rounding(*mesh) if each not in document.notices]
 
 
-def select(document: Document, settings: SmoothSettings, access: Access = EVERYTHING_INSIDE) -> Selection:
+def select(document: Document, settings: SmoothSettings, access: Access = DEFAULT_ACCESS) -> Selection:
     """Choose the parts by the settings and the document; errors if there are none, or for unfit options."""
     selection = _select(document, settings, access)
     # What fits no image, and the surface of images, is refused wherever it was given.
@@ -284,8 +284,8 @@ def _touching(surface: TexturedSurface) -> Int64s:
 def _large_parts(part_of: Int64s, covered: Float64s) -> list[list[int]]:
     """Return the textures of each part, in their order; parts of few texels are one, or join the largest."""
     texels = np.bincount(part_of, covered)
-    small = texels < _ENOUGH_TEXELS
-    if texels[small].sum() < _ENOUGH_TEXELS:
+    small = texels < _SUFFICIENT_TEXELS
+    if texels[small].sum() < _SUFFICIENT_TEXELS:
         small[texels.argmax()] |= small.any()
     number = np.where(small, len(texels), np.arange(len(texels)))[part_of]
     parts = [np.flatnonzero(number == each).tolist() for each in np.unique(number)]

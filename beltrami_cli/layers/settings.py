@@ -42,7 +42,7 @@ IMAGE_SUFFIXES = (
 )  # fmt: skip
 
 
-MOST_VOXELS = 1 << 31  # rows and columns of the marching cubes are counted in 32 bits
+MAX_VOXELS = 1 << 31  # rows and columns of the marching cubes are counted in 32 bits
 _WIDEST_GUTTER = 99_999
 
 
@@ -227,7 +227,7 @@ class LevelSetSettings(Checked):
     max_voxels: int = parameter(
         1 << 28,
         "For level sets: the largest grid that is read.",
-        low=8, high=MOST_VOXELS, unit="voxels", metavar="COUNT", lifts_limit=True, of=("level sets",),
+        low=8, high=MAX_VOXELS, unit="voxels", metavar="COUNT", lifts_limit=True, of=("level sets",),
     )  # fmt: skip
 
 

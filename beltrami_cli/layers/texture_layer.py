@@ -45,8 +45,10 @@ from beltrami_cli.surface.atlas import (
 from beltrami_cli.surface.baking import Cells
 from beltrami_cli.surface.records import ImageFile, Slot, Texture, TexturedSurface
 
-_UNCOVERED = "no texel is covered by the surface, so nothing was changed; `smooth --unwrap` makes a new atlas"
-_UNSEEN = (
+_UNCOVERED_NOTICE = (
+    "no texel is covered by the surface, so nothing was changed; `smooth --unwrap` makes a new atlas"
+)
+_UNSEEN_NOTICE = (
     "all texels on the surface have an opacity of 0, so nothing was changed; --alpha smooth counts them, too"
 )
 # Per cent of texels with several places; fewer are due to rounding at the borders of charts.
@@ -278,7 +280,7 @@ def atlas_of(surface: TexturedSurface, pictures: Sequence[Picture], kernel: Kern
 def _notices_of(atlas: Atlas) -> list[str]:
     """Return notices about texels that are covered more than once, or not at all."""
     if not len(atlas.owned_texels):
-        return [_UNSEEN if atlas.covered else _UNCOVERED]
+        return [_UNSEEN_NOTICE if atlas.covered else _UNCOVERED_NOTICE]
     share = 100 * atlas.overlapped / max(1, atlas.covered)
     if share < _WORTH_REPORTING:
         return []

@@ -12,10 +12,10 @@ from beltrami_cli.formats.image import Picture
 from beltrami_cli.surface.records import ColouredVertices
 
 # Samples whose quantiles give a unit: that of 0.99 lies between those of 0.9892 and 0.9908 in 95 of 100 cases.
-_ENOUGH = 60_000
+_MAX_SAMPLES = 60_000
 
 # Quantile up to which magnitudes are usual: larger ones may be fireflies.
-_USUAL = 0.99
+_USUAL_QUANTILE = 0.99
 
 # A level that so many of the numbers share, and that is no further above the usual ones, is white: noise was cut off.
 _SHARED_WHITE, _NEAR_WHITE = 1e-3, 2.0
@@ -28,7 +28,7 @@ _HEADROOM = 1.2
 # With 3 % of lamps a thousand times as bright, noise of 14 % elsewhere becomes 1.8 %, and stays without that.
 # Nor are values that vary by less than this part of them, such as temperatures in kelvin, but their range, as far as
 # rounding to single precision (6e-8) is far below what counts as noise (2e-3 of the unit).
-_MOST_CONTRAST, _PERCEIVED, _LEAST_RANGE = 8.0, 1 / 2.4, 1e-3
+_MAX_CONTRAST, _PERCEIVED, _MIN_RANGE = 8.0, 1 / 2.4, 1e-3
 
 
 def unit_of_vertices(vertices: ColouredVertices, channels: Sequence[int], *, are_data: bool) -> float:
@@ -38,7 +38,7 @@ def unit_of_vertices(vertices: ColouredVertices, channels: Sequence[int], *, are
     joined = np.full(len(rows), not len(vertices.faces))
     joined[vertices.faces] = True  # vertices in no triangle stay
     places = np.flatnonzero(joined)
-    values = rows[places[:: 1 + len(places) // _ENOUGH]][:, channels]
+    values = rows[places[:: 1 + len(places) // _MAX_SAMPLES]][:, channels]
     return value_unit(
         values, 1 / full if is_whole else 0.0, is_display=vertices.encoding == "srgb" and not are_data
     )
@@ -56,7 +56,7 @@ def unit_of_pictures(
         return 1.0
     sizes = [picture.pixels[..., 0].size for picture in pictures]
     values = [
-        values_of(picture, np.arange(0, size, 1 + sum(sizes) // _ENOUGH)).ravel()
+        values_of(picture, np.arange(0, size, 1 + sum(sizes) // _MAX_SAMPLES)).ravel()
         for picture, size in zip(pictures, sizes, strict=True)
     ]
     is_display = pictures[0].encoding == "srgb" and not are_data
@@ -74,15 +74,15 @@ def value_unit(values: Array, step: float, *, is_display: bool) -> float:
         return 1.0
     seen = finite[finite != 0]
     size = np.abs(seen)
-    top, (low, high) = size.max(), np.quantile(seen, (1 - _USUAL, _USUAL))
+    top, (low, high) = size.max(), np.quantile(seen, (1 - _USUAL_QUANTILE, _USUAL_QUANTILE))
     is_white = np.count_nonzero(size == top) >= max(2, _SHARED_WHITE * size.size)
-    size = np.minimum(size, np.quantile(size, _USUAL))
+    size = np.minimum(size, np.quantile(size, _USUAL_QUANTILE))
     usual = size.max()
     if is_white and top <= _NEAR_WHITE * usual:
         unit = top
-    elif high - low < usual / _MOST_CONTRAST:
-        unit = _HEADROOM * max(high - low, _LEAST_RANGE * usual)
+    elif high - low < usual / _MAX_CONTRAST:
+        unit = _HEADROOM * max(high - low, _MIN_RANGE * usual)
     else:
         mean = np.power(size / usual, _PERCEIVED, dtype=np.float64).mean() ** (1 / _PERCEIVED)
-        unit = _HEADROOM * usual * min(1.0, _MOST_CONTRAST * mean)
+        unit = _HEADROOM * usual * min(1.0, _MAX_CONTRAST * mean)
     return float(max(unit, least))

@@ -50,19 +50,19 @@ CONFIDENCE = 0.975
 # Seams have a step that is more than rounding of both sides and so many deviations of its error. Exposures make steps
 # on nearly all seams; up to 0.11 of their length has some on the samples, which have no exposures.
 VISIBLE, BEYOND_NOISE = 2 * BYTE_STEP, 3.0
-LEAST_STEPPED = 0.05
+MIN_STEPPED = 0.05
 # A test ends early where the whole one would end otherwise only at an error of so many standard deviations.
-NO_DOUBT = 3.0
+CURTAILMENT = 3.0
 # Means of so many standard deviations above 0 have that confidence.
-SURE = 1.96
+NORMAL_QUANTILE = 1.96
 # Mean correlation along seams across which patterns continue: 0.24 or more on the samples and the fox, and
 # 0.05 or less where charts have unrelated textures: tests/levelling.
-LEAST_CORRELATION = 0.15
+MIN_CORRELATION = 0.15
 # Up to so many seams are held out singly, and more in `PARTS` folds: of the fox, 8 folds of its 19 seams leave too few
 # to predict the others; of 66 and more seams, 8 suffice. Of as few, no test ends early.
 FEW_SEAMS = 32
 # Seams that close loops over charts. Of fewer, too few are predicted by others, and parts of seams are held out.
-FEWEST_LOOPS = 4
+MIN_LOOPS = 4
 
 
 @dataclass(frozen=True)
@@ -202,7 +202,7 @@ class Verdict:
     @property
     def is_sure(self) -> bool:
         """Whether there are exposure steps, across which patterns continue if there are any."""
-        return self.confidence >= CONFIDENCE and (self.is_flat or self.correlation >= LEAST_CORRELATION)
+        return self.confidence >= CONFIDENCE and (self.is_flat or self.correlation >= MIN_CORRELATION)
 
 
 def have_steps(steps: Steps) -> bool:
@@ -212,7 +212,7 @@ def have_steps(steps: Steps) -> bool:
     error = np.bincount(seam, noise) / stretches / np.minimum(stretches, PARTS)  # squared, of the mean step
     limit = np.maximum(VISIBLE**2, BEYOND_NOISE**2 * error)
     is_stepped = squared_steps(between, between.colours, seam) > limit
-    return bool(np.average(is_stepped[seam], weights=between.counts) >= LEAST_STEPPED)
+    return bool(np.average(is_stepped[seam], weights=between.counts) >= MIN_STEPPED)
 
 
 def judge(steps: Steps, fixed: Bools | None = None) -> Verdict:
@@ -229,7 +229,7 @@ def judge(steps: Steps, fixed: Bools | None = None) -> Verdict:
         sides = {spread: each for spread, each in sides.items() if not verdicts[spread].is_rejected}
         change = [_gains(*map(tested.squares, sides.values()))] if len(sides) == 2 else []
         is_clear = [verdicts[each].is_clear for each in sides]
-        if all(is_clear) and all(tested.is_clear(each, SURE) for each in change):
+        if all(is_clear) and all(tested.is_clear(each, NORMAL_QUANTILE) for each in change):
             break
     plain, tilted = verdicts.values()
     is_better = any(tested.confidence(each) >= CONFIDENCE for each in change)
@@ -259,7 +259,7 @@ class _HeldOut:
         between, inflation = steps.between, 2.0
         seams, first, number = np.unique(steps.seams, return_index=True, return_inverse=True)
         pairs = steps.ends[first][between[first]]
-        if len(pairs) - steps.charts + connected(steps.charts, pairs).max(initial=-1) + 1 < FEWEST_LOOPS:
+        if len(pairs) - steps.charts + connected(steps.charts, pairs).max(initial=-1) + 1 < MIN_LOOPS:
             units, inflation = steps.parts(), inflation * PARTS
             folds = units % PARTS
         else:
@@ -309,7 +309,7 @@ class _HeldOut:
         """Return whether it is clear on which side of `needed` errors the mean of all evidence will be."""
         mean, variance = self.mean(evidence)
         left = abs(mean / np.sqrt(variance) - needed * np.sqrt(self.share))
-        return bool(left >= NO_DOUBT * np.sqrt(1 - self.share))
+        return bool(left >= CURTAILMENT * np.sqrt(1 - self.share))
 
     def squares(self, sides: Float64s) -> Float64s:
         """Return the mean squared step of the parts of each unit."""
@@ -326,7 +326,7 @@ class _HeldOut:
         evidence = possible * np.where(has_pattern, gains, gains - (1 - gains))
         confidence = self.confidence(evidence)
         left, whole = (float(self.weights @ np.sqrt(each)) for each in (after, before))
-        looks = (evidence, SURE), (correlations - LEAST_CORRELATION, 0.0), (has_pattern - 0.5, 0.0)
+        looks = (evidence, NORMAL_QUANTILE), (correlations - MIN_CORRELATION, 0.0), (has_pattern - 0.5, 0.0)
         is_clear = [self.is_clear(*each) for each in looks]
         return Verdict(
             spread=spread,

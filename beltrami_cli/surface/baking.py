@@ -24,8 +24,8 @@ Shade = Callable[[Int64s, Float64s], Array]
 
 
 _BLOCK = 1 << 20  # texels looked at at a time, which bounds the memory for them
-_BESIDE = 0.75  # texels: centres so near to a triangle may be of it
-_FAR = 1.0  # texels beyond a border that bilinear lookups on it touch
+_COVER_MARGIN = 0.75  # texels: centres so near to a triangle may be of it
+_LOOKUP_MARGIN = 1.0  # texels beyond a border that bilinear lookups on it touch
 _EDGE = 1e-9  # barycentric: centres on an edge are inside, whichever way they are rounded
 
 
@@ -127,7 +127,7 @@ def _texels_in_space(
 
     `positions` of corners have the shape (F, 3, 3), `spacing` (F, 3).
     """
-    found = [(part.texels, part.faces, part.weights) for part in cover(uv, size, _BESIDE)]
+    found = [(part.texels, part.faces, part.weights) for part in cover(uv, size, _COVER_MARGIN)]
     texels, faces, weights = map(np.concatenate, zip(*found, strict=True))
     outside = np.maximum(0, -np.column_stack([weights, 1 - weights.sum(axis=1)])).max(axis=1)
     order = np.lexsort((faces, outside > _EDGE, texels))
@@ -204,7 +204,7 @@ def bake(uv: Float64s, size: tuple[int, int], shade: Shade, channels: int, dtype
         inside = part.inside
         covered[part.texels[inside]] = True
         pixels[part.texels[inside]] = shade(part.faces[inside], part.weights[inside])
-    for part in cover(uv, size, _FAR, border_faces(uv)):
+    for part in cover(uv, size, _LOOKUP_MARGIN, border_faces(uv)):
         free = ~covered[part.texels]
         adjacent[part.texels[free]] = True
         pixels[part.texels[free]] = shade(part.faces[free], part.weights[free])

@@ -27,7 +27,7 @@ VIRIDIS = np.array([
 _GREY_FROM, _GREY_TO = 0.35, 0.9
 
 # Share of samples beyond 0 or full scale up to which these are limits: single spikes and rounding prove nothing.
-_FEW_BEYOND = 1e-3
+_MAX_SHARE_BEYOND = 1e-3
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
@@ -53,7 +53,7 @@ def _signed(size: Float64s, given: ArrayLike) -> NDArray[np.floating[Any]]:
 
 def limits_of(colours: Array) -> tuple[float, float]:
     """Return where noise of colours is cut off: at 0 and 1, or at infinity where more than a few lie beyond."""
-    few, low, high = _FEW_BEYOND * colours.size, 0.0, 1.0
+    few, low, high = _MAX_SHARE_BEYOND * colours.size, 0.0, 1.0
     if colours.min(initial=0) < 0 and np.count_nonzero(colours < 0) > few:
         low = -np.inf
     if colours.max(initial=1) > 1 and np.count_nonzero(colours > 1) > few:

@@ -206,7 +206,7 @@ def count_topology(positions: Float64s, faces: Int32s) -> dict[str, int]:
 
 # Means over neighbours are taken this often: far enough to be steady where edges differ at random, near enough to
 # follow a gradation of the mesh.
-_ROUNDS = 3
+_SMOOTHING_ROUNDS = 3
 
 
 def mean_side(positions: Float64s, faces: Int32s) -> float:
@@ -260,7 +260,7 @@ def local_spacing(count: int, edges: Int32s, lengths: Float64s) -> Float64s:
     total = np.bincount(edges[:, 0], lengths, count) + np.bincount(edges[:, 1], lengths, count)
     # Vertices without edges get the overall mean.
     spacing: Float64s = np.where(degree > 0, total / np.maximum(degree, 1), lengths.mean())
-    for _ in range(_ROUNDS):
+    for _ in range(_SMOOTHING_ROUNDS):
         around = np.bincount(edges[:, 0], spacing[edges[:, 1]], count)
         around = around + np.bincount(edges[:, 1], spacing[edges[:, 0]], count)
         spacing = np.asarray((spacing + around) / (degree + 1), np.float64)
@@ -268,7 +268,7 @@ def local_spacing(count: int, edges: Int32s, lengths: Float64s) -> Float64s:
 
 
 _BLOCK = 1 << 16  # polygons cut at a time, which bounds the memory for their corners
-_MOST_EARS = 1 << 14  # corners of a polygon that is not convex: some ten seconds of work at most
+_MAX_EARS = 1 << 14  # corners of a polygon that is not convex: some ten seconds of work at most
 
 
 def triangulate(positions: Float64s, corners: Int32s, offsets: Int64s) -> Int32s:
@@ -358,8 +358,8 @@ def _cut(positions: Float64s, polygons: Int32s) -> Int32s:
     normals = np.cross(points, np.roll(points, -1, axis=1)).sum(axis=1)
     areas = np.einsum("pfi,pi->pf", np.cross(points[:, 1:-1], points[:, 2:]), normals)
     for bad in np.flatnonzero((areas < 0).any(axis=1)).tolist():
-        if size > _MOST_EARS:
-            cause = f"a polygon of {size} corners is not convex; up to {_MOST_EARS} are cut into triangles"
+        if size > _MAX_EARS:
+            cause = f"a polygon of {size} corners is not convex; up to {_MAX_EARS} are cut into triangles"
             raise InputError("the mesh", cause, "triangulate it first")
         # The axis that the normal is closest to is dropped, and the polygon stays counter-clockwise.
         axis = int(np.argmax(np.abs(normals[bad])))

@@ -74,9 +74,9 @@ _ROUNDED_UNITS = 4
 _EDGE_OF_TOLERANCE = 64
 # More than twice, so that in every direction one of two shifted grids has copies in one cell.
 _CELL_OF_TOLERANCE = 4
-_SINGLE = np.finfo(np.float32).eps
-_ENOUGH_VALUES = 10_000  # coordinates whose digits are counted
-_MOST_DECIMALS = 9  # of coordinates in text, with which programs write single precision
+_SINGLE_EPS = np.finfo(np.float32).eps
+_SAMPLED_VALUES = 10_000  # coordinates whose digits are counted
+_MAX_DECIMALS = 9  # of coordinates in text, with which programs write single precision
 
 
 def group_places(
@@ -110,9 +110,9 @@ def _tolerance(positions: Float64s) -> float:
             return _ROUNDED_UNITS * float(np.spacing(np.float32(np.abs(positions).max())))
         # In double precision an offset may have been added, or a node of a scene turned the mesh, but most programs
         # compute a mesh in single precision.
-        computed = _ROUNDED_UNITS * float(_SINGLE * np.ptp(positions, axis=0).max())
-        values = positions.ravel()[:: 1 + positions.size // _ENOUGH_VALUES]
-        for decimals in range(_MOST_DECIMALS + 1):
+        computed = _ROUNDED_UNITS * float(_SINGLE_EPS * np.ptp(positions, axis=0).max())
+        values = positions.ravel()[:: 1 + positions.size // _SAMPLED_VALUES]
+        for decimals in range(_MAX_DECIMALS + 1):
             scaled = np.abs(values * 10.0**decimals)
             if (np.abs(scaled - np.rint(scaled)) <= np.spacing(scaled)).all():
                 # In text copies differ by one in the last digit, where they lie on both sides of its half.

@@ -43,9 +43,9 @@ from beltrami_cli.surface.records import ColouredVertices, Encoding
 
 # In units of the change of values across the surface: nearer to the level than that is outside by that
 # much, since marching cubes leaves holes where values are on the level itself.
-_LEAST = 1e-6
+_MIN_VALUE = 1e-6
 # Beyond that, the exact value moves no vertex; float32 must hold its products.
-_MOST = 1e9
+_MAX_VALUE = 1e9
 _LARGEST_EXPONENT = 1000  # of a scale whose inverse is a number too
 SLAB = 1 << 22  # voxels looked at together, which bounds the memory for their double precision
 
@@ -92,8 +92,8 @@ class Volume:
 
 
 _NEIGHBOURS = 4  # points that a vertex takes its colour from: about what surrounds it on a surface
-_REACH = 4.0  # in voxels, or in distances between points where these are larger
-_PROBED = 10_000  # points whose distances to their neighbours represent all points within a per cent
+_COLOUR_RADIUS = 4.0  # in voxels, or in distances between points where these are larger
+_PROBES = 10_000  # points whose distances to their neighbours represent all points within a per cent
 _WEIGHTLESS = 1e-6  # less than the weight of any voxel that contributes
 
 
@@ -140,9 +140,9 @@ def nearest_colours(colours: NearColours, positions: Float64s, voxel: float, thr
         return np.full((len(positions), samples.shape[1]), np.nan)
     points, samples = colours.points[valid], samples[valid]
     tree, count = cKDTree(points), min(_NEIGHBOURS, len(points))
-    probes = points[:: max(1, len(points) // _PROBED)]
+    probes = points[:: max(1, len(points) // _PROBES)]
     between = tree.query(probes, [min(count + 1, len(points))], workers=threads)[0]
-    reach = _REACH * max(voxel, float(np.median(between)))
+    reach = _COLOUR_RADIUS * max(voxel, float(np.median(between)))
     distances, nearest = tree.query(positions, list(range(1, count + 1)), workers=threads)
     nearest = np.minimum(nearest, len(points) - 1)  # beyond all numbers there is none, and its weight is 0
     with np.errstate(over="ignore"):
@@ -240,8 +240,10 @@ def _prepared(values: Array, level: float, scale: float, known: Bools | None) ->
         with np.errstate(over="ignore", invalid="ignore"):
             exact = values[first:stop].astype(np.float64) - level
             finite[first:stop] = np.isfinite(exact)
-            exact = np.clip(np.nan_to_num(exact * scale, nan=_MOST), -_MOST, _MOST)
-        offsets[first:stop] = np.where(np.abs(exact) < _LEAST, np.where(exact < 0, -_LEAST, _LEAST), exact)
+            exact = np.clip(np.nan_to_num(exact * scale, nan=_MAX_VALUE), -_MAX_VALUE, _MAX_VALUE)
+        offsets[first:stop] = np.where(
+            np.abs(exact) < _MIN_VALUE, np.where(exact < 0, -_MIN_VALUE, _MIN_VALUE), exact
+        )
     if known is not None:
         finite &= known
     for axis in range(3):  # a cell is known if its corners are
@@ -272,7 +274,7 @@ def compacted(vertices: Float64s, faces: Int32s) -> tuple[Float64s, Int32s]:
 
 # Nearest neighbours asked for, until there are enough to know a point's triangles: usually the first number
 # does, on rims and between the lines of a scanner the last may not.
-_NEAREST = (24, 64, 192)
+_NEIGHBOUR_COUNTS = (24, 64, 192)
 _POINTS_AT_ONCE = 1 << 17  # which bounds the memory that their neighbours take
 
 
@@ -312,10 +314,10 @@ def triangulate_points(positions: Float64s, threads: int = 1, at_once: int = _PO
     tree, stars = cKDTree(points), LocalTriangulation(points)
     for first in range(0, len(points), at_once):
         rows = np.arange(first, min(first + at_once, len(points)), dtype=np.int32)
-        for wanted in _NEAREST:
+        for wanted in _NEIGHBOUR_COUNTS:
             complete = wanted >= len(points) - 1
             nearest = np.asarray(tree.query(points[rows], min(wanted + 1, len(points)), workers=threads)[1])
-            keep_unsettled = complete or wanted == _NEAREST[-1]
+            keep_unsettled = complete or wanted == _NEIGHBOUR_COUNTS[-1]
             rows = stars.add_stars(rows, nearest.astype(np.int32), complete, keep_unsettled, threads)
             if not len(rows):
                 break

@@ -246,8 +246,8 @@ class SampledSurface:
 
 # Squares of lengths are kept in single precision, which ends at 1.2e-38 and 3.4e38: lengths at 1e-19 and 2e19. Texels
 # and the edges of a mesh vary, and kernels reach further; five decades of margin are enough for all of them.
-_LEAST, _MOST = 1e-14, 1e14
-_ENOUGH_FACES = 100_000  # for a median that is off by a per cent or so
+_MIN_LENGTH, _MAX_LENGTH = 1e-14, 1e14
+_SAMPLED_FACES = 100_000  # for a median that is off by a per cent or so
 
 
 def require_finite(rows: Array, name: str, what: str, numbers: Int64s | None = None) -> None:
@@ -260,12 +260,12 @@ def require_finite(rows: Array, name: str, what: str, numbers: Int64s | None = N
 
 
 # Half of what single precision holds, so that the difference of any two numbers is finite in it, too.
-_LARGEST = np.float64(np.finfo(np.float32).max) / 2
+_MAX_SINGLE = np.float64(np.finfo(np.float32).max) / 2
 
 
 def fits_single(values: Array) -> Bools:
     """Whether numbers of any type are finite in single precision, in which surfaces are smoothed."""
-    return np.asarray((values >= -_LARGEST) & (values <= _LARGEST))
+    return np.asarray((values >= -_MAX_SINGLE) & (values <= _MAX_SINGLE))
 
 
 def require_single(
@@ -288,12 +288,12 @@ def require_single(
 def check_scale(positions: Float64s, faces: Int32s, name: str) -> None:
     """Refuse a surface whose median edge is too small or too large to be squared in single precision, or a position."""
     typical = typical_edge(positions, faces)
-    if typical == 0 or _LEAST <= typical <= _MOST:
+    if typical == 0 or _MIN_LENGTH <= typical <= _MAX_LENGTH:
         require_single(positions, name, "the position of vertex", holes=True)
         return
     shown = f"{typical:.0e}" if np.isfinite(typical) else "more than 1e+308"
     what = "edges are" if len(faces) else "points are apart"
-    kind = "small" if typical < _LEAST else "large"
+    kind = "small" if typical < _MIN_LENGTH else "large"
     cause = f"its {what} {shown} units, which is too {kind} to be squared in single precision"
     raise InputError(name, cause, "scale it, for example to metres")
 
@@ -303,7 +303,7 @@ def typical_edge(positions: Float64s, faces: Int32s) -> float:
     with np.errstate(over="ignore", invalid="ignore"):
         if len(faces):
             # The longest coordinates of the edges of some, whose squares could overflow here already.
-            corners = positions[faces[:: 1 + len(faces) // _ENOUGH_FACES]]
+            corners = positions[faces[:: 1 + len(faces) // _SAMPLED_FACES]]
             steps = np.abs(corners - np.roll(corners, 1, axis=1)).max(axis=2)
             steps = steps[np.isfinite(corners).all(axis=(1, 2))]
         else:

@@ -22,8 +22,8 @@ Tile: TypeAlias = tuple[int, int]
 COLUMNS, ROWS = 10, 900
 """How many there are: the numbers from 1001 to 9999."""
 
-_MOST_NEW = 1 << 18  # triangles beyond four times as many as there were
-_NEAR = 1e-9  # a border that an edge crosses this close to its end is none
+_MAX_NEW = 1 << 18  # triangles beyond four times as many as there were
+_BORDER_TOLERANCE = 1e-9  # a border that an edge crosses this close to its end is none
 
 
 def on_tiles(surface: TexturedSurface, sets: Sequence[Mapping[Tile, int]], name: str) -> TexturedSurface:
@@ -55,7 +55,7 @@ def tiles_under(uv: Float64s) -> Float64s:
 
 def _cut(surface: TexturedSurface, name: str) -> TexturedSurface:
     """Cut triangles at the borders of tiles, and their neighbours at the same places, so that edges still fit."""
-    most = 4 * len(surface.faces) + _MOST_NEW
+    most = 4 * len(surface.faces) + _MAX_NEW
     while True:
         place_of, first = group_places(surface.positions, surface.space_of, surface.faces)
         ends = place_of[np.stack([surface.faces, np.roll(surface.faces, -1, axis=1)], axis=2)]
@@ -97,7 +97,7 @@ def _crossings(uv: Float64s, ends: Int32s) -> Float64s:
         border = np.clip(np.floor((low + high) / 2), np.floor(low) + 1, np.ceil(high) - 1)
         crosses = (border > low) & (border < high)
         at = np.divide(border - a, b - a, out=np.full(a.shape, np.nan), where=crosses)
-        at[~((at > _NEAR) & (at < 1 - _NEAR))] = np.nan
+        at[~((at > _BORDER_TOLERANCE) & (at < 1 - _BORDER_TOLERANCE))] = np.nan
         found = np.where(np.isnan(found), at, found)
     return found
 
@@ -115,7 +115,7 @@ def _split(surface: TexturedSurface, new_of: Int64s, before: Float64s) -> Textur
     corner, uv, row, share = surface.faces[places], surface.uv[places], new_of[places], before[places]
     between = uv + share[..., None] * (np.roll(uv, -1, axis=1) - uv)
     whole = np.rint(between)
-    between = np.where(np.abs(between - whole) < _NEAR, whole, between)
+    between = np.where(np.abs(between - whole) < _BORDER_TOLERANCE, whole, between)
     # Where an edge is not cut, its vertex is the end that makes a triangle of no area, which is left out.
     end = [1, 1, 0]
     rows = np.concatenate([np.where(row >= 0, row, corner[:, end]), corner], axis=1)

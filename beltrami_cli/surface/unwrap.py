@@ -114,8 +114,8 @@ def _collapse_others(uv: Float64s, faces: Int32s, whole: NDArray[np.intp], verti
 WORKER = "beltrami_cli.surface.unwrap"
 # Measured: 16 thousand triangles take 7 s, 82 thousand 109 s.
 _SECONDS, _FACES, _GROWTH = 160.0, 100_000, 1.7
-_PATIENCE = 10  # times as long as expected; beyond that it hangs
-LEAST_PATIENCE = 120.0
+_TIMEOUT_FACTOR = 10  # times as long as expected; beyond that it hangs
+MIN_TIMEOUT = 120.0
 
 
 def expected_seconds(faces: int) -> float:
@@ -125,7 +125,7 @@ def expected_seconds(faces: int) -> float:
 
 def _ask_worker(mesh: Message, progress: Progress) -> Message:
     expected = expected_seconds(len(mesh[1]["faces"]))
-    patience, total = max(LEAST_PATIENCE, _PATIENCE * expected), max(1, int(10 * expected))
+    patience, total = max(MIN_TIMEOUT, _TIMEOUT_FACTOR * expected), max(1, int(10 * expected))
 
     def tick(gone: float) -> None:
         if progress is not None:
@@ -143,7 +143,7 @@ def _ask_worker(mesh: Message, progress: Progress) -> Message:
 
 
 _COVERAGE = 0.75  # that xatlas expects of its packing when it is given a resolution
-_TRIES = 8
+_MAX_ATTEMPTS = 8
 
 
 def unwrapped(
@@ -173,7 +173,7 @@ def unwrapped(
             return places, next(size for size in sizes if size >= side), charts
     else:
         side = max(1.0, float(texels.max()))
-    for _ in range(_TRIES):
+    for _ in range(_MAX_ATTEMPTS):
         # Packing is not monotonic: aim a little lower than what would fit exactly.
         scale *= 0.98 * size / side
         places, side = packed(scale)

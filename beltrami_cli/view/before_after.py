@@ -21,7 +21,7 @@ from beltrami_cli.view.tracing import require_embree
 from beltrami_cli.view.views import open_views, require_memory_to_draw
 
 _MARK = packed_chunk(b"tEXt", b"Software\0beltrami smooth --preview")  # of PNG files that are previews
-_MARKED = 33  # where it is: behind the signature and IHDR
+_MARK_OFFSET = 33  # where it is: behind the signature and IHDR
 _HEAD = 1 << 16  # bytes that distinguish images from other files
 
 
@@ -58,10 +58,10 @@ class Preview:
         drawn = encoded(picture, self._output.target, self._suffix)
         if self._suffix == ".png":
             (data,) = map(bytes, drawn.main)
-            drawn = Written(main=[data[:_MARKED], _MARK, data[_MARKED:]])
+            drawn = Written(main=[data[:_MARK_OFFSET], _MARK, data[_MARK_OFFSET:]])
         self._output.write(drawn)
 
 
 def is_preview(head: bytes) -> bool:
     """Whether a file bears the mark of previews."""
-    return head.startswith(_MARK, _MARKED)
+    return head.startswith(_MARK, _MARK_OFFSET)

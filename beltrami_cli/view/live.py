@@ -46,14 +46,15 @@ Command = Callable[[SmoothSettings, str], str]
 Part = TypeVar("Part")
 
 _WITH_PATCHES = " with patches"  # a stage of previews, after that of the kernel alone
-_WAIT = 0.5  # seconds after a preview in which the whole is not begun, since another change may follow
-_WANTED = 0.1  # seconds of smoothing in a preview
+# Seconds after a preview in which the whole is not begun, since another change may follow.
+_IDLE_SECONDS = 0.5
+_PREVIEW_SECONDS = 0.1  # seconds of smoothing in a preview
 _FIRST_RATE = 4e5  # samples times iterations a second, before any preview was timed
-_LEAST, _MOST = 2_000, 400_000  # samples of a preview
-_PAUSE = 0.1  # seconds between two messages on progress
+_MIN_SAMPLES, _MAX_SAMPLES = 2_000, 400_000  # samples of a preview
+_PROGRESS_INTERVAL = 0.1  # seconds between two messages on progress
 _STEPS = 1000  # that progress counts
-_PATIENCE = 1.0  # seconds in which work ends
-_REACH = 32  # 255ths that are shown brightest first
+_STOP_TIMEOUT = 1.0  # seconds in which work ends
+_BRIGHTEST_CHANGE = 32  # 255ths that are shown brightest first
 
 
 @dataclass(frozen=True)
@@ -94,13 +95,13 @@ class Live:
             layer.add_to(writer)
         self.files = {
             "": ("text/html; charset=utf-8", self._page(settings)),
-            "model.glb": ("model/gltf-binary", writer.glb(_REACH)),
+            "model.glb": ("model/gltf-binary", writer.glb(_BRIGHTEST_CHANGE)),
         }
 
     def close(self) -> bool:
         """Return whether all work has ended, as the choice of parameters does not at once."""
         locks = self._previewing, self._smoothing, self._saving
-        return all(lock.acquire(timeout=_PATIENCE) for lock in locks)
+        return all(lock.acquire(timeout=_STOP_TIMEOUT) for lock in locks)
 
     def answer(self, name: str, asked: dict[str, Any], request: PageRequest) -> None:
         """Do what a page asks for, see `PageServer`."""
@@ -149,7 +150,7 @@ class Live:
         request.send(kind="accepted", command=command)
         with self._previewing:
             self._preview(change)
-        request.wait(_WAIT)
+        request.wait(_IDLE_SECONDS)
         with self._smoothing:
             self._smooth(change)
         request.wait()
@@ -176,7 +177,7 @@ class Live:
 
     def _preview_part(self, change: _Change, settings: SmoothSettings, stage: str) -> None:
         iterations, began = max(1, settings.kernel.iterations), time.perf_counter()
-        budget = int(np.clip(_WANTED * self._rates[stage] / iterations, _LEAST, _MOST))
+        budget = int(np.clip(_PREVIEW_SECONDS * self._rates[stage] / iterations, _MIN_SAMPLES, _MAX_SAMPLES))
         patches, samples = change.layer.preview(
             settings, change.focus, budget, lambda *_: change.request.check()
         )
@@ -234,7 +235,7 @@ class Live:
         def announce(label: str, done: int, total: int) -> None:
             request.send(kind="progress", label=label, share=done / total)
 
-        at_times = at_intervals(_PAUSE, announce)
+        at_times = at_intervals(_PROGRESS_INTERVAL, announce)
 
         def show(label: str, share: float) -> None:
             with self._previewing:  # previews of other pages shall not share the processors

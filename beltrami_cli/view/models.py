@@ -49,13 +49,13 @@ ImageBytes = tuple[str, bytes]  # MIME type and content
 VERTICES = "vertex colours"
 _MIME = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg"}
 _TRIANGLES, _POINTS, _LINES = 4, 0, 1  # modes of glTF primitives
-_FULL = 65535
-_FARTHEST = 1e9  # sizes of a model or texture; nothing so far away is visible
+_FULL_SCALE = 65535
+_MAX_DISTANCE = 1e9  # sizes of a model or texture; nothing so far away is visible
 _BYTE = 257  # 16-bit value of one 8-bit step
-_LEAST_PICTURES = 1 << 20  # bytes of pictures, however large the meshes are
+_MIN_PICTURES = 1 << 20  # bytes of pictures, however large the meshes are
 _FILLED = 0.99  # share of the room for pictures that is aimed at: PNG adds at most 1 %
-_LEAST_SHARE = 1e-4  # of the width of pictures: 10,000 pixels become one
-_LEAST_REACH, _MOST_REACH = 4, 128  # 255ths of full scale
+_MIN_SHARE = 1e-4  # of the width of pictures: 10,000 pixels become one
+_MIN_REACH, _MAX_REACH = 4, 128  # 255ths of full scale
 
 
 class ModelWriter:
@@ -124,8 +124,8 @@ class ModelWriter:
             tables.append((start, length, stride))
         arrays.binary[:] = data.tobytes()
         images, share = [image() for image in self._images], 1.0
-        room = max(3 / 4 * limit - len(zlib.compress(data.tobytes())), _LEAST_PICTURES)
-        while (size := sum(len(content) for _, content in images)) > room and share > _LEAST_SHARE:
+        room = max(3 / 4 * limit - len(zlib.compress(data.tobytes())), _MIN_PICTURES)
+        while (size := sum(len(content) for _, content in images)) > room and share > _MIN_SHARE:
             share *= _FILLED * float(np.sqrt(room / size))
             images = [_resized(image(), share) for image in self._images]
         file = np.frombuffer(self._written(images, reach), np.uint8)
@@ -151,7 +151,7 @@ class ModelWriter:
             "buffers": [{"byteLength": len(arrays.binary)}],
             "extras": {
                 "scale": VIRIDIS.tolist(),
-                "reach": int(np.clip(np.ceil(round(reach, 2)), _LEAST_REACH, _MOST_REACH)),
+                "reach": int(np.clip(np.ceil(round(reach, 2)), _MIN_REACH, _MAX_REACH)),
             },
         }  # fmt: skip
         chunks = [Chunk(JSON_CHUNK, json.dumps(whole).encode()), Chunk(BIN_CHUNK, bytes(arrays.binary))]
@@ -215,7 +215,7 @@ class ModelWriter:
     ) -> int:
         primitive: dict[str, Any] = {"attributes": attributes, "mode": mode}
         if index is not None:
-            kind = "<u2" if index.max(initial=0) < _FULL else "<u4"
+            kind = "<u2" if index.max(initial=0) < _FULL_SCALE else "<u4"
             primitive["indices"] = self._arrays.add(index.reshape(-1, 1).astype(kind), target=INDEX_DATA)
         self._tree["meshes"].append({"primitives": [primitive]})
         self._tree["nodes"].append({"mesh": len(self._tree["meshes"]) - 1, "extras": extras})
@@ -242,13 +242,13 @@ class Box:
 def _finite(values: Array) -> Float64s:
     """Replace numbers that are not finite by 0, and limit the others to a range that single precision holds."""
     finite = np.nan_to_num(values.astype(np.float64), nan=0, posinf=0, neginf=0)
-    return np.clip(finite, -_FARTHEST, _FARTHEST)
+    return np.clip(finite, -_MAX_DISTANCE, _MAX_DISTANCE)
 
 
 def _quantised(values: Float64s) -> Array:
     """Return values in 16 bits if they lie in [0, 1], else in single precision."""
     if values.min(initial=0) >= 0 and values.max(initial=1) <= 1:
-        return np.rint(_FULL * values).astype("<u2")
+        return np.rint(_FULL_SCALE * values).astype("<u2")
     return values.astype("<f4")
 
 
@@ -313,7 +313,7 @@ def packed_array(values: Array, level: int) -> str:
 
 def displayed_colours(vertices: ColouredVertices) -> NDArray[np.uint16]:
     """Return vertex colours as display values of 16 bits, (V, 3)."""
-    return np.asarray(np.rint(_FULL * linear_to_srgb(light_of(vertices))), np.uint16)
+    return np.asarray(np.rint(_FULL_SCALE * linear_to_srgb(light_of(vertices))), np.uint16)
 
 
 def charts_of(surface: TexturedSurface) -> tuple[Int32s, Int64s]:

@@ -25,12 +25,12 @@ _DARK, _LIGHT = 26, 242  # greys of letters, of 255
 _LIGHT_GROUND = 0.4  # luminance, beyond which letters are dark
 _GREY = 128 / 255  # the background where white hides the outline
 # Share of an outline that may be twice as close to white as to grey: beyond a lightness L* of 85.
-_LOST = 0.25
+_MAX_LOST_SHARE = 0.25
 _FONT = "DroidSans"  # which OpenImageIO contains
 
 Draw = Callable[..., Float32s]  # of a size and a window
 
-_ALIKE = 0.1  # boxes that differ by less than this, in sizes of the first, are seen by one camera
+_SAME_CAMERA = 0.1  # boxes that differ by less than this, in sizes of the first, are seen by one camera
 _COVERED = 0.98  # of a detail, at least, if there is any such place
 _STEPS = 8  # places tried along each side of a detail
 
@@ -92,7 +92,7 @@ def _drawers(views: Sequence[Drawable], settings: RenderSettings) -> list[Draw]:
             continue
         shown = framed(view.positions, view.faces)
         box = np.stack([shown.min(axis=0), shown.max(axis=0)])
-        if shared is None or np.abs(box - shared[1]).max() > _ALIKE * np.ptp(shared[1], axis=0).max():
+        if shared is None or np.abs(box - shared[1]).max() > _SAME_CAMERA * np.ptp(shared[1], axis=0).max():
             camera = fitted(shown, rotation, settings.fov, aspect)
             shared = shared or (camera, box)
         else:
@@ -123,7 +123,7 @@ def is_lost_on_white(views: Sequence[Float32s]) -> bool:
         colours = linear_to_srgb(np.clip(drawn[:, :3] / drawn[:, 3:], 0, 1))
         outline += len(drawn)
         white += int(np.count_nonzero(2 * (1 - colours).max(axis=1) < np.abs(colours - _GREY).max(axis=1)))
-    return white > _LOST * outline
+    return white > _MAX_LOST_SHARE * outline
 
 
 def richest_window(view: Float32s, side: float) -> Window:

@@ -16,7 +16,7 @@ from beltrami_cli.arrays import Float64s, Int64s, Uint8s
 from beltrami_cli.flow.beltrami_flow import smooth_in_place
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
+from beltrami_cli.formats.access import DEFAULT_ACCESS, Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.jpeg import CODED_TOGETHER
 from beltrami_cli.formats.image.reading import read_image, read_texture
@@ -42,11 +42,11 @@ from beltrami_cli.view.models import (
 Progress = Callable[[int, int], None]
 
 _PIECE = 320  # texels of a triangle at most, so that enough of them fit
-_MOST_PIECES = 100_000  # in a whole texture, even if they are larger then
-_MOST_SPLITS = 24  # each halves the longest sides
+_MAX_PIECES = 100_000  # in a whole texture, even if they are larger then
+_MAX_SPLITS = 24  # each halves the longest sides
 _NO_FACES = np.zeros((0, 3), np.int32)
-_QUICK = 1  # of zlib
-_NEAR = 0.05  # of the model's size: triangles so near to the line of sight are looked at
+_COMPRESSION_LEVEL = 1  # of zlib
+_FOCUS_RADIUS = 0.05  # of the model's size: triangles so near to the line of sight are looked at
 
 
 class NoPreviewError(Exception):
@@ -76,7 +76,7 @@ class LayerView:
     """A coloured part of a document on pages: `slot` of its textures, or None: its vertices or its pixels."""
 
     def __init__(
-        self, document: Document, slot: Slot | None, access: Access = EVERYTHING_INSIDE, number: int = 0
+        self, document: Document, slot: Slot | None, access: Access = DEFAULT_ACCESS, number: int = 0
     ) -> None:
         self.slot, self._document, self._access, self._number = slot, document, access, number
         self._is_image = document.kind == "image"
@@ -229,7 +229,7 @@ class LayerView:
             kept = {"rows": rows.astype(np.uint32), "colours": patch.colours}
             if patch.places is not None:
                 kept["places"] = self._box.shares(patch.places).astype(np.float32)
-            packed = {name: packed_array(own[drawn], _QUICK) for name, own in kept.items()}
+            packed = {name: packed_array(own[drawn], _COMPRESSION_LEVEL) for name, own in kept.items()}
             return {"layer": self._number, **packed}
         if patch.texture not in self._shown:
             texture = textures_of(self._document, self.slot)[patch.texture]
@@ -240,7 +240,7 @@ class LayerView:
         part = pixels[top : int(patch.rows.max()) + 1, left : int(patch.columns.max()) + 1]
         return {
             "layer": self._number, "texture": patch.texture, "x": left, "y": top,
-            "width": part.shape[1], "height": part.shape[0], "pixels": packed_array(part, _QUICK),
+            "width": part.shape[1], "height": part.shape[0], "pixels": packed_array(part, _COMPRESSION_LEVEL),
         }  # fmt: skip
 
     def _displayed(self, texture: Texture) -> Uint8s:
@@ -306,7 +306,7 @@ def _nearest(centres: Float64s, focus: Focus) -> Int64s:
         offsets = centres - focus.origin
         along = offsets @ focus.direction
         offset = np.sqrt(np.maximum(np.einsum("ij,ij->i", offsets, offsets) - along**2, 0))
-        near = offset < max(_NEAR * float(along.max() - along.min()), 1.001 * float(offset.min()))
+        near = offset < max(_FOCUS_RADIUS * float(along.max() - along.min()), 1.001 * float(offset.min()))
         middle = centres[near][np.argmin(along[near] + offset[near])]
     return np.asarray(np.argsort(np.einsum("ij,ij->i", centres - middle, centres - middle)), np.int64)
 
@@ -331,8 +331,8 @@ def _cut_in_pieces(surface: TexturedSurface, sizes: Float64s) -> tuple[TexturedS
         spaces[..., None],
     )
     rows = np.concatenate(columns, axis=2).reshape(-1, 9)
-    most = max(_PIECE, float(triangle_areas(rows[:, :3], apart).sum()) / _MOST_PIECES)
-    longest, limit = float(np.sqrt(2 * most)), _MOST_SPLITS
+    most = max(_PIECE, float(triangle_areas(rows[:, :3], apart).sum()) / _MAX_PIECES)
+    longest, limit = float(np.sqrt(2 * most)), _MAX_SPLITS
     cut, pieces, index = subdivide_to_size(rows, apart, longest, max_iter=limit, return_index=True)  # type: ignore[no-untyped-call]
     made = dataclasses.replace(
         surface, positions=cut[:, 3:6], faces=pieces.astype(np.int32), uv=cut[pieces, 6:8],

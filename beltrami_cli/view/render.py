@@ -19,7 +19,7 @@ from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.output import Output
 from beltrami_cli.view.panels import draw_views
-from beltrami_cli.view.settings import DEFAULT_RENDER, MOST_PIXELS, RenderSettings
+from beltrami_cli.view.settings import DEFAULT_RENDER, MAX_PIXELS, RenderSettings
 from beltrami_cli.view.views import ImageView, open_views
 
 
@@ -39,8 +39,8 @@ def render_file(
         raise UsageError(f"there are {len(labels)} labels for {len(names)} files; give one --label for each")
     labels = labels or [""] * len(names)
     pixels = len(names) * settings.size[0] * settings.size[1]
-    if pixels > MOST_PIXELS:
-        cause = f"all views have {pixels} pixels together, but at most {MOST_PIXELS} are drawn"
+    if pixels > MAX_PIXELS:
+        cause = f"all views have {pixels} pixels together, but at most {MAX_PIXELS} are drawn"
         raise UsageError(f"{cause}; lower --size")
     output, progress = Output(path, overwrite=job.overwrite, what="picture", reads=names), job.progress
     access = output.files.watching(job.access)

@@ -15,7 +15,7 @@ from beltrami_cli.formats.access import REPORT, Access, parse_json, read_source,
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.document import Document
 from beltrami_cli.jobs.compare.figures import Measured, figures
-from beltrami_cli.jobs.compare.files import EVERYTHING, Compared, compare_documents, open_both
+from beltrami_cli.jobs.compare.files import ALL_SLOTS, Compared, compare_documents, open_both
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.output import Output
 from beltrami_cli.jobs.progress import Progress, tracked
@@ -27,8 +27,8 @@ from beltrami_cli.view.models import ModelWriter
 from beltrami_cli.view.render import distinct_labels
 from beltrami_cli.view.used import used_parameters
 
-_NEARLY_ALL = 0.995  # of the samples, whose changes are not shown brightest
-_LARGEST = 8_000_000  # bytes of a page, unless its meshes alone are larger
+_SCALE_QUANTILE = 0.995  # of the samples, whose changes are not shown brightest
+_MAX_PAGE_BYTES = 8_000_000  # bytes of a page, unless its meshes alone are larger
 _SCALED = "Pictures have {:.0f} % of their width on the page; --full-size keeps all of it."
 _LONGEST = 768  # pixels, of a seam map
 _WIDTH, _HEIGHT = 720, 220
@@ -36,7 +36,7 @@ _WIDTH, _HEIGHT = 720, 220
 _NAMES = {3: ("red", "green", "blue")}
 _DASHES = ("none", "8 4", "2 3")
 _STEPS = 64
-_FEW = 4.0  # 255ths; larger changes are counted in bins of whole numbers
+_MAX_FINE_CHANGE = 4.0  # 255ths; larger changes are counted in bins of whole numbers
 _WHITE = 1.0
 
 
@@ -44,7 +44,7 @@ def report_file(
     before: str,
     after: str,
     target: str,
-    settings: SmoothSettings = EVERYTHING,
+    settings: SmoothSettings = ALL_SLOTS,
     *,
     parameters: str | None = None,
     full_size: bool = False,
@@ -82,7 +82,7 @@ def _page(
     differing = compared.differing()
     errors = np.concatenate([np.zeros(0, np.float32), *(each.errors for each in differing)])
     # The change in 255ths that nearly all samples stay within.
-    reach = 255 * float(np.quantile(errors, _NEARLY_ALL, method="inverted_cdf")) if len(errors) else 0.0
+    reach = 255 * float(np.quantile(errors, _SCALE_QUANTILE, method="inverted_cdf")) if len(errors) else 0.0
     values: dict[str, Any] = {
         "title": f"{short[0]} and {short[1]}", "names": names, "figures": _figures(differing),
         "identical": [pair.name for pair in compared.parts if pair.is_identical],
@@ -99,7 +99,7 @@ def _page(
     def page_with(data: dict[str, Any], notices: Sequence[str]) -> bytes:
         return pages.page_with_models("report.html", "report.js", data, notices=notices, **values)
 
-    limit = np.inf if full_size else _LARGEST - len(page_with({}, [*notices, _SCALED]))
+    limit = np.inf if full_size else _MAX_PAGE_BYTES - len(page_with({}, [*notices, _SCALED]))
     models, share = writer.packed(reach, limit)
     notices += [_SCALED.format(100 * share)] if share < 1 else []
     return page_with({"models": models}, notices), notices
@@ -134,7 +134,7 @@ def histogram(measured: Iterable[Measured], reach: float) -> dict[str, Any]:
     Of parts with different channels, the ones with most are drawn; nearly all changes are within `reach`, in 255ths.
     """
     reach = max(1.0, reach)
-    step = -(-2 * reach // _STEPS) // 2 * 2 + 1 if reach > _FEW else 2 * reach / _STEPS
+    step = -(-2 * reach // _STEPS) // 2 * 2 + 1 if reach > _MAX_FINE_CHANGE else 2 * reach / _STEPS
     bins = 2 * int(reach // step) + 1
     counts = np.zeros((1, bins), np.int64)
     for each in measured:

@@ -33,7 +33,7 @@ _HEADERS = {
     "Cache-Control": "no-store",
 }
 _LONGEST_REQUEST = 1 << 16  # bytes
-_BEAT = 0.25  # seconds between looks at whether a page is still there
+_HEARTBEAT = 0.25  # seconds between looks at whether a page is still there
 
 
 class MalformedError(Exception):
@@ -88,11 +88,11 @@ class PageServer(ThreadingHTTPServer):
 
     def run(self) -> None:
         """Serve until the last page is closed."""
-        threading.Thread(target=self.serve_forever, args=(_BEAT,), daemon=True).start()
+        threading.Thread(target=self.serve_forever, args=(_HEARTBEAT,), daemon=True).start()
         try:
             end = math.inf
             while time.monotonic() < end:
-                time.sleep(_BEAT)
+                time.sleep(_HEARTBEAT)
                 if not all(request.is_gone() for request in [*self.answered]):
                     end = time.monotonic() + self._grace
         finally:
@@ -178,7 +178,7 @@ class PageRequest(BaseHTTPRequestHandler):
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0:
             self.check()
-            self.server.closing.wait(min(left, _BEAT))
+            self.server.closing.wait(min(left, _HEARTBEAT))
 
     def _refuse(self, status: HTTPStatus, message: str) -> None:
         if self not in self.server.answered:

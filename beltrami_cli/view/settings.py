@@ -20,9 +20,9 @@ VIEWS = {
 }  # fmt: skip
 BACKGROUNDS = {"white": "#ffffff", "grey": "#808080", "black": "#000000"}
 _BACKGROUND = f"auto, {', '.join(BACKGROUNDS)}, transparent or #rrggbb"
-MOST_PIXELS = 1 << 26
+MAX_PIXELS = 1 << 26
 LONGEST_SIDE = 16384
-_MOST_DEGREES = 36000
+_MAX_DEGREES = 36000
 
 
 @dataclass(frozen=True)
@@ -74,12 +74,12 @@ class RenderSettings:
     )  # fmt: skip
     azimuth: float | None = parameter(
         None, "Position of the eye: around the model, to the right of its front.",
-        kind=float, low=-_MOST_DEGREES, high=_MOST_DEGREES, unit="degrees", unset="of --view", metavar="DEGREES",
+        kind=float, low=-_MAX_DEGREES, high=_MAX_DEGREES, unit="degrees", unset="of --view", metavar="DEGREES",
         of=("vertex colours", "textures"),
     )  # fmt: skip
     elevation: float | None = parameter(
         None, "Position of the eye: upwards; negative: from below.",
-        kind=float, low=-_MOST_DEGREES, high=_MOST_DEGREES, unit="degrees", unset="of --view", metavar="DEGREES",
+        kind=float, low=-_MAX_DEGREES, high=_MAX_DEGREES, unit="degrees", unset="of --view", metavar="DEGREES",
         of=("vertex colours", "textures"),
     )  # fmt: skip
     up: Axis = parameter(

@@ -29,14 +29,14 @@ from beltrami_cli.layers.settings import LevelSetSettings, SmoothSettings
 from beltrami_cli.view.pages import PAGES, data_address, page_from
 from beltrami_cli.view.panels import Panel, arranged, draw_panels, fixed_looks
 from beltrami_cli.view.render import encoded, picture_suffix
-from beltrami_cli.view.settings import MOST_PIXELS, RenderSettings
+from beltrami_cli.view.settings import MAX_PIXELS, RenderSettings
 from beltrami_cli.view.views import image_files, require_memory_to_draw, view_of
 
 Tried = tuple[dict[str, float], SmoothSettings]
 
 FigureFormat = Literal["csv", "json"]
 
-MOST_TRIALS = 200
+MAX_TRIALS = 200
 FIGURES = {
     "psnr": "PSNR, dB",
     "estimated_psnr": "estimated PSNR, dB",
@@ -45,7 +45,7 @@ FIGURES = {
     "ssim": "SSIM",
     "delta_e": "Delta E 2000",
 }
-_REST = 10  # times as long as writing the page took: until it is written again
+_REWRITE_FACTOR = 10  # times as long as writing the page took: until it is written again
 
 
 def sweep_file(
@@ -95,8 +95,8 @@ def _check(name: str, trials: int, looks: RenderSettings | None) -> None:
     if name == "-":
         raise UsageError("INPUT is shown with each trial, so it must be a file and not a pipe")
     pixels = 0 if looks is None else looks.size[0] * looks.size[1] * (trials + 2)
-    if trials > MOST_TRIALS or pixels > MOST_PIXELS:
-        cause = f"{trials} trials are too many for one sheet of {MOST_TRIALS} views"
+    if trials > MAX_TRIALS or pixels > MAX_PIXELS:
+        cause = f"{trials} trials are too many for one sheet of {MAX_TRIALS} views"
         raise UsageError(f"{cause}; give fewer values, or lower --size")
 
 
@@ -217,7 +217,7 @@ class _Sheet:
         if is_due and self._page is not None and not self._page.is_device:
             began = time.monotonic()
             self._write("pending")
-            self._next = time.monotonic() + _REST * (time.monotonic() - began)
+            self._next = time.monotonic() + _REWRITE_FACTOR * (time.monotonic() - began)
 
     def picture(self, columns: int) -> Uint8s:
         """Arrange the views in a picture, in which the trials after the default begin in a row of their own."""

@@ -31,7 +31,7 @@ from beltrami_cli.surface.records import TexturedSurface, Wrap
 Sheet = Float32s
 """An image in linear light with opacity, shape (H, W, 4); colours are not multiplied by it."""
 
-_EXACT = 1 << 13  # texels from the origin up to which single precision does
+_MAX_EXACT_TEXEL = 1 << 13  # texels from the origin up to which single precision does
 _UNTEXTURED = 0.32  # linear light of a middle grey
 _SMALLEST = 1e-13  # of the distance from the origin: smaller models are lost in rounding
 _NARROWEST = 1e-3  # degrees, below which rays are parallel
@@ -70,7 +70,7 @@ class TextureColours:
             self._density = np.divide(texels, areas, out=np.zeros_like(areas), where=areas > 0)
         # As many bits as are needed to resolve parts of a texel.
         largest = np.abs(surface.uv).max(initial=0) * max((max(sheet.shape) for sheet in sheets), default=1)
-        self._uv = surface.uv.astype(np.float32) if largest < _EXACT else surface.uv
+        self._uv = surface.uv.astype(np.float32) if largest < _MAX_EXACT_TEXEL else surface.uv
         self.is_opaque = all(pyramid.is_opaque for pyramid in self._pyramids)
 
     def __call__(self, faces: Int32s, weights: Float32s, footprints: Float64s) -> Float32s:
@@ -233,7 +233,7 @@ LAMP = np.array([-0.4, 0.5, 0.77]) / np.linalg.norm([-0.4, 0.5, 0.77])
 _CREASE = np.cos(np.radians(40))  # smoothed normals further than this from the triangle's are not used
 # Rays at a time: arrays of more leave the processor's cache, and memory is asked for again for each of them.
 _BLOCK = 1 << 12
-_ALL = 0.999  # of the light: surfaces behind are invisible
+_OPAQUE = 0.999  # of the light: surfaces behind are invisible
 _LAYERS = 16  # transparent surfaces behind each other
 _FACE_BYTES = 100  # that Embree takes, besides its threads
 _STEP = 1e-5  # behind a transparent surface the ray goes on, in sizes of the model
@@ -325,7 +325,7 @@ class SurfaceView:
             total = seen[active]
             total += (1 - total[:, 3:]) * colours
             seen[active] = total
-            on = np.flatnonzero(total[:, 3] < _ALL)
+            on = np.flatnonzero(total[:, 3] < _OPAQUE)
             if not len(on):
                 break
             starts = starts[rays]

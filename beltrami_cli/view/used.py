@@ -9,8 +9,8 @@ from beltrami_cli.fields import of_255
 from beltrami_cli.view.words import noise_in_words, psnr_in_words
 
 # Kernel parameters that are shown even with their defaults.
-_ALWAYS = ("iterations", "t", "beta", "beta_growth", "metric_steps", "space")
-_NEVER = ("free", "given", "fast", "on", "threads", "noise")
+_ALWAYS_SHOWN = ("iterations", "t", "beta", "beta_growth", "metric_steps", "space")
+_NEVER_SHOWN = ("free", "given", "fast", "on", "threads", "noise")
 _WORDS = {"t": "time step, t", "on": "smoothed, --on"}
 
 
@@ -41,7 +41,11 @@ def _kernel(requested: dict[str, Any], done: dict[str, Any]) -> Iterator[list[st
     choice = done["choice"] or {"chosen": {}, "candidates": 0}
     used = {**requested, **choice["chosen"], "beta": done["beta"], "iterations": done["iterations"]}
     for name, value in requested.items():
-        if isinstance(value, dict) or name in _NEVER or (name != "iterations" and not done["iterations"]):
+        if (
+            isinstance(value, dict)
+            or name in _NEVER_SHOWN
+            or (name != "iterations" and not done["iterations"])
+        ):
             continue
         if name in choice["chosen"]:
             how = "chosen from the data" if choice["candidates"] else "by the fixed rule"
@@ -51,7 +55,7 @@ def _kernel(requested: dict[str, Any], done: dict[str, Any]) -> Iterator[list[st
             how = "as no noise is removed"
         else:
             how = "given" if name in requested["given"] else "default"
-        if how != "default" or name in _ALWAYS:
+        if how != "default" or name in _ALWAYS_SHOWN:
             yield [_WORDS.get(name, name.replace("_", " ")), _in_words(used[name]), how]
 
 

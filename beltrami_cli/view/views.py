@@ -33,14 +33,15 @@ from beltrami_cli.view.tracing import (
     Window,
 )
 
-_FAR = 128  # models beyond 2^128 or below 2^-128 are rescaled, which keeps their fourth powers within 2^256
+# Models beyond 2^128 or below 2^-128 are rescaled, which keeps their fourth powers within 2^256.
+_MAX_EXPONENT = 128
 _MAX_OUTLIER_SHARE = 0.01  # of the surface or the points, so that parts of some size are always framed
 _MIN_OUTLIER_GAP = 0.5  # sizes of the rest; with smaller gaps, the rest fills at least half of the view
 _RGB = ("red", "green", "blue")
 _NEIGHBOURS = 4  # on a square grid, all at one distance
 _SHARE = 0.75  # of the distance to the last of them: a little more than half the diagonal of the grid
-_LARGEST = 3.0  # times the median radius
-_LONE = 0.02  # radius in widths of the view of a place without neighbours
+_MAX_RADIUS_RATIO = 3.0  # times the median radius
+_LONE_RADIUS = 0.02  # radius in widths of the view of a place without neighbours
 _SMALLEST = 0.75  # radius in samples, below which points would fall between them
 _SHEET_BYTES = 22  # of a texel: four floats, and a third more in smaller copies
 
@@ -60,7 +61,7 @@ class CloudView:
         share = np.array([window[2] - window[0], window[3] - window[1]])
         at = (places - window[:2]) / share * (width, height)
         radii = self._radii / camera.breadth(depths) / share[0] * width
-        radii[self._radii == 0] = _LONE * width
+        radii[self._radii == 0] = _LONE_RADIUS * width
         radii = np.maximum(radii, _SMALLEST)
         near = (depths > 0) & (at > -radii[:, None]).all(axis=1)
         near &= (at < np.array([width, height]) + radii[:, None]).all(axis=1)
@@ -202,9 +203,9 @@ def within_reach(positions: Float64s) -> Float64s:
     """Return positions, times a power of two if squares of areas would overflow or underflow otherwise."""
     largest = np.max(np.abs(positions), where=np.isfinite(positions), initial=0.0)
     exponent = np.frexp(largest)[1]
-    if abs(exponent) < _FAR:
+    if abs(exponent) < _MAX_EXPONENT:
         return positions
-    return np.asarray(np.ldexp(positions, -_FAR * round(exponent / _FAR)), np.float64)
+    return np.asarray(np.ldexp(positions, -_MAX_EXPONENT * round(exponent / _MAX_EXPONENT)), np.float64)
 
 
 def framed(positions: Float64s, faces: Int32s) -> Float64s:
@@ -242,7 +243,7 @@ def disc_radii(positions: Float64s) -> Float64s:
     found: Float64s = np.asarray(cKDTree(places).query(places, k=min(_NEIGHBOURS + 1, len(places)))[0])
     radii = _SHARE * found[:, -1]
     # Points far from all others would hide the points around them.
-    limited = np.minimum(radii, _LARGEST * np.median(radii))
+    limited = np.minimum(radii, _MAX_RADIUS_RATIO * np.median(radii))
     return np.asarray(limited[which.reshape(-1)], np.float64)
 
 

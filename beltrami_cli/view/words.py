@@ -13,7 +13,7 @@ NO_NOISE_FOUND = "no noise detected"
 
 # Ratio of the ends of an interval of the noise from which on it is shown. Where it is less, the median is off by a
 # factor of 1.22 at most, which costs about half a decibel: see `_MORE` in flow/noise/size.py.
-_WIDE = 1.5
+_WIDE_RATIO = 1.5
 
 _CHANNELS_OF_COLOUR = 3
 
@@ -29,7 +29,7 @@ def noise_of(part: Mapping[str, Any]) -> str:
     if reading is None:
         return noise_of_255(_root_mean_square(part["noise"]))
     low, median, high = (reading[key] for key in ("low", "median", "high"))
-    if high <= _WIDE * low:
+    if high <= _WIDE_RATIO * low:
         return noise_of_255(median)
     return f"about {_rounded(median)}/255 ({_rounded(low)} to {_rounded(high)})"
 

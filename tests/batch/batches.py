@@ -18,7 +18,7 @@ def without_workers():
     """Have batches do their files in this process, where others would take half a second each to start."""
 
     def here(_, memory, threads):
-        return run.Workers(run.Here(lambda *_: None), lambda item: (do_item, item, memory), threads)
+        return run.Workers(run.InProcess(lambda *_: None), lambda item: (do_item, item, memory), threads)
 
     return patch.object(run, "in_processes", here)
 

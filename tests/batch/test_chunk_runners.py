@@ -101,7 +101,7 @@ def test_arrays_of_messages_are_exchanged_and_can_be_changed(tmp_path):
 
 @pytest.mark.slow
 def test_a_file_in_pieces_is_the_same(tmp_path, monkeypatch):
-    monkeypatch.setattr(chunks, "LEAST_CELLS", 1)
+    monkeypatch.setattr(chunks, "MIN_CELLS", 1)
     copy_samples(tmp_path / "in", "mirrored-noisy.*")
     said = []
     for name, options in (("whole", ()), ("pieces", ("--pieces", 4, "-j", 2))):

@@ -75,8 +75,8 @@ def test_files_whole_and_in_chunks_are_as_on_one_machine_and_done_once(cluster, 
     batch("scans", "--out-dir", "here", "--resume", *on_cluster, cwd=tmp_path)
     assert [line["status"] for line in lines_of(tmp_path / "here" / "batch.jsonl")] == ["skipped", "skipped"]
 
-    monkeypatch.setattr(chunks, "LEAST_SAMPLES", 1)
-    monkeypatch.setattr(chunks, "LEAST_CELLS", 1)
+    monkeypatch.setattr(chunks, "MIN_SAMPLES", 1)
+    monkeypatch.setattr(chunks, "MIN_CELLS", 1)
     batch(scans, "--out-dir", tmp_path / "joined", "--pieces", 3, *on_cluster)
     assert files_in(tmp_path / "joined") == expected
 
@@ -98,7 +98,7 @@ def test_a_worker_that_is_killed_midway_costs_nothing_but_time(cluster, tmp_path
 
 @pytest.mark.slow
 def test_a_surface_in_chunks_outlives_a_worker(cluster, monkeypatch):
-    monkeypatch.setattr(chunks, "LEAST_SAMPLES", 1)
+    monkeypatch.setattr(chunks, "MIN_SAMPLES", 1)
     parameters = KernelParameters(**{**FIXED, "patches": "on"})
     whole = smooth_mesh(SURFACE, parameters)
     killed = []
@@ -164,7 +164,7 @@ LISTENERS = {
 @pytest.mark.parametrize("name", LISTENERS)
 def test_what_listens_and_is_no_scheduler_is_refused_in_one_line_and_soon(name, scans, tmp_path, monkeypatch):
     patience, answer = 1.0, LISTENERS[name]
-    monkeypatch.setattr(cluster_module, "_PATIENCE", patience)
+    monkeypatch.setattr(cluster_module, "_CONNECT_TIMEOUT", patience)
     accepted = []
 
     def serve():

@@ -8,7 +8,7 @@ from importlib.metadata import version
 import click
 import pytest
 
-from beltrami_cli.cli.commands import DAILY, options_by_name, values_for
+from beltrami_cli.cli.commands import DEFAULT_GROUP, options_by_name, values_for
 from beltrami_cli.cli.main import COMMANDS, group
 from beltrami_cli.cli.manual import manual
 from cli.commands import SAMPLES, beltrami, command
@@ -80,8 +80,8 @@ def test_help_describes_oklab_only_where_it_can_be_chosen(name):
 def test_help_shows_what_matters_daily_and_names_the_other_groups(name):
     text = shown(name, "--help")
     for title, options in groups_of(name).items():
-        assert [each.name for each in options if listed(text, each) != (title == DAILY)] == []
-        assert title == DAILY or title.lower() in " ".join(text.split())
+        assert [each.name for each in options if listed(text, each) != (title == DEFAULT_GROUP)] == []
+        assert title == DEFAULT_GROUP or title.lower() in " ".join(text.split())
     assert "--help-all" in text
     assert len(text.splitlines()) <= (75 if name in ("batch", "sweep") else 60)
 
@@ -121,7 +121,7 @@ def test_help_all_shows_every_option_below_its_group(name):
 
 def test_manual_pages_have_the_groups():
     page = dict(manual("1.2.3"))["beltrami-smooth.1"]
-    assert [f'"{title}"' for title in groups_of("smooth") if title != DAILY] == re.findall(
+    assert [f'"{title}"' for title in groups_of("smooth") if title != DEFAULT_GROUP] == re.findall(
         r"^\.SS (.*)$", page, re.MULTILINE
     )
 

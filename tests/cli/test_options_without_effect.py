@@ -8,7 +8,7 @@ from beltrami_cli.cli.main import COMMANDS
 from beltrami_cli.cli.options import ParameterOption
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import requiring_effect
-from beltrami_cli.formats.access import EVERYTHING_INSIDE
+from beltrami_cli.formats.access import DEFAULT_ACCESS
 from beltrami_cli.jobs.recolour import open_any
 from beltrami_cli.layers.selection import select
 from beltrami_cli.layers.settings import SmoothSettings
@@ -59,9 +59,7 @@ def documents(tmp_path_factory):
         VERTICES: SAMPLES / "nonmanifold-noisy.ply", TEXTURES: SAMPLES / "tiled-clean.glb",
         IMAGES: SAMPLES / "mirrored-noisy.png", TEXT: text,
     }  # fmt: skip
-    return {
-        kind: open_any(str(source), SmoothSettings(), EVERYTHING_INSIDE) for kind, source in sources.items()
-    }
+    return {kind: open_any(str(source), SmoothSettings(), DEFAULT_ACCESS) for kind, source in sources.items()}
 
 
 @pytest.mark.parametrize("kind", [VERTICES, TEXTURES, IMAGES, TEXT])

@@ -110,8 +110,8 @@ def test_parameters_were_chosen_also_where_no_error_can_be_estimated(tmp_path):
 @pytest.mark.parametrize("kind", ["model", "image"])
 def test_pictures_are_scaled_to_the_size_of_a_page_unless_full_size_is_wanted(kind, tmp_path, monkeypatch):
     """Noise of all bits is incompressible, so both pictures take 2.9 MB as text."""
-    assert report._LARGEST <= 8e6
-    monkeypatch.setattr(report, "_LARGEST", 2e6)
+    assert report._MAX_PAGE_BYTES <= 8e6
+    monkeypatch.setattr(report, "_MAX_PAGE_BYTES", 2e6)
     pair = []
     for number, name in enumerate(("a", "b")):
         noise = np.random.default_rng(number).integers(0, 256, (600, 600, 3), np.uint8)

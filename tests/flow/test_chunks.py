@@ -67,8 +67,8 @@ def small_chunks():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(grid_manifold, "ROW_BLOCK_CELLS", 1)
         patch.setattr(grid_manifold, "CELLS_PER_THREAD", 1)
-        patch.setattr(chunks, "LEAST_CELLS", 1)
-        patch.setattr(chunks, "LEAST_SAMPLES", 1)
+        patch.setattr(chunks, "MIN_CELLS", 1)
+        patch.setattr(chunks, "MIN_SAMPLES", 1)
         yield
 
 

@@ -171,7 +171,7 @@ def test_colours_and_names_change_together_and_nothing_else(tmp_path):
     assert joined(written).decode() == "\n".join(expected)
 
 
-EVERYTHING = (
+ALL_SLOTS = (
     "# a comment with v 1 2 3\n"
     "mtllib first one.mtl second.mtl\n"
     "mtllib gone.mtl\n"
@@ -204,7 +204,7 @@ SECOND = "newmtl slate\r\nmap_Kd\tmaps/slate.png  \r\nillum 2"
 
 def write_everything(folder, newline="\n"):
     (folder / "maps").mkdir(parents=True)
-    (folder / "model.obj").write_bytes(EVERYTHING.replace("\n", newline).encode())
+    (folder / "model.obj").write_bytes(ALL_SLOTS.replace("\n", newline).encode())
     (folder / "first one.mtl").write_bytes(FIRST.replace("\n", newline).encode())
     (folder / "second.mtl").write_bytes(SECOND.encode())
     for name, image in {"red brick": PICTURE, "slate": OTHER, "normal": OTHER}.items():

@@ -17,7 +17,7 @@ import atheris
 
 SEEDS = Path(__file__).with_name("corpus")
 _PATIENCE = 20  # seconds for one input
-_MOST_MEMORY = 3000  # MB
+_MAX_MEMORY = 3000  # MB
 _LONGEST = 1 << 16  # bytes of an input
 
 
@@ -39,7 +39,7 @@ def main() -> None:
     found = chosen.found / chosen.target
     found.mkdir(parents=True, exist_ok=True)
     arguments = [
-        sys.argv[0], f"-max_total_time={chosen.seconds}", f"-timeout={_PATIENCE}", f"-rss_limit_mb={_MOST_MEMORY}",
+        sys.argv[0], f"-max_total_time={chosen.seconds}", f"-timeout={_PATIENCE}", f"-rss_limit_mb={_MAX_MEMORY}",
         f"-max_len={_LONGEST}", f"-artifact_prefix={chosen.found}/{chosen.target}-", "-print_final_stats=1", "-seed=1",
         str(found), str(SEEDS / chosen.target),
     ]  # fmt: skip

@@ -51,7 +51,7 @@ READ = {".off", ".stl", ".3mf", ".dae", ".zae"}
 SETTINGS = SmoothSettings(kernel=KernelParameters(iterations=1, beta=10, clipping="keep", threads=1))
 ACCESS = Access(memory=4 << 30)
 PATIENCE = 180  # seconds
-MOST_MEMORY = 8 << 30  # bytes of addresses, which are always more than the memory in use
+MAX_MEMORY = 8 << 30  # bytes of addresses, which are always more than the memory in use
 PRELOADED = ("layers.texture_layer", "layers.vertex_layer")
 OUTCOMES = {
     "smoothed": "only colours changed",
@@ -121,7 +121,7 @@ def apart(source: Path, out: Path) -> tuple[str, str]:
     if pid == 0:
         os.close(reader)
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-        resource.setrlimit(resource.RLIMIT_AS, (MOST_MEMORY, MOST_MEMORY))
+        resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY, MAX_MEMORY))
         try:
             result = attempt(source, out)
         except BaseException as error:

@@ -34,9 +34,9 @@ SEPARATOR = b"\n=== "
 """Between the files of a model: behind it stands the name of the next one, up to the end of the line."""
 
 ACCESS = Access(memory=1 << 28)
-MOST_SAMPLES = 1 << 20
+MAX_SAMPLES = 1 << 20
 TEXTURED = [line for line in FORMATS if line.has_textures]
-_MOST_KERNEL = 300  # vertices, so that a run takes milliseconds
+_MAX_KERNEL = 300  # vertices, so that a run takes milliseconds
 _SCRATCH = "/dev/shm" if Path("/dev/shm").is_dir() else None  # so that files never reach a disk
 
 
@@ -134,26 +134,26 @@ def read_picture(data):
     suffixes = (".png", ".tga", ".exr", ".hdr", ".rla")
     picture = read_image(data[1:], "x" + suffixes[data[0] % len(suffixes)] if data else "x")
     assert np.isfinite(picture.pixels).all()
-    if picture.pixels.size < MOST_SAMPLES:
+    if picture.pixels.size < MAX_SAMPLES:
         write_image(picture, picture.pixels)
 
 
 def read_grid(data):
     """Read a volume."""
     if is_volume(data, "x.nrrd"):
-        read_volume(data, "x.nrrd", ModelFolder(None), MOST_SAMPLES)
+        read_volume(data, "x.nrrd", ModelFolder(None), MAX_SAMPLES)
 
 
 def smooth_arrays(data):
     """Make a mesh and colours of any kind, and smooth it: colours stay within their range, and holes as they are."""
     head, rest = np.frombuffer(data[:8].ljust(8, b"\0"), np.uint8), data[8:]
-    numbers = np.frombuffer(rest[: len(rest) // 8 * 8], np.float64)[: 6 * _MOST_KERNEL]
+    numbers = np.frombuffer(rest[: len(rest) // 8 * 8], np.float64)[: 6 * _MAX_KERNEL]
     vertices = len(numbers) // 6
     positions, colours = (
         numbers[: 3 * vertices].reshape(-1, 3),
         numbers[3 * vertices : 6 * vertices].reshape(-1, 3),
     )
-    corners = np.frombuffer(rest[::-1][: 3 * _MOST_KERNEL], np.uint8).astype(np.int64)
+    corners = np.frombuffer(rest[::-1][: 3 * _MAX_KERNEL], np.uint8).astype(np.int64)
     faces = corners[: len(corners) // 3 * 3].reshape(-1, 3) % max(1, vertices)
     options = {
         "iterations": int(head[0] % 3), "t": float(head[1]) / 32, "beta": None if head[2] < 64 else float(head[2]),

@@ -20,7 +20,7 @@ from hostile.folders import snapshot
 
 # What a process does to files, as its audit hooks see it.
 STEPS = ("os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.chmod", "os.link", "os.truncate")
-MOST_STEPS = 200
+MAX_STEPS = 200
 
 
 class Ending:
@@ -128,11 +128,11 @@ def main(source, target, number, arguments):
     fresh()
     before = comparable(work)
     modules = source.parent / "modules"
-    if run(work, target, MOST_STEPS, number, arguments, modules) != 77:
+    if run(work, target, MAX_STEPS, number, arguments, modules) != 77:
         print("without a signal it fails")
     finished = comparable(work)
     load(modules.read_text().split())
-    for at in range(1, MOST_STEPS):
+    for at in range(1, MAX_STEPS):
         fresh()
         code = run(work, target, at, number, arguments)
         for fault in faults(before, comparable(work), finished, number):
@@ -142,7 +142,7 @@ def main(source, target, number, arguments):
             return
         if number == signal.SIGKILL:
             is_complete = finished.items() <= comparable(work).items()
-            again = run(work, target, MOST_STEPS, number, arguments)
+            again = run(work, target, MAX_STEPS, number, arguments)
             if comparable(work) != finished or (again != 77 and not is_complete):
                 print(f"step {at}: again, it ends with {again} and leaves {sorted(comparable(work))}")
         if code not in (128 + number, -signal.SIGKILL):

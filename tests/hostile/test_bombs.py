@@ -239,7 +239,7 @@ CROWD = {"nodes": [{"children": [i + 1]} if i < 19_999 else {} for i in range(20
 NESTED = b'{"asset":' + b"[" * 200_000 + b"]" * 200_000 + b"}"
 REPEATED = b"{" + b",".join(b'"%d":0' % i for i in range(200_000)) + b',"199999":1}'
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 3\n"
-LONG_LIST, MOST_ENTRIES = (
+LONG_LIST, MAX_ENTRIES = (
     ("element face 1", "property list int int vertex_indices"),
     struct.pack("<i", 2**31 - 1),
 )
@@ -248,7 +248,7 @@ BOMBS = {
     "rows of nothing": file("a.ply", ply("element ghost 100000000000000000", "element vertex 3", VERTICES)),
     "properties": file("a.ply", ply("element vertex 1", *(f"property char p{i}" for i in range(200_000)))),
     "elements": file("a.ply", ply(*(f"element e{i} 0" for i in range(200_000)))),
-    "list": file("a.ply", ply("element vertex 1", VERTICES, *LONG_LIST, body=bytes(15) + MOST_ENTRIES)),
+    "list": file("a.ply", ply("element vertex 1", VERTICES, *LONG_LIST, body=bytes(15) + MAX_ENTRIES)),
     "sparse file": sparse_file,
     "elements without bytes": coloured(accessor(2**31 - 1), accessor(2**31 - 1, 5121, normalized=True)),
     "packed elements": packed_elements(1 << 27),

@@ -10,7 +10,7 @@ from hostile.folders import snapshot
 from hostile.textured_models import PICTURE, write_model
 
 CALLS = ("stat", "lstat", "fstat", "open", "scandir", "listdir", "close", "readlink", "mkdir")
-MOST_CALLS = 300
+MAX_CALLS = 300
 REAL_CLOSE = os.close
 COMMANDS = {
     "info": "info model.obj",
@@ -50,7 +50,7 @@ class Fault:
 @pytest.mark.parametrize("call", CALLS)
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_look_at_a_file_that_fails(name, call, tmp_path, monkeypatch):
-    for at in range(1, MOST_CALLS):
+    for at in range(1, MAX_CALLS):
         folder = tmp_path / str(at)
         write_model(folder, "obj", "skin.png")
         (folder / "skin.png").write_bytes(PICTURE)

@@ -22,7 +22,7 @@ from small_models import COLOURED, ply
 CALLS = ("link", "replace", "unlink", "fsync", "open", "write", "mkdir", "chmod")
 OLD = {"a.png": b"old a", "out.obj": b"old model"}
 SIDECARS = {"a.png": b"new a", "maps/b.png": b"new b", "maps/c.png": b"new c", "out.mtl": b"new library"}
-MOST_CALLS = 100
+MAX_CALLS = 100
 
 
 def write_set(folder, *, overwrite):
@@ -63,7 +63,7 @@ def attempts(folder, monkeypatch, call, code, *, has_old, for_good):
     before = fresh(folder / "whole", has_old=has_old)
     write_set(folder / "whole", overwrite=has_old)
     finished = snapshot(folder / "whole")
-    for at in range(1, MOST_CALLS):
+    for at in range(1, MAX_CALLS):
         fresh(folder / str(at), has_old=has_old)
         with monkeypatch.context() as patch:
             fault = Fault(patch, call, code, at, for_good=for_good)

@@ -182,7 +182,7 @@ def test_the_last_door_is_shut_as_well(name, tmp_path):
 
 
 CODES = (errno.EACCES, errno.EISDIR, errno.ESTALE, errno.EMFILE)
-MOST_READS = 40
+MAX_READS = 40
 # So large that it is not kept in memory, but read whenever it is needed.
 LARGE = encode(np.random.default_rng(1).integers(0, 256, (600, 600, 3), np.uint8), "png")
 RUNS = {
@@ -232,7 +232,7 @@ def test_a_file_beside_a_model_that_cannot_be_read(run, kind, tmp_path, monkeypa
     before = snapshot(tmp_path)
     arguments = [word.format(model=model.name, suffix=model.suffix) for word in RUNS[run]]
     opened = access.open_regular
-    for at in range(1, MOST_READS):
+    for at in range(1, MAX_READS):
         reads = 0
 
         def fail(path, at=at):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from beltrami_cli.jobs.replacing import endings_held
+from beltrami_cli.jobs.replacing import signals_deferred
 from cli.commands import beltrami
 from formats.tile_files import tiled_model
 from hostile.textured_models import OTHER, PICTURE, write_model
@@ -269,7 +269,7 @@ def test_signals_wait_while_files_are_put_in_place(name):
     number, heard = getattr(signal, name), []
     before = signal.signal(number, lambda *_: heard.append(number))
     try:
-        with endings_held():
+        with signals_deferred():
             signal.raise_signal(number)
             assert heard == []
         assert heard == [number]

@@ -145,7 +145,7 @@ def test_of_two_that_replace_a_new_output_the_last_one_wins(kind, tmp_path, monk
 
 
 def test_a_run_that_waits_for_another_for_too_long_leaves_all_as_it_was(tmp_path, monkeypatch):
-    monkeypatch.setattr(replacing, "_PATIENCE", 0.1)
+    monkeypatch.setattr(replacing, "_LOCK_TIMEOUT", 0.1)
     (tmp_path / "out.obj").write_text("old")
     output = Output(str(tmp_path / "out.obj"), overwrite=True)
     descriptor = os.open(tmp_path, os.O_RDONLY)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli import InputError, SmoothSettings, smooth
-from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
+from beltrami_cli.formats.access import DEFAULT_ACCESS, Access
 from beltrami_cli.jobs.recolour import open_input
 from beltrami_cli.layers.settings import LevelSetSettings
 from cli.commands import beltrami
@@ -19,7 +19,7 @@ RANDOM = np.random.default_rng(9)
 DEFAULTS = SmoothSettings()
 
 
-def opened(path, settings=DEFAULTS, access=EVERYTHING_INSIDE):
+def opened(path, settings=DEFAULTS, access=DEFAULT_ACCESS):
     return open_input(str(path), settings, access)
 
 

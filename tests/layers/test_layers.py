@@ -7,7 +7,7 @@ import pytest
 
 from beltrami_cli import KernelParameters, SmoothSettings
 from beltrami_cli.errors import UsageError
-from beltrami_cli.formats.access import EVERYTHING_INSIDE
+from beltrami_cli.formats.access import DEFAULT_ACCESS
 from beltrami_cli.jobs.inspect import describe_exposure
 from beltrami_cli.jobs.recolour import open_input
 from beltrami_cli.jobs.smoothing import smooth_layer
@@ -30,7 +30,7 @@ def layer(request, tmp_path):
     np.savez(tmp_path / "grid.npz", positions=places, colours=colours)
     np.savez(tmp_path / "points.npz", points=places.reshape(-1, 3), point_colours=colours.reshape(-1, 3))
     path = next(path for path in (tmp_path / request.param, SAMPLES / request.param) if path.exists())
-    document = open_input(str(path), GIVEN, EVERYTHING_INSIDE)
+    document = open_input(str(path), GIVEN, DEFAULT_ACCESS)
     (only,) = select(document, GIVEN).layers()
     return only
 

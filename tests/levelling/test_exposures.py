@@ -252,7 +252,7 @@ def test_a_test_that_ends_early_decides_as_the_whole_one_does(monkeypatch, sprea
     steps, fits = grid(9, 0.1, 7, gains, step), counted_fits(monkeypatch)
     early = judge(steps)
     needed = len(fits)
-    monkeypatch.setattr(exposures, "NO_DOUBT", 1e6)
+    monkeypatch.setattr(exposures, "CURTAILMENT", 1e6)
     whole = judge(steps)
     assert needed < len(fits) - needed
     assert (early.is_sure, early.spread) == (whole.is_sure, whole.spread)

@@ -190,7 +190,7 @@ def test_a_process_that_hangs_is_given_up(monkeypatch, tmp_path):
     before = children("self")
     (tmp_path / "endless.py").write_text("while True: pass")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    monkeypatch.setattr(unwrapping, "LEAST_PATIENCE", 0.2)
+    monkeypatch.setattr(unwrapping, "MIN_TIMEOUT", 0.2)
     monkeypatch.setattr(unwrapping, "WORKER", "endless")
     with pytest.raises(ProcessingError, match="did not end within"):
         unwrapped(np.eye(3), [[0, 1, 2]])

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from beltrami_cli.formats.access import EVERYTHING_INSIDE
+from beltrami_cli.formats.access import DEFAULT_ACCESS
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.recolour import open_input
 from beltrami_cli.layers.settings import DEFAULTS
@@ -215,7 +215,7 @@ def test_models_of_pages_are_valid_gltf(tmp_path):
         cloud,
         *(SAMPLES / each for each in ("knot-noisy.ply", "torus-two-noisy.gltf", "scan-clean.jpg")),
     ):
-        document = open_input(str(source), DEFAULTS, EVERYTHING_INSIDE)
+        document = open_input(str(source), DEFAULTS, DEFAULT_ACCESS)
         writer, is_image = ModelWriter(), document.kind == "image"
         writer.add((document, document), None if is_image else next(iter(document.slots()), None))
         files.append(tmp_path / f"{source.stem}.glb")
@@ -280,7 +280,7 @@ def sweep_watched(target, watch, count=4):
 
 
 def test_the_page_grows_while_it_is_open_and_keeps_what_was_set(browser, tmp_path, monkeypatch):
-    monkeypatch.setattr("beltrami_cli.view.sweep._REST", 0)
+    monkeypatch.setattr("beltrami_cli.view.sweep._REWRITE_FACTOR", 0)
     target, seen = tmp_path / "page.html", []
 
     def watch(done):

@@ -11,7 +11,7 @@ import pytest
 from beltrami_cli.cli import options, smooth
 from beltrami_cli.fields import override
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.formats.access import EVERYTHING_INSIDE
+from beltrami_cli.formats.access import DEFAULT_ACCESS
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.jobs.job import PLAIN_JOB
 from beltrami_cli.jobs.recolour import open_input, recolour_in_memory
@@ -121,7 +121,7 @@ def test_most_of_a_preview_is_what_the_whole_becomes(inputs, name, slot, budget,
     texts = {key: value.format(inputs) for key, value in more.items() if key == "height"}
     kernel = KernelParameters(iterations=2, t=1.0, beta=8.0, metric_steps=1)
     settings = override(replace(DEFAULTS, kernel=kernel), **{**more, **texts})
-    document = open_input(str(SAMPLES / name.format(inputs)), settings, EVERYTHING_INSIDE)
+    document = open_input(str(SAMPLES / name.format(inputs)), settings, DEFAULT_ACCESS)
     layer = LayerView(document, None if slot == "image" else slot)
     patches = layer.smooth(settings, middle(slot, document), budget, None)
     assert budget / 4 < sum(len(patch.rows) for patch in patches) < 2 * budget
@@ -147,7 +147,7 @@ def test_most_of_a_preview_is_what_the_whole_becomes(inputs, name, slot, budget,
 
 @pytest.mark.parametrize(("name", "slot"), [("knot-noisy.ply", None), ("torus-two-noisy.gltf", "baseColor")])
 def test_guides_have_no_preview(name, slot):
-    document = open_input(str(SAMPLES / name), DEFAULTS, EVERYTHING_INSIDE)
+    document = open_input(str(SAMPLES / name), DEFAULTS, DEFAULT_ACCESS)
     guided, layer = override(DEFAULTS, guides=("x",)), LayerView(document, slot)
     focus = middle(slot, document)
     with pytest.raises(NoPreviewError, match="guides are read"):

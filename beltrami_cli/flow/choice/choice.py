@@ -39,7 +39,7 @@ from beltrami_cli.flow.parameters import KernelParameters
 _CONTRASTS = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)
 
 # The largest before patches: with more, noise that is kept as if it were edges decides which patches are similar.
-_MOST_BEFORE_PATCHES = 2.0
+_MAX_BEFORE_PATCHES = 2.0
 
 # Low quantiles underestimate noise that neighbours share, and its coarse steps remain as a few large details, which
 # kernels keep as if they were edges. So smoothness counts more. Enlarged pictures gain 0.9 dB by that, and JPEG 0.5 dB.
@@ -48,7 +48,7 @@ _SHARED_BY_NEIGHBOURS = 1.5
 # By how many dB predictions are off at most, with a certainty of 90 %, if the noise is known. With the doubt of the
 # noise it makes intervals that hold 60 of 63 results of `benchmarks/bench_regret.py`, and 93 of 125 with pictures of
 # four packages: a larger value would make most intervals wider than `_WIDEST`.
-_OFF = 2.5
+_PREDICTION_ERROR = 2.5
 
 # A prediction is reported if its interval is at most this wide, in dB.
 _WIDEST = 8.0
@@ -157,7 +157,9 @@ def _predicted(risk: Risk, variance: float, noise: NoiseModel, *, patches: bool)
     if not error > 0:
         return None
     psnr = -10 * math.log10(error)
-    below, above = (math.hypot(_OFF, 20 * math.log10(ratio)) for ratio in (high / median, median / low))
+    below, above = (
+        math.hypot(_PREDICTION_ERROR, 20 * math.log10(ratio)) for ratio in (high / median, median / low)
+    )
     before = -10 * math.log10(median**2 * variance)
     found = Prediction(before=before, psnr=psnr, least=psnr - below, most=psnr + above)
     return found if found.is_useful else None
@@ -172,7 +174,7 @@ def is_noisy(sigma: Float64s) -> bool:
 def _grid(parameters: KernelParameters, search_range: SearchRange, scale: float, by_rule: float) -> Grid:
     """Return what may be chosen; `scale`: the beta at which noise has the length 1, 0 if no colour counts."""
     free = parameters.free
-    most = _MOST_BEFORE_PATCHES if parameters.takes_patches else max(_CONTRASTS)
+    most = _MAX_BEFORE_PATCHES if parameters.takes_patches else max(_CONTRASTS)
     betas = tuple(sorted({contrast * scale for contrast in _CONTRASTS if contrast <= most}))
     growths, regularised = search_range.growths, search_range.regularised
     if "beta" not in free:

@@ -9,7 +9,7 @@ from typing import TypeAlias
 
 from beltrami_cli.flow.choice.risk import Risk, RiskEstimate, State
 from beltrami_cli.flow.manifolds.manifold import Step
-from beltrami_cli.flow.parameters import MOST_GROWTH
+from beltrami_cli.flow.parameters import MAX_GROWTH
 
 # Improvements by less than this share of the noise's variance are due to chance: some 0.1 dB of a good result.
 _WORTH_MOVING = 5e-4
@@ -27,7 +27,7 @@ class Schedule:
 
     def step(self, iteration: int) -> Step:
         """Return an iteration, counted from 0."""
-        grown = self.growth ** min(iteration, MOST_GROWTH / max(math.log(self.growth), 1 / MOST_GROWTH))
+        grown = self.growth ** min(iteration, MAX_GROWTH / max(math.log(self.growth), 1 / MAX_GROWTH))
         return Step(self.beta * grown, self.t, iteration < self.regularised)
 
 

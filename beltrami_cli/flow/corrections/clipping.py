@@ -39,10 +39,10 @@ _WORTH_RESTORING = 1e-3
 
 # Bound on local noise relative to the estimate, which is too low where many samples are clipped. Beyond it the colours
 # themselves differ.
-_TRUSTED = 1.2
+_MAX_LOCAL_NOISE = 1.2
 
 # Standard deviations within which nearly all noise is.
-_NEAR = 3.0
+_NOISE_EXTENT = 3.0
 
 # Entries of tables: over the share of samples at a limit, up to one half; over limits, for a quarter of their range.
 _TABLE = 1024
@@ -70,7 +70,7 @@ class ClippedChannels:
 
     def near_limit(self, channel: Float32s, relative: Float32s) -> Bools:
         """Mark samples of the only channel, shape (1, ...), that noise may have moved to the limit."""
-        reach = np.float32(_NEAR) * (np.float32(self.sigma[0]) * np.sqrt(relative))
+        reach = np.float32(_NOISE_EXTENT) * (np.float32(self.sigma[0]) * np.sqrt(relative))
         return channel < reach if self.low[0] else channel > 1 - reach
 
     def mark(self, channels: Float32s, found: Float32s) -> None:
@@ -90,7 +90,7 @@ class ClippedChannels:
         tables = table.share, table.alpha, table.gap
         for mark, k in enumerate(self.clipped):
             own, share = channels[k : k + 1], marks[mark : mark + 1]
-            restore_cut_off(own, share, self._cut_off(k), _TRUSTED, *tables, relative, threads)
+            restore_cut_off(own, share, self._cut_off(k), _MAX_LOCAL_NOISE, *tables, relative, threads)
 
     def impute_in_place(
         self, channels: Float32s, pilot: Float32s, relative: Float32s, threads: int = 1

@@ -36,19 +36,19 @@ AnyManifold = TypeVar("AnyManifold", bound=Manifold)
 
 # Share of the noise of a level in the means of four of its samples, which coarser levels estimate; its details hold the
 # rest.
-_IN_MEANS = 0.25
+_SHARE_IN_MEANS = 0.25
 # What coarser levels leave of that, in the same units.
-_LEFT = 0.1
+_RESIDUAL_SHARE = 0.1
 
 # The scale from which on noise grows no more than this is the coarsest.
-_GROWS = 1.1
+_GROWTH_LIMIT = 1.1
 
 # Outliers are this many standard deviations below the mean around; places are plain where the variance around is less
 # than this factor of that of noise; and how often outliers are looked for, which add to that variance themselves.
 _OUTLIER, _PLAIN, _ROUNDS = 4.0, 1.4, 2
 
 # Less of a mean than any sample near has.
-_LEAST_SHARE = 1e-6
+_MIN_SHARE = 1e-6
 
 
 def without_shared_noise(
@@ -96,7 +96,7 @@ def _impute_cut_off_in_place(manifold: Manifold) -> None:
         sums = regions.spread(regions.gathered(3, terms, channel, geometry.threads))
         for rows in block_rows(channel, regions.side):
             means, variance = regions.enlarged(sums, rows), relative[0, rows]
-            means[1:] /= np.maximum(means[:1], _LEAST_SHARE)
+            means[1:] /= np.maximum(means[:1], _MIN_SHARE)
             clipped.restore_in_place(means[1:2], means[2:], variance, geometry.threads)
             clipped.impute_in_place(channel[:, rows], means[1:2], variance, geometry.threads)
     geometry.refresh(manifold.colours)
@@ -109,7 +109,7 @@ def fill_dark_outliers_in_place(manifold: Manifold, level: CoarseLevel, sigma: F
         np.moveaxis(each, geometry.axis, 0) for each in (manifold.colours, relative_variance(manifold))
     )
     found = np.zeros(colours.shape[1:], bool)
-    shares = np.maximum(level.spread(level.planes(1) + np.float32(1)), np.float32(_LEAST_SHARE))
+    shares = np.maximum(level.spread(level.planes(1) + np.float32(1)), np.float32(_MIN_SHARE))
     for _ in range(_ROUNDS):
         for channel, size in zip(colours, sigma, strict=True):
             planes = _around(geometry, level, channel, shares)
@@ -144,7 +144,7 @@ def _around(geometry: Geometry, level: CoarseLevel, channel: Float32s, shares: F
 
 def _coarsest(covariances: Float64s) -> int:
     sizes = np.sqrt(np.trace(covariances, axis1=1, axis2=2))
-    grows = np.flatnonzero(sizes[1:] > _GROWS * sizes[:-1])
+    grows = np.flatnonzero(sizes[1:] > _GROWTH_LIMIT * sizes[:-1])
     return int(grows[-1]) + 1 if len(grows) else 0
 
 
@@ -176,8 +176,8 @@ def _estimate_in_place(level: CoarseLevel, manifold: Manifold, noise: Float64s) 
 def _noise_of_level(covariances: Float64s, level: int, *, is_coarsest: bool) -> Float64s:
     """Return the covariance of noise, shape (N, N), that is left in the means of a level, in units of that of cells."""
     above = covariances[min(level + 1, len(covariances) - 1)]
-    shared = _IN_MEANS if is_coarsest else _LEFT
-    own: Float64s = (1 - _IN_MEANS) * covariances[level] + shared * above
+    shared = _SHARE_IN_MEANS if is_coarsest else _RESIDUAL_SHARE
+    own: Float64s = (1 - _SHARE_IN_MEANS) * covariances[level] + shared * above
     return own
 
 
@@ -185,5 +185,10 @@ def _left_for_samples(covariances: Float64s) -> Float64s:
     """Return the covariances of noise that coarser levels leave, shape (L, N, N), see `model`."""
     left = np.zeros_like(covariances)
     left[0] = covariances[0]
-    left[1:] = _LEFT * covariances[1] / _IN_MEANS / 4 ** np.arange(len(covariances) - 1)[:, None, None]
+    left[1:] = (
+        _RESIDUAL_SHARE
+        * covariances[1]
+        / _SHARE_IN_MEANS
+        / 4 ** np.arange(len(covariances) - 1)[:, None, None]
+    )
     return left

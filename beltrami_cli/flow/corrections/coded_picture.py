@@ -30,20 +30,20 @@ from beltrami_cli.flow.noise.model import NoiseModel, Reading, sigma_of_covarian
 from beltrami_cli.surface import large_arrays
 
 # Noise is shared by neighbours if its standard deviation grows by this factor to the third scale.
-_GROWS = 1.6
+_SHARED_GROWTH = 1.6
 
 # What JPEG lost of originals, as a multiple of what it loses of its results: 1 to 3.5 on samples, most where hues meet.
-_LOST = 3.0
+_LOSS_OF_ORIGINAL = 3.0
 
 # Decoding leaves more noise than it does with a pilot that is the truth. The standard deviation is larger by 1.2 to 1.5
 # on photographs with noise of 10 of 255; by this factor, painted pictures gain 1 to 2 dB, and photographs lose 0.1.
 PILOT_ERROR = 1.2
 
 # Least standard deviation of noise that is worth decoding again.
-_LEAST_SIGMA = 2.0 / 255
+_MIN_SIGMA = 2.0 / 255
 
 # Largest factor by which JPEG lowers the finest noise of luma: white noise of 6 is halved at a quality of 75.
-_MOST_TAKEN = 2.7
+_MAX_TAKEN = 2.7
 
 # Steps of luma, relative to its noise, from which on they change it.
 _COARSE = 1.5
@@ -64,10 +64,10 @@ SIDE = 8
 _BANDS, _PIXELS = (128, 64, 32, 16), 1 << 18
 
 # Rows around them by which interpolated chroma is known: each sample has 0.17 of the influence of the one before.
-_AROUND = 8
+_CHROMA_MARGIN = 8
 
 # Of a pixel's chroma, where samples of it are two pixels apart: the share of the nearest sample, and of the next one.
-_NEAREST, _NEXT = 0.75, 0.25
+_NEAREST_SHARE, _NEXT_SHARE = 0.75, 0.25
 
 
 @dataclass(frozen=True)
@@ -109,8 +109,8 @@ class CodedPicture:
 
     def stored_planes(self, rows: slice) -> list[Float32s]:
         """Return the same of the picture itself, by the rows around, too."""
-        first = max(0, rows.start - _AROUND)
-        planes = self.decoded_planes(self.pixels[first : rows.stop + _AROUND])
+        first = max(0, rows.start - _CHROMA_MARGIN)
+        planes = self.decoded_planes(self.pixels[first : rows.stop + _CHROMA_MARGIN])
         spans = [1, self.span[0], self.span[0]]
         return [
             plane[(rows.start - first) // span :][: (rows.stop - rows.start) // span]
@@ -203,8 +203,8 @@ def sigma_before(pictures: Sequence[CodedPicture], noise: NoiseModel) -> float |
     # JPEG keeps most of the noise of luma in means of 2 x 2 pixels, where its steps are small.
     fine, middle, coarse = (variances[min(scale, len(variances) - 1)] for scale in range(3))
     sigma = noise.difference_to_input(float(np.sqrt(middle / np.square(luma).sum())))
-    is_white = coarse < _GROWS**2 * middle and middle < _MOST_TAKEN**2 * fine
-    return sigma if is_white and sigma >= _LEAST_SIGMA else None
+    is_white = coarse < _SHARED_GROWTH**2 * middle and middle < _MAX_TAKEN**2 * fine
+    return sigma if is_white and sigma >= _MIN_SIGMA else None
 
 
 def is_changed(pictures: Sequence[CodedPicture], sigma: float) -> bool:
@@ -239,10 +239,10 @@ def noise_after(
             after.add(decoded - truth, picture.used[rows])
     covariances, stored_error = PILOT_ERROR**2 * after.mean(), np.sqrt(squares / max(1, used))
     # Detail that the original lost is estimated by what the pilot loses.
-    doubt = _LOST * float(np.mean(np.square(sigma_of_covariances(lost.mean()))))
+    doubt = _LOSS_OF_ORIGINAL * float(np.mean(np.square(sigma_of_covariances(lost.mean()))))
     fine, coarse = (np.linalg.eigvalsh(covariances[scale]) for scale in (0, 2))
     own = sigma_of_covariances(covariances)
-    if np.all(coarse < _GROWS**2 * np.maximum(fine, 1e-12)):
+    if np.all(coarse < _SHARED_GROWTH**2 * np.maximum(fine, 1e-12)):
         covariances = np.diag(np.square(own))[None]
     overall = float(np.sqrt(np.mean(np.square(own))))
     reading = Reading(0.0, overall, overall, float(np.hypot(overall, np.sqrt(doubt))))
@@ -293,8 +293,8 @@ def _interpolated(plane: Float32s, span: tuple[int, int]) -> Float32s:
         samples = np.moveaxis(plane, axis, 0)
         around = np.concatenate([samples[:1], samples, samples[-1:]])
         pixels = np.empty((2 * len(samples), *samples.shape[1:]), np.float32)
-        pixels[::2] = _NEAREST * samples + _NEXT * around[:-2]
-        pixels[1::2] = _NEAREST * samples + _NEXT * around[2:]
+        pixels[::2] = _NEAREST_SHARE * samples + _NEXT_SHARE * around[:-2]
+        pixels[1::2] = _NEAREST_SHARE * samples + _NEXT_SHARE * around[2:]
         plane = np.moveaxis(pixels, 0, axis)
     return plane
 
@@ -306,9 +306,9 @@ def _not_interpolated(means: Float32s, span: tuple[int, int]) -> Float32s:
     for axis, times in enumerate(span):
         if times == 2 and means.shape[axis] > 1:
             rows = np.moveaxis(means, axis, 0)
-            bands = np.full((3, len(rows)), _NEXT / 2)
-            bands[1] = _NEAREST
-            bands[1, [0, -1]] += _NEXT / 2
+            bands = np.full((3, len(rows)), _NEXT_SHARE / 2)
+            bands[1] = _NEAREST_SHARE
+            bands[1, [0, -1]] += _NEXT_SHARE / 2
             samples = solve_banded((1, 1), bands, rows.reshape(len(rows), -1)).reshape(rows.shape)
             means = np.moveaxis(samples.astype(np.float32), 0, axis)
     return means

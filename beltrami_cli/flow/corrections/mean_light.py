@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 _BAND_FACTOR = 16.0
 
 # Bands below and above full scale. Light beyond them, such as black, belongs to the last ones.
-_MOST_BANDS = 4
+_MAX_BANDS = 4
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ def _bands(light: Float32s) -> list[int]:
 
 def _levels(light: Float32s) -> Float32s:
     """Return in which band light is, and how far it is from the next."""
-    size = np.clip(np.abs(light), _BAND_FACTOR**-_MOST_BANDS, _BAND_FACTOR**_MOST_BANDS)
+    size = np.clip(np.abs(light), _BAND_FACTOR**-_MAX_BANDS, _BAND_FACTOR**_MAX_BANDS)
     levels: Float32s = np.log(size) / np.float32(np.log(_BAND_FACTOR))
     return levels
 

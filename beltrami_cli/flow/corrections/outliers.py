@@ -27,23 +27,23 @@ from beltrami_cli.surface.atlas import Indices
 #
 # Deviations of the neighbours, plus a share of the range of all colours, beyond which a sample stands out. Missed with
 # 2.5, 3, 4 and 5 deviations: 2.3, 2.8, 7.2 and 11 %; with shares of 0.07 and 0.15: 2.5 and 5.9 %.
-_FAR = 3.0, 0.1
+_OUTLIER_LIMIT = 3.0, 0.1
 
 # The same, as a share of that, for samples of a value that outliers have. Missed and false with 1/5, 1/3 and 1/2 at 4
 # deviations: 8.1 and 0.05, 9.5 and 0.01, 13 and 0 %.
-_WEAK = 1 / 3
+_WEAK_LIMIT = 1 / 3
 
 # Share of the range within which values are one; so is a ground, relative to what is on it [0.03, 0.12].
-_ALIKE = 0.06
+_SAME_VALUE = 0.06
 
 # Clumps from which on their spread can be judged [10, 30].
-_FEWEST = 16
+_MIN_CLUMPS = 16
 
 # Share of the clumps that must have one value, of samples of it in small clumps, and of clumps that stand out little.
-_MOST = 2 / 3
+_MAJORITY = 2 / 3
 
 # Share of light that may be fireflies. With a gamma distribution of shape 0.05, 9 % of samples hold 80 % of the light.
-_RARE = 0.02
+_MAX_FIREFLIES = 0.02
 
 
 class Surroundings(Protocol):
@@ -80,7 +80,7 @@ class _Rows:
     def contrasts(self, size: float, value: Float32s | None = None) -> Float32s:
         """Return the signed distances of the colours, or a value, from the medians, by what is far, shape (C,)."""
         away = (self.colours if value is None else value) - self.medians
-        away /= np.float32(_FAR[0]) * self.deviations + np.float32(_FAR[1] * size)
+        away /= np.float32(_OUTLIER_LIMIT[0]) * self.deviations + np.float32(_OUTLIER_LIMIT[1] * size)
         return np.asarray(np.take_along_axis(away, np.abs(away).argmax(axis=0)[None], axis=0)[0], np.float32)
 
 
@@ -132,15 +132,15 @@ def _find_outliers(
     planes: Float32s, where: Surroundings, parameters: KernelParameters, *, is_light: bool
 ) -> Outliers | None:
     surface, insists = _Surface(planes, where), parameters.outliers == "replace"
-    if surface.count < _FEWEST or not parameters.looks_for_outliers:
+    if surface.count < _MIN_CLUMPS or not parameters.looks_for_outliers:
         return None
-    some = np.linspace(0, surface.count - 1, min(surface.count, 256 * _FEWEST)).astype(int)
+    some = np.linspace(0, surface.count - 1, min(surface.count, 256 * _MIN_CLUMPS)).astype(int)
     sampled = surface.compared(where.samples[some])
     sizes = _ranges(sampled.colours)
     # Noise alone makes few samples differ as much from most neighbours.
-    least = _FAR[1] * sizes + _FAR[0] / 2 * np.median(sampled.deviations, axis=1)
+    least = _OUTLIER_LIMIT[1] * sizes + _OUTLIER_LIMIT[0] / 2 * np.median(sampled.deviations, axis=1)
     standing_out = where.standing_out(planes, np.where(sizes > 0, least, np.inf).astype(np.float32))
-    if len(standing_out) < (1 if insists else _FEWEST):
+    if len(standing_out) < (1 if insists else _MIN_CLUMPS):
         return None
     rows, found = surface.compared(standing_out), dict[tuple[int, int], Int64s]()
     # Colours are wrong together, or each of them by itself.
@@ -163,7 +163,7 @@ def _find_outliers(
 def _ranges(colours: Float32s) -> Float64s:
     """Return the range of each channel, the same of all colours; that of plain colours is a share of their size."""
     low, high = np.quantile(colours, (0.01, 0.99), axis=1)
-    ranges = np.maximum(high - low, _FAR[1] * np.maximum(np.abs(low), np.abs(high)))
+    ranges = np.maximum(high - low, _OUTLIER_LIMIT[1] * np.maximum(np.abs(low), np.abs(high)))
     if len(ranges) >= COLOURS:
         ranges[:COLOURS] = ranges[:COLOURS].max()
     return np.asarray(ranges, np.float64)
@@ -189,29 +189,32 @@ class _Search:
                 own.samples, np.abs(own.colours - own.medians).max(axis=0) / 2, contrast
             )
             # Of few paths all light is in single samples.
-            is_rare = _MOST * len(small) <= np.count_nonzero(small) < _RARE * self.surface.count
+            is_rare = _MAJORITY * len(small) <= np.count_nonzero(small) < _MAX_FIREFLIES * self.surface.count
             everywhere = np.ones(len(self.sampled.samples), bool)
             is_firefly = is_bright and is_rare and self._is_random(own, contrast, strongest, everywhere)
             if insists or is_firefly:
                 found.append(own.samples[small])
-            elif len(strongest) >= _FEWEST:
+            elif len(strongest) >= _MIN_CLUMPS:
                 found.append(self._of_one_value(own, sign * contrast, small, strongest))
         return np.unique(np.concatenate(found))
 
     def _of_one_value(self, rows: _Rows, contrast: Float32s, small: Bools, strongest: Int64s) -> Int64s:
         """Return the outliers of the value that most have, if these are spread at random."""
-        colours, tolerance = rows.colours[:, strongest], _ALIKE * self.size
+        colours, tolerance = rows.colours[:, strongest], _SAME_VALUE * self.size
         value = np.median(colours, axis=1)
         for _ in range(2):  # some are of none
             alike = np.abs(colours - value[:, None]).max(axis=0) <= tolerance
             value = np.median(colours[:, alike], axis=1) if alike.any() else value
         near = np.abs(rows.colours - value[:, None]).max(axis=0)
         chosen = strongest[near[strongest] <= tolerance]
-        if len(chosen) < max(_FEWEST, _MOST * len(strongest)) or small[near <= tolerance].mean() < _MOST:
+        if (
+            len(chosen) < max(_MIN_CLUMPS, _MAJORITY * len(strongest))
+            or small[near <= tolerance].mean() < _MAJORITY
+        ):
             return rows.samples[:0]
         # A plain ground of its own may have a pattern.
         away = np.abs(rows.colours - rows.medians)[:, chosen].max(axis=0)
-        is_plain = rows.medians[:, chosen].std(axis=1).max() < _ALIKE * np.median(away)
+        is_plain = rows.medians[:, chosen].std(axis=1).max() < _SAME_VALUE * np.median(away)
         hit = np.sign(contrast[0]) * self.sampled.contrasts(self.size, value[:, None]) > 1
         if is_plain or not self._is_random(rows, np.abs(contrast), chosen, np.asarray(hit)):
             return rows.samples[:0]
@@ -226,7 +229,7 @@ class _Search:
             rows = surface.compared(
                 samples[np.abs(surface.at(samples) - value[:, None]).max(axis=0) <= spread]
             )
-            found.append(rows.samples[np.abs(rows.contrasts(self.size)) > _WEAK])
+            found.append(rows.samples[np.abs(rows.contrasts(self.size)) > _WEAK_LIMIT])
         samples = np.concatenate(found)
         small, _ = self._clumps(samples, np.full(len(samples), spread), np.zeros(len(samples), np.float32))
         return samples[small]
@@ -263,14 +266,14 @@ class _Search:
         """Whether chosen rows are spread at random over the samples on which they would show, `hit`."""
         count, where, everything = len(chosen), self.surface.where, self.surface.count
         # What is hardly far in most places is the end of texture or of noise.
-        if count < _FEWEST or np.mean(contrast[chosen] < 2) > _MOST or not hit.any():
+        if count < _MIN_CLUMPS or np.mean(contrast[chosen] < 2) > _MAJORITY or not hit.any():
             return False
         samples, usual = np.sort(rows.samples[chosen]), count / np.count_nonzero(hit)
         around = where.around(samples, 2)
         pairs = np.count_nonzero(np.isin(around, samples))
         expected = np.count_nonzero(around >= 0) * count / (everything * hit.mean())
         error = 3 * np.sqrt(2 * expected) + 2
-        parts = 2 * _FEWEST  # runs of samples
+        parts = 2 * _MIN_CLUMPS  # runs of samples
         own = np.bincount(np.searchsorted(where.samples, samples) * parts // everything, minlength=parts)
         chance = np.bincount(np.flatnonzero(hit) * parts // len(hit), minlength=parts) * usual
         excess = float((np.square(own - chance) / np.maximum(chance, 1)).sum()) - parts

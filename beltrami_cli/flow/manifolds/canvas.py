@@ -29,9 +29,9 @@ _ERRORS = 4.0
 # ... and this share of the noise: below, averaging over the seam still removes more noise than it adds bias ...
 _OF_NOISE = 0.3
 # ... and more than JPEG blocks and rounding leave between two charts of one continuous image.
-_LEAST = 4 / 255
+_MIN_JUMP = 4 / 255
 # Steps over a seam from which its energy can be estimated.
-_FEWEST = 8
+_MIN_STEPS = 8
 
 # Of random means; any is as good.
 _SEED = 21
@@ -96,7 +96,7 @@ def find_colour_jumps(atlas: Atlas, planes: Float32s, sigma: Float64s) -> Bools:
         jump = np.abs(np.median(steps[members], axis=0)).max()
         # A step between two noisy samples has the deviation sqrt(2) sigma, and a median 1.25 times a mean's error.
         error = 1.25 * np.sqrt(2) * noise / np.sqrt(len(members))
-        shifted = jump > max(_ERRORS * error, _OF_NOISE * noise, _LEAST)
+        shifted = jump > max(_ERRORS * error, _OF_NOISE * noise, _MIN_JUMP)
         different[seam[members[0]]] = shifted or _is_patterned(steps[members], along[members], noise)
     return different
 
@@ -129,12 +129,12 @@ def _is_patterned(steps: Float32s, nearby: Float32s, noise: float) -> bool:
 
     Neighbours may share noise, as in JPEG pictures; those on two sides of a seam do not, which makes some such energy.
     """
-    if len(steps) < _FEWEST:
+    if len(steps) < _MIN_STEPS:
         return False
     across, along = np.square(steps).mean(axis=1), np.square(nearby).mean(axis=1)
     error = float((across - along).std()) / np.sqrt(len(steps))
     excess = across.mean() - max(along.mean(), 2 * noise**2)
-    return bool(excess > max(_ERRORS * error, (_OF_NOISE * noise) ** 2 + _LEAST**2))
+    return bool(excess > max(_ERRORS * error, (_OF_NOISE * noise) ** 2 + _MIN_JUMP**2))
 
 
 def halo_beyond(atlas: Atlas, different: Bools) -> Bools:

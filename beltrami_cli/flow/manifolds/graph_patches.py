@@ -19,7 +19,7 @@ from beltrami_cli.flow.vertex_graph import Graph, Level, levels_of
 from beltrami_cli.surface import large_arrays
 
 # Fewer clusters hold no patches that could be compared.
-_FEWEST = 500
+_MIN_CLUSTERS = 500
 
 
 def collaborate_on_graph(
@@ -74,7 +74,7 @@ def clusters_for(samples: Graph, most: int, relative: Float32s | None) -> list[C
     found: list[Clusters] = []
     variances = np.ones((samples.size, 1), np.float32) if relative is None else relative
     for level in islice(levels_of(samples), 1, most + 1):
-        if level.graph.size < _FEWEST:
+        if level.graph.size < _MIN_CLUSTERS:
             break
         found.append(Clusters(samples, level, level.means(variances)[:, 0]))
     return found

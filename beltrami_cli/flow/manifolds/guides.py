@@ -25,7 +25,7 @@ from beltrami_cli.flow.manifolds.domain import Geometry, Stack
 _SPREAD_COUNTS = 6.0
 
 # A usual step counts no more than this share of a sample spacing, so that noise and slopes of a guide do not stop it.
-_USUAL_COUNTS = 2 / 3
+_USUAL_STEP_LENGTH = 2 / 3
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def choose_guide_beta(values: Float32s, steps: Float32s) -> float:
         # The length of a vector of k normal numbers has the median sqrt(k) (1 - 2 / (9 k))^(3 / 2), nearly.
         median = np.sqrt(2 * channels * (1 - 2 / (9 * channels)) ** 3)
         usual = float(np.median(np.linalg.norm(steps.astype(np.float64), axis=1)) / median)
-    scale = max(usual / _USUAL_COUNTS, spread / _SPREAD_COUNTS)
+    scale = max(usual / _USUAL_STEP_LENGTH, spread / _SPREAD_COUNTS)
     return 1 / scale if scale > 0 else 0.0
 
 

@@ -39,13 +39,13 @@ from beltrami_cli.surface.records import SampledSurface
 _HUB = 512
 
 # Samples that kernels around hubs would hold, from which on it takes seconds.
-_MOST_NEAR_HUBS = 1_000_000
+_MAX_NEAR_HUBS = 1_000_000
 
 # Small meshes take no time. On surfaces V - E + F is about 0, whatever their handles and borders are.
-_SMALL, _IRREGULAR = 1_000, -1 / 4
+_SMALL_MESH, _IRREGULAR = 1_000, -1 / 4
 
 # Samples of the largest kernels there, as a multiple of what they would hold on an even surface.
-_LARGEST = 2
+_MAX_EXCESS = 2
 
 # Steps of colours, far above their rounding, by which signs and the patches that start groups are chosen.
 _COARSE = np.float32(256)
@@ -303,7 +303,7 @@ class MeshWork(KernelWork):
         super().__init__(kernels, unit)
         degrees = np.bincount(edges.ravel(), minlength=kernels)
         joined = int(np.count_nonzero(degrees))
-        self._is_irregular = joined >= _SMALL and joined - len(edges) + faces < _IRREGULAR * joined
+        self._is_irregular = joined >= _SMALL_MESH and joined - len(edges) + faces < _IRREGULAR * joined
         self._hub_degrees = degrees[degrees > _HUB]
         self._edges = edges
 
@@ -318,9 +318,9 @@ class MeshWork(KernelWork):
         if parameters.max_samples != KernelParameters.max_samples:
             return parameters
         near_hubs = np.square(self._hub_degrees.astype(np.float64)).sum()
-        if not self._is_irregular and near_hubs < _MOST_NEAR_HUBS:
+        if not self._is_irregular and near_hubs < _MAX_NEAR_HUBS:
             return parameters
-        most = math.ceil(_LARGEST * self._on_even_surface(parameters))
+        most = math.ceil(_MAX_EXCESS * self._on_even_surface(parameters))
         return dataclasses.replace(parameters, max_samples=min(parameters.max_samples, most))
 
     def samples(self, parameters: KernelParameters) -> float:

@@ -48,7 +48,7 @@ _STRETCH = 1.5
 
 # How far beyond its kernels, in sample spacings, a chunk has samples: the triangles around the last ones decide how far
 # segments and unfolded corners reach, and the colours of the regularised metric are means over neighbours.
-_KNOWN = 5.0
+_CHUNK_MARGIN = 5.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -187,7 +187,9 @@ class MeshManifold(Manifold):
         if own.metric_steps and own.metric_scale > 0:
             gain = mesh.gaussian(own.metric_scale).gain
             whole = dataclasses.replace(self, geometry=dataclasses.replace(mesh, gain=gain))
-        reach = _STRETCH * own.radius + _KNOWN * ((mesh.spacing or 1.0) if mesh.scales is None else 1.0)
+        reach = _STRETCH * own.radius + _CHUNK_MARGIN * (
+            (mesh.spacing or 1.0) if mesh.scales is None else 1.0
+        )
         # Edges with bridges.
         neighbours = Neighbours(mesh.size, distinct_edges(mesh.faces), mesh.scaled_lengths)
         chunks = []

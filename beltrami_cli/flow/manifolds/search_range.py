@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 # Noise up to which `iterations` is used; above it the number grows with the logarithm of the noise.
-_SLIGHT = 5 / 255
+_LOW_NOISE = 5 / 255
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Rule:
 
     def count(self, noise: float) -> int:
         """Return the number of iterations for noise of a standard deviation, colours in [0, 1]."""
-        doublings = max(0.0, float(np.log2(max(noise, _SLIGHT) / _SLIGHT)))
+        doublings = max(0.0, float(np.log2(max(noise, _LOW_NOISE) / _LOW_NOISE)))
         return min(self.max_iterations, self.iterations + round(self.more * doublings))
 
 

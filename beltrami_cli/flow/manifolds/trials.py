@@ -18,7 +18,7 @@ from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, OWNED, ROWS, Atlas, Indices, refresh_halo
 
 # With few samples one perturbation is too uncertain: samples, or else perturbations, that are enough.
-_ENOUGH_SAMPLES, _MOST_PROBES = 5_000, 4
+_ENOUGH_SAMPLES, _MAX_PROBES = 5_000, 4
 
 # Cells on which parameters are tried, as a share of all, so that trying takes no longer than smoothing: some sixty
 # iterations are tried, each twice. With twice as many, the default results on thirteen textures with noise of 20 of 255
@@ -41,14 +41,14 @@ _SEED = 20
 TRIED_VERTICES = {"share": 1 / 20, "least": 6_000, "most": 40_000}
 
 # Up to this many times the samples to try on, patches with their rims would cover nearly the whole surface.
-_WHOLE = 1.2
+_WHOLE_SURFACE = 1.2
 
 # Rings of a patch that are scored, and rings around these that only supply colours.
 _SCORED_RINGS, _RIM_RINGS = 7, 3
 
 # Patches end early on small components, and overlap: the share of the wanted samples that suffices, and how often more
 # patches are added to reach it.
-_ENOUGH, _ROUNDS = 0.75, 3
+_SUFFICIENT_SHARE, _MAX_EXTENSIONS = 0.75, 3
 
 # Rings over which detail is averaged to rank patches.
 _RINGS_OF_DETAIL = 5
@@ -59,7 +59,7 @@ _MIXERS = np.array([0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9], np.uint64)
 
 def wanted_probes(samples: int) -> int:
     """Return how many stacks of signs are needed to estimate the divergence on this many samples."""
-    return min(_MOST_PROBES, -(-_ENOUGH_SAMPLES // max(1, samples)))
+    return min(_MAX_PROBES, -(-_ENOUGH_SAMPLES // max(1, samples)))
 
 
 def tried_cells(atlas: Atlas) -> int:
@@ -151,19 +151,19 @@ def choose_patches(colours: Float32s, around: NDArray[np.uint64], edges: Int32s)
     budget = int(
         np.clip(len(connected) * TRIED_VERTICES["share"], TRIED_VERTICES["least"], TRIED_VERTICES["most"])
     )
-    if len(connected) <= _WHOLE * budget:
+    if len(connected) <= _WHOLE_SURFACE * budget:
         return TrialSamples(connected, np.ones(len(connected), bool))
     ranked = _ranked(colours, around, edges, connected) if budget == TRIED_VERTICES["least"] else None
     of_patch = 3 * (_SCORED_RINGS + _RIM_RINGS) ** 2  # each ring has six samples more than the last
     count = max(1, budget // of_patch)
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_EXTENSIONS):
         middles = np.zeros(len(around), bool)
         if ranked is None:
             middles[connected[np.argpartition(around[connected], count - 1)[:count]]] = True
         else:
             middles[[part[np.argmin(around[part])] for part in np.array_split(ranked, count)]] = True
         patches = _grown(middles, edges)
-        if len(patches.samples) >= _ENOUGH * budget:
+        if len(patches.samples) >= _SUFFICIENT_SHARE * budget:
             break
         count = min(len(connected), 1 + count * budget // len(patches.samples))
     return patches

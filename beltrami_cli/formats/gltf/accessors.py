@@ -38,7 +38,7 @@ _DRACO_MESH = b"\1"  # the kind of geometry, after the magic and the version
 TRIANGLES, _STRIP, _FAN = 4, 5, 6  # drawing modes with faces; 0 to 3 are points and lines
 
 # Corners, for all slots together: a byte is an index at least, and vertices take a dozen each.
-_LEAST_DRAWN, _MOST_DRAWN = 1 << 20, 16
+_MIN_DRAWN, _MAX_DRAWN = 1 << 20, 16
 
 Stored = np.ndarray[Any, np.dtype[Any]]  # numbers as they are in the file: little-endian integers or float32
 
@@ -214,7 +214,7 @@ class Accessors:
     def count_drawn(self, primitive: Entry, corners: int) -> None:
         """Count the corners that primitives draw, and refuse far more than bytes: small files can repeat them."""
         self._drawn += corners
-        if self._drawn > _LEAST_DRAWN + _MOST_DRAWN * self.buffers.bytes_at_hand:
+        if self._drawn > _MIN_DRAWN + _MAX_DRAWN * self.buffers.bytes_at_hand:
             cause = f"with it, {self._drawn} corners are drawn of {self.buffers.bytes_at_hand} bytes"
             raise primitive.fault("", cause, "the same triangles are used again and again: export each once")
 

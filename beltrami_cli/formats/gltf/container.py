@@ -22,9 +22,9 @@ from beltrami_cli.formats.changes import Bytes
 Tree = dict[str, Any]
 T = TypeVar("T")
 
-_EACH = "*"  # stands for all members of an object that are not named
-_OBJECTS = {_EACH: dict[str, Any]()}
-_INDICES = {_EACH: int}
+_ANY_MEMBER = "*"  # stands for all members of an object that are not named
+_OBJECTS = {_ANY_MEMBER: dict[str, Any]()}
+_INDICES = {_ANY_MEMBER: int}
 _EXTENDED = {"extensions": _OBJECTS}
 _PRIMITIVE = {
     "attributes": _INDICES,
@@ -57,7 +57,7 @@ BIN_CHUNK = 0x004E4942
 
 _BOM = "\ufeff"
 TRUNCATED = "the file may be cut short: copy or export it again"
-_DEEPEST = 100  # levels of nesting; glTF needs about ten, and recursion must stay far from Python's limit
+_MAX_NESTING = 100  # levels of nesting; glTF needs about ten, and recursion must stay far from Python's limit
 _DECODER = json.JSONDecoder()
 _SURROGATE = re.compile("[\ud800-\udfff]")
 _BLANKS = " \t\n\r"
@@ -167,8 +167,8 @@ def require_structure(root: Entry) -> None:
             stack += [(f"{place}[{index}]", child, shape[0]) for index, child in enumerate(value)]
         elif isinstance(shape, dict):
             for key, child in value.items():
-                if key in shape or _EACH in shape:
-                    inner = shape.get(key, shape.get(_EACH))
+                if key in shape or _ANY_MEMBER in shape:
+                    inner = shape.get(key, shape.get(_ANY_MEMBER))
                     stack.append((f"{place}.{key}" if place else key, child, inner))
 
 
@@ -316,12 +316,12 @@ def parsed(text: str, name: str) -> Tree:
     if not isinstance(tree, dict):
         raise InputError(name, "the JSON is not an object, so this is not glTF")
     level: list[Any] = [tree]
-    for _ in range(_DEEPEST):
+    for _ in range(_MAX_NESTING):
         members = (each.values() if isinstance(each, dict) else each for each in level)
         level = [child for values in members for child in values if isinstance(child, dict | list)]
         if not level:
             return tree
-    raise InputError(name, f"the JSON is nested more than {_DEEPEST} levels deep")
+    raise InputError(name, f"the JSON is nested more than {_MAX_NESTING} levels deep")
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> Tree:

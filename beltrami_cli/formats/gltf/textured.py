@@ -23,15 +23,15 @@ from beltrami_cli.formats.scene import Scene, ShownMap, no_texture
 from beltrami_cli.surface import records
 from beltrami_cli.surface.records import Slot
 
-_MOST_ROWS = np.iinfo(np.int32).max
+_MAX_ROWS = np.iinfo(np.int32).max
 # Colours of the vertices of a primitive by mesh and number, shape (n, 3) or with opacity (n, 4), linear.
 PrimitiveColours = Mapping[tuple[int, int], Float32s]
 
 _ALPHA: dict[str, records.AlphaMode] = {"MASK": "mask", "BLEND": "blend"}
 _TRANSFORM = "KHR_texture_transform"
 _VARIANTS = "KHR_materials_variants"
-_MOST_VARIANTS = 1 << 16
-_KNOWN = ("POSITION", "NORMAL", "COLOR_0", OWN_COLOURS)
+_MAX_VARIANTS = 1 << 16
+_KEPT_ATTRIBUTES = ("POSITION", "NORMAL", "COLOR_0", OWN_COLOURS)
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def _looks(
     found += [(1, use) for use in default[1:]]
     for mapping in primitive.entry("extensions").entry(_VARIANTS).entries("mappings"):
         chosen = _of_material(mapping, materials)[:1]
-        variants = mapping.integers("variants", below=_MOST_VARIANTS)
+        variants = mapping.integers("variants", below=_MAX_VARIANTS)
         found += [(2 + variant, use) for variant in variants for use in chosen]
     return found
 
@@ -204,8 +204,8 @@ class _Parts:
             row_of = np.cumsum(used) - 1 + rows
             corners += [row_of[part.faces].ravel() for part in parts]
             rows += int(np.count_nonzero(used))
-            if rows > _MOST_ROWS:
-                raise first.position.entry.fault("", f"more than {_MOST_ROWS} vertices")
+            if rows > _MAX_ROWS:
+                raise first.position.entry.fault("", f"more than {_MAX_ROWS} vertices")
             positions.append(first.placement.positions(first.position, used))
         material_of = self.of_triangles([part.material.number for part in self])
         keys = {image_key(index): index for index in range(len(self._images))}
@@ -357,7 +357,7 @@ class _MeshParts(_Parts):
         for name in primitive.attributes.value:
             if name.startswith("TEXCOORD_"):
                 self.left_out += () if name in coordinates else ("further texture coordinates",)
-            elif name not in _KNOWN and not name.startswith(("JOINTS_", "WEIGHTS_")):
+            elif name not in _KEPT_ATTRIBUTES and not name.startswith(("JOINTS_", "WEIGHTS_")):
                 self.left_out.append(f"attribute {name}")
 
     def _of_part(self, part: _Part, colours: Float32s | None) -> Float32s | None:

@@ -39,8 +39,8 @@ IMAGE_EXTENSIONS = {
 
 UNREAD = ("MSFT_texture_dds",)  # whose images are not read
 
-_HELD = ("png", "jpeg", "webp", "ktx2", "avif")
-MEDIA = {suffix: f"image/{known}" for known in _HELD for suffix in FORMATS[known].suffixes}
+_EMBEDDED_FORMATS = ("png", "jpeg", "webp", "ktx2", "avif")
+MEDIA = {suffix: f"image/{known}" for known in _EMBEDDED_FORMATS for suffix in FORMATS[known].suffixes}
 """Media types of the images that glTF can hold, by suffix."""
 SLOT_PATHS: dict[Slot, tuple[tuple[str, ...], ...]] = {
     "baseColor": (
@@ -175,7 +175,7 @@ def _kind_of(extension: str) -> str:
 def _media_type(data: bytes) -> str | None:
     """Return the media type that the first bytes of an image show, if it is one that glTF knows."""
     known = format_of(data, "")
-    return f"image/{known}" if known in _HELD else None
+    return f"image/{known}" if known in _EMBEDDED_FORMATS else None
 
 
 def texture_infos(value: Any, place: str, *, is_texture: bool | None = None) -> Iterator[tuple[str, Tree]]:
@@ -225,7 +225,7 @@ def show_images(edit: Edit, images: Images, new: NewImages) -> None:
     replaced = {(shown[texture], file) for texture, file in changed}
     if replaced != {(image, file) for (_, image), file in wanted.items()}:
         raise ValueError("an image is not used in the slot that it was handed back for")
-    showing = _Showing(edit, images)
+    showing = _ShownImages(edit, images)
     for (old, file), texture in changed.items():
         showing.show(tree["textures"][texture], old, file, f"textures[{texture}]")
     uses = [(holder, member, showing.files.get(id(holder))) for holder, member in _image_uses(tree)]
@@ -269,7 +269,7 @@ def _wanted(edit: Edit, images: Images, new: NewImages) -> dict[tuple[Slot, int]
     return wanted
 
 
-class _Showing:
+class _ShownImages:
     """New files in textures of the tree of an edit: they name the old images, and `files` says what these become."""
 
     def __init__(self, edit: Edit, images: Images) -> None:

@@ -24,10 +24,10 @@ from beltrami_cli.surface.geometry import unit_vectors
 from beltrami_cli.surface.records import ColouredVertices, MovedVertices
 
 _COLOUR_TYPES = ("uint8", "uint16", "float32")  # component types of COLOR_0, the coarsest first
-_MOST_ROWS = np.iinfo(np.int32).max
-_OTHERWISE = ("POSITION", "COLOR_0", "NORMAL")  # not among the attributes by name
+_MAX_ROWS = np.iinfo(np.int32).max
+_NAMED_SEPARATELY = ("POSITION", "COLOR_0", "NORMAL")  # not among the attributes by name
 _INDICES = ("JOINTS_", "WEIGHTS_")
-_STALE = "The vertices moved, but their {} are as they were; make them again, or leave them out."
+_STALE_NOTICE = "The vertices moved, but their {} are as they were; make them again, or leave them out."
 
 
 @dataclass(frozen=True)
@@ -202,8 +202,8 @@ class Surface:
             block = self._block_of[key] = Block(named, placement, self._rows, count)
             self.blocks.append(block)
             self._rows += count
-            if self._rows > _MOST_ROWS:
-                raise primitive.attributes.fault("COLOR_0", f"more than {_MOST_ROWS} colours in one model")
+            if self._rows > _MAX_ROWS:
+                raise primitive.attributes.fault("COLOR_0", f"more than {_MAX_ROWS} colours in one model")
             self._counts["instanced"] += placement.nodes > 1
         block = self._block_of[key]
         block.users[number] = primitive
@@ -277,7 +277,9 @@ class Surface:
         """Return the attributes that all blocks have; "normal" for their normals."""
         held = [set(block.first_user.attributes.value) for block in self.blocks]
         common = set.intersection(*held)
-        others = sorted(name for name in common if name not in _OTHERWISE and not name.startswith(_INDICES))
+        others = sorted(
+            name for name in common if name not in _NAMED_SEPARATELY and not name.startswith(_INDICES)
+        )
         return (*(("normal",) if "NORMAL" in common else ()), *others)
 
     def attribute(self, name: str) -> Float64s:
@@ -354,7 +356,7 @@ class Surface:
         users = [user for block in self.blocks for user in block.users.values()]
         has_tangents = any("TANGENT" in user for user in users)
         stale = {"normals": has_normals and normals is None, "tangents": has_tangents}
-        edit.notices += [_STALE.format(what) for what, is_stale in stale.items() if is_stale]
+        edit.notices += [_STALE_NOTICE.format(what) for what, is_stale in stale.items() if is_stale]
 
     def _exchange(self, edit: Edit, attribute: str, renewed: Callable[[Block, Stored], Stored]) -> None:
         """Exchange an attribute of all blocks, which may share its numbers; only new rows are written."""

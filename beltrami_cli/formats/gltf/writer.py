@@ -42,7 +42,7 @@ sRGB levels are closest near black, where one of 255 is 20 of 65535 linear steps
 """
 
 _COMPONENT_TYPE = {np.dtype(name): number for number, name in COMPONENTS.items()}
-_MOST_FOR_U16 = 65535  # vertices: index 65535 would mean the restart of a strip
+_MAX_FOR_U16 = 65535  # vertices: index 65535 would mean the restart of a strip
 
 
 Model = tuple[list[Tree], Tree, Mapping[str, ImageFile]]
@@ -125,7 +125,7 @@ class Arrays:
 
     def add_faces(self, faces: NDArray[np.integer[Any]], vertices: int) -> int:
         """Add triangles, shape (F, 3), as narrow as the number of vertices allows, and return their accessor."""
-        narrow = vertices <= _MOST_FOR_U16
+        narrow = vertices <= _MAX_FOR_U16
         return self.add(faces.reshape(-1, 1).astype("<u2" if narrow else "<u4"), target=INDEX_DATA)
 
     def add_bytes(self, content: bytes) -> int:
@@ -189,7 +189,9 @@ OWN_COLOURS = "_COLOR_0"
 
 _LINEAR, _MIPMAPS = 9729, 9987
 _MODES = {"mask": "MASK", "blend": "BLEND"}
-_KEPT = f"Vertex colours of textured parts are kept as {OWN_COLOURS}: as COLOR_0 they would tint the texture."
+_OWN_COLOURS_NOTICE = (
+    f"Vertex colours of textured parts are kept as {OWN_COLOURS}: as COLOR_0 they would tint the texture."
+)
 
 
 def _textured(mesh: MeshContents, stem: str, arrays: Arrays) -> Model:
@@ -245,7 +247,7 @@ def _primitive(
     if colours is not None:
         is_textured = "baseColor" in mesh.materials[mesh.material_numbers[0]].maps
         attributes[OWN_COLOURS if is_textured else "COLOR_0"] = arrays.add(colours[corners[first]])
-        arrays.notices += [_KEPT] if is_textured else []
+        arrays.notices += [_OWN_COLOURS_NOTICE] if is_textured else []
     return {"attributes": attributes, "indices": arrays.add_faces(vertex_of.reshape(-1, 3), len(first))}
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 
-_MOST_BITS_OF_A_PALETTE = 8
+_MAX_BITS_OF_A_PALETTE = 8
 # Bytes of headers of BMP: the first by Windows, the first with a mask of alpha, and both by OS/2 2.
 _WINDOWS_HEADER, _ALPHA_HEADER, _LATER_OS2 = 40, 56, (16, 64)
 # Packings of BMP with masks of the bits of red, green and blue, and in the second of alpha.
@@ -16,7 +16,7 @@ _TARGA_ALPHA = 494  # byte of the former
 def bmp_has_palette(data: bytes) -> bool:
     """Whether pixels have so few bits that they can only be indices, in the header of OS/2 or in that of Windows."""
     at = 24 if data[14:18] == b"\x0c\0\0\0" else 28
-    return 0 < int.from_bytes(data[at : at + 2], "little") <= _MOST_BITS_OF_A_PALETTE
+    return 0 < int.from_bytes(data[at : at + 2], "little") <= _MAX_BITS_OF_A_PALETTE
 
 
 def has_usual_bits(data: bytes) -> bool:

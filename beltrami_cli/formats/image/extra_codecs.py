@@ -32,15 +32,15 @@ _LEVEL = struct.Struct("<3Q")
 _BASIS_LZ, _ZSTANDARD = 1, 2  # supercompressions
 _HIGH_BITDEPTH, _TWELVE_BIT = 0x40, 0x20
 _TGA_HEADER = 18  # bytes
-_BEST = 100
+_BEST_QUALITY = 100
 _ZSTANDARD_LEVEL = 9
 FAILURES = (OSError, ValueError, RuntimeError)  # of encoders
-_REFUSALS = (*FAILURES, SyntaxError, MemoryError)  # by Pillow, of damaged files
+_DECODING_ERRORS = (*FAILURES, SyntaxError, MemoryError)  # by Pillow, of damaged files
 _FASTEST_EFFORT, _SLOWEST_SPEED = 2, 6
 # Bytes per texel that encoders and decoders take at most: the growth of VmHWM of a process, on slopes and on noise of
 # 256 to 2048 texels a side. With less memory alktx2 aborts the process, and Pillow calls sound files damaged.
 _UASTC_BYTES, _AVIF_BYTES = 40, 64
-_TO_DECODE = {"ktx2": 16, "avif": 25}
+_DECODING_BYTES = {"ktx2": 16, "avif": 25}
 # Bytes for each thread of theirs, one per processor: a stack of 8 MiB, and as much for small arrays.
 _THREAD_BYTES = 16 << 20
 
@@ -70,13 +70,13 @@ def measured(data: bytes, known: str, name: str) -> tuple[int, int, int]:
 def decoded(data: bytes, known: str, name: str) -> tuple[Uint8s, tuple[str, ...], bytes | None]:
     """Decode an image whose header `measured` has accepted: pixels (H, W, 3 or 4), notices, and an ICC profile."""
     width, height, _ = measured(data, known, name)
-    _require_memory(width * height * _TO_DECODE[known])
+    _require_memory(width * height * _DECODING_BYTES[known])
     if known == "ktx2":
         return _decoded_ktx2(data, name), (), None
     with _opened_avif(data, name) as image:
         try:
             pixels = np.array(image.convert(image.mode if image.mode == "RGBA" else "RGB"))
-        except _REFUSALS as error:
+        except _DECODING_ERRORS as error:
             raise _damaged(name, "AVIF", error) from None
         notices, bits = [], _avif_bits(data)
         if getattr(image, "n_frames", 1) > 1:
@@ -176,7 +176,7 @@ def _encoded_ktx2(pixels: Uint8s, quality: int, source: bytes, *, as_data: bool)
         height,
         channels == 4,
         codec="etc1s" if is_etc1s else "uastc",
-        quality=quality if is_etc1s else _BEST,  # below it UASTC searches long for what packs well
+        quality=quality if is_etc1s else _BEST_QUALITY,  # below it UASTC searches long for what packs well
         effort=_FASTEST_EFFORT,
         srgb=is_srgb,
         linear=not is_srgb,
@@ -206,7 +206,7 @@ def _opened_avif(data: bytes, name: str) -> Any:
         with warnings.catch_warnings():  # of large images, which are checked by their size
             warnings.simplefilter("ignore")
             return Image.open(io.BytesIO(data), formats=["AVIF"])
-    except (*_REFUSALS, Image.DecompressionBombError) as error:
+    except (*_DECODING_ERRORS, Image.DecompressionBombError) as error:
         raise _damaged(name, "AVIF", str(error).partition("<")[0].strip()) from None
 
 

@@ -25,17 +25,19 @@ def _netpbm(kinds: bytes) -> tuple[bytes, ...]:
     return tuple(b"P%c%c" % (kind, space) for kind in kinds for space in b" \t\r\n")
 
 
-_ANY = ("uint8", "uint16", "float16", "float32")  # types of samples
+_ANY_TYPE = ("uint8", "uint16", "float16", "float32")  # types of samples
 FORMATS = {
     "png": ImageFormat((".png",), ("uint8", "uint16"), signatures=(b"\x89PNG\r\n\x1a\n",)),
     "jpeg": ImageFormat((".jpg", ".jpeg", ".jpe", ".jfif"), ("uint8",), (1, 3), (b"\xff\xd8\xff",)),
     "webp": ImageFormat((".webp",), ("uint8",), (3, 4), (b"RIFF",)),
-    "tiff": ImageFormat((".tif", ".tiff", ".tx"), _ANY, signatures=(b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")),
+    "tiff": ImageFormat(
+        (".tif", ".tiff", ".tx"), _ANY_TYPE, signatures=(b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+    ),
     "openexr": ImageFormat((".exr",), ("float16", "float32"), signatures=(b"v/1\x01",)),
     "targa": ImageFormat((".tga", ".targa", ".tpic"), ("uint8",)),
     "bmp": ImageFormat((".bmp", ".dib"), ("uint8",), (3,), (b"BM",)),  # most programs ignore an alpha in it
     "hdr": ImageFormat((".hdr", ".rgbe"), ("float32",), (3,), (b"#?",)),
-    "jpegxl": ImageFormat((".jxl",), _ANY, (1, 3, 4), (b"\xff\x0a", b"\0\0\0\x0cJXL \r\n\x87\n")),
+    "jpegxl": ImageFormat((".jxl",), _ANY_TYPE, (1, 3, 4), (b"\xff\x0a", b"\0\0\0\x0cJXL \r\n\x87\n")),
     "pnm": ImageFormat((".pnm",), ("uint8", "uint16"), (1, 3)),  # one of the next two
     "ppm": ImageFormat((".ppm", ".pnm"), ("uint8", "uint16"), (3,), _netpbm(b"36")),
     "pgm": ImageFormat((".pgm", ".pnm"), ("uint8", "uint16"), (1,), _netpbm(b"25")),
@@ -67,7 +69,7 @@ WRITABLE = tuple(traits.suffixes[0] for traits in FORMATS.values() if traits.wri
 READABLE = "PNG, JPEG, WebP, TIFF, EXR, TGA, BMP, HDR and what else OpenImageIO knows is read"
 _TARGA_FOOTER = b"TRUEVISION-XFILE.\0"
 _HEIF_BRANDS, _AVIF_BRANDS = {b"heic", b"heix", b"mif1", b"msf1"}, {b"avif", b"avis"}
-_MOST_BRANDS = 256  # bytes of them
+_MAX_BRANDS = 256  # bytes of them
 _MODELS = (".ply", ".obj", ".gltf", ".glb", ".xyz", ".pts", ".txt", ".asc", ".csv", ".npz", ".nrrd", ".nhdr")
 _WITHOUT_MARK = ("targa", "rla")
 
@@ -79,7 +81,7 @@ def format_of(data: bytes, name: str) -> str | None:
             return known
     if data[4:8] == b"ftyp":
         # The major brand, its version, and the brands that the file is compatible with.
-        end = min(int.from_bytes(data[:4], "big"), _MOST_BRANDS, len(data))
+        end = min(int.from_bytes(data[:4], "big"), _MAX_BRANDS, len(data))
         brands = {data[8:12], *(data[at : at + 4] for at in range(16, end, 4))}
         if brands & _AVIF_BRANDS:
             return "avif"

@@ -186,7 +186,7 @@ def _header(data: bytes | memoryview) -> Any:
 # Samples of luma in a row and in two rows for each sample of chroma. Pillow does not know the other two.
 _SUBSAMPLINGS = {"4:4:4": "4:4:4", "4:2:2": "4:2:2", "4:2:0": "4:2:0", "4:1:1": "4:2:2", "4:2:1": "4:2:2"}
 # At most, of a sample: a coefficient has a code of up to 16 bits and 11 more [1]_.
-_MOST_BYTES = 4
+_MAX_BYTES = 4
 
 
 def encoded(pixels: Uint8s, *, quality: int, subsampling: str, progressive: bool, profile: bytes) -> bytes:
@@ -194,7 +194,7 @@ def encoded(pixels: Uint8s, *, quality: int, subsampling: str, progressive: bool
     from PIL import Image, ImageFile
 
     if progressive:  # is written at once; in Pillow's own buffer noise of a high quality has no room
-        ImageFile.MAXBLOCK = max(ImageFile.MAXBLOCK, _MOST_BYTES * pixels.size)
+        ImageFile.MAXBLOCK = max(ImageFile.MAXBLOCK, _MAX_BYTES * pixels.size)
     buffer = io.BytesIO()
     options = {"quality": quality, "progressive": progressive, "icc_profile": profile}
     image = Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels)

@@ -23,7 +23,14 @@ _DEFAULTS: dict[str, Any] = {
     "Orientation": 1, "PixelAspectRatio": 1.0, "ResolutionUnit": "in", "screenWindowWidth": 1.0,
     "screenWindowCenter": (0.0, 0.0), "chromaticities": (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329),
 }  # fmt: skip
-_CARRIED = ("png", "jpeg", "webp", "tiff", "openexr", "avif")  # whose metadata are carried over as bytes
+_KEEPING_METADATA = (
+    "png",
+    "jpeg",
+    "webp",
+    "tiff",
+    "openexr",
+    "avif",
+)  # whose metadata are carried over as bytes
 
 
 def lost_metadata(picture: Picture, data: bytes, known: str) -> tuple[str, ...]:
@@ -35,7 +42,7 @@ def lost_metadata(picture: Picture, data: bytes, known: str) -> tuple[str, ...]:
             lost = items.keys() - metadata.items(data, known).keys()
         else:
             lost = {name for name, is_read in items.items() if not is_read}
-        if not is_own or known not in _CARRIED:
+        if not is_own or known not in _KEEPING_METADATA:
             lost |= _lost_attributes(picture, data, known)
     except metadata.DAMAGED:
         return (f"{picture.name}: its metadata are damaged, and only a part of them is kept.",)

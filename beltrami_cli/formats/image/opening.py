@@ -13,7 +13,7 @@ from beltrami_cli.formats.image.channels import colour_part
 from beltrami_cli.formats.image.file_formats import FORMATS
 from beltrami_cli.formats.image.jpeg import first_picture
 
-_LEAST_JPEG_XL = 128  # bytes without which OpenImageIO does not recognise it
+_MIN_JPEG_XL = 128  # bytes without which OpenImageIO does not recognise it
 UNNAMED = "an image"
 _OPEN_FILES = Path("/proc/self/fd")
 
@@ -24,7 +24,7 @@ def opened(data: bytes, config: Any = None, name: str = UNNAMED) -> Iterator[tup
     import OpenImageIO
 
     if data.startswith(FORMATS["jpegxl"].signatures):
-        data = data.ljust(_LEAST_JPEG_XL, b"\0")
+        data = data.ljust(_MIN_JPEG_XL, b"\0")
     with scratch_file(first_picture(data), name=name) as path:
         arguments = (str(path),) if config is None else (str(path), config)
         file = OpenImageIO.ImageInput.open(*arguments)

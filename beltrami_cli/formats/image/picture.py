@@ -25,8 +25,8 @@ from beltrami_cli.surface.records import Encoding
 TYPES = {"uint8": "uint8", "uint16": "uint16", "float16": "half", "float32": "float"}  # of OpenImageIO
 STORED = {name: kind for kind, name in TYPES.items()}
 _ROWS = 64  # compared at a time
-_LEAST_OPACITY = 1 / 1024  # that colours are divided by
-_LEAST_STEPS = 16  # of opacity, for colours of 4 bits
+_MIN_OPACITY = 1 / 1024  # that colours are divided by
+_MIN_STEPS = 16  # of opacity, for colours of 4 bits
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ def without_alpha(picture: Picture, values: Float32s) -> Float32s:
     straight = values.copy()
     opacity = values[..., picture.alpha]
     for channel in picture.colour:
-        np.divide(values[..., channel], opacity, out=straight[..., channel], where=opacity >= _LEAST_OPACITY)
+        np.divide(values[..., channel], opacity, out=straight[..., channel], where=opacity >= _MIN_OPACITY)
     return straight
 
 
@@ -165,7 +165,7 @@ def supplies_colour(picture: Picture, opacity: Array) -> Bools:
         return np.asarray(opacity != 0)
     steps = np.inf if opacity.dtype.kind == "f" else np.iinfo(opacity.dtype).max
     share = full_scale_one(opacity)
-    return np.asarray((share >= max(_LEAST_OPACITY, _LEAST_STEPS / steps)) & np.isfinite(share))
+    return np.asarray((share >= max(_MIN_OPACITY, _MIN_STEPS / steps)) & np.isfinite(share))
 
 
 def is_unchanged(picture: Picture, pixels: Array) -> bool:

@@ -21,9 +21,9 @@ from beltrami_cli.formats.image.text_headers import has_usual_scale
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.records import Texture
 
-_LARGEST = 1 << 28  # pixels: 16384 x 16384, the largest texture that graphics cards take
-_MOST_CHANNELS = 64
-_MOST_MEGABYTES = 8192  # of decoded pixels
+_MAX_PIXELS = 1 << 28  # pixels: 16384 x 16384, the largest texture that graphics cards take
+_MAX_CHANNELS = 64
+_MAX_MEGABYTES = 8192  # of decoded pixels
 _NOT_BUILT_IN = ("support is not configured", "is not implemented")  # of a compression, as libtiff says
 _COLOURED = 3  # channels
 _INKS = ("CMYK", "YCbCrK")  # as OpenImageIO calls them in JPEG files
@@ -32,22 +32,22 @@ _COMPRESSIONS_OF_TIFF = ("", "none", "lzw", "zip", "packbits")  # that OpenImage
 _WHOLE_BYTES = (8, 16, 32)
 _EXPORT = "export it as RGB or grey with 8 or 16 bits, or as floats"
 
-_KEPT: ContextVar[dict[tuple[bytes, str, bool], Picture | None]] = ContextVar("pictures")
+_CACHE: ContextVar[dict[tuple[bytes, str, bool], Picture | None]] = ContextVar("pictures")
 
 
 @contextmanager
 def pictures_kept(files: Iterable[tuple[bytes, str]]) -> Iterator[None]:
     """Within this context and thread, decode these image files, given with their names, only once."""
-    token = _KEPT.set({(data, name, finite): None for data, name in files for finite in (False, True)})
+    token = _CACHE.set({(data, name, finite): None for data, name in files for finite in (False, True)})
     try:
         yield
     finally:
-        _KEPT.reset(token)
+        _CACHE.reset(token)
 
 
 def read_image(data: bytes, name: str, *, finite: bool = True) -> Picture:
     """Decode an image file; InputError if it is damaged or unsupported, or, with `finite`, not finite."""
-    kept, key = _KEPT.get({}), (data, name, finite)
+    kept, key = _CACHE.get({}), (data, name, finite)
     picture = kept.get(key) or _decoded(*key)
     if key in kept:
         kept[key] = picture
@@ -81,7 +81,7 @@ def _decoded(data: bytes, name: str, finite: bool) -> Picture:
         raise InputError(name, cause, "export it as PNG")
     if known == "pfm" and not has_usual_scale(data):
         raise InputError(name, "the scale in its header is 0, or no number", "correct it, or use EXR")
-    OpenImageIO.attribute("limits:imagesize_MB", _MOST_MEGABYTES)
+    OpenImageIO.attribute("limits:imagesize_MB", _MAX_MEGABYTES)
     config = OpenImageIO.ImageSpec()
     config.attribute("oiio:UnassociatedAlpha", 1)
     with opened(data, config, name) as (file, path):
@@ -130,11 +130,11 @@ def _check(spec: Any, format_name: str, known: str, name: str) -> None:
         raise InputError(name, f"it starts like a {known} image, but is none", READABLE)
     if spec.deep:
         raise InputError(name, "it is a deep image, with many samples a pixel", "flatten it")
-    if width <= 0 or height <= 0 or not 0 < spec.nchannels <= _MOST_CHANNELS or spec.depth > 1:
+    if width <= 0 or height <= 0 or not 0 < spec.nchannels <= _MAX_CHANNELS or spec.depth > 1:
         cause = f"its size of {width} x {height} pixels, {spec.nchannels} channels cannot be used"
         raise InputError(name, cause, "export it as a plain image")
-    if width * height > _LARGEST:
-        cause = f"its {width} x {height} pixels are more than the {_LARGEST} that are read"
+    if width * height > _MAX_PIXELS:
+        cause = f"its {width} x {height} pixels are more than the {_MAX_PIXELS} that are read"
         raise InputError(name, cause, "scale it down, or split it")
     kinds = {str(kind) for kind in (spec.channelformats or (spec.format,))}
     if not kinds <= STORED.keys() or (len(kinds) > 1 and not kinds <= {"half", "float"}):

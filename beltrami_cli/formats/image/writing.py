@@ -23,7 +23,7 @@ from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.records import ImageFile
 
 _ROWS = 64  # that are compared at a time
-_SPLICED = ("png", "jpeg", "webp")  # formats whose metadata are carried over as bytes
+_KEEPING_BYTES = ("png", "jpeg", "webp")  # formats whose metadata are carried over as bytes
 
 
 def is_exact(picture: Picture) -> bool:
@@ -46,7 +46,7 @@ def noise_losses(picture: Picture, suffix: str | None, remedy: str) -> tuple[str
 
 # Single fields of the profile would be kept as well; samples of fewer bits would lose the new values. One image is
 # written; announced as more it would count as truncated, and the means belong to the old one.
-_NOT_KEPT = (
+_OMITTED_METADATA = (
     "ICCProfile:", "oiio:BitsPerSample", "textureformat", "openexr:levelmode", "openexr:roundingmode",
     "oiio:AverageColor", "oiio:ConstantColor",
 )  # fmt: skip
@@ -88,7 +88,7 @@ def write_image(
         pixels[..., -1] = 0
     if known == "png" and png.has_palette(picture.source):
         notices.append(f"{picture.name} has a palette, which becomes full colours.")
-    spec = _bare_spec(picture) if known in _SPLICED else _kept_spec(picture)
+    spec = _bare_spec(picture) if known in _KEEPING_BYTES else _kept_spec(picture)
     exact = is_exact(picture)
     encode = partial(
         encoded, spec, known=known, name=picture.name, quality=jpeg_quality, small=small, lossless=exact
@@ -198,7 +198,7 @@ def _bare_spec(picture: Picture) -> Any:
 
 def _kept_spec(picture: Picture) -> Any:
     spec = picture.spec.copy()
-    for prefix in _NOT_KEPT:
+    for prefix in _OMITTED_METADATA:
         spec.erase_attribute(f"{prefix}.*")
     if picture.format == "tiff":  # whose tags are copied from the source
         for attribute in list(spec.extra_attribs):

@@ -43,7 +43,9 @@ from beltrami_cli.formats.tokens import (
 )
 from beltrami_cli.surface.records import MeshContents, Slot
 
-_STALE = "The vertices moved, but the normals ('vn') are as they were; make them again, or leave them out."
+_STALE_NOTICE = (
+    "The vertices moved, but the normals ('vn') are as they were; make them again, or leave them out."
+)
 _BYTES_OF_POLYPAINT = 6  # behind two digits of the mask
 
 
@@ -108,7 +110,7 @@ class ObjDocument(Document):
         if places is not None:
             changed = places.positions != known.positions[known.coloured]
             parts.append(new_positions(data, starts[:, :3], ends[:, :3], places.positions, changed))
-        notices = (_STALE,) if places is not None and "normal" in self.attributes() else ()
+        notices = (_STALE_NOTICE,) if places is not None and "normal" in self.attributes() else ()
         main = renumbered(data, parts) if parts else [data]
         return dataclasses.replace(sidecars, main=main, notices=(*sidecars.notices, *notices))
 

@@ -16,7 +16,7 @@ from pathlib import PurePosixPath
 
 from beltrami_cli.errors import Obstacle
 from beltrami_cli.formats.changes import Naming, NewImages, Written
-from beltrami_cli.formats.model_folder import LEFT_ALONE, ModelFolder, UnfitReferenceError, is_outside
+from beltrami_cli.formats.model_folder import IGNORED, ModelFolder, UnfitReferenceError, is_outside
 from beltrami_cli.formats.new_files import (
     NewFiles,
     common_suffix,
@@ -38,8 +38,8 @@ SLOTS: dict[str, Slot] = {
 """The slot of each map keyword; the first keyword that a material has counts."""
 
 MAP_SLOTS = tuple(dict.fromkeys(SLOTS.values()))  # the slots that maps fill
-ALONG = ("map_ka", "map_d")  # maps that the base colour stands for where they show its image
-_FOLLOWING = (*ALONG, "map_ks")  # and those that show its new image, too
+BASE_COLOUR_ALIASES = ("map_ka", "map_d")  # maps that the base colour stands for where they show its image
+_BASE_COLOUR_COMPANIONS = (*BASE_COLOUR_ALIASES, "map_ks")  # and those that show its new image, too
 # Possessive (++), so that lines of a million blanks or digits are not tried again from each of them.
 _STATEMENT = re.compile(
     rb"^(?:\xef\xbb\xbf)?[ \t]*+(newmtl|(?!map_aat\b)map_\w+|bump|disp|decal|refl|norm)[ \t]++([^\r\n]*[^\s])",
@@ -52,8 +52,8 @@ _OPTION = re.compile(
 _END_OF_NAME = re.compile(r"\.mtl(?=\s|$)", re.IGNORECASE)
 _WORD = re.compile(r"\S+")
 
-_LARGEST = 1 << 24  # bytes of a material file that are read
-_MOST_NOTICES = 20
+_MAX_BYTES = 1 << 24  # bytes of a material file that are read
+_MAX_NOTICES = 20
 
 
 @dataclass(frozen=True)
@@ -175,7 +175,7 @@ class Materials:
         """Yield all maps through which an image is visible in a slot."""
         for library in self.libraries:
             showing = {m.material for m, p in library.maps if p == path and SLOTS.get(m.keyword) == slot}
-            along = _FOLLOWING if slot == "baseColor" else ()
+            along = _BASE_COLOUR_COMPANIONS if slot == "baseColor" else ()
             for found, its_path in library.maps:
                 goes_along = found.keyword in along and found.material in showing
                 if its_path == path and (goes_along or SLOTS.get(found.keyword) == slot):
@@ -197,12 +197,12 @@ class Materials:
 
     def _read(self, path: str, mentions: list[tuple[str, int, int]]) -> Library:
         try:
-            data = self.folder.read(path, _LARGEST + 1)
+            data = self.folder.read(path, _MAX_BYTES + 1)
         except OSError as error:
             self._leave_alone(Obstacle(f"'{path}' cannot be read ({error.strerror})"))
             data = b""
-        if len(data) > _LARGEST:
-            self._leave_alone(Obstacle(f"'{path}' has more than {_LARGEST} bytes"))
+        if len(data) > _MAX_BYTES:
+            self._leave_alone(Obstacle(f"'{path}' has more than {_MAX_BYTES} bytes"))
             data = b""
         materials, maps = read_maps(data)
         within = PurePosixPath(path).parent
@@ -211,7 +211,7 @@ class Materials:
 
     def _leave_alone(self, obstacle: Obstacle) -> None:
         self.obstacles.append(obstacle)
-        self.notices.append(f"{obstacle.cause}{LEFT_ALONE}")
+        self.notices.append(f"{obstacle.cause}{IGNORED}")
 
     def _found(self, name: str, within: PurePosixPath) -> str | None:
         """Return the path of a file or a set of tiles, adding it once, or None with a notice if it is not there."""
@@ -222,9 +222,9 @@ class Materials:
         except UnfitReferenceError as error:
             if name not in self._unread:
                 self._unread[name] = error.obstacle
-                if len(self._unread) <= _MOST_NOTICES:
+                if len(self._unread) <= _MAX_NOTICES:
                     self._leave_alone(Obstacle(f"'{name}' {error}", error.obstacle.remedy))
-                elif len(self._unread) == _MOST_NOTICES + 1:  # a file may name a million
+                elif len(self._unread) == _MAX_NOTICES + 1:  # a file may name a million
                     self.notices.append("Further files are missing as well.")
             return None
         if is_outside(path):

@@ -11,7 +11,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Float64s, Int64s
 from beltrami_cli.formats.image import read_image
-from beltrami_cli.formats.obj.materials import ALONG, SLOTS, Map, Materials
+from beltrami_cli.formats.obj.materials import BASE_COLOUR_ALIASES, SLOTS, Map, Materials
 from beltrami_cli.formats.obj.statements import Statements
 from beltrami_cli.formats.obj.vertices import Scan, unit_normals
 from beltrami_cli.formats.scene import Maps, Scene, ShownMap
@@ -21,10 +21,10 @@ _VALUE = re.compile(
     rb"^(?:\xef\xbb\xbf)?[ \t]*+(newmtl|kd|ke|d|tr|pm|pr)[ \t]++([^\r\n]*[^\s])", re.IGNORECASE | re.MULTILINE
 )
 
-_Placed = tuple[tuple[float, float], tuple[float, float]]  # scale and offset of texture coordinates
-_AS_THEY_ARE: _Placed = ((1.0, 1.0), (0.0, 0.0))
+_Transform = tuple[tuple[float, float], tuple[float, float]]  # scale and offset of texture coordinates
+_IDENTITY: _Transform = ((1.0, 1.0), (0.0, 0.0))
 # The maps of a material, with their files if these can be used.
-_Found = dict[Slot, tuple[Map, str | None]]
+_MaterialMaps = dict[Slot, tuple[Map, str | None]]
 
 
 @dataclass(frozen=True)
@@ -78,8 +78,8 @@ def read_scene(scan: Scan, coordinates: Coordinates, materials: Materials, name:
     def uv(slot: Slot | None) -> Float64s:
         values = np.append(coordinates.values, [[np.nan, np.nan]], axis=0)[coordinates.corners]
         shown = [maps[slot][0] if slot is not None and slot in maps else None for maps in found]
-        placed = [_AS_THEY_ARE if each is None else (each.scale, each.offset) for each in shown]
-        if {*placed} != {_AS_THEY_ARE}:
+        placed = [_IDENTITY if each is None else (each.scale, each.offset) for each in shown]
+        if {*placed} != {_IDENTITY}:
             of_corner = np.repeat(material_of, np.diff(scan.offsets))
             scale, offset = (np.array(each)[of_corner] for each in zip(*placed, strict=True))
             with np.errstate(over="ignore", invalid="ignore"):
@@ -101,7 +101,7 @@ def read_scene(scan: Scan, coordinates: Coordinates, materials: Materials, name:
     )
 
 
-def _shown(maps: _Found, materials: Materials) -> Maps:
+def _shown(maps: _MaterialMaps, materials: Materials) -> Maps:
     wraps: dict[bool, tuple[Wrap, Wrap]]
     wraps = {True: ("clamp", "clamp"), False: ("repeat", "repeat")}
     return {
@@ -122,7 +122,7 @@ def convert(scene: Scene, statements: Statements, scan: Scan, materials: Materia
     return dataclasses.replace(scene, maps=maps).mesh(lost, (groups, group_of), normals)
 
 
-def _converted_maps(materials: Materials, name: str, left_out: list[str]) -> _Found:
+def _converted_maps(materials: Materials, name: str, left_out: list[str]) -> _MaterialMaps:
     """Return the maps of a material that other formats can have, and note the others."""
     found = materials.maps_of(name)
     normal, path = found.get("normal", (None, None))
@@ -138,7 +138,7 @@ def _converted_maps(materials: Materials, name: str, left_out: list[str]) -> _Fo
     left_out += [
         f"{keyword} maps"
         for keyword, (_, path) in maps.items()
-        if keyword not in SLOTS and not (keyword in ALONG and path == base)
+        if keyword not in SLOTS and not (keyword in BASE_COLOUR_ALIASES and path == base)
     ]
     # One image has both metalness and roughness; other maps are left out.
     if rough and metal and rough[1] == metal[1] and (rough[0].channel, metal[0].channel) == ("g", "b"):

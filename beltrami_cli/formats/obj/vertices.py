@@ -23,7 +23,7 @@ from beltrami_cli.formats.tokens import NewNumbers, most_decimals
 from beltrami_cli.surface.geometry import polygons_of, polygons_with, unit_vectors
 
 _SIZES = (3, 4, 5, 6, 7, 8)
-_PLAIN, _ALPHA_OR_WEIGHT, _BOTH = 6, 7, 8  # numbers of a vertex with colours
+_WITH_COLOURS, _WITH_ALPHA_OR_WEIGHT, _WITH_ALPHA_AND_WEIGHT = 6, 7, 8  # numbers of a vertex with colours
 
 _MARK = b"#MRGB"
 _LINE = re.compile(rb"^[ \t]*#MRGB[ \t]+(\S*)", re.MULTILINE)
@@ -34,7 +34,7 @@ _VALUES = np.full(256, 255, np.uint8)
 _VALUES[_UPPER] = _VALUES[_LOWER] = np.arange(16)
 
 _COORDINATE_DIGITS = 8  # of the largest new coordinate, at least: a little more than float32 has
-_MOST_DECIMALS = 17
+_MAX_DECIMALS = 17
 
 
 @dataclass(frozen=True)
@@ -68,13 +68,15 @@ def _read_vertices(statements: Statements) -> Vertices:
     positions = values[offsets[:-1, None] + np.arange(3)]
     finite = np.asarray(np.isfinite(positions).all(axis=1))
     weights, notice = False, ""  # whether the fourth of seven numbers is a weight
-    firsts = offsets[:-1][sizes == _ALPHA_OR_WEIGHT]
+    firsts = offsets[:-1][sizes == _WITH_ALPHA_OR_WEIGHT]
     if firsts.size:
         weights = bool((values[firsts + 3] == 1).all() and (values[firsts + 6] != 1).any())
         meaning = "x y z w r g b" if weights else "x y z r g b a"
         notice = f"Vertices of seven numbers are taken for {meaning}."
-    coloured = np.flatnonzero((sizes >= _PLAIN) & finite)
-    weighted = (sizes[coloured] == _BOTH) | ((sizes[coloured] == _ALPHA_OR_WEIGHT) & weights)
+    coloured = np.flatnonzero((sizes >= _WITH_COLOURS) & finite)
+    weighted = (sizes[coloured] == _WITH_ALPHA_AND_WEIGHT) | (
+        (sizes[coloured] == _WITH_ALPHA_OR_WEIGHT) & weights
+    )
     colour_at = (offsets[coloured] + 3 + weighted)[:, None] + np.arange(3)
     known_at = np.column_stack([offsets[coloured, None] + np.arange(3), colour_at])
     statements.require_finite(tokens, values, colour_at.ravel())
@@ -150,11 +152,11 @@ def new_positions(
     largest = float(np.abs(positions).max(initial=0)) or 1.0
     enough = _COORDINATE_DIGITS - 1 - int(np.floor(np.log10(largest)))
     found = most_decimals(data, starts, ends) if changed.any() else 0
-    decimals = min(max(found, enough, 0), _MOST_DECIMALS)
+    decimals = min(max(found, enough, 0), _MAX_DECIMALS)
     return NewNumbers(starts[changed], ends[changed], positions[changed], b"%%.%df" % decimals)
 
 
-_DROPPED = {
+_UNSUPPORTED = {
     "materials": (b"usemtl",),
     "texture coordinates": (b"vt",),
     "normals": (b"vn",),
@@ -162,7 +164,7 @@ _DROPPED = {
     "lines and points": (b"l", b"p"),
     "curves and surfaces": (b"curv", b"curv2", b"surf"),
 }
-_TWICE = "Vertices have colours on their own lines and in #MRGB lines; these are left as they are."
+_DUPLICATE_NOTICE = "Vertices have colours on their own lines and in #MRGB lines; these are left as they are."
 
 
 @dataclass(frozen=True)
@@ -186,13 +188,13 @@ def scan_file(statements: Statements) -> Scan:
     if not vertices.coloured.size:
         polypaint = _read_polypaint(data, len(vertices.positions), name)
     elif _MARK in data:
-        notices.append(_TWICE)
+        notices.append(_DUPLICATE_NOTICE)
     if polypaint is not None:
         polypaint = Polypaint(polypaint.colours[vertices.finite], polypaint.starts[vertices.finite])
         vertices = _with_polypaint(polypaint, vertices, statements)
     corners, _, offsets = statements.corners(b"v")
     libraries = [statements.rest(chosen) for chosen in statements.select(b"mtllib").tolist()]
-    dropped = [what for what, words in _DROPPED.items() if any(statements.select(w).size for w in words)]
+    dropped = [what for what, words in _UNSUPPORTED.items() if any(statements.select(w).size for w in words)]
     count = len(vertices.positions)
     missing = count - len(vertices.coloured)
     unknown = int(np.count_nonzero(~vertices.finite))

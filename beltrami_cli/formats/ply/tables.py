@@ -32,7 +32,7 @@ TYPES = {
 """PLY's type names, old and new, with NumPy's codes."""
 
 _ENCODINGS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
-_MOST = 4096  # elements, and properties of one; real files have a hundred at most
+_MAX_DECLARATIONS = 4096  # elements, and properties of one; real files have a hundred at most
 _DIGITS = 18  # of a count, more than any file can hold and no more than an int64 can
 
 
@@ -122,8 +122,8 @@ def _add_element(elements: list[Element], name: str, count: str) -> None:
         raise ValueError(f"'{count[:30]}' is not a count of elements")
     if any(element.name == name for element in elements):
         raise ValueError(f"element '{name}' is announced twice")
-    if len(elements) >= _MOST:
-        raise ValueError(f"there are more than {_MOST} elements")
+    if len(elements) >= _MAX_DECLARATIONS:
+        raise ValueError(f"there are more than {_MAX_DECLARATIONS} elements")
     elements.append(Element(name, int(count)))
 
 
@@ -138,8 +138,8 @@ def _add_property(elements: list[Element], name: str, kind: str, count: str = ""
     element = elements[-1]
     if any(known.name == name for known in element.properties):
         raise ValueError(f"element '{element.name}' has two properties '{name}'")
-    if len(element.properties) >= _MOST:
-        raise ValueError(f"element '{element.name}' has more than {_MOST} properties")
+    if len(element.properties) >= _MAX_DECLARATIONS:
+        raise ValueError(f"element '{element.name}' has more than {_MAX_DECLARATIONS} properties")
     new = Property(name, TYPES[kind], TYPES[count] if count else "")
     elements[-1] = replace(element, properties=(*element.properties, new))
 

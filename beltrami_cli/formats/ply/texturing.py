@@ -66,7 +66,7 @@ def read_comments(header: bytes, folder: model_folder.ModelFolder) -> list[Textu
             found.append(TextureComment(name, path, *match.span(1), f"'{name}' {instead}" if instead else ""))
         except model_folder.UnfitReferenceError as error:
             why = Obstacle(f"'{name}' {error}", error.obstacle.remedy)
-            notice = f"{why.cause}{model_folder.LEFT_ALONE}"
+            notice = f"{why.cause}{model_folder.IGNORED}"
             found.append(TextureComment(name, None, *match.span(1), notice, why))
     return found
 

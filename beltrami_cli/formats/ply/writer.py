@@ -25,7 +25,7 @@ _NAMES = {code: name for name, code in reversed(TYPES.items())}
 _INTEGERS = {"uint8": "u1", "uint16": "u2"}  # the stored types that remain as they are
 _PLACES = (("x", "y", "z"), ("nx", "ny", "nz"))
 _CHANNELS = ("red", "green", "blue", "alpha")
-_MANY = 255  # corners that a list whose count is a uchar can have
+_MAX_CORNERS = 255  # corners that a list whose count is a uchar can have
 
 
 def write_ply(mesh: MeshContents, stem: str) -> Written:
@@ -117,7 +117,7 @@ def _face_element(mesh: MeshContents) -> tuple[list[str], Uint8s]:
         image_of = np.array([-1 if each is None else mesh.images.index(each) for each in shown])
         numbers[:] = np.where(bare_polygons(mesh), -1, image_of[mesh.material_numbers])
     has_numbers, announced = bool(numbers.any()), [f"element face {len(sizes)}"]
-    counts = ["u1" if sizes.max() * items.shape[1] <= _MANY else "u4" for items in lists.values()]
+    counts = ["u1" if sizes.max() * items.shape[1] <= _MAX_CORNERS else "u4" for items in lists.values()]
     row_sizes = np.full(len(sizes), 4 * has_numbers)
     for count, items in zip(counts, lists.values(), strict=True):
         row_sizes += np.dtype(count).itemsize + 4 * items.shape[1] * sizes

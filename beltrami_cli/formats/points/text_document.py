@@ -57,8 +57,8 @@ _REMEDY = "give --columns with all of their names, such as {}, or the names in a
 _SEPARATORS = bytes.maketrans(b",;", b"  ")
 _COMMENT = re.compile(rb"(?:#|//)([^\r\n]*)")
 _HEAD = 4096  # bytes in which a comment may name the columns
-_MOST_COLUMNS = 4096  # as for properties of PLY; real files have a hundred at most
-_MOST_SHOWN = 40  # characters of a token in a message
+_MAX_COLUMNS = 4096  # as for properties of PLY; real files have a hundred at most
+_MAX_SHOWN = 40  # characters of a token in a message
 # Names of tables that no column has, since those are printable.
 _POSITIONS, _COLOURS, _NORMALS = "positions\n", "colours\n", "normals\n"
 _NO_TABLE = "is not a number, so this is not a table of points"
@@ -86,8 +86,8 @@ class _Reader(Lines):
 
     def read(self, given: Sequence[str]) -> _Table:
         """Read the points; the names of columns that are given count in the place of those in the file."""
-        if (wide := self.stops - self.heads > _MOST_COLUMNS).any():
-            raise self._error(np.argmax(wide), f"there are more than {_MOST_COLUMNS} columns")
+        if (wide := self.stops - self.heads > _MAX_COLUMNS).any():
+            raise self._error(np.argmax(wide), f"there are more than {_MAX_COLUMNS} columns")
         names = self._take_names()
         sizes = self.stops - self.heads
         # Where every line has one number, that is what the points have.
@@ -156,7 +156,7 @@ class _Reader(Lines):
 def _column_names(line: bytes) -> tuple[str, ...]:
     """Return the names in a line, which may have blanks and quotes where something else separates them."""
     separator = next((each for each in (b";", b",", b"\t") if each in line), None)
-    words = (word.strip(b" \t\"'")[:_MOST_SHOWN] for word in line.strip().split(separator))
+    words = (word.strip(b" \t\"'")[:_MAX_SHOWN] for word in line.strip().split(separator))
     shown = (word.decode("ascii", "replace").lower() for word in words)
     return tuple("".join(c if c.isprintable() else "?" for c in word) for word in shown)
 

@@ -127,7 +127,7 @@ class ReadOnlyDocument(Document):
 
 _OFF_HEADER = re.compile(rb"(?:\s++|#[^\n]*+\n)*+(ST)?(C)?(N)?(4)?(n)?OFF(?![A-Za-z_])", re.IGNORECASE)
 _COLOUR = (3, 4)  # numbers
-_LARGEST = 1 << 53  # index that a float64 holds
+_MAX_INDEX = 1 << 53  # index that a float64 holds
 
 
 def _read_off(data: bytes, name: str) -> ColouredPolygons:
@@ -192,7 +192,7 @@ def _corners(lines: Lines, rows: slice) -> tuple[Int64s, Int64s]:
     sizes = counted.astype(np.int64)
     starts = np.cumsum(sizes) - sizes
     corners = lines.numbers(np.repeat(heads + 1 - starts, sizes) + np.arange(sizes.sum()))
-    if not ((np.abs(corners) < _LARGEST) & (corners % 1 == 0)).all():
+    if not ((np.abs(corners) < _MAX_INDEX) & (corners % 1 == 0)).all():
         raise InputError(lines.name, "a face names a vertex that cannot be", "export it again")
     return corners.astype(np.int64), sizes
 

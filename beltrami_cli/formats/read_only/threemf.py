@@ -27,18 +27,18 @@ from beltrami_cli.surface.records import Frame
 
 _TREE = 16  # times as much memory as its text takes an XML document while it is read
 
-_RELATIONS = "_rels/.rels"
-_USUAL = "3D/3dmodel.model"
+_RELATIONSHIPS = "_rels/.rels"
+_DEFAULT_PART = "3D/3dmodel.model"
 _TARGET = re.compile(rb"<Relationship\b[^<>]*+>")
 _PATH = "http://schemas.microsoft.com/3dmanufacturing/production/2015/06 path"
-_DEEPEST = 32  # parts within parts
-_MOST_PARTS = 20_000
-_MOST_TRIANGLES = 1 << 26
+_MAX_NESTING = 32  # parts within parts
+_MAX_PARTS = 20_000
+_MAX_TRIANGLES = 1 << 26
 _BYTES_OF_TRIANGLE = 400  # that one takes while it is put together
 _NUMBERS = 12  # of a transform
 _NONE = -1
 
-_OTHERS = {
+_OTHER_GROUPS = {
     "texture2dgroup": "textures",
     "compositematerials": "mixtures of materials",
     "multiproperties": "several properties at once",
@@ -146,8 +146,8 @@ class _Reading:
                 self._group.append(_colour(known["color"]))
             case "base":
                 self._group.append(_colour(known["displaycolor"]))
-            case other if other in _OTHERS:
-                self.model.others.add(_OTHERS[other])
+            case other if other in _OTHER_GROUPS:
+                self.model.others.add(_OTHER_GROUPS[other])
 
 
 def _part(known: Attributes) -> _Part:
@@ -189,8 +189,8 @@ class _Building:
 
     def __init__(self, archive: Archive, name: str, access: Access) -> None:
         self._archive, self._name = archive, name
-        memory = access.memory if access.memory is not None else _MOST_TRIANGLES * _BYTES_OF_TRIANGLE
-        self._triangles_left = min(_MOST_TRIANGLES, memory // _BYTES_OF_TRIANGLE)
+        memory = access.memory if access.memory is not None else _MAX_TRIANGLES * _BYTES_OF_TRIANGLE
+        self._triangles_left = min(_MAX_TRIANGLES, memory // _BYTES_OF_TRIANGLE)
         self._models: dict[str, _Model] = {}
         self._parts, self._vertices = 0, 0
         self._positions: list[Float64s] = []
@@ -199,12 +199,12 @@ class _Building:
 
     def start(self) -> str:
         """Return the member that the archive says to start with."""
-        if _RELATIONS in self._archive.members:
-            for relation in _TARGET.findall(self._archive.read(_RELATIONS)):
+        if _RELATIONSHIPS in self._archive.members:
+            for relation in _TARGET.findall(self._archive.read(_RELATIONSHIPS)):
                 target = re.search(rb"""Target\s*=\s*["']/?([^"']+)["']""", relation)
                 if target and b"3dmodel" in relation:
                     return target[1].decode("utf-8", "replace")
-        return _USUAL
+        return _DEFAULT_PART
 
     def model(self, path: str) -> _Model:
         if path not in self._models:
@@ -214,7 +214,7 @@ class _Building:
     def add(self, part: _Part, above: Float64s, path: str, depth: int) -> None:
         """Add an object and all of its parts; matrices act on rows."""
         self._parts += 1
-        if depth > _DEEPEST or self._parts > _MOST_PARTS:
+        if depth > _MAX_NESTING or self._parts > _MAX_PARTS:
             raise InputError(self._name, "it has too many parts within parts", "export it as one mesh")
         path = posixpath.normpath(part.path).lstrip("/") if part.path else path
         model = self.model(path)

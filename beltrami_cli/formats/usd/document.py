@@ -17,7 +17,7 @@ from beltrami_cli.formats.colours import display_colour
 from beltrami_cli.formats.comparison import Fingerprint, labelled
 from beltrami_cli.formats.conversion import with_vertex_colours
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.model_folder import LEFT_ALONE
+from beltrami_cli.formats.model_folder import IGNORED
 from beltrami_cli.formats.scene import SLOTS, Scene, ShownMap
 from beltrami_cli.formats.usd.contents import MaterialInputs, SceneContents
 from beltrami_cli.formats.usd.images import Images
@@ -44,7 +44,9 @@ _COUNTS = {
 }
 _REMEDIES = {"unread": "bake their colours into images, or give the vertices colours"}
 
-_HIDES = "Variants of another layer have colours of their own; the new ones hold whichever is selected."
+_VARIANTS_NOTICE = (
+    "Variants of another layer have colours of their own; the new ones hold whichever is selected."
+)
 
 
 def _material(inputs: MaterialInputs) -> Material:
@@ -86,7 +88,7 @@ class UsdDocument(Document):
         contents, arrays = self._layers.scene(text=self._compared)
         for path, (cause, remedy) in self._layers.obstacles.items():
             self.obstacles.append(Obstacle(f"'{path}' {cause}", remedy))
-            self.notices.append(f"'{path}' {cause}{LEFT_ALONE}")
+            self.notices.append(f"'{path}' {cause}{IGNORED}")
         for key, cause in _COUNTS.items():
             if number := contents.counts.get(key):
                 self.obstacles.append(Obstacle(cause.format(number), _REMEDIES.get(key, "")))
@@ -185,7 +187,7 @@ class UsdDocument(Document):
             order["blocks"] = [] if colours is None else list(map(dataclasses.asdict, self._contents.blocks))
             said, made = self._layers.ask(order, {} if colours is None else {"colours": colours})
             root = {self._layers.root: made["layer"].tobytes()}
-            notices = (*sidecars.notices, *([_HIDES] if said["hides"] else []))
+            notices = (*sidecars.notices, *([_VARIANTS_NOTICE] if said["hides"] else []))
             sidecars = dataclasses.replace(sidecars, notices=notices)
         if package is None:
             return dataclasses.replace(sidecars, main=[*root.values()] or [self.data])

@@ -17,7 +17,7 @@ from beltrami_cli.formats.usd.contents import ColourBlock
 from beltrami_cli.formats.usd.patching import Values, patched
 from beltrami_cli.formats.usd.stage import opened
 
-_MADE = "made"  # name of a layer that is written, without its suffix
+_LAYER_NAME = "made"  # name of a layer that is written, without its suffix
 
 
 def edit(order: dict[str, Any], arrays: dict[str, Array]) -> tuple[dict[str, Any], dict[str, Array]]:
@@ -86,7 +86,7 @@ def _set(stage: Any, path: str, value: object) -> bool:
 
 def _exported(layer: Any, suffix: str) -> Uint8s:
     """Return a layer as a file of the kind that a suffix says; for .usd, of the kind that it was."""
-    path = Path(f"{_MADE}{suffix}")
+    path = Path(f"{_LAYER_NAME}{suffix}")
     arguments = {}
     if suffix == ".usd":
         text = Path(layer.realPath).read_bytes().startswith(b"#usda") if layer.realPath else False

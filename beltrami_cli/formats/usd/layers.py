@@ -37,7 +37,7 @@ LAYERS = (".usd", ".usda", ".usdc")  # suffixes of files that usd-core reads
 IMAGES = (".png", ".jpg", ".jpeg", ".exr", ".avif")  # suffixes of images that a package may hold [1]_
 _SOUNDS = (".m4a", ".mp3", ".wav")
 _ALIGNMENT, _PADDING = 64, 0x1986  # the number of extra fields that only fill up
-_LOCAL = struct.Struct("<4s5H3L2H")  # what stands in front of the name of a file
+_LOCAL_HEADER = struct.Struct("<4s5H3L2H")  # what stands in front of the name of a file
 _FIELD = struct.Struct("<2H")  # number and length of an extra field
 Date = tuple[int, int, int, int, int, int]
 _DATE: Date = (1980, 1, 1, 0, 0, 0)  # the same in every run
@@ -65,8 +65,8 @@ class Package(Archive):
         """Return what readers that map packages into memory cannot do with, one sentence each."""
         found = []
         for entry in self.entries:
-            *_, name_size, extra_size = _LOCAL.unpack_from(self._data, entry.header_offset)
-            start = entry.header_offset + _LOCAL.size + name_size + extra_size
+            *_, name_size, extra_size = _LOCAL_HEADER.unpack_from(self._data, entry.header_offset)
+            start = entry.header_offset + _LOCAL_HEADER.size + name_size + extra_size
             if entry.compress_type:
                 found.append(f"{entry.filename} is compressed")
             elif start % _ALIGNMENT:
@@ -94,7 +94,7 @@ def packed(files: Mapping[str, Bytes], dates: Mapping[str, Date] | None = None) 
             for name, content in files.items():
                 entry = zipfile.ZipInfo(name, (dates or {}).get(name, _DATE))
                 entry.create_system = _UNIX  # the same everywhere
-                padding = -(stream.tell() + _LOCAL.size + len(name.encode())) % _ALIGNMENT
+                padding = -(stream.tell() + _LOCAL_HEADER.size + len(name.encode())) % _ALIGNMENT
                 padding += _ALIGNMENT if 0 < padding < _FIELD.size else 0
                 filling = padding - _FIELD.size
                 entry.extra = _FIELD.pack(_PADDING, filling) + bytes(filling) if padding else b""
@@ -106,7 +106,7 @@ def packed(files: Mapping[str, Bytes], dates: Mapping[str, Date] | None = None) 
 
 _EXPORT = "open and save it with a program for USD"
 _USD_CORE = ForeignLibrary("beltrami_cli.formats.usd.layers", "usd", 5, _EXPORT)
-_MOST_LAYERS = 2000
+_MAX_LAYERS = 2000
 _CRATE = b"PXR-USDC"
 _NO_MEMORY = "std::bad_alloc"  # in messages of usd-core
 _UNFIT = re.compile(r"[^\w .()+-]")
@@ -170,7 +170,7 @@ class Layers:
         except OSError as error:
             self._refuse(layer, path, Obstacle(f"cannot be read ({error.strerror})"))
         most, size = self.access.memory, sum(map(len, self.contents.values()))
-        if len(self.contents) > _MOST_LAYERS or (most is not None and size > most):
+        if len(self.contents) > _MAX_LAYERS or (most is not None and size > most):
             raise MemoryLimitError(self.name, "it has more layers than fit into memory", "raise --max-memory")
 
     def _refuse(self, layer: str, path: str, why: Obstacle) -> None:

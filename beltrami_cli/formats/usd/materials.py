@@ -46,7 +46,7 @@ _COLOURS = ("diffuseColor", "emissiveColor")
 _SCALES: dict[Slot, tuple[int, int, int]] = {"normal": (2, 2, -1), "occlusion": (1, 1, 0)}
 _USUAL_SCALE = (0, 1, 0)  # of the other slots
 _UNFIT = " laid out otherwise than in glTF"
-_DEEPEST = 8  # transforms of texture coordinates in a chain
+_MAX_TRANSFORMS = 8  # transforms of texture coordinates in a chain
 
 
 @dataclass(frozen=True)
@@ -223,7 +223,7 @@ def _mapping_of(shader: Any) -> UvMapping | None:
     """Return where a texture is shown, through a chain of transforms; None if that is not understood."""
     matrix, offset = np.eye(2), np.zeros(2)
     chain, name = shader, "st"
-    for _ in range(_DEEPEST):
+    for _ in range(_MAX_TRANSFORMS):
         found = _sources(chain, name)
         if not found:
             return None

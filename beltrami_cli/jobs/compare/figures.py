@@ -36,7 +36,7 @@ _XYZ = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.
 _CUBE_ROOT_FROM = (6 / 29) ** 3
 _25_TO_7 = 25.0**7
 # Half a turn in degrees, and what rounding adds to the difference of hues that are exactly opposite.
-_OPPOSITE = 180 + 1e-9
+_HALF_TURN = 180 + 1e-9
 # Section III-C of [4]: a Gaussian window of 11 x 11 with a deviation of 1.5, K1 and K2; full scale is 1.
 _RADIUS, _DEVIATION = 5, 1.5
 _C1, _C2 = 0.01**2, 0.03**2
@@ -47,8 +47,8 @@ _SQUARE = 88
 _SAMPLES_SHARE = 0.7  # of the time of a picture: 4.6 s of 16.7 million samples, and 2.1 s of their windows
 
 _FIGURES = {"min_psnr": "psnr", "min_ssim": "ssim", "max_delta_e": "delta_e", "max_seam_jump": "seam_jump"}
-_WITHIN = {"max_delta_e": "mean", "max_seam_jump": "change"}
-_WITHOUT = {
+_LIMITED_FIGURE = {"max_delta_e": "mean", "max_seam_jump": "change"}
+_MISSING_FIGURE = {
     "min_ssim": "cannot be tested without a picture in which a window of 11 x 11 pixels counts",
     "max_delta_e": "cannot be tested where the numbers are not grey, or red, green and blue, in sRGB or linear light",
     "max_seam_jump": "cannot be tested where no chart has three texels in a row on either side of a seam",
@@ -258,8 +258,8 @@ def check_limits(
             figure = part[_FIGURES[limit]]
             if figure is None and limit != "min_psnr":
                 option = f"--{limit.replace('_', '-')}"
-                raise InputError(test, f"{part['name']}: {option} {_WITHOUT[limit]}", _REMEDY)
-            measured = float(figure[_WITHIN[limit]]) if limit in _WITHIN else figure
+                raise InputError(test, f"{part['name']}: {option} {_MISSING_FIGURE[limit]}", _REMEDY)
+            measured = float(figure[_LIMITED_FIGURE[limit]]) if limit in _LIMITED_FIGURE else figure
             sign = 1 if limit.startswith("min") else -1
             kept = measured is None or sign * measured >= sign * allowed
             verdicts.append(Verdict(limit, part["name"], allowed, measured, kept))
@@ -280,7 +280,7 @@ def delta_e_2000(one: Float64s, other: Float64s) -> Float64s:
     (l1, c1, h1), (l2, c2, h2) = _with_hue(one, other)
     dl, dc, is_grey = l2 - l1, c2 - c1, c1 * c2 == 0  # eqs. (8), (9)
     turn = h2 - h1
-    turn = np.where(np.abs(turn) <= _OPPOSITE, turn, turn - 360 * np.sign(turn))
+    turn = np.where(np.abs(turn) <= _HALF_TURN, turn, turn - 360 * np.sign(turn))
     turn = np.where(is_grey, 0.0, turn)  # eq. (10)
     dh = 2 * np.sqrt(c1 * c2) * np.sin(np.radians(turn) / 2)  # eq. (11)
     lightness, chroma = (l1 + l2) / 2, (c1 + c2) / 2  # eqs. (12), (13)

@@ -51,12 +51,12 @@ from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.colour_values import as_bytes, colour_by_value
 from beltrami_cli.surface.records import Slot
 
-EVERYTHING = dataclasses.replace(DEFAULTS, textures=dataclasses.replace(DEFAULTS.textures, slots=()))
+ALL_SLOTS = dataclasses.replace(DEFAULTS, textures=dataclasses.replace(DEFAULTS.textures, slots=()))
 """Settings of a comparison of all that is coloured: where no slots are named, all are compared."""
 
-_UNLIMITED = Limits()
+_NO_LIMITS = Limits()
 # The brightest colour stands for this Delta E 2000 at least: 1 can hardly be seen.
-_LEAST = 1.0
+_MIN_SCALE = 1.0
 _GAP = 8  # pixels between images
 _ROWS = 256  # of an image, drawn at a time
 _SCALAR = b"\nproperty uchar blue\nproperty float "  # of the header, where the numbers follow the colours
@@ -111,8 +111,8 @@ class Comparison:
 def compare_files(
     reference: str | os.PathLike[str],
     test: str | os.PathLike[str],
-    limits: Limits = _UNLIMITED,
-    settings: SmoothSettings = EVERYTHING,
+    limits: Limits = _NO_LIMITS,
+    settings: SmoothSettings = ALL_SLOTS,
     *,
     weights: Weights = "uniform",
     map_to: str | os.PathLike[str] | None = None,
@@ -361,7 +361,7 @@ def draw_map(parts: Sequence[Measured], model: Document, target: str) -> tuple[W
     shown = parts[:1] if on_vertices else images
     # Delta E, or the error in per cent where Delta E is undefined.
     amounts = [np.where(np.isnan(each.delta_e), 100 * each.errors, each.delta_e) for each in shown]
-    scale = max(_LEAST, *(float(each.max(initial=0)) for each in amounts))
+    scale = max(_MIN_SCALE, *(float(each.max(initial=0)) for each in amounts))
     if on_vertices:
         return _draw_vertices(shown[0], amounts[0], scale, model), scale
     panels = [_image_of(each.part, values / scale) for each, values in zip(shown, amounts, strict=True)]

@@ -44,14 +44,14 @@ from beltrami_cli.surface.records import ColouredVertices, Slot, Texture, Textur
 Documents = tuple[Document, Document]
 
 # Distance from a seam that counts as near, in texels.
-_NEAR = 4
+_SEAM_DISTANCE = 4
 _CELLS = 1 << 14  # whose areas are measured at a time, in the processor's cache
 _STEP = 0.75 / 255  # of opacity, which 8 bits store
 # Texture coordinates of two files of one model may differ by this much, and vertices by this part of its size: text
 # is often rounded to six digits.
 _ROUNDING = 1e-5
 ROUNDED_MOVE = 2e-5
-_OTHER_MODEL = "compare two files of one model"
+_ONE_MODEL_REMEDY = "compare two files of one model"
 
 
 def near_seams(atlas: Atlas) -> Bools:
@@ -60,7 +60,7 @@ def near_seams(atlas: Atlas) -> Bools:
     for inner, *_ in lines_over_seams(atlas, 1):
         at_border.reshape(-1)[inner] = True
     # Charts are further apart on the canvas than this reaches.
-    return within(at_border, _NEAR - 1).reshape(-1)[atlas.owned_cells]
+    return within(at_border, _SEAM_DISTANCE - 1).reshape(-1)[atlas.owned_cells]
 
 
 def seam_steps(atlas: Atlas, colours: Callable[[Indices], Float32s]) -> tuple[Int64s, Float64s]:
@@ -313,18 +313,20 @@ def _require_one_model(documents: Documents, vertices: tuple[ColouredVertices, C
     counts = len(one.positions), len(other.positions)
     if counts[0] != counts[1]:
         cause = f"it has {counts[1]} coloured vertices, but {names[0]} {counts[0]}"
-        raise InputError(names[1], cause, _OTHER_MODEL)
+        raise InputError(names[1], cause, _ONE_MODEL_REMEDY)
     faces, others = map(_triangles, documents)
     _require_as_many(faces, others, names)
     if not np.array_equal(faces, others):
         first = int((faces != others).any(axis=1).argmax())
-        raise InputError(names[1], f"its triangle {first} is another than that of {names[0]}", _OTHER_MODEL)
+        raise InputError(
+            names[1], f"its triangle {first} is another than that of {names[0]}", _ONE_MODEL_REMEDY
+        )
     if one.channels != other.channels:
         channels = [", ".join(each.channels) for each in vertices]
         cause = f"its channels are {channels[1]}, but {names[0]} has {channels[0]}"
         raise InputError(names[1], cause, "compare files with the same channels")
     if not len(one.faces) and moves_of(one.positions, other.positions).max(initial=0) > ROUNDED_MOVE:
-        raise InputError(names[1], f"its points are at other places than in {names[0]}", _OTHER_MODEL)
+        raise InputError(names[1], f"its points are at other places than in {names[0]}", _ONE_MODEL_REMEDY)
 
 
 def _triangles(document: Document) -> Int32s:
@@ -337,7 +339,7 @@ def _triangles(document: Document) -> Int32s:
 def _require_as_many(faces: Int32s, others: Int32s, names: tuple[str, str]) -> None:
     if len(faces) != len(others):
         cause = f"it has {len(others)} triangles, but {names[0]} {len(faces)}"
-        raise InputError(names[1], cause, _OTHER_MODEL)
+        raise InputError(names[1], cause, _ONE_MODEL_REMEDY)
 
 
 def _same_textures(
@@ -349,7 +351,7 @@ def _same_textures(
     _require_as_many(surface.faces, other.faces, names)
     if len(surface.textures) != len(other.textures):
         cause = f"it has {len(other.textures)} textures, but {names[0]} {len(surface.textures)}"
-        raise InputError(names[1], cause, _OTHER_MODEL)
+        raise InputError(names[1], cause, _ONE_MODEL_REMEDY)
     used = surface.texture_of >= 0
     # The numbers that textures have in the other, where they may be in another order; that of no texture first.
     number_of = np.arange(-1, len(other.textures))
@@ -358,6 +360,6 @@ def _same_textures(
     same &= np.array_equal(number_of[surface.texture_of + 1], other.texture_of)
     if not same or not np.allclose(surface.uv[used], other.uv[used], rtol=0, atol=_ROUNDING):
         cause = f"its texture coordinates differ from {names[0]}"
-        raise InputError(names[1], cause, _OTHER_MODEL)
+        raise InputError(names[1], cause, _ONE_MODEL_REMEDY)
     pairs = zip(surface.textures, number_of[1:].tolist(), strict=True)
     return {texture.key: other.textures[number] for texture, number in pairs}
