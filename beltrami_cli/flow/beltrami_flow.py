@@ -1,7 +1,8 @@
-"""N iterations of the short-time Beltrami kernel on an image manifold, and patches, as planned.
+"""Smooth an image manifold as planned: N iterations of the short-time Beltrami kernel, then patches.
 
-Smoothing takes three functions over values: `estimate_on_mesh` or `estimate_on_canvas`, `choose_parameters`,
-`smooth_in_place`. Only the last overwrites an array that it is given: colours may take half of the memory.
+Smoothing is three functions of values: `estimate_on_mesh` or `estimate_on_canvas`, `choose_parameters`, and
+`smooth_in_place`. Only the last one overwrites an array that it is given, since the colours may take half of the
+memory.
 """
 
 from __future__ import annotations
@@ -26,21 +27,21 @@ from beltrami_cli.flow.plan import AnyManifold, Plan
 
 @dataclass(frozen=True)
 class FlowResult(Generic[AnyManifold]):
-    """What smoothing made of a manifold."""
+    """The result of smoothing a manifold."""
 
     manifold: AnyManifold  # with the new colours
     choice: Choice | None
     samples_per_kernel: float  # mean over samples and iterations
     truncated: int  # kernels that were cut short at `max_samples`
-    patches: float | None = None  # the share taken from patches; None: only the kernel was run
+    patches: float | None = None  # mean weight of the patches; None: only the kernel was run
 
 
 def smooth_in_place(
     plan: Plan[AnyManifold], progress: Callable[[int, int], None] | None = None
 ) -> FlowResult[AnyManifold]:
-    """Run the kernel and, if planned, patches, in the memory of the plan's colours, which are lost.
+    """Run the kernel and, if planned, patches. The result takes the memory of the plan's colours, which are lost.
 
-    `progress` is called with work done and total, and may raise to stop.
+    `progress` is called with the work done and the total, and may raise to stop.
     """
     plan.manifold.geometry.drop_samples()
     manifold, choice, share, run = plan.manifold, plan.choice, None, Averaged([], 0.0)
@@ -72,7 +73,7 @@ def smooth_in_place(
 def _run_kernel_in_place(
     plan: Plan[Any], colours: Float32s, clipped: ClippedChannels | None, stages: _Stages
 ) -> Averaged:
-    """Run all iterations on colours, and restore what was cut off of them."""
+    """Run all iterations on colours, and correct the averages of clipped samples."""
     manifold = plan.manifold
     steps = [plan.step(iteration) for iteration in range(plan.parameters.iterations)]
     stacks = [colours] if clipped is None else [colours, mark_clipped(manifold, clipped)]
@@ -86,7 +87,7 @@ def _iterate(manifold: Manifold, stacks: list[Float32s], steps: Sequence[Step], 
     samples, truncated, gaussian = 0.0, 0, None
     for step in steps:
         metric = manifold.measure(stacks[0], step, gaussian)  # eq. (1)
-        gaussian = metric.gaussian  # none any more after the last regularised iteration
+        gaussian = metric.gaussian  # None after the last regularised iteration
         done = manifold.average(stacks, metric, stages.of(1))  # eq. (9)
         stacks, samples, truncated = done.stacks, samples + done.samples, truncated + done.truncated
         if done.moving is not None:
@@ -95,13 +96,13 @@ def _iterate(manifold: Manifold, stacks: list[Float32s], steps: Sequence[Step], 
 
 
 class _Stages:
-    """Joins the progress of stages, each of which goes through `size` samples and takes some iterations' time."""
+    """Progress over several stages, each of which goes through `size` samples for a number of iterations."""
 
     def __init__(self, progress: Callable[[int, int], None] | None, iterations: int, size: int) -> None:
         self._progress, self._total, self._size, self._before = progress, iterations * size, size, 0
 
     def of(self, iterations: int) -> Callable[[int], None] | None:
-        """Return what the next stage calls with the samples that it has gone through."""
+        """Return the progress callback of the next stage, which takes the number of samples done."""
         before, report = self._before, self._progress
         self._before += iterations * self._size
         return None if report is None else lambda done: report(before + iterations * done, self._total)

@@ -1,10 +1,11 @@
-"""Surfaces in chunks, which are worked on one after another, in processes, or on other machines.
+"""Chunks of a surface, processed one after another, in worker processes, or on other machines.
 
-A chunk is a part of a surface with the samples around it that one operation reads: an iteration of the kernel, or an
-estimate by patches. Of its result only the samples of the chunk itself are kept. What depends on more than a
-neighbourhood is found on the whole between two operations: noise, parameters, limits that cut noise off, how channels
-are mixed, and the weights of the blend. So the result does not depend on who works on a chunk, and on the cuts only in
-patches of meshes: groups of one chunk also estimate samples of the next, and sums in another order round otherwise.
+A chunk is a part of a surface together with the surrounding samples that one operation reads. An operation is an
+iteration of the kernel or an estimate by patches. Only the results for the samples of the chunk itself are kept.
+Everything that depends on more than a neighbourhood is computed for the whole surface between two operations: noise,
+parameters, clipping limits, the mixing of channels, and the weights of the blend. The result therefore does not depend
+on where a chunk is processed. It depends on the cuts only for patches on meshes, because groups of one chunk also
+estimate samples of the next, and the order of sums changes their rounding.
 """
 
 from __future__ import annotations
@@ -23,10 +24,10 @@ from beltrami_cli._native import PATCH_BLOCK_SIZE
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
 
 Figures = tuple[float, int]
-"""How many samples the kernels of a chunk held, and how many kernels were cut short."""
+"""The number of samples in all kernels of a chunk, and the number of kernels that were truncated."""
 
 Operation = Callable[[Any, list[Float32s], int], tuple[Sequence[Float32s], Figures]]
-"""Called with a part, a list of its stacks, which it may change, and the number of threads.
+"""Takes a part, a list of its stacks, which it may change, and the number of threads.
 
 Returns stacks of the samples of the chunk.
 """
@@ -34,25 +35,25 @@ Returns stacks of the samples of the chunk.
 
 @dataclass(frozen=True, eq=False)
 class Chunk:
-    """A part of a surface, with the samples around it that an operation reads."""
+    """A part of a surface with the surrounding samples that an operation reads."""
 
-    # Makes the part, which stays the same in all operations of a kind: geometry, and not colours.
+    # Makes the part. It holds geometry but no colours, so that all operations of a kind can share it.
     cut: Callable[[], Any]
-    around: Any  # index of the samples of the part in a stack of the whole
-    place: Any  # index of the samples of the chunk in a stack of the whole
+    around: Any  # index of all samples of the part in a stack of the whole surface
+    place: Any  # index of the chunk's own samples in such a stack
 
 
 Answers = Generator[tuple[int, Sequence[Float32s], Figures], None, None]
-"""The number of each chunk and its results, in any order; results last until the next ones are asked for."""
+"""The number of each chunk and its results, in any order. Results are valid until the next ones are requested."""
 
 Runner = Callable[[Sequence[Chunk], Operation, Sequence[Float32s]], Answers]
-"""Called with chunks, which may come again, an operation, and stacks of the whole, which must not change."""
+"""Takes chunks, which may be used again, an operation, and stacks of the whole, which must not be changed."""
 
 
 def in_turn(
     chunks: Sequence[Chunk], operation: Operation, stacks: Sequence[Float32s], threads: int = 1
 ) -> Answers:
-    """Work on chunks one after another, here; a `Runner`."""
+    """Process chunks one after another in this process; a `Runner`."""
     for number, chunk in enumerate(chunks):
         copies = [np.array(stack[chunk.around]) for stack in stacks]
         yield number, *operation(chunk.cut(), copies, threads)
@@ -60,7 +61,7 @@ def in_turn(
 
 @dataclass(frozen=True)
 class Chunking:
-    """Surfaces are cut into up to `count` chunks for a runner."""
+    """Division of surfaces into up to `count` chunks, which `runner` processes."""
 
     count: int
     runner: Runner
@@ -70,15 +71,16 @@ class Chunking:
         results: Sequence[Float32s], progress: Callable[[int], None] | None, *,
         size: int, threads: int, adds: bool = False,
     ) -> Figures:  # fmt: skip
-        """Write the results of all chunks to stacks of the whole, or add them; `stacks` stay as they are.
+        """Write the results of all chunks to stacks of the whole, or add them; `stacks` are not changed.
 
-        `size`: of the whole, for its progress; `threads`: for a single chunk, which is done here.
+        `size`: number of samples of the whole, for its progress; `threads`: for a single chunk, which is processed
+        here.
         """
         samples, truncated, added = 0.0, 0, 0
-        # To be added in the order of the chunks, on which rounding depends.
+        # Results are added in the order of the chunks, since rounding depends on it.
         waiting: dict[int, Sequence[Float32s]] = {}
         run = self.runner if len(chunks) > 1 else partial(in_turn, threads=threads)
-        # Workers stop at once if this does.
+        # Closing the generator stops the workers at once when an exception is raised here.
         with contextlib.closing(run(chunks, operation, stacks)) as answers:
             for done, (number, values, figures) in enumerate(answers, 1):
                 if adds:
@@ -96,28 +98,27 @@ class Chunking:
         return samples, truncated
 
 
-# Bytes of memory that a mesh in one piece takes for each sample: a million points at the peak of `smooth`, see
-# docs/performance.md.
+# Peak memory of a mesh in one piece, in bytes per sample: `smooth` of a million points, see docs/performance.md.
 _BYTES_OF_SAMPLE = 1000
-# Share of the memory for a chunk, where it is too small for that; steps on the whole mesh need the rest.
+# Share of the memory for one chunk where that is too little; steps on the whole mesh need the rest.
 _SHARE_OF_CHUNK = 1 / 8
 
 
 def chunk_memory(samples: int, memory: int) -> int | None:
-    """Return the bytes that a chunk of a mesh may take; None: all of it fits into memory in one piece."""
+    """Return the bytes that a chunk of a mesh may take; None if the whole mesh fits into memory."""
     return None if _BYTES_OF_SAMPLE * samples <= memory else int(_SHARE_OF_CHUNK * memory)
 
 
 @dataclass(frozen=True)
 class Resources:
-    """Who works on a surface, and on how much of it at a time."""
+    """Where a surface is processed, and how much of it at a time."""
 
-    chunking: Chunking | None = None  # of every surface; None: here, as a whole
-    # Bytes that a chunk of a mesh may take: larger ones are cut, and done here chunk by chunk; None: they are not.
+    chunking: Chunking | None = None  # of every surface; None: as a whole, in this process
+    # Bytes that a chunk of a mesh may take. Larger meshes are cut and processed here chunk by chunk; None: never cut.
     chunk_memory: int | None = None
 
     def chunking_of_mesh(self, samples: int, threads: int) -> Chunking | None:
-        """Return how a mesh, or a graph of its clusters, is cut; None: not at all."""
+        """Return the chunking of a mesh, or of a graph of its clusters; None if it is not cut."""
         chunk = self.chunk_memory
         if self.chunking is not None or chunk is None or _BYTES_OF_SAMPLE * samples <= chunk:
             return self.chunking
@@ -128,7 +129,7 @@ IN_ONE_PIECE = Resources()
 
 
 # ---- canvases
-# Cells of a chunk at least: patches around a square as large repeat less than half of the work.
+# Minimum number of cells of a chunk: around a square of this size, patches repeat less than half of the work.
 MIN_CELLS = 1 << 18
 
 Rectangle: TypeAlias = tuple[Any, ...]
@@ -136,7 +137,7 @@ Rectangle: TypeAlias = tuple[Any, ...]
 
 
 def grown(cells: Rectangle, before: int, after: int, shape: tuple[int, ...]) -> Rectangle:
-    """Return a rectangle with cells added above and on the left, and below and on the right, within a canvas."""
+    """Extend a rectangle by `before` cells above and on the left, `after` below and on the right, within the canvas."""
     sides = zip(cells[1:], shape, strict=True)
     return ..., *(slice(max(0, side.start - before), min(most, side.stop + after)) for side, most in sides)
 
@@ -144,10 +145,10 @@ def grown(cells: Rectangle, before: int, after: int, shape: tuple[int, ...]) -> 
 def chunks_of_canvas(
     cut: Callable[[Rectangle, Rectangle], Any], owned: Bools, count: int, unit: int, before: int, after: int
 ) -> list[Chunk]:
-    """Cut a canvas into rectangles that are about square and hold about as many owned cells.
+    """Cut a canvas into nearly square rectangles with about equal numbers of owned cells.
 
-    They begin at multiples of `unit`, at which the order of sums repeats itself. A part has some cells more before and
-    after; `cut` is called with the index of all of them, and with that of the rectangle among them.
+    They begin at multiples of `unit`, the period of the order of summation. A part has `before` and `after` more cells
+    around. `cut` is called with the index of the part on the canvas, and with that of the rectangle within the part.
     """
     count = min(count, max(1, int(np.count_nonzero(owned)) // MIN_CELLS))
     bands = int(np.clip(round((count * owned.shape[0] / max(1, owned.shape[1])) ** 0.5), 1, count))
@@ -165,7 +166,7 @@ def chunks_of_canvas(
 
 
 def _even(counts: Int64s, shares: Float64s, unit: int) -> list[slice]:
-    """Cut entries into parts whose sums are about the differences of shares of the total."""
+    """Cut entries so that the sum of each slice is its share of the total; slices begin at multiples of `unit`."""
     totals = np.concatenate([[0], np.cumsum(counts)])
     borders = np.searchsorted(totals, shares * totals[-1])
     borders = np.minimum((borders + unit // 2) // unit * unit, len(counts))
@@ -174,12 +175,12 @@ def _even(counts: Int64s, shares: Float64s, unit: int) -> list[slice]:
 
 
 # ---- meshes
-# Samples of a chunk at least, as above.
+# Minimum number of samples of a chunk, as for canvases.
 MIN_SAMPLES = 1 << 14
 
 
 def runs(size: int, count: int) -> list[tuple[int, int]]:
-    """Cut samples, in an order in which neighbours are near each other, into runs of whole blocks."""
+    """Cut samples that are sorted by locality into runs of whole blocks."""
     blocks = -(-size // PATCH_BLOCK_SIZE)
     count = min(count, max(1, size // MIN_SAMPLES), blocks)
     borders = np.linspace(0, blocks, count + 1).round().astype(int) * PATCH_BLOCK_SIZE

@@ -1,6 +1,6 @@
-"""Plans for canvases. Pictures in which JPEG coded white noise are decoded again before parameters are chosen.
+"""Plans for canvases, with a second decoding of pictures in which JPEG compressed white noise.
 
-They are decoded around a pilot, which is a result of the kernel alone.
+Such pictures are decoded around a pilot, the result of the kernel alone, before the parameters are chosen.
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ from beltrami_cli.surface.atlas import Atlas, texels_by_texture
 
 Tick = Callable[[], None]
 
-# How often pictures are decoded before patches, which take remaining ringing for detail, as it repeats itself.
-# The mean of two pilots gains 0.5 to 0.7 dB on paint, and keeps detail that the second alone loses.
+# Number of decodings before patches, which take remaining ringing for detail because it repeats. The mean of two pilots
+# gains 0.5 to 0.7 dB on hand-painted textures, and keeps detail that the second pilot alone loses.
 _PILOTS = 2
 
 
 def plan_on_canvas(
     canvas: ColouredCanvas, pictures: Sequence[CodedPicture] = (), tick: Tick | None = None
 ) -> Plan[GridManifold]:
-    """Estimate the noise, decode pictures again if JPEG coded white noise in all of them, and choose the parameters."""
+    """Estimate the noise, decode JPEG pictures again if all have compressed white noise, and choose parameters."""
     wanted, colours = canvas.parameters, estimate_on_canvas(canvas)
     sigma = _sigma_before(pictures, colours, wanted)
     if sigma is not None:
@@ -52,20 +52,20 @@ def plan_on_canvas(
         plan = choose_parameters(grid_manifold(canvas, decoded.colours), wanted, tick)
         if plan.parameters.iterations:
             return plan.with_noise(decoded.stored_noise, reading)
-        colours = estimate_on_canvas(canvas)  # colours without iterations stay as they are stored
+        colours = estimate_on_canvas(canvas)  # without iterations, stored colours stay unchanged
     return choose_parameters(grid_manifold(canvas, colours), wanted, tick, light_in=canvas.light)
 
 
 def decodes_again(wanted: KernelParameters) -> bool:
-    """Whether pictures that JPEG coded may be decoded again."""
+    """Whether JPEG pictures may be decoded again."""
     return wanted.evens_noise and not wanted.fast
 
 
 def _sigma_before(
     pictures: Sequence[CodedPicture], colours: CanvasColours, wanted: KernelParameters
 ) -> float | None:
-    """Return sigma of the white noise that JPEG coded in all pictures; None if they are not decoded again."""
-    # Coefficients of the files would bring back outliers.
+    """Estimate sigma of the white noise before compression; None if pictures are not decoded again."""
+    # Decoding from the coefficients of the files would bring back outliers.
     if not pictures or colours.outliers is not None:
         return None
     given = wanted.given_noise
@@ -75,7 +75,7 @@ def _sigma_before(
 
 @dataclass(frozen=True, eq=False)
 class _Decoded:
-    """Colours without what JPEG did to them, and the noise of those that are stored, by channel, shape (N,)."""
+    """Colours with the losses of JPEG estimated, and sigma of the noise in the stored ones by channel, shape (N,)."""
 
     colours: CanvasColours
     stored_noise: Float64s
@@ -84,7 +84,7 @@ class _Decoded:
 def _decode_in_place(
     canvas: ColouredCanvas, colours: CanvasColours, pictures: Sequence[CodedPicture], sigma: float, tick: Tick | None
 ) -> _Decoded:  # fmt: skip
-    """Decode pictures again around a pilot, which takes the memory of their colours."""
+    """Decode pictures again around a pilot, which overwrites their colours."""
     alone, before = dataclasses.replace(canvas.parameters, patches="off"), None
     for _ in range(_PILOTS if canvas.parameters.takes_patches else 1):
         rows = _pilot_in_place(grid_manifold(canvas, colours), alone, tick)
@@ -98,7 +98,7 @@ def _decode_in_place(
 
 
 def _pilot_in_place(manifold: GridManifold, alone: KernelParameters, tick: Tick | None) -> Float32s:
-    """Return what the kernel alone makes of the owned cells, in the memory of their colours."""
+    """Smooth the owned cells by the kernel alone, in the memory of their colours."""
     plan = choose_parameters(manifold, alone, tick)
     result = smooth_in_place(plan, None if tick is None else lambda *_: tick())
     return result.manifold.new_colours().table()
@@ -107,7 +107,7 @@ def _pilot_in_place(manifold: GridManifold, alone: KernelParameters, tick: Tick 
 def _decode_rows_in_place(
     atlas: Atlas, pictures: Sequence[CodedPicture], rows: Float32s, sigma: float
 ) -> tuple[NoiseModel, Float64s]:
-    """Replace a pilot's colours of the owned cells by decoded ones; return their noise, and sigma of that stored."""
+    """Replace a pilot at the owned cells by decoded colours; return sigma of their noise and of the stored noise."""
     rasters = []
     for picture in pictures:
         raster = large_arrays.empty(picture.pixels.shape, np.float32)

@@ -1,4 +1,4 @@
-"""Estimates of the noise, and colours in which it is the same at all levels, from which manifolds are made."""
+"""Estimation of the noise, and variance stabilisation of the colours that manifolds are made from."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from beltrami_cli.surface.atlas import EMPTY, refresh_halo, without_halo
 
 
 def estimate_on_mesh(mesh: ColouredMesh) -> MeshColours:
-    """Fill the outliers of the colours, estimate the noise of the others, and stabilise it."""
+    """Fill the outliers of the colours, estimate the noise of the other samples, and stabilise its variance."""
     wanted, geometry = mesh.parameters, mesh.geometry
     channels, outliers = fill_outliers(mesh.colours.T, MeshSamples(geometry), wanted, is_light=mesh.is_light)
     graph = geometry.graph(channels.T, mesh.resources)
@@ -37,7 +37,7 @@ def estimate_on_mesh(mesh: ColouredMesh) -> MeshColours:
 
 
 def estimate_on_canvas(canvas: ColouredCanvas) -> CanvasColours:
-    """Put the colours on the canvas, fill their outliers, estimate the noise of the others, and stabilise it."""
+    """Put colours on the canvas, fill outliers, estimate the noise of the other cells, and stabilise its variance."""
     wanted, atlas, is_light = canvas.parameters, canvas.atlas, canvas.light is not None
     planes = fill_canvas(atlas, canvas.channels, canvas.colours_of)
     planes, outliers = fill_outliers(planes, CanvasSamples(atlas), wanted, is_light=is_light)
@@ -47,29 +47,29 @@ def estimate_on_canvas(canvas: ColouredCanvas) -> CanvasColours:
     if canvas.deviations is not None:
         of_samples, sigma = relative_to_mean(canvas.deviations)
         relative = on_canvas(atlas, of_samples)
-        relative[relative == 0] = 1  # in empty cells
+        relative[relative == 0] = 1  # empty cells
         measured = relative, sigma
     noise = estimate_noise(
         planes, Grid(atlas.is_owned), wanted.given_noise, varies=wanted.evens_noise,
         strength=wanted.strength, measured=measured,
     )  # fmt: skip
     if noise.stabiliser is not None:
-        # Nobody else has these planes, and memory is too dear for two of them.
+        # These planes are not shared, and a copy would double the memory.
         noise.stabiliser.stabilise_in_place(planes)
     return _end_at_jumps_in_place(canvas, planes, noise, outliers)
 
 
 def with_known_noise(canvas: ColouredCanvas, rows: Float32s, noise: NoiseModel) -> CanvasColours:
-    """Put other colours of the owned cells, shape (T, N), whose noise is the same at all levels, and known."""
+    """Put stabilised colours of the owned cells, shape (T, N), on the canvas, with a known noise model."""
     return _end_at_jumps_in_place(canvas, on_canvas(canvas.atlas, rows), noise, None)
 
 
 def _end_at_jumps_in_place(
     canvas: ColouredCanvas, planes: Float32s, noise: NoiseModel, outliers: Outliers | None
 ) -> CanvasColours:
-    """Return colours on a canvas that ends at the seams over which they jump; cells beyond are emptied."""
+    """End the canvas at the seams over which colours jump, by emptying the halo cells beyond them."""
     atlas, different = canvas.atlas, np.zeros(max(1, canvas.atlas.seams), bool)
-    # Where colours do not count as distance, a jump in colour is not an edge.
+    # If colours do not enter the metric, a jump in colour is not an edge.
     if canvas.parameters.beta != 0 and (canvas.metric_channels is None or len(canvas.metric_channels)):
         different = find_colour_jumps(atlas, planes, noise.largest_sigma)
     if different.any():

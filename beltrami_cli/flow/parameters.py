@@ -1,4 +1,4 @@
-"""The parameters of the short-time kernel, with their defaults and what values they may take."""
+"""Parameters of the short-time kernel: defaults, limits, and what they imply."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ Tunable = Literal["iterations", "t", "beta", "beta_growth", "metric_steps"]
 # The parameters that can be chosen from the data.
 TUNABLE: tuple[Tunable, ...] = get_args(Tunable)
 
-# Weight of smoothness against closeness to the input, by name. Other strengths lie between these weights.
+# Weight of smoothness against fidelity to the input. Numbers are interpolated between these.
 STRENGTHS = {"gentle": 0.7, "normal": 1.0, "strong": 1.5}
 
-# Probability of no noise, or of some, below which it is left out of account: one in ten.
+# Probability, of no noise or of some noise, below which that case is ignored: one in ten.
 NEGLIGIBLE = 0.1
 
 _STRENGTH_RANGE = "{}, or a number between {gentle} and {strong}".format(", ".join(STRENGTHS), **STRENGTHS)
@@ -50,23 +50,23 @@ MAX_GROWTH = 25.0
 
 _CAMERA = re.compile(r"shot:([^,]+),read:([^,]+)")
 
-# A file of standard deviations is known by its extension.
+# A file of standard deviations is recognised by its extension.
 _SOURCE = re.compile(r"(frame|attribute):(.+)|()(.+\.[A-Za-z]\w*)")
 
 
 @dataclass(frozen=True)
 class GivenNoise:
-    """A standard deviation, or the shares of shot and read noise: of full scale 1 and linear light."""
+    """Noise that the user gives: a standard deviation, or shot and read noise of full scale 1 in linear light."""
 
     sigma: float = 0.0
     shot: float = 0.0
     read: float = 0.0
-    source: str = ""  # the file, or the attribute of vertices, that has it for each sample
+    source: str = ""  # file or vertex attribute with a value per sample
     kind: str = ""  # of the source: "frame", "attribute", or else standard deviations
 
     @property
     def is_by_level(self) -> bool:
-        """Whether it depends on the level of colours."""
+        """Whether the noise depends on the level of colours."""
         return self.shot > 0 or self.read > 0
 
 
@@ -94,7 +94,7 @@ def given_noise(text: str) -> GivenNoise:
 
 
 def file_of_noise(text: str) -> str:
-    """Return the file that a value of `noise` names; empty: none."""
+    """Return the file that a value of `noise` names, or an empty string."""
     source = _SOURCE.fullmatch(text)
     return "" if source is None or source[1] == "attribute" else source[2] or source[4]
 
@@ -113,7 +113,7 @@ def _strength_shown(value: float) -> str:
 @described
 @dataclass(frozen=True)
 class KernelParameters:
-    """What the kernel is run with."""
+    """Parameters of the smoothing kernel, with those of noise and patches."""
 
     group: ClassVar[str] = "Kernel"
 
@@ -257,7 +257,7 @@ class KernelParameters:
         _ = self.given_noise
 
     def in_unit(self, unit: float, of_light: float) -> KernelParameters:
-        """Return parameters for colours that are divided by a unit, which divides their light by another."""
+        """Return the parameters for colours that are divided by `unit`; `of_light` divides linear light."""
         given, noise = self.given_noise, self.noise
         if unit == 1:
             return self
@@ -272,7 +272,7 @@ class KernelParameters:
 
     @property
     def given_noise(self) -> GivenNoise | None:
-        """The noise that is given; UsageError if it is none."""
+        """The noise given by the user; UsageError if it cannot be parsed."""
         if self.noise is None:
             return None
         try:
@@ -281,44 +281,44 @@ class KernelParameters:
             raise UsageError(f"noise {error}") from None
 
     def with_values(self, **values: Any) -> KernelParameters:
-        """Return parameters with other values; given ones are no longer chosen from the data."""
+        """Replace parameters; those given are no longer chosen from the data."""
         free = tuple(name for name in self.free if name not in values)
         return replace(self, **{"free": free, **values})
 
     def is_along_segments(self, spacing: float) -> bool:
-        """Whether distances on triangles are found along segments, at a mean sample spacing in units of length."""
+        """Whether distances are measured along segments, for a mean sample spacing in units of length."""
         if self.solver == "auto":
             return self.radius <= _SEGMENTS_REACH * spacing
         return self.solver == "segments"
 
     def is_regularised(self, iteration: int) -> bool:
-        """Whether an iteration, counted from 0, takes distances from smoothed colours."""
+        """Whether an iteration, counted from 0, measures distances on smoothed colours."""
         return self.metric_scale > 0 and iteration < self.metric_steps
 
     def growth(self, iteration: int) -> float:
-        """Return by what factor beta is larger in an iteration, counted from 0, than in the first."""
+        """Return the ratio of beta in an iteration, counted from 0, to beta in the first."""
         return math.exp(min(iteration * math.log(self.beta_growth), MAX_GROWTH))
 
     @property
     def evens_noise(self) -> bool:
-        """Whether noise may be made the same at all levels of colour, which beta then counts in units of."""
+        """Whether the noise variance may be stabilised: not if beta is given, which refers to the input's colours."""
         return self.is_open and self.beta is None and "beta" in self.free
 
     @property
     def takes_patches(self) -> bool:
-        """Whether patches are estimated after the kernel, if there is noise."""
+        """Whether patches follow the kernel if there is noise."""
         if self.patches == "auto":
             return {"iterations", "t", "beta"} <= set(self.free) and self.is_open and not self.fast
         return self.patches == "on" and self.iterations > 0
 
     @property
     def looks_for_outliers(self) -> bool:
-        """Whether anything is changed at all."""
+        """Whether outliers are searched for: only if any step may change colours."""
         return self.iterations > 0 or self.is_open
 
     @property
     def is_open(self) -> bool:
-        """Whether there is anything to choose from the data."""
+        """Whether any parameter is to be chosen from the data."""
         return bool(self.free) and self.beta != 0 and (self.iterations > 0 or "iterations" in self.free)
 
     @property
@@ -328,7 +328,7 @@ class KernelParameters:
 
     @property
     def thread_count(self) -> int:
-        """Threads to use: `threads`, or as many as the process is allowed."""
+        """Number of threads: `threads`, or the CPUs available to the process."""
         if self.threads is not None:
             return self.threads
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -337,7 +337,7 @@ class KernelParameters:
 def parameters_with(
     values: Mapping[str, Any], *, choose: bool = True, fast: bool = False
 ) -> KernelParameters:
-    """Return parameters with the given values (None: not given); the others are chosen, or have defaults."""
+    """Return parameters with the given values (None: not given). The others are chosen, or have defaults."""
     given = {name: value for name, value in values.items() if value is not None}
     free = tuple(name for name in TUNABLE if name not in given) if choose else ()
     return KernelParameters(**given, free=free, fast=fast)

@@ -41,32 +41,32 @@ from beltrami_cli.surface import large_arrays
 
 @dataclass(frozen=True)
 class _Prior:
-    """The prior of the weights of regions: the weight over all samples, from 0 to 1, to a power."""
+    """Prior of the weights of regions. Its mean is the weight over all samples, in [0, 1], raised to a power."""
 
     power: float
-    variance: float  # of w around it
+    variance: float  # of the weights around the mean
 
 
-# Regions with small sums are plain, and there means of many samples are at home. Their weights differ between
-# regions by a variance of 0.02 to 0.45, as measured on eight textures with noise of 10, 20 and 40 of 255: a prior
-# narrower than the least of these would spread over plain textures what patches do for others.
+# Regions with small sums are plain, where means of many samples are better than patches. The variance of the weights
+# between regions was 0.02 to 0.45 on eight textures with noise of 10, 20 and 40 of 255. A prior narrower than that
+# would carry the weight of patterned regions over to plain ones.
 _PRIORS = {"samples": _Prior(1.0, 0.025), "means": _Prior(0.5, 0.02)}
 
-# Shares of samples that are not clipped from which on their means are trusted, and fully. Samples at a limit, as black
-# and white are, err to one side only, and the kernel does not err there.
+# Shares of unclipped samples from which on a mean is trusted at all, and fully. Errors of samples at a limit (black,
+# white) have one sign, and the kernel does not make them.
 _TRUSTED_WITHIN = (0.64, 0.84)
 
-# How many iterations of the kernel the two steps of an estimate take as long as.
+# Duration of both patch estimates, in iterations of the kernel, for progress.
 PASSES = (6, 20)
 
 
-# Noisy colours, a perturbation of unit size, its size, and what it is divided by in the divergence.
+# Noisy colours, a perturbation of unit size, its size, and the divisor of the divergence.
 _Probed: TypeAlias = tuple[Float32s, Array, np.float32, Float32s]
 
 
 @dataclass(frozen=True)
 class Blend:
-    """Colours, the mean weight of the patches, and by how much the mean square error is estimated to fall."""
+    """Blended colours, the mean weight of patches, and the estimated reduction of the mean square error."""
 
     colours: Float32s
     share: float
@@ -80,10 +80,10 @@ def blend_with_patches_in_place(
     clipped: ClippedChannels | None,
     stage: Callable[[int], Callable[[int], None] | None],
 ) -> Blend:
-    """Blend the kernel's result with that of patches, in the memory of the noisy colours."""
+    """Blend the results of the kernel and of patches; they overwrite the noisy colours."""
     geometry, sigma = manifold.geometry, manifold.noise.sigma
     axis, threads = geometry.axis, geometry.threads
-    # Chunks leave the colours as they are.
+    # Chunked kernels do not overwrite the colours.
     before = kernel(large_arrays.copy_of(noisy) if manifold.resources.chunking is None else noisy)
     perturbation = manifold.perturbation()
     size = np.float32(PERTURBATION * np.sqrt(np.mean(np.square(sigma))))
@@ -106,7 +106,7 @@ def blend_with_patches_in_place(
     signs = perturbation.get()
     with _added(axis, noisy, signs, size):
         response = estimate(noisy, disturbed)
-    # Smoothness counts less or more, as in the choice of parameters.
+    # The strength scales the weight of smoothness, as in the choice of parameters.
     counted = np.sqrt(manifold.parameters.strength)
     model = _Model(sigma * np.sqrt(counted), clipped, threads)
     results, responses = (before, after), (disturbed, response)
@@ -127,7 +127,7 @@ def _mix_in_place(
     results: tuple[Float32s, Float32s],
     responses: tuple[Float32s, Float32s],
 ) -> tuple[float, float]:
-    """Blend the second of both with the first; return the sum of the weights, and that of the gain."""
+    """Blend the second result into the first; return the sum of the weights and of the gain."""
     from beltrami_cli._native import blend_terms
 
     colours, signs, _, divisors = noisy
@@ -158,9 +158,9 @@ def _mix_in_place(
 
 
 def _divisors(manifold: Manifold, size: np.float32) -> Float32s:
-    """Return what perturbations of a size are divided by in the divergence, channels first.
+    """Return the divisors of the divergence for perturbations of a size, channels first.
 
-    Perturbations like the noise are stronger in channels that have more of it.
+    Correlated perturbations are larger in channels with more noise.
     """
     variances = np.square(manifold.noise.sigma)
     if manifold.noise.is_independent:
@@ -170,8 +170,8 @@ def _divisors(manifold: Manifold, size: np.float32) -> Float32s:
 
 
 def _plain_levels(manifold: Manifold) -> Iterator[CoarseLevel]:
-    """Go through levels, coarse to fine, at which plain colours are estimated better than sample by sample."""
-    if manifold.noise.is_shared:  # which they have been estimated for
+    """Yield the levels, coarse to fine, on which means of plain colours are estimated."""
+    if manifold.noise.is_shared:  # coarse levels have been estimated already
         return
     levels = manifold.levels(max(manifold.plain_levels))
     yield from (levels[number - 1] for number in manifold.plain_levels if number <= len(levels))
@@ -179,14 +179,14 @@ def _plain_levels(manifold: Manifold) -> Iterator[CoarseLevel]:
 
 @dataclass(frozen=True)
 class _NoisyMeans:
-    """Means of noisy colours, of a probe that was added to them, and of the residual of the estimate.
+    """Means of the noisy colours, of the probe added to them, and of the residual of the estimate.
 
-    `within` is the share of samples that are not cut off; the smallest shares count most.
+    `within` is the share of unclipped samples, a mean that emphasises small shares.
     """
 
     colours: Float32s
     probe: Float32s
-    divisors: Float32s  # of the products of probes and responses
+    divisors: Float32s  # see `_divisors`
     residual: Float32s
     within: Float32s
 
@@ -198,7 +198,7 @@ def _means(
     noisy: _Probed,
     results: tuple[Float32s, Float32s],
 ) -> _NoisyMeans:
-    """Take means of noisy colours, and compare them with the first of both results; the second is lost."""
+    """Compute the means of noisy colours and their residual to the first result; the second result is overwritten."""
     from beltrami_cli._native import blend_residual, blend_share_within
 
     axis, relatives = manifold.geometry.axis, relative_variance(manifold)
@@ -228,8 +228,8 @@ def _improve_means_in_place(
     noisy: _NoisyMeans,
     colours: tuple[Float32s, Float32s],
 ) -> float:
-    """Blend the means of colours with what patches estimate of them; return the estimated gain."""
-    # The means of the blend are the pilot as they are: patches without a pilot would bring back noise.
+    """Blend the means of colours with their estimates by patches; return the estimated gain."""
+    # The means of the blend are used as the pilot directly: a first estimate without a pilot would bring back noise.
     mixing = dataclasses.replace(mixing, variances=mixing.variances * level.noise)
     (p, near_p), axis, sums = (level.means(own) for own in colours), level.axis, level.planes(2)
     q = level.collaborate(noisy.colours, p, mixing)
@@ -255,7 +255,7 @@ def _improve_means_in_place(
 
 
 class _Model:
-    """The noise of channels, as the sums need it."""
+    """Noise of the channels in the form that the sums take."""
 
     def __init__(self, sigma: Float64s, clipped: ClippedChannels | None, threads: int) -> None:
         self.threads = threads
@@ -266,12 +266,12 @@ class _Model:
         if clipped is not None:
             own[:, 1:] = np.column_stack([clipped.sigma, clipped.low, clipped.high])
         tables = normal_tables()
-        self.noise = own, tables.furthest, tables.lost, tables.share  # as the core takes it
+        self.noise = own, tables.furthest, tables.lost, tables.share  # in the layout of the core
 
     def terms(
         self, residual: Float32s, probe: Array, difference: Float32s, moved: Float32s, relative: Float32s
     ) -> Float32s:
-        """Return the terms of w, summed over channels, by the residual and the difference Q - P before and after."""
+        """Return the terms of w, summed over channels; `difference`, `moved`: Q - P without and with perturbation."""
         variances = self._variances[:, *[None] * (residual.ndim - 1)]
         slope = residual * difference - variances * relative * probe * (moved - difference)
         return np.stack([slope.sum(axis=0), np.square(difference).sum(axis=0)])
@@ -280,7 +280,7 @@ class _Model:
 def _weigh(
     surface: Domain, sums: Float32s, variance: float, expected: _Prior
 ) -> tuple[Float32s, float, float]:
-    """Find w from its terms; return it with its sum, and the sum of what it takes off the square error."""
+    """Solve for w from its terms; return w, its sum, and the sum of the reduction of the squared error."""
     slope, square = surface.total(sums)
     overall = min(1.0, max(0.0, slope / square)) ** expected.power if square > 0 else 0.0
     # The variance of w is sigma^2 over the sum of squares; a mean by a Gaussian stands for this many samples.
@@ -295,7 +295,7 @@ def _weigh(
 
 @contextlib.contextmanager
 def _added(axis: int, stack: Float32s, signs: Array, size: np.float32) -> Iterator[None]:
-    """Have multiples of the signs in a stack within this context."""
+    """Add a multiple of the signs to a stack within this context."""
     _add(axis, stack, signs, size)
     yield
     _add(axis, stack, signs, -size)

@@ -1,4 +1,4 @@
-"""The plan of how a manifold is smoothed, with parameters chosen from the data."""
+"""Plan of how a manifold is smoothed, with parameters chosen from the data."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ AnyManifold = TypeVar("AnyManifold", bound=Manifold)
 
 @dataclass(frozen=True, kw_only=True)
 class Plan(Generic[AnyManifold]):
-    """A manifold with fully specified parameters, and the noise that they are chosen for."""
+    """A manifold with fully specified parameters, and the noise for which they were chosen."""
 
     manifold: AnyManifold  # with these parameters
     noise: Float64s  # standard deviation in the input's colours by channel, shape (N,)
@@ -32,7 +32,7 @@ class Plan(Generic[AnyManifold]):
     reading: Reading | None = None  # None: the noise is given
     choice: Choice | None = None  # None where no parameter was chosen from the data
     takes_patches: bool = False
-    light: MeanLight | None = None  # whose mean is preserved
+    light: MeanLight | None = None  # the radiance whose mean is preserved
 
     @property
     def parameters(self) -> KernelParameters:
@@ -49,20 +49,16 @@ class Plan(Generic[AnyManifold]):
 
     @property
     def outliers(self) -> dict[str, object]:
-        """How many samples were outliers, their share of all, and whether they are replaced; empty: none were."""
+        """Their number, their share of all samples, and whether they are replaced; empty if there are none."""
         own, is_replaced = self.manifold.outliers, self.parameters.outliers != "keep"
         return {} if own is None else {"count": len(own.samples), "share": own.share, "replaced": is_replaced}
 
     def step(self, iteration: int) -> Step:
-        """Return an iteration, counted from 0."""
         own = self.parameters
         return Step(self.manifold.beta * own.growth(iteration), own.t, own.is_regularised(iteration))
 
     def with_noise(self, sigma: Float64s, reading: Reading | None) -> Plan[AnyManifold]:
-        """Return the plan for colours with other noise, root mean square differences from the truth by channel.
-
-        No PSNR is predicted for it.
-        """
+        """Return the plan for another noise: `sigma` is the RMS error by channel, without a predicted PSNR."""
         more = float(np.sqrt(np.mean(np.square(sigma)) / np.mean(np.square(self.noise))))
         described = {
             name: value if name == "grain" else more * value for name, value in self.described_noise.items()
@@ -76,7 +72,7 @@ class Plan(Generic[AnyManifold]):
         )
 
     def stopped_before(self, iteration: int) -> Plan[AnyManifold]:
-        """Return the plan of the iterations before one, counted from 0, and of nothing after them."""
+        """Return a plan of the iterations before this one, counted from 0, and of no later step."""
         first = dataclasses.replace(self.parameters, iterations=iteration, clipping="keep")
         manifold = dataclasses.replace(self.manifold, parameters=first)
         return dataclasses.replace(self, takes_patches=False, light=None, manifold=manifold)
@@ -89,23 +85,23 @@ def choose_parameters(
     *,
     light_in: Space | None = None,
 ) -> Plan[AnyManifold]:
-    """Choose the open parameters by the estimated error of the result.
+    """Choose the open parameters so that the estimated error of the result is least.
 
-    Where patches follow, the plan has other colours, without the noise that neighbouring samples share but for its
-    finest details. `tick` is called often, and may raise to stop. `light_in` is the space of colours that stand for
-    light, whose mean is preserved unless beta is given.
+    If patches follow, the colours of the plan are without the noise that neighbouring samples share, except at the
+    finest scale. `tick` is called often, and may raise to stop. `light_in` is the space of colours that stand for
+    light. Their mean radiance is preserved, unless beta is given.
     """
     light = None
     if light_in is not None and wanted.evens_noise:
         light = MeanLight.of(manifold, light_in)
-        # Texels that no path has lit are black, and no noise was cut off there.
+        # Texels that no light path has reached are black; their noise was not clipped.
         wanted = dataclasses.replace(wanted, clipping="keep")
         kept = dataclasses.replace(manifold.parameters, clipping="keep")
         manifold = dataclasses.replace(manifold, parameters=kept)
     moves = manifold.moving is not None
     if moves and manifold.resources.chunking is not None:
         raise UsageError("vertices are not moved in pieces; leave out --pieces, or --smooth-geometry")
-    if moves:  # positions take the same iterations, for which the best parameters of colours are too strong
+    if moves:  # positions share the iterations, and the best parameters of colours are too strong for them
         wanted = dataclasses.replace(wanted, free=())
     noise, error = manifold.noise, 0.0
     noisy = is_noisy(noise.of_input)
@@ -119,7 +115,7 @@ def choose_parameters(
         variance = float(np.mean(np.square(noise.of_input)))
         choice = choice.improved(-error)
         if corrects and choice.psnr is not None:
-            # Until here the gain is over colours whose shared noise is removed already.
+            # So far the gain is relative to colours without shared noise.
             choice = dataclasses.replace(choice, gain=choice.psnr + 10 * math.log10(variance))
     work = manifold.geometry.work(manifold.unit)
     chosen = work.bounded(chosen)

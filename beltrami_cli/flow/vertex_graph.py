@@ -1,8 +1,8 @@
-"""Clusters of neighbouring vertices, and clusters of these: coarse levels of a surface.
+"""The graph of a mesh and its coarse levels: clusters of neighbouring vertices, and clusters of clusters.
 
-A cluster is a vertex and neighbours of it: the vertices in the middle form a maximal independent set of the graph of
-edges, by priorities that do not depend on the order of the vertices [1]_. Clusters that share an edge are neighbours,
-so clusters can be clustered again.
+A cluster is a vertex and some of its neighbours. The vertices in the middle are a maximal independent set of the graph
+of edges, by priorities that do not depend on the order of the vertices [1]_. Clusters that share an edge are
+neighbours, so clusters can be clustered again.
 
 References
 ----------
@@ -27,26 +27,26 @@ from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.geometry import distinct_edges
 from beltrami_cli.surface.incidence import Neighbours, RowsOfSamples
 
-# Standard deviation of the Gaussian of one pass over neighbours, in spacings: all count about equally.
+# Standard deviation of the Gaussian of one pass over neighbours, in spacings: their weights are nearly equal.
 PASS_SCALE = 3.0
-# Squared spacings that a pass adds to the variance on a triangle lattice.
+# Variance that a pass adds on a triangular lattice, in squared spacings.
 PASS_VARIANCE = 0.43
 
-# Edges from the start of a group to the samples that it estimates: 200 candidates lie within eight edges, or twelve at
-# the border of a surface, and the nodes of their patches within four more.
+# Rings from the start of a group to the samples it estimates: the 200 candidates lie within eight rings, twelve at the
+# border of a surface, and the nodes of their patches within four more.
 _RINGS_OF_GROUP = 16
 
 
 @dataclass(frozen=True)
 class Graph:
-    """Samples joined by edges, with their places and priorities."""
+    """Samples joined by edges, with positions and priorities."""
 
     positions: Float64s  # (S, 3)
     edges: Int32s  # (E, 2)
     priorities: NDArray[np.uint64]  # (S,)
-    axes: Float64s = field(default_factory=lambda: np.eye(3)[:2])  # that turn with the model, (2, 3)
+    axes: Float64s = field(default_factory=lambda: np.eye(3)[:2])  # (2, 3), rotate with the model
     threads: int = 1
-    # Shape (S,): numbers of the blocks whose groups start at samples; -1: none starts; None: by place.
+    # Shape (S,): block in which a group starts at the sample; -1: no group starts there; None: by position.
     blocks: Int32s | None = None
     resources: Resources = IN_ONE_PIECE
 
@@ -61,7 +61,7 @@ class Graph:
 
     @cached_property
     def patches(self) -> SurfacePatches:
-        """The patches in the tangent planes of all samples."""
+        """The patches of all samples, in their tangent planes."""
         return SurfacePatches(
             self.positions, self.edges, self.axes, self.priorities, self.threads, self.blocks
         )
@@ -80,8 +80,8 @@ class Graph:
         assert wanted is not None
         chunks = []
         for first, last in runs(self.size, wanted.count):
-            # Groups also estimate samples around their starts, and which samples start any depends on the patches of
-            # the starts around them.
+            # Groups also estimate samples around their starts, and the choice of starts depends on the patches of the
+            # starts around them.
             rings = neighbours.distances(first, last, _RINGS_OF_GROUP + 2)
             samples = np.flatnonzero(np.isfinite(rings)).astype(np.int32)
             chunks.append(Chunk(partial(self._part, samples, first, last), around=samples, place=samples))
@@ -92,7 +92,7 @@ class Graph:
         return RowsOfSamples(self.edges, self.size)
 
     def _part(self, samples: Int32s, first: int, last: int) -> Graph:
-        """Return the part of some samples, ascending, where groups start in a run of them."""
+        """Return the subgraph of some samples, ascending, in which groups start only in [first, last)."""
         from beltrami_cli._native import PATCH_BLOCK_SIZE
 
         starts = (samples >= first) & (samples < last)
@@ -103,13 +103,13 @@ class Graph:
         )  # fmt: skip
 
     def smoothed(self, rows: Float32s, variance: float) -> Float32s:
-        """Smooth rows of samples over their neighbours; `variance` in squared spacings."""
+        """Average rows of samples over their neighbours; `variance` of the Gaussian in squared spacings."""
         for _ in range(max(1, round(variance / PASS_VARIANCE))):
             rows = self._means.smooth(rows)
         return rows
 
     def clustered(self, members: Int32s, centres: Int64s) -> Graph:
-        """Return the clusters of samples, joined where any of their samples are."""
+        """Return the graph of clusters, which are neighbours if any of their samples are."""
         counts = np.bincount(members)[:, None]
         sums = [np.bincount(members, column) for column in self.positions.T]
         edges = distinct_edges(members[self.edges])
@@ -119,12 +119,13 @@ class Graph:
         )
 
     def clusters(self) -> tuple[Int32s, Int64s]:
-        """Return the cluster of each sample, and the samples in the middle of clusters."""
+        """Return the cluster of each sample, and the sample in the middle of each cluster."""
         rank = np.empty(self.size, np.int64)
         rank[np.argsort(self.priorities, kind="stable")] = np.arange(self.size)
         is_centre = _independent(rank, self.edges)
         centres = np.flatnonzero(is_centre)
-        # Centres of high rank have the fewest neighbours left, so they get vertices that could join several.
+        # Centres of high rank have the fewest free neighbours, so they get the vertices that could join several
+        # clusters.
         best = np.where(is_centre, rank, -1)
         for this, other in (self.edges.T, self.edges.T[::-1]):
             joins = is_centre[other] & ~is_centre[this]
@@ -147,7 +148,7 @@ def sums_around(rows: Float64s, edges: Int32s) -> Float64s:
 
 
 def _independent(rank: Int64s, edges: Int32s) -> Bools:
-    """Return a maximal independent set: samples of lower rank than all neighbours, round by round."""
+    """Return a maximal independent set: in each round, the samples of lower rank than all of their neighbours."""
     chosen = np.zeros(len(rank), bool)
     is_open, left = np.ones(len(rank), bool), edges
     while is_open.any():
@@ -165,11 +166,11 @@ def _independent(rank: Int64s, edges: Int32s) -> Bools:
 
 @dataclass(frozen=True)
 class Level:
-    """Samples, or clusters of some four of them, of some twenty, and so on."""
+    """Single samples, or clusters of about four, twenty, ... of them."""
 
     graph: Graph
     members: Int32s  # (S,): the cluster of each sample
-    centres: Int64s  # of clusters: the samples in their middle
+    centres: Int64s  # the sample in the middle of each cluster
 
     @cached_property
     def counts(self) -> Float32s:
@@ -177,7 +178,7 @@ class Level:
 
     @property
     def noise(self) -> float:
-        """The variance of the independent noise of means, by that of samples, on average."""
+        """Mean variance of independent noise in the means, relative to that of samples."""
         return float(1 / self.counts.mean())
 
     def means(self, rows: Float32s) -> Float32s:
@@ -186,7 +187,7 @@ class Level:
 
 
 def levels_of(samples: Graph) -> Iterator[Level]:
-    """Go through single samples, clusters of them, clusters of clusters, and so on."""
+    """Yield levels from fine to coarse, beginning with single samples."""
     graph, members = samples, np.arange(samples.size, dtype=np.int32)
     centres = members.astype(np.int64)
     while True:
@@ -199,9 +200,9 @@ def levels_of(samples: Graph) -> Iterator[Level]:
 class MeshGaussian:
     """Gaussian means over the neighbours of each vertex."""
 
-    edges: Int32s  # with a length in space: none of hard colour edges
+    edges: Int32s  # with a length in space: no bridges over hard colour edges
     weights: Float32s
-    total: Float64s  # of the weights at each vertex, its own is 1
+    total: Float64s  # of the weights at each vertex, including its own of 1
     gain: float  # remaining standard deviation of white noise
     threads: int = 1
 
@@ -215,7 +216,7 @@ class MeshGaussian:
         gain: float | None = None,
         threads: int = 1,
     ) -> MeshGaussian:
-        """Weigh edges by their `lengths`; these and `scale` (sigma) are in sample spacings."""
+        """Weight edges by a Gaussian of their `lengths`; these and `scale` (sigma) are in sample spacings."""
         weights: Float32s = large_arrays.empty(len(edges), np.float32)
         for block in large_arrays.blocks(len(edges)):
             weights[block] = np.exp(-(lengths[block] ** 2) / (2 * scale**2))
@@ -223,12 +224,11 @@ class MeshGaussian:
         total += 1
         if gain is None:
             gains = np.sqrt(1 + _sums_at_ends(count, edges, weights**2)) / total
-            joined = total > 1  # vertices without neighbours keep their noise, and do not count
+            joined = total > 1  # isolated vertices keep their noise, and are ignored
             gain = float(gains[joined].mean()) if joined.any() else 1.0
         return cls(edges, weights, total, gain, threads)
 
     def smooth(self, colours: Float32s) -> Float32s:
-        """Smooth colours of shape (S, N)."""
         from beltrami_cli._native import neighbour_means
 
         return neighbour_means(colours, self.edges, self.weights, self.total, self.threads)

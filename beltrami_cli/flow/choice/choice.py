@@ -1,12 +1,12 @@
-"""Parameters of the kernel that minimise the estimated error of the result, and what they achieve.
+"""Choice of the kernel's parameters by the estimated error of the result, and prediction of its PSNR.
 
-What the best parameters achieve is predicted by the variance of the noise and the divergence of the result f,
+The error of the result f is predicted from the variance of the noise and the divergence of f:
 
-    E |f(y) - x|^2 = sigma^2 div f(y),
+    E |f(y) - x|^2 = sigma^2 div f(y).
 
-which holds where f is the mean of x given y (the second-order formula of Tweedie [1]_), and depends far less on an
-error of sigma^2 than Stein's estimate does: this takes sigma^2 from what was removed, so that an error of a tenth is as
-large as the remaining error. Stein's estimate for the noise that there may be bounds the prediction.
+This holds where f is the mean of x given y (the second-order formula of Tweedie [1]_). It is far less sensitive to an
+error of sigma^2 than Stein's estimate, which subtracts sigma^2 from what was removed: an error of a tenth of sigma^2 is
+as large as the error that remains. Stein's estimate at the least and the largest plausible noise bounds the prediction.
 
 References
 ----------
@@ -35,19 +35,20 @@ from beltrami_cli.flow.manifolds.search_range import Rule, SearchRange
 from beltrami_cli.flow.noise.model import NoiseModel, choose_beta, overall_noise
 from beltrami_cli.flow.parameters import KernelParameters
 
-# Values that are tried of beta times the noise.
+# Candidate values of beta times the noise.
 _CONTRASTS = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)
 
-# The largest before patches: with more, noise that is kept as if it were edges decides which patches are similar.
+# The largest candidate if patches follow: with larger ones, noise that is kept as edges decides which patches are
+# similar.
 _MAX_BEFORE_PATCHES = 2.0
 
-# Low quantiles underestimate noise that neighbours share, and its coarse steps remain as a few large details, which
-# kernels keep as if they were edges. So smoothness counts more. Enlarged pictures gain 0.9 dB by that, and JPEG 0.5 dB.
+# Weight of smoothness for noise that neighbours share. Low quantiles underestimate such noise, and kernels keep its
+# coarse steps as if they were edges. Enlarged pictures gain 0.9 dB by this weight, and JPEG pictures 0.5 dB.
 _SHARED_BY_NEIGHBOURS = 1.5
 
-# By how many dB predictions are off at most, with a certainty of 90 %, if the noise is known. With the doubt of the
-# noise it makes intervals that hold 60 of 63 results of `benchmarks/bench_regret.py`, and 93 of 125 with pictures of
-# four packages: a larger value would make most intervals wider than `_WIDEST`.
+# Error of predictions in dB with a certainty of 90 %, if the noise is known. Together with the uncertainty of the noise
+# it makes intervals that hold 60 of 63 results of `benchmarks/bench_regret.py`, and 93 of 125 with pictures of four
+# packages. A larger value would make most intervals wider than `_WIDEST`.
 _PREDICTION_ERROR = 2.5
 
 # A prediction is reported if its interval is at most this wide, in dB.
@@ -60,11 +61,11 @@ class Prediction:
 
     before: float
     psnr: float
-    least: float  # the PSNR lies between these with a certainty of 90 %
+    least: float  # `least` and `most`: interval of the PSNR with a certainty of 90 %
     most: float
 
     def in_unit(self, unit: float) -> Prediction:
-        """Return the prediction for colours that are multiplied by a unit."""
+        """Return the prediction for colours that are multiplied by `unit`."""
         shift = 20 * math.log10(unit)
         return Prediction(*(value - shift for value in dataclasses.astuple(self)))
 
@@ -75,33 +76,33 @@ class Prediction:
 
 @dataclass(frozen=True)
 class Choice:
-    """What was chosen, and by what estimate."""
+    """The chosen parameters, and the estimates behind the choice."""
 
-    chosen: dict[str, float]  # values of the parameters that were free
-    # Estimated, against noise-free colours, before clipped averages are restored; None: not known
+    chosen: dict[str, float]  # values of the free parameters
+    # Estimated against noise-free colours, before clipped averages are restored; None: unknown.
     psnr: float | None = None
-    error: float | None = None  # standard error of `psnr` in dB, if the estimate of the noise is right
+    error: float | None = None  # standard error of `psnr` in dB, given the noise
     gain: float | None = None  # in dB over the estimated PSNR of the input
-    candidates: int = 0  # schedules that were compared
-    samples: int = 0  # of the surface that they were compared on
-    correlated: bool = False  # whether neighbouring samples share noise, which was allowed for
-    # None: not known well enough. The estimate above decides, but is too high where the noise is overestimated
+    candidates: int = 0  # number of schedules compared
+    samples: int = 0  # number of samples they were compared on
+    correlated: bool = False  # whether neighbouring samples share noise
+    # None: not known well enough. `psnr` decides, but is too high where the noise is overestimated.
     predicted: Prediction | None = None
 
     @property
     def interval(self) -> tuple[float, float] | None:
-        """Where the PSNR of the result is with a certainty of 90 %; None: not known well enough."""
+        """Interval of the result's PSNR with a certainty of 90 %; None: not known well enough."""
         return None if self.predicted is None else (self.predicted.least, self.predicted.most)
 
     def in_unit(self, unit: float) -> Choice:
-        """Return the choice for colours that are multiplied by a unit."""
+        """Return the choice for colours that are multiplied by `unit`."""
         chosen = {name: value / unit if name == "beta" else value for name, value in self.chosen.items()}
         psnr = None if self.psnr is None else self.psnr - 20 * math.log10(unit)
         predicted = None if self.predicted is None else self.predicted.in_unit(unit)
         return dataclasses.replace(self, chosen=chosen, psnr=psnr, predicted=predicted)
 
     def improved(self, gain: float) -> Choice:
-        """Return the same with less mean square error, where it was estimated."""
+        """Return the choice with a mean square error that is less by `gain`, where it was estimated."""
         if self.psnr is None or self.error is None or self.gain is None:
             return self
         before = 10 ** (-self.psnr / 10)
@@ -119,7 +120,7 @@ def choose(
     parameters: KernelParameters,
     tick: Callable[[], None] | None = None,
 ) -> tuple[KernelParameters, Choice]:
-    """Choose the free parameters by the smallest error that is estimated on a sample of the manifold."""
+    """Choose the free parameters with the least estimated error on a sample of the manifold."""
     metric_sigma = manifold.noise.sigma[manifold.metric_channels]
     scale = choose_beta(metric_sigma, 1.0) * manifold.unit if len(metric_sigma) else 0.0
     grid = _grid(parameters, manifold.search_range, scale, manifold.beta)
@@ -137,9 +138,9 @@ def choose(
 
 
 def _predicted(risk: Risk, variance: float, noise: NoiseModel, *, patches: bool) -> Prediction | None:
-    """Predict the PSNR of a result; None: the noise is not known well enough.
+    """Predict the PSNR of a result; None if the noise is not known well enough.
 
-    Noise that neighbours share may be shared in another way than the model says, so that most of it remains.
+    Shared noise is never predicted: its correlation may differ from the model, and then most of it remains.
     """
     reading, low, median, high = noise.reading, 1.0, 1.0, 1.0
     if noise.is_shared or not np.isfinite(risk.error) or variance <= 0:
@@ -149,10 +150,10 @@ def _predicted(risk: Risk, variance: float, noise: NoiseModel, *, patches: bool)
             return None
         low, median, high = (size / noise.overall for size in (reading.low, reading.median, reading.high))
     share = risk.divergence / (2 * variance)
-    # Stein's estimate for the least and the strongest noise that there may be.
+    # Stein's estimate for the least and the largest plausible noise.
     bounds = [risk.value + (2 * share - 1) * (size**2 - 1) * variance for size in (low, high)]
     chance = NormalDist().inv_cdf(0.95) * risk.error
-    least = 0.0 if patches else min(bounds) - chance  # which patches may fall below
+    least = 0.0 if patches else min(bounds) - chance  # patches may have a smaller error
     error = np.clip(share * median**2 * variance, least, max(max(bounds) + chance, least))
     if not error > 0:
         return None
@@ -166,13 +167,13 @@ def _predicted(risk: Risk, variance: float, noise: NoiseModel, *, patches: bool)
 
 
 def is_noisy(sigma: Float64s) -> bool:
-    """Return whether there is noise to choose by."""
-    # Noise that cannot be distinguished from the steps of an 8-bit file is none.
+    """Whether there is noise to choose parameters by."""
+    # Noise within the quantisation step of 8 bits is ignored.
     return bool(len(sigma)) and float(np.max(sigma, initial=0.0)) > BYTE_STEP / 2
 
 
 def _grid(parameters: KernelParameters, search_range: SearchRange, scale: float, by_rule: float) -> Grid:
-    """Return what may be chosen; `scale`: the beta at which noise has the length 1, 0 if no colour counts."""
+    """Return the candidates. `scale`: beta at which noise has the length 1, or 0 if no colour enters the metric."""
     free = parameters.free
     most = _MAX_BEFORE_PATCHES if parameters.takes_patches else max(_CONTRASTS)
     betas = tuple(sorted({contrast * scale for contrast in _CONTRASTS if contrast <= most}))
@@ -204,12 +205,12 @@ def _nearest(values: tuple[float, ...], wanted: float) -> int:
 
 
 def _in_decibels(relative: float) -> float:
-    """Return a small relative change in dB."""
+    """Convert a small relative change to dB."""
     return 10 * relative / math.log(10)
 
 
 def _decibels(risk: Risk, noise: float) -> tuple[float | None, float | None, float | None]:
-    if not np.isfinite(risk.error) or noise <= 0:  # of one sample, or where all noise was cut off
+    if not np.isfinite(risk.error) or noise <= 0:  # a single sample, or all noise was clipped
         return None, None, None
     # An estimate of a small error may be negative; it is reported as its standard error.
     value = max(risk.value, risk.error, 1e-12)
@@ -220,7 +221,7 @@ def _decibels(risk: Risk, noise: float) -> tuple[float | None, float | None, flo
 def choose_by_rule(
     manifold: Manifold, parameters: KernelParameters, rule: Rule
 ) -> tuple[KernelParameters, Choice]:
-    """Set the free parameters by a rule for the noise of the channels that enter the metric."""
+    """Set the free parameters by a rule, from the noise of the channels in the metric."""
     metric_sigma, beta = manifold.noise.sigma[manifold.metric_channels], manifold.beta
     if "beta" in parameters.free and len(metric_sigma):
         strength = float(np.sqrt(parameters.strength))
@@ -234,7 +235,7 @@ def choose_by_rule(
 def _chosen(
     manifold: Manifold, parameters: KernelParameters, schedule: Schedule
 ) -> tuple[KernelParameters, dict[str, Any]]:
-    """Set the free parameters; return their values, too, with beta per unit of the colours as they were given."""
+    """Set the free parameters; return also their values, with beta per unit of the input's colours."""
     values: dict[str, Any] = {
         "iterations": schedule.regularised + schedule.plain,
         "t": schedule.t,
@@ -250,7 +251,7 @@ def _chosen(
 def tune(
     manifold: Manifold, parameters: KernelParameters, *, noisy: bool, tick: Callable[[], None] | None = None
 ) -> tuple[KernelParameters, Choice | None]:
-    """Return fully specified parameters, and what was chosen; without noise nothing is smoothed."""
+    """Return fully specified parameters and the choice; without noise, no iterations."""
     closed = dataclasses.replace(parameters, free=())
     if not parameters.is_open:
         return closed, None
@@ -260,7 +261,7 @@ def tune(
     if parameters.fast or not manifold.geometry.work(manifold.unit).has_uniform_density:
         return choose_by_rule(manifold, parameters, manifold.rule)
     trial = manifold.trial()
-    if not trial.samples:  # as of points that all lie by themselves
+    if not trial.samples:  # all points are isolated
         return unchanged, None
     LOG.info("parameters are tried on %d of %d samples first", trial.samples, manifold.geometry.kernels)
     return choose(trial, manifold, parameters, tick)

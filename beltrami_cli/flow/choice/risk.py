@@ -27,34 +27,34 @@ from beltrami_cli.flow.manifolds.manifold import SampleTrial, Step
 from beltrami_cli.flow.noise.model import VarianceStabiliser
 from beltrami_cli.surface.colour_values import limits_of
 
-# The perturbation, in units of the noise: far above the rounding of float32. Distances on meshes have kinks where their
-# paths change, so a smaller one sees a derivative that varies from sample to sample, and a larger one changes the
-# kernels: on painted and photographed samples, half or twice as much chooses worse.
+# Size of the perturbation in units of the noise, far above the rounding of float32. Distances on meshes have kinks
+# where their paths change: the derivative of a smaller perturbation varies from sample to sample, and a larger one
+# changes the kernels. On hand-painted and photographed samples, half or twice this size chooses worse.
 PERTURBATION = 0.3
 
-# The share of samples at a limit is averaged by a Gaussian on the surface: the time steps of its iterations.
+# Time steps of the Gaussian on the surface that averages the share of samples at a limit.
 _MARK_TIMES = (2.4, 2.4)
 
-# Parts of the sample, whose estimates are compared for the standard error of their mean.
+# Number of parts of the sample. The differences of their estimates give the standard error of the mean.
 _PARTS = 16
 
 
 @dataclass(frozen=True)
 class Risk:
-    """An estimate of a mean square error over samples and channels."""
+    """Estimate of a mean square error over samples and channels."""
 
     value: float  # in squared units of colour; estimates of small errors may be below 0
     error: float  # standard error of `value`, from the differences between parts of the sample
-    divergence: float  # the share of the divergence in `value`
+    divergence: float  # contribution of the divergence to `value`
 
     def weighted(self, weight: float) -> float:
-        """Return `value` with another weight for the divergence: a larger one asks for smoother results."""
+        """Return `value` with another weight of the divergence; larger ones prefer smoother results."""
         return self.value + (weight - 1) * self.divergence
 
 
 @dataclass(frozen=True)
 class State:
-    """Colours after some iterations, and the perturbed colours after them, for each stack of signs."""
+    """Colours after some iterations, and the perturbed colours for each stack of signs."""
 
     plain: Float32s
     perturbed: tuple[Float32s, ...]
@@ -62,13 +62,13 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class RiskEstimate:
-    """Monte Carlo SURE on a trial."""
+    """Monte Carlo SURE on a sample of a manifold."""
 
     trial: SampleTrial
-    noisy: Float32s  # the colours that count, shape (S, N)
-    variance: Float64s  # of their noise
+    noisy: Float32s  # the scored colours, shape (S, N)
+    variance: Float64s  # of the noise
     counts: Float32s | float  # factors of squared errors: these count as they are in the colours as given
-    weights: tuple[Float64s, ...]  # turn the responses to each stack of signs into the divergence
+    weights: tuple[Float64s, ...]  # from the response to each stack of signs to the divergence
     size: np.float32  # of the perturbation
 
     @classmethod
@@ -80,7 +80,8 @@ class RiskEstimate:
         variance = np.square(sigma) * _unclipped_variance(trial, noisy) * trial.relative
         counts = 1.0 if stabiliser is None else np.square(stabiliser.slopes(noisy.T)).T
         signs = [trial.scored(drawn) for drawn in trial.signs]
-        # 1 for signs; perturbations like the noise have its size, channel by channel, and so need no weights.
+        # Weights are 1 for signs. Correlated perturbations have the size of the noise in each channel, and need no
+        # weights.
         power = np.mean([np.mean(np.square(drawn), axis=0) for drawn in signs], axis=0)
         weight = 2 * variance * counts / np.maximum(power, np.finfo(float).tiny)
         weights = tuple(weight / (len(signs) * size) * drawn for drawn in signs)
@@ -88,7 +89,7 @@ class RiskEstimate:
 
     @property
     def noise(self) -> float:
-        """The mean variance of the noise."""
+        """Mean variance of the noise."""
         return float(np.mean(np.broadcast_to(self.variance, self.noisy.shape) * self.counts))
 
     @property
@@ -106,7 +107,7 @@ class RiskEstimate:
         for weights, colours in zip(self.weights, state.perturbed, strict=True):
             divergence += weights * (self.trial.scored(colours) - smoothed)
         misfit = (np.square(smoothed - self.noisy) - self.variance) * self.counts
-        # A mean along so short an axis takes three times as long.
+        # `mean` along so short an axis takes three times as long.
         each = np.einsum("sn->s", misfit + divergence) / misfit.shape[1]
         parts = np.array([part.mean() for part in np.array_split(each, _PARTS) if len(part)])
         error = float(parts.std(ddof=1) / np.sqrt(len(parts))) if len(parts) > 1 else float("inf")
@@ -114,9 +115,8 @@ class RiskEstimate:
 
 
 def _unclipped_variance(trial: SampleTrial, noisy: Float32s) -> Float64s | float:
-    """Return which part of the noise's variance was not cut off at 0 and full scale, sample by sample."""
-    # There y is the value that the estimate takes for y: x plus the mean of clipped noise, to which averages tend until
-    # they are restored.
+    """Return the share of the noise variance that was not clipped at 0 and full scale, by sample."""
+    # The limits are relative to x plus the mean of clipped noise, to which averages tend until they are restored.
     remaining: Float64s | float = 1.0
     low, high = limits_of(noisy)
     for beyond, is_reached in (

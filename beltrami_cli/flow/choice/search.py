@@ -1,4 +1,4 @@
-"""A descent over schedules of iterations, by the estimated error of their results."""
+"""Coordinate descent over schedules of iterations, by their estimated error."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from beltrami_cli.flow.choice.risk import Risk, RiskEstimate, State
 from beltrami_cli.flow.manifolds.manifold import Step
 from beltrami_cli.flow.parameters import MAX_GROWTH
 
-# Improvements by less than this share of the noise's variance are due to chance: some 0.1 dB of a good result.
+# Improvements below this share of the noise variance are due to chance: some 0.1 dB of a good result.
 _WORTH_MOVING = 5e-4
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """A schedule: beta and its growth, the time step, regularised iterations, and plain ones after them."""
+    """Beta and its growth, the time step, and the numbers of regularised and of plain iterations."""
 
     beta: float
     growth: float
@@ -26,7 +26,6 @@ class Schedule:
     plain: int
 
     def step(self, iteration: int) -> Step:
-        """Return an iteration, counted from 0."""
         grown = self.growth ** min(iteration, MAX_GROWTH / max(math.log(self.growth), 1 / MAX_GROWTH))
         return Step(self.beta * grown, self.t, iteration < self.regularised)
 
@@ -36,7 +35,7 @@ Place: TypeAlias = tuple[int, int, int]
 
 @dataclass(frozen=True)
 class Grid:
-    """The values that each parameter may take, ascending, and where the search starts."""
+    """The candidate values of each parameter, ascending, and the starts of the search."""
 
     betas: tuple[float, ...]
     growths: tuple[float, ...]
@@ -52,7 +51,7 @@ class Grid:
         return Schedule(self.betas[beta], self.growths[growth], self.t, self.regularised[regularised], 0)
 
     def neighbour(self, place: Place, axis: int, way: int) -> Place | None:
-        """Return the next place along an axis; None at its end."""
+        """Return the next place along an axis, or None at its end."""
         size = len((self.betas, self.growths, self.regularised)[axis])
         moved = place[axis] + way
         if not 0 <= moved < size:
@@ -62,7 +61,7 @@ class Grid:
 
 
 class Search:
-    """A descent over a grid of schedules, by an estimate of their error; `noise` is the variance of the noise.
+    """Coordinate descent over a grid of schedules; `noise` is the variance of the noise.
 
     `tick` is called before each iteration, and may raise to stop.
     """
@@ -82,19 +81,19 @@ class Search:
         self._regularised_states: dict[Schedule, State] = {}
 
     def run(self) -> Schedule:
-        """Return the best schedule found."""
+        """Return the schedule with the least weighted risk."""
         if self._grid.iterations is None:
             self._try(replace(self._grid.at(self._grid.starts[0]), regularised=0), self._estimate.start)
         least = float("inf")
         for start in self._grid.starts:
-            # Otherwise it starts no lower than where another descent ended.
+            # Skip starts no better than the result of an earlier descent.
             if self._path(start) < least - self._gain:
                 least = self._descend(start)
-        # All weights choose from the same schedules, so a larger one never chooses a gentler one.
+        # Every weight chooses from the same schedules, so that a larger one never chooses a gentler one.
         return min(self.tried, key=lambda schedule: self.tried[schedule].weighted(self._weight))
 
     def _descend(self, place: Place) -> float:
-        """Go along one axis after another until none gets better; return the least risk."""
+        """Move along one axis after another until none improves; return the least risk."""
         least, moved = self._path(place), True
         while moved:
             moved = False
@@ -107,7 +106,7 @@ class Search:
         return least
 
     def _path(self, place: Place) -> float:
-        """Try the schedules at a place, with more and more plain iterations; return the least risk."""
+        """Try a place with more and more plain iterations; return the least risk."""
         if place not in self._least:
             self._least[place] = self._walk(self._grid.at(place))
         return self._least[place]
