@@ -45,7 +45,7 @@ def cases(clean):
         yield f"camera {shot}, {read}", stored(noisy), truth
         yield f"camera {shot}, {read}, JPEG 95", jpeg_file(noisy, 95), truth
     for seed, (size, sigma) in enumerate(GRAINS):
-        grain = with_noise(clean, "grain", size=float(size), sigma=sigma / 255, seed=seed)
+        grain = with_noise(clean, "grain", grain_size=float(size), sigma=sigma / 255, seed=seed)
         yield f"grain of {size}, {sigma}", stored(grain), clean
 
 

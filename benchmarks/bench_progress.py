@@ -50,7 +50,7 @@ def measured(side: int) -> dict[str, dict[str, float]]:
         folder, found = Path(name), {}
         clean, noisy = write(folder / "clean.obj", side, 0.0), write(folder / "noisy.obj", side, 0.04)
         commands = {
-            "info": lambda job: inspect_file(noisy, progress=job.progress),
+            "info": lambda job: inspect_file(noisy, job=job),
             "smooth": lambda job: smooth_file(noisy, folder / "out.obj", job=job),
             "compare": lambda job: compare_files(clean, noisy, job=job),
             "report": lambda job: report_file(str(clean), str(noisy), str(folder / "x.html"), job=job),

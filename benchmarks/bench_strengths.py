@@ -54,7 +54,7 @@ def kinds(clean):
     for size, sigma in ((2, 12), (3, 6), (4, 12)):
         yield (
             f"grain of {size}, {sigma}",
-            stored(with_noise(clean, "grain", size=float(size), sigma=sigma / 255)),
+            stored(with_noise(clean, "grain", grain_size=float(size), sigma=sigma / 255)),
             clean,
         )
     for quality in (80, 92):

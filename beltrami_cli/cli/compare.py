@@ -187,10 +187,11 @@ _ONE_SCALAR = {
 def check(before: str, after: str, as_json: bool, quiet: bool, verbose: int, **reading: Any) -> int:
     """List what differs between two files of a format, to prove that AFTER is BEFORE with other colours."""
     from beltrami_cli.jobs.inspect import check_files
+    from beltrami_cli.jobs.job import Job
 
     with options.reading_from(reading, before) as access:
         channels = options.record_from(SmoothSettings, reading).channels or ()
-        report = check_files(before, after, replace(access, channels=channels))
+        report = check_files(before, after, Job(replace(access, channels=channels)))
     if as_json:
         click.echo(json.dumps({**asdict(report), "faithful": report.faithful}, indent=2))
     elif not quiet:

@@ -49,6 +49,7 @@ def info(sources: tuple[str, ...], as_json: bool, verbose: int, **smoothing: Any
     """Show the coloured parts of FILE, how noisy they are, and what smoothing would do."""
     from beltrami_cli.batch.plan import find_sources
     from beltrami_cli.jobs.inspect import inspect_file
+    from beltrami_cli.jobs.job import Job
     from beltrami_cli.jobs.progress import one_of
 
     settings = options.settings_from(smoothing)
@@ -61,7 +62,7 @@ def info(sources: tuple[str, ...], as_json: bool, verbose: int, **smoothing: Any
         for name, own in [(names[0], progress)] if is_one else one_of(names, "files", progress):
             try:
                 with options.reading_from(smoothing, name, is_one=is_one) as access:
-                    facts = inspect_file(name, settings, access, own)
+                    facts = inspect_file(name, settings, Job(access, own))
             except BeltramiError as error:
                 if is_one:
                     raise

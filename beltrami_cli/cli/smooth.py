@@ -168,12 +168,11 @@ def _show_unchanged(messages: Messages, report: SmoothReport, *, unwrapped: bool
 @options.messages
 def level(source: str, target: str, messages: Messages, **values: Any) -> None:
     """Remove the exposure steps between the charts of the textures of INPUT, and write OUTPUT."""
-    wanted = options.record_from(LevelSettings, values)
-    del values["strength"]  # which is another parameter where colours are smoothed
+    levelling = options.record_from(LevelSettings, values)
     settings = options.record_from(SmoothSettings, values)
     from beltrami_cli.jobs.level import level_file
 
-    carry_out = partial(level_file, source, target, wanted, settings)
+    carry_out = partial(level_file, source, target, levelling, settings)
     report = _written(values, (source, target), messages, carry_out, settings)
     messages.warn_of(source, report.warnings)
     unwritten = "not written (dry run), " if values["dry_run"] else ""

@@ -128,17 +128,17 @@ def unpacked(
 
 
 def settings_for(
-    parameters: SmoothSettings, guide: ArrayLike | None, channels: Sequence[str], shape: tuple[int, ...],
+    settings: SmoothSettings, guide: ArrayLike | None, channels: Sequence[str], shape: tuple[int, ...],
     overrides: dict[str, Any],
 ) -> tuple[SmoothSettings, list[Guide], Float32s | None]:  # fmt: skip
-    """Return the parameters with overrides, guides, and deviations of noise: a row for each vertex or pixel."""
+    """Return the settings with overrides, guides, and deviations of noise: a row for each vertex or pixel."""
     noise = _deviations_in(overrides, shape)
     wanted = overrides.get("metric_channels")
     if wanted is not None:
         overrides["metric_channels"] = tuple(_channel(each, channels) for each in wanted)
     if guide is not None:
         overrides["guides"] = ("guide",)
-    settings = override(parameters, **overrides)
+    settings = override(settings, **overrides)
     if settings.space == "oklab" and len(channels) != 3:
         raise UsageError("the space oklab needs three channels")
     if guide is None:

@@ -143,7 +143,7 @@ def smooth(
     positions: Any,
     faces: ArrayLike | None = None,
     colours: ArrayLike | None = None,
-    parameters: SmoothSettings = DEFAULTS,
+    settings: SmoothSettings = DEFAULTS,
     *,
     encoding: Encoding = "srgb",
     guide: ArrayLike | None = None,
@@ -168,7 +168,7 @@ def smooth(
         number that is not finite are holes: they stay, and lend nothing to others. uint8, uint16 and uint32 are divided
         by their full scale, floats are used as they are (full scale 1); other integers are refused, since their full
         scale is unknown.
-    parameters : SmoothSettings
+    settings : SmoothSettings
         The kernel's parameters, the working space and the embedding. By default the parameters of the kernel are chosen
         from the data, by the estimated error of the result.
     encoding : {"srgb", "linear"}
@@ -178,7 +178,7 @@ def smooth(
     progress : callable, optional
         Called with the number of samples done so far and the total; may raise to stop.
     **overrides
-        Single parameters by name, such as ``iterations=3, beta=12``, which replace those in `parameters` and are not
+        Single parameters by name, such as ``iterations=3, beta=12``, which replace those in `settings` and are not
         chosen from the data. Channels in `metric_channels` may be given by number, and `noise` as an array of standard
         deviations, full scale 1, of shape (V,) or (V, C).
 
@@ -211,7 +211,7 @@ def smooth(
     positions, faces, colours, opacity = unpacked(positions, faces, colours)
     vertices = vertices_of_arrays(positions, faces, colours, encoding)
     shape = (len(vertices.positions),)
-    settings, guides, noise = settings_for(parameters, guide, vertices.channels, shape, overrides)
+    settings, guides, noise = settings_for(settings, guide, vertices.channels, shape, overrides)
     dimensions = vertices.positions.shape[1]
     if settings.embedding.smooth_geometry and dimensions != 3:
         raise UsageError(f"smooth_geometry needs positions in 3 dimensions, not {dimensions}")
@@ -253,7 +253,7 @@ def _with_rows(table: Array, rows: Array, new: Array) -> Array:
 
 def smooth_image(
     colours: ArrayLike,
-    parameters: SmoothSettings = DEFAULTS,
+    settings: SmoothSettings = DEFAULTS,
     *,
     surface: ImageSurface | None = None,
     encoding: Encoding = "srgb",
@@ -267,7 +267,7 @@ def smooth_image(
     ----------
     colours : array_like, shape (H, W) or (H, W, C)
         Any number of channels. Types as for `smooth`; pixels with a number that is not finite are holes.
-    parameters : SmoothSettings
+    settings : SmoothSettings
         As for `smooth`.
     surface : ImageSurface, optional
         Positions of the pixels, and holes; by default the plane without holes.
@@ -306,7 +306,7 @@ def smooth_image(
     given = image_array(colours, "colours")
     table, shape = pixel_colours(given)
     channels = tuple(map(str, range(table.shape[1])))
-    settings, guides, noise = settings_for(parameters, guide, channels, shape, overrides)
+    settings, guides, noise = settings_for(settings, guide, channels, shape, overrides)
     require_choice("encoding", encoding)
     place = checked_surface(surface, table, shape)
     assert place.valid is not None
@@ -362,7 +362,7 @@ class TexturedResult:
 def smooth_textured(
     mesh: Any,
     images: Sequence[ArrayLike] | None = None,
-    parameters: SmoothSettings = DEFAULTS,
+    settings: SmoothSettings = DEFAULTS,
     *,
     texture_of: ArrayLike | None = None,
     origin: Literal["lower", "upper"] = "lower",
@@ -380,7 +380,7 @@ def smooth_textured(
     images : sequence of array_like, shape (H, W) or (H, W, C), optional
         Textures of one slot, by default the image of the mesh: grey or RGB, with opacity or without, row 0 the upper
         one. Types as for `smooth`, all finite. Texels of opacity 0 supply no colour.
-    parameters : SmoothSettings
+    settings : SmoothSettings
         As for `smooth`. Settings that choose parts of a file, or how files are written, have no effect.
     texture_of : array_like of int, shape (F,), optional
         Index of each face's image, -1 for none; needed with several images.
@@ -408,7 +408,7 @@ def smooth_textured(
     InputError
         If positions, texture coordinates or images are not finite.
     """
-    settings = override(parameters, **overrides)
+    settings = override(settings, **overrides)
     guides, noise = settings.embedding.guides, settings.kernel.given_noise
     if guides or settings.embedding.smooth_geometry or (noise is not None and noise.source):
         raise UsageError("smooth_textured takes no guides, files of noise or smooth_geometry")

@@ -17,14 +17,14 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Bools
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.formats.access import DEFAULT_ACCESS, Access
+from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, read_image
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.formats.image.sizes import measure_image, require_memory
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.jobs.job import Job
-from beltrami_cli.jobs.progress import Label, Progress, phases_of
+from beltrami_cli.jobs.job import PLAIN_JOB, Job
+from beltrami_cli.jobs.progress import Label, phases_of
 from beltrami_cli.jobs.recolour import open_input
 from beltrami_cli.layers.layer import Layer, Part
 from beltrami_cli.layers.selection import Selection, select, vertex_layer
@@ -40,8 +40,7 @@ from beltrami_cli.surface.records import Texture
 def inspect_file(
     source: str | os.PathLike[str],
     settings: SmoothSettings = DEFAULTS,
-    access: Access = DEFAULT_ACCESS,
-    progress: Progress | None = None,
+    job: Job = PLAIN_JOB,
 ) -> dict[str, object]:
     """Describe a mesh file or an image, and what `smooth_file` would do with it.
 
@@ -51,10 +50,8 @@ def inspect_file(
         Any file that `smooth_file` reads; "-" for standard input.
     settings : SmoothSettings
         As for `smooth_file`.
-    access : Access
-        What may be read.
-    progress : callable, optional
-        Called with a label of the current part, the work done so far and the total work; may raise to stop.
+    job : Job
+        What may be read, and a callback for progress.
 
     Returns
     -------
@@ -73,10 +70,9 @@ def inspect_file(
     UsageError
         If the parameters contradict the file.
     """
-    job = Job(access, progress)
     job.begin("reading")
-    document = open_input(os.fspath(source), settings, access)
-    selection = select(document, settings, access)
+    document = open_input(os.fspath(source), settings, job.access)
+    selection = select(document, settings, job.access)
     selection.require_scale()
     counts = selection.samples()
     job.expect(chain(*(phases_of(["laying out", "choosing parameters"], count) for count in counts)))
@@ -123,7 +119,7 @@ def _describe_layers(selection: Selection, job: Job) -> tuple[dict[Part, list[di
 def describe_exposure(layer: Layer) -> dict[str, object] | None:
     """Describe exposure steps, in JSON types; None for layers that cannot be levelled, such as data."""
     try:
-        report = layer.levelled(LevelSettings(strength=0.0)).level_report
+        report = layer.levelled(LevelSettings(exposure_strength=0.0)).level_report
     except (UsageError, InputError):
         return None
     assert report is not None
@@ -195,10 +191,10 @@ class CheckReport:
 
 
 def check_files(
-    before: str | os.PathLike[str], after: str | os.PathLike[str], access: Access = DEFAULT_ACCESS
+    before: str | os.PathLike[str], after: str | os.PathLike[str], job: Job = PLAIN_JOB
 ) -> CheckReport:
     """Compare a file with what was made of it, in the same format."""
-    original = open_document(os.fspath(before), access)
+    original = open_document(os.fspath(before), job.access)
     documents = [original, open_document(os.fspath(after), original.access_to_copies())]
     formats = [document.format for document in documents]
     if formats[0] != formats[1]:
@@ -207,7 +203,7 @@ def check_files(
     old, new = (document.fingerprint() for document in documents)
     found = _between(old.colours, new.colours, _of_colours)
     visible = cache(partial(_visible_texels, original))
-    found += _between(old.images, new.images, lambda one, other: _of_images(one, other, visible, access))
+    found += _between(old.images, new.images, lambda one, other: _of_images(one, other, visible, job.access))
     found += _between(old.parts, new.parts, _of_parts)
     faults = [fault for fault in new.faults if fault not in old.faults]
     found += [Difference("package", fault, of_colour=False) for fault in faults]

@@ -34,7 +34,7 @@ class LevelFileReport(FileReport):
 def level_file(
     source: str | os.PathLike[str],
     target: str | os.PathLike[str],
-    wanted: LevelSettings = LevelSettings(),  # noqa: B008
+    levelling: LevelSettings = LevelSettings(),  # noqa: B008
     settings: SmoothSettings = DEFAULTS,
     job: Job = PLAIN_JOB,
     **overrides: Any,
@@ -45,7 +45,7 @@ def level_file(
     ----------
     source, target : path
         As for `smooth_file`: a model with textures, or with vertex colours that name the photograph of each vertex.
-    wanted : LevelSettings
+    levelling : LevelSettings
         How strongly, and which charts stay as they are.
     settings : SmoothSettings
         Which colours are meant and how they are written: the working space, channels, slots, textures and their format.
@@ -53,7 +53,7 @@ def level_file(
     job : Job
         What may be read, a callback for progress, and whether files are written and replaced.
     **overrides
-        Single parameters of `wanted` or `settings` by name, such as ``strength=0.5, slots=("emissive",)``.
+        Single parameters of `levelling` or `settings` by name, such as ``exposure_strength=0.5, slots=("emissive",)``.
 
     Returns
     -------
@@ -70,14 +70,14 @@ def level_file(
         If the target cannot be written, or exists and `job.overwrite` is not set. Existing files stay as they were.
     """
     own = {field.name for field in dataclasses.fields(LevelSettings)}
-    wanted = override(wanted, **{name: value for name, value in overrides.items() if name in own})
+    levelling = override(levelling, **{name: value for name, value in overrides.items() if name in own})
     settings = override(settings, **{name: value for name, value in overrides.items() if name not in own})
     if settings.space == "oklab":
         cause = "exposures are gains of channels, which the space oklab mixes"
         raise UsageError(f"{cause}; choose srgb or linear")
     source, target = os.fspath(source), os.fspath(target)
     still = dataclasses.replace(settings, kernel=unsmoothed(settings.kernel))
-    made, done = recolour(source, target, still, Smoothing(still, wanted), job)
+    made, done = recolour(source, target, still, Smoothing(still, levelling), job)
     levelled = [
         dataclasses.replace(each.levelled, change=each.report.change)
         for each in done
@@ -85,5 +85,5 @@ def level_file(
     ]
     described, used = describe_settings(settings), ("threads", "space", "channels", "on", "textures")
     parameters = {name: value for name, value in described.items() if name in used}
-    parameters |= dataclasses.asdict(wanted)
+    parameters |= dataclasses.asdict(levelling)
     return LevelFileReport(**{**vars(made), "parameters": parameters}, levelled=levelled)

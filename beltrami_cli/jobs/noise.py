@@ -389,7 +389,7 @@ def add_grain(
     colours = targets.colours
     table = _generator(targets, settings).standard_normal((_LATTICE, colours.shape[1]), np.float32)
     table = (table - table.mean(axis=0)) / table.std(axis=0)
-    pitch = np.where(spacing > 0, settings.size * spacing, np.inf)
+    pitch = np.where(spacing > 0, settings.grain_size * spacing, np.inf)
     finite = np.isfinite(pitch)
     base = float(np.median(pitch[finite])) if finite.any() else 1.0
     octave = np.log2(np.where(finite, pitch, base) / base)

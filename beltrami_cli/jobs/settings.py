@@ -15,7 +15,7 @@ _SMALLEST_SIDE, _LARGEST_SIDE = 16, 16384  # of a texture: less is of no use, gr
 
 Kind = Literal["gaussian", "salt-pepper", "speckle", "poisson", "white", "camera", "grain", "jpeg"]
 _WITHOUT_SIGMA = ("camera", "jpeg")
-_OF_ONE_KIND = {"shot": "camera", "read": "camera", "size": "grain", "quality": "jpeg"}
+_OF_ONE_KIND = {"shot": "camera", "read": "camera", "grain_size": "grain", "quality": "jpeg"}
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class NoiseSettings(Checked):
         0.005, "Of a camera: B of that variance, the deviation in the dark.",
         low=0, high=1, metavar="B", is_daily=True,
     )  # fmt: skip
-    size: float = parameter(
+    grain_size: float = parameter(
         2.0, "Of grain: how far neighbours share it; from this distance on they hardly do.",
         low=1, high=64, unit="distances of samples", metavar="N", is_daily=True,
     )  # fmt: skip
@@ -62,7 +62,8 @@ class NoiseSettings(Checked):
             raise UsageError(f"--sigma says how much {self.kind} noise is added, such as --sigma 20; give it")
         for name, kind in _OF_ONE_KIND.items():
             if kind != self.kind and getattr(self, name) != getattr(type(self), name):
-                raise UsageError(f"--{name} is of {kind} noise, not of {self.kind}; add --kind {kind}")
+                option = name.replace("_", "-")
+                raise UsageError(f"--{option} is of {kind} noise, not of {self.kind}; add --kind {kind}")
 
     @property
     def deviation(self) -> float:

@@ -17,7 +17,7 @@ from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
 def smooth_file(
     source: str | os.PathLike[str],
     target: str | os.PathLike[str],
-    parameters: SmoothSettings = DEFAULTS,
+    settings: SmoothSettings = DEFAULTS,
     job: Job = PLAIN_JOB,
     *,
     unwrap: BakeSettings | None = None,
@@ -32,7 +32,7 @@ def smooth_file(
         output. If the extension of `target` is that of another format, the file is converted. `source` may also be a
         mesh format that is read only (OFF, STL, 3MF, COLLADA), or a level set on a grid (.npz, .nrrd), which is
         written as a mesh.
-    parameters : SmoothSettings
+    settings : SmoothSettings
         The kernel's parameters, the working space, and the choice of colours. By default the kernel's parameters are
         chosen from the data, by the estimated error of the result.
     job : Job
@@ -40,7 +40,7 @@ def smooth_file(
     unwrap : BakeSettings, optional
         Put the colours into a new texture atlas, smooth these, and write a new file that contains nothing else.
     **overrides
-        Single parameters by name, such as ``iterations=3, slots=("normal",)``, which replace those in `parameters`.
+        Single parameters by name, such as ``iterations=3, slots=("normal",)``, which replace those in `settings`.
 
     Returns
     -------
@@ -58,7 +58,7 @@ def smooth_file(
         If the target cannot be written, or exists and `job.overwrite` is not set. Existing files stay as they were.
     """
     source, target = os.fspath(source), os.fspath(target)
-    settings = override(parameters, **overrides)
+    settings = override(settings, **overrides)
     if unwrap is not None:
         return smooth_unwrapped(source, target, settings, unwrap, job)
     return smooth_report(*recolour(source, target, settings, Smoothing.of(settings), job), settings)

@@ -34,8 +34,10 @@ def level_charts(
 ) -> LevelReport:  # fmt: skip
     """Take exposure steps out of colours on a canvas, in place; `spans` as in `level_canvas`."""
     charts = _charts_of(atlas, textures, pictures)
-    fixed = _reference(charts, max(1, atlas.charts), wanted.reference) if wanted.reference else None
-    found, change = level_canvas(atlas, planes, wanted.strength, fixed, spans)
+    fixed = (
+        _reference(charts, max(1, atlas.charts), wanted.reference_charts) if wanted.reference_charts else None
+    )
+    found, change = level_canvas(atlas, planes, wanted.exposure_strength, fixed, spans)
     return _report(what, found, change, [facts for _, facts in charts])
 
 
@@ -43,10 +45,10 @@ def level_photographs(
     what: str, surface: SampledSurface, photograph_of: Int64s, wanted: LevelSettings
 ) -> tuple[Float32s, LevelReport]:
     """Return the colours of samples without exposure steps between the photographs that they are from."""
-    if wanted.reference:
-        raise UsageError("--reference is of charts of textures; parts of vertex colours have no names")
+    if wanted.reference_charts:
+        raise UsageError("--reference-charts is of charts of textures; parts of vertex colours have no names")
     mesh = surface.positions, surface.all_faces
-    found, change, colours = level_mesh(*mesh, surface.colours, photograph_of, wanted.strength)
+    found, change, colours = level_mesh(*mesh, surface.colours, photograph_of, wanted.exposure_strength)
     return colours, _report(what, found, change, [{"chart": part} for part in range(len(found.groups))])
 
 
@@ -80,12 +82,14 @@ def _reference(charts: Sequence[Chart], count: int, wanted: Sequence[str]) -> Bo
         if not fits:
             names = ", ".join(dict.fromkeys(texture.name for texture, _ in charts))
             raise UsageError(
-                f"--reference {word} is neither one of the charts 0 to {count - 1} nor a texture or material; "
+                f"--reference-charts {word} is neither one of the charts 0 to {count - 1} nor a texture or material; "
                 f"there are {names}"
             )
         found[fits] = True
     if all(found[int(str(facts["chart"]))] for _, facts in charts):
-        raise UsageError(f"--reference {' '.join(wanted)} keeps all charts as they are, so none is levelled")
+        raise UsageError(
+            f"--reference-charts {' '.join(wanted)} keeps all charts as they are, so none is levelled"
+        )
     return found
 
 

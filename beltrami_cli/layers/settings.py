@@ -142,12 +142,12 @@ class LevelSettings(Checked):
 
     group: ClassVar[str] = "Exposure steps"
 
-    strength: float = parameter(
+    exposure_strength: float = parameter(
         1.0,
         "Share of the exposures to remove: 1 levels the seams, 0.5 halves their steps.",
         low=0, high=1, metavar="S", parse=share_in, show=lambda value: f"{value:g}", is_daily=True,
     )  # fmt: skip
-    reference: tuple[str, ...] = parameter(
+    reference_charts: tuple[str, ...] = parameter(
         (),
         "Charts that stay as they are, and to which the others are matched: a number of a chart, as --report lists "
         "them, or a pattern for names of textures or materials; may be repeated.",

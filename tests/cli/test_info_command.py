@@ -159,7 +159,7 @@ def test_many_files_make_a_line_of_json_each_and_what_cannot_be_read_is_said(tmp
 def test_noise_that_samples_share_is_that_which_smooth_finds(tmp_path):
     noisy, done = tmp_path / "noisy.png", tmp_path / "done.json"
     (tmp_path / "clean.png").write_bytes(encode(np.rint(255 * photograph(160)).astype(np.uint8), "png"))
-    grain = ("--kind", "grain", "--size", "2", "--sigma", "12")
+    grain = ("--kind", "grain", "--grain-size", "2", "--sigma", "12")
     beltrami("noise", tmp_path / "clean.png", noisy, *grain)
     beltrami("smooth", noisy, tmp_path / "smooth.png", "--report", done)
     facts, report = info(noisy), json.loads(done.read_text())["image"]

@@ -105,7 +105,7 @@ def test_texels_at_several_places_are_not_said_to_be_smoothed(tmp_path):
 
 @pytest.mark.slow
 def test_no_strength_is_not_said_of_the_steps(exposed, tmp_path):
-    done = beltrami("level", exposed, tmp_path / "same.glb", "--strength", 0)
+    done = beltrami("level", exposed, tmp_path / "same.glb", "--exposure-strength", 0)
     assert "change would be too small" in done.stderr
     assert (tmp_path / "same.glb").read_bytes() == exposed.read_bytes()
 
@@ -152,7 +152,9 @@ def test_rounding_spreads_fractions_over_the_two_nearest_steps_and_keeps_whole_o
 
 @pytest.mark.slow
 def test_the_function_in_python_takes_parameters_of_both_records(exposed, tmp_path):
-    report = beltrami_cli.level_file(exposed, tmp_path / "out.glb", strength=0.5, slots=("baseColor",))
+    report = beltrami_cli.level_file(
+        exposed, tmp_path / "out.glb", exposure_strength=0.5, slots=("baseColor",)
+    )
     assert report.levelled[0].after == pytest.approx(report.levelled[0].before / 2, rel=0.1)
     with pytest.raises(beltrami_cli.UsageError):
-        beltrami_cli.level_file(exposed, tmp_path / "out.glb", strength=2.0)
+        beltrami_cli.level_file(exposed, tmp_path / "out.glb", exposure_strength=2.0)

@@ -164,8 +164,8 @@ REFUSED = [
     ("render @nonmanifold-noisy.ply a.jpg --background transparent", 2, "no transparent background"),
     ("sweep - a.png --beta 1", 2, "not a pipe"),
     ("report - @knot-clean.ply page.html", 2, "pipe"),
-    ("level @head-tex-clean.glb out.glb --reference absent*", 2, "--reference absent*"),
-    ("level @head-tex-clean.glb out.glb --reference *", 2, "keeps all charts"),
+    ("level @head-tex-clean.glb out.glb --reference-charts absent*", 2, "--reference-charts absent*"),
+    ("level @head-tex-clean.glb out.glb --reference-charts *", 2, "keeps all charts"),
     ("batch bad.ply --out-dir out --pieces 2 --smooth-geometry", 2, "bad.ply: vertices are not moved in pieces"),
     # options and files that do not fit each other
     ("smooth @terrain-noisy.ply out.ply --on texture", 3, "terrain-noisy.ply: "),

@@ -45,5 +45,5 @@ def with_grain(positions, clean, sigma):
     """Return colours of vertices of a unit sphere with noise that they share over two spacings."""
     spacing = np.full(len(positions), np.sqrt(4 * np.pi / len(positions)))
     targets = NoiseTargets(clean.astype(np.float32), np.arange(len(positions)))
-    settings = NoiseSettings(kind="grain", sigma=sigma, size=2.0)
+    settings = NoiseSettings(kind="grain", sigma=sigma, grain_size=2.0)
     return add_grain(targets, positions, spacing, settings).astype(np.float32)

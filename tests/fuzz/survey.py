@@ -89,7 +89,7 @@ def attempt(source: Path, out: Path) -> tuple[str, str]:
         return "FAILED", f"left over: {wrong}" if wrong else "colours beyond the range of the input"
     if not kept:
         return "converted", report.output
-    check = check_files(source, target, ACCESS)
+    check = check_files(source, target, Job(ACCESS))
     if not check.faithful:
         return "FAILED", next(f"{d.what}: {d.detail}" for d in check.differences if not d.of_colour)
     return "smoothed", ""

@@ -68,7 +68,7 @@ def test_a_camera_without_noise_demosaics_bilinearly(tmp_path):
 def grain_of(path, size, tmp_path):
     """Return the change of an image by grain, in units of its deviation."""
     made = tmp_path / f"grain-{size}.png"
-    noise_file(path, made, NoiseSettings(0.05, "grain", seed=4, size=size))
+    noise_file(path, made, NoiseSettings(0.05, "grain", seed=4, grain_size=size))
     return (stored(made).astype(np.float64) - stored(path)) / (0.05 * 65535)
 
 
@@ -91,7 +91,7 @@ def test_grain_has_its_deviation_everywhere_and_reaches_as_far_as_its_size(tmp_p
 @pytest.mark.parametrize("kind", ["gaussian", "grain"])
 def test_around_a_chart_is_the_noise_that_lies_there_across_the_seam(kind, tmp_path):
     image = np.full((48, 48, 3), 30000, np.uint16)
-    settings = NoiseSettings(0.1, kind, size=6 if kind == "grain" else 2)
+    settings = NoiseSettings(0.1, kind, grain_size=6 if kind == "grain" else 2)
     noise_file(write_board(tmp_path / "b.obj", image), tmp_path / "n.obj", settings)
     change = (stored(tmp_path / "n.png").astype(int) - 30000) / 6553.5
     inside = slice(FIRST, FIRST + CHART)
@@ -115,7 +115,7 @@ def test_grain_on_vertices_counts_in_their_spacing_and_is_one_at_one_place(tmp_p
     positions = np.column_stack([places, np.zeros(len(places))])
     positions = np.concatenate([positions, positions[:50]])  # some twice
     np.savez(tmp_path / "c.npz", positions=positions, colours=np.full((len(positions), 3), 0.5, np.float32))
-    noise_file(tmp_path / "c.npz", tmp_path / "n.npz", NoiseSettings(0.05, "grain", size=4))
+    noise_file(tmp_path / "c.npz", tmp_path / "n.npz", NoiseSettings(0.05, "grain", grain_size=4))
     change = (np.load(tmp_path / "n.npz")["colours"].astype(np.float64) - 0.5) / 0.05
     np.testing.assert_array_equal(change[:50], change[-50:])
     grid = change[:-50].reshape(side, side, 3)

@@ -43,7 +43,7 @@ def mesh(with_grain=False, faces=True, **parameters):
     positions, triangles = surfaces.terrain(rows, columns, 0.3, 1)
     colours = np.where(positions[:, :1] > 15, [[0.8, 0.3, 0.2]], [[0.2, 0.4, 0.7]])
     if with_grain:
-        noise = NoiseSettings(kind="grain", sigma=20 / 255, size=2.0)
+        noise = NoiseSettings(kind="grain", sigma=20 / 255, grain_size=2.0)
         targets = NoiseTargets(colours.astype(np.float32), np.arange(len(colours)))
         colours = add_grain(targets, positions, np.ones(len(colours)), noise)
     else:
