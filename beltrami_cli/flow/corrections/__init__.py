@@ -1,1 +1,1 @@
-"""What averages alone do not mend: outliers, noise that was cut off, shared or coded by JPEG, the mean light."""
+"""Corrections of what averages alone do not handle: outliers, clipping, shared or JPEG-coded noise, mean radiance."""

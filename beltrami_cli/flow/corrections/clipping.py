@@ -34,23 +34,24 @@ from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY
 from beltrami_cli.surface.colour_values import limits_of
 
-# Fewer samples at a limit, as a share of all, change no mean that is worth a plane of memory.
+# Minimum share of samples at a limit: fewer change no mean enough to be worth a plane of memory.
 _WORTH_RESTORING = 1e-3
 
-# Bound on local noise relative to the estimate, which is too low where many samples are clipped. Beyond it the colours
-# themselves differ.
+# Bound of the local noise relative to the estimate, which is too low where many samples are clipped. Larger differences
+# are in the colours themselves.
 _MAX_LOCAL_NOISE = 1.2
 
-# Standard deviations within which nearly all noise is.
+# Standard deviations that contain nearly all of the noise.
 _NOISE_EXTENT = 3.0
 
-# Entries of tables: over the share of samples at a limit, up to one half; over limits, for a quarter of their range.
+# Lengths of the tables: over the share of samples at a limit, up to one half; over limits, for a quarter of their
+# range.
 _TABLE = 1024
 
 
 @dataclass(frozen=True)
 class ClippedChannels:
-    """Which of N channels were cut off at 0 (`low`) and at 1 (`high`), and the noise (`sigma`, shape (N,))."""
+    """The clipping of N channels at 0 (`low`) and at 1 (`high`), and their noise (`sigma`, shape (N,))."""
 
     low: tuple[bool, ...]
     high: tuple[bool, ...]
@@ -58,11 +59,11 @@ class ClippedChannels:
 
     @property
     def clipped(self) -> list[int]:
-        """The channels that were cut off at either limit."""
+        """The channels that are clipped at either limit."""
         return [k for k, (low, high) in enumerate(zip(self.low, self.high, strict=True)) if low or high]
 
     def sides(self) -> Iterator[tuple[int, ClippedChannels]]:
-        """Go through channels and limits that they were cut off at, each as if it were the only one."""
+        """Yield each channel with each of its limits, as if it were the only one."""
         for k, sides in enumerate(zip(self.low, self.high, strict=True)):
             for low, high in ((sides[0], False), (False, sides[1])):
                 if low or high:
@@ -74,8 +75,8 @@ class ClippedChannels:
         return channel < reach if self.low[0] else channel > 1 - reach
 
     def mark(self, channels: Float32s, found: Float32s) -> None:
-        """Mark samples at a limit, to be averaged like colours, shape (clipped channels, ...): 1, 0 or -1."""
-        # Both limits share one plane, because no average holds many samples of either at once.
+        """Mark samples at a limit, to be averaged like colours, by 1, 0 or -1; shape (clipped channels, ...)."""
+        # Both limits share one plane, because an average seldom contains many samples of both.
         for mark, k in enumerate(self.clipped):
             high, low = self.high[k] & (channels[k] >= 1), self.low[k] & (channels[k] <= 0)
             np.subtract(high, low, out=found[mark], dtype=np.float32)
@@ -95,7 +96,7 @@ class ClippedChannels:
     def impute_in_place(
         self, channels: Float32s, pilot: Float32s, relative: Float32s, threads: int = 1
     ) -> None:
-        """Replace samples at a limit by what noise beyond it would be on average around the pilot."""
+        """Replace samples at a limit by the mean of noise beyond it, given the pilot."""
         from beltrami_cli._native import impute_cut_off
 
         tables, relative = normal_tables(), np.broadcast_to(relative, (1, *channels.shape[1:]))
@@ -108,9 +109,9 @@ class ClippedChannels:
 
 
 def find_clipped(channels: Float32s, sigma: Float64s, empty: int = 0) -> ClippedChannels | None:
-    """Find which channels, shape (N, ...), were cut off at 0 or full scale; None if none was.
+    """Find the channels, shape (N, ...), that are clipped at 0 or full scale; None if there are none.
 
-    Of the samples of each, `empty` are 0 because there is no colour.
+    In each channel, `empty` zeros are cells without a colour.
     """
     count = channels[0].size - empty
     if not count:
@@ -131,13 +132,13 @@ def find_clipped(channels: Float32s, sigma: Float64s, empty: int = 0) -> Clipped
 
 
 def clipped_on(manifold: Manifold) -> ClippedChannels | None:
-    """Find which channels of a manifold's colours were cut off; None if none was."""
+    """Find the clipped channels of a manifold's colours; None if there are none."""
     channels, empty = manifold.geometry.counted(manifold.colours)
     return find_clipped(channels, manifold.noise.sigma, empty)
 
 
 def mark_clipped(manifold: Manifold, clipped: ClippedChannels) -> Stack:
-    """Return the stack of marks of the samples at a limit, to be averaged like colours."""
+    """Return the marks of samples at a limit as a stack, to be averaged like colours."""
     geometry = manifold.geometry
     planes = geometry.planes(len(clipped.clipped))
     marks = np.ascontiguousarray(np.moveaxis(planes, 0, geometry.axis))
@@ -160,7 +161,7 @@ def restore_clipped_in_place(
 
 
 def variance_of_clipped(share: Float64s) -> Float64s:
-    """Return the variance of unit noise after clipping [1]_, by the share of samples at the limit."""
+    """Return the variance of unit noise after clipping [1]_, given the share of samples at the limit."""
     table = _censored_normal()
     variance: Float64s = np.interp(share, table.share, table.variance)
     return variance
@@ -168,20 +169,20 @@ def variance_of_clipped(share: Float64s) -> Float64s:
 
 @dataclass(frozen=True)
 class _CensoredNormal:
-    """Statistics of a normal variable with sigma = 1, censored at a limit, by the share of samples at the limit."""
+    """Statistics of a unit normal variable censored at a limit, by the share of samples at the limit."""
 
     share: Float64s  # ascending from 0 to 1
-    alpha: Float64s  # from the mean before censoring to the limit
-    gap: Float64s  # from the mean after censoring to the limit
+    alpha: Float64s  # distance from the mean before censoring to the limit
+    gap: Float64s  # distance from the mean after censoring to the limit
     variance: Float64s  # after censoring
 
 
 @cache
 def _censored_normal() -> _CensoredNormal:
-    # SciPy has these functions, and takes longer to be imported than a small mesh takes to be smoothed.
+    # SciPy has these functions, but importing it takes longer than smoothing a small mesh.
     normal = NormalDist()
     share = np.linspace(0, 1, 2 * _TABLE - 1)
-    # Shares of 0 and 1 have an unbounded alpha; the values in the table there make no difference to the mean.
+    # For shares of 0 and 1 alpha is unbounded; the values in the table there do not affect the mean.
     least = share[1] / 100
     inside = np.clip(share, least, 1 - least)
     alpha = -np.array([normal.inv_cdf(part) for part in inside])
@@ -194,7 +195,7 @@ def _censored_normal() -> _CensoredNormal:
 
 @dataclass(frozen=True)
 class NormalTables:
-    """Of a normal variable z with sigma = 1: functions of a limit a, from `-furthest` to `furthest` in even steps."""
+    """Functions of a limit a for a unit normal variable z, at even steps from `-furthest` to `furthest`."""
 
     furthest: ClassVar[float] = 8.0
     lost: Float32s  # E max(z - a, 0)
@@ -203,11 +204,11 @@ class NormalTables:
 
     @property
     def limits(self) -> Float64s:
-        """The limits that all tables go over."""
+        """The limits a of the table entries."""
         return np.linspace(-self.furthest, self.furthest, len(self.lost))
 
     def lost_to_limits(self, colours: Float32s, sigma: float) -> Float32s:
-        """Return by how much colours are larger than the mean of what noise leaves of them between 0 and 1."""
+        """Return the difference between colours and the mean of their noisy values clipped to [0, 1]."""
         low, high = (self._lost_at(gap / np.float32(sigma)) for gap in (colours, 1 - colours))
         return (high - low) * np.float32(sigma)
 
@@ -221,7 +222,7 @@ class NormalTables:
 
 @cache
 def normal_tables() -> NormalTables:
-    """Return the tables, made once."""
+    """Return the tables, which are computed once."""
     from math import erfc, sqrt
 
     limits = np.linspace(-NormalTables.furthest, NormalTables.furthest, 4 * _TABLE + 1)

@@ -1,12 +1,12 @@
-"""Noise that neighbours share, removed from coarse to fine.
+"""Removal of noise that neighbours share, from coarse to fine levels.
 
-In means of squares of cells, and of clusters of vertices, such noise is closer to independent. So means are estimated
-first, by patches on the coarsest level, and what that changes is added to the next finer one, enlarged; on each level
-only the details of its own samples are then left to be estimated [1]_.
+In means of squares of cells, or of clusters of vertices, such noise is closer to independent. So means are estimated by
+patches on the coarsest level first. Their change is interpolated and added to the next finer level, and on each level
+only the details of its own samples remain to be estimated [1]_.
 
-Noise of cameras is not normal in the dark: encoding stretches darker values, down to 0, and some samples lie so far
-out that patches would keep them as detail. So dark outliers in plain places are replaced first. Genuine detail
-spans several samples there: what made neighbours share the noise blurred it as well.
+Noise of cameras is not normal in the dark: encoding stretches dark values down to 0, and some samples are so far out
+that patches would keep them as detail. So dark outliers in plain places are replaced first. Genuine detail spans
+several samples there, since the process that correlated the noise blurred the detail too.
 
 References
 ----------
@@ -34,27 +34,27 @@ from beltrami_cli.surface import large_arrays
 
 AnyManifold = TypeVar("AnyManifold", bound=Manifold)
 
-# Share of the noise of a level in the means of four of its samples, which coarser levels estimate; its details hold the
-# rest.
+# Share of the noise of a level that is in the means of four of its samples, which coarser levels estimate; the rest is
+# in its details.
 _SHARE_IN_MEANS = 0.25
-# What coarser levels leave of that, in the same units.
+# Share that coarser levels leave of the noise in means, in the same units.
 _RESIDUAL_SHARE = 0.1
 
-# The scale from which on noise grows no more than this is the coarsest.
+# A level is the coarsest if the noise grows by no more than this factor beyond it.
 _GROWTH_LIMIT = 1.1
 
-# Outliers are this many standard deviations below the mean around; places are plain where the variance around is less
-# than this factor of that of noise; and how often outliers are looked for, which add to that variance themselves.
+# Outliers are this many standard deviations below the mean around. Places are plain where the local variance is less
+# than this factor of that of noise. The search is repeated this often, since outliers add to the variance.
 _OUTLIER, _PLAIN, _ROUNDS = 4.0, 1.4, 2
 
-# Less of a mean than any sample near has.
+# Smaller than the share of any sample in a mean of its neighbourhood.
 _MIN_SHARE = 1e-6
 
 
 def without_shared_noise(
     manifold: AnyManifold, tick: Callable[[], None] | None = None
 ) -> tuple[AnyManifold, float]:
-    """Return the manifold with colours whose noise neighbours do not share, but for its finest details.
+    """Return the manifold with colours whose noise is independent, except at the finest scale.
 
     Return also the estimated mean square error of what was removed, in the input's colours. `tick` is called often, and
     may raise to stop.
@@ -75,7 +75,7 @@ def without_shared_noise(
 
 
 def _impute_cut_off_in_place(manifold: Manifold) -> None:
-    """Replace samples at a limit by what noise beyond it would be on average, given those around them."""
+    """Replace samples at a limit by the mean of the noise beyond it, given the samples around."""
     geometry, regions = manifold.geometry, manifold.regions
     found = clipped_on(manifold)
     colours, relative = (
@@ -88,7 +88,7 @@ def _impute_cut_off_in_place(manifold: Manifold) -> None:
             own = channel[:, rows]
             marks = np.empty(own.shape, np.float32)
             clipped.mark(own, marks)
-            # Samples beyond an edge are not near the limit, and do not count.
+            # Samples beyond an edge are not near the limit, and are ignored.
             return np.concatenate([np.ones_like(own), own, marks]) * clipped.near_limit(
                 own, relative[:, rows]
             )
@@ -103,7 +103,7 @@ def _impute_cut_off_in_place(manifold: Manifold) -> None:
 
 
 def fill_dark_outliers_in_place(manifold: Manifold, level: CoarseLevel, sigma: Float64s) -> None:
-    """Replace single samples that lie further below the mean around than noise does in a plain place."""
+    """Replace single samples in plain places that are too far below the local mean for noise."""
     geometry = manifold.geometry
     colours, relative = (
         np.moveaxis(each, geometry.axis, 0) for each in (manifold.colours, relative_variance(manifold))
@@ -124,9 +124,9 @@ def fill_dark_outliers_in_place(manifold: Manifold, level: CoarseLevel, sigma: F
 
 
 def _around(geometry: Geometry, level: CoarseLevel, channel: Float32s, shares: Float32s) -> Float32s:
-    """Return the mean and the variance of a channel around each sample, along the first axis; by means of a level.
+    """Return the local mean and variance of a channel, along the first axis, computed from means of a level.
 
-    `shares`: what the level makes of ones.
+    `shares`: the result of spreading ones over the level.
     """
     axis = geometry.axis
     both = geometry.planes(2)
@@ -174,7 +174,7 @@ def _estimate_in_place(level: CoarseLevel, manifold: Manifold, noise: Float64s) 
 
 
 def _noise_of_level(covariances: Float64s, level: int, *, is_coarsest: bool) -> Float64s:
-    """Return the covariance of noise, shape (N, N), that is left in the means of a level, in units of that of cells."""
+    """Return the covariance of the noise left in the means of a level, shape (N, N), in units of that of cells."""
     above = covariances[min(level + 1, len(covariances) - 1)]
     shared = _SHARE_IN_MEANS if is_coarsest else _RESIDUAL_SHARE
     own: Float64s = (1 - _SHARE_IN_MEANS) * covariances[level] + shared * above
@@ -182,7 +182,7 @@ def _noise_of_level(covariances: Float64s, level: int, *, is_coarsest: bool) -> 
 
 
 def _left_for_samples(covariances: Float64s) -> Float64s:
-    """Return the covariances of noise that coarser levels leave, shape (L, N, N), see `model`."""
+    """Return the covariances of the noise left by coarser levels, shape (L, N, N), see `noise.model`."""
     left = np.zeros_like(covariances)
     left[0] = covariances[0]
     left[1:] = (

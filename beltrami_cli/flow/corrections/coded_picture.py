@@ -1,13 +1,14 @@
-"""Pictures that JPEG coded, and pictures decoded by what is known of the noise in them.
+"""Decoding of JPEG pictures given the noise before compression.
 
-JPEG rounds the DCT coefficients of blocks to multiples of steps. Noise that is small beside a step vanishes, but for a
-few coefficients, which stand out as whole waves: neither estimates of noise nor of its removal expect that. Given the
-noise before, and a pilot x, a coefficient that was rounded to k steps d was on average
+JPEG rounds the DCT coefficients of blocks to multiples of a step. Noise that is small compared with a step vanishes,
+except in a few coefficients, which then stand out as whole waves. The estimation and removal of noise do not expect
+that. Given sigma of the noise before compression and a pilot x, the expectation of a coefficient that was rounded to k
+steps d is
 
     E[z | (k - 1/2) d < z < (k + 1/2) d],    z normal around x,
 
-which is what noise that was cut off is replaced by, too [1]_. Where colours are near a limit, noise was cut off before
-the picture was coded, so that x lies further from it than what was coded did on average.
+the mean of a truncated normal distribution [1]_, as for clipped noise. Near a limit of the colours noise was clipped
+before compression, so that x is further from the limit than the mean of the compressed values.
 
 References
 ----------
@@ -29,86 +30,86 @@ from beltrami_cli.flow.noise.grid_squares import Grid
 from beltrami_cli.flow.noise.model import NoiseModel, Reading, sigma_of_covariances
 from beltrami_cli.surface import large_arrays
 
-# Noise is shared by neighbours if its standard deviation grows by this factor to the third scale.
+# Neighbours share noise if its standard deviation grows by this factor up to the third scale.
 _SHARED_GROWTH = 1.6
 
-# What JPEG lost of originals, as a multiple of what it loses of its results: 1 to 3.5 on samples, most where hues meet.
+# Loss of originals by JPEG, as a multiple of the loss of decoded results: 1 to 3.5 on samples, largest at edges of hue.
 _LOSS_OF_ORIGINAL = 3.0
 
-# Decoding leaves more noise than it does with a pilot that is the truth. The standard deviation is larger by 1.2 to 1.5
-# on photographs with noise of 10 of 255; by this factor, painted pictures gain 1 to 2 dB, and photographs lose 0.1.
+# Standard deviation after decoding, relative to decoding around the true colours. It is 1.2 to 1.5 on photographs with
+# noise of 10 of 255. By this factor, hand-painted pictures gain 1 to 2 dB, and photographs lose 0.1.
 PILOT_ERROR = 1.2
 
-# Least standard deviation of noise that is worth decoding again.
+# Minimum standard deviation of noise that is worth decoding again.
 _MIN_SIGMA = 2.0 / 255
 
-# Largest factor by which JPEG lowers the finest noise of luma: white noise of 6 is halved at a quality of 75.
+# Largest reduction of the finest luma noise by JPEG: white noise of 6 is halved at a quality of 75.
 _MAX_TAKEN = 2.7
 
-# Steps of luma, relative to its noise, from which on they change it.
+# Luma steps relative to the noise, from which on they change the noise.
 _COARSE = 1.5
 
-# Pixels from which covariances are known.
+# Number of pixels that suffices to estimate covariances.
 _ENOUGH_PIXELS = 400_000
 
 _SEED = 80
 
-# Luma and the two kinds of chroma of red, green and blue (JFIF).
+# Luma and the two chroma channels of red, green and blue (JFIF).
 _YCC = np.array([[0.299, 0.587, 0.114], [-0.168736, -0.331264, 0.5], [0.5, -0.418688, -0.081312]])
 _RGB = np.linalg.inv(_YCC)
 
-# Cells a side of a block.
+# Side of a block in pixels.
 SIDE = 8
 
-# Rows that are worked on at a time, which hold whole blocks of chroma: as many as have no more pixels than this.
+# Pixels processed at a time, in rows that contain whole blocks of chroma.
 _BANDS, _PIXELS = (128, 64, 32, 16), 1 << 18
 
-# Rows around them by which interpolated chroma is known: each sample has 0.17 of the influence of the one before.
+# Additional rows, which determine interpolated chroma: the influence of samples falls by a factor of 0.17 each.
 _CHROMA_MARGIN = 8
 
-# Of a pixel's chroma, where samples of it are two pixels apart: the share of the nearest sample, and of the next one.
+# Weights of the nearest and the next sample in a pixel's chroma, where samples are two pixels apart.
 _NEAREST_SHARE, _NEXT_SHARE = 0.75, 0.25
 
 
 @dataclass(frozen=True)
 class CodedPicture:
-    """A picture that JPEG coded."""
+    """A picture decoded from a JPEG file."""
 
     pixels: Array  # shape (H, W, 1 or 3), uint8
-    used: Bools  # which are samples of the surface, shape (H, W)
-    steps: Float64s  # of coefficients of luma and chroma, shape (1 or 2, 8, 8)
-    span: tuple[int, int]  # rows and columns of pixels that a sample of chroma stands for
+    used: Bools  # pixels that are samples of the surface, shape (H, W)
+    steps: Float64s  # quantisation tables of luma and chroma, shape (1 or 2, 8, 8)
+    span: tuple[int, int]  # rows and columns of pixels per chroma sample
 
     @property
     def tables(self) -> list[Float64s]:
-        """The steps in each plane."""
+        """The quantisation table of each plane."""
         planes = [0, 1, 1][: self.pixels.shape[2]]
         return [self.steps[min(plane, len(self.steps) - 1)] for plane in planes]
 
     @property
     def bands(self) -> list[slice]:
-        """Rows to work on at a time."""
+        """Bands of rows that are processed one at a time."""
         count, columns = self.used.shape
         rows = next((rows for rows in _BANDS if rows * columns <= _PIXELS), _BANDS[-1])
         return list(large_arrays.blocks(count, rows))
 
     def planes(self, pixels: Array) -> list[Float32s]:
-        """Return luma and chroma of some rows of pixels of full scale 255."""
+        """Convert rows of pixels of full scale 255 to luma and chroma."""
         if pixels.shape[2] == 1:
             return [pixels[..., 0].astype(np.float32) - np.float32(128)]
-        # Not by BLAS, whose threads would spin on.
+        # Not with BLAS, whose idle threads keep spinning.
         mixed = np.einsum("ij,rcj->irc", _YCC.astype(np.float32), pixels.astype(np.float32))
         mixed[0] -= 128
         chroma: list[Float32s] = [_means_over(plane, self.span) for plane in mixed[1:]]
         return [mixed[0], *chroma]
 
     def decoded_planes(self, pixels: Array) -> list[Float32s]:
-        """Return the luma and chroma that some rows of pixels were decoded from."""
+        """Return the luma and chroma that rows of pixels were decoded from, before interpolation."""
         luma, *chroma = self.planes(pixels)
         return [luma, *(_not_interpolated(plane, self.span) for plane in chroma)]
 
     def stored_planes(self, rows: slice) -> list[Float32s]:
-        """Return the same of the picture itself, by the rows around, too."""
+        """Return the stored luma and chroma of some rows, computed with additional rows around."""
         first = max(0, rows.start - _CHROMA_MARGIN)
         planes = self.decoded_planes(self.pixels[first : rows.stop + _CHROMA_MARGIN])
         spans = [1, self.span[0], self.span[0]]
@@ -118,7 +119,7 @@ class CodedPicture:
         ]
 
     def pixels_of(self, planes: Sequence[Float32s], shape: tuple[int, ...]) -> Float32s:
-        """Return the pixels (R, C, 1 or 3) that differences of planes make; 0 where these do not reach."""
+        """Convert changes of planes to changes of pixels (R, C, 1 or 3); 0 beyond the planes."""
         whole = np.zeros((len(planes), *shape[:2]), np.float32)
         for plane, own, span in zip(planes, whole, [(1, 1), self.span, self.span], strict=False):
             large = _interpolated(plane, span)
@@ -128,7 +129,7 @@ class CodedPicture:
         return np.asarray(np.einsum("ij,jrc->rci", _RGB.astype(np.float32), whole))
 
     def sigma_of_planes(self, sigma: float) -> list[float]:
-        """Return the standard deviation of noise in each plane, for that of pixels."""
+        """Convert the standard deviation of noise of pixels to that of each plane."""
         if self.pixels.shape[2] == 1:
             return [sigma]
         luma, *chroma = (sigma * np.sqrt(np.square(_YCC).sum(axis=1))).tolist()
@@ -136,7 +137,7 @@ class CodedPicture:
 
 
 def decode_in_place(picture: CodedPicture, pilot: Float32s, sigma: float) -> None:
-    """Replace a pilot, shape (H, W, 1 or 3), full scale 1, by what pixels were before on average."""
+    """Replace a pilot, shape (H, W, 1 or 3), full scale 1, by the expected pixels before compression."""
     for rows in picture.bands:
         stored = picture.pixels[rows].astype(np.float32)
         decoded = expected(picture, stored, picture.stored_planes(rows), 255 * pilot[rows], sigma)
@@ -158,7 +159,7 @@ def expected(
         for mean, row in zip(changes, means, strict=True):  # one by one, as this takes many arrays
             mean[:] = _mean_within(mean, noise, np.rint(row / steps) * steps, steps / 2) - mean
         differences.append(_from_coefficients(changes))
-    # What chroma loses to its resolution is known from the pilot alone. Beyond whole blocks nothing is known.
+    # The loss of chroma by subsampling is taken from the pilot alone. Beyond whole blocks nothing is known.
     whole = tuple(
         slice(0, size - size % (SIDE * span)) for size, span in zip(stored.shape, picture.span, strict=False)
     )
@@ -168,22 +169,22 @@ def expected(
 
 
 def _mean_within(mean: Float32s, sigma: float, middle: Float64s, reach: Float64s) -> Float32s:
-    """Return the mean of normal numbers between middle - reach and middle + reach."""
+    """Return the mean of a normal variable truncated to [middle - reach, middle + reach]."""
     from scipy.special import ndtr
 
-    # On the side of 0 on which the distribution function keeps its digits.
+    # Use the side of 0 on which the distribution function does not lose digits.
     sign = np.where(middle > mean, -1, 1)
     centre = sign * (middle - mean) / sigma
     low, high = centre - reach / sigma, centre + reach / sigma
     mass = ndtr(high) - ndtr(low)
     slope = (np.exp(-np.square(low) / 2) - np.exp(-np.square(high) / 2)) / np.sqrt(2 * np.pi)
-    # Far away nearly all is at the nearer end.
+    # Far from the mean, nearly all mass is at the nearer end.
     inside = np.clip(np.where(mass > 1e-30, slope / np.maximum(mass, 1e-30), high), low, high)
     return np.asarray(mean + sign * sigma * inside, np.float32)
 
 
 def coded(picture: CodedPicture, pixels: Float32s) -> Float32s:
-    """Return pixels as they are after JPEG; beyond whole blocks only the averages of chroma are lost."""
+    """Simulate JPEG compression of pixels; beyond whole blocks only chroma is averaged."""
     planes = picture.planes(pixels)
     for plane, steps in zip(planes, picture.tables, strict=True):
         rounded = _from_coefficients(np.rint(coefficients_of(plane) / steps) * steps)
@@ -193,14 +194,14 @@ def coded(picture: CodedPicture, pixels: Float32s) -> Float32s:
 
 
 def sigma_before(pictures: Sequence[CodedPicture], noise: NoiseModel) -> float | None:
-    """Return sigma of white noise before JPEG, by the noise of what was decoded; None if it cannot be estimated."""
+    """Estimate sigma of white noise before compression from the decoded noise; None if it cannot be estimated."""
     if noise.relative is not None:
         return None
     noise = noise.as_read()
     channels = pictures[0].pixels.shape[2]
     luma = _YCC[0] if channels > 1 else np.ones(1)
     variances = np.einsum("i,lij,j->l", luma, noise.covariances[:, :channels, :channels], luma)
-    # JPEG keeps most of the noise of luma in means of 2 x 2 pixels, where its steps are small.
+    # JPEG preserves most of the luma noise in means of 2 x 2 pixels, where its steps are small.
     fine, middle, coarse = (variances[min(scale, len(variances) - 1)] for scale in range(3))
     sigma = noise.difference_to_input(float(np.sqrt(middle / np.square(luma).sum())))
     is_white = coarse < _SHARED_GROWTH**2 * middle and middle < _MAX_TAKEN**2 * fine
@@ -208,7 +209,7 @@ def sigma_before(pictures: Sequence[CodedPicture], noise: NoiseModel) -> float |
 
 
 def is_changed(pictures: Sequence[CodedPicture], sigma: float) -> bool:
-    """Whether JPEG changed noise of a standard deviation."""
+    """Whether JPEG changes noise of this standard deviation."""
     return any(
         max(each.span) > 1 or np.median(each.steps[0]) > _COARSE * each.sigma_of_planes(255 * sigma)[0]
         for each in pictures
@@ -218,9 +219,9 @@ def is_changed(pictures: Sequence[CodedPicture], sigma: float) -> bool:
 def noise_after(
     pictures: Sequence[CodedPicture], pilots: Sequence[Float32s], sigma: float
 ) -> tuple[NoiseModel, Float64s]:
-    """Find what decoding leaves of noise, and the root mean square of what stored pixels differ by, per channel.
+    """Estimate the noise left by decoding, and the RMS error of stored pixels, per channel.
 
-    Both on the pilots, noise added and coded.
+    Both are measured on the pilots, with noise added and compressed.
     """
     random = np.random.default_rng(_SEED)
     channels = pictures[0].pixels.shape[2]
@@ -238,7 +239,7 @@ def noise_after(
             decoded = expected(picture, stored, picture.decoded_planes(stored), truth, sigma)
             after.add(decoded - truth, picture.used[rows])
     covariances, stored_error = PILOT_ERROR**2 * after.mean(), np.sqrt(squares / max(1, used))
-    # Detail that the original lost is estimated by what the pilot loses.
+    # The loss of detail of the original is estimated by that of the pilot.
     doubt = _LOSS_OF_ORIGINAL * float(np.mean(np.square(sigma_of_covariances(lost.mean()))))
     fine, coarse = (np.linalg.eigvalsh(covariances[scale]) for scale in (0, 2))
     own = sigma_of_covariances(covariances)
@@ -250,7 +251,7 @@ def noise_after(
 
 
 def _some_bands(pictures: Sequence[CodedPicture]) -> list[list[slice]]:
-    """Choose bands of rows of each picture, evenly spread, with enough pixels together to estimate noise from."""
+    """Choose evenly spread bands of rows of each picture, with enough pixels together to measure noise."""
     share, chosen = _ENOUGH_PIXELS / max(1, sum(each.used.size for each in pictures)), []
     for picture in pictures:
         bands = list(picture.bands)
@@ -260,13 +261,13 @@ def _some_bands(pictures: Sequence[CodedPicture]) -> list[list[slice]]:
 
 
 class _Covariances:
-    """Covariances of Haar details of noise, as `model` has them."""
+    """Covariances of Haar details of noise, in the form of `noise.model`."""
 
     def __init__(self, channels: int) -> None:
         self._channels, self._sums, self._counted = channels, np.zeros((SCALES, 6)), np.zeros(SCALES)
 
     def add(self, noise: Float32s, used: Bools) -> None:
-        """Add the details of noise, shape (R, C, 1 or 3), full scale 255, in squares of used cells."""
+        """Add details of noise, shape (R, C, 1 or 3), full scale 255, in squares of used cells."""
         planes = np.broadcast_to(np.moveaxis(noise / np.float32(255), 2, 0), (3, *used.shape))
         seen = Grid(used, most=used.size).cut(planes, np.arange(3))
         for number, scale in enumerate(seen.where.scales[:SCALES]):
@@ -274,7 +275,7 @@ class _Covariances:
             self._counted[number] += scale.freedom.sum()
 
     def mean(self) -> Float64s:
-        """Return the covariances, shape (L, N, N); scales without details repeat the next finer one."""
+        """Return the mean covariances, shape (L, N, N); scales without details repeat the next finer one."""
         means = self._sums / np.maximum(self._counted, 1)[:, None] / np.square(float(STEPS))
         for scale in range(1, SCALES):
             if not self._counted[scale]:
@@ -285,7 +286,7 @@ class _Covariances:
 
 
 def _interpolated(plane: Float32s, span: tuple[int, int]) -> Float32s:
-    """Return a plane with as many samples as pixels: between samples two pixels apart, decoders interpolate."""
+    """Upsample a plane to pixels; like decoders, interpolate between samples two pixels apart."""
     for axis, times in enumerate(span):
         if times != 2:
             plane = plane.repeat(times, axis=axis)
@@ -300,7 +301,7 @@ def _interpolated(plane: Float32s, span: tuple[int, int]) -> Float32s:
 
 
 def _not_interpolated(means: Float32s, span: tuple[int, int]) -> Float32s:
-    """Return the samples of which pixels that were interpolated have these means over spans."""
+    """Return the samples whose interpolated pixels have these means over spans."""
     from scipy.linalg import solve_banded
 
     for axis, times in enumerate(span):
@@ -315,14 +316,14 @@ def _not_interpolated(means: Float32s, span: tuple[int, int]) -> Float32s:
 
 
 def _means_over(plane: Float32s, span: tuple[int, int]) -> Float32s:
-    """Return the means of whole spans."""
+    """Return the means over whole spans."""
     rows, columns = (size // own for size, own in zip(plane.shape, span, strict=True))
     whole = plane[: rows * span[0], : columns * span[1]]
     return np.asarray(whole.reshape(rows, span[0], columns, span[1]).mean(axis=(1, 3)), np.float32)
 
 
 def _in_blocks(plane: Array) -> Array:
-    """Return the whole blocks of a plane, shape (R, C, 8, 8)."""
+    """View the whole blocks of a plane, shape (R, C, 8, 8)."""
     rows, columns = (size // SIDE for size in plane.shape)
     whole = plane[: rows * SIDE, : columns * SIDE]
     return whole.reshape(rows, SIDE, columns, SIDE).transpose(0, 2, 1, 3)
@@ -336,7 +337,7 @@ def coefficients_of(plane: Float32s) -> Float32s:
 
 
 def _from_coefficients(blocks: Array) -> Float32s:
-    """Return the plane of which these are the coefficients."""
+    """Return the plane with these DCT coefficients."""
     from scipy.fft import idctn
 
     rows, columns = blocks.shape[:2]

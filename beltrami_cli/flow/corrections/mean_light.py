@@ -1,15 +1,16 @@
 """Smoothing that preserves the mean radiance.
 
-Colours are averaged where their noise is even: in display values, and in stabilised ones. The mean of such values is
-not that of the light. Where noise grows with the light, as that of renderers that trace few paths, it is darker, by up
-to one half. So the light that smoothing has lost around each sample is given back, in proportion to the light there.
+Colours are averaged as display values or stabilised values, in which their noise is even. The mean of such values is
+not the mean of the light. If noise grows with the light, as with renderers that trace few paths, the result is too
+dark, by up to one half. So the light that smoothing lost around each sample is restored, in proportion to the local
+light.
 
-With z the light before, u after, weights w_b of the level of u that sum to one over the bands b, and the mean G over a
-part of the surface:
+With z the light before, u after smoothing, w_b weights of the level of u that sum to one over the bands b, and G the
+mean over a part of the surface:
 
     u' = u + |u| sum_b w_b G[w_b (z - u)] / G[w_b |u|]
 
-Bands keep what bright samples lost from dark ones beyond an edge. With the magnitude |u|, light below 0 is ordinary.
+Bands prevent that dark samples beyond an edge receive the loss of bright ones. The magnitude |u| admits negative light.
 """
 
 from __future__ import annotations
@@ -30,19 +31,19 @@ from beltrami_cli.surface.colour_values import from_space, to_space
 if TYPE_CHECKING:
     from beltrami_cli.flow.manifolds.manifold import Manifold
 
-# From one band of levels to the next, light grows by this factor. Where only the noise of the dark side of an edge of
-# 1 to 50 has heavy tails (a gamma distribution of four samples), the mean of the 32 cells at the edge is off by
-# 2.3 % without bands and by 0.2 % with factors of 4 and 16. Bands of noise that is left, which are narrower with 4,
-# would keep more of it: 9 % against 4 %.
+# Ratio of light between successive bands. Where only the noise on the dark side of an edge of 1 to 50 has heavy tails
+# (a gamma distribution of four samples), the mean of the 32 cells at the edge is off by 2.3 % without bands and by 0.2
+# % with ratios of 4 and 16. Bands with a ratio of 4 are narrower than the remaining noise, and would keep more of it: 9
+# % against 4 %.
 _BAND_FACTOR = 16.0
 
-# Bands below and above full scale. Light beyond them, such as black, belongs to the last ones.
+# Number of bands below and above full scale. The last ones include all light beyond, such as black.
 _MAX_BANDS = 4
 
 
 @dataclass(frozen=True)
 class MeanLight:
-    """The light of the samples of a manifold before they are smoothed in a space."""
+    """The light of a manifold's samples in a colour space before smoothing."""
 
     planes: Float32s  # of all channels
     space: Space
@@ -52,7 +53,7 @@ class MeanLight:
         return cls(_light_of(manifold, space), space)
 
     def restore_in_place(self, manifold: Manifold) -> None:
-        """Bring the smoothed colours of the manifold to the mean light of before."""
+        """Restore the mean light of the smoothed colours of the manifold."""
         stabiliser, space = manifold.noise.stabiliser, self.space
         manifold.geometry.refresh(manifold.colours)
         light = _light_of(manifold, space)
@@ -96,7 +97,7 @@ def _light_of(manifold: Manifold, space: Space) -> Float32s:
 
 
 def _bands(light: Float32s) -> list[int]:
-    """Return the bands that light other than 0 lies in."""
+    """Return the bands that contain light other than 0."""
     below: set[int] = set()
     for (own,) in in_blocks(0, light):
         below.update(np.unique(np.floor(_levels(own[own != 0])).astype(int)).tolist())
@@ -104,7 +105,7 @@ def _bands(light: Float32s) -> list[int]:
 
 
 def _levels(light: Float32s) -> Float32s:
-    """Return in which band light is, and how far it is from the next."""
+    """Return the band of each light value, and the fractional position towards the next."""
     size = np.clip(np.abs(light), _BAND_FACTOR**-_MAX_BANDS, _BAND_FACTOR**_MAX_BANDS)
     levels: Float32s = np.log(size) / np.float32(np.log(_BAND_FACTOR))
     return levels
@@ -116,7 +117,7 @@ def _weights(light: Float32s, band: int) -> Float32s:
 
 
 def _converted(channels: Array, convert: Callable[[Float32s], Float32s]) -> Float32s:
-    """Convert colours, the first of channels along the first axis, and keep others, such as opacity."""
+    """Convert the colours, the first of the channels along the first axis, but not the others, such as opacity."""
     result: Float32s = channels.copy()
     count = min(COLOURS, len(channels))
     rows = np.ascontiguousarray(channels[:count].reshape(count, -1).T)

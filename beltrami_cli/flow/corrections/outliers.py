@@ -1,9 +1,9 @@
 """Outliers: fireflies, salt and pepper, dead texels.
 
 An outlier differs far more from its neighbours on the surface than noise does, alone or in a small clump. So do stars,
-rivets, and the dots of dither and of the letter i. Their distribution tells both apart: outliers lie anywhere, whatever
-colour is there, and have one value, or are light far brighter than what is around. What is drawn repeats itself, is
-part of larger shapes, has many values, or lies on a plain ground.
+rivets, and the dots of dither and of the letter i. They are told apart by their distribution. Outliers are spread at
+random over all colours, and have one value or, as fireflies, are far brighter than the light around. Drawn detail
+repeats, belongs to larger shapes, has many values, or lies on a plain ground.
 
 Outliers are filled with the median of the neighbours that are not outliers, before anything else reads the colours.
 """
@@ -23,9 +23,9 @@ from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Indices
 
 # By benchmarks/bench_outliers.py: at most 1 of 194 pictures of games and scikit-image is changed with any of the values
-# in brackets. "Missed" and "false" are shares of pixels made black, white or red, with and without noise of 10 of 255.
+# in brackets. "Missed" and "false": shares of pixels set to black, white or red, with and without noise of 10 of 255.
 #
-# Deviations of the neighbours, plus a share of the range of all colours, beyond which a sample stands out. Missed with
+# A sample stands out by so many deviations of its neighbours plus a share of the range of all colours. Missed with
 # 2.5, 3, 4 and 5 deviations: 2.3, 2.8, 7.2 and 11 %; with shares of 0.07 and 0.15: 2.5 and 5.9 %.
 _OUTLIER_LIMIT = 3.0, 0.1
 
@@ -47,14 +47,14 @@ _MAX_FIREFLIES = 0.02
 
 
 class Surroundings(Protocol):
-    """The samples of a surface, by their places in a stack, and their neighbours."""
+    """The samples of a surface, by their indices in a stack, and their neighbours."""
 
     @property
     def samples(self) -> Indices:
-        """The places of all samples, ascending, shape (S,)."""
+        """Indices of all samples in a stack, ascending, shape (S,)."""
 
     def around(self, samples: Indices, reach: int) -> Int64s:
-        """Return the samples within one or two steps of each of some, shape (B, W); -1: none."""
+        """Return the samples within `reach` (one or two) steps of each sample, shape (B, W), padded by -1."""
 
     def standing_out(self, planes: Float32s, least: Float32s) -> Indices:
         """Return the samples that differ from most neighbours by more than `least`, shape (N,), in a channel."""
@@ -62,7 +62,7 @@ class Surroundings(Protocol):
 
 @dataclass(frozen=True)
 class _Rows:
-    """Samples, and the median and the deviation of the colours around each, shape (N, C)."""
+    """Samples with their colours, and the local median and deviation of the colours, shape (N, C)."""
 
     samples: Int64s
     colours: Float32s
@@ -78,7 +78,7 @@ class _Rows:
         return _Rows(self.samples, self.colours[channels], self.medians[channels], self.deviations[channels])
 
     def contrasts(self, size: float, value: Float32s | None = None) -> Float32s:
-        """Return the signed distances of the colours, or a value, from the medians, by what is far, shape (C,)."""
+        """Return the signed differences of colours, or of a value, to the medians by the threshold, shape (C,)."""
         away = (self.colours if value is None else value) - self.medians
         away /= np.float32(_OUTLIER_LIMIT[0]) * self.deviations + np.float32(_OUTLIER_LIMIT[1] * size)
         return np.asarray(np.take_along_axis(away, np.abs(away).argmax(axis=0)[None], axis=0)[0], np.float32)
@@ -86,7 +86,7 @@ class _Rows:
 
 @dataclass(frozen=True)
 class _Surface:
-    """Colours, shape (N, ...), and where they are."""
+    """Colours, shape (N, ...), and the neighbours of their samples."""
 
     planes: Float32s
     where: Surroundings
@@ -96,22 +96,21 @@ class _Surface:
         return len(self.where.samples)
 
     def at(self, samples: Indices) -> Float32s:
-        """Return colours, shape (N, ...)."""
         return self.planes.reshape(len(self.planes), -1)[:, samples]
 
     def around(self, samples: Indices, reach: int) -> Float32s:
-        """Return the colours of the samples around each, shape (N, B, W); NaN: there is none."""
+        """Return the colours of the samples around each sample, shape (N, B, W), padded by NaN."""
         table = self.where.around(samples, reach)
         return np.where(table >= 0, self.at(table), np.float32(np.nan))
 
     def compared(self, samples: Indices) -> _Rows:
-        """Compare samples with those within two steps; where these are fewer than four, they say nothing."""
+        """Compare samples with those within two steps. With fewer than four neighbours, the contrast is 0."""
         parts = [(samples[:0], *np.zeros((3, len(self.planes), 0), np.float32))]
         for block in large_arrays.blocks(len(samples), large_arrays.SCATTERED):
             values, own = self.around(samples[block], 2), self.at(samples[block])
             medians, count = _medians(values)
             deviations, _ = _medians(np.abs(values - medians[..., None]))
-            # The deviation of a normal variable, by its median distance from its median.
+            # Factor from the median absolute deviation to the standard deviation of a normal variable.
             parts.append((samples[block], own, np.where(count < 4, own, medians), 1.4826 * deviations))
         return _Rows(*(np.concatenate(each, axis=-1) for each in zip(*parts, strict=True)))
 
@@ -119,7 +118,7 @@ class _Surface:
 def fill_outliers(
     planes: Float32s, where: Surroundings, parameters: KernelParameters, *, is_light: bool
 ) -> tuple[Float32s, Outliers | None]:
-    """Find the outliers of colours, shape (N, ...); return colours without them, the same array if there are none."""
+    """Find the outliers of colours, shape (N, ...), and fill them; without outliers the same array is returned."""
     outliers = _find_outliers(planes, where, parameters, is_light=is_light)
     if outliers is None:
         return planes, None
@@ -137,13 +136,13 @@ def _find_outliers(
     some = np.linspace(0, surface.count - 1, min(surface.count, 256 * _MIN_CLUMPS)).astype(int)
     sampled = surface.compared(where.samples[some])
     sizes = _ranges(sampled.colours)
-    # Noise alone makes few samples differ as much from most neighbours.
+    # Noise alone seldom makes a sample differ that much from most neighbours.
     least = _OUTLIER_LIMIT[1] * sizes + _OUTLIER_LIMIT[0] / 2 * np.median(sampled.deviations, axis=1)
     standing_out = where.standing_out(planes, np.where(sizes > 0, least, np.inf).astype(np.float32))
     if len(standing_out) < (1 if insists else _MIN_CLUMPS):
         return None
     rows, found = surface.compared(standing_out), dict[tuple[int, int], Int64s]()
-    # Colours are wrong together, or each of them by itself.
+    # Outliers are searched for in all colour channels together, then in each channel.
     for first, last in [(0, COLOURS)] * (len(planes) >= COLOURS) + [(k, k + 1) for k in range(len(planes))]:
         if sizes[first] > 0 and not any(begin <= first < end for begin, end in found):
             own = slice(first, last)
@@ -161,7 +160,7 @@ def _find_outliers(
 
 
 def _ranges(colours: Float32s) -> Float64s:
-    """Return the range of each channel, the same of all colours; that of plain colours is a share of their size."""
+    """Return the range of each channel, common to colours; constant channels get a share of their magnitude."""
     low, high = np.quantile(colours, (0.01, 0.99), axis=1)
     ranges = np.maximum(high - low, _OUTLIER_LIMIT[1] * np.maximum(np.abs(low), np.abs(high)))
     if len(ranges) >= COLOURS:
@@ -171,24 +170,24 @@ def _ranges(colours: Float32s) -> Float64s:
 
 @dataclass(frozen=True)
 class _Search:
-    """The search for outliers: `sampled` of all samples, and the range of their colours."""
+    """Search for outliers; `sampled` rows represent all samples, and `size` is the range of their colours."""
 
     surface: _Surface
     sampled: _Rows
     size: float
 
     def among(self, rows: _Rows, *, insists: bool, is_light: bool) -> Int64s:
-        """Return the outliers among rows that stand out; if it `insists`, all that are apart, however spread."""
+        """Return the outliers among rows that stand out; if it `insists`, all isolated ones, however distributed."""
         contrasts, found = rows.contrasts(self.size), [rows.samples[:0]]
         for sign in (-1, 1):
-            # Light may be far brighter than what is around; its noise has a longer tail.
+            # Bright light needs twice the contrast, since its noise has a longer tail.
             is_bright = is_light and sign > 0
             contrast = sign * contrasts / np.float32(2 if is_bright else 1)
             own, contrast = rows[contrast > 1], contrast[contrast > 1]
             small, strongest = self._clumps(
                 own.samples, np.abs(own.colours - own.medians).max(axis=0) / 2, contrast
             )
-            # Of few paths all light is in single samples.
+            # With few light paths, nearly all light is in single samples, which are not outliers.
             is_rare = _MAJORITY * len(small) <= np.count_nonzero(small) < _MAX_FIREFLIES * self.surface.count
             everywhere = np.ones(len(self.sampled.samples), bool)
             is_firefly = is_bright and is_rare and self._is_random(own, contrast, strongest, everywhere)
@@ -199,10 +198,10 @@ class _Search:
         return np.unique(np.concatenate(found))
 
     def _of_one_value(self, rows: _Rows, contrast: Float32s, small: Bools, strongest: Int64s) -> Int64s:
-        """Return the outliers of the value that most have, if these are spread at random."""
+        """Return the outliers that have the most frequent value, if they are spread at random."""
         colours, tolerance = rows.colours[:, strongest], _SAME_VALUE * self.size
         value = np.median(colours, axis=1)
-        for _ in range(2):  # some are of none
+        for _ in range(2):  # the second time without other values
             alike = np.abs(colours - value[:, None]).max(axis=0) <= tolerance
             value = np.median(colours[:, alike], axis=1) if alike.any() else value
         near = np.abs(rows.colours - value[:, None]).max(axis=0)
@@ -212,17 +211,17 @@ class _Search:
             or small[near <= tolerance].mean() < _MAJORITY
         ):
             return rows.samples[:0]
-        # A plain ground of its own may have a pattern.
+        # On a plain ground they may be a pattern.
         away = np.abs(rows.colours - rows.medians)[:, chosen].max(axis=0)
         is_plain = rows.medians[:, chosen].std(axis=1).max() < _SAME_VALUE * np.median(away)
         hit = np.sign(contrast[0]) * self.sampled.contrasts(self.size, value[:, None]) > 1
         if is_plain or not self._is_random(rows, np.abs(contrast), chosen, np.asarray(hit)):
             return rows.samples[:0]
-        # Noise that was added to outliers spreads their value.
+        # Noise added after the outliers spreads their value.
         return self._all_of(value, float(np.quantile(near[chosen], 0.95)))
 
     def _all_of(self, value: Float32s, spread: float) -> Int64s:
-        """Return the samples of a value that stand out at least a little, where they are apart."""
+        """Return isolated samples of a value, with a lower threshold of contrast."""
         surface, found = self.surface, [np.zeros(0, np.int64)]
         for block in large_arrays.blocks(surface.count, large_arrays.CACHED):
             samples = np.asarray(surface.where.samples[block], np.int64)
@@ -235,9 +234,10 @@ class _Search:
         return samples[small]
 
     def _clumps(self, samples: Int64s, limits: Float32s, contrast: Float32s) -> tuple[Bools, Int64s]:
-        """Find clumps of samples with nothing around that is like them, within limits, and no larger than by chance.
+        """Find isolated clumps of samples that are no larger than clumps that form by chance.
 
-        Return which samples are in them, and of each of these clumps the one of the most contrast.
+        A clump is isolated if no sample around it has a similar colour, within `limits`. Return which samples are in
+        small isolated clumps, and the sample of the highest contrast in each of these clumps.
         """
         surface, own = self.surface, np.arange(len(samples))
         around = surface.where.around(samples, 1)
@@ -254,8 +254,8 @@ class _Search:
         is_apart = np.bincount(label, alike, minlength=len(samples))[label] == 0
         small = np.zeros(len(samples), bool)
         for _ in range(5):
-            # Four, as enlarging by two leaves; but on a lattice of eight neighbours the mean size of random clumps is
-            # 1 / (1 - 8 share), at first, and the largest ones grow faster.
+            # Four samples, since pictures may have been enlarged by two. On a lattice with eight neighbours the mean
+            # size of random clumps is 1 / (1 - 8 share) for small shares, and the largest clumps grow faster.
             share = np.count_nonzero(small) / surface.count
             small = is_apart & (size <= 4 / max(1 - 8 * share, 0.1) ** 2)
         order = np.lexsort((-contrast, label))
@@ -263,9 +263,9 @@ class _Search:
         return small, first[small[first]]
 
     def _is_random(self, rows: _Rows, contrast: Float32s, chosen: Int64s, hit: Bools) -> bool:
-        """Whether chosen rows are spread at random over the samples on which they would show, `hit`."""
+        """Whether chosen rows are spread at random over the samples on which they would be visible, `hit`."""
         count, where, everything = len(chosen), self.surface.where, self.surface.count
-        # What is hardly far in most places is the end of texture or of noise.
+        # If most contrasts are near the threshold, these are the tails of texture or noise.
         if count < _MIN_CLUMPS or np.mean(contrast[chosen] < 2) > _MAJORITY or not hit.any():
             return False
         samples, usual = np.sort(rows.samples[chosen]), count / np.count_nonzero(hit)
@@ -273,11 +273,11 @@ class _Search:
         pairs = np.count_nonzero(np.isin(around, samples))
         expected = np.count_nonzero(around >= 0) * count / (everything * hit.mean())
         error = 3 * np.sqrt(2 * expected) + 2
-        parts = 2 * _MIN_CLUMPS  # runs of samples
+        parts = 2 * _MIN_CLUMPS  # number of runs of successive samples
         own = np.bincount(np.searchsorted(where.samples, samples) * parts // everything, minlength=parts)
         chance = np.bincount(np.flatnonzero(hit) * parts // len(hit), minlength=parts) * usual
         excess = float((np.square(own - chance) / np.maximum(chance, 1)).sum()) - parts
-        # The distance of Kolmogorov and Smirnov between what is around them and what is around all.
+        # Kolmogorov-Smirnov distance between the colours around them and the colours around all samples.
         levels = [each.mean(axis=0) for each in (self.sampled.medians[:, hit], rows.medians[:, chosen])]
         places = np.concatenate(levels)
         ranks = [np.searchsorted(np.sort(each), places, "right") / len(each) for each in levels]
@@ -289,9 +289,9 @@ class _Search:
 
 
 def _medians(values: Float32s) -> tuple[Float32s, Int64s]:
-    """Return the medians along the last axis, and of how many numbers they are; NaN counts as none."""
+    """Return the medians along the last axis and the number of finite values; NaN is ignored."""
     ordered = np.sort(values, axis=-1)
-    # Three times as fast as a sum along the short axis.
+    # Three times as fast as `sum` along the short axis.
     count = (np.isfinite(ordered).astype(np.float32) @ np.ones(ordered.shape[-1], np.float32)).astype(
         np.int64
     )
@@ -300,7 +300,7 @@ def _medians(values: Float32s) -> tuple[Float32s, Int64s]:
 
 
 def _fill_in_place(surface: _Surface, samples: Int64s, wrong: Bools) -> None:
-    """Fill wrong samples with the medians of the others within one step, or two where these are too few."""
+    """Fill wrong samples with the median of the others within one step, or two if there are too few."""
     flat, filled = surface.planes.reshape(len(surface.planes), -1), surface.at(samples)
     for channel, own in zip(flat, wrong, strict=True):
         channel[samples[own]] = np.nan

@@ -1,1 +1,1 @@
-"""Image manifolds on meshes and on canvases, their geometry, and the parts that parameters are tried on."""
+"""Image manifolds on meshes and canvases, their geometry, and the samples on which parameters are tried."""

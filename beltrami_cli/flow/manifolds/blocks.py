@@ -1,4 +1,4 @@
-"""Passes over the blocks of stacks, several blocks at the same time."""
+"""Passes over stacks in blocks, several at a time."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from beltrami_cli.surface import large_arrays
 
 
 def in_blocks(axis: int, *stacks: Array) -> Iterator[tuple[Array, ...]]:
-    """Go through stacks together in blocks, with the channels, which are at `axis`, first."""
+    """Yield blocks of several stacks together, with the channels moved from `axis` to the front."""
     whole = [np.moveaxis(stack, axis, 0) for stack in stacks]
     for rows in block_rows(whole[0]):
         yield tuple(stack[:, rows] for stack in whole)
 
 
 def block_rows(stack: Array, side: int = 1) -> Iterator[slice]:
-    """Go through the rows of a stack with the channels first, a multiple of `side` rows at a time."""
+    """Yield slices of rows of a stack whose channels come first, in multiples of `side` rows."""
     size = max(1, large_arrays.CACHED // max(1, side * stack[0, :1].size)) * side
     return large_arrays.blocks(stack.shape[1], size)
 
@@ -29,7 +29,7 @@ def block_rows(stack: Array, side: int = 1) -> Iterator[slice]:
 def for_blocks(
     work: Callable[..., object], threads: int, axis: int, *stacks: Array, planes: Sequence[Array] = ()
 ) -> None:
-    """Call `work` with the blocks of stacks, and of planes, several at the same time: it may change only these."""
+    """Call `work` with blocks of stacks and planes, several in parallel; it may change only its own block."""
     blocks = in_blocks(axis, *stacks)
     if planes:
         blocks = ((*own, *others) for own, others in zip(blocks, in_blocks(0, *planes), strict=True))
@@ -37,7 +37,7 @@ def for_blocks(
 
 
 def at_same_time(work: Callable[..., object], threads: int, blocks: Iterable[tuple[Any, ...]]) -> None:
-    """Call `work` with the arguments of each block, several at the same time."""
+    """Call `work` with the arguments of each block, in parallel threads."""
     if threads == 1:
         for block in blocks:
             work(*block)
@@ -46,7 +46,7 @@ def at_same_time(work: Callable[..., object], threads: int, blocks: Iterable[tup
     with ThreadPoolExecutor(threads) as pool:
         for block in blocks:
             waiting.append(pool.submit(work, *block))
-            if len(waiting) > threads:  # so that little is left to do when the user interrupts
+            if len(waiting) > threads:  # so that an interruption waits for few calls
                 waiting.popleft().result()
         for each in waiting:
             each.result()

@@ -1,4 +1,4 @@
-"""The canvas of an atlas: filling it, seams at which colours jump, similar patches on it, and its coarse levels."""
+"""The canvas of an atlas: filling, seams with jumps in colour, patches, and coarse levels."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ _ERRORS = 4.0
 _OF_NOISE = 0.3
 # ... and more than JPEG blocks and rounding leave between two charts of one continuous image.
 _MIN_JUMP = 4 / 255
-# Steps over a seam from which its energy can be estimated.
+# Minimum number of steps over a seam to estimate their energy.
 _MIN_STEPS = 8
 
-# Of random means; any is as good.
+# Seed of random means; an arbitrary number.
 _SEED = 21
 
 
@@ -43,7 +43,7 @@ def on_canvas(atlas: Atlas, colours: Float32s) -> Float32s:
 
 
 def fill_canvas(atlas: Atlas, channels: int, colours_of: Callable[[slice], Float32s]) -> Float32s:
-    """Return planes, shape (N, R, C), with the owned cells' colours, halo included, and 0 in empty cells."""
+    """Return planes, shape (N, R, C), with colours in owned and halo cells, and 0 in empty cells."""
     planes = large_arrays.zeros((channels, *atlas.kind.shape), np.float32)
     for block in large_arrays.blocks(len(atlas.owned_cells), large_arrays.CACHED):
         for plane, colours in zip(planes.reshape(channels, -1), colours_of(block).T, strict=True):
@@ -53,7 +53,7 @@ def fill_canvas(atlas: Atlas, channels: int, colours_of: Callable[[slice], Float
 
 
 def canvas_colours(atlas: Atlas, planes: Float32s) -> NewColours:
-    """Return the colours of the owned cells, read from the canvas when they are taken, and the gutter's colours."""
+    """Return the colours of owned cells, read from the canvas lazily, and those of the gutter."""
     refresh_halo(planes, atlas, interpolated=True)
     flat, cells, gutter = planes.reshape(len(planes), -1), atlas.owned_cells, atlas.gutter_cells
     beyond = np.zeros((len(gutter), len(flat)), np.float32)
@@ -68,7 +68,7 @@ def canvas_colours(atlas: Atlas, planes: Float32s) -> NewColours:
 
 
 def canvas_margin(parameters: KernelParameters) -> int:
-    """Return how many cells beyond a chart its kernels and patches read."""
+    """Return the number of cells beyond a chart that kernels and patches read."""
     from beltrami_cli._native import PATCH_REACH
 
     blurred = guide_radius(parameters.metric_scale) if parameters.metric_steps else 0
@@ -76,14 +76,14 @@ def canvas_margin(parameters: KernelParameters) -> int:
 
 
 def kernel_margin(parameters: KernelParameters) -> int:
-    """Return how many cells around a cell its result in one iteration depends on."""
+    """Return the number of cells around a cell that influence one iteration."""
     support = FURTHEST_SUPPORT if parameters.scheme == "metric" else 0
     blurred = guide_radius(parameters.metric_scale) if parameters.metric_steps else 0
     return parameters.window // 2 + 1 + support + blurred
 
 
 def find_colour_jumps(atlas: Atlas, planes: Float32s, sigma: Float64s) -> Bools:
-    """Return for each seam, shape (S,), whether its sides differ by more than noise."""
+    """Return whether the sides of each seam differ by more than noise, shape (S,)."""
     different = np.zeros(max(1, atlas.seams), bool)
     seam, steps, along = _steps_over_seams(atlas, planes)
     if not len(seam):
@@ -94,7 +94,8 @@ def find_colour_jumps(atlas: Atlas, planes: Float32s, sigma: Float64s) -> Bools:
     for first, last in zip(starts, np.r_[starts[1:], len(seam)], strict=True):
         members = order[first:last]
         jump = np.abs(np.median(steps[members], axis=0)).max()
-        # A step between two noisy samples has the deviation sqrt(2) sigma, and a median 1.25 times a mean's error.
+        # A step between two noisy samples has the deviation sqrt(2) sigma. The error of a median is 1.25 times that of
+        # a mean.
         error = 1.25 * np.sqrt(2) * noise / np.sqrt(len(members))
         shifted = jump > max(_ERRORS * error, _OF_NOISE * noise, _MIN_JUMP)
         different[seam[members[0]]] = shifted or _is_patterned(steps[members], along[members], noise)
@@ -102,7 +103,7 @@ def find_colour_jumps(atlas: Atlas, planes: Float32s, sigma: Float64s) -> Bools:
 
 
 def _steps_over_seams(atlas: Atlas, planes: Float32s) -> tuple[Int32s, Float32s, Float32s]:
-    """Find the halo cells next to an owned cell: their seam, the step to them, and the step before it."""
+    """Return the seam of each halo cell next to an owned cell, the step to it, and the step before."""
     rows, columns = atlas.kind.shape
     flat_kind, flat = atlas.kind.reshape(-1), planes.reshape(len(planes), -1)
     seams: list[Int32s] = []
@@ -125,9 +126,9 @@ def _steps_over_seams(atlas: Atlas, planes: Float32s) -> tuple[Int32s, Float32s,
 
 
 def _is_patterned(steps: Float32s, nearby: Float32s, noise: float) -> bool:
-    """Detect a jump that changes its sign along the seam: steps across it have more energy than steps near it.
+    """Detect a jump that changes its sign along the seam: steps across it have more energy than steps next to it.
 
-    Neighbours may share noise, as in JPEG pictures; those on two sides of a seam do not, which makes some such energy.
+    Neighbours may share noise, as in JPEG pictures, but not across a seam, which adds to the energy there.
     """
     if len(steps) < _MIN_STEPS:
         return False
@@ -138,8 +139,8 @@ def _is_patterned(steps: Float32s, nearby: Float32s, noise: float) -> bool:
 
 
 def halo_beyond(atlas: Atlas, different: Bools) -> Bools:
-    """Return which halo cells, shape (H,), lie beyond seams whose sides differ, `different` of shape (S,)."""
-    # Near a corner of several charts a cell may be reached over two seams: it counts if either differs.
+    """Return which halo cells, shape (H,), lie beyond the seams marked in `different`, shape (S,)."""
+    # Near a corner of several charts a cell may be reached over two seams; either may be marked.
     seams = atlas.halo_seams
     beyond = (seams >= 0) & different[np.maximum(seams, 0)]
     if not beyond.any():
@@ -147,7 +148,7 @@ def halo_beyond(atlas: Atlas, different: Bools) -> Bools:
     reached = _charts_at(atlas, atlas.halo_nearest)
     sides = _sides_of_seams(atlas, reached)
     jumps = {tuple(pair) for seam, pair in enumerate(np.sort(sides, axis=1).tolist()) if different[seam]}
-    # Cells of a third chart, by the chart and the seam that they were reached over.
+    # Cells of a third chart, grouped by chart and seam.
     third = (seams >= 0) & ~beyond & (reached[:, None] != sides[seams]).all(axis=1)
     for seam, chart in {*zip(seams[third].tolist(), reached[third].tolist(), strict=True)}:
         if any((min(chart, side), max(chart, side)) in jumps for side in sides[seam].tolist()):
@@ -156,7 +157,7 @@ def halo_beyond(atlas: Atlas, different: Bools) -> Bools:
 
 
 def _charts_at(atlas: Atlas, cells: Indices) -> Int32s:
-    """Return the charts of some cells; -1: not owned."""
+    """Return the charts of cells; -1 for cells that are not owned."""
     charts = np.full(len(cells), -1, np.int32)
     for block in large_arrays.blocks(len(cells) if len(atlas.owned_cells) else 0, large_arrays.SCATTERED):
         wanted = cells[block]
@@ -167,13 +168,13 @@ def _charts_at(atlas: Atlas, cells: Indices) -> Int32s:
 
 
 def _sides_of_seams(atlas: Atlas, reached: Int32s) -> Int32s:
-    """Find the two charts of each seam, shape (S, 2): of an owned cell, and of the halo cell next to it."""
+    """Return the two charts of each seam, shape (S, 2): of an owned cell and of the halo cell next to it."""
     kind, columns = atlas.kind.reshape(-1), atlas.kind.shape[1]
     of_seams = np.flatnonzero(atlas.halo_seams >= 0)
     cells, seams = atlas.halo_cells[of_seams], atlas.halo_seams[of_seams]
     inner, halo = np.full((2, max(1, atlas.seams)), -1, cells.dtype)
     for step in (1, -1, columns, -columns):
-        found = kind.take(cells - step, mode="clip") == OWNED  # the first and the last cell are margin
+        found = kind.take(cells - step, mode="clip") == OWNED  # the first and the last cell are in the margin
         inner[seams[found]], halo[seams[found]] = cells[found] - step, of_seams[found]
     known = np.flatnonzero(halo >= 0)
     sides = np.full((len(halo), 2), -1, np.int32)
@@ -182,7 +183,7 @@ def _sides_of_seams(atlas: Atlas, reached: Int32s) -> Int32s:
 
 
 def end_at_seams_in_place(planes: Float32s, atlas: Atlas, threads: int) -> None:
-    """Continue a guide as a constant beyond the seams whose two sides differ."""
+    """Extend a guide as a constant over the seams whose sides differ."""
     from beltrami_cli._native import nearest_marked
 
     sigma = read_noise(planes, Grid(atlas.kind == OWNED), varies=False).sigma
@@ -207,8 +208,8 @@ def collaborate_on_canvas(
 ) -> Float32s:
     """Estimate the owned cells from similar patches.
 
-    `stacks`: the noisy colours, the pilot that patches are compared on, and, if it differs from place to place, the
-    variance of the noise by its mean.
+    `stacks`: the noisy colours, the pilot on which patches are compared, and, if the noise varies, its variance
+    relative to the mean.
     """
     from beltrami_cli._native import PATCH_TILE_MARGIN, PATCH_TILE_SIDE
 
@@ -217,7 +218,7 @@ def collaborate_on_canvas(
         taken = pilot if replaces_pilot else None
         return _patches_on((kind, ...), stacks, threads, mixing, progress, taken)[0][0]
     estimates: Float32s = large_arrays.empty(noisy.shape, np.float32)
-    # Groups start tile by tile; the order in which tiles add to a cell repeats itself after two of them.
+    # Groups start tile by tile. The order in which tiles add to a cell has a period of two tiles.
     before, after = 2 * PATCH_TILE_SIDE, PATCH_TILE_SIDE + PATCH_TILE_MARGIN
     cut, operation = partial(_part_for_patches, kind), partial(_patches_on, mixing=mixing)
     chunks = chunks_of_canvas(cut, kind == OWNED, chunking.count, before, before, after)
@@ -226,11 +227,11 @@ def collaborate_on_canvas(
 
 
 def _part_for_patches(kind: Uint8s, around: Rectangle, own: Rectangle) -> tuple[Uint8s, Rectangle]:
-    """Return the kinds of some cells, for the estimates of those in a rectangle among them, and this."""
+    """Return the kinds of the cells of a part; groups start only near `own`, the rectangle that is estimated."""
     from beltrami_cli._native import PATCH_TILE_SIDE
 
     part: Uint8s = kind[around].copy()
-    # The groups of the next tiles reach the core; those beyond only supply candidates.
+    # The groups of adjacent tiles reach the rectangle; cells beyond these only supply candidates.
     inside = np.zeros(part.shape, bool)
     inside[grown(own, PATCH_TILE_SIDE, PATCH_TILE_SIDE, part.shape)] = True
     part[(part == OWNED) & ~inside] = HALO
@@ -271,7 +272,7 @@ def squares_for(
     resources: Resources,
     tick: Callable[[], None] | None = None,
 ) -> list[Squares]:
-    """Return up to `most` levels of squares, fine to coarse, as far as none holds cells of two charts."""
+    """Return up to `most` levels of squares, fine to coarse, as long as no square has cells of two charts."""
     one_chart = atlas.chart_of.max(initial=0) == 0
     apart = max(atlas.kind.shape) if one_chart else 2 * canvas_margin(parameters)
     sides = (2**level for level in range(1, most + 1))
@@ -283,7 +284,7 @@ def squares_for(
 
 
 class Squares(CoarseLevel):
-    """Means of squares of cells of a canvas: of the owned cells of each, or of halo where there are no such."""
+    """Means over squares of cells of a canvas: of the owned cells in each, else of its halo cells."""
 
     axis: ClassVar[int] = 0
 
@@ -325,12 +326,12 @@ class Squares(CoarseLevel):
         return squares, means_of_squares(kind, kinds, planes, self.side, self._threads)
 
     def _blocks(self) -> Iterator[slice]:
-        """Go through the rows of cells, some squares at a time."""
+        """Yield slices of rows of cells, in whole squares."""
         rows, columns = self._atlas.kind.shape
         return large_arrays.blocks(rows, max(1, large_arrays.BLOCK // (self.side * columns)) * self.side)
 
     def collaborate(self, noisy: Stack, pilot: Stack, mixing: Mixing, *, shared: bool = False) -> Stack:
-        """Estimate means from patches; noise that cells share is no smaller where a square has more of them."""
+        """Estimate means from patches; `shared` noise does not fall with the number of cells in a square."""
         stacks = [noisy, pilot]
         if not shared:
             fewer = np.maximum(self._counts, 1) * np.float32(self.noise)
@@ -345,10 +346,10 @@ class Squares(CoarseLevel):
         return mixed_signs(noise, means.shape[1:], np.random.default_rng(_SEED))
 
     def enlarged(self, planes: Float32s, rows: slice) -> Float32s:
-        """Return planes at the owned cells of some rows, bilinear between owned squares; 0 in other cells."""
+        """Interpolate planes bilinearly between owned squares, at the owned cells of some rows; 0 in other cells."""
         from beltrami_cli._native import add_enlarged
 
-        # With the squares above and below, between which the cells lie.
+        # Include the squares above and below for interpolation.
         around = slice(max(0, rows.start // self.side - 1), -(-rows.stop // self.side) + 1)
         kind = self._atlas.kind[around.start * self.side : around.stop * self.side]
         cells = np.zeros((len(planes), *kind.shape), np.float32)
@@ -372,14 +373,14 @@ class Squares(CoarseLevel):
         )
 
     def spread(self, planes: Float32s) -> Float32s:
-        """Average planes over the owned squares around."""
+        """Average planes over adjacent owned squares."""
         from beltrami_cli._native import convolve
 
         return convolve(planes * (self.kinds == OWNED), gaussian_taps(self.width), self._threads)
 
 
 def sort_squares(kind: Uint8s, side: int) -> tuple[Uint8s, Float32s]:
-    """Return the kind of each square, OWNED if a cell is, and how many of its cells are of that kind."""
+    """Return the kind of each square, OWNED if any cell is owned, and its number of cells of that kind."""
     kinds = np.empty((-(-len(kind) // side), -(-kind.shape[1] // side)), np.uint8)
     counts = np.empty(kinds.shape, np.float32)
     for rows in large_arrays.blocks(len(kinds), max(1, large_arrays.BLOCK // (side * kind.shape[1]))):

@@ -1,4 +1,4 @@
-"""Domains of sums and averages: the samples of a manifold, and means of groups of them."""
+"""Interfaces of geometry and levels: the samples of a manifold, and means of groups of samples."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from beltrami_cli.surface.atlas import Indices
 
 Stack = Float32s
 
-# The median of this many steps between neighbours is within 0.3 % of that of all.
+# Number of steps between neighbours whose median is within 0.3 % of that of all.
 ENOUGH_STEPS = 200_000
 
 LOG = logging.getLogger(__name__)
@@ -35,11 +35,11 @@ class Samples(ABC):
 
     @abstractmethod
     def planes(self, count: int) -> Float32s:
-        """Return zeros."""
+        """Return zeros, along the first axis."""
 
 
 class Domain(Samples):
-    """Samples that numbers are summed and averaged over."""
+    """Samples over which per-sample scalars are summed and averaged."""
 
     width: float
     """Standard deviation of `spread`, in sample spacings."""
@@ -56,14 +56,14 @@ class Domain(Samples):
 
     @abstractmethod
     def spread(self, planes: Float32s) -> Float32s:
-        """Average planes over the surface by about a Gaussian of standard deviation `width`."""
+        """Average planes over the surface, nearly by a Gaussian of standard deviation `width`."""
 
     def means_of_rows(self, planes: Float32s, rows: slice) -> tuple[slice, Float32s]:
-        """Return the means of planes of some rows, whole multiples of `side`, and the rows that they are."""
+        """Return the means of planes for some rows, whole multiples of `side`, and the rows of the result."""
         return rows, planes
 
     def gathered(self, count: int, terms: Callable[[slice], Float32s], like: Array, threads: int) -> Float32s:
-        """Return the means of terms, which a function computes for some rows; `like`: a stack of all samples."""
+        """Return means of `count` terms, a function of rows, over the domain; `like`: a stack of all samples."""
         planes = self.planes(count)
 
         def gather(rows: slice) -> None:
@@ -74,15 +74,16 @@ class Domain(Samples):
         return planes
 
     def enlarged(self, planes: Float32s, rows: slice) -> Float32s:
-        """Return planes at some rows of the samples that these are means of."""
+        """Interpolate planes of means at some rows of samples."""
         return planes[:, rows]
 
 
 class Gaussian(Protocol):
-    """Makes the regularised metric: distances are taken from slightly smoothed colours, so that noise causes none.
+    """Gaussian of the regularised metric, in which distances are measured on slightly smoothed colours.
 
-    Averages are still taken over the colours themselves. Smoothing reduces the noise in the metric by a known gain, and
-    beta is divided by it, so that noise adds the same to distances with and without it and beta keeps its meaning.
+    Averages are still taken of the colours themselves. Smoothing reduces the noise in the metric by a known gain, and
+    beta is divided by it. Noise then contributes the same to distances with and without regularisation, and beta keeps
+    its meaning.
     """
 
     @property
@@ -102,17 +103,17 @@ class Geometry(Samples):
     @property
     @abstractmethod
     def size(self) -> int:
-        """Samples that an iteration goes through, for its progress."""
+        """Number of samples that an iteration visits, for its progress."""
 
     @property
     def kernels(self) -> int:
-        """How many samples have a kernel."""
+        """Number of samples that have a kernel."""
         return len(self.samples)
 
     @property
     @abstractmethod
     def samples(self) -> Indices:
-        """The places in a stack of the samples that have a kernel."""
+        """Indices in a stack of the samples that have a kernel."""
 
     @property
     @abstractmethod
@@ -121,11 +122,11 @@ class Geometry(Samples):
 
     @abstractmethod
     def work(self, unit: float) -> KernelWork:
-        """Return how much work kernels are, with this unit of length in sample spacings."""
+        """Return the workload of kernels for a unit of length, in sample spacings."""
 
     @abstractmethod
     def take(self, stack: Stack, samples: Indices) -> Float32s:
-        """Return the channels of some samples, with a row a sample."""
+        """Return the channels of some samples, one row per sample."""
 
     @abstractmethod
     def steps(self, stack: Stack) -> Float32s:
@@ -133,28 +134,28 @@ class Geometry(Samples):
 
     @abstractmethod
     def single(self, marked: Bools) -> Bools:
-        """Return which of the marked samples have no marked neighbours."""
+        """Return the marked samples without marked neighbours."""
 
     @abstractmethod
     def counted(self, colours: Stack) -> tuple[Float32s, int]:
-        """Return the channels of the samples that can be smoothed, and how many of these are empty, and 0."""
+        """Return the channels of the samples that can be smoothed, and the number of empty ones among them, or 0."""
 
     @abstractmethod
     def gaussian(self, scale: float) -> Gaussian:
         """Make the Gaussian of the regularised metric, `scale` sample spacings wide."""
 
     def refresh(self, stack: Stack) -> None:
-        """Copy samples to where a stack shows them again, as beyond seams."""
+        """Update the samples that a stack repeats, such as beyond seams."""
 
     def drop_distances(self) -> None:
-        """Free the memory of what only kernels need; it is computed again if more of them are run."""
+        """Free memory that only kernels use; it is computed again if needed."""
 
     def drop_samples(self) -> None:
-        """Free the memory of what only reading and writing colours needs; it is computed again for that."""
+        """Free memory that only reading and writing of colours uses; it is computed again if needed."""
 
 
 class KernelWork:
-    """Work with kernels that a window bounds, as on a grid."""
+    """Workload of kernels that a window bounds, as on a grid."""
 
     def __init__(self, kernels: int, unit: float) -> None:
         self.kernels = kernels
@@ -162,15 +163,15 @@ class KernelWork:
 
     @property
     def has_uniform_density(self) -> bool:
-        """Whether the best parameters of parts are the best ones of the whole."""
+        """Whether the best parameters of parts of the surface are the best for the whole."""
         return True
 
     def bounded(self, parameters: KernelParameters) -> KernelParameters:
-        """Return parameters with fewer samples a kernel, if the samples need that and the limit is the default."""
+        """Reduce the samples per kernel where the density requires it, unless the user set the limit."""
         return parameters
 
     def samples(self, parameters: KernelParameters) -> float:
-        """Return how many samples all kernels of an iteration hold, at most."""
+        """Return an upper bound of the number of samples in all kernels of an iteration."""
         return self.kernels * min(self._on_even_surface(parameters), parameters.window**2)
 
     def announce(self, parameters: KernelParameters) -> None:
@@ -180,13 +181,13 @@ class KernelWork:
         )  # fmt: skip
 
     def _on_even_surface(self, parameters: KernelParameters) -> float:
-        """Return how many samples a kernel holds where triangles are equilateral, with an area of sqrt(3) / 4."""
+        """Return the samples per kernel on equilateral triangles, each of which has an area of sqrt(3) / 4."""
         circle, of_sample = math.pi * (parameters.radius / self._unit) ** 2, math.sqrt(3) / 2
         return 1 + circle / of_sample
 
 
 class CoarseLevel(Domain):
-    """Means of groups of neighbouring samples, as fewer samples of the same surface."""
+    """Means of groups of neighbouring samples, which are the samples of a coarser surface."""
 
     relative: Float32s
     """The variance of the noise of each mean, relative to this."""
@@ -197,27 +198,27 @@ class CoarseLevel(Domain):
 
     @abstractmethod
     def collaborate(self, noisy: Stack, pilot: Stack, mixing: Mixing, *, shared: bool = False) -> Stack:
-        """Estimate means from patches that are similar in the pilot; noise that samples share is the same in all."""
+        """Estimate means from patches that are similar in the pilot; `shared` noise is the same in all means."""
 
     @abstractmethod
     def probe(self, means: Stack, noise: Float64s) -> Stack:
-        """Return random means, of the shape of others, with a covariance of the channels."""
+        """Draw random means, shaped like `means`, with a covariance of the channels."""
 
     @abstractmethod
     def add_enlarged(self, stack: Stack, changes: Stack) -> None:
-        """Add changes of means to a stack, in place."""
+        """Add interpolated changes of means to a stack, in place."""
 
 
 @dataclass(frozen=True)
 class Mixing:
-    """How N channels are mixed so that each can be estimated by itself, shape (N, N), and their noise, shape (N,)."""
+    """Linear mixing of N channels to decorrelated ones, shape (N, N), and their noise variance, shape (N,)."""
 
     forth: Float32s
     back: Float32s
     variances: Float32s
-    shrinkage: Float32s  # what the noise is multiplied by, with a pilot, where there is no detail, shape (N,)
-    least_ratio: float = 0.0  # ... and at least, where there is
-    strength: float = 1.0  # ... and besides, everywhere
+    shrinkage: Float32s  # shape (N,): factor of the noise with a pilot, where there is no detail
+    least_ratio: float = 0.0  # lower bound of that factor where there is detail
+    strength: float = 1.0  # further factor, everywhere
     has_pilot: bool = field(default=False, kw_only=True)  # patches are compared on an estimate
 
     @property

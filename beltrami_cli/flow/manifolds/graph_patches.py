@@ -18,7 +18,7 @@ from beltrami_cli.flow.noise.model import root_of
 from beltrami_cli.flow.vertex_graph import Graph, Level, levels_of
 from beltrami_cli.surface import large_arrays
 
-# Fewer clusters hold no patches that could be compared.
+# Minimum number of clusters: fewer contain too few patches to compare.
 _MIN_CLUSTERS = 500
 
 
@@ -32,10 +32,10 @@ def collaborate_on_graph(
     *,
     is_whole: bool = False,
 ) -> Stack:
-    """Estimate colours from similar patches, compared on the pilot; `relative`: variance of the noise by its mean."""
+    """Estimate colours from patches that are similar in the pilot; `relative`: noise variance by its mean."""
     stacks = [noisy, pilot, *([] if relative is None else [relative[:, None]])]
     wanted = graph.chunking
-    # Parameters are chosen by colours without shared noise, which must have the same bits in any number of chunks.
+    # Colours without shared noise determine the parameters, so they must have the same bits for any number of chunks.
     if wanted is None or is_whole:
         sums, _ = _sums_of_patches(graph, stacks, graph.threads, mixing, progress)
     else:
@@ -46,7 +46,7 @@ def collaborate_on_graph(
         )  # fmt: skip
     estimates, weights = sums
     for own, weight, other in in_blocks(0, estimates, weights, pilot):
-        is_known = weight > 0  # not of isolated samples
+        is_known = weight > 0  # 0 for isolated samples
         mixed = np.divide(own, weight, out=np.zeros_like(own), where=is_known)
         own[:] = np.where(is_known, np.einsum("ij,sj->si", mixing.back, mixed), other)
     return estimates
@@ -59,7 +59,7 @@ def _sums_of_patches(
     mixing: Mixing,
     progress: Callable[[int], None] | None = None,
 ) -> tuple[list[Float32s], Figures]:
-    """Sum what the groups of patches estimate of mixed channels, and the weights of that, shape (S, N) each."""
+    """Sum the estimates of mixed channels by groups of patches, and their weights, shape (S, N) each."""
     noisy, pilot, *relative = stacks
     estimates, weights = np.zeros_like(noisy), np.zeros_like(noisy)
     variances = relative[0][:, 0] if relative else None
@@ -70,7 +70,7 @@ def _sums_of_patches(
 
 
 def clusters_for(samples: Graph, most: int, relative: Float32s | None) -> list[Clusters]:
-    """Return up to `most` levels of clusters, fine to coarse, as far as they hold enough of them."""
+    """Return up to `most` levels of clusters, fine to coarse, as long as there are enough clusters."""
     found: list[Clusters] = []
     variances = np.ones((samples.size, 1), np.float32) if relative is None else relative
     for level in islice(levels_of(samples), 1, most + 1):
@@ -81,7 +81,7 @@ def clusters_for(samples: Graph, most: int, relative: Float32s | None) -> list[C
 
 
 class Clusters(CoarseLevel):
-    """Means of clusters of samples, as a stack with a row a cluster."""
+    """Means of clusters of samples, as a stack with one row per cluster."""
 
     axis: ClassVar[int] = 1
     width = 3.0
@@ -98,12 +98,12 @@ class Clusters(CoarseLevel):
         return np.asarray(np.einsum("ij,sj->si", root_of(noise), signs), np.float32)
 
     def collaborate(self, noisy: Stack, pilot: Stack, mixing: Mixing, *, shared: bool = False) -> Stack:
-        """Estimate means from patches of clusters; shared noise does not fall with their size."""
+        """Estimate means from patches of clusters; `shared` noise does not fall with their size."""
         relative = self.relative if shared else self.relative / (self._counts * np.float32(self.noise))
         return collaborate_on_graph(self._graph, noisy, pilot, mixing, relative, is_whole=shared)
 
     def add_enlarged(self, stack: Stack, changes: Stack) -> None:
-        """Add changes of clusters to their samples, smoothed as far as linear interpolation smooths squares."""
+        """Add changes of clusters to their samples, smoothed like bilinear interpolation of squares."""
         variance = 1 / (12 * self.noise)
         rows = large_arrays.empty(stack.shape, np.float32)
         for block in large_arrays.blocks(len(rows)):

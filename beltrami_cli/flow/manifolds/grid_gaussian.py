@@ -1,4 +1,4 @@
-"""Gaussians on a regular grid, for the regularised metric and for averages over coarse levels."""
+"""Gaussian means on a regular grid, for the regularised metric and for averages over coarse levels."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from beltrami_cli.arrays import Bools, Float32s, Int32s, Int64s, Uint8s
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, STEPS, Atlas, ends_of
 
-# Rows that are processed together, where each needs memory; the rounding of sums depends on it.
+# Rows per block for steps that need temporary memory. The rounding of sums depends on it.
 SUMMED_ROWS = 64
 
 
 def gaussian_taps(scale: float) -> Float32s:
-    """Return the weights of a Gaussian of a standard deviation in cells, shape (2 reach + 1,), with the sum 1."""
+    """Return the weights of a Gaussian with a standard deviation in cells, shape (2 reach + 1,), of sum 1."""
     # Beyond 2.5 standard deviations lies one per cent of a Gaussian.
     reach = max(1, int(np.ceil(2.5 * scale - 0.5)))
     taps = np.exp(-(np.arange(-reach, reach + 1) ** 2) / (2 * scale**2))
@@ -26,7 +26,7 @@ def gaussian_taps(scale: float) -> Float32s:
 
 
 def guide_radius(scale: float) -> int:
-    """Return how many cells a `GridGaussian` reaches to each side."""
+    """Return the reach of a `GridGaussian` to each side in cells."""
     return len(gaussian_taps(scale)) // 2 if scale > 0 else 0
 
 
@@ -35,17 +35,17 @@ class GridGaussian:
     """Gaussian means over the filled cells of a grid, shape (R, C)."""
 
     taps: Float32s
-    # Cells at which means do not stop; None: charts that keep their distance do without
+    # Cells at which means do not stop; None: charts are so far apart that they need not stop
     reachable: Bools | None
-    partial: Int32s  # filled cells (flat indices) that lack a neighbour
-    totals: Float32s  # of their weights
+    partial: Int32s  # flat indices of the filled cells that lack a neighbour
+    totals: Float32s  # sums of their weights
     cut_means: _CutMeans | None
     threads: int
-    first: int = 0  # the row that planes begin with
+    first: int = 0  # row of the canvas at which planes begin
 
     @classmethod
     def of(cls, atlas: Atlas, scale: float, *, stop_at_holes: bool, threads: int) -> GridGaussian:
-        """Find the cells that lack a neighbour for a standard deviation of `scale` cells."""
+        """Prepare a standard deviation of `scale` cells: find the cells that lack a neighbour."""
         taps, reachable = gaussian_taps(scale), atlas.is_filled if stop_at_holes else None
         partial, totals = _partial_totals(atlas.kind, taps, threads, stop_at_holes=stop_at_holes)
         cut_means = _CutMeans.of(atlas, taps) if len(atlas.cut_cells) else None
@@ -53,11 +53,11 @@ class GridGaussian:
 
     @property
     def gain(self) -> float:
-        """Remaining standard deviation of white noise, away from borders."""
+        """Standard deviation of smoothed white noise of unit variance, away from borders."""
         return float(np.sum(self.taps**2))
 
     def from_row(self, first: int) -> GridGaussian:
-        """Return the same means for planes that begin with row `first`; within reach of their ends they are wrong."""
+        """Return the Gaussian for planes that begin with row `first`; within reach of their ends, means are wrong."""
         return dataclasses.replace(self, first=first)
 
     def smooth(self, planes: Float32s) -> Float32s:
@@ -77,12 +77,12 @@ class GridGaussian:
 def _partial_totals(
     kind: Uint8s, taps: Float32s, threads: int, *, stop_at_holes: bool
 ) -> tuple[Int32s, Float32s]:
-    """Find the filled cells (flat indices) that lack a neighbour, and their total weights."""
+    """Find the filled cells (flat indices) that lack a neighbour, and the sums of their weights."""
     reach = len(taps) // 2
-    # Most cells have all neighbours: weights sum to 1 but for rounding. The lightest neighbour is in a corner.
+    # Most cells have all neighbours, where weights sum to 1 up to rounding. The least weight is in a corner.
     enough = 1 - taps[0] ** 2 / 2
     cells, totals = [np.zeros(0, np.int32)], [np.zeros(0, np.float32)]
-    # Whole planes would take the memory that this saves.
+    # Row by row: whole planes would need the memory that this class saves.
     for rows in large_arrays.blocks(len(kind), SUMMED_ROWS):
         above = min(rows.start, reach)
         band = kind[rows.start - above : rows.stop + reach] != EMPTY
@@ -96,7 +96,7 @@ def _partial_totals(
 
 
 def _convolved(planes: Float32s, taps: Float32s, reachable: Bools | None, threads: int) -> Float32s:
-    """Convolve planes, up to holes if the cells that are none are given."""
+    """Convolve planes; if the unreachable cells are given, stop at them."""
     if reachable is None:
         from beltrami_cli._native import convolve
 
@@ -106,7 +106,7 @@ def _convolved(planes: Float32s, taps: Float32s, reachable: Bools | None, thread
 
 
 def _convolve_up_to_holes(plane: Float32s, filled: Bools, taps: Float32s) -> Float32s:
-    """Convolve along the first axis, from each cell only up to the next that is not filled."""
+    """Convolve along the first axis, from each cell only up to the next cell that is not filled."""
     reach = len(taps) // 2
     result = np.where(filled, taps[reach] * plane, np.float32(0))
     for ahead in (True, False):
@@ -115,7 +115,7 @@ def _convolve_up_to_holes(plane: Float32s, filled: Bools, taps: Float32s) -> Flo
             near, far = (
                 (slice(None, -step), slice(step, None)) if ahead else (slice(step, None), slice(None, -step))
             )
-            # All cells from the near one to the far one.
+            # All cells from the nearest to the furthest.
             seen = (seen[:-1] if ahead else seen[1:]) & filled[far]
             result[near] += taps[reach + step] * np.where(seen, plane[far], np.float32(0))
     return result
@@ -123,12 +123,12 @@ def _convolve_up_to_holes(plane: Float32s, filled: Bools, taps: Float32s) -> Flo
 
 @dataclass(frozen=True, eq=False)
 class _CutMeans:
-    """Means over the cells of a square window that can be reached from its centre inside the window."""
+    """Means over the cells of a square window that are connected to its centre inside the window."""
 
     shape: tuple[int, int]
-    weights: Float32s  # of the cells of a window
-    cells: Int64s  # not empty, with a cell at a cut in their window
-    reached_bits: Uint8s  # of the cells of each window
+    weights: Float32s  # of the cells of the window
+    cells: Int64s  # cells, not empty, whose window contains a cell at a cut
+    reached_bits: Uint8s  # connected cells of each window, as bits
 
     @classmethod
     def of(cls, atlas: Atlas, taps: Float32s) -> _CutMeans:
@@ -142,7 +142,7 @@ class _CutMeans:
         return cls(atlas.kind.shape, weights, cells, bits)
 
     def apply(self, plane: Float32s, result: Float32s, first: int = 0) -> None:
-        """Write the means at cells near cuts to `result`; `plane` and `result` are canvas rows from `first` on."""
+        """Write the means of cells near cuts to `result`; `plane` and `result` are canvas rows from `first` on."""
         (rows, columns), size = self.shape, len(self.weights)
         last, reach = first + len(plane), math.isqrt(size) // 2
         top = first + reach if first else 0
@@ -163,7 +163,7 @@ def _chunks(begin: int, end: int, window: int) -> Iterator[slice]:
 
 
 def _near_cuts(atlas: Atlas, reach: int) -> Int64s:
-    """Find the cells, not empty, whose window holds a cell at a cut."""
+    """Return the cells, not empty, whose window contains a cell at a cut."""
     near, shape = np.zeros(atlas.kind.size, bool), atlas.kind.shape
     rows, columns = np.divmod(atlas.cut_cells, shape[1])
     for down in range(-reach, reach + 1):
@@ -175,7 +175,7 @@ def _near_cuts(atlas: Atlas, reach: int) -> Int64s:
 
 
 def _window(shape: tuple[int, int], cells: Int64s, reach: int) -> tuple[Int64s, Bools]:
-    """Return the cells of the windows around some cells, shape (K, W), and which of them lie on the canvas."""
+    """Return the cells of the windows around cells, shape (K, W), and which of them are on the canvas."""
     offsets = np.arange(-reach, reach + 1)
     rows = (cells // shape[1])[:, None, None] + offsets[:, None]
     columns = (cells % shape[1])[:, None, None] + offsets
@@ -185,7 +185,7 @@ def _window(shape: tuple[int, int], cells: Int64s, reach: int) -> tuple[Int64s, 
 
 
 def _reached(atlas: Atlas, cells: Int64s, reach: int) -> Bools:
-    """Return which cells of the windows can be reached from their centres over edges, shape (K, W)."""
+    """Return which cells of each window are connected to its centre by edges, shape (K, W)."""
     side = 2 * reach + 1
     window, inside = _window(atlas.kind.shape, cells, reach)
     filled = (inside & (atlas.kind.reshape(-1)[window] != EMPTY)).reshape(-1, side, side)

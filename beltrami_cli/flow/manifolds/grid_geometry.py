@@ -27,8 +27,8 @@ from beltrami_cli.surface.atlas import (
     refresh_halo,
 )
 
-# Rows and columns around a halo cell that are searched for other cells with the same texel: enough for a chart up to
-# seven times as fine as the one beyond the seam.
+# Rows and columns around a halo cell in which cells with the same texel are searched: enough for a chart up to seven
+# times as fine as the chart beyond the seam.
 _REPEATS_REACH = 3
 
 Cells: TypeAlias = slice | Rectangle | Int64s
@@ -37,15 +37,15 @@ Cells: TypeAlias = slice | Rectangle | Int64s
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GridGeometry(Geometry):
-    """Cells of an atlas; stacks are planes on its canvas."""
+    """The cells of an atlas; stacks are planes on its canvas."""
 
     axis: ClassVar[int] = 0
 
     atlas: Atlas
     spacing: float
-    # Factors of squared lengths that make the spacing around each cell 1
+    # Factors of squared lengths that scale the spacing around each cell to 1
     scales: large_arrays.Droppable[Float32s] | None
-    repeats: Uint8s | None  # how often each cell's texel is shown
+    repeats: Uint8s | None  # number of cells that show the same texel
     stops_at_holes: bool
     threads: int
 
@@ -107,7 +107,7 @@ class GridGeometry(Geometry):
         return KernelWork(self.kernels, unit)
 
     def take(self, stack: Stack, samples: Indices) -> Float32s:
-        """Return the channels of some cells, by their flat indices, with a row a cell."""
+        """Return the channels of cells, given by flat indices, one row per cell."""
         return colours_at(stack, samples)
 
     def steps(self, stack: Stack) -> Float32s:
@@ -118,7 +118,7 @@ class GridGeometry(Geometry):
         return (stack[:, rows, 1:] - stack[:, rows, :-1])[:, both].T
 
     def single(self, marked: Bools) -> Bools:
-        """Return which of the marked cells, shape (R, C), have no marked ones among their eight neighbours."""
+        """Return the marked cells, shape (R, C), without marked ones among their eight neighbours."""
         counts = np.pad(marked, 1).astype(np.uint8)
         counts = counts[:-2] + counts[1:-1] + counts[2:]
         single: Bools = counts[:, :-2] + counts[:, 1:-1] + counts[:, 2:] == 1
@@ -140,7 +140,7 @@ class GridGeometry(Geometry):
 
 @dataclass(frozen=True)
 class CanvasSamples:
-    """The owned cells of a canvas, and the cells around them; those of the halo are the owned ones that they show."""
+    """The owned cells of a canvas and their neighbours; halo cells stand for the owned cells they show."""
 
     atlas: Atlas
 
@@ -149,7 +149,7 @@ class CanvasSamples:
         return self.atlas.owned_cells
 
     def around(self, samples: Indices, reach: int) -> Int64s:
-        """Return the owned cells within some rows and columns of each cell, shape (B, W); -1: none."""
+        """Return the owned cells within `reach` rows and columns of each cell, shape (B, W), padded by -1."""
         atlas, steps = self.atlas, np.arange(-reach, reach + 1)
         own = np.asarray(samples, np.int64)[:, None]
         others = (steps[:, None] * atlas.kind.shape[1] + steps).reshape(-1)
@@ -180,7 +180,7 @@ class CanvasSamples:
 
 
 def pick(planes: Array, samples: Cells) -> Array:
-    """Return some cells of an array of planes, of rows and rectangles without a copy."""
+    """Return cells of planes; rows and rectangles are views, not copies."""
     if isinstance(samples, slice):
         return planes[..., samples, :]
     if isinstance(samples, tuple):
@@ -194,7 +194,7 @@ def pick(planes: Array, samples: Cells) -> Array:
 
 
 def colours_at(planes: Float32s, cells: Indices) -> Float32s:
-    """Return the colours of K cells (flat indices), shape (K, N), from planes of shape (N, R, C)."""
+    """Return the colours of K cells (flat indices) in planes of shape (N, R, C) as an array of shape (K, N)."""
     colours = large_arrays.empty((len(cells), len(planes)), np.float32)
     for block in large_arrays.blocks(len(cells)):
         for k, plane in enumerate(planes):
@@ -203,9 +203,9 @@ def colours_at(planes: Float32s, cells: Indices) -> Float32s:
 
 
 def _without_references(part: Atlas, whole: Atlas, cells: Int64s) -> Atlas:
-    """Return the atlas of some cells of another, whose halo others refresh."""
+    """Return the atlas of a part of another, whose halo is refreshed elsewhere."""
     kind = part.kind
-    kind[cells == whole.kind.size - 1] = EMPTY  # margin, which also stands for cells beyond the canvas
+    kind[cells == whole.kind.size - 1] = EMPTY  # cells of the margin and beyond the canvas
     cut = np.zeros(whole.kind.size, bool)
     cut[whole.cut_cells] = True
     nothing = np.zeros(0, np.int64)
@@ -218,7 +218,7 @@ def _without_references(part: Atlas, whole: Atlas, cells: Int64s) -> Atlas:
 
 
 def _local_scales(atlas: Atlas, window: int) -> Float32s:
-    """Return the factor of squared lengths that makes the spacing around each cell 1, float32, shape (R, C)."""
+    """Return the factor of squared lengths that scales the local spacing to 1, float32, shape (R, C)."""
     from beltrami_cli._native import local_scale
 
     rows, reach = atlas.kind.shape[0], window // 2
@@ -231,7 +231,7 @@ def _local_scales(atlas: Atlas, window: int) -> Float32s:
 
 
 def _mean_spacing(atlas: Atlas, scale: Float32s) -> float:
-    """Return the mean length that is 1 in local units, over the owned cells; 0 without any."""
+    """Return the mean length of a local unit over the owned cells; 0 without any."""
     total, count = 0.0, 0
     for rows in large_arrays.blocks(len(atlas.kind), SUMMED_ROWS):
         spacing = 1 / np.sqrt(scale[rows][atlas.kind[rows] == OWNED])
@@ -240,7 +240,7 @@ def _mean_spacing(atlas: Atlas, scale: Float32s) -> float:
 
 
 def halo_repeats(atlas: Atlas, threads: int) -> Uint8s | None:
-    """Return how often each cell's texel is shown, shape (R, C); None if no texel is shown more than once."""
+    """Return the number of cells that show each cell's texel, shape (R, C); None if all texels are shown once."""
     from beltrami_cli._native import halo_repeats as count
 
     if not len(atlas.halo_cells):

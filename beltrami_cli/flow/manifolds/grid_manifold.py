@@ -53,27 +53,27 @@ from beltrami_cli.flow.parameters import KernelParameters, Space
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, OWNED, Atlas, refresh_halo
 
-# Cells of a row block, some 90 bytes each; more where many threads share them.
+# Number of cells of a row block, of some 90 bytes each; more if many threads share it.
 ROW_BLOCK_CELLS = 1 << 18
 CELLS_PER_THREAD = 1 << 16
 
-# Row blocks end where the tiles of the core end, so that no tile is cut.
+# Row blocks end at borders of tiles, so that no tile is cut.
 TILE_ROWS = 32
 
-# The widest window that the sweeps support; wider ones are marched through with a heap.
+# Widest window that the sweeps support; wider windows use fast marching with a heap.
 _WIDEST_SWEEP = 15
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ColouredCanvas:
-    """The canvas of an atlas, the input's colours of its T owned cells, and what guides their smoothing."""
+    """The canvas of an atlas, the input's colours of its T owned cells, and the guides of their smoothing."""
 
     atlas: Atlas
     channels: int
-    colours_of: Callable[[slice], Float32s]  # of a block of the owned cells, shape (K, channels)
+    colours_of: Callable[[slice], Float32s]  # of a block of owned cells, shape (K, channels)
     parameters: KernelParameters
-    deviations: Float32s | None = None  # of the noise, if they are given, shape (T, K)
-    light: Space | None = None  # the space of colours that stand for light; None: they do not
+    deviations: Float32s | None = None  # shape (T, K): given standard deviations of the noise
+    light: Space | None = None  # space of colours that stand for light; None: they do not
     guides: Sequence[Guide] = ()
     metric_channels: Sequence[int] | None = None
     stop_at_holes: bool = False
@@ -83,10 +83,10 @@ class ColouredCanvas:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CanvasColours(StabilisedColours):
-    """Stabilised colours on a canvas that ends at the seams over which they jump."""
+    """Stabilised colours on a canvas that ends at the seams over which colours jump."""
 
     atlas: Atlas
-    jumps: int  # how many such seams there are
+    jumps: int  # number of such seams
 
 
 def grid_manifold(canvas: ColouredCanvas, colours: CanvasColours) -> GridManifold:
@@ -112,22 +112,22 @@ def _guide_on_canvas(guide: Guide, grid: GridGeometry) -> Stack:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GridManifold(Manifold):
-    """The image manifold of an atlas, with colours on its canvas that iterations change in place."""
+    """The image manifold of an atlas; iterations change its colours on the canvas in place."""
 
     plain_levels = 3, 2
     search_range, rule = ON_GRIDS, RULE_ON_GRIDS
 
     geometry: GridGeometry
-    jumps: int = 0  # seams over which colours jump, which end the surface for kernels
+    jumps: int = 0  # number of seams over which colours jump, where kernels stop
 
     def measure(self, colours: Stack, step: Step, gaussian: Gaussian | None = None) -> Metric:
-        """Choose the metric, eq. (1), which is induced row block by row block while they are averaged."""
+        """Prepare the metric, eq. (1), which averaging then induces row block by row block."""
         return Metric(step, len(colours), self._regularising(step, gaussian))
 
     def average(
         self, stacks: list[Stack], metric: Metric, progress: Callable[[int], None] | None = None
     ) -> Averaged:
-        """Average the channels by eq. (9): in place, unless all is one block, or in chunks."""
+        """Average the channels by eq. (9), in place unless there is one block, or in chunks."""
         grid, wanted = self.geometry, self.resources.chunking
         if wanted is None or self.is_in_one_block:
             return self._average_rows(stacks, metric, progress)
@@ -143,7 +143,7 @@ class GridManifold(Manifold):
     def _average_rows(
         self, stacks: list[Stack], metric: Metric, progress: Callable[[int], None] | None
     ) -> Averaged:
-        """Average as `average`, row block by row block."""
+        """Average row block by row block, see `average`."""
         grid, threads = self.geometry, self.parameters.thread_count
         (rows, columns), margin = grid.atlas.kind.shape, kernel_margin(self.parameters)
         blocks = row_blocks(rows, columns, margin, threads)
@@ -168,7 +168,7 @@ class GridManifold(Manifold):
                 dataclasses.replace(metric, gaussian=gaussian),
                 _share(progress, block.start * columns, share),
             )
-            # The next block depends on what this one replaces, and on nothing above.
+            # The next block depends on the rows replaced here, but on none above.
             if finished is not None:
                 self._put(stacks, *finished)
             finished, samples = (block, after[:, own]), samples + held
@@ -181,7 +181,7 @@ class GridManifold(Manifold):
 
     @cached_property
     def _kernel_chunks(self) -> list[Chunk]:
-        """The chunks for one iteration."""
+        """The chunks of one iteration."""
         wanted, margin = self.resources.chunking, kernel_margin(self.parameters)
         kind = self.geometry.atlas.kind
         assert wanted is not None
@@ -199,7 +199,7 @@ class GridManifold(Manifold):
     def _apply_kernel(
         self, stacks: Sequence[Stack], metric: Metric, progress: Callable[[int], None] | None
     ) -> tuple[Float32s, int]:
-        """Average stacks, colours first, at once; return the number of samples in all kernels, too."""
+        """Average stacks, colours first, in one pass; return also the number of samples in all kernels."""
         from beltrami_cli._native import smooth_grid
 
         own, grid = at_step(self.parameters, metric.step), self.geometry
@@ -211,7 +211,7 @@ class GridManifold(Manifold):
         )  # fmt: skip
 
     def kernel_at(self, sample: int, step: Step) -> SampledKernel:
-        """Return the kernel of an owned cell; cells of the halo count as the owned ones that they are nearest to."""
+        """Return the kernel of an owned cell, in which halo cells count as their nearest owned cells."""
         gaussian = self.measure(self.colours, step).gaussian
         metric, beta = self._channels(self.colours, step, gaussian)
         own, atlas = at_step(self.parameters, step), self.geometry.atlas
@@ -220,7 +220,7 @@ class GridManifold(Manifold):
         window = self._distances(metric, beta, own, (row, column))
         offsets = np.argwhere(np.isfinite(window)) - reach
         distances = window[tuple(offsets.T + reach)]
-        # Samples at one place have the distance 0 too, and the cell itself comes first.
+        # Coincident samples have the distance 0 too, and the cell itself comes first.
         order = np.lexsort([offsets.any(axis=1), distances])
         offsets, distances = offsets[order], distances[order]
         cells = (offsets[:, 0] + row) * columns + offsets[:, 1] + column
@@ -236,11 +236,12 @@ class GridManifold(Manifold):
     def _distances(
         self, metric: Float32s, beta: float, own: KernelParameters, centre: tuple[int, int]
     ) -> Float32s:
-        """Return the distances of the cells in the window of one, infinite beyond the kernel's radius."""
+        """Return the distances within the window of a cell, infinite beyond the kernel's radius."""
         from beltrami_cli._native import grid_distances
 
         grid, reach = self.geometry, own.window // 2
-        # Supports, and the neighbours that their metric and its scale are from; stencils of a whole canvas take long.
+        # Include supports, and the neighbours that determine the metric and its scale. Stencils of a whole canvas take
+        # long.
         around = reach + FURTHEST_SUPPORT + 2
         top, left = (max(0, place - around) for place in centre)
         part = np.s_[..., top : centre[0] + around + 1, left : centre[1] + around + 1]
@@ -256,7 +257,7 @@ class GridManifold(Manifold):
         self, noisy: Stack, pilot: Stack, mixing: Mixing, progress: Callable[[int], None] | None, *,
         replaces_pilot: bool = False,
     ) -> Stack:  # fmt: skip
-        """Estimate the colours of the owned cells from patches, and show them in the halo."""
+        """Estimate the owned cells from patches, and refresh the halo."""
         atlas, relative = self.geometry.atlas, self.noise.relative
         stacks = [noisy, pilot, *([] if relative is None else [relative])]
         estimates = collaborate_on_canvas(
@@ -277,7 +278,7 @@ class GridManifold(Manifold):
 
     @property
     def regions(self) -> Squares:
-        """Squares of the finest level at which plain colours are estimated, averaged over 6 cells."""
+        """Squares of the finest level of plain colours, averaged over 6 cells."""
         grid, side = self.geometry, 2 ** min(self.plain_levels)
         return Squares(grid.atlas, side, grid.threads, None, IN_ONE_PIECE, width=6 / side)
 
@@ -321,7 +322,7 @@ class GridManifold(Manifold):
 
 
 def cut_blocks(whole: GridManifold, cells: Int64s, core: Bools, reach: int) -> GridManifold:
-    """Cut out blocks; cells beyond their borders keep their colours, as halo that is not refreshed."""
+    """Cut out blocks. Cells beyond their borders keep their colours, as halo that is not refreshed."""
     side = cells.shape[1]
     at = np.arange(side)
     inner = (at >= reach) & (at < side - reach)
@@ -341,14 +342,14 @@ def _average_chunk(
 
 
 def row_blocks(rows: int, columns: int, margin: int, threads: int) -> list[slice]:
-    """Return the rows that are averaged at a time; each block depends on none but its neighbours."""
+    """Return the rows averaged at a time; each block depends only on adjacent blocks."""
     wanted = max(ROW_BLOCK_CELLS, CELLS_PER_THREAD * threads) // max(1, columns)
     height = -(-max(wanted, margin, 1) // TILE_ROWS) * TILE_ROWS
     return [slice(top, min(rows, top + height)) for top in range(0, rows, height)]
 
 
 def scheme_of(parameters: KernelParameters) -> str:
-    """Return the core's name of the scheme by which distances are measured."""
+    """Return the core's name for the scheme of distances."""
     if parameters.scheme == "metric":
         return "metric"
     return "sweep" if parameters.window <= _WIDEST_SWEEP else "triangles"
@@ -359,5 +360,5 @@ def _split(planes: Float32s, like: Sequence[Float32s]) -> list[Float32s]:
 
 
 def _share(progress: Callable[[int], None] | None, before: int, share: float) -> Callable[[int], None] | None:
-    """Add the work of earlier row blocks to the progress of one, of whose cells only a share is new."""
+    """Scale the progress of one row block, of whose cells a share is new, and add that of earlier blocks."""
     return None if progress is None else lambda done: progress(before + int(done * share))

@@ -1,9 +1,9 @@
 """Guides: clean channels that enter the metric besides the colours.
 
-Each is scaled by its own beta. It is used as it is, in every iteration, so its slopes, and what noise it has, must not
-stop the kernel. The scale of usual steps is their median [1]_, in units of white noise. It carries no information for a
-guide of flat regions, whose steps are mostly 0: there the standard deviation of the guide is used. Beta follows the
-guide's unit, so that depth in metres and in millimetres guides equally.
+Each guide is scaled by its own beta. It is used unsmoothed in every iteration, so its slopes and noise must not stop
+the kernel. The unit of usual steps is their median [1]_, as a multiple of that of white noise. For a guide with flat
+regions, whose steps are mostly 0, the standard deviation of the guide is used instead. Beta follows the unit of the
+guide, so that depth in metres and in millimetres has the same effect.
 
 References
 ----------
@@ -20,11 +20,11 @@ import numpy as np
 from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.flow.manifolds.domain import Geometry, Stack
 
-# Length of a step as large as the guide's standard deviation, in sample spacings: nearly the radius of the kernel of
-# the default time step, so that it stops there.
+# Length, in sample spacings, of a step of one standard deviation of the guide. It is nearly the radius of the kernel at
+# the default time step, so that the kernel stops there.
 _SPREAD_COUNTS = 6.0
 
-# A usual step counts no more than this share of a sample spacing, so that noise and slopes of a guide do not stop it.
+# Maximum length of a usual step in sample spacings, so that noise and slopes of a guide do not stop the kernel.
 _USUAL_STEP_LENGTH = 2 / 3
 
 
@@ -35,7 +35,7 @@ class Guide:
     name: str
     values: Float32s  # shape (S, G), one row per sample, finite
     beta: float | None = None
-    # Values are components in the frame of their chart, as in normal maps, and cannot be compared across seams.
+    # Values are components in the frame of their chart, as in normal maps, and are not comparable across seams.
     in_chart_frame: bool = False
 
 
@@ -49,7 +49,7 @@ class GuideStack:
 
     @classmethod
     def of(cls, guide: Guide, stack: Stack, geometry: Geometry, unit: float) -> GuideStack:
-        """Choose a beta that is not given by the usual steps of the guide."""
+        """Convert a guide to a stack; without a given beta, choose it from the usual steps."""
         beta = guide.beta
         if beta is None:
             beta = choose_guide_beta(guide.values, geometry.steps(stack)) * unit
@@ -57,14 +57,14 @@ class GuideStack:
 
 
 def choose_guide_beta(values: Float32s, steps: Float32s) -> float:
-    """Choose beta so that usual steps, shape (K, G), hardly hinder the kernel and unusual ones stop it."""
+    """Choose beta so that usual steps, shape (K, G), hardly affect the kernel and unusual ones stop it."""
     if not values.size:
         return 0.0
     channels = values.shape[1]
     spread = float(np.sqrt(np.mean(values.var(axis=0, dtype=np.float64))))
     usual = 0.0
     if len(steps):
-        # The length of a vector of k normal numbers has the median sqrt(k) (1 - 2 / (9 k))^(3 / 2), nearly.
+        # The median length of a vector of k normal variables is nearly sqrt(k) (1 - 2 / (9 k))^(3 / 2).
         median = np.sqrt(2 * channels * (1 - 2 / (9 * channels)) ** 3)
         usual = float(np.median(np.linalg.norm(steps.astype(np.float64), axis=1)) / median)
     scale = max(usual / _USUAL_STEP_LENGTH, spread / _SPREAD_COUNTS)
@@ -72,5 +72,5 @@ def choose_guide_beta(values: Float32s, steps: Float32s) -> float:
 
 
 def centred(values: Float64s) -> Float32s:
-    """Subtract the mean of a guide, shape (S, G), before rounding: only differences count."""
+    """Subtract the mean of a guide, shape (S, G), so that rounding to float32 keeps its differences."""
     return np.ascontiguousarray(values - values.mean(axis=0) if len(values) else values, np.float32)

@@ -1,10 +1,9 @@
-"""Image manifolds: what enters their metric, measuring distances by it, and averaging by them.
+"""Image manifolds: channels of the metric, measurement of distances, and averages.
 
-A sample has a position X and a colour I, and is embedded as (X, beta I). Two kinds of manifolds are sampled:
-triangulated surfaces, and regular grids. A manifold is composed of its geometry, which holds positions and neighbours,
-of colours, and of the kernels of the metric that both induce. Equations: A. Spira, R. Kimmel, N. Sochen,
-"A short time Beltrami kernel for smoothing images on manifolds", IEEE Trans. Image Processing 16(6), 2007,
-https://doi.org/10.1109/TIP.2007.894253
+A sample has a position X and a colour I, and is embedded as (X, beta I). There are two kinds of manifolds: triangulated
+surfaces and regular grids. A manifold consists of a geometry, which has positions and neighbours, of colours, and of
+the kernels of the metric that both induce. Equations: A. Spira, R. Kimmel, N. Sochen, "A short time Beltrami kernel for
+smoothing images on manifolds", IEEE Trans. Image Processing 16(6), 2007, https://doi.org/10.1109/TIP.2007.894253
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Step:
-    """One iteration: beta in units of length per unit of colour, the time step, whether the metric is regularised."""
+    """One iteration: beta in length per unit of colour, the time step, and whether the metric is regularised."""
 
     beta: float
     t: float
@@ -46,8 +45,8 @@ class Step:
 class Metric:
     """The metric of an iteration, eq. (1).
 
-    That of a grid, and of a mesh in chunks, is induced by the first `channels` of the first stack, part by part, while
-    they are averaged; that of a whole mesh is a `MeshMetric`.
+    On a grid, and on a mesh in chunks, averaging induces it part by part from the first `channels` of the first stack.
+    The metric of a whole mesh is a `MeshMetric`.
     """
 
     step: Step
@@ -59,18 +58,18 @@ class Metric:
 class Outliers:
     """The K samples that were filled, and their colours before."""
 
-    samples: Int64s  # counted among all samples of the surface
-    channels: Bools  # which are wrong, shape (K, N)
+    samples: Int64s  # numbers among all samples of the surface
+    channels: Bools  # the channels that were filled, shape (K, N)
     colours: Float32s  # shape (K, N)
     share: float  # of all samples
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StabilisedColours:
-    """Colours as manifolds have them: without outliers, and with noise that is the same at all levels.
+    """The colours of a manifold: without outliers, and with stabilised variance of the noise.
 
-    Parameters and results are in units of the input's colours: `NoiseModel.to_input` converts colours, and
-    `beta_to_input`, `difference_to_input` and `square_to_input` what is measured in them.
+    Parameters and results are in units of the input's colours. `NoiseModel.to_input` converts colours back;
+    `beta_to_input`, `difference_to_input` and `square_to_input` convert measurements.
     """
 
     stack: Stack
@@ -80,7 +79,7 @@ class StabilisedColours:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Manifold(ABC):
-    """Samples of an image manifold, or of a part of one, ready to be measured and averaged."""
+    """An image manifold or a part of it, ready to be measured and averaged."""
 
     geometry: Geometry
     colours: Stack  # stabilised, see `StabilisedColours`; before or after iterations
@@ -90,7 +89,7 @@ class Manifold(ABC):
     metric_channels: list[int] | slice
     guides: tuple[GuideStack, ...] = ()
     moving: MovingPositions | None = None  # positions that are smoothed along with the colours
-    is_in_one_block: bool = False  # averaged at once, whatever its size; stacks stay as they are
+    is_in_one_block: bool = False  # averaged in one pass, whatever its size; stacks are not changed
     outliers: Outliers | None = None  # that were filled
     resources: Resources = IN_ONE_PIECE
 
@@ -105,7 +104,7 @@ class Manifold(ABC):
 
     @property
     def beta(self) -> float:
-        """The given beta, or else one for the noise, in units of length per unit of stabilised colours."""
+        """The given beta, or one chosen for the noise, in length per unit of stabilised colours."""
         sigma, own = self.noise.sigma[self.metric_channels], self.parameters
         if not len(sigma):
             return 0.0
@@ -115,56 +114,56 @@ class Manifold(ABC):
 
     @abstractmethod
     def measure(self, colours: Stack, step: Step, gaussian: Gaussian | None = None) -> Metric:
-        """Induce the metric, eq. (1), by colours; `gaussian`: that of an earlier metric, to be used again."""
+        """Induce the metric, eq. (1), from colours; `gaussian` of an earlier metric is used again."""
 
     @abstractmethod
     def average(
         self, stacks: list[Stack], metric: Metric, progress: Callable[[int], None] | None = None
     ) -> Averaged:
-        """Average stacks by the kernels of the metric, eqs. (8) and (9); they may be changed in place.
+        """Average stacks by the kernels of the metric, eqs. (8) and (9), possibly in place.
 
-        The first stack holds the colours that the metric was measured by.
+        The first stack contains the colours from which the metric was measured.
         """
 
     def drop_kernels(self) -> None:
-        """Free the memory of what only kernels need; it is computed again if more of them are run."""
+        """Free memory that only kernels use; it is computed again if needed."""
         vars(self).pop("_kernel_chunks", None)
         self.geometry.drop_distances()
 
     @abstractmethod
     def kernel_at(self, sample: int, step: Step) -> SampledKernel:
-        """Return the kernel that an iteration from the present colours has at a sample."""
+        """Return the kernel of a sample in an iteration from the present colours."""
 
     @abstractmethod
     def collaborate(
         self, noisy: Stack, pilot: Stack, mixing: Mixing, progress: Callable[[int], None] | None, *,
         replaces_pilot: bool = False,
     ) -> Stack:  # fmt: skip
-        """Estimate colours from similar patches, compared on the pilot, whose memory they may replace."""
+        """Estimate colours from patches that are similar in the pilot, whose memory they may take."""
 
     @abstractmethod
     def perturbation(self) -> Droppable[Array]:
-        """Draw a stack of random signs, or of noise that neighbours share as they share that of the colours."""
+        """Draw a stack of random signs, or of noise that is correlated like that of the colours."""
 
     @abstractmethod
     def levels(self, most: int, tick: Callable[[], None] | None = None) -> Sequence[CoarseLevel]:
-        """Return up to `most` levels, fine to coarse, each of some four samples of the one before."""
+        """Return up to `most` levels, fine to coarse, each with means of about four samples of the previous one."""
 
     @property
     @abstractmethod
     def regions(self) -> Domain:
-        """The samples, or means of them, over which regions of the surface are averaged."""
+        """The samples or means over which regions of the surface are averaged."""
 
     @abstractmethod
     def trial(self) -> SampleTrial:
-        """Choose samples to try parameters on, and draw the perturbations of their colours."""
+        """Choose the samples on which parameters are tried, and draw the perturbations of their colours."""
 
     @abstractmethod
     def new_colours(self) -> NewColours:
-        """Return the colours block by block, with those beyond seams, to be written back to the document."""
+        """Return the colours, read block by block, with those beyond seams, to be written to the document."""
 
     def _with_outliers(self, new: NewColours, order: Array | None = None) -> NewColours:
-        """Return new colours, those of samples in an order, with the outliers as they were, if they are kept."""
+        """Restore the outliers in new colours, whose samples are in an order, if outliers are kept."""
         own = self.outliers
         if own is None or self.parameters.outliers != "keep":
             return new
@@ -183,11 +182,11 @@ class Manifold(ABC):
         gaussian: Gaussian | None,
         features: tuple[tuple[Stack, float], ...] = (),
     ) -> tuple[Stack, float]:
-        """Return the channels of the metric without the positions, and their beta."""
+        """Return the channels of the metric except positions, and their beta."""
         axis = self.geometry.axis
         if not isinstance(self.metric_channels, slice):
             colours = np.ascontiguousarray(np.take(colours, self.metric_channels, axis=axis))
-        if self.noise.relative is not None:  # differences count by the noise where they are
+        if self.noise.relative is not None:  # differences are relative to the local noise
             colours = np.divide(colours, np.sqrt(self.noise.relative), dtype=np.float32)
 
         def regularised(stack: Stack, beta: float) -> tuple[Stack, float]:
@@ -195,14 +194,14 @@ class Manifold(ABC):
                 return stack, beta
             return gaussian.smooth(stack), beta / gaussian.gain
 
-        guides = [(guide.stack, guide.beta) for guide in self.guides]  # which are clean
+        guides = [(guide.stack, guide.beta) for guide in self.guides]  # guides have no noise
         smoothed = [regularised(*feature) for feature in features]
         return _join_channels([regularised(colours, step.beta), *guides, *smoothed], axis)
 
 
 @dataclass(frozen=True)
 class Averaged:
-    """Averages of channels by eq. (9), how many samples the kernels held, and how many kernels were cut short."""
+    """Averages of channels by eq. (9), the number of samples in all kernels, and of truncated kernels."""
 
     stacks: list[Float32s]
     samples: float
@@ -212,7 +211,7 @@ class Averaged:
 
 @dataclass(frozen=True)
 class SampledKernel:
-    """The K samples in the kernel of one sample p, p first and the others by their distance."""
+    """The K samples in the kernel of one sample p, ordered by distance; p is the first."""
 
     samples: Int64s  # shape (K,)
     distances: Float32s  # d(p, q), in the unit of length of the parameters; 0 at p
@@ -223,7 +222,7 @@ class SampledKernel:
 
 @dataclass(frozen=True)
 class SampleTrial:
-    """A part of a manifold to try iterations on; samples in `scored_samples` count, None: all."""
+    """A part of a manifold on which iterations are tried; `scored_samples` are evaluated, None: all."""
 
     part: Manifold
     start: Stack  # the noisy colours
@@ -249,12 +248,12 @@ class SampleTrial:
         return self.part.geometry.gaussian(self.part.parameters.metric_scale)
 
     def scored(self, state: Stack) -> Float32s:
-        """Return the colours of the samples that count, shape (S, N)."""
+        """Return the colours of the evaluated samples, shape (S, N)."""
         return state if self.scored_samples is None else self.part.geometry.take(state, self.scored_samples)
 
 
 def at_step(parameters: KernelParameters, step: Step) -> KernelParameters:
-    """Return parameters with the time step of an iteration, which the radius of kernels follows."""
+    """Return the parameters with the time step of an iteration, which determines the radius of kernels."""
     return parameters if step.t == parameters.t else dataclasses.replace(parameters, t=step.t)
 
 
@@ -264,12 +263,12 @@ def kernel_values(distances: Float32s, t: float) -> Float32s:
 
 
 def _join_channels(parts: Sequence[tuple[Float32s, float]], axis: int) -> tuple[Float32s, float]:
-    """Concatenate channels of different beta, colours first, as channels of one beta; it is 0 if none has any."""
+    """Scale channels of different beta to one beta, colours first, and join them; beta is 0 if all are."""
     weighted = [(values, beta) for values, beta in parts if beta > 0 and values.shape[axis] > 0]
     if len(weighted) < 2:
         return weighted[0] if weighted else (parts[0][0], 0.0)
     largest = max(beta for _, beta in weighted)
-    # The first part keeps its bits, unless the others would leave the range of float32.
+    # The first part is not scaled, unless the others would exceed the range of float32.
     common = weighted[0][1] if weighted[0][1] > 1e-9 * largest else largest
     scaled = [values if beta == common else values * np.float32(beta / common) for values, beta in weighted]
     return np.concatenate(scaled, axis=axis), common

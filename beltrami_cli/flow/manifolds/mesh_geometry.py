@@ -1,8 +1,8 @@
-"""The geometry of a triangulated surface; its samples are kept in a cache-friendly order.
+"""The geometry of a triangulated surface; its samples are sorted for cache locality.
 
-On an even surface a kernel holds as many samples as its area. It holds far more around a hub, which is a vertex of very
-high valence, and where connectivity is irregular, as of vertices that are joined at random: all are a few edges apart.
-There the kernels are bounded.
+On a surface with regular connectivity, the number of samples in a kernel is proportional to its area. It is far larger
+around a hub, which is a vertex of very high valence, and where connectivity is irregular, as with vertices joined at
+random, which are all a few edges apart. The kernels there are bounded.
 """
 
 from __future__ import annotations
@@ -35,19 +35,20 @@ from beltrami_cli.surface.incidence import Neighbours, RowsOfSamples
 from beltrami_cli.surface.large_arrays import kept
 from beltrami_cli.surface.records import SampledSurface
 
-# Edges at one vertex. The poles of spheres and the caps of cylinders have fewer.
+# Minimum valence of a hub; poles of spheres and caps of cylinders have fewer edges.
 _HUB = 512
 
-# Samples that kernels around hubs would hold, from which on it takes seconds.
+# Number of samples in kernels around hubs from which on they take seconds.
 _MAX_NEAR_HUBS = 1_000_000
 
-# Small meshes take no time. On surfaces V - E + F is about 0, whatever their handles and borders are.
+# Minimum size for irregular connectivity, since small meshes take no time. V - E + F is about 0 on surfaces, whatever
+# their handles and borders.
 _SMALL_MESH, _IRREGULAR = 1_000, -1 / 4
 
-# Samples of the largest kernels there, as a multiple of what they would hold on an even surface.
+# Bound of kernels there, as a multiple of the number of samples on an even surface.
 _MAX_EXCESS = 2
 
-# Steps of colours, far above their rounding, by which signs and the patches that start groups are chosen.
+# Quantisation of colours, far above their rounding, for the choice of signs and of the patches that start groups.
 _COARSE = np.float32(256)
 
 
@@ -55,7 +56,7 @@ Core: TypeAlias = SegmentManifold | TriangulatedManifold
 
 
 class InducedMetric(Protocol):
-    """The metric that positions and features induce; beta: units of length per unit of the features."""
+    """The metric that positions and features induce; beta in length per unit of the features."""
 
     @property
     def positions(self) -> Float64s: ...
@@ -67,7 +68,7 @@ class InducedMetric(Protocol):
 
 @dataclass(kw_only=True, eq=False)
 class MeshGeometry(Geometry, Domain):
-    """Vertices, triangles and edges; stacks have a row a vertex."""
+    """Vertices, triangles and edges; stacks have one row per vertex."""
 
     axis: ClassVar[int] = 1
     width = 4.0
@@ -75,10 +76,10 @@ class MeshGeometry(Geometry, Domain):
     order: Int32s  # the caller's number of each sample
     positions: Float64s
     faces: Int32s
-    edges: Int32s  # but bridges over hard colour edges, which say nothing about spacing or noise
+    edges: Int32s  # without bridges over hard colour edges
     lengths: Float64s  # of edges, in spacings around them
     spacing: float
-    scales: Float32s | None  # factors of lengths that make the spacing around each sample 1
+    scales: Float32s | None  # factors of lengths that scale the local spacing to 1
     weights: Float32s | None  # areas
     is_along_segments: bool
     threads: int
@@ -123,7 +124,7 @@ class MeshGeometry(Geometry, Domain):
         return np.broadcast_to(np.uint8(OWNED), (self.size, 1))
 
     def core_with(self, metric: InducedMetric, threads: int) -> Core:
-        """Return the manifold of the compiled core, which has one metric at a time, with this one."""
+        """Return the compiled core's manifold, which has one metric at a time, set to this metric."""
         kind = SegmentManifold if self.is_along_segments else TriangulatedManifold
         core, last = self._core or (kind(self.faces, self.size), None)
         if last is not metric:
@@ -139,14 +140,14 @@ class MeshGeometry(Geometry, Domain):
         return {**fields, "_core": None}
 
     def graph(self, colours: Stack, resources: Resources) -> Graph:
-        """Return the samples and their edges, with priorities by colours."""
+        """Return the graph of the samples, with priorities from the colours."""
         joined, places = self._is_joined(), kept(_in_three_dimensions(self.positions))
         axes = _axes(places, colours) if joined.all() else _axes(places[joined], colours[joined])
         priorities = kept(fingerprints(coarse(colours), self.edges))
         return Graph(places, self.edges, priorities, axes, self.threads, resources=resources)
 
     def scaled_lengths(self, edges: Int32s) -> Float32s:
-        """Return the lengths of edges between samples in the unit of length of the parameters, shape (E,)."""
+        """Return the lengths of edges in the unit of length of the parameters, shape (E,)."""
         low, high = edges.T
         lengths = np.linalg.norm(self.positions[low] - self.positions[high], axis=1)
         if self.scales is not None:
@@ -154,7 +155,7 @@ class MeshGeometry(Geometry, Domain):
         return np.asarray(lengths, np.float32)
 
     def cut(self, samples: Array) -> MeshGeometry:
-        """Return the part of some samples, ascending."""
+        """Return the part with some samples, ascending."""
         (faces, _), (edges, rows) = (each.among(samples) for each in self._rows)
         scales, weights = self.scales, self.weights
         return dataclasses.replace(
@@ -167,11 +168,11 @@ class MeshGeometry(Geometry, Domain):
 
     @cached_property
     def _rows(self) -> tuple[RowsOfSamples, RowsOfSamples]:
-        """Triangles and edges, to be found by samples."""
+        """Triangles and edges, indexed by sample."""
         return RowsOfSamples(self.faces, self.size), RowsOfSamples(self.edges, self.size)
 
     def in_order(self, rows: Array) -> Array:
-        """Bring rows back to the order that the caller gave them in."""
+        """Restore the caller's order of rows."""
         ordered = np.empty_like(rows)
         ordered[self.order] = rows
         return ordered
@@ -193,7 +194,7 @@ class MeshGeometry(Geometry, Domain):
         return single
 
     def counted(self, colours: Stack) -> tuple[Float32s, int]:
-        """Return the channels of all but isolated samples, which keep their colours."""
+        """Return the channels of all samples but isolated ones, which keep their colours."""
         return np.ascontiguousarray(colours[self._is_joined()].T), 0
 
     def gaussian(self, scale: float) -> MeshGaussian:
@@ -222,7 +223,7 @@ class MeshGeometry(Geometry, Domain):
 
 
 class MeshSamples:
-    """The samples of a mesh, and those around them; of hubs only the first."""
+    """The samples of a mesh and their neighbours; at hubs, only the first neighbours."""
 
     _MOST = 8  # neighbours of one sample: regular meshes have six
 
@@ -232,7 +233,7 @@ class MeshSamples:
         self._neighbours = Neighbours(mesh.size, mesh.edges, mesh.scaled_lengths)
 
     def around(self, samples: Indices, reach: int) -> Int64s:
-        """Return the samples within some steps along edges of each, shape (B, W), as often as they are reached."""
+        """Return the samples within `reach` edges of each sample, shape (B, W), once per path to them."""
         near = self._neighbours.first(samples, self._MOST)
         if reach == 1:
             return near
@@ -252,20 +253,20 @@ class MeshSamples:
 
 
 def rank_in(order: Int32s) -> Int32s:
-    """Return where each sample stands in an order of all."""
+    """Return the position of each sample in an order of all samples."""
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order), dtype=rank.dtype)
     return rank
 
 
 def coarse(colours: Stack) -> Float32s:
-    """Return colours in steps by which signs and the patches that start groups are chosen."""
+    """Quantise colours, for the choice of signs and of the patches that start groups."""
     steps = np.multiply(colours, _COARSE, dtype=np.float32)
     return np.round(steps, out=steps)
 
 
 def _in_three_dimensions(positions: Float64s) -> Float64s:
-    """Return positions with zeros added, or projected on the three directions in which they extend most."""
+    """Pad positions with zeros, or project them on their three principal directions."""
     if positions.shape[1] > 3:
         offsets = positions - positions.mean(axis=0)
         directions = np.linalg.eigh(np.einsum("ij,ik->jk", offsets, offsets))[1]
@@ -276,7 +277,7 @@ def _in_three_dimensions(positions: Float64s) -> Float64s:
 
 
 def _axes(positions: Float64s, colours: Float32s) -> Float64s:
-    """Return two directions, shape (2, 3), that turn with the model: to where colours are brighter and stronger."""
+    """Return two directions that rotate with the model, shape (2, 3): to brighter and to more intense colours."""
     if not len(positions):
         return np.eye(3)[:2]
     offsets = positions - positions.mean(axis=0)
@@ -286,18 +287,18 @@ def _axes(positions: Float64s, colours: Float32s) -> Float64s:
 
 
 def _find_hubs(size: int, edges: Int32s) -> Bools:
-    """Return which vertices have very many edges."""
+    """Return which vertices are hubs."""
     return np.asarray(np.bincount(edges.ravel(), minlength=size) > _HUB)
 
 
 def without_hubs(size: int, edges: Int32s) -> Int32s:
-    """Leave out the edges at hubs."""
+    """Return the edges that do not end at a hub."""
     hubs = _find_hubs(size, edges)
     return edges[~hubs[edges].any(axis=1)] if hubs.any() else edges
 
 
 class MeshWork(KernelWork):
-    """Work with the kernels of triangles, of which hubs and irregular connectivity have more."""
+    """Workload of kernels on triangles, which grows with hubs and irregular connectivity."""
 
     def __init__(self, kernels: int, unit: float, edges: Int32s, faces: int) -> None:
         super().__init__(kernels, unit)
@@ -314,7 +315,7 @@ class MeshWork(KernelWork):
         return not self._is_irregular and bool(near_hubs <= self.kernels / 2)
 
     def bounded(self, parameters: KernelParameters) -> KernelParameters:
-        """Bound kernels around hubs and of irregular connectivity by twice what they would hold on an even surface."""
+        """Bound kernels around hubs and of irregular connectivity by twice their size on an even surface."""
         if parameters.max_samples != KernelParameters.max_samples:
             return parameters
         near_hubs = np.square(self._hub_degrees.astype(np.float64)).sum()
@@ -324,7 +325,7 @@ class MeshWork(KernelWork):
         return dataclasses.replace(parameters, max_samples=min(parameters.max_samples, most))
 
     def samples(self, parameters: KernelParameters) -> float:
-        """Return how many samples all kernels of an iteration hold, at most."""
+        """Return an upper bound of the number of samples in all kernels of an iteration."""
         near_hubs = self.kernels if self._is_irregular else min(int(self._hub_degrees.sum()), self.kernels)
         each = min(self._on_even_surface(parameters), parameters.max_samples)
         return (self.kernels - near_hubs) * each + near_hubs * min(parameters.max_samples, self.kernels)

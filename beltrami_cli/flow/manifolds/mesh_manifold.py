@@ -42,25 +42,25 @@ from beltrami_cli.surface.incidence import Neighbours
 from beltrami_cli.surface.large_arrays import Droppable, kept
 from beltrami_cli.surface.records import SampledSurface
 
-# Paths along edges are longer than straight ones: by up to 1.16 on a triangle lattice, and by hardly more than half
-# elsewhere. What kernels would hold beyond lies at their ends, where it counts least.
+# Ratio of path lengths along edges to straight ones: up to 1.16 on a triangular lattice, and hardly more than half of
+# that excess elsewhere. Samples missed by that are at the ends of kernels, where weights are least.
 _STRETCH = 1.5
 
-# How far beyond its kernels, in sample spacings, a chunk has samples: the triangles around the last ones decide how far
-# segments and unfolded corners reach, and the colours of the regularised metric are means over neighbours.
+# Margin of a chunk beyond its kernels, in sample spacings: the triangles around the last samples determine the reach of
+# segments and unfolded corners, and the regularised metric averages colours over neighbours.
 _CHUNK_MARGIN = 5.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ColouredMesh:
-    """A mesh, the input's colours of its samples, and what guides their smoothing."""
+    """A mesh, the input's colours of its samples, and the guides of their smoothing."""
 
     geometry: MeshGeometry
     colours: Stack
     parameters: KernelParameters
-    deviations: Float32s | None = None  # of the noise, if they are given, a row a sample
+    deviations: Float32s | None = None  # given standard deviations of the noise, one row per sample
     is_light: bool = False  # whether colours stand for light
-    guides: Sequence[Guide] = ()  # in the order of the caller
+    guides: Sequence[Guide] = ()  # in the caller's order
     metric_channels: Sequence[int] | None = None
     moving: MovingPositions | None = None
     resources: Resources = IN_ONE_PIECE
@@ -72,7 +72,7 @@ class ColouredMesh:
         geometry: GeometryParameters | None = None, deviations: Float32s | None = None, is_light: bool = False,
         resources: Resources = IN_ONE_PIECE,
     ) -> ColouredMesh:  # fmt: skip
-        """Sort the samples of a surface; with `geometry`, positions are smoothed, too."""
+        """Sort the samples of a surface; with `geometry`, positions are smoothed too."""
         mesh = MeshGeometry.of(surface, parameters)
         order, moving = mesh.order, None
         if geometry is not None:
@@ -94,7 +94,7 @@ def _unit_on(mesh: MeshGeometry, parameters: KernelParameters) -> float:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MeshColours(StabilisedColours):
-    """Stabilised colours on a mesh, and the graph of samples, with priorities by the colours of the input."""
+    """Stabilised colours on a mesh, and the graph of samples, with priorities from the input's colours."""
 
     graph: Graph
 
@@ -113,7 +113,7 @@ def mesh_manifold(mesh: ColouredMesh, colours: MeshColours) -> MeshManifold:
 
 @dataclass(frozen=True, eq=False)
 class MeshMetric(Metric):
-    """The metric of a whole mesh, which positions and features induce."""
+    """The metric of a whole mesh, induced by positions and features."""
 
     positions: Float64s
     features: Float32s
@@ -128,12 +128,12 @@ class MeshManifold(Manifold):
     """The image manifold of a sampled surface."""
 
     geometry: MeshGeometry
-    graph: Graph  # of the samples, for patches and clusters; none in parts, which only kernels are run on
+    graph: Graph  # of the samples, for patches and clusters; None in parts, where only kernels run
     plain_levels = 2, 1
     search_range, rule = ON_MESHES, RULE_ON_MESHES
 
     def measure(self, colours: Stack, step: Step, gaussian: Gaussian | None = None) -> Metric:
-        """Induce the metric, eq. (1); in chunks, each has its own when it is averaged."""
+        """Induce the metric, eq. (1). In chunks, averaging induces the metric of each chunk."""
         if self._chunking is not None:
             return Metric(step, colours.shape[1], None)
         mesh, moving = self.geometry, self.moving
@@ -163,13 +163,13 @@ class MeshManifold(Manifold):
         return Averaged([np.ascontiguousarray(part) for part in parts], samples, truncated, moving)
 
     def core_with(self, metric: Metric) -> Core:
-        """Return the manifold of the compiled core with a metric of the whole mesh."""
+        """Return the compiled core's manifold with a metric of the whole mesh."""
         assert isinstance(metric, MeshMetric)
         return self.geometry.core_with(metric, self.parameters.thread_count)
 
     @property
     def _whole(self) -> MeshManifold:
-        """The same in one chunk, whose metric is of all samples."""
+        """The manifold without chunks, whose metric is of all samples."""
         return dataclasses.replace(self, is_in_one_block=True)
 
     @property
@@ -180,7 +180,7 @@ class MeshManifold(Manifold):
 
     @cached_property
     def _kernel_chunks(self) -> list[Chunk]:
-        """The chunks for one iteration."""
+        """The chunks of one iteration."""
         wanted, mesh, own = self._chunking, self.geometry, self.parameters
         assert wanted is not None
         whole = self
@@ -190,12 +190,12 @@ class MeshManifold(Manifold):
         reach = _STRETCH * own.radius + _CHUNK_MARGIN * (
             (mesh.spacing or 1.0) if mesh.scales is None else 1.0
         )
-        # Edges with bridges.
+        # Edges including bridges.
         neighbours = Neighbours(mesh.size, distinct_edges(mesh.faces), mesh.scaled_lengths)
         chunks = []
         for first, last in runs(mesh.size, wanted.count):
             near = np.isfinite(neighbours.distances(first, last, reach))
-            # Samples from anywhere before, so that what the core takes together is the same as in the whole.
+            # Sort samples by index, so that the core groups them as in the whole mesh.
             missing = -int(np.count_nonzero(near[:first])) % PATCH_BLOCK_SIZE
             near[np.flatnonzero(~near[:first])[:missing]] = True
             samples = np.flatnonzero(near).astype(np.int32)
@@ -205,11 +205,11 @@ class MeshManifold(Manifold):
 
     def _part(self, samples: Array, kept: slice) -> tuple[MeshManifold, slice]:
         part = self.cut(samples)
-        # The worker may have fewer threads than this machine.
+        # A worker may have fewer threads than this process.
         return dataclasses.replace(part, geometry=dataclasses.replace(part.geometry, threads=1)), kept
 
     def kernel_at(self, sample: int, step: Step) -> SampledKernel:
-        """Return the kernel of a sample, in the caller's numbers."""
+        """Return the kernel of a sample, numbered in the caller's order."""
         own, mesh = at_step(self.parameters, step), self.geometry
         core = self.core_with(self._whole.measure(self.colours, step))
         (source,) = np.flatnonzero(mesh.order == sample)
@@ -229,7 +229,7 @@ class MeshManifold(Manifold):
         return collaborate_on_graph(self.graph, noisy, pilot, mixing, relative, progress)
 
     def perturbation(self) -> Droppable[Array]:
-        """Draw random signs, which depend only on nearby colours."""
+        """Draw random signs that depend only on nearby colours."""
         return Droppable(self._perturbations(coarse(self.colours), self.graph.priorities, 1)[0])
 
     def levels(self, most: int, tick: Callable[[], None] | None = None) -> list[Clusters]:
@@ -243,7 +243,7 @@ class MeshManifold(Manifold):
     def trial(self) -> SampleTrial:
         colours, edges, size = self.colours, self.geometry.edges, self.geometry.size
         around = fingerprints(colours, edges)
-        # A patch that reached a hub would hold everything around it.
+        # A patch that reached a hub would contain all vertices around it.
         patches = choose_patches(colours, around, without_hubs(size, edges))
         signs = self._perturbations(colours, around, wanted_probes(int(np.count_nonzero(patches.scored))))
         part, samples = dataclasses.replace(self, is_in_one_block=True), patches.samples
@@ -253,7 +253,7 @@ class MeshManifold(Manifold):
         return SampleTrial(part, colours, signs, scored, correlated=self.noise.is_shared)
 
     def cut(self, samples: Array) -> MeshManifold:
-        """Return the part of some samples, ascending, without colours."""
+        """Return the part with some samples, ascending, without colours."""
         noise = self.noise
         if noise.relative is not None:
             noise = dataclasses.replace(noise, relative=noise.relative[samples])
@@ -289,7 +289,7 @@ class MeshManifold(Manifold):
 def average_rows(
     manifold: MeshManifold, rows: Float32s, metric: Metric, progress: Callable[[int], None] | None = None
 ) -> tuple[Float32s, float, int]:
-    """Average rows by the kernels of the metric; return them, the samples held, and the kernels cut short."""
+    """Average rows by the kernels of the metric; return also the numbers of samples and of truncated kernels."""
     mesh, wanted = manifold.geometry, manifold._chunking
     if wanted is None:
         return _apply_kernels(manifold, rows, metric, slice(0, mesh.size), progress)
@@ -308,7 +308,7 @@ def _apply_kernels(
     wanted: slice,
     progress: Callable[[int], None] | None,
 ) -> tuple[Float32s, float, int]:
-    """Average the wanted rows, as `average_rows`; others have no meaning."""
+    """Average the wanted rows, see `average_rows`; other rows are undefined."""
     own = at_step(manifold.parameters, metric.step)
     return manifold.core_with(metric).smooth(
         rows, manifold.geometry.weights, own.t, own.radius, own.max_samples, own.thread_count, progress,
@@ -328,7 +328,7 @@ def _average_chunk(
 
 
 def samples_per_kernel(manifold: MeshManifold, kernels: int, step: Step) -> float:
-    """Measure how many samples a kernel holds, from some kernels spread evenly."""
+    """Measure the mean number of samples per kernel on evenly spread kernels."""
     own, size = at_step(manifold.parameters, step), manifold.geometry.size
     core = manifold.core_with(manifold._whole.measure(manifold.colours, step))
     sources = np.linspace(0, size - 1, min(kernels, size), dtype=int)

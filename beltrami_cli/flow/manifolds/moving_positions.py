@@ -1,11 +1,11 @@
-"""Positions that are smoothed along with the colours, and the normals that keep their creases.
+"""Smoothing of positions along with the colours, with normals that preserve creases.
 
-The positions are channels of the embedding like the colours, and are averaged by the same kernel. In the metric of the
-surface alone that is motion by mean curvature, which smooths creases like noise. So the normals enter the metric too,
-as features that distinguish creases from noise, as in the bilateral filters for meshes [1]_ [2]_. What the average
-removes is averaged once more and added back (Tukey's twicing [3]_): K X becomes (2 K - K^2) X, in which noise falls
-nearly as far, and curved parts do not shrink to first order. Vertices move only in the directions that change the
-shape: sliding along the surface would compress triangles at creases, where kernels extend to one side only.
+The positions are channels of the embedding like the colours, and are averaged by the same kernel. With the metric of
+the surface alone this is motion by mean curvature, which smooths creases like noise. So the normals enter the metric as
+features that distinguish creases from noise, as in bilateral filters for meshes [1]_ [2]_. What the average removes is
+averaged once more and added back (Tukey's twicing [3]_): K X becomes (2 K - K^2) X. Noise is reduced by nearly as much,
+and curved parts do not shrink to first order. Vertices move only in the directions that change the shape. Sliding along
+the surface would compress triangles at creases, where kernels extend to one side only.
 
 References
 ----------
@@ -34,10 +34,10 @@ Average = Callable[[Float32s], Float32s]
 
 @dataclass(frozen=True)
 class GeometryParameters:
-    """How positions are smoothed: samples of one place, shape (S,), move together."""
+    """Parameters of the smoothing of positions; samples with one place number, shape (S,), move together."""
 
     places: Int32s
-    # How strongly creases are kept: units of length per difference of normals (nearly radians), 0: not at all, None: by
+    # Strength of crease preservation: length per difference of normals (nearly radians); 0: none; None: by
     # `choose_normal_beta`.
     normal_beta: float | None = None
 
@@ -53,9 +53,9 @@ class MovingPositions:
     faces: Int32s
     places: Int32s
     spacing: float
-    origin: Float64s  # the core takes float32: coordinates far from the origin would lose their digits there
-    leads: Bools  # a sample without triangles moves only together with the others at its place
-    stays: Bools  # an open border would shrink along itself, and cracks would open where another surface touches it
+    origin: Float64s  # subtracted first: float32 in the core would lose digits far from the origin
+    leads: Bools  # false without triangles: moves only with coincident samples
+    stays: Bools  # at open borders, which would shrink and open cracks to adjacent surfaces
 
     @classmethod
     def of(
@@ -68,7 +68,7 @@ class MovingPositions:
         unit: float,
         parameters: GeometryParameters,
     ) -> MovingPositions:
-        """Measure the normals; `unit`: that of length, in sample spacings."""
+        """Measure the normals; `unit`: unit of length in sample spacings."""
         places = parameters.places
         count = int(places.max(initial=-1)) + 1
         normals = vertex_normals(positions, faces, places)
@@ -86,10 +86,10 @@ class MovingPositions:
         return ((self.positions - self.origin) / self.spacing).astype(np.float32)
 
     def moved(self, before: Float32s, after: Float32s, average: Average) -> MovingPositions:
-        """Return the positions after an iteration; borders stay, and samples of one place stay together."""
+        """Return the positions after an iteration; borders are fixed, and coincident samples move together."""
         taken = before - after
         moves = (average(taken).astype(np.float64) - taken) * self.spacing
-        # Directions come from the smoothed shape: the normals of a spike are its sides' normals.
+        # Directions are normals of the smoothed shape, since the normals of a spike are those of its sides.
         tensors = normal_tensors(self.positions + moves, self.faces, self.places)
         moves = np.einsum("sij,sj->si", tensors[self.places], moves)
         moves[self.stays | ~self.leads] = 0
@@ -101,21 +101,21 @@ class MovingPositions:
         return dataclasses.replace(self, positions=positions, normals=normals)
 
 
-# Length of the noise of normals in sample spacings: beta sigma. On noisy cubes, cylinders, spheres and a head, the flat
-# optimum of the remaining noise in smooth parts and at creases.
+# Length of the noise of normals in sample spacings (beta sigma): the flat optimum of the remaining error in smooth
+# parts and at creases, on noisy cubes, cylinders, spheres and a head.
 _NORMAL_BETA_SIGMA = 1.5
 
-# Neighbours of a normal whose residual counts; fewer: a border, where their mean leans to one side.
+# Minimum number of neighbours for the residual of a normal: at a border, their mean is biased to one side.
 _NEIGHBOURS = 3
 
-# Bound on the length, in sample spacings, of the usual turn of the normal from a vertex to the next: on a capped
-# cylinder and on a head, the value at which curved parts are still smoothed and creases still stay.
+# Maximum length, in sample spacings, of the usual turn of the normal between neighbours. At this value curved parts are
+# still smoothed and creases preserved, on a capped cylinder and on a head.
 _TURN_COUNTS = 0.8
 
 
 def estimate_normal_sigma(normals: Float32s, edges: Int32s) -> float:
     """Estimate the noise of unit normals, shape (S, 3): standard deviation about each of two axes, in radians."""
-    # Lengths of the residuals, not components, so that rotating the surface changes nothing.
+    # Lengths of the residuals, not components, so that the result is invariant to rotation.
     squares = sum(np.square(residual) for residual in _residuals(normals, edges))
     if not np.size(squares):
         return 0.0
@@ -123,7 +123,7 @@ def estimate_normal_sigma(normals: Float32s, edges: Int32s) -> float:
 
 
 def _residuals(normals: Float32s, edges: Int32s) -> list[Float64s]:
-    """Return by component how normals differ from the mean of their neighbours, in units of their noise."""
+    """Return the differences of normals from the mean of their neighbours, by component, in units of their noise."""
     degree = np.bincount(edges.ravel(), minlength=len(normals))
     inside = degree >= _NEIGHBOURS
     means = sums_around(normals.astype(np.float64), edges)[inside] / degree[inside, None]
@@ -132,16 +132,16 @@ def _residuals(normals: Float32s, edges: Int32s) -> list[Float64s]:
 
 
 def choose_normal_beta(normals: Float32s, edges: Int32s, sigma: float) -> float:
-    """Choose beta, in spacings per radian, so that creases stop the kernel, but not noise or usual curvature."""
+    """Choose beta, in spacings per radian, so that creases stop the kernel, but noise and usual curvature do not."""
     by_noise = choose_beta(np.array([sigma]), _NORMAL_BETA_SIGMA)
     if not len(edges):
         return by_noise
     median = float(np.median(np.linalg.norm(normals[edges[:, 0]] - normals[edges[:, 1]], axis=1)))
-    # Of two noisy normals, the difference has twice the variance of one about each axis.
+    # The difference of two noisy normals has twice the variance about each axis.
     turn = np.sqrt(max(0.0, median**2 - 2 * (sigma * _median_length()) ** 2))
     return min(by_noise, _TURN_COUNTS / turn) if turn > 0 else by_noise
 
 
 def _median_length() -> float:
-    """Return the median length of a vector of two independent normal numbers of deviation 1."""
+    """Return the median length of a vector of two independent unit normal variables."""
     return math.sqrt(2 * math.log(2))

@@ -1,4 +1,4 @@
-"""Colours on their way back to a document."""
+"""New colours that are written back to a document."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from beltrami_cli.surface.atlas import Indices
 
 @dataclass(frozen=True)
 class NewColours:
-    """Colours of S samples, read block by block, and the colours that continue them beyond seams."""
+    """Colours of S samples, read block by block, and the colours that extend them beyond seams."""
 
-    take: Callable[[slice, Bools | slice], Float32s]  # a block's rows, all or by a mask
-    places: Indices  # texels or pixels of the samples, shape (S,)
-    beyond_places: Indices  # texels or pixels around charts, shape (G,)
+    take: Callable[[slice, Bools | slice], Float32s]  # rows of a block, all or masked
+    places: Indices  # shape (S,): texels or pixels of the samples
+    beyond_places: Indices  # shape (G,): texels or pixels around charts
     beyond: Float32s  # their colours, shape (G, N)
     positions: Float64s | None = None  # of the samples, shape (S, 3), if they moved
 
@@ -30,7 +30,7 @@ class NewColours:
         beyond_places: Indices | None = None,
         beyond: Float32s | None = None,
     ) -> NewColours:
-        """Give the rows of a table, shape (S, N)."""
+        """Wrap the rows of a table, shape (S, N)."""
         none = np.zeros(0, np.int64)
         return cls(
             lambda block, inside: rows[block][inside],
@@ -40,14 +40,14 @@ class NewColours:
         )
 
     def mapped(self, each: Callable[[Float32s], Float32s]) -> NewColours:
-        """Return what a function makes of rows of colours."""
+        """Apply a function to rows of colours."""
         take = self.take
         return dataclasses.replace(
             self, take=lambda block, inside: each(take(block, inside)), beyond=each(self.beyond)
         )
 
     def with_kept(self, samples: Indices, channels: Bools, colours: Float32s) -> NewColours:
-        """Return the same with other colours in the marked channels of K samples."""
+        """Replace the marked channels of K samples by `colours`."""
         take, row_of = self.take, np.full(len(self.places), -1, np.int32)
         row_of[samples] = np.arange(len(samples))
 
@@ -58,5 +58,5 @@ class NewColours:
         return dataclasses.replace(self, take=kept)
 
     def table(self) -> Float32s:
-        """Return all rows, shape (S, N)."""
+        """Return all rows as an array of shape (S, N)."""
         return self.take(slice(None), slice(None))

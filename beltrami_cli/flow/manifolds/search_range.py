@@ -1,4 +1,4 @@
-"""What parameters are tried on each kind of manifold, and by which rule they are set where nothing is tried."""
+"""Candidate parameters for each kind of manifold, and the rules used instead of a search."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# Noise up to which `iterations` is used; above it the number grows with the logarithm of the noise.
+# Noise up to which a `Rule` uses `iterations`; above it, the number grows with the logarithm of the noise.
 _LOW_NOISE = 5 / 255
 
 
 @dataclass(frozen=True)
 class SearchRange:
-    """What to try on a kind of manifold, and where the search starts."""
+    """Candidates for a kind of manifold, and the starts of the search."""
 
     t: float
     growths: tuple[float, ...]  # of beta
@@ -24,7 +24,7 @@ class SearchRange:
 
 @dataclass(frozen=True)
 class Rule:
-    """Parameters for a noise level."""
+    """Parameters as functions of the noise level."""
 
     contrast: float  # beta times the noise
     growth: float  # of beta
@@ -35,7 +35,7 @@ class Rule:
     max_iterations: int  # ... up to this many
 
     def count(self, noise: float) -> int:
-        """Return the number of iterations for noise of a standard deviation, colours in [0, 1]."""
+        """Return the number of iterations for a noise sigma, with colours in [0, 1]."""
         doublings = max(0.0, float(np.log2(max(noise, _LOW_NOISE) / _LOW_NOISE)))
         return min(self.max_iterations, self.iterations + round(self.more * doublings))
 

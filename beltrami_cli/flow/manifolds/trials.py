@@ -1,6 +1,6 @@
-"""Samples that parameters are tried on, and random perturbations of their colours.
+"""Samples on which parameters are tried, and random perturbations of their colours.
 
-They are some blocks of a canvas, or patches of a mesh, with a rim around each.
+The samples are blocks of a canvas or patches of a mesh, each with a rim.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from beltrami_cli.flow.noise.model import NoiseModel, draw_model
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, OWNED, ROWS, Atlas, Indices, refresh_halo
 
-# With few samples one perturbation is too uncertain: samples, or else perturbations, that are enough.
+# Number of samples for which one perturbation suffices, and maximum number of perturbations for fewer samples.
 _ENOUGH_SAMPLES, _MAX_PROBES = 5_000, 4
 
 # Cells on which parameters are tried, as a share of all, so that trying takes no longer than smoothing: some sixty
@@ -26,51 +26,52 @@ _ENOUGH_SAMPLES, _MAX_PROBES = 5_000, 4
 # With twice the most the risk is known to a tenth of a dB or better.
 _TRIED_CELLS = {"share": 1 / 50, "least": 20_000, "most": 50_000}
 
-# Cells a side of the core of a block, whose result counts.
+# Side of the core of a block in cells; only the core is evaluated.
 _CORE_SIDE = 64
 
-# Iterations spread errors from a block's border inwards; most of a kernel's weight lies within this many cells.
+# Width of the rim in cells. Iterations spread errors inwards from a block's border; most of a kernel's weight lies
+# within this distance.
 _RIM_CELLS = 8
 
-# Any seed is as good; a fixed one makes the choice reproducible.
+# An arbitrary seed; a fixed one makes the choice reproducible.
 _SEED = 20
 
-# Samples to try parameters on, as a share of all, so that trying takes hardly longer than smoothing: some sixty
-# iterations are tried, each two or three times. Fewer than the least are too uncertain; these take tenths of a second.
-# More than the most do not improve the choice.
+# Samples on which parameters are tried, as a share of all, so that trying takes hardly longer than smoothing: some
+# sixty iterations are tried, each two or three times. With fewer than the least the estimate is too uncertain; these
+# take tenths of a second. More than the most do not improve the choice.
 TRIED_VERTICES = {"share": 1 / 20, "least": 6_000, "most": 40_000}
 
-# Up to this many times the samples to try on, patches with their rims would cover nearly the whole surface.
+# Below this ratio of all samples to those wanted, patches with their rims would cover nearly the whole surface.
 _WHOLE_SURFACE = 1.2
 
-# Rings of a patch that are scored, and rings around these that only supply colours.
+# Rings of a patch that are evaluated, and rings of its rim, which only supply colours.
 _SCORED_RINGS, _RIM_RINGS = 7, 3
 
-# Patches end early on small components, and overlap: the share of the wanted samples that suffices, and how often more
-# patches are added to reach it.
+# Patches are small on small components, and overlap. Share of the wanted samples that suffices, and maximum number of
+# rounds in which patches are added.
 _SUFFICIENT_SHARE, _MAX_EXTENSIONS = 0.75, 3
 
 # Rings over which detail is averaged to rank patches.
 _RINGS_OF_DETAIL = 5
 
-# Odd numbers with their bits well mixed, to hash with, as in SplitMix64.
+# Odd multipliers with well-mixed bits, as in SplitMix64, for hashing.
 _MIXERS = np.array([0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9], np.uint64)
 
 
 def wanted_probes(samples: int) -> int:
-    """Return how many stacks of signs are needed to estimate the divergence on this many samples."""
+    """Return the number of stacks of signs needed to estimate the divergence on this many samples."""
     return min(_MAX_PROBES, -(-_ENOUGH_SAMPLES // max(1, samples)))
 
 
 def tried_cells(atlas: Atlas) -> int:
-    """Return on how many cells parameters are tried; all, if there are not more."""
+    """Return the number of cells on which parameters are tried, which may exceed the number of cells."""
     return int(
         np.clip(len(atlas.owned_cells) * _TRIED_CELLS["share"], _TRIED_CELLS["least"], _TRIED_CELLS["most"])
     )
 
 
 def choose_blocks(atlas: Atlas, budget: int, reach: int) -> tuple[Int64s, Bools]:
-    """Choose evenly spread blocks; return their cells and which are in a core, shape (blocks * side, side)."""
+    """Choose evenly spread blocks; return their cells, and which are in a core, shape (blocks * side, side)."""
     rows, columns = atlas.kind.shape
     across = np.arange(0, columns, _CORE_SIDE)
     bands = (atlas.kind[top : top + _CORE_SIDE] == OWNED for top in range(0, rows, _CORE_SIDE))
@@ -83,7 +84,7 @@ def choose_blocks(atlas: Atlas, budget: int, reach: int) -> tuple[Int64s, Bools]
     row = (top[:, None] * _CORE_SIDE + side)[:, :, None]
     column = (left[:, None] * _CORE_SIDE + side)[:, None, :]
     on = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
-    # What lies beyond the canvas has the flat index of its last cell, in the margin.
+    # Cells beyond the canvas get the flat index of its last cell, which is in the margin.
     cells = np.where(on, row * columns + column, atlas.kind.size - 1).reshape(-1, len(side))
     inside = (side >= 0) & (side < _CORE_SIDE)
     core = np.tile(inside[:, None] & inside, (len(chosen), 1))
@@ -91,8 +92,8 @@ def choose_blocks(atlas: Atlas, budget: int, reach: int) -> tuple[Int64s, Bools]
 
 
 def with_halo(part: Atlas, whole: Atlas, cells: Int64s, core: Bools) -> Atlas:
-    """Return the atlas of some cells of another, with the halo cells whose owned cells are included."""
-    # A cell that is in several blocks is taken from the one whose core it is, and not from another's rim.
+    """Complete the atlas of some cells of `whole` by the halo cells whose owned cells are included."""
+    # A cell in several blocks is taken from the block whose core contains it.
     owned = part.owned_cells
     order = np.lexsort([~core.reshape(-1)[owned], cells.reshape(-1)[owned]])
     owned = owned[order]
@@ -112,7 +113,7 @@ def with_halo(part: Atlas, whole: Atlas, cells: Int64s, core: Bools) -> Atlas:
 
 
 def _rank(ascending: Indices, wanted: Indices) -> Int64s:
-    """Find where numbers are in an ascending list, the first of equal ones; -1: nowhere."""
+    """Return the index of numbers in an ascending list, the first of equal ones; -1 if absent."""
     if not len(ascending):
         return np.full(wanted.shape, -1, np.int64)
     rank = np.minimum(np.searchsorted(ascending, wanted), len(ascending) - 1)
@@ -120,7 +121,7 @@ def _rank(ascending: Indices, wanted: Indices) -> Int64s:
 
 
 def perturbations(count: int, atlas: Atlas, noise: NoiseModel) -> list[Array]:
-    """Return stacks of random planes like the noise: independent signs in bytes, or correlated as the noise is."""
+    """Draw random planes like the noise: independent signs as bytes, or correlated noise."""
     random, shape = np.random.default_rng(_SEED), atlas.kind.shape
     if noise.is_independent:
         drawn = [*large_arrays.random_signs((count, len(noise.sigma), *shape), random)]
@@ -138,14 +139,14 @@ def perturbations(count: int, atlas: Atlas, noise: NoiseModel) -> list[Array]:
 
 @dataclass(frozen=True)
 class TrialSamples:
-    """Samples to try parameters on: ascending indices, shape (P,), and which of them are scored."""
+    """Samples on which parameters are tried: ascending indices, shape (P,), and which of them are evaluated."""
 
     samples: Int64s
     scored: Bools
 
 
 def choose_patches(colours: Float32s, around: NDArray[np.uint64], edges: Int32s) -> TrialSamples:
-    """Choose patches spread at random, by the `fingerprints` of colours and not by the order of samples."""
+    """Choose random patches by the `fingerprints` of colours, independently of the order of samples."""
     joined = np.bincount(edges.ravel(), minlength=len(around)) > 0
     connected = np.flatnonzero(joined)
     budget = int(
@@ -170,7 +171,8 @@ def choose_patches(colours: Float32s, around: NDArray[np.uint64], edges: Int32s)
 
 
 def _ranked(colours: Float32s, around: NDArray[np.uint64], edges: Int32s, connected: Int64s) -> Int64s:
-    # A few patches at random may miss all detail, or hold nothing else; one from each part of this order does neither.
+    # A few random patches may miss all detail, or contain nothing else. One patch from each part of this order does
+    # neither.
     detail = _detail_around(colours, edges)[connected]
     return connected[np.lexsort((around[connected], detail))]
 
@@ -190,7 +192,7 @@ def _grown(middles: Bools, edges: Int32s) -> TrialSamples:
 
 
 def _detail_around(colours: Float32s, edges: Int32s) -> Float64s:
-    """Return how uneven colours are around each sample, beyond what noise makes of them."""
+    """Return the variation of colours around each sample, beyond that of noise."""
     from beltrami_cli.flow.vertex_graph import sums_around
 
     size = np.bincount(edges.ravel(), minlength=len(colours))[:, None] + 1.0
@@ -204,9 +206,9 @@ def _detail_around(colours: Float32s, edges: Int32s) -> Float64s:
 
 
 def fingerprints(colours: Float32s, edges: Int32s) -> NDArray[np.uint64]:
-    """Hash each sample's colours with its neighbours' and their neighbours' colours; uint64, shape (S,)."""
+    """Hash the colours of each sample, its neighbours and their neighbours; uint64, shape (S,)."""
     hashes = np.zeros(len(colours), np.uint64)
-    # A sum does not depend on the order of channels, nor on that of neighbours.
+    # A sum is invariant to the order of channels and of neighbours.
     for own in _bits(colours):
         hashes += _mixed(own)
     for _ in range(2):
@@ -219,8 +221,8 @@ def fingerprints(colours: Float32s, edges: Int32s) -> NDArray[np.uint64]:
 
 
 def random_signs(colours: Float32s, around: NDArray[np.uint64], count: int) -> Float32s:
-    """Return signs, shape (count, S, N), that look random but depend only on nearby colours; `count` <= 64."""
-    # So the choice is the same for a mesh that was rotated, or whose vertices or channels come in another order.
+    """Return pseudo-random signs that depend only on nearby colours, shape (count, S, N); `count` <= 64."""
+    # The choice is then invariant to rotation and to the order of vertices and channels.
     signs: Float32s = large_arrays.empty((count, *colours.shape), np.float32)
     for block in large_arrays.blocks(len(colours)):
         for channel, own in enumerate(_bits(colours[block])):
@@ -231,13 +233,13 @@ def random_signs(colours: Float32s, around: NDArray[np.uint64], count: int) -> F
 
 
 def _bits(colours: Float32s) -> Iterator[NDArray[np.uint64]]:
-    """Give the bits of each channel's colours as numbers, shape (S,)."""
+    """Yield the bits of each channel's colours as integers, shape (S,)."""
     for channel in colours.T:
         yield np.ascontiguousarray(channel).view(np.uint32).astype(np.uint64)
 
 
 def _mixed(values: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """Spread the bits of numbers over all bits, modulo 2^64."""
+    """Hash integers to well-mixed ones, modulo 2^64."""
     mixed: NDArray[np.uint64] = values + _MIXERS[0]
     mixed *= _MIXERS[1]
     mixed ^= mixed >> np.uint64(29)
