@@ -91,6 +91,15 @@ def test_every_folder_of_the_package_has_its_place_in_the_architecture():
     assert folders <= quoted(DEVELOPERS[0])
 
 
+def test_types_of_the_glossary_are_classes_and_its_terms_few():
+    rows = DEVELOPERS[0].read_text(encoding="utf-8").partition("## Glossary")[2].partition("\n## ")[0]
+    types = re.findall(r"^\| [^|]+ \| `(\w+)` \|", rows, re.MULTILINE)
+    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in PACKAGE.rglob("*.py")]
+    classes = {node.name for tree in trees for node in tree.body if isinstance(node, ast.ClassDef)}
+    assert {*types} <= classes
+    assert 15 < len(types) <= rows.count("\n| ") - 2 <= 25
+
+
 def figures(page):
     return re.findall(r"```mermaid\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
 
