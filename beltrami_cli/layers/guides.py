@@ -1,6 +1,6 @@
-"""Numbers for samples from files: guides, which count as distance and are not changed, and noise that is known.
+"""Guides and known noise from files: numbers for samples that are not changed.
 
-For vertices they are attributes, or tables in files with one row per vertex; for images, images of the same size.
+For vertices they are attributes, or tables with one row per vertex; for images, images of the same size.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from beltrami_cli.surface.records import Slot, Texture, TexturedSurface, require
 
 _MAX_NUMBERS = 1 << 31  # of an array, before it is known that it fits
 _ONE_ROW_REMEDY = "it needs one row for each coloured vertex, in the order of the file"
-# Values of a material without a texture in a slot: glTF 2.0, section 3.9; a normal is perpendicular to the surface.
+# Values of a slot without a texture (glTF 2.0, section 3.9); a normal is perpendicular to the surface.
 _VALUES_WITHOUT_TEXTURE = {"normal": (0.5, 0.5, 1.0), "emissive": (0.0, 0.0, 0.0)}
 
 
@@ -53,7 +53,7 @@ def _values(document: Document, name: str, access: Access) -> Float64s:
 
 
 def read_table(path: str, rows: int, model: str, access: Access) -> Float64s:
-    """Read numbers of vertices, shape (V, G), from an array, an archive with one, or the vertex colours of a model."""
+    """Read numbers of vertices, shape (V, G), from an array, an archive of one array, or vertex colours of a model."""
     from beltrami_cli.formats.archives import NPY_MAGIC, NpzArchive, is_npz, read_npy
 
     data = read_source(path, access)
@@ -65,7 +65,7 @@ def read_table(path: str, rows: int, model: str, access: Access) -> Float64s:
             raise InputError(path, f"which of its arrays {which} is meant is not clear", "save it alone")
         table = archive.array(archive.names[0], _MAX_NUMBERS)
     else:
-        # The given columns belong to the smoothed points, not to a guide.
+        # The given columns belong to the points that are smoothed, not to a guide.
         table = (
             document_of(data, path, dataclasses.replace(access, columns=(), channels=()))
             .coloured_vertices()
@@ -84,7 +84,7 @@ def read_table(path: str, rows: int, model: str, access: Access) -> Float64s:
 
 
 def read_map(path: str, picture: Picture, access: Access) -> Float32s:
-    """Read numbers of the pixels of a picture, shape (H * W, G)."""
+    """Read the numbers of a picture's pixels, shape (H * W, G)."""
     image = read_of_size(path, picture, access, "recoloured")
     channels = [i for i in range(image.pixels.shape[2]) if i != image.alpha]
     numbers = np.asarray(full_scale_one(image.pixels[..., channels]), np.float32)
@@ -92,7 +92,7 @@ def read_map(path: str, picture: Picture, access: Access) -> Float32s:
 
 
 def read_of_size(path: str, picture: Picture, access: Access, work: str) -> Picture:
-    """Read an image of the size of a picture; for `work` see `require_memory`."""
+    """Read an image with the size of a picture; `work`: see `require_memory`."""
     data = read_source(path, access)
     require_memory([(path, data)], access, work)
     image = read_image(data, path, finite=False)
@@ -110,7 +110,7 @@ def _exists(path: str) -> bool:
 def read_guide_images(
     picture: Picture, valid: Bools, settings: SmoothSettings, access: Access
 ) -> tuple[Guide, ...]:
-    """Read all guides for an image, with one row per pixel."""
+    """Read all guides for an image, one row per pixel."""
     guides = []
     for path, beta in settings.embedding.weighted_guides:
         image = read_map(path, picture, access)
@@ -126,7 +126,7 @@ def read_guide_images(
 
 @dataclass(frozen=True)
 class GuidedTexels:
-    """The texels that guides are read for."""
+    """The texels for which guides are read."""
 
     document: Document
     surface: TexturedSurface
@@ -160,7 +160,7 @@ class GuidedTexels:
         return values
 
     def _of_slot(self, slot: Slot) -> Float32s:
-        """Return the values of another slot at each owned texel."""
+        """Read the values of another slot at each owned texel."""
         guiding = self.document.textured(slot)
         pictures = [read_texture(texture) for texture in guiding.textures]
         colours = PictureColours.of(pictures, slot, SmoothSettings(space=self.settings.space))
@@ -177,7 +177,7 @@ class GuidedTexels:
         return values
 
     def _shown_with(self, index: int, guiding: TexturedSurface, slot: Slot) -> int | None:
-        """Return the texture of the guiding slot on the triangles of a smoothed texture; None: none."""
+        """Return the texture of the guiding slot on the triangles of a smoothed texture; None if it has none."""
         faces = np.flatnonzero(self.surface.texture_of == index)
         name = self.surface.textures[index].name
         if len(guiding.faces) != len(self.surface.faces):
@@ -202,7 +202,7 @@ class GuidedTexels:
 
 
 def _at_size(image: Float32s, size: tuple[int, ...], texture: Texture, texels: Int64s) -> Float32s:
-    """Sample an image at the centres of texels of an image of another size, or of the same."""
+    """Sample an image at the centres of texels of an image, which may have another size."""
     if image.shape[:2] == size:
         return image.reshape(-1, image.shape[2])[texels]
     row, column = np.divmod(texels, size[1])
@@ -210,14 +210,14 @@ def _at_size(image: Float32s, size: tuple[int, ...], texture: Texture, texels: I
     return np.asarray(look_up(image, uv, texture.wrap), np.float32)
 
 
-# Pixels a side of the squares in which the deviation of a frame is measured: with 289 it is known to 4 %.
+# Side in pixels of the squares in which the deviation of a frame is measured: 289 pixels determine it to 4 %.
 _FRAME_WINDOW = 17
 
 
 def noise_of_pixels(
     kernel: KernelParameters, pictures: Sequence[Picture], pixels: Int64s | Bools, access: Access
 ) -> Float32s | None:
-    """Read the standard deviations of all pixels, with a row for each, checked at some; None if no file has them."""
+    """Read the standard deviations of all pixels, one row per pixel; None if no file is given."""
     given = kernel.given_noise
     if given is None or not given.source:
         return None
@@ -235,7 +235,7 @@ def noise_of_pixels(
 
 
 def noise_of_vertices(kernel: KernelParameters, document: Document, access: Access) -> Float32s | None:
-    """Read the standard deviations of vertices, shape (V, K); None if neither a file nor an attribute has them."""
+    """Read the standard deviations of vertices, shape (V, K); None if neither file nor attribute is given."""
     given = kernel.given_noise
     if given is None or not given.source:
         return None
@@ -251,7 +251,7 @@ def noise_of_vertices(kernel: KernelParameters, document: Document, access: Acce
 
 
 def deviation_in_frame(frame: Float32s) -> Float32s:
-    """Return the local standard deviation of a frame without a scene, (H, W, K); light may fall off across it."""
+    """Return the local standard deviation of a frame without a scene, (H, W, K); its light may fall off."""
     from scipy.ndimage import uniform_filter
 
     size = (_FRAME_WINDOW, _FRAME_WINDOW, 1)

@@ -1,4 +1,4 @@
-"""Pixels of an image as samples of a manifold: their colours in the working space, and back."""
+"""Pixels of an image as samples of a manifold: colours in the working space and back."""
 
 from __future__ import annotations
 
@@ -37,24 +37,24 @@ from beltrami_cli.surface.baking import Cells
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ImageLayer(PictureLayer):
-    """Pixels of an image that are no holes."""
+    """The pixels of an image, except holes."""
 
     part: ClassVar[Part] = "image"
     label = "image"
 
     surface: ImageSurface
     valid: Bools  # (H, W): pixels that are samples
-    guides: Sequence[Guide] = ()  # with a row for each pixel
-    remarks: tuple[str, ...] = ()  # on its surface, holes and channels
+    guides: Sequence[Guide] = ()  # one row per pixel
+    remarks: tuple[str, ...] = ()  # about its surface, holes and channels
 
     @classmethod
     def read(
         cls, document: Document, settings: SmoothSettings, access: Access, *,
         suffix: str | None = None, colours_only: bool = False,
     ) -> ImageLayer:  # fmt: skip
-        """Read an image with all that settings name.
+        """Read an image and the files that settings name.
 
-        `colours_only` leaves out channels that are no colours, unless settings name them.
+        `colours_only` leaves out channels that are not colours, unless settings name them.
         """
         require_effect(["images"], document.name, binding_parameters(settings))
         picture, chosen = with_chosen_layer(document.picture(), settings)
@@ -124,7 +124,7 @@ class ImageLayer(PictureLayer):
 
     def describe(self) -> dict[str, object]:
         plan, facts = self.plan(), self._facts()
-        del facts["format"]  # is that of the file
+        del facts["format"]  # the format is that of the file
         return {"image": {**facts, "pitch": plan.manifold.geometry.spacing}, **self._planned(plan)}
 
     def report(self, plan: Plan[GridManifold], result: FlowResult[GridManifold]) -> ImageReport:

@@ -1,4 +1,4 @@
-"""The surface that an image lies on, and its holes, from other images of the same size; and its canvas."""
+"""The surface of an image, with its holes, from other images of the same size; and its canvas."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from beltrami_cli.surface.records import check_scale
 
 Pixels = NDArray[np.int64]
 
-# Channels that hold a depth or height, as renderers and cameras call them.
+# Names of channels with depth or height in files of renderers and cameras.
 _HEIGHTS = ("z", "depth", "height", "depth.z", "y")
 
 
@@ -59,7 +59,7 @@ class ImageSurface:
 
 
 def read_surface(picture: Picture, wanted: ImageSettings, access: Access) -> ImageSurface:
-    """Read the images with a picture's surface and holes; InputError if one does not fit it."""
+    """Read the images of a picture's surface and holes; InputError if one does not fit the picture."""
     heights = positions = None
     valid = np.ones(picture.pixels.shape[:2], bool)
     notices: list[str] = []
@@ -73,14 +73,14 @@ def read_surface(picture: Picture, wanted: ImageSettings, access: Access) -> Ima
         check_scale(positions.reshape(-1, 3), _triangles(*positions.shape[:2]), wanted.positions)
         valid &= np.isfinite(positions).all(axis=2) & _opaque(pixels)
     if wanted.mask is not None:
-        mask = _read(wanted.mask, picture, access, [])  # which may be coarse
+        mask = _read(wanted.mask, picture, access, [])  # a mask may be coarse
         colours = np.nan_to_num(mask.pixels[..., list(mask.colour)])
         valid &= (colours != 0).any(axis=2) & _opaque(mask)
     return ImageSurface(heights, positions, valid, tuple(notices))
 
 
 def _read(path: str, picture: Picture, access: Access, notices: list[str]) -> Picture:
-    """Read an image of the size of the picture, and add notices about it as a map."""
+    """Read an image with the size of the picture; append notices about it to `notices`."""
     read = read_of_size(path, picture, access, "mapped")
     notices += read.notices
     if read.stored == "uint8":
@@ -103,7 +103,7 @@ def _height_of(picture: Picture) -> NDArray[np.float64]:
 
 
 def _positions_of(picture: Picture) -> NDArray[np.float64]:
-    """Return the channels x, y and z, or red, green and blue, or else the only three."""
+    """Return the channels x, y and z, or red, green and blue, or else the only three channels."""
     lower = [channel.lower() for channel in picture.channels]
     columns = [lower.index(name) for name in "xyz" if name in lower]
     if len(columns) != 3:
@@ -115,13 +115,13 @@ def _positions_of(picture: Picture) -> NDArray[np.float64]:
 
 
 def _triangles(rows: int, columns: int) -> NDArray[np.int32]:
-    """Return a triangle of each pixel with its neighbours on the right and below."""
+    """Return a triangle of each pixel and its neighbours on the right and below."""
     at = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)[:-1, :-1].ravel()
     return np.stack([at, at + 1, at + columns], axis=1).astype(np.int32)
 
 
 def _opaque(picture: Picture) -> NDArray[np.bool_]:
-    """Return where a map has values: not where its own alpha is 0."""
+    """Return where a map has values: where its own alpha is not 0."""
     if picture.alpha is None:
         return np.ones(picture.pixels.shape[:2], bool)
     return np.asarray(picture.pixels[..., picture.alpha] != 0)
@@ -137,12 +137,12 @@ def canvas_of_image(
     deviations: NDArray[np.float32] | None = None,
     light: Space | None = None,
 ) -> ColouredCanvas:
-    """Return the canvas of an image, whose owned texels are the pixels that are not holes, row by row.
+    """Return the canvas of an image; its owned texels are the pixels except holes, row by row.
 
-    Guides and deviations have a row for each pixel.
+    Guides and deviations have one row per pixel.
     """
-    # Over heights, as on the plane, the unit of length is the pixel, and not the spacing along the surface: samples on
-    # slopes are further apart, so they are smoothed less.
+    # On heights as on the plane, the unit of length is the pixel, not the spacing along the surface. Samples on slopes
+    # are further apart, and are smoothed less.
     valid, positions = surface.valid, surface.positions
     assert valid is not None
     if surface.heights is not None:
@@ -151,7 +151,7 @@ def canvas_of_image(
         positions = np.stack(np.broadcast_arrays(columns_of, rows_of, surface.heights), axis=2)
         kernel = dataclasses.replace(kernel, units="world")
     atlas = grid_atlas(valid.shape, canvas_margin(kernel), positions, valid)
-    del positions  # as large as all that follows
+    del positions  # as large as the canvas
     own = atlas.owned_texels
     return ColouredCanvas(
         atlas=atlas, parameters=kernel, channels=colours_of(own[:0]).shape[1],

@@ -1,8 +1,8 @@
-"""Coloured parts of a document, the way back into the document, and reports of what was done to them.
+"""Layers: coloured parts of a document, the way back into the document, and reports of the changes.
 
-Vertices, points, texels, pixels and vertices on a grid differ only in how their colours are read and written back:
-code that gives a layer new colours works for all of them. In reports, noise and changes are of full scale 1: noise in
-the working space, changes as stored; `dataclasses.asdict` gives JSON types.
+Vertices, points, texels, pixels and vertices on a grid differ only in how their colours are read and written. Code that
+gives a layer new colours works for all of them. In reports, full scale is 1: noise refers to the working space, changes
+to stored values. `dataclasses.asdict` of a report gives JSON types.
 """
 
 from __future__ import annotations
@@ -37,16 +37,16 @@ Part = Literal["vertices", "textures", "image"]
 
 @dataclass(frozen=True)
 class SharedImage:
-    """New pixels of an image that several slots show, each in channels of its own."""
+    """New pixels of an image that several slots show, each slot in its own channels."""
 
     slot: Slot
     key: str
     pixels: Array
     columns: list[int]  # the channels that change
-    write: Callable[[Array], tuple[ImageFile, list[str]]]  # returns also what users should know
+    write: Callable[[Array], tuple[ImageFile, list[str]]]  # returns also notices
 
     def fits(self, other: SharedImage) -> bool:
-        """Whether both can be one file: colours and data are encoded differently."""
+        """Whether both can be stored in one file: colours and data are encoded differently."""
         is_of_kind = (self.slot in COLOUR_SLOTS) == (other.slot in COLOUR_SLOTS)
         return is_of_kind and set(self.columns).isdisjoint(other.columns)
 
@@ -65,30 +65,30 @@ class StoredColours:
 
 @dataclass(frozen=True)
 class SampledVertices:
-    """A mesh, and the sample that each of its V vertices belongs to."""
+    """A mesh, and the sample of each of its V vertices."""
 
     mesh: ColouredVertices
-    sample_of: Int64s  # shape (V,); -1: none
+    sample_of: Int64s  # shape (V,); -1: no sample
 
 
 @dataclass(frozen=True)
 class ChosenChannels:
-    """Channels by their numbers among all channels."""
+    """The sampled channels, by their numbers among all channels."""
 
     sampled: list[int]
     changing: list[int]
-    written: list[int]  # channels that change, counted among the sampled ones
-    metric: list[int] | None  # counted so, too; None: all
+    written: list[int]  # channels that change, numbered among the sampled ones
+    metric: list[int] | None  # channels of the metric, numbered likewise; None: all
 
 
 def choose_channels(
     names: tuple[str, ...], settings: SmoothSettings, owner_has: str, *,
     used: Collection[str] | None = None, opacity: bool = False, abbreviable: tuple[str, ...] | None = None,
 ) -> ChosenChannels:  # fmt: skip
-    """Choose channels by names or, of all or the `abbreviable` ones, first letters; UsageError if one is absent.
+    """Choose channels by name, or by first letter among all or `abbreviable` ones; UsageError if one is absent.
 
-    Only the `used` ones may change; channels that only enter the metric are sampled, too. `opacity`, if it is
-    smoothed, is one more behind them.
+    Only the `used` channels may change; channels that only enter the metric are sampled too. `opacity`, if it is
+    smoothed, follows them as one more channel.
     """
 
     def numbers_of(wanted: tuple[str, ...] | None) -> list[int]:
@@ -114,33 +114,33 @@ def choose_channels(
 
 
 class Layer(ABC):
-    """Coloured samples of a document, immutable; UsageError if settings name absent channels or contradict them."""
+    """Coloured samples of a document, immutable; UsageError if settings name absent channels or contradict it."""
 
-    part: ClassVar[Part]  # of the document, that they belong to; its section in reports
-    label: str  # their name in messages
+    part: ClassVar[Part]  # part of the document, a section of reports
+    label: str  # name in messages
     names: tuple[str, ...]  # of the sampled channels: changing ones, and ones that only enter the metric
     settings: SmoothSettings
-    noise: Float32s | None = None  # given standard deviations, with a row for each sample
-    level_report: LevelReport | None = None  # what was done to exposure steps, if they were looked for
-    notices: Sequence[str] = ()  # what users should know about how they are stored, and where they lie
+    noise: Float32s | None = None  # given standard deviations, one row per sample
+    level_report: LevelReport | None = None  # None: exposure steps were not levelled
+    notices: Sequence[str] = ()  # about storage and positions, for users
 
     def normalised(self) -> Self:
-        """Return the layer with colours in a unit of their own, so that what counts as noise depends on no unit."""
+        """Return the layer with colours in a unit of their own, so that noise is judged independently of their unit."""
         return self
 
     def unit_in(self, space: str) -> float:
-        """Return what colours of this layer, in a space, are divided by in plans."""
+        """Return the unit of plans, which divides the colours of this layer in `space`."""
         del space
         return 1.0
 
     @property
     def unit(self) -> float:
-        """What colours in the working space are divided by in plans."""
+        """The unit of plans, which divides colours in the working space."""
         return self.unit_in(self.settings.space)
 
     @property
     def kernel(self) -> KernelParameters:
-        """The wanted parameters, for the unit of plans."""
+        """The requested parameters, in the unit of plans."""
         return self.settings.kernel.in_unit(self.unit, self.unit_in("linear"))
 
     @property
@@ -150,38 +150,38 @@ class Layer(ABC):
 
     @abstractmethod
     def plan(self, tick: Callable[[], None] | None = None, resources: Resources = IN_ONE_PIECE) -> Plan[Any]:
-        """Plan their smoothing; `tick` is called meanwhile, and may raise."""
+        """Plan the smoothing; `tick` is called meanwhile, and may raise to stop."""
 
     @abstractmethod
     def report(self, plan: Plan[Any], result: FlowResult[Any]) -> LayerReport:
-        """Return the report of what was done, without the change of colours."""
+        """Report the smoothing, without the change of colours."""
 
     @abstractmethod
     def encode(self, new: NewColours, *, is_smoothed: bool = True) -> StoredColours:
-        """Write new colours of all samples back.
+        """Encode the new colours of all samples for the document.
 
-        Where neither smoothing nor levelling changed a texture, its gutter stays.
+        A texture that neither smoothing nor levelling changed keeps its gutter.
         """
 
     def levelled(self, wanted: LevelSettings) -> Self:
-        """Return the layer without exposure steps, with a report; UsageError if it cannot have any."""
+        """Return the layer without exposure steps, and with a report; UsageError if it has no charts."""
         del wanted
         cause = "there are no charts that could differ in exposure; textures of models have them"
         raise UsageError(f"{self.label}: {cause}")
 
     @abstractmethod
     def describe(self) -> dict[str, object]:
-        """Return facts about them, their noise, and what smoothing would do, in JSON types, by what they are about."""
+        """Return facts about the layer, its noise, and its plan of smoothing, in JSON types, by topic."""
 
     @abstractmethod
     def places(self) -> Cells | SampledVertices:
-        """Return where the samples lie: in pictures, or at vertices of a mesh."""
+        """Return the locations of the samples, in pictures or at vertices of a mesh."""
 
     def require_writable(self) -> None:  # noqa: B027
-        """Raise errors about images as outputs, before anything is computed."""
+        """Raise errors of output images before anything is computed."""
 
     def _used(self, plan: Plan[Any], result: FlowResult[Any]) -> dict[str, Any]:
-        """Return the fields that all reports have in common."""
+        """Return the fields that all reports share."""
         return {
             "beta": plan.beta / self.unit,
             "iterations": plan.parameters.iterations,
@@ -204,12 +204,12 @@ class Layer(ABC):
         }
 
     def _planned(self, plan: Plan[Any]) -> dict[str, Any]:
-        """Return the noise, and the parameters of the kernel as planned, for `describe`."""
+        """Return the noise and the planned parameters of the kernel, for `describe`."""
         choice, given = describe_choice(plan.choice, self.unit), self.settings.kernel.noise
         used = dataclasses.asdict(
             dataclasses.replace(plan.parameters, beta=plan.beta / self.unit, noise=given)
         )
-        del used["free"]  # nothing is any more
+        del used["free"]  # empty in a plan
         smooth = {
             **used,
             "patches": "on" if plan.takes_patches else "off",
@@ -222,7 +222,7 @@ class Layer(ABC):
 
 
 def named(names: Sequence[str], values: Float64s) -> dict[str, float]:
-    """Return values by the names of their channels."""
+    """Pair values with the names of their channels."""
     return {name: float(value) for name, value in zip(names, values, strict=True)}
 
 
@@ -236,7 +236,7 @@ def describe_choice(choice: Choice | None, unit: float) -> dict[str, object] | N
 
 
 def describe_reading(reading: Reading | None, unit: float) -> dict[str, float] | None:
-    """Describe what was read of the size of noise, of colours that were divided by a unit; None: it was given."""
+    """Describe the estimated size of the noise of colours that were divided by a unit; None if it was given."""
     if reading is None:
         return None
     sizes = {name: unit * getattr(reading, name) for name in ("low", "median", "high")}
@@ -245,7 +245,7 @@ def describe_reading(reading: Reading | None, unit: float) -> dict[str, float] |
 
 @dataclass(frozen=True)
 class Change:
-    """How much colour values changed: how many there are, the sums of changes and of their squares, the largest."""
+    """Sums of changes of colour values: their number, sum, sum of squares and maximum."""
 
     count: int = 0
     total: float = 0.0
@@ -275,20 +275,20 @@ class Change:
 def store(
     picture: Picture, table: Array, pixels: Indices, values: Float32s, channels: Sequence[int], threads: int
 ) -> Change:
-    """Write values of full scale 1, shape (K, M), to M channels of K pixels, in place, clipped and rounded once."""
+    """Write values of full scale 1, shape (K, M), to M channels of K pixels in place, clipped and rounded once."""
     if table.dtype.kind == "f":
         before = table[pixels[:, None], channels]
         for channel, old, new in zip(channels, before.T, values.T, strict=True):
-            moved = new != old  # -0 stays what it is
+            moved = new != old  # -0 is not changed to 0
             table[pixels[moved], channel] = as_stored(new[moved], picture.kinds[channel])
         return Change.between(before, table[pixels[:, None], channels])
     return Change(values.size, *store_integers(table, pixels, values, channels, threads))
 
 
 def dithered(values: Float32s, texels: Indices, width: int) -> Float32s:
-    """Add a pattern of half a step of 8 bits to some texels, so that rounding spreads what it takes away.
+    """Add a dither pattern of half a step of 8 bits to texels, so that rounding causes no banding.
 
-    Multiples of a step stay. The pattern is interleaved gradient noise: J. Jimenez, "Next generation post
+    Multiples of a step are not changed. The pattern is interleaved gradient noise: J. Jimenez, "Next generation post
     processing in Call of Duty: Advanced Warfare", SIGGRAPH 2014.
     """
     row, column = np.divmod(texels.astype(np.int32), np.int32(width))
@@ -302,9 +302,9 @@ def dithered(values: Float32s, texels: Indices, width: int) -> Float32s:
 def rewritten(
     picture: Picture, pixels: Array, wanted: TextureSettings, suffix: str | None, *, as_data: bool
 ) -> tuple[ImageFile, list[str]]:
-    """Write new pixels as a file like a picture's own, or in another format; return also what users should know.
+    """Encode new pixels like a picture's own file, or in another format; return the file and notices.
 
-    If neither a pixel nor the format changed, the file is the picture's own.
+    If neither a pixel nor the format changed, the picture's own file is returned.
     """
     if suffix is None and is_unchanged(picture, pixels):
         return ImageFile(picture.source, picture.suffix), []
@@ -320,7 +320,7 @@ def all_images(
 ) -> tuple[dict[tuple[Slot, str], ImageFile], list[str]]:
     """Return the new images of all layers, and notices about images that several slots show.
 
-    Occlusion is the red channel of an image, roughness and metalness are green and blue, mostly of the same image.
+    Occlusion is the red channel of an image, roughness and metalness are green and blue, usually of the same image.
     """
     images = dict[tuple[Slot, str], ImageFile]()
     joined = dict[str, list[list[SharedImage]]]()
@@ -344,40 +344,39 @@ def all_images(
 
 @dataclass(frozen=True, kw_only=True)
 class LayerReport:
-    """What was done to samples of any kind."""
+    """Report on samples of any kind."""
 
     beta: float  # as used
-    iterations: int  # how many were run: none if there is no noise, and no number was asked for
-    noise: dict[str, float]  # standard deviation per channel, as estimated or given; 0 where none is removed
-    # What was read of the size of the noise, root mean squares of full scale 1: the probabilities that there is "none",
-    # and that there is some that people see ("visible"); and if there is any, its "median", and "low" and "high", which
-    # it lies between with a certainty of 90 %. None: the noise is given.
+    iterations: int  # 0 without noise, unless a number was given
+    noise: dict[str, float]  # standard deviation per channel, estimated or given; 0: none is removed
+    # Estimated size of the noise, RMS of full scale 1: the probabilities of no noise ("none") and of visible noise
+    # ("visible"); given that there is noise, its "median", and "low" and "high", its interval with a certainty of 90 %.
+    # None: the noise is given.
     reading: dict[str, float] | None
-    # Standard deviations at "dark", "middle" and "bright" levels (0.1, 0.5, 0.9), if they differ; of "quiet" and "loud"
-    # places, if they do; and "grain", the width in samples of what samples share of it.
+    # Standard deviations at "dark", "middle" and "bright" levels (0.1, 0.5, 0.9), and of "quiet" and "loud" places, if
+    # they differ; "grain", the width in samples over which noise is shared.
     noise_model: dict[str, float]
-    # Mean, root mean square and largest change of a smoothed value; of covered texels only.
+    # Mean, RMS and largest change of a smoothed value; only of covered texels.
     change: dict[str, float] = field(default_factory=dict)
-    guides: dict[str, float]  # the beta used for each guide, by its name
-    # If parameters were chosen from the data: "chosen" with their values, and estimates of the result: its
-    # estimated "psnr" in dB, the standard "error" of that if the noise is right, the "gain" over the input, and the
-    # numbers of "candidates" that were compared and of "samples" that they were compared on. "predicted" has the PSNR
-    # "before", the "psnr" after, and its "least" and "most" with a certainty of 90 %, as messages do; None: the noise
-    # is not known well enough.
+    guides: dict[str, float]  # beta of each guide, by name
+    # If parameters were chosen from the data: "chosen" values, the estimated "psnr" in dB, its standard "error" given
+    # the noise, the "gain" over the input, and the numbers of "candidates" compared and of "samples" they were compared
+    # on. "predicted" has the PSNR "before", "psnr" after, and its "least" and "most" with a certainty of 90 %, as in
+    # messages; None: the noise is not known well enough.
     choice: dict[str, object] | None
-    patches: float | None  # the share of the result that is from patches; None: only the kernel was run
-    # If any: the "count" of samples that stand out at random, their "share" of all, and whether they were "replaced".
+    patches: float | None  # mean weight of patches; None: only the kernel was run
+    # If there are outliers: their "count", "share" of all samples, and whether they were "replaced".
     wrong_samples: dict[str, Any]
 
     def warnings(self, max_samples: int) -> list[str]:
-        """Return warnings for users; kernels held at most `max_samples`."""
+        """Return warnings for users; `max_samples`: limit of samples per kernel."""
         del max_samples
         return []
 
 
 @dataclass(frozen=True, kw_only=True)
 class VertexReport(LayerReport):
-    """What was done to vertex colours, besides."""
+    """Report on vertex colours."""
 
     # Vertices, triangles, samples, samples of hard edges, samples per kernel, truncated kernels. For points without
     # faces the triangles are those around each, and there are "outliers": points in none of them, left as they are.
@@ -401,12 +400,12 @@ class VertexReport(LayerReport):
 
 @dataclass(frozen=True, kw_only=True)
 class SlotReport(LayerReport):
-    """What was done to the textures of a slot, besides."""
+    """Report on the textures of a slot."""
 
     slot: str
-    textures: list[dict[str, object]]  # name, size, type, and how much of its texels the surface covers
-    # Charts, seams, jumps, covered and overlapped texels of all textures together; jumps are seams whose two sides
-    # really differ, which nothing was smoothed over.
+    textures: list[dict[str, object]]  # name, size, type, and coverage
+    # Numbers of charts, seams, jumps, covered and overlapped texels of all textures together. Jumps are seams whose
+    # sides differ; nothing is smoothed across them.
     counts: dict[str, int]
     pitch: float  # mean distance of neighbouring texels on the surface, in the model's own unit of length
     samples_per_kernel: float  # mean
@@ -414,10 +413,10 @@ class SlotReport(LayerReport):
 
 @dataclass(frozen=True, kw_only=True)
 class ImageReport(LayerReport):
-    """What was done to an image, besides."""
+    """Report on an image."""
 
-    # Its size, format and channels, which of them were smoothed, on which surface ("plane", "height" or "positions"),
-    # and how many of its pixels are holes.
+    # Size, format, channels, smoothed channels, kind of surface ("plane", "height" or "positions"), and number of
+    # holes.
     image: dict[str, object]
     pitch: float  # mean distance of neighbouring pixels on the surface, in its own unit of length
     samples_per_kernel: float  # mean
@@ -425,20 +424,20 @@ class ImageReport(LayerReport):
 
 @dataclass(frozen=True)
 class LevelReport:
-    """What was found of exposure steps, and done to them."""
+    """Report on exposure steps."""
 
-    what: str  # which colours
-    charts: int  # charts of textures, or parts of vertices by photograph
-    seams: int  # between two of them
-    stepped: int  # seams with a mean step of 2/255 or more
+    what: str  # name of the colours
+    charts: int  # number of charts, or of connected vertices of one photograph
+    seams: int  # number of seams between charts
+    stepped: int  # number of seams with a mean step of 2/255 or more
     painted: int  # seams whose steps are edges of colour
     before: float  # median over all seams, by length, of the mean step, full scale 1, in the working space
     after: float
-    explained: float  # the share of the steps at held-out seams that one exposure per chart explains
-    tilted: bool  # whether gains change over charts, as by vignetting
+    explained: float  # share of the steps at held-out seams explained by one exposure per chart
+    tilted: bool  # whether gains vary within charts, as with vignetting
     levelled: bool  # whether colours were changed
-    reason: str  # why not, if they were not
+    reason: str  # of not changing them
     change: dict[str, float] = field(default_factory=dict)  # as for `LayerReport`
-    # For each chart with seams its number, its texture and place there (the column and row of its centre), its texels,
-    # and the gain and offset per channel that it was exposed with, in the working space.
+    # For each chart with seams: its number, texture, location (column and row of its centre), number of texels, and
+    # gain and offset per channel of its exposure, in the working space.
     exposures: list[dict[str, object]] = field(default_factory=list)

@@ -1,4 +1,4 @@
-"""Exposure steps between charts of textures, or parts of vertices by their photographs, taken out of colours."""
+"""Removal of exposure steps between charts of textures, or between vertices of different photographs."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ _NO_STEPS = "hardly any of its seams has a step beyond the noise"
 _INVISIBLE_CHANGE = "the change would be too small to be seen"
 
 
-Chart = tuple[Texture, dict[str, object]]  # a chart that owns texels: its texture, and facts for reports
+Chart = tuple[Texture, dict[str, object]]  # of a chart with texels: texture, and facts for reports
 
 
 def level_charts(
     what: str, planes: Float32s, atlas: Atlas, textures: Sequence[Texture], pictures: Sequence[Picture],
     wanted: LevelSettings, spans: Sequence[int],
 ) -> LevelReport:  # fmt: skip
-    """Take exposure steps out of colours on a canvas, in place; `spans` as in `level_canvas`."""
+    """Remove exposure steps from colours on a canvas, in place; `spans` as in `level_canvas`."""
     charts = _charts_of(atlas, textures, pictures)
     fixed = (
         _reference(charts, max(1, atlas.charts), wanted.reference_charts) if wanted.reference_charts else None
@@ -44,7 +44,7 @@ def level_charts(
 def level_photographs(
     what: str, surface: SampledSurface, photograph_of: Int64s, wanted: LevelSettings
 ) -> tuple[Float32s, LevelReport]:
-    """Return the colours of samples without exposure steps between the photographs that they are from."""
+    """Return the colours of samples without exposure steps between the photographs they come from."""
     if wanted.reference_charts:
         raise UsageError("--reference-charts is of charts of textures; parts of vertex colours have no names")
     mesh = surface.positions, surface.all_faces
@@ -53,7 +53,7 @@ def level_photographs(
 
 
 def _charts_of(atlas: Atlas, textures: Sequence[Texture], pictures: Sequence[Picture]) -> list[Chart]:
-    """Return for each chart its texture, and its number, a texel of it there, and how many it has."""
+    """Return for each chart its texture, and its number, centre texel and number of texels there."""
     areas = np.bincount(atlas.chart_of, minlength=max(1, atlas.charts))
     texel, charts = np.zeros(len(areas), np.int64), list[Chart]()
     for block in large_arrays.blocks(len(atlas.chart_of)):
@@ -128,7 +128,7 @@ def _why_not(verdict: Verdict) -> str:
 
 
 def photographs_of(document: Document, wanted: str | None = None) -> Int64s:
-    """Return the number of the photograph of each vertex, shape (V,); InputError if the file does not say it."""
+    """Return the number of the photograph of each vertex, shape (V,); InputError if the file has none."""
     known = {name.lower(): name for name in document.attributes()}
     words = [wanted] if wanted else [*_PHOTOGRAPHS, *(f"{name}_id" for name in _PHOTOGRAPHS)]
     name = next((known[word.lower()] for word in words if word.lower() in known), None)

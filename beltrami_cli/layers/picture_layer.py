@@ -1,4 +1,4 @@
-"""Pictures as samples of a manifold: their colours in the working space, and back."""
+"""Pictures as samples of a manifold: colours in the working space and back."""
 
 from __future__ import annotations
 
@@ -41,27 +41,27 @@ from beltrami_cli.surface.colour_values import from_space, to_space, unit_in_spa
 from beltrami_cli.surface.records import ImageFile, Slot
 
 COLOURS = ("red", "green", "blue", "grey")
-# The channels that a data slot uses; others of the same image belong to another slot.
+# Channels of a data slot; other channels of the same image belong to another slot.
 _SLOT_CHANNELS = {"occlusion": {"red", "grey"}, "metallicRoughness": {"green", "blue", "grey"}}
 
 _CHOOSE_LAYER = "choose one by its name, as in --channels LAYER"
 _EXPORT_LAYER = "export one layer as a file of its own"
 
-_ROWS = 64  # compared at a time
+_ROWS = 64  # processed at a time
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PictureLayer(Layer):
-    """The common part of the texels of textures and the pixels of an image."""
+    """Common base of the texels of textures and the pixels of an image."""
 
     names: tuple[str, ...]
     settings: SmoothSettings
     pictures: Sequence[Picture]
-    tables: Sequence[JpegTables | None]  # of JPEG files with these colours
+    tables: Sequence[JpegTables | None]  # of each picture; None: not a JPEG file
     colours: PictureColours
-    atlas: Atlas | None = None  # of textures
-    noise: Float32s | None = None  # standard deviations, with a row for each sample or, in images, pixel
-    suffix: str | None = None  # of another image format that is written
+    atlas: Atlas | None = None  # None: not a texture
+    noise: Float32s | None = None  # standard deviations, one row per sample or, in images, pixel
+    suffix: str | None = None  # extension of another output format
 
     def normalised(self) -> Self:
         return dataclasses.replace(self, colours=self.colours.normalised(self.pictures))
@@ -72,7 +72,7 @@ class PictureLayer(Layer):
     @property
     @abstractmethod
     def as_data(self) -> bool:
-        """Whether the pictures hold numbers, which no change of encoding may touch."""
+        """Whether the pictures contain data, whose encoding must not change."""
 
     @abstractmethod
     def canvas(self) -> ColouredCanvas:
@@ -92,15 +92,15 @@ class PictureLayer(Layer):
             check_writable(picture, self.suffix)
 
     def new_pixels(self, index: int, new: NewColours, *, is_dithered: bool = False) -> tuple[Array, Change]:
-        """Return a picture's pixels with new colours, and the change of its samples; other numbers keep their bits.
+        """Return a picture's pixels with new colours, and the change; unchanged numbers keep their bits.
 
-        `is_dithered`: so that smooth changes of colours are no bands in 8 bits.
+        `is_dithered`: add dither against banding in 8 bits.
         """
         pixels = large_arrays.copy_of(self.pictures[index].pixels)
         return pixels, self._fill(pixels, index, new.places, new.take, is_dithered=is_dithered)
 
     def change_in(self, file: ImageFile, index: int, new: NewColours, change: Change) -> Change:
-        """Return the change of a picture's samples in the file that was written, where that does not hold all of it."""
+        """Return the change of a picture's samples in the written file, if the format lost some of it."""
         picture, as_data = self.pictures[index], self.as_data
         if file.content == picture.source:
             return Change(change.count)
@@ -121,7 +121,7 @@ class PictureLayer(Layer):
         )
 
     def _of_picture(self, texels: Indices, index: int) -> tuple[Bools | slice, Indices]:
-        """Select the texels of one picture, and number them from its first."""
+        """Return the texels of one picture, relative to its first, and their rows."""
         if len(self.pictures) == 1 or self.atlas is None:
             return slice(None), texels
         begin, end = self.atlas.texture_offsets[index : index + 2].tolist()
@@ -132,7 +132,7 @@ class PictureLayer(Layer):
         self, pixels: Array, index: int, texels: Indices, take: Callable[[slice, Bools | slice], Float32s], *,
         is_dithered: bool,
     ) -> Change:  # fmt: skip
-        """Write samples into pixels like a picture's own, in place, and return how these change."""
+        """Write samples into a picture's pixels in place, and return the change."""
         picture, colours, threads = self.pictures[index], self.colours, self.settings.kernel.thread_count
         table, changes = pixels.reshape(-1, pixels.shape[2]), []
         for block in large_arrays.blocks(len(texels), large_arrays.CACHED):
@@ -148,22 +148,22 @@ class PictureLayer(Layer):
 
 @dataclass(frozen=True, kw_only=True)
 class PictureColours:
-    """Which channels of several pictures are sampled, all with the same N names, and how they are converted."""
+    """The sampled channels of several pictures, with the same N names, and their conversion."""
 
     names: tuple[str, ...]  # of the N channels: changing ones, and ones that only enter the metric
-    written: list[int]  # which of the N change
-    metric_channels: list[int] | None  # which of the N enter the metric; None: all
+    written: list[int]  # those of the N channels that change
+    metric_channels: list[int] | None  # those of the N channels in the metric; None: all
     space: Space  # of the samples: the working space, or data as stored
-    shows_all: bool  # whether samples have all channels of the colours, as they are stored
-    light_space: Space | None  # the same if they stand for light, as pictures of floats do; None: they do not
-    width: int  # colour channels of the pictures; in grey ones among coloured ones red = green = blue
-    kept: list[int]  # which of these are sampled
-    changing: list[int]  # which of these change
-    others: dict[str, int]  # the sampled channels that are neither colours nor opacity, by their names
+    shows_all: bool  # whether samples have all colour channels as stored
+    light_space: Space | None  # `space` if colours stand for light, as floats do; else None
+    width: int  # colour channels of the pictures; grey among coloured ones is repeated
+    kept: list[int]  # those that are sampled
+    changing: list[int]  # those that change
+    others: dict[str, int]  # sampled channels other than colours and opacity, by name
     has_alpha: bool  # whether opacity is sampled
     hides: bool  # whether transparent pixels supply no colour
     is_normal: bool  # whether colours are normals, of length 1
-    unit: float = 1.0  # the stored number that is 1 in the working space
+    unit: float = 1.0  # stored number that becomes 1 in the working space
 
     @classmethod
     def of(
@@ -172,8 +172,8 @@ class PictureColours:
     ) -> PictureColours:  # fmt: skip
         """Choose the channels.
 
-        `is_image`: of a single picture that is no texture, and whose further channels are samples, too, as they are
-        stored, unless `colours_only` leaves out the channels that no setting names.
+        `is_image`: the picture is not a texture. Its further channels are sampled too, as stored, unless `colours_only`
+        leaves out the channels that no setting names.
         """
         for picture in pictures:
             require_colours(picture, _CHOOSE_LAYER if is_image else _EXPORT_LAYER)
@@ -209,11 +209,11 @@ class PictureColours:
         )  # fmt: skip
 
     def working(self, picture: Picture, pixels: Int64s) -> Float32s:
-        """Return the colours of some pixels (row * width + column) of a picture in the working space, shape (T, N)."""
+        """Convert some pixels (row * width + column) of a picture to the working space, shape (T, N)."""
         return self._working(picture, np.take(_table(picture), pixels, axis=0))
 
     def normalised(self, pictures: Sequence[Picture]) -> PictureColours:
-        """Return the conversion to a unit of the colours; of further channels where no colour is sampled."""
+        """Return the conversion with a unit of the colours, or of further channels if no colour is sampled."""
         plain, first = dataclasses.replace(self, space="data", unit=1.0), len(self.kept) or None
         unit = unit_of_pictures(
             pictures, lambda *where: plain.working(*where)[~self.hidden(*where), :first],
@@ -222,7 +222,7 @@ class PictureColours:
         return dataclasses.replace(self, unit=unit)
 
     def shown(self, picture: Picture, stored: Array) -> Float32s:
-        """Return the channels that are written of some pixels of a picture, shape (K, C), in the working space."""
+        """Convert the written channels of some pixels, shape (K, C), to the working space."""
         return self._working(picture, stored)[:, self.written]
 
     def _working(self, picture: Picture, stored: Array) -> Float32s:
@@ -238,11 +238,11 @@ class PictureColours:
         return columns[0] if len(columns) == 1 else np.concatenate(columns, axis=1)
 
     def _unit_of_others(self, picture: Picture) -> np.float32:
-        # Differences of channels of all kinds keep their ratio.
+        # The ratios of differences between channels of all kinds are preserved.
         return np.float32(unit_in_space(self.unit, picture.encoding, self.space))
 
     def finite(self, picture: Picture) -> Bools:
-        """Return which pixels of a picture have finite numbers in all sampled channels, shape (H, W)."""
+        """Return the pixels with finite numbers in all sampled channels, as a mask of shape (H, W)."""
         if picture.pixels.dtype.kind != "f":
             return np.ones(picture.pixels.shape[:2], bool)
         sampled = [picture.colour[i] for i in self.kept] + [*self.others.values()]
@@ -250,14 +250,14 @@ class PictureColours:
         return np.asarray(np.isfinite(picture.pixels[..., sampled]).all(axis=2))
 
     def hidden(self, picture: Picture, pixels: Int64s | slice) -> Bools:
-        """Return which of some pixels (row * width + column) of a picture supply no colour."""
+        """Return which pixels (row * width + column) of a picture supply no colour."""
         table = _table(picture)
         if picture.alpha is None or not self.hides:
             return np.zeros(table[pixels, 0].shape, bool)
         return ~supplies_colour(picture, table[pixels, picture.alpha])
 
     def columns(self, picture: Picture) -> list[int]:
-        """Return which channels of a picture change."""
+        """Return the channels of a picture that change."""
         is_grey, first = len(picture.colour) == 1, len(self.kept)
         colours = {picture.colour[0 if is_grey else i]: None for i in self.changing}
         further = list(self.others.values())
@@ -266,21 +266,21 @@ class PictureColours:
         return [*colours, *others, *opacity]
 
     def stored(self, picture: Picture, table: Array, pixels: Indices, samples: Float32s) -> Float32s:
-        """Return what samples, shape (K, N), of pixels in a table like a picture's are in `columns`, of full scale 1.
+        """Convert samples, shape (K, N), to the values of `columns`, of full scale 1.
 
-        Conversion to the working space and back is not exact, so where a sample is as before, its number is, too.
+        Conversion to the working space and back is not exact, so an unchanged sample keeps its number.
         """
         columns, count = self.columns(picture), len(self.changing)
         new = samples if self.written == list(range(samples.shape[1])) else samples[:, self.written]
         is_plain = self.space in ("data", picture.encoding) and len(picture.colour) == self.width
         is_plain = is_plain and not self.is_normal and not self._is_divided(picture)
-        if is_plain and self.unit == 1:  # the numbers are stored as they are
+        if is_plain and self.unit == 1:  # the numbers are stored unconverted
             return new[:, : len(columns)]
         rows = np.take(table, pixels, axis=0)
         moved = self.shown(picture, rows) != new
         before = full_scale_one(rows)
         colours = self._colours(picture, before, new[:, :count]) if count else new[:, :0]
-        if colours.shape[1] < count or self.is_normal or self.space == "oklab":  # which mixes the channels
+        if colours.shape[1] < count or self.is_normal or self.space == "oklab":  # Oklab mixes the channels
             moved[:, :count] = moved[:, :count].any(axis=1, keepdims=True)
         first = count - colours.shape[1]
         others = new[:, count:] * self._unit_of_others(picture)
@@ -288,7 +288,7 @@ class PictureColours:
         return np.where(moved[:, first : first + len(columns)], after, before[:, columns])
 
     def _colours(self, picture: Picture, values: Float32s, new: Float32s) -> Float32s:
-        """Convert new colours of pixels that had values of full scale 1, shape (K, C), to stored values."""
+        """Convert new colours of pixels with old `values` of full scale 1, shape (K, C), to stored values."""
         whole = self._widened(picture, self._straight(picture, values))
         working = to_space(whole, picture.encoding, self.space, self.unit).copy()
         working[:, self.changing] = new
@@ -305,11 +305,11 @@ class PictureColours:
         return stored[:, self.changing] if len(picture.colour) == 3 else stored.mean(axis=1, keepdims=True)
 
     def opacity(self, picture: Picture) -> Float32s | None:
-        """Return the opacity by which a picture's colours, but not samples, are multiplied, shape (H, W), or None."""
+        """Return the opacity that multiplies a picture's colours but not its samples, shape (H, W), or None."""
         return full_scale_one(picture.pixels[..., picture.alpha]) if self._is_divided(picture) else None
 
     def _is_divided(self, picture: Picture) -> bool:
-        # Colours that are averaged together with alpha are weighted by it already.
+        # If alpha is averaged too, the samples are multiplied by it already.
         return self.hides and self.space != "data" and is_associated(picture)
 
     def _straight(self, picture: Picture, pixels: Float32s) -> Float32s:
@@ -326,7 +326,7 @@ def _table(picture: Picture) -> Array:
 
 
 def _further_channels(picture: Picture, names: Sequence[str]) -> dict[str, int]:
-    """Return the channels of a picture that are neither colours nor opacity, by their names."""
+    """Return the channels of a picture that are neither colours nor opacity, by name."""
     known = dict.fromkeys(names, -1)
     for channel, name in enumerate(picture.channels):
         if channel not in (*picture.colour, picture.alpha):
@@ -338,7 +338,7 @@ def _further_channels(picture: Picture, names: Sequence[str]) -> dict[str, int]:
 def with_chosen_layer(picture: Picture, settings: SmoothSettings) -> tuple[Picture, SmoothSettings]:
     """Return a picture with the colours of the layer that `settings.channels` chooses, if any.
 
-    In the settings that are returned with it, the channels of that layer have the names of colours.
+    In the returned settings, the channels of that layer have the names of colours.
     """
     if settings.channels is None or not picture.is_layered:
         return picture, settings
@@ -362,7 +362,7 @@ def with_chosen_layer(picture: Picture, settings: SmoothSettings) -> tuple[Pictu
 
 
 def _chosen_layer(picture: Picture, layers: dict[str, str], words: Sequence[str]) -> str | None:
-    """Return the first layer that a word names, or a colour of; None if words name colours without their layer."""
+    """Return the first layer that a word names, or whose colour it names; None if words only name colours."""
     if any(name.startswith(word) for word in words for name in COLOURS):
         return None
     colours = {
@@ -376,7 +376,7 @@ def _chosen_layer(picture: Picture, layers: dict[str, str], words: Sequence[str]
 
 
 def coded_pictures(atlas: Atlas, coded: Sequence[tuple[Array, JpegTables | None]]) -> list[CodedPicture]:
-    """Return pictures with the tables of their files, unless one is not JPEG, or some are grey and others are not."""
+    """Return pictures with the tables of their files; empty unless all are JPEG, and all grey or all coloured."""
     known = [(pixels, tables) for pixels, tables in coded if tables is not None and pixels.dtype == np.uint8]
     if len(known) < len(coded) or len({pixels.shape[2] for pixels, _ in known}) != 1:
         return []

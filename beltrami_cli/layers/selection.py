@@ -1,7 +1,7 @@
-"""Which parts of a document are recoloured, and as which layers.
+"""Selection of the parts of a document that are recoloured, and their layers.
 
-Textures that touch each other nowhere on the surface have noise and parameters of their own: the fibres of a carpet are
-no noise of a plain wall, and parameters that suit wood smooth the wall too little.
+Textures that touch nowhere on the surface get separate noise and parameters. The fibres of a carpet are not noise of a
+plain wall, and parameters that suit wood smooth the wall too little.
 """
 
 from __future__ import annotations
@@ -37,20 +37,19 @@ if TYPE_CHECKING:
 
 _TEXT_POINTS = ("xyz", "pts", "csv")  # formats
 
-# Texels that take as long as a vertex, for progress.
+# Texels that take as long as one vertex, for progress.
 _TEXELS_OF_A_VERTEX = 6
 
-# Bytes per texel of all textures, or per pixel of an image, that stay in memory where large arrays are in files: masks.
-# 16 textures of 2048 x 2048, limited to 180 MB, took 270 MB with the program's own 90 and arrays of 45: 2.0 a texel.
+# Bytes per texel of all textures, or per pixel of an image, that stay in memory while large arrays are in files: masks.
 _MASKS = 2
 
-# Covered texels by which noise and parameters are found well; parts of a surface with fewer are put together.
+# Covered texels that suffice to estimate noise and parameters; smaller parts of a surface are combined.
 _SUFFICIENT_TEXELS = 1 << 16
 
 
 @dataclass(frozen=True)
 class Selection:
-    """The selected parts of a document: its vertex colours, the textures of slots, or the image itself."""
+    """The selected parts of a document: vertex colours, textures of slots, or the image itself."""
 
     document: Document
     settings: SmoothSettings
@@ -62,13 +61,13 @@ class Selection:
 
     @cached_property
     def surfaces(self) -> tuple[TexturedSurface, ...]:
-        """The surface of each slot with the chosen textures."""
+        """The surface of each slot with the selected textures."""
         surfaces = map(self.document.textured, self.slots)
         return tuple(choose_textures(surface, self.settings.textures) for surface in surfaces)
 
     @property
     def kinds(self) -> list[str]:
-        """The kinds of input, as `Parameter.of` names them."""
+        """The kinds of input, as in `Parameter.of`."""
         kinds = {
             "vertex colours": self.vertices,
             "textures": bool(self.slots),
@@ -79,25 +78,25 @@ class Selection:
         return [kind for kind, is_there in kinds.items() if is_there]
 
     def images(self) -> Iterator[Iterator[tuple[str, bytes]]]:
-        """Yield names and bytes of the files that are recoloured together: the image, or the textures of each slot."""
+        """Yield names and bytes of files that are recoloured together: the image, or the textures of each slot."""
         if self.image:
             yield iter([(self.document.name, self.document.data)])
         for surface in self.surfaces:
             yield ((texture.name, texture.data) for texture in surface.textures)
 
     def require_memory(self, work: str = "recoloured") -> None:
-        """Raise InputError if images cannot fit into memory, slot by slot; see there for `work`."""
+        """Raise InputError if images do not fit into memory, slot by slot; `work`: see `require_memory`."""
         for images in self.images():
             require_memory(images, self.access, work)
 
     @contextmanager
     def within_memory(self, target: str | None = None, *, in_files: bool = True) -> Iterator[int | None]:
-        """Keep large arrays in files, in the folder of `target`, where memory is too small for all of them.
+        """Put large arrays into files in the folder of `target` if memory is too small for all of them.
 
-        Give the bytes that a chunk of a mesh may take; None: meshes are not cut.
-        InputError if it is too small even so; or if arrays are not to be `in_files`, as for work that makes many in
-        memory. Besides arrays there must be room for one image as it is decoded, and for the new file, about as large
-        as the old one, without and with its metadata.
+        Yield the bytes that a chunk of a mesh may take; None: meshes are not cut. InputError if memory is too small
+        even so, or if arrays must stay in memory (not `in_files`), as for work that makes many of them. Besides arrays
+        there must be room for one decoded image and for the new file, which is about as large as the old one, with and
+        without its metadata.
         """
         if not in_files:
             self.require_memory("smoothed")
@@ -121,8 +120,8 @@ class Selection:
     def layers(
         self, suffix: str | None = None, *, colours_only: bool = False, in_groups: bool = False
     ) -> Iterator[Layer]:
-        """Give the selected layers; `in_groups`: textures that do not touch separately."""
-        # For the other parameters see `ImageLayer`.
+        """Yield the selected layers; `in_groups`: a layer for each group of textures that touch."""
+        # Other parameters: see `ImageLayer`.
         document, settings, access = self.document, self.settings, self.access
         if self.image:
             from beltrami_cli.layers.image_layer import ImageLayer
@@ -139,7 +138,7 @@ class Selection:
                 yield TextureLayer.read(part, slot, settings, guided=whole, shared=shared, part=name)
 
     def samples(self) -> list[int]:
-        """Estimate how many texels take as long as each selected layer, without decoding an image."""
+        """Estimate the work of each selected layer, in texels, without decoding an image."""
         counts = []
         if self.image:
             size = measure_image(self.document.data, self.document.name)
@@ -149,7 +148,7 @@ class Selection:
         return [*counts, *(int(_covered_texels(surface).sum()) for surface in self.surfaces)]
 
     def require_geometry(self, *, is_patched: bool) -> None:
-        """Raise errors if positions are to be smoothed, but there are none, or the format cannot store them."""
+        """Raise errors if positions shall be smoothed, but are absent or cannot be stored."""
         document = self.document
         if not self.settings.embedding.smooth_geometry:
             return
@@ -165,7 +164,7 @@ class Selection:
             document.require_movable()
 
     def require_scale(self) -> None:
-        """Raise InputError if distances on the samples cannot be computed; say if positions are too coarse."""
+        """Raise InputError if distances cannot be computed; return notices if positions are too coarse."""
         document, meshes = self.document, list[tuple[Float64s, Int32s]]()
         if self.vertices:
             vertices = document.coloured_vertices()
@@ -179,9 +178,9 @@ class Selection:
 
 
 def select(document: Document, settings: SmoothSettings, access: Access = DEFAULT_ACCESS) -> Selection:
-    """Choose the parts by the settings and the document; errors if there are none, or for unfit options."""
+    """Select the parts by settings and document; errors if there are none, or for options that do not apply."""
     selection = _select(document, settings, access)
-    # What fits no image, and the surface of images, is refused wherever it was given.
+    # Options that do not apply to images, and the surface of images, are refused if given.
     given = binding_parameters(settings) if selection.image else given_parameters(settings.image)
     require_effect(selection.kinds, document.name, given)
     return selection
@@ -200,7 +199,7 @@ def _select(document: Document, settings: SmoothSettings, access: Access) -> Sel
         slots = document.readable(slots)
     if settings.on == "vertices" or (settings.on == "auto" and not slots and coloured):
         if not coloured:
-            document.coloured_vertices()  # raises an error with what there is instead
+            document.coloured_vertices()  # raises an error that names what the file contains
         return Selection(document, settings, access, vertices=True)
     if settings.on == "both" and not (coloured and slots):
         missing = "vertex colours" if slots else "textures in the chosen slots"
@@ -214,13 +213,13 @@ def _select(document: Document, settings: SmoothSettings, access: Access) -> Sel
 
 
 def absent_slots(document: Document, settings: SmoothSettings) -> list[str]:
-    """Return notices on the slots that are named one by one, and have no textures."""
+    """Return notices about slots that are named explicitly but have no textures."""
     wanted, present = settings.textures.slots, document.slots()
     return [] if wanted == SLOTS else [f"it has no {slot} textures" for slot in wanted if slot not in present]
 
 
 def vertex_layer(document: Document, settings: SmoothSettings, access: Access) -> VertexLayer:
-    """Take the coloured vertices of a model: on a mesh, on their own, on a grid, or on a level set."""
+    """Make the layer of a model's coloured vertices: on a mesh, as points, on a grid, or on a level set."""
     from beltrami_cli.layers.guides import noise_of_vertices, vertex_guides
     from beltrami_cli.layers.levelled_charts import photographs_of
     from beltrami_cli.layers.vertex_layer import GridLayer, MeshLayer
@@ -245,7 +244,7 @@ def vertex_layer(document: Document, settings: SmoothSettings, access: Access) -
 
 
 def separate_surfaces(surface: TexturedSurface) -> list[TexturedSurface]:
-    """Part textures so that those which touch are together."""
+    """Split the textures of a surface into groups that touch."""
     if len(surface.textures) < 2:
         return [surface]
     parts = _large_parts(_touching(surface), _covered_texels(surface))
@@ -253,9 +252,10 @@ def separate_surfaces(surface: TexturedSurface) -> list[TexturedSurface]:
 
 
 def _covered_texels(surface: TexturedSurface) -> Float64s:
-    """Return about how many texels of each texture triangles cover, without decoding it."""
+    """Estimate how many texels of each texture are covered by triangles, without decoding it."""
     sizes = [measure_image(texture.data, texture.name) for texture in surface.textures]
-    # An image that cannot be measured is left to its decoder, which raises the error; the last counts for none.
+    # An image whose size cannot be read counts as 0; its decoder raises the error later. The last 0 stands for
+    # triangles without a texture.
     texels = np.array([0 if size is None else size.texels for size in sizes] + [0], np.float64)
     (a, b), (c, d) = np.moveaxis(np.diff(surface.uv, axis=1), 0, 2)
     areas = np.nan_to_num(np.abs(a * d - b * c) / 2)
@@ -264,7 +264,7 @@ def _covered_texels(surface: TexturedSurface) -> Float64s:
 
 
 def _touching(surface: TexturedSurface) -> Int64s:
-    """Give textures the same number where a path over the surface joins them, shape (T,)."""
+    """Return a group number for each texture, shape (T,), equal if a path over the surface connects two textures."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -282,7 +282,7 @@ def _touching(surface: TexturedSurface) -> Int64s:
 
 
 def _large_parts(part_of: Int64s, covered: Float64s) -> list[list[int]]:
-    """Return the textures of each part, in their order; parts of few texels are one, or join the largest."""
+    """Return the textures of each group, in order; groups with few texels are combined, or join the largest."""
     texels = np.bincount(part_of, covered)
     small = texels < _SUFFICIENT_TEXELS
     if texels[small].sum() < _SUFFICIENT_TEXELS:
@@ -300,7 +300,7 @@ def _no_such_textures(document: Document, present: Sequence[Slot], wanted: Seque
 
 
 def _nothing_to_smooth(document: Document, present: Sequence[Slot], *, textures_only: bool) -> InputError:
-    """Return the error that there are no colours of the requested kind, or that they are damaged."""
+    """Return the error that a document has no colours of the requested kind, or damaged ones."""
     why = Obstacle("")
     if textures_only and not present and document.has_vertex_colours():
         return NoColoursError(document.name, "it has no textures, only vertex colours", "use --on vertices")
@@ -321,7 +321,7 @@ def _nothing_to_smooth(document: Document, present: Sequence[Slot], *, textures_
 
 
 def _without_empty_slots(selection: Selection) -> Selection:
-    """Leave out the slots of which no texture is chosen; UsageError if that is all of them."""
+    """Remove slots without selected textures; UsageError if none is left."""
     document, wanted = selection.document, selection.settings.textures
     if not (wanted.names or wanted.materials):
         return selection

@@ -1,6 +1,6 @@
-"""The parameters of a job besides the kernel's; light enough for the command line to import.
+"""The parameters of a job besides the kernel's; cheap to import for the command line.
 
-Each is declared once, see `beltrami_cli.fields`; and described in JSON types, as asked for and as used.
+Each is declared once (see `beltrami_cli.fields`), and described in JSON types, as requested and as used.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ AlphaMode = Literal["keep", "smooth"]
 Inside = Literal["below", "above"]
 BakeTo = Literal["texture", "vertices"]
 
-COLOUR_SLOTS = ("baseColor", "emissive")  # the others are data
+COLOUR_SLOTS = ("baseColor", "emissive")  # the other slots are data
 SLOTS = ("baseColor", "emissive", "normal", "occlusion", "metallicRoughness")
-# What --format can name besides; output names may end in every extension of a format that can be written.
+# Values of --format besides extensions; names of outputs may have the extension of any writable format.
 IMAGE_FORMATS = ("png", "jpg", "webp", "tif", "exr", "tga", "bmp", "hdr", "jxl", "ppm")
 IMAGE_SUFFIXES = (
     ".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".exr", ".tga", ".bmp", ".hdr", ".ktx2", ".avif",
@@ -50,7 +50,7 @@ def _suffix(text: str) -> str:
     return "." + text.lower().lstrip(".")
 
 
-# Names by which people know the slots, without regard to case, spaces, dashes and underscores.
+# Usual names of the slots; case, spaces, dashes and underscores are ignored.
 _SLOT_NAMES = {slot.lower(): slot for slot in SLOTS} | {
     **dict.fromkeys(("diffuse", "albedo", "color", "colour"), "baseColor"),
     **dict.fromkeys(("emission", "glow"), "emissive"),
@@ -71,7 +71,7 @@ def _slots(text: str) -> tuple[str, ...]:
 def _gutter(text: str) -> int | None:
     if text == "keep":
         return None
-    # Alone, isdigit would let other scripts and ² pass, which int does not take.
+    # `isdigit` alone would accept other scripts and ², which `int` rejects.
     if not (text.isascii() and text.isdigit() and len(text) <= len(str(_WIDEST_GUTTER))):
         raise ValueError(f"is {text}, but must be a number of texels from 0 to {_WIDEST_GUTTER}, or keep")
     return int(text)
@@ -89,7 +89,7 @@ def _metric_channels(text: str) -> tuple[str, ...]:
 @described
 @dataclass(frozen=True)
 class TextureSettings(Checked):
-    """Which textures are smoothed, and how they are written."""
+    """Selection of textures, and how they are written."""
 
     group: ClassVar[str] = "Textures"
 
@@ -138,7 +138,7 @@ class TextureSettings(Checked):
 @described
 @dataclass(frozen=True)
 class LevelSettings(Checked):
-    """How exposure steps between charts are taken out."""
+    """Removal of exposure steps between charts."""
 
     group: ClassVar[str] = "Exposure steps"
 
@@ -164,7 +164,7 @@ class LevelSettings(Checked):
 @described
 @dataclass(frozen=True)
 class ImageSettings:
-    """The surface that an image lies on, and where it has holes."""
+    """The surface of an image, and its holes."""
 
     group: ClassVar[str] = "Images"
 
@@ -234,7 +234,7 @@ class LevelSetSettings(Checked):
 @described
 @dataclass(frozen=True)
 class EmbeddingSettings:
-    """Further channels of the metric, and smoothing of positions along with colours."""
+    """Further channels of the metric, and smoothing of positions."""
 
     group: ClassVar[str] = "Guides and geometry"
 
@@ -346,7 +346,7 @@ class SmoothSettings:
 
     @property
     def fits_parts(self) -> bool:
-        """Whether some textures can be smoothed without the others: no map lies over all."""
+        """Whether textures can be smoothed separately: no map covers all of them."""
         return not self.embedding.guides and not self.files_besides()
 
 
@@ -354,7 +354,7 @@ DEFAULTS = SmoothSettings()
 
 
 def binding_parameters(settings: SmoothSettings) -> list[Parameter]:
-    """Return the given parameters that must have an effect: all but the solver, which changes no result on grids."""
+    """Return the given parameters that must have an effect: all but the solver, which does not affect grids."""
     return [each for each in given_parameters(settings) if each.name != "solver"]
 
 
@@ -362,7 +362,7 @@ _PARTS = ("textures", "image", "level_set", "embedding")
 
 
 def given_values(settings: SmoothSettings) -> dict[str, Any]:
-    """Return the values that are not as by default, by the names of parameters; tunable ones unless they are free."""
+    """Return the values that differ from their defaults, by name; tunable ones unless they are free."""
     given: dict[str, Any] = {}
     for record in (settings, *(getattr(settings, name) for name in parts(settings))):
         for declared in parameters(record):
@@ -374,7 +374,7 @@ def given_values(settings: SmoothSettings) -> dict[str, Any]:
 
 
 def describe_settings(settings: SmoothSettings) -> dict[str, object]:
-    """Return what was asked for."""
+    """Describe the requested settings in JSON types."""
     return {
         "given": [*given_values(settings)],
         **dataclasses.asdict(settings.kernel),

@@ -1,4 +1,4 @@
-"""Texels of the textures of a slot as samples of a manifold, over the surface and across their seams."""
+"""Texels of the textures of a slot as samples of a manifold, on the surface and across seams."""
 
 from __future__ import annotations
 
@@ -51,16 +51,16 @@ _UNCOVERED_NOTICE = (
 _UNSEEN_NOTICE = (
     "all texels on the surface have an opacity of 0, so nothing was changed; --alpha smooth counts them, too"
 )
-# Per cent of texels with several places; fewer are due to rounding at the borders of charts.
+# Percentage of texels with several places; smaller ones are due to rounding at the borders of charts.
 _WORTH_REPORTING = 1.0
 
-# A step between two texels has the noise of both; beyond this many deviations of what smoothing took away it is real.
+# A step between two texels has the noise of both. It is real if it exceeds so many deviations of the removed noise.
 _REAL_STEP = 3.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TextureLayer(PictureLayer):
-    """Covered and visible texels of the chosen textures of a slot, together."""
+    """The covered and visible texels of the selected textures of a slot."""
 
     part: ClassVar[layer.Part] = "textures"
 
@@ -68,10 +68,10 @@ class TextureLayer(PictureLayer):
     slot: Slot
     surface: TexturedSurface
     atlas: Atlas
-    shared: Collection[str] = ()  # keys of images that other slots show, too
-    guided: GuidedTexels | None = None  # where its guides are read from
-    is_whole: bool = True  # no texture of the slot is in another layer
-    levelled_colours: Float32s | None = None  # of the owned cells without exposure steps, (T, N)
+    shared: Collection[str] = ()  # keys of images that other slots also show
+    guided: GuidedTexels | None = None  # source of its guides
+    is_whole: bool = True  # whether it has all textures of the slot
+    levelled_colours: Float32s | None = None  # (T, N): colours of owned cells without exposure steps
     level_report: LevelReport | None = None
 
     @classmethod
@@ -80,14 +80,14 @@ class TextureLayer(PictureLayer):
         guided: tuple[Document, Access] | None = None, shared: Collection[str] = (), part: str = "",
         decoded: Sequence[Picture] | None = None,
     ) -> TextureLayer:  # fmt: skip
-        """Decode the textures of a surface, unless they are `decoded`, and lay their charts out.
+        """Decode the textures of a surface, unless they are `decoded`, and lay out their charts.
 
-        `guided`: where guides and noise are read from; `part`: a name, if it has not all textures of the slot.
+        `guided`: source of guides and noise; `part`: name of the layer if it does not have all textures of the slot.
         """
         kernel, pictures, tables = settings.kernel, [*(decoded or ())], list[JpegTables | None]()
         if decoded is None:
             for texture in surface.textures:
-                data = texture.data  # each access may read the file
+                data = texture.data  # each access may read the file again
                 pictures.append(dataclasses.replace(read_texture(texture, data), content=texture.content))
                 tables.append(read_jpeg_tables(data))
         colours = PictureColours.of(pictures, slot, settings)
@@ -108,7 +108,7 @@ class TextureLayer(PictureLayer):
         return self.slot not in COLOUR_SLOTS
 
     def normalised(self) -> Self:
-        # Numbers of data slots mean something from 0 to 1; exposures are as stored.
+        # Data slots are defined on [0, 1]; exposures are as stored.
         return self if self.as_data or self.levelled_colours is not None else super().normalised()
 
     def canvas(self) -> ColouredCanvas:
@@ -119,7 +119,7 @@ class TextureLayer(PictureLayer):
         )  # fmt: skip
 
     def _colours_of(self, block: slice) -> Float32s:
-        """Return the colours of a block of the owned cells, levelled if they were, shape (T, N)."""
+        """Return the colours of a block of owned cells, levelled if they were, shape (T, N)."""
         if self.levelled_colours is not None:
             return self.levelled_colours[block]
         return texel_colours(self.colours, self.pictures, self.atlas, block)
@@ -151,7 +151,7 @@ class TextureLayer(PictureLayer):
         )
 
     def describe(self) -> dict[str, object]:
-        """Return the facts without exposure steps, which may be common to several layers."""
+        """Return facts without exposure steps, which several layers may share."""
         plan, described = self.plan(), self._facts()
         seams = 0
         for index, facts in enumerate(described):
@@ -207,7 +207,7 @@ class TextureLayer(PictureLayer):
     def _refill_gutter(
         self, pixels: Array, index: int, new: NewColours, gutter: int, *, is_dithered: bool
     ) -> None:
-        """Refill as many texels around the charts of a texture, in place."""
+        """Refill the gutter of a texture's charts, with its old width, in place."""
         picture, threads = self.pictures[index], self.settings.kernel.thread_count
         covered, known, rows = self._near_charts(index, pixels.shape[:2], new, gutter)
         beyond = NewColours.of(new.beyond[rows])
@@ -222,7 +222,7 @@ class TextureLayer(PictureLayer):
     def _near_charts(
         self, index: int, shape: tuple[int, ...], new: NewColours, gutter: int
     ) -> tuple[Bools, Bools, Int64s]:
-        """Return the covered texels of a texture, shape (H, W), the gutter texels near them, and their rows."""
+        """Return the covered texels, shape (H, W), the gutter texels next to them, and the rows of these."""
         covered, near = np.zeros(shape, bool), np.zeros(shape, bool)
         for block in large_arrays.blocks(len(new.places)):
             covered.reshape(-1)[self._of_picture(new.places[block], index)[1]] = True
@@ -272,7 +272,7 @@ def _manifold_alone(textures: TextureLayer, index: int) -> GridManifold:
 
 
 def atlas_of(surface: TexturedSurface, pictures: Sequence[Picture], kernel: KernelParameters) -> Atlas:
-    """Make the atlas of the texels of pictures, continued beyond seams as far as a kernel reads."""
+    """Make the atlas of pictures, extended over seams by the reach of a kernel."""
     sizes = [(picture.pixels.shape[1], picture.pixels.shape[0]) for picture in pictures]
     return build_atlas(surface, sizes, canvas_margin(kernel), kernel.thread_count)
 
@@ -291,7 +291,7 @@ def _notices_of(atlas: Atlas) -> list[str]:
 
 
 def choose_textures(surface: TexturedSurface, wanted: TextureSettings) -> TexturedSurface:
-    """Keep the textures that match the globs, possibly none."""
+    """Select the textures that match the globs, possibly none."""
 
     def fits(texture: Texture) -> bool:
         by_name = not wanted.names or any(fnmatch(texture.name, glob) for glob in wanted.names)
@@ -304,7 +304,7 @@ def choose_textures(surface: TexturedSurface, wanted: TextureSettings) -> Textur
 
 
 def only_textures(surface: TexturedSurface, kept: list[int]) -> TexturedSurface:
-    """Keep the textures of these indices; triangles of the others have none."""
+    """Select textures by index; triangles of the others have none."""
     new_index = np.full(len(surface.textures) + 1, -1, np.int32)
     new_index[kept] = np.arange(len(kept), dtype=np.int32)
     textures = tuple(surface.textures[index] for index in kept)
@@ -314,7 +314,7 @@ def only_textures(surface: TexturedSurface, kept: list[int]) -> TexturedSurface:
 def _without_transparent(
     atlas: Atlas, colours: PictureColours, pictures: Sequence[Picture], textures: Sequence[Texture]
 ) -> Atlas:
-    """Return the atlas without the owned cells that supply no colour because their texel is transparent."""
+    """Remove the owned cells of transparent texels, which supply no colour, from the atlas."""
     pairs = zip(pictures, textures, strict=True)
     can_hide = [picture.alpha is not None and texture.alpha_hides for picture, texture in pairs]
     if not (colours.hides and any(can_hide)):
@@ -330,7 +330,7 @@ def _without_transparent(
 def texel_colours(
     colours: PictureColours, pictures: Sequence[Picture], atlas: Atlas, block: slice
 ) -> Float32s:
-    """Return the colours of a block of the owned cells in the working space, shape (T, N)."""
+    """Return the colours of a block of owned cells in the working space, shape (T, N)."""
     texels = atlas.owned_texels[block]
     table = np.empty((len(texels), len(colours.names)), np.float32)
     for index, inside, own in texels_by_texture(atlas.texture_offsets, texels):
@@ -339,7 +339,7 @@ def texel_colours(
 
 
 def all_texel_colours(colours: PictureColours, pictures: Sequence[Picture], atlas: Atlas) -> Float32s:
-    """Return the colours of all owned cells, which are converted block by block."""
+    """Return the colours of all owned cells, converted block by block."""
     table = large_arrays.empty((len(atlas.owned_texels), len(colours.names)), np.float32)
     for block in large_arrays.blocks(len(table)):
         table[block] = texel_colours(colours, pictures, atlas, block)
@@ -350,16 +350,16 @@ def _keep_others(
     old: Array, new: Array, covered: Bools, known: Bools, shown: Callable[[Array], Float32s], *,
     width: int, lone: Indices, threads: int,
 ) -> None:  # fmt: skip
-    """Let texels around charts that do not continue the adjacent chart keep their colours, in place.
+    """Restore the old colours of texels around charts that do not extend the adjacent chart, in place.
 
-    A texel continues its chart if the step to the nearest covered texel was, but for noise, what it is now; or if there
-    was none, and then it is left to be filled from there. All else is background, or the edge of a colour that lies on
-    the chart's border, or a colour of another chart, material or model. Single texels of those may resemble the
-    chart, so half of the uncovered texels around must continue it, too. Of lone texels it is not known which part of
-    the surface they show.
+    A texel extends its chart if its old step to the nearest covered texel was, except for noise, the same as the new
+    one, or if there was no step; it is then filled from that texel. Other texels are background, the border of a colour
+    on the chart's border, or belong to another chart, material or model. Single texels of those may resemble the chart,
+    so half of the uncovered texels around must extend it too. For `lone` texels it is unknown which part of the surface
+    they show.
 
-    `old`, `new`: pixels before and now, (H, W, C), whose colours `shown` returns. Texels that are `known`, (H, W), are
-    not filled afterwards.
+    `old`, `new`: pixels before and after, (H, W, C), which `shown` converts to colours. Texels that are `known`, (H,
+    W), are not filled later.
     """
     rows, new_rows, is_known = old.reshape(covered.size, -1), new.reshape(covered.size, -1), known.reshape(-1)
     limit = _REAL_STEP * _taken_away(rows, new_rows, covered, shown)
@@ -385,11 +385,11 @@ def _keep_others(
 
 
 def _is_half(marked: Bools, counted: Bools) -> Bools:
-    """Return where at least half of the texels that count, of 3 x 3 around, are marked; these count, too."""
+    """Return where at least half of the counted texels in a 3 x 3 window are marked, including the centre."""
     found = np.empty(marked.shape, bool)
     for rows in large_arrays.blocks(len(marked), ROWS):
         first = max(0, rows.start - 1)
-        # By sums of slices, since to import SciPy's filters takes longer than to smooth a small texture.
+        # Sums of slices: importing the filters of SciPy takes longer than smoothing a small texture.
         balance = np.pad(
             2 * marked[first : rows.stop + 1].astype(np.int8) - counted[first : rows.stop + 1], 1
         )
@@ -400,7 +400,7 @@ def _is_half(marked: Bools, counted: Bools) -> Bools:
 
 
 def _taken_away(old: Array, new: Array, covered: Bools, shown: Callable[[Array], Float32s]) -> float:
-    """Return the root mean square by which the texels at the borders of charts changed."""
+    """Return the RMS change of the texels at the borders of charts."""
     edge = np.flatnonzero(covered & within(~covered, 1))
     total = 0.0
     for block in large_arrays.blocks(len(edge), large_arrays.CACHED):

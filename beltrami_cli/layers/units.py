@@ -1,4 +1,4 @@
-"""The unit of colours in which noise is judged: of light, data and integers that use a part of their range."""
+"""The unit of colours in which noise is judged: of light, of data, and of integers with a partial range."""
 
 from __future__ import annotations
 
@@ -11,23 +11,26 @@ from beltrami_cli.formats.colours import BYTE, INTEGER_SCALES, holds_bytes
 from beltrami_cli.formats.image import Picture
 from beltrami_cli.surface.records import ColouredVertices
 
-# Samples whose quantiles give a unit: that of 0.99 lies between those of 0.9892 and 0.9908 in 95 of 100 cases.
+# Number of samples for the quantiles of a unit: the 0.99 quantile is between those of 0.9892 and 0.9908 in 95 of 100
+# cases.
 _MAX_SAMPLES = 60_000
 
-# Quantile up to which magnitudes are usual: larger ones may be fireflies.
+# Quantile of magnitudes that counts as usual: larger ones may be fireflies.
 _USUAL_QUANTILE = 0.99
 
-# A level that so many of the numbers share, and that is no further above the usual ones, is white: noise was cut off.
+# Minimum share of the numbers at one level, and its maximum ratio to usual values, for the level to be a white point,
+# at which noise was clipped.
 _SHARED_WHITE, _NEAR_WHITE = 1e-3, 2.0
 
-# Room for noise above usual values where there is no white level. Of two synthetic pictures in light with noise in
+# Headroom for noise above usual values if there is no white point. For two synthetic pictures in light, with noise in
 # proportion to it, errors with 0.9 and 1.05 are up to twice those with 1.2; with 1.5 they are the same.
 _HEADROOM = 1.2
 
-# Lamps and skies are no measure: usual values are so many times the mean at most, which is of values as they are seen.
-# With 3 % of lamps a thousand times as bright, noise of 14 % elsewhere becomes 1.8 %, and stays without that.
-# Nor are values that vary by less than this part of them, such as temperatures in kelvin, but their range, as far as
-# rounding to single precision (6e-8) is far below what counts as noise (2e-3 of the unit).
+# Usual values are at most `_MAX_CONTRAST` times the mean of values raised to `_PERCEIVED`, so that lamps and skies are
+# ignored. With 3 % of lamps that are a thousand times as bright, noise of 14 % elsewhere becomes 1.8 %; without the
+# limit it stays. If values vary by less than their size divided by `_MAX_CONTRAST`, such as temperatures in kelvin, the
+# unit is their range. It is at least `_MIN_RANGE` of their size, so that rounding to single precision (6e-8) is far
+# below what counts as noise (2e-3 of the unit).
 _MAX_CONTRAST, _PERCEIVED, _MIN_RANGE = 8.0, 1 / 2.4, 1e-3
 
 
@@ -36,7 +39,7 @@ def unit_of_vertices(vertices: ColouredVertices, channels: Sequence[int], *, are
     full, rows = vertices.full_scale, vertices.colours
     is_whole = vertices.stored.startswith(("uint", "int")) or full in INTEGER_SCALES
     joined = np.full(len(rows), not len(vertices.faces))
-    joined[vertices.faces] = True  # vertices in no triangle stay
+    joined[vertices.faces] = True  # isolated vertices are not changed
     places = np.flatnonzero(joined)
     values = rows[places[:: 1 + len(places) // _MAX_SAMPLES]][:, channels]
     return value_unit(
@@ -47,9 +50,9 @@ def unit_of_vertices(vertices: ColouredVertices, channels: Sequence[int], *, are
 def unit_of_pictures(
     pictures: Sequence[Picture], values_of: Callable[[Picture, Int64s], Float32s], *, are_data: bool
 ) -> float:
-    """Return the common unit of pictures, whose stored colours at pixels `values_of` returns."""
+    """Return the common unit of pictures; `values_of` returns their stored colours at pixels."""
     if len({picture.encoding for picture in pictures}) != 1:
-        return 1.0  # nothing that they have in common
+        return 1.0  # integers and floats have no common unit
     kinds = [picture.pixels.dtype for picture in pictures]
     step = max(0.0 if kind.kind == "f" else 1 / np.iinfo(kind).max for kind in kinds)
     if any(kind == np.uint8 for kind in kinds):
@@ -64,10 +67,10 @@ def unit_of_pictures(
 
 
 def value_unit(values: Array, step: float, *, is_display: bool) -> float:
-    """Return the number that stands for full scale where noise is judged, by which colours are divided before.
+    """Return the divisor of colours that makes full scale 1 for judging noise.
 
-    It is proportional to the values, so that nothing depends on their unit. `step`: the difference of successive
-    integers, 0 of floats; a unit has 255 of them. Numbers of 8 bits keep their full scale, which is 1.
+    It is proportional to the values, so that nothing depends on their unit. `step`: difference of successive integers,
+    0 for floats; a unit has at least 255 steps. Values of 8 bits keep their full scale of 1.
     """
     least, finite = BYTE * step, values[np.isfinite(values)]
     if least >= 1 or not finite.any() or (is_display and holds_bytes(finite)):

@@ -1,4 +1,4 @@
-"""Colours of vertices as samples: of a mesh, of points on the surface that they lie on, or of a range image."""
+"""Colours of vertices as samples: on a mesh, on a surface fitted to points, or on the grid of a range image."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ from beltrami_cli.surface.large_arrays import blocks, copy_of, kept
 from beltrami_cli.surface.reconstruction import faces_of_points
 from beltrami_cli.surface.records import ColouredVertices, SampledSurface
 
-# Kernels from which the mean number of samples is estimated, within a few per cent, in milliseconds.
+# Number of kernels for an estimate of the mean number of samples, accurate to a few per cent within milliseconds.
 _PROBED_KERNELS = 1000
 
 
@@ -71,16 +71,16 @@ def describe_colours(vertices: ColouredVertices) -> dict[str, object]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class VertexLayer(Layer):
-    """The common part of vertices on a mesh and on a grid."""
+    """Common base of vertices on a mesh and on a grid."""
 
     part: ClassVar[Part] = "vertices"
 
     vertices: ColouredVertices
     settings: SmoothSettings
     guides: Sequence[Guide] = ()
-    noise: Float32s | None = None  # standard deviations, with a row for each vertex
-    in_triangles: bool = False  # vertices in no triangle have no colour
-    stored_unit: float = 1.0  # the number that is 1 in the working space
+    noise: Float32s | None = None  # standard deviations, one row per vertex
+    in_triangles: bool = False  # whether isolated vertices have no colour
+    stored_unit: float = 1.0  # stored number that becomes 1 in the working space
     channels: ChosenChannels = field(init=False)
     names: tuple[str, ...] = field(init=False)
 
@@ -139,14 +139,14 @@ def change_of(vertices: ColouredVertices, colours: Float32s) -> Change:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MeshLayer(VertexLayer):
-    """Vertices of a mesh; points without triangles are sampled on the surface that they lie on."""
+    """Vertices of a mesh; points without triangles are sampled on a surface fitted to them."""
 
     label = "vertex colours"
 
-    fits_surface: bool = True  # to vertices without any triangles
-    # Returns the number of the photograph that each vertex is from, by the attribute that has it.
+    fits_surface: bool = True  # to vertices without triangles
+    # Returns the number of each vertex's photograph from the attribute that stores it.
     photographs_of: Callable[[str | None], Int64s] | None = None
-    levelled_colours: Float32s | None = None  # of the samples without exposure steps, (S, N)
+    levelled_colours: Float32s | None = None  # (S, N): colours of samples without exposure steps
     level_report: LevelReport | None = None
 
     @property
@@ -160,17 +160,17 @@ class MeshLayer(VertexLayer):
 
     @cached_property
     def joined(self) -> ColouredVertices:
-        """The vertices with triangles: from the file, or of the surface that is fitted to points."""
+        """The vertices with triangles, from the file or of the surface fitted to points."""
         return with_surface(self.vertices, self.settings) if self._is_cloud else self.vertices
 
     @cached_property
     def sampling(self) -> VertexSampling:
-        # Points stay apart that rounding alone distinguishes: triangles between points have no open borders.
+        # Points that only rounding distinguishes are not merged: triangles between points have no open borders.
         return sample_vertices(dataclasses.replace(self.joined, faces=self.vertices.faces))
 
     @cached_property
     def _stored(self) -> Float32s:
-        """The colours of the samples as the file has them, in the working space, shape (S, N)."""
+        """Stored colours of the samples in the working space, shape (S, N)."""
         colours = to_space(
             self.joined.colours[:, self.channels.sampled], self.joined.encoding, self.settings.space,
             self.stored_unit,
@@ -181,11 +181,11 @@ class MeshLayer(VertexLayer):
         if self.levelled_colours is not None:
             return self
         made = self._in_unit_of(self.joined)
-        vars(made)["joined"] = self.joined  # which takes long to find
+        vars(made)["joined"] = self.joined  # expensive to compute
         return made
 
     def surface(self) -> SampledSurface:
-        """Return the sampled surface; it is made when it is needed, since it is as large as the file."""
+        """Return the sampled surface, made on demand, since it is as large as the file."""
         surface = self.sampling.surface(self.joined, self._stored)
         levelled = self.levelled_colours
         return surface if levelled is None else dataclasses.replace(surface, colours=levelled)
@@ -243,7 +243,7 @@ class MeshLayer(VertexLayer):
             counts = {"points": vertices, "samples": samples, "coincident_points": vertices - places}
             return {**counts, **dataclasses.asdict(count_cloud(self.joined))}
         surface = self.surface()
-        # The position of each place: a hard colour edge is no boundary of the surface.
+        # Position of each place; a hard colour edge is not a boundary of the surface.
         positions = np.empty((places, surface.positions.shape[1]))
         positions[place_of] = surface.positions
         return {
@@ -279,7 +279,7 @@ class MeshLayer(VertexLayer):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GridLayer(VertexLayer):
-    """Colours on a grid: the vertices of a range image, or the pixels of an image that is no file."""
+    """Colours on a grid: vertices of a range image, or pixels of an image that is not in a file."""
 
     label = "range image"
 
@@ -350,7 +350,7 @@ class GridLayer(VertexLayer):
 
 
 def require_surface(vertices: ColouredVertices, name: str) -> None:
-    """Raise InputError if no triangles join the vertices of a file."""
+    """Raise InputError if the vertices of a file have no triangles."""
     if not len(vertices.faces):
         raise InputError(
             name,
@@ -361,16 +361,16 @@ def require_surface(vertices: ColouredVertices, name: str) -> None:
 
 @dataclass(frozen=True)
 class CloudCounts:
-    """Triangles around points, each in the tangent plane, and points without any, which keep their colours."""
+    """Numbers of triangles between points, each in a tangent plane, and of points without any, left unchanged."""
 
     triangles: int
     outliers: int
 
 
 def with_surface(vertices: ColouredVertices, settings: SmoothSettings) -> ColouredVertices:
-    """Return coloured vertices with their triangles, or else with triangles of the surface through the points."""
-    # Points too far from all others, or in one line with them, are in no triangle; nor are those without a finite
-    # position, which then is the centre of the others.
+    """Return coloured vertices with their triangles, or with triangles of a surface fitted to the points."""
+    # Points too far from all others, or on one line with them, are in no triangle. The same holds for points without a
+    # finite position, which are put at the centre of the others.
     if len(vertices.faces):
         return vertices
     if settings.embedding.smooth_geometry:
@@ -391,7 +391,7 @@ def with_surface(vertices: ColouredVertices, settings: SmoothSettings) -> Colour
 
 
 def count_cloud(surface: ColouredVertices) -> CloudCounts:
-    """Count what `with_surface` found between points."""
+    """Count the triangles and isolated points of `with_surface`."""
     joined = np.zeros(len(surface.positions), bool)
     joined[surface.faces] = True
     return CloudCounts(len(surface.faces), int(np.count_nonzero(~joined)))
@@ -408,7 +408,7 @@ def coloured_rows(vertices: ColouredVertices, *, in_triangles: bool = False) -> 
 
 
 def without_others(vertices: ColouredVertices, rows: NDArray[np.intp]) -> ColouredVertices:
-    """Return some of the vertices, in ascending order, with the triangles that have all corners among them."""
+    """Select vertices, in ascending order, and the triangles with all corners among them."""
     if len(rows) == len(vertices.positions):
         return vertices
     number = np.full(len(vertices.positions), -1, np.int32)
@@ -420,7 +420,7 @@ def without_others(vertices: ColouredVertices, rows: NDArray[np.intp]) -> Colour
 def only_rows(
     vertices: ColouredVertices, rows: NDArray[np.integer[Any]], faces: Int32s | None = None
 ) -> ColouredVertices:
-    """Return some of the vertices, with triangles of these, or none."""
+    """Select vertices and triangles between them, or none."""
     return dataclasses.replace(
         vertices,
         positions=vertices.positions[rows],

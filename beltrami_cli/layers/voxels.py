@@ -1,4 +1,4 @@
-"""A level set with colours as a document: triangulated, then smoothed and written like any mesh."""
+"""A level set with colours as a document, which is triangulated, then smoothed and written like a mesh."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from beltrami_cli.surface.records import ColouredVertices, Encoding, MeshContent
 
 Source = reconstruction.GridColours | reconstruction.NearColours
 
-# More crossed grid edges are due to noise or a wrong level; and marching cubes counts in 32 bits.
+# More crossed grid edges are due to noise or a wrong level; marching cubes counts in 32 bits.
 MAX_CROSSINGS = 1 << 26
-_BYTES_OF_VOXEL = 16  # its value in double precision, its colour, and what marching cubes takes
+_BYTES_OF_VOXEL = 16  # value in double precision, colour, and memory of marching cubes
 
 
 def _find_colours(
@@ -48,7 +48,7 @@ def _find_colours(
 def _colours_at(
     source: Source, lattice: reconstruction.Lattice, known: Bools, positions: Float64s, threads: int
 ) -> Float64s:
-    """Return the colours of vertices, shape (V, 3), as they are stored; voxels that are not `known` supply none."""
+    """Return the stored colours of vertices, shape (V, C); voxels that are not `known` supply none."""
     if isinstance(source, reconstruction.GridColours):
         own = source.lattice
         same = source.samples.shape[:3] == known.shape
@@ -61,7 +61,7 @@ def _colours_at(
 def _scaled(
     source: Source, stored: Float64s, found: Bools, name: str
 ) -> tuple[Float32s, Float32s | None, list[str]]:
-    """Return colours and opacity of full scale 1, white where nothing is found, and what users should know."""
+    """Return colours and opacity of full scale 1, white where there are none, and notices."""
     width = 3 if stored.shape[1] >= 3 else 1
     samples = source.samples.reshape(-1, source.samples.shape[-1])
     require_single(samples, name, "the colour of sample", holes=True)
@@ -71,14 +71,14 @@ def _scaled(
         scale, notice = 1.0, ""
     elif kind in ("uint8", "uint16"):
         scale, notice = integer_scale(int(source.samples.max(initial=0)), kind)
-    else:  # of other types it is derived from usual values
+    else:  # for other types full scale is derived from usual values
         scale, notice = full_scale(stored[found, :width], name)
     notices += [notice] if notice else []
     colours = np.where(found[:, None], stored[:, :width] / scale, 1.0).astype(np.float32)
     alpha = None
     if stored.shape[1] > width:
         opacity = stored[:, width] / (scale if stored[found, width].max() > 1 else 1.0)
-        # Vertices without a colour belong to the surface.
+        # Vertices without a colour are still part of the surface.
         alpha = np.where(found, np.clip(opacity, 0, 1), 1.0).astype(np.float32)
     if not found.all():
         bare = int(len(found) - np.count_nonzero(found))
@@ -88,7 +88,7 @@ def _scaled(
 
 
 class LevelSetDocument(Document):
-    """The triangulated surface of a volume; vertices without a known colour are white and stay as they are."""
+    """The triangulated surface of a volume; vertices of unknown colour are white and are not changed."""
 
     format: ClassVar[str] = "level set"
     kind: ClassVar[str] = "volume"
@@ -145,7 +145,7 @@ def read_level_set(
     stored = source.samples.dtype.name
     if isinstance(source, reconstruction.NearColours):
         encoding, stored = source.encoding, source.stored or stored
-    whole = np.ascontiguousarray(faces[found[faces].all(axis=1)])  # whose corners have colours
+    whole = np.ascontiguousarray(faces[found[faces].all(axis=1)])  # triangles whose corners have colours
     offsets = np.arange(0, faces.size + 1, 3, dtype=np.int64)
     made = LevelSetDocument(
         name,
@@ -162,11 +162,11 @@ def read_level_set(
 def _triangulated(
     volume: reconstruction.Volume, known: Bools, level: float, inside: Inside, name: str
 ) -> tuple[Float64s, Int32s]:
-    """Return the surface, in units of the grid, facing outwards in space."""
+    """Return the surface in units of the grid, facing outwards in space."""
     values = volume.values
     if (
         4 * values.shape[1] * values.shape[2] > np.iinfo(np.int32).max
-    ):  # marching cubes counts four to each sample
+    ):  # marching cubes counts four per sample
         raise InputError(name, f"the grid of {values.shape} is too large in y and z", "cut it in pieces")
     crossings = reconstruction.find_crossings(values, level, known)
     if crossings.count > MAX_CROSSINGS:
@@ -179,13 +179,13 @@ def _triangulated(
         low, high = _range(values, known)
         cause = f"there is no surface at level {level:g}; the values go from {low:g} to {high:g}"
         raise InputError(name, cause, "choose another --iso")
-    # Triangles face larger values where the grid is right-handed in space.
+    # Triangles face larger values if the axes of the grid are right-handed.
     mirrored = np.linalg.det(volume.lattice.axes) < 0
     return vertices, faces[:, ::-1] if (inside == "above") != mirrored else faces
 
 
 def _range(values: Array, known: Bools) -> tuple[float, float]:
-    """Return the smallest and the largest known value; NaN if there is none."""
+    """Return the least and the largest known value; NaN if there is none."""
     first = int(np.argmax(known))
     if not known.flat[first]:
         return np.nan, np.nan

@@ -1,1 +1,1 @@
-"""Exposure steps at the seams of a surface: found, distinguished from edges of colour, and removed."""
+"""Exposure steps at the seams of a surface: detection, distinction from edges of colour, and removal."""

@@ -1,8 +1,8 @@
-"""Colours without exposure steps, if there are any. The mean of all that is changed stays.
+"""Correction of exposure steps, which preserves the mean of the corrected colours.
 
-Hues at the borders of charts, where JPEG mixed them with colours beyond, are continued from further inside: a decoder
-interpolates halved colour, so that texels near a border have some of the colour beyond it, which may be of another
-exposure. Brightness is stored for each texel, and stays as it is.
+JPEG mixes hues at the borders of charts with colours beyond: a decoder interpolates subsampled chroma, so that texels
+near a border contain some of the colour beyond it, which may have another exposure. Such hues are extrapolated from
+further inside the chart. Brightness is stored for each texel, and is not extrapolated.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ LUMA = np.array([0.299, 0.587, 0.114])  # of BT.601, as JPEG has it
 
 @dataclass(frozen=True)
 class SeamFacts:
-    """The seams between different charts: how many, which have steps, and how large these are in the median."""
+    """The number of seams between different charts, of those with steps, and the median of the steps."""
 
     seams: int = 0
     stepped: int = 0
@@ -55,12 +55,12 @@ class SeamFacts:
 
 @dataclass(frozen=True)
 class Levelled:
-    """Findings on exposure steps; without exposures nothing is to be changed."""
+    """Findings on exposure steps; `exposures` is None if nothing is to be changed."""
 
     verdict: Verdict | None
     exposures: Exposures | None
     facts: SeamFacts
-    groups: Indices  # (charts,): charts that are joined by seams without outliers
+    groups: Indices  # (charts,): group of each chart; seams without outliers join charts
 
 
 def judge_steps(steps: Steps, fixed: Bools | None = None) -> Verdict | None:
@@ -71,7 +71,7 @@ def judge_steps(steps: Steps, fixed: Bools | None = None) -> Verdict | None:
 def find_exposures(
     steps: Steps, verdict: Verdict | None, strength: float, fixed: Bools | None = None
 ) -> Levelled:
-    """Find the exposures of charts, if the verdict is that there are any; `fixed` charts stay as they are."""
+    """Fit the exposures of charts if the verdict is that there are any; `fixed` charts are not changed."""
     if not steps.between.any():
         return Levelled(None, None, SeamFacts(), np.arange(steps.charts))
     if verdict is None:
@@ -100,7 +100,7 @@ def _facts(steps: Steps, found: Exposures, strength: float) -> SeamFacts:
 
 
 class Correction:
-    """Takes exposures out of colours, by a strength from 0 to 1."""
+    """Removes exposures from colours, with a strength in [0, 1]."""
 
     def __init__(self, levelled: Levelled, strength: float, fixed: Bools | None = None) -> None:
         assert levelled.exposures is not None
@@ -112,7 +112,7 @@ class Correction:
         self._is_free = self._moved & ~np.isin(levelled.groups, levelled.groups[fixed])
 
     def of(self, colours: Float32s, charts: Indices, places: Float64s) -> Float32s:
-        """Return the colours, shape (K, N), at places in charts without the exposures."""
+        """Return the corrected colours, shape (K, N), at places in charts."""
         factor, offset = self._found.at(charts, places)
         moved = self._moved[charts]
         after = np.empty_like(colours)
@@ -122,10 +122,10 @@ class Correction:
         return after
 
     def keep_means(self, count: int, samples: Samples) -> float:
-        """Let the mean of charts that are not joined to fixed ones stay; return the mean change, 0 if too small to see.
+        """Preserve the mean of charts that are not joined to fixed ones; return the mean change, 0 if invisible.
 
-        Groups of charts share that mean, also if no seam joins them. To keep the mean of each would keep the exposures
-        of its largest charts, and that all terms are drawn to 0 is the better guess.
+        Groups of charts share one mean, even if no seam joins them. Preserving the mean of each group would preserve
+        the exposures of its largest charts; that all terms are drawn to 0 is the better guess.
         """
         areas, change = np.zeros(len(self._shift)), np.zeros_like(self._shift)
         for charts, difference in self._changes(count, samples):
@@ -138,7 +138,7 @@ class Correction:
         return mean_change if mean_change >= BYTE_STEP / 2 else 0.0
 
     def _changes(self, count: int, samples: Samples) -> Iterator[tuple[Indices, Float64s]]:
-        """Yield the charts of evenly spread samples, and how their colours change."""
+        """Yield the charts of evenly spread samples, and the change of their colours."""
         rows = np.arange(0, count, max(1, count // large_arrays.BLOCK))
         for block in large_arrays.blocks(len(rows), large_arrays.CACHED):
             colours, charts, places = samples(rows[block])
@@ -148,14 +148,14 @@ class Correction:
 def level_canvas(
     atlas: Atlas, planes: Float32s, strength: float, fixed: Bools | None, spans: Sequence[int] = ()
 ) -> tuple[Levelled, float]:
-    """Take exposures out of planes, shape (N, R, C), in place; return also the mean change, 0 if they stay.
+    """Remove exposures from planes, shape (N, R, C), in place; return also the mean change, 0 without a correction.
 
-    `spans`: on how many texels, at most, a stored colour of each texture is; brightness has one for each.
+    `spans`: the maximum number of texels per stored hue of each texture; brightness is stored for every texel.
     """
     places, flat = ChartPlaces.of(atlas), planes.reshape(len(planes), -1)
     steps = steps_over_seams(atlas, planes, places)
     verdict = judge_steps(steps, fixed)
-    # Hues continued over more texels are less sure: whether there are exposures at all, mixed ones must tell, too.
+    # Hues extrapolated over more texels are less certain; mixed hues, too, must show whether there are exposures.
     if verdict is not None and verdict.is_sure and max(spans, default=1) > 1:
         mixed = mixed_cells(atlas, spans)
         before = continue_hues(atlas, planes, mixed, max(spans))
@@ -181,7 +181,7 @@ def level_canvas(
 def level_mesh(
     positions: Float64s, faces: Int32s, colours: Float32s, photographs: Int64s, strength: float
 ) -> tuple[Levelled, float, Float32s]:
-    """Take exposures out of the colours of vertices, shape (S, N), each of one photograph."""
+    """Remove exposures from the colours of vertices, shape (S, N), each from one photograph."""
     steps, charts, places = steps_over_edges(positions, faces, colours.astype(np.float64), photographs)
     found = find_exposures(steps, judge_steps(steps), strength)
     if found.exposures is None:
@@ -192,7 +192,7 @@ def level_mesh(
 
 
 def mixed_cells(atlas: Atlas, spans: Sequence[int]) -> Int64s:
-    """Return the owned cells, as flat indices, so near the border of a chart that a decoder mixed their hue."""
+    """Return the owned cells (flat indices) so close to a border of a chart that a decoder mixed their hue."""
     found, (rows, columns), reach = [np.zeros(0, np.int64)], atlas.kind.shape, max(spans)
     for band in large_arrays.blocks(rows, ROWS):
         first = max(0, band.start - reach)
@@ -207,10 +207,10 @@ def mixed_cells(atlas: Atlas, spans: Sequence[int]) -> Int64s:
 
 
 def continue_hues(atlas: Atlas, planes: Float32s, cells: Int64s, span: int) -> Float32s:
-    """Give the mixed cells of red, green and blue the hue that those behind them lead to; return what they had."""
+    """Replace the hue of mixed cells by that extrapolated from the cells behind; return the old colours."""
     flat, limits = planes.reshape(len(planes), -1), limits_of(planes)
     before = flat[:, cells]
-    # The chart, counted from 1, of each cell that is not mixed.
+    # The chart of each cell that is not mixed, counted from 1.
     clear = large_arrays.zeros(flat.shape[1], np.int32)
     for block in large_arrays.blocks(len(atlas.owned_cells), large_arrays.SCATTERED):
         clear[atlas.owned_cells[block]] = atlas.chart_of[block] + 1
@@ -227,10 +227,10 @@ def continue_hues(atlas: Atlas, planes: Float32s, cells: Int64s, span: int) -> F
 def _continued(
     flat: Float32s, clear: Int32s, cells: Int64s, charts: Int32s, columns: int, span: int
 ) -> tuple[Float64s, Bools]:
-    """Return the colours at cells, by linear regression on those around that are not mixed, and where these suffice."""
+    """Extrapolate colours to cells by linear regression on nearby unmixed cells; return also where these suffice."""
     moments = np.zeros((len(cells), 3, 3))
     products = np.zeros((len(cells), 3, len(flat)))
-    reach = 2 * span + 1  # as far again as colours are mixed
+    reach = 2 * span + 1  # twice the width of mixed colours
     for down, right in np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1).T.tolist():
         at = (cells + down * columns + right).clip(0, flat.shape[1] - 1)
         rows = np.flatnonzero(clear[at] == charts)

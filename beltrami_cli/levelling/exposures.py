@@ -38,20 +38,20 @@ from beltrami_cli.levelling.steps import PARTS, STRETCH, Steps, deviations, weig
 from beltrami_cli.surface.atlas import Indices
 from beltrami_cli.surface.grouping import connected
 
-# Expected deviations of the gains and offsets of cameras; and, where gains change linearly over charts, also of tilts.
+# Expected deviations of gains and offsets of cameras; and, if gains vary linearly over charts, also of tilts.
 SPREADS = {"plain": (0.1, 0.03), "tilted": (0.05, 0.02, 0.06, 0.06)}
-# Deviations beyond which a step is an outlier: larger than cameras make, or an edge of colour along the seam.
+# Number of deviations beyond which a step is an outlier: larger than cameras make, or an edge of colour along the seam.
 OUTLIER = 2.5
-# Scales of the weights, narrowed to 1 and kept there; in the last third seams of outliers are left out.
+# Scales of the weights, narrowed to 1 and kept there; in the last third, seams of outliers are left out.
 SCALES = (4.0, 2.8, 2.0, 1.4, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
 # Of the F-test. At 0.975 no model without exposure steps is changed, and all exposures of the fox are found; at 0.99
 # clipped ones are missed: bench_levelling.py.
 CONFIDENCE = 0.975
-# Seams have a step that is more than rounding of both sides and so many deviations of its error. Exposures make steps
-# on nearly all seams; up to 0.11 of their length has some on the samples, which have no exposures.
+# A seam has a step if it exceeds the rounding of both sides and so many deviations of its error. Exposures make steps
+# on nearly all seams; on the samples, which have no exposures, up to 0.11 of the length of seams has some.
 VISIBLE, BEYOND_NOISE = 2 * BYTE_STEP, 3.0
 MIN_STEPPED = 0.05
-# A test ends early where the whole one would end otherwise only at an error of so many standard deviations.
+# A test ends early if only an error of so many standard deviations could reverse the result.
 CURTAILMENT = 3.0
 # Means of so many standard deviations above 0 have that confidence.
 NORMAL_QUANTILE = 1.96
@@ -61,20 +61,21 @@ MIN_CORRELATION = 0.15
 # Up to so many seams are held out singly, and more in `PARTS` folds: of the fox, 8 folds of its 19 seams leave too few
 # to predict the others; of 66 and more seams, 8 suffice. Of as few, no test ends early.
 FEW_SEAMS = 32
-# Seams that close loops over charts. Of fewer, too few are predicted by others, and parts of seams are held out.
+# Minimum number of seams that close loops of charts. With fewer, too few are predicted by others, and parts of seams
+# are held out.
 MIN_LOOPS = 4
 
 
 @dataclass(frozen=True)
 class Exposures:
-    """The terms of charts, and how far the stretches of seams agree with them."""
+    """The exposure terms of charts, and the agreement of the stretches of seams with them."""
 
     terms: Float64s  # (N, charts, 2 or 4): gain - 1, offset, tilts of the gain along rows and columns
-    weights: Float64s  # (K,): 1 where sides agree, 1/4 at an outlier, towards 0 where an edge of colour is
+    weights: Float64s  # (K,): 1 where sides agree, 1/4 at an outlier, near 0 at an edge of colour
 
     @classmethod
     def none(cls, steps: Steps, terms: int = 2) -> Exposures:
-        """Return the exposures of charts that differ in none, with which all stretches agree."""
+        """Return equal exposures of all charts, with weights of 1."""
         return cls(np.zeros((steps.colours.shape[2], steps.charts, terms)), np.ones(len(steps.seams)))
 
     def at(self, charts: Indices, places: Float64s) -> tuple[Float64s, Float64s]:
@@ -94,12 +95,12 @@ class Exposures:
         return np.stack(found, axis=1)
 
     def are_outliers(self, steps: Steps) -> Bools:
-        """Return for each stretch whether its seam has outliers for steps on the whole."""
+        """Return for each stretch whether the steps of its seam are mostly outliers."""
         return steps.means(self.weights, steps.seams)[steps.seams] < 1 / 4
 
 
 def fit_exposures(steps: Steps, spread: tuple[float, ...], fixed: Bools | None = None) -> Exposures:
-    """Fit the terms of all charts, which deviate from 0 by `spread`; `fixed` charts have none."""
+    """Fit the terms of all charts, whose deviation from 0 is `spread`; `fixed` charts have terms of 0."""
     found = Exposures.none(steps, len(spread))
     if not len(steps.seams):
         return found
@@ -112,7 +113,7 @@ def fit_exposures(steps: Steps, spread: tuple[float, ...], fixed: Bools | None =
         noise = deviations(steps, sides)
         squares = np.where(known, np.square(sides[:, 1] - sides[:, 0]), 0).sum(axis=1)
         squares /= np.maximum(known.sum(axis=1), 1)
-        # A seam that varies far more than others do is an outlier.
+        # A seam that varies far more than others is an outlier.
         limit = OUTLIER * weighted_median(noise, steps.counts) if is_settled else np.inf
         allowed = np.square(scale * OUTLIER * np.minimum(noise, limit))
         weights = np.where(used & known.any(axis=1), 1 / np.square(1 + squares / allowed), 0)
@@ -127,15 +128,15 @@ def fit_exposures(steps: Steps, spread: tuple[float, ...], fixed: Bools | None =
 def known_steps(steps: Steps, sides: Float64s) -> Bools:
     """Return where corrected sides must agree, shape (K, N).
 
-    A clipped colour is a bound of the true one, and says nothing about a side within it.
+    A clipped colour is only a bound of the true one, and does not constrain a side within it.
     """
     low, high = steps.low, steps.high
-    may_rise, may_fall = high[:, 0] | low[:, 1], low[:, 0] | high[:, 1]  # of the first side
+    may_rise, may_fall = high[:, 0] | low[:, 1], low[:, 0] | high[:, 1]  # the first side
     return np.asarray(~np.where(sides[:, 0] < sides[:, 1], may_rise, may_fall))
 
 
 def may_be_exposure(steps: Steps) -> Bools:
-    """Return which stretches have steps that cameras could make, shape (K,)."""
+    """Return which stretches have steps of a size that cameras make, shape (K,)."""
     gain, offset = SPREADS["plain"]
     step = steps.colours[:, 1] - steps.colours[:, 0]
     expected = 2 * (np.square(gain * steps.colours.max(axis=1)) + offset**2)
@@ -143,7 +144,7 @@ def may_be_exposure(steps: Steps) -> Bools:
 
 
 def squared_steps(steps: Steps, sides: Float64s, units: Int64s) -> Float64s:
-    """Return the squared mean step of each unit of stretches, in which noise is averaged away."""
+    """Return the squared mean step of each unit of stretches; the mean reduces noise."""
     step = np.where(known_steps(steps, sides), sides[:, 1] - sides[:, 0], 0)
     return np.asarray(np.mean([np.square(steps.means(each, units)) for each in step.T], axis=0))
 
@@ -151,18 +152,18 @@ def squared_steps(steps: Steps, sides: Float64s, units: Int64s) -> Float64s:
 def _solved(
     steps: Steps, found: Exposures, weights: Float64s, spread: tuple[float, ...], fixed: Bools | None
 ) -> Float64s:
-    """Return the terms, shape (N, charts, terms), that explain steps of weights of shape (K, N).
+    """Solve for the terms, shape (N, charts, terms), that explain steps with weights of shape (K, N).
 
-    Tilts are common to all channels, as in vignetting, so that channels are solved for together.
+    Tilts are common to all channels, as with vignetting, so that channels are solved for together.
     """
     from scipy.sparse import csr_array, diags_array
     from scipy.sparse.linalg import splu
 
     colours, (channels, charts, terms) = found.sides(steps).mean(axis=1), found.terms.shape
     unknowns = 2 * channels + terms - 2  # of a chart
-    own = np.empty((channels, terms), np.int64)  # which of them the terms of a channel are
+    own = np.empty((channels, terms), np.int64)  # indices of a channel's terms among them
     own[:, :2], own[:, 2:] = np.arange(2 * channels).reshape(-1, 2), np.arange(2 * channels, unknowns)
-    # A row is the sum of the terms of both sides, with the first side's negated.
+    # A row sums the terms of both sides, with those of the first side negated.
     rows = np.ones((len(colours), channels, 2, terms))
     rows[..., 0] = colours[:, :, None]
     by_gain = colours[:, :, None] * (1 + found.terms[:, steps.ends, 0].transpose(1, 0, 2))
@@ -176,7 +177,7 @@ def _solved(
     system, by_weight = (csr_array((each.ravel(), columns, starts), shape) for each in (rows, weighted))
     drawn = np.tile(np.r_[np.tile(spread[:2], channels), spread[2:]], charts) ** -2.0
     matrix = (system.T @ by_weight + diags_array(drawn)).tocsc()
-    # Panels of one column, as of a matrix so sparse: up to twice as fast as by default.
+    # A panel size of one column suits so sparse a matrix: up to twice as fast as the default.
     symmetric = {"SymmetricMode": True}
     factors = splu(matrix, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, panel_size=1, options=symmetric)
     solved = factors.solve(by_weight.T @ (steps.colours[:, 1] - steps.colours[:, 0]).ravel())
@@ -185,14 +186,14 @@ def _solved(
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the held-out seams say."""
+    """Result of the test on held-out seams."""
 
-    spread: tuple[float, ...]  # the expected deviations of the terms that explain most
-    share: float  # of the mean step that one exposure per chart explains
-    confidence: float  # of the F-test, that exposures made the steps
-    correlation: float  # mean, of the changes of colour along both sides of a seam
-    is_flat: bool  # whether most of the length of seams has no pattern
-    is_clear: bool  # whether the seams that have not been held out could hardly change it
+    spread: tuple[float, ...]  # expected deviations of the terms of the better model
+    share: float  # of the mean step explained by one exposure per chart
+    confidence: float  # of the F-test, that exposures cause the steps
+    correlation: float  # mean correlation of the colours along both sides of a seam
+    is_flat: bool  # whether seams have no pattern on most of their length
+    is_clear: bool  # whether seams not yet held out could hardly change the result
 
     @property
     def is_rejected(self) -> bool:
@@ -201,22 +202,22 @@ class Verdict:
 
     @property
     def is_sure(self) -> bool:
-        """Whether there are exposure steps, across which patterns continue if there are any."""
+        """Whether there are exposure steps, with patterns, if any, that continue across them."""
         return self.confidence >= CONFIDENCE and (self.is_flat or self.correlation >= MIN_CORRELATION)
 
 
 def have_steps(steps: Steps) -> bool:
-    """Return whether enough of the length of seams between charts has steps for these to be of exposures."""
+    """Whether enough of the length of seams between charts has steps for these to be due to exposures."""
     between, noise = steps.part(steps.between), np.square(deviations(steps, steps.colours))[steps.between]
     _, seam, stretches = np.unique(between.seams, return_inverse=True, return_counts=True)
-    error = np.bincount(seam, noise) / stretches / np.minimum(stretches, PARTS)  # squared, of the mean step
+    error = np.bincount(seam, noise) / stretches / np.minimum(stretches, PARTS)  # squared, of the mean
     limit = np.maximum(VISIBLE**2, BEYOND_NOISE**2 * error)
     is_stepped = squared_steps(between, between.colours, seam) > limit
     return bool(np.average(is_stepped[seam], weights=between.counts) >= MIN_STEPPED)
 
 
 def judge(steps: Steps, fixed: Bools | None = None) -> Verdict:
-    """Test by cross-validation whether exposures explain the steps at seams, and whether gains change over charts."""
+    """Test by cross-validation whether exposures explain the steps, and whether gains vary within charts."""
     held, verdicts = _HeldOut.of(steps), dict[tuple[float, ...], Verdict]()
     folds, sides = np.unique(held.folds), {spread: held.steps.colours.copy() for spread in SPREADS.values()}
     for fold in folds:
@@ -237,17 +238,17 @@ def judge(steps: Steps, fixed: Bools | None = None) -> Verdict:
 
 
 def _gains(before: Float64s, after: Float64s) -> Float64s:
-    """Return how far squared steps fall: 1 to 0, 0 if they stay, -1 from 0."""
+    """Return the relative reduction of squared steps: 1 to 0, 0 if unchanged, -1 from 0."""
     return np.asarray((before - after) / np.maximum(before + after, np.finfo(float).tiny))
 
 
 @dataclass(frozen=True)
 class _HeldOut:
-    """Stretches between different charts, and what they are held out with and tested as."""
+    """Stretches between different charts, their folds of cross-validation, and the units of the test."""
 
     whole: Steps
     folds: Int64s  # of all stretches
-    steps: Steps  # those between charts
+    steps: Steps  # stretches between charts
     units: Int64s  # (K,): the units of the test, numbered from 0
     weights: Float64s  # (units,): texels
     inflation: float  # of the variance of their mean evidence, relative to independent units
@@ -255,7 +256,7 @@ class _HeldOut:
 
     @classmethod
     def of(cls, steps: Steps) -> _HeldOut:
-        """Hold out seams, or the parts of seams, which share errors, where few seams close a loop."""
+        """Assign folds to seams, or to parts of seams, which share errors, if few seams close a loop."""
         between, inflation = steps.between, 2.0
         seams, first, number = np.unique(steps.seams, return_index=True, return_inverse=True)
         pairs = steps.ends[first][between[first]]
@@ -270,13 +271,13 @@ class _HeldOut:
         return cls(steps, folds, steps.part(between), units, weights, inflation)
 
     def predict(self, sides: Float64s, fold: int, spread: tuple[float, ...], fixed: Bools | None) -> None:
-        """Take the exposures that the other folds say out of the stretches of a fold in `sides`."""
+        """Correct the stretches of a fold in `sides` by the exposures fitted to the other folds."""
         held = self.folds == fold
         rows = held[self.whole.between]
         sides[rows] = fit_exposures(self.whole.part(~held), spread, fixed).sides(self.steps.part(rows))
 
     def up_to(self, fold: int) -> _HeldOut:
-        """Return the test of the units of the first folds."""
+        """Return the test restricted to the units of the first folds."""
         is_held = np.zeros(len(self.weights), bool)
         is_held[self.units] = self.folds[self.whole.between] <= fold
         weights = self.weights * is_held
@@ -284,12 +285,12 @@ class _HeldOut:
 
     @property
     def count(self) -> float:
-        """The number of units of equal weight that say as much."""
+        """Effective number of units: that of equal weights with the same information."""
         squares = float(np.square(self.weights).sum())
         return float(np.square(self.weights.sum())) / squares if squares else 0.0
 
     def mean(self, evidence: Float64s) -> tuple[float, float]:
-        """Return the mean evidence and the variance of its error."""
+        """Return the mean evidence and its variance."""
         total, count = self.weights.sum(), self.count
         mean = float(self.weights @ evidence / total)
         spread = float(np.square(self.weights * (evidence - mean)).sum()) / total**2
@@ -297,7 +298,7 @@ class _HeldOut:
         return mean, max(variance, np.finfo(float).tiny)
 
     def confidence(self, evidence: Float64s) -> float:
-        """Return the confidence that the mean evidence is above 0, by an F-test."""
+        """Return the confidence, by an F-test, that the mean evidence is positive."""
         from scipy.special import fdtr
 
         mean, variance = self.mean(evidence)
@@ -306,7 +307,7 @@ class _HeldOut:
         return (1 + float(fdtr(1, self.count - 1, mean**2 / variance))) / 2
 
     def is_clear(self, evidence: Float64s, needed: float) -> bool:
-        """Return whether it is clear on which side of `needed` errors the mean of all evidence will be."""
+        """Whether the final mean evidence is clearly above or below `needed` errors."""
         mean, variance = self.mean(evidence)
         left = abs(mean / np.sqrt(variance) - needed * np.sqrt(self.share))
         return bool(left >= CURTAILMENT * np.sqrt(1 - self.share))
@@ -338,7 +339,7 @@ class _HeldOut:
         )
 
     def continuity(self, sides: Float64s) -> tuple[Float64s, Bools]:
-        """Return for each unit the correlation of the changes along its two sides, and whether there are any."""
+        """Return for each unit the correlation of colours along its two sides, and whether they vary."""
         follows = self.units[1:] == self.units[:-1]
         unit, changes = self.units[1:][follows], np.diff(sides, axis=0)[follows]
         count = np.maximum(np.bincount(unit, minlength=len(self.weights)), 1)
@@ -346,7 +347,7 @@ class _HeldOut:
         def mean(values: Float64s) -> Float64s:
             return np.stack([np.bincount(unit, each, len(count)) / count for each in values.T], axis=1)
 
-        # Slopes, as of gains that change over charts, make no pattern; neither does rounding.
+        # Slopes, as of gains that vary over charts, are not patterns; neither is rounding.
         first, second = (side - mean(side)[unit] for side in changes.transpose(1, 0, 2))
         both, one, other = (mean(each).mean(axis=1) for each in (first * second, first**2, second**2))
         correlation = both / np.sqrt((one + BYTE_STEP**2) * (other + BYTE_STEP**2))

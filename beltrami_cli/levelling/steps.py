@@ -1,4 +1,4 @@
-"""Colours on both sides of the seams of a surface, averaged over short stretches, and the places of these in charts."""
+"""Colours on both sides of seams, averaged over short stretches, and the positions of these in their charts."""
 
 from __future__ import annotations
 
@@ -14,41 +14,40 @@ from beltrami_cli.surface.atlas import Atlas, Indices, at_seam, lines_over_seams
 from beltrami_cli.surface.colour_values import limits_of
 from beltrami_cli.surface.grouping import connected, edges_of
 
-# Side of the blocks of cells whose steps are averaged, which is doubled until there are few enough stretches.
+# Side of the blocks of cells over which steps are averaged, doubled until there are few enough stretches.
 STRETCH = 4
-# Stretches of all seams, at most: the time of a fit is proportional to them.
+# Maximum number of stretches of all seams, to which the time of a fit is proportional.
 MAX_STRETCHES = 24_000
-# Independent measurements in a seam, at most: its texels share errors.
+# Maximum number of independent measurements in a seam: its texels share errors.
 PARTS = 8
-# What slopes of colours are drawn to 0 by, as a share of the spread of the samples that they are known from.
+# Prior precision of slopes at 0, as a share of the spread of the samples from which they are estimated.
 RIDGE = 0.005
 
 
 @dataclass(frozen=True)
 class Steps:
-    """Stretches of seams, K of them in the order of seams, and the colours of their two sides."""
+    """K stretches of seams, sorted by seam, with the colours of their two sides."""
 
     charts: int
     ends: Int64s  # (K, 2): the charts on the two sides, the one with the lower number first
     colours: Float64s  # (K, 2, N)
-    places: Float64s  # (K, 2, 2): in the charts, about their centres, of deviation 1/2
-    seams: Int64s  # (K,): the seam that a stretch is of
-    counts: Float64s  # (K,): texels in it
-    low: Bools  # (K, 2, N): where colours of a side were clipped at 0, so that these are upper bounds
-    high: Bools  # (K, 2, N): where they were clipped at full scale
+    places: Float64s  # (K, 2, 2): position in both charts, about the centre, of deviation 1/2
+    seams: Int64s  # (K,): the seam of each stretch
+    counts: Float64s  # (K,): number of texels
+    low: Bools  # (K, 2, N): colours clipped at 0, which are upper bounds
+    high: Bools  # (K, 2, N): colours clipped at full scale, which are lower bounds
 
     @property
     def between(self) -> Bools:
-        """Which stretches lie between different charts, shape (K,)."""
+        """Which stretches are between different charts, shape (K,)."""
         return np.asarray(self.ends[:, 0] != self.ends[:, 1])
 
     def part(self, rows: Bools) -> Steps:
-        """Return some of the stretches."""
         charts, *others = (getattr(self, each.name) for each in fields(self))
         return Steps(charts, *(each[rows] for each in others))
 
     def oriented(self) -> Steps:
-        """Return the same with the sides swapped where the first chart has the higher number."""
+        """Swap the sides of stretches whose first chart has the higher number."""
         is_swapped = self.ends[:, 0] > self.ends[:, 1]
         sides = {name: getattr(self, name).copy() for name in ("ends", "colours", "places", "low", "high")}
         for values in sides.values():
@@ -56,20 +55,20 @@ class Steps:
         return replace(self, **sides)
 
     def parts(self) -> Int64s:
-        """Return the part of a seam that each stretch is in, `PARTS` numbers for each seam, in equal parts."""
+        """Return the part of each stretch, among `PARTS` equal parts of its seam."""
         lengths = np.bincount(self.seams)
         within = np.arange(len(self.seams)) - (np.cumsum(lengths) - lengths)[self.seams]
         return np.asarray(self.seams * PARTS + within * PARTS // np.maximum(lengths, PARTS)[self.seams])
 
     def means(self, values: Float64s | Bools, units: Int64s) -> Float64s:
-        """Return the means of values of stretches over units, by texels; 0 where a unit has none."""
+        """Return the means of values over units of stretches, weighted by texels; 0 for empty units."""
         texels = np.bincount(units, self.counts)
         return np.asarray(np.bincount(units, values * self.counts) / np.maximum(texels, 1))
 
 
 @dataclass(frozen=True)
 class ChartPlaces:
-    """Where samples lie in their charts: about the centre, in units of twice the deviation."""
+    """Positions of samples in their charts: about the centre, in units of twice the deviation."""
 
     centre: Float64s  # (charts, 2)
     scale: Float64s  # (charts, 2)
@@ -85,18 +84,18 @@ class ChartPlaces:
     def around(
         cls, middle: Float64s, charts: int, samples: Iterable[tuple[Indices, Float64s]]
     ) -> ChartPlaces:
-        """Measure charts by the charts and positions of all samples, in units of the sample spacing."""
+        """Measure charts by the positions of their samples, in units of the sample spacing."""
         sums = np.zeros((charts, 5))
         for chart_of, positions in samples:
             values = positions - middle
             columns = [None, *values.T, *np.square(values).T]
             sums += np.column_stack([np.bincount(chart_of, each, charts) for each in columns])
         means = sums[:, 1:] / np.maximum(sums[:, :1], 1)
-        variance = np.maximum(means[:, 2:] - np.square(means[:, :2]), 1.0)  # of one sample at least
+        variance = np.maximum(means[:, 2:] - np.square(means[:, :2]), 1.0)  # at least that of one sample
         return cls(means[:, :2] + middle, 2 * np.sqrt(variance))
 
     def at(self, positions: Float64s, charts: Indices) -> Float64s:
-        """Return the places of samples in their charts, shape (K, 2)."""
+        """Return the positions of samples within their charts, shape (K, 2)."""
         return np.asarray((positions - self.centre[charts]) / self.scale[charts])
 
 
@@ -134,14 +133,14 @@ def steps_over_seams(atlas: Atlas, planes: Float32s, places: ChartPlaces) -> Ste
 
 
 def _ordered(keys: Int64s) -> tuple[Int64s, Int64s]:
-    """Return the order of rows, and where in that order each different one begins."""
+    """Return the sort order of rows, and the index in it where each distinct row begins."""
     order = np.lexsort(keys.T[::-1])
     is_new = np.any(np.diff(keys[order], axis=0) != 0, axis=1)
     return order, np.flatnonzero(np.r_[True, is_new][: len(order)])
 
 
 def _with_less_error(steps: Steps) -> Steps:
-    """Take the colours at the seam, or halfway to the means of the lines, which have less noise, but slopes."""
+    """Use the colours at the seam, or halfway to line means, which have less noise but are biased by slopes."""
     exact, means = np.split(steps.colours, 2, axis=2)
     sharp, soft = (replace(steps, colours=each) for each in (exact, (exact + means) / 2))
     by_slopes = np.zeros(len(steps.seams))
@@ -153,14 +152,14 @@ def _with_less_error(steps: Steps) -> Steps:
 
 
 def _both_sides(atlas: Atlas, planes: Float32s) -> tuple[Int64s, Int64s, Float64s, Bools, Bools]:
-    """Return the cells on both sides of seams, the colours there, and which of these were clipped at 0 or 1.
+    """Return the cells on both sides of seams, the colours there, and which of these are clipped at 0 or 1.
 
     Colours are those at the seam, and the means of the lines that lead to it.
     """
     flat = planes.reshape(len(planes), -1)
     inner, outer, colours, low, high = [], [], [], [], []
     is_known, (floor, ceiling) = np.zeros(max(1, atlas.seams), bool), limits_of(planes)
-    for reach in (3, 1):  # charts may be too narrow for lines of three cells
+    for reach in (3, 1):  # one cell if charts are too narrow for three
         measured = []
         for line in lines_over_seams(atlas, reach):
             seams = atlas.halo_seams[np.searchsorted(atlas.halo_cells, line[reach])]
@@ -179,22 +178,22 @@ def _both_sides(atlas: Atlas, planes: Float32s) -> tuple[Int64s, Int64s, Float64
 
 
 def deviations(steps: Steps, sides: Float64s) -> Float64s:
-    """Return for each stretch the deviation of steps between corrected sides along its seam, shape (K,)."""
+    """Return the deviation of corrected steps along the seam of each stretch, shape (K,)."""
     if not len(steps.seams):
         return np.zeros(0)
     lengths = np.bincount(steps.seams)
     middles = np.minimum(np.cumsum(lengths) - lengths + lengths // 2, len(steps.seams) - 1)
 
     def medians(values: Float64s) -> Float64s:
-        # Complex numbers are sorted by their real parts first: four times as fast as `lexsort`.
+        # `sort` orders complex numbers by their real part first: four times as fast as `lexsort`.
         return np.asarray(np.sort(steps.seams + 1j * values).imag[middles])
 
     found = np.zeros(len(lengths))
     for column in (sides[:, 1] - sides[:, 0]).T:
         found += medians(np.abs(column - medians(column)[steps.seams]))
-    found *= 1.4826 / sides.shape[2]  # the deviation of normal numbers by the median of their sizes
+    found *= 1.4826 / sides.shape[2]  # standard deviation of a normal variable from its median magnitude
     usual = weighted_median(found[steps.seams], steps.counts)
-    # Of few stretches little is known, so that they are taken for usual ones.
+    # A seam of few stretches gets the usual deviation.
     whole = np.sqrt((lengths * np.square(found) + PARTS * usual**2) / (lengths + PARTS))
     return np.asarray(np.maximum(whole, BYTE_STEP)[steps.seams])
 
@@ -209,15 +208,15 @@ def weighted_median(values: Float64s, weights: Float64s) -> float:
 def steps_over_edges(
     positions: Float64s, faces: Int32s, colours: Float64s, photographs: Int64s
 ) -> tuple[Steps, Indices, Float64s]:
-    """Measure the steps over edges of a mesh between photographs; also return each vertex' chart and place in it.
+    """Measure the steps over mesh edges between photographs; return also the chart and position of vertices.
 
-    A chart is what edges join of one photograph.
+    A chart is a connected part of one photograph.
     """
     edges = np.unique(np.sort(edges_of(faces), axis=1), axis=0).astype(np.int64)
     inside = edges[photographs[edges[:, 0]] == photographs[edges[:, 1]]]
     charts = connected(len(positions), inside)
     count = int(charts.max(initial=-1)) + 1
-    # Places on the plane of the two directions in which all is longest, in mean lengths of edges.
+    # Positions on the plane of the two principal directions, in mean edge lengths.
     spacing = float(np.linalg.norm(np.diff(positions[edges], axis=1), axis=2).mean()) or 1.0
     centred = (positions - positions.mean(axis=0)) / spacing
     flat = centred @ np.linalg.eigh(centred.T @ centred)[1][:, -2:]
@@ -240,12 +239,12 @@ def steps_over_edges(
 
 
 def _slopes(positions: Float64s, colours: Float64s, edges: Int64s) -> Float64s:
-    """Return the slope of colours at each vertex, shape (S, 3, N), by least squares over its edges."""
+    """Return the slopes of colours at each vertex, shape (S, 3, N), by least squares over its edges."""
     directions = positions[edges[:, 1]] - positions[edges[:, 0]]
     rises = colours[edges[:, 1]] - colours[edges[:, 0]]
     spreads = np.zeros((len(positions), 3, 3))
     products = np.zeros((len(positions), 3, colours.shape[1]))
-    for side in (0, 1):  # both signs of an edge give the same products
+    for side in (0, 1):  # reversed edges have the same products
         np.add.at(spreads, edges[:, side], directions[:, :, None] * directions[:, None, :])
         np.add.at(products, edges[:, side], directions[:, :, None] * rises[:, None, :])
     size = np.trace(spreads, axis1=1, axis2=2)

@@ -42,8 +42,8 @@ from beltrami_cli.surface.incidence import Neighbours
 from beltrami_cli.surface.large_arrays import Droppable, kept
 from beltrami_cli.surface.records import SampledSurface
 
-# Ratio of path lengths along edges to straight ones: up to 1.16 on a triangular lattice, and hardly more than half of
-# that excess elsewhere. Samples missed by that are at the ends of kernels, where weights are least.
+# Ratio of path lengths along edges to straight ones: up to 1.16 on a triangular lattice, and seldom more than 1.5
+# elsewhere. Samples missed by that are at the ends of kernels, where weights are least.
 _STRETCH = 1.5
 
 # Margin of a chunk beyond its kernels, in sample spacings: the triangles around the last samples determine the reach of
@@ -275,7 +275,7 @@ class MeshManifold(Manifold):
         return new if moving is None else dataclasses.replace(new, positions=mesh.in_order(moving.positions))
 
     def _perturbations(self, colours: Float32s, around: NDArray[np.uint64], count: int) -> Float32s:
-        """Return random stacks like the noise, by nearby colours: signs, or noise that neighbours share."""
+        """Draw random stacks from nearby colours: signs, or noise that is correlated like that of the colours."""
         if self.noise.is_independent:
             return random_signs(colours, around, count)
         covariances = self.noise.covariances
