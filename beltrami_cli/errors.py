@@ -115,7 +115,7 @@ def end_with_parent(parent: int, number: int = signal.SIGKILL) -> None:
             os.kill(os.getpid(), number)
 
 
-def unhandled_endings() -> set[int]:
+def unhandled_signals() -> set[int]:
     """Return the signals that would end this process; ignored ones, as under nohup, are left out."""
     ends = (signal.SIG_DFL, signal.default_int_handler)
     return {number for number in ENDING_SIGNALS if signal.getsignal(number) in ends}

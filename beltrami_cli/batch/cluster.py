@@ -20,7 +20,7 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from beltrami_cli.batch.item import Attempt, Item, do_item
-from beltrami_cli.batch.storage import place_of
+from beltrami_cli.batch.storage import canonical_path
 from beltrami_cli.batch.workers import Lost, Pool, Task
 from beltrami_cli.errors import ProcessingError, install_hint
 from beltrami_cli.fields import with_files
@@ -190,7 +190,7 @@ def portable(item: Item) -> Item:
     source = item.source if is_url(item.source) else str(Path(item.source).absolute())
     # A guide may be something else than a file.
     settings = with_files(item.settings, lambda name: str(Path(name).absolute()) if is_file(name) else name)
-    return dataclasses.replace(item, source=source, target=place_of(item.target), settings=settings)
+    return dataclasses.replace(item, source=source, target=canonical_path(item.target), settings=settings)
 
 
 # ---- on a worker

@@ -183,5 +183,5 @@ def _made(item: Item, access: Access, progress: Progress | None, chunking: Chunk
         report = smooth_file(item.source, item.target, item.settings, job, unwrap=item.unwrap)
         if item.again and not item.overwrite:
             files.keep_equal()
-        files.put_in_place()
+        files.commit()
     return report

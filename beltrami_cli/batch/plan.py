@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from typing import Any
 
-from beltrami_cli.batch.storage import find, is_glob, joined, place_of, without_scheme
+from beltrami_cli.batch.storage import canonical_path, find, is_glob, joined, without_scheme
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import (
     MANIFEST,
@@ -102,21 +102,21 @@ def _found(text: str, out_dir: str, suffixes: Collection[str]) -> list[tuple[str
     """
     root, found = find(text)
     if root:
-        inner, outer = PurePath(place_of(out_dir)), PurePath(place_of(root))
+        inner, outer = PurePath(canonical_path(out_dir)), PurePath(canonical_path(root))
         results = inner if inner != outer and inner.is_relative_to(outer) else None
         found = [
             (source, place)
             for source, place in found
             if (is_glob(text) or place.suffix.lower() in suffixes)
             and not any(part.startswith(".") for part in place.parts)
-            and (results is None or not PurePath(place_of(source)).is_relative_to(results))
+            and (results is None or not PurePath(canonical_path(source)).is_relative_to(results))
         ]
     if not found:
-        raise InputError(text, *_why_empty(text))
+        raise InputError(text, *_no_files_reason(text))
     return found
 
 
-def _why_empty(text: str) -> tuple[str, str]:
+def _no_files_reason(text: str) -> tuple[str, str]:
     """Return the cause and the remedy where a folder or a glob gives no file to smooth."""
     path = Path(text)
     images = {each.suffix.lower() for each in path.glob("*")} if path.is_dir() else set[str]()
@@ -129,8 +129,8 @@ def _why_empty(text: str) -> tuple[str, str]:
 def _refuse_clashes(requests: Iterable[Request]) -> None:
     known: dict[str, Request] = {}
     for request in requests:
-        place = place_of(request.target)
-        if place_of(request.source) == place:
+        place = canonical_path(request.target)
+        if canonical_path(request.source) == place:
             raise UsageError(f"{request.source} would be replaced by its own output; give a --suffix")
         other = known.setdefault(place, request)
         if other is not request:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import get_args
 
 from beltrami_cli.batch.item import Item, Outcome, Status
-from beltrami_cli.batch.storage import exists, hash_at, place_of, require_name
+from beltrami_cli.batch.storage import canonical_path, exists, hash_at, require_name
 from beltrami_cli.errors import InputError, OutputError
 from beltrami_cli.formats.access import (
     is_there,
@@ -54,11 +54,11 @@ class Record:
         self._output.overwrite = True  # from now on it is ours
 
     def latest(self, item: Item) -> Outcome | None:
-        return self._latest.get(place_of(item.target))
+        return self._latest.get(canonical_path(item.target))
 
     def add(self, outcome: Outcome) -> None:
         """Write a line, and wait until it is on the disk."""
-        self._latest[place_of(outcome.output)] = outcome
+        self._latest[canonical_path(outcome.output)] = outcome
         try:
             with Path(self.path).open("a", encoding="utf-8") as file:
                 file.write(_line(outcome))
@@ -69,7 +69,7 @@ class Record:
 
     def close(self, outcomes: Iterable[Outcome]) -> None:
         """Rewrite the report with one line per file: earlier files first, then this run's in order."""
-        now = {place_of(outcome.output): outcome for outcome in outcomes}
+        now = {canonical_path(outcome.output): outcome for outcome in outcomes}
         earlier = {place: outcome for place, outcome in self._latest.items() if place not in now}
         lines = [_line(each).encode() for each in (*earlier.values(), *now.values())]
         self._output.write(Written(main=lines))
@@ -79,13 +79,15 @@ def is_done(item: Item, outcome: Outcome | None) -> bool:
     """Whether an earlier run did the item, and nothing that it depends on has changed since."""
     if outcome is None or outcome.status not in ("done", "skipped"):
         return False
-    same = outcome.parameters_sha256 == item.parameters and place_of(item.source) == place_of(outcome.input)
+    same = outcome.parameters_sha256 == item.parameters and canonical_path(item.source) == canonical_path(
+        outcome.input
+    )
     return same and _holds(outcome.read) and _holds(outcome.written)
 
 
-def is_ours(outcome: Outcome | None) -> bool:
+def is_own_output(outcome: Outcome | None) -> bool:
     """Whether the files at the place of an output are as an earlier run left them, and may be replaced."""
-    if outcome is None or place_of(outcome.output) not in outcome.written:
+    if outcome is None or canonical_path(outcome.output) not in outcome.written:
         return False
     return _holds({name: digest for name, digest in outcome.written.items() if exists(name)})
 
@@ -115,8 +117,8 @@ def _read_record(path: str) -> dict[str, Outcome]:
                         break
                     cause = f"line {number} is not of a report of beltrami batch"
                     raise InputError(path, cause, "leave out --resume, or choose another --report") from None
-                latest.pop(place_of(outcome.output), None)
-                latest[place_of(outcome.output)] = outcome
+                latest.pop(canonical_path(outcome.output), None)
+                latest[canonical_path(outcome.output)] = outcome
     except OSError as error:
         raise unreadable(path, error) from error
     return latest

@@ -14,7 +14,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s
 from beltrami_cli.batch.item import Attempt, Item, Outcome, do_item, failed, outcome_of
-from beltrami_cli.batch.record import Record, is_done, is_ours
+from beltrami_cli.batch.record import Record, is_done, is_own_output
 from beltrami_cli.batch.storage import exists, make_folder_of
 from beltrami_cli.batch.workers import Lost, Pool, Processes, Task
 from beltrami_cli.errors import OutputError, ProcessingError
@@ -116,7 +116,7 @@ class Batch:
     def _started(self, key: int, workers: Workers) -> set[int]:
         """Begin with an item; return it, unless it failed already."""
         item, earlier = self._items[key], self._earlier[key]
-        overwrite = item.overwrite or is_ours(earlier)
+        overwrite = item.overwrite or is_own_output(earlier)
         # By an earlier run, or by this one in a process that died.
         latest = self._record.latest(item)
         again = latest is not None and latest.status == "started"

@@ -40,8 +40,8 @@ def require_name(name: object) -> str:
     return name
 
 
-def place_of(name: str) -> str:
-    """Return what two names of one file have in common: its resolved path, or its URL."""
+def canonical_path(name: str) -> str:
+    """Return the canonical name of a file: its resolved path, or its URL."""
     return name if is_url(name) else os.path.realpath(name)
 
 

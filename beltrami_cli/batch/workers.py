@@ -22,7 +22,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, Protocol
 
-from beltrami_cli.errors import ProcessingError, end_with_parent, unhandled_endings
+from beltrami_cli.errors import ProcessingError, end_with_parent, unhandled_signals
 from beltrami_cli.formats.image.opening import scratch_file
 from beltrami_cli.jobs.progress import at_intervals
 
@@ -231,7 +231,7 @@ def _without_interrupts() -> Iterator[None]:
 # ---- in a worker process
 def serve(pipe: Connection[Any, Any], path: Path) -> None:
     """Do the tasks that come through a channel until it is closed."""
-    for number in unhandled_endings():
+    for number in unhandled_signals():
         signal.signal(number, lambda number, _: sys.exit(128 + number))
     if (leader := multiprocessing.parent_process()) is not None and leader.pid is not None:
         end_with_parent(leader.pid, signal.SIGTERM)  # which lets it remove its files

@@ -25,13 +25,13 @@ from beltrami_cli.errors import BeltramiError, InputError
 from beltrami_cli.formats.access import is_url
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.view.words import (
+    advice_in_words,
     choice_in_words,
     doubt_in_words,
     noise_in_words,
     noise_of,
     noise_of_255,
-    way_out,
-    why_left,
+    reason_in_words,
 )
 
 _SUMMARY = 20  # lines
@@ -50,7 +50,7 @@ def info(sources: tuple[str, ...], as_json: bool, verbose: int, **smoothing: Any
     from beltrami_cli.batch.plan import find_sources
     from beltrami_cli.jobs.inspect import inspect_file
     from beltrami_cli.jobs.job import Job
-    from beltrami_cli.jobs.progress import one_of
+    from beltrami_cli.jobs.progress import each_with_progress
 
     settings = options.settings_from(smoothing)
     is_one = len(sources) == 1 and (sources[0] == "-" or is_url(sources[0]) or Path(sources[0]).is_file())
@@ -59,7 +59,7 @@ def info(sources: tuple[str, ...], as_json: bool, verbose: int, **smoothing: Any
     failures: list[BeltramiError] = []
     names = list(sources) if is_one else find_sources(sources)
     with Messages(quiet=False, verbose=0).progress() as progress:
-        for name, own in [(names[0], progress)] if is_one else one_of(names, "files", progress):
+        for name, own in [(names[0], progress)] if is_one else each_with_progress(names, "files", progress):
             try:
                 with options.reading_from(smoothing, name, is_one=is_one) as access:
                     facts = inspect_file(name, settings, Job(access, own))
@@ -183,7 +183,7 @@ def _choice(part: dict[str, Any]) -> str | None:
         return None
     if doubt_in_words(part, is_smoothed=False):  # which the noise is described by
         return "nothing to smooth"
-    return f"nothing to smooth: {why_left(part)}{way_out(part)}"
+    return f"nothing to smooth: {reason_in_words(part)}{advice_in_words(part)}"
 
 
 # Parameters that concern the averages, while this command looks at the kernel only.

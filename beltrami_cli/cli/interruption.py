@@ -11,7 +11,7 @@ from collections.abc import Callable
 from types import FrameType
 from typing import ClassVar
 
-from beltrami_cli.errors import unhandled_endings
+from beltrami_cli.errors import unhandled_signals
 
 _DUPLICATE = 1.0  # seconds in which another signal is the same wish, and would only disturb the tidying
 # Seconds until a signal is sent again whose exception was dropped: longer than most destructors take.
@@ -62,7 +62,7 @@ class Interruptible:
     def _start(self) -> None:
         Interruption.last = None
         sys.unraisablehook = self._send_again
-        self._signals = unhandled_endings()
+        self._signals = unhandled_signals()
         for number in self._signals:
             signal.signal(number, self._interrupt)
 

@@ -19,7 +19,7 @@ from beltrami_cli.fields import of_255, show_size
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.settings import BakeSettings, NoiseSettings
 from beltrami_cli.layers.settings import DEFAULTS, BakeTo, LevelSettings, SmoothSettings
-from beltrami_cli.view.words import doubt_in_words, noise_of, way_out, why_left
+from beltrami_cli.view.words import advice_in_words, doubt_in_words, noise_of, reason_in_words
 
 if TYPE_CHECKING:
     from beltrami_cli.jobs.output import Output
@@ -134,11 +134,13 @@ def _show_done(
         return
     if not is_smoothed:
         others = "all other colours" if done.wrong_samples.get("replaced") else "the colours"
-        messages.say(f"{what}, {why_left(part)}, so {others} are left as they are{way_out(part)}")
+        messages.say(
+            f"{what}, {reason_in_words(part)}, so {others} are left as they are{advice_in_words(part)}"
+        )
     elif any(done.noise.values()):
         messages.say(f"{what}, noise {noise_of(part)} removed{moved}")
     else:
-        messages.say(f"{what}, {why_left(part)}, smoothed all the same{moved}")
+        messages.say(f"{what}, {reason_in_words(part)}, smoothed all the same{moved}")
 
 
 def _show_unchanged(messages: Messages, report: SmoothReport, *, unwrapped: bool, dry_run: bool) -> None:
@@ -215,7 +217,7 @@ def _written(
             preview.draw()
         for file in report_files:
             file.write(Written(main=[(json.dumps(asdict(report), indent=2) + "\n").encode()]))
-        files.put_in_place()
+        files.commit()
     return report
 
 

@@ -58,7 +58,7 @@ def plan_on_canvas(
 
 def decodes_again(wanted: KernelParameters) -> bool:
     """Whether JPEG pictures may be decoded again."""
-    return wanted.evens_noise and not wanted.fast
+    return wanted.stabilises_noise and not wanted.fast
 
 
 def _sigma_before(

@@ -28,7 +28,7 @@ def estimate_on_mesh(mesh: ColouredMesh) -> MeshColours:
     graph = geometry.graph(channels.T, mesh.resources)
     noise = estimate_noise(
         channels, VertexClusters(graph), wanted.given_noise,
-        varies=wanted.evens_noise and mesh.moving is None, strength=wanted.strength,
+        varies=wanted.stabilises_noise and mesh.moving is None, strength=wanted.strength,
         measured=None if mesh.deviations is None else relative_to_mean(mesh.deviations),
     )  # fmt: skip
     if noise.stabiliser is not None:
@@ -50,7 +50,7 @@ def estimate_on_canvas(canvas: ColouredCanvas) -> CanvasColours:
         relative[relative == 0] = 1  # empty cells
         measured = relative, sigma
     noise = estimate_noise(
-        planes, Grid(atlas.is_owned), wanted.given_noise, varies=wanted.evens_noise,
+        planes, Grid(atlas.is_owned), wanted.given_noise, varies=wanted.stabilises_noise,
         strength=wanted.strength, measured=measured,
     )  # fmt: skip
     if noise.stabiliser is not None:

@@ -300,7 +300,7 @@ class KernelParameters:
         return math.exp(min(iteration * math.log(self.beta_growth), MAX_GROWTH))
 
     @property
-    def evens_noise(self) -> bool:
+    def stabilises_noise(self) -> bool:
         """Whether the noise variance may be stabilised: not if beta is given, which refers to the input's colours."""
         return self.is_open and self.beta is None and "beta" in self.free
 

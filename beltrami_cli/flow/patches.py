@@ -32,7 +32,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.flow.corrections.clipping import ClippedChannels, normal_tables
-from beltrami_cli.flow.manifolds.blocks import at_same_time, block_rows, for_blocks, in_blocks
+from beltrami_cli.flow.manifolds.blocks import block_rows, for_blocks, in_blocks, in_parallel
 from beltrami_cli.flow.manifolds.domain import CoarseLevel, Domain, Mixing
 from beltrami_cli.flow.manifolds.manifold import Manifold, relative_variance
 from beltrami_cli.flow.mixing import NOISELESS, PERTURBATION, mixing_of, with_pilot
@@ -151,7 +151,7 @@ def _mix_in_place(
 
     sums = regions.gathered(2, terms, stacks[0], model.threads)
     weights, share, gain = _weigh(regions, sums, model.variance * regions.noise, _PRIORS["samples"])
-    at_same_time(move, model.threads, ((rows,) for rows in block_rows(stacks[0], regions.side)))
+    in_parallel(move, model.threads, ((rows,) for rows in block_rows(stacks[0], regions.side)))
     for stack in (results[0], responses[0]):
         manifold.geometry.refresh(stack)
     return share, gain

@@ -92,7 +92,7 @@ def choose_parameters(
     light. Their mean radiance is preserved, unless beta is given.
     """
     light = None
-    if light_in is not None and wanted.evens_noise:
+    if light_in is not None and wanted.stabilises_noise:
         light = MeanLight.of(manifold, light_in)
         # Texels that no light path has reached are black; their noise was not clipped.
         wanted = dataclasses.replace(wanted, clipping="keep")

@@ -1,4 +1,4 @@
-"""Libraries that are not made for files that mean harm, in a process with a limit on memory and time."""
+"""Run libraries that malicious files can break in a process with a limit on memory and time."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ SlotsByPath = dict[tuple[str, tuple[tuple[str, ImageFile], ...]], list[Slot]]
 _LONGEST = 255  # bytes of a name, on all usual file systems
 
 
-def still_shown(what: str, image: str) -> str:
+def stale_use_notice(what: str, image: str) -> str:
     """Return the notice that something outside of the slots shows an image, and does not follow its new colours."""
     return f"{what} shows {image}, too, and keeps the old one: it may not be a colour."
 
@@ -70,9 +70,9 @@ class NewFiles:
         if self.copies:
             self.notices[f"'{name}' {_NOT_COPIED}"] = None
 
-    def keep_shown(self, what: str, path: str) -> None:
+    def note_stale_use(self, what: str, path: str) -> None:
         """Say that something goes on to show the old one of an image that is replaced."""
-        self.notices[still_shown(what, path)] = None
+        self.notices[stale_use_notice(what, path)] = None
 
     def written(self, main: Sequence[Bytes] = (), notices: Iterable[str] = ()) -> Written:
         """Return the collected files with a main file, or without it."""

@@ -263,7 +263,7 @@ def sidecars_of(mesh: MeshContents, name: str, stem: str) -> list[str]:
     return [*(stem + suffix for suffix in suffixes if suffix != ".*"), *images]
 
 
-def held_images(name: str) -> tuple[str, ...] | None:
+def image_suffixes(name: str) -> tuple[str, ...] | None:
     """Return the suffixes of the textures that a format can hold, empty for any; None: it has no textures."""
     line = _writer(name)
     return line.images if line.has_textures else None

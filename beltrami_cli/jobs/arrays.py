@@ -33,7 +33,7 @@ from beltrami_cli.layers.image_surface import ImageSurface
 from beltrami_cli.layers.layer import SlotReport, VertexReport
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings
 from beltrami_cli.layers.texture_layer import TextureLayer
-from beltrami_cli.layers.vertex_layer import CloudCounts, GridLayer, MeshLayer, count_cloud, without_others
+from beltrami_cli.layers.vertex_layer import CloudCounts, GridLayer, MeshLayer, count_cloud, restricted_to
 from beltrami_cli.surface.records import ColouredVertices, Encoding, Slot
 
 Progress = Callable[[int, int], None]
@@ -219,7 +219,7 @@ def smooth(
         raise UsageError(f"positions in {dimensions} dimensions need faces")
     rows = np.flatnonzero(np.isfinite(vertices.colours).all(axis=1))
     layer = MeshLayer(
-        vertices=without_others(vertices, rows), settings=settings, fits_surface=faces is None,
+        vertices=restricted_to(vertices, rows), settings=settings, fits_surface=faces is None,
         guides=[replace(guide, values=guide.values[rows]) for guide in guides],
         noise=None if noise is None else noise[rows],
     ).normalised()  # fmt: skip

@@ -128,7 +128,7 @@ def texture_from_vertices(
         return _rounded(_as_srgb(interpolated(corners, owners, weights), contents.encoding), dtype)
 
     pixels = bake(uv, size, shade, values.shape[1], dtype)
-    notices = tuple(_left_behind(contents))
+    notices = tuple(_lost_contents(contents))
     return NewTexture(contents.positions, faces, uv, space_of, pixels, charts, notices, contents.frame)
 
 
@@ -158,7 +158,7 @@ def texture_from_textures(
         return _rounded(seen[:, :channels], dtype)
 
     pixels = bake(made.uv, made.size, shade, channels, dtype)
-    notices = _what_textures_lose(document, old, pictures)
+    notices = _lost_of_textures(document, old, pictures)
     return NewTexture(
         old.positions, old.faces, made.uv, old.space_of, pixels, made.charts, notices, document.frame
     )
@@ -211,7 +211,7 @@ def _depth(contents: MeshContents) -> Depth:
     return np.uint8 if np.abs(levels - np.rint(levels)).max(initial=0) < _ON_A_LEVEL else np.uint16
 
 
-def _left_behind(contents: MeshContents) -> list[str]:
+def _lost_contents(contents: MeshContents) -> list[str]:
     left = [*contents.left_out, *(["normals"] if contents.normals is not None else [])]
     notices = [f"Not in the new file: {'; '.join(left)}."] if left else []
     if np.any(np.diff(contents.offsets) > 3):
@@ -221,7 +221,7 @@ def _left_behind(contents: MeshContents) -> list[str]:
     return notices
 
 
-def _left_of_textured(document: Document) -> tuple[str, ...]:
+def _lost_of_textured(document: Document) -> tuple[str, ...]:
     """Name what a textured model holds besides its triangles and the base colour."""
     mesh = document.textured_mesh()
     has_normals = mesh.corner_normals is not None or mesh.normals is not None
@@ -230,7 +230,7 @@ def _left_of_textured(document: Document) -> tuple[str, ...]:
     return (*found, *mesh.left_out, *document.hidden_places())
 
 
-def _what_textures_lose(document: Document, old: TexturedSurface, pictures: list[Picture]) -> tuple[str, ...]:
+def _lost_of_textures(document: Document, old: TexturedSurface, pictures: list[Picture]) -> tuple[str, ...]:
     what = f"{document.format.upper()} content other than triangles and the base colour"
     notices = [f"{what} is not in the new file.", *(f"Nor are {each}." for each in document.hidden_places())]
     if bare := int((old.texture_of < 0).sum()):
@@ -330,7 +330,7 @@ def _colours_from_textures(document: Document) -> tuple[MeshContents, tuple[str,
     surface = document.textured("baseColor")
     pictures = [read_texture(texture) for texture in surface.textures]
     corners, textured = surface.faces.ravel(), np.repeat(surface.texture_of >= 0, 3)
-    values, noise = _seen(surface, pictures)
+    values, noise = _corner_colours(surface, pictures)
     place = group_places(surface.positions, surface.space_of, surface.faces)[0][corners]
     uv = np.where(textured[:, None], surface.uv.reshape(-1, 2), 0.0)
     side, _ = group_equal_rows(place, np.repeat(surface.texture_of, 3), *uv.T)
@@ -345,7 +345,7 @@ def _colours_from_textures(document: Document) -> tuple[MeshContents, tuple[str,
         encoding=_encoding(pictures),
         stored=max((picture.stored for picture in pictures), key=_FINENESS.index),
         alpha=colours[:, 3] if any(picture.alpha is not None for picture in pictures) else None,
-        left_out=_left_of_textured(document),
+        left_out=_lost_of_textured(document),
         frame=document.frame,
     )
     notices, bare = [], int((~textured).sum()) // 3
@@ -360,7 +360,7 @@ def _encoding(pictures: Sequence[Picture]) -> Encoding:
     return "linear" if all(picture.encoding == "linear" for picture in pictures) else "srgb"
 
 
-def _seen(surface: TexturedSurface, pictures: Sequence[Picture]) -> tuple[Float64s, Float64s]:
+def _corner_colours(surface: TexturedSurface, pictures: Sequence[Picture]) -> tuple[Float64s, Float64s]:
     """Return red, green, blue and alpha at every corner, white where there is no texture, and their noise."""
     texture_of = np.repeat(surface.texture_of, 3)
     uv = surface.uv.reshape(-1, 2)

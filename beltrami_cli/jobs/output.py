@@ -116,7 +116,7 @@ class Output:
             return
         with self.files:
             self._stage(written)
-            self.files.put_in_place()
+            self.files.commit()
         self.overwrite = True  # the existing file is its own
 
     def _stage(self, written: Written) -> None:
@@ -197,7 +197,7 @@ class FileSet:
 
     def __init__(self, reads: Iterable[str] = ()) -> None:
         self._outputs: list[Output] = []
-        self._reads = {replacing.place_of(Path(name)) for name in reads if name != "-"}
+        self._reads = {replacing.canonical_path(Path(name)) for name in reads if name != "-"}
         self._guarded: set[str] = set()
         self._staged: dict[Path, replacing.TemporaryFile] = {}
         self._names: dict[Path, str] = {}  # that the user knows them by
@@ -234,7 +234,7 @@ class FileSet:
 
     def guard(self, names: Iterable[str]) -> None:
         """Let nothing replace these files, such as guides."""
-        self._guarded |= {replacing.place_of(Path(name)) for name in names}
+        self._guarded |= {replacing.canonical_path(Path(name)) for name in names}
         self.check()
 
     def watching(self, access: Access) -> Access:
@@ -243,12 +243,12 @@ class FileSet:
         def note(path: Path, data: bytes) -> None:
             if access.note is not None:
                 access.note(path, data)
-            self._reads.add(replacing.place_of(path))
+            self._reads.add(replacing.canonical_path(path))
             self.check()
 
         return dataclasses.replace(access, note=note)
 
-    def with_staged(self, access: Access) -> Access:
+    def with_staged_files(self, access: Access) -> Access:
         """Return what may be read, with the files that are written aside as if they were in place."""
         instead = {
             Path(os.path.realpath(path.parent), path.name): staged.temporary
@@ -261,7 +261,7 @@ class FileSet:
         taken: dict[str, str] = {}
         for output in sorted(self._outputs, key=lambda each: not each.is_result):
             for name, path in output.paths():
-                place = replacing.place_of(path)
+                place = replacing.canonical_path(path)
                 if place in taken:
                     raise _collision(output, name, taken[place])
                 if place in self._guarded or (place in self._reads and not output.is_result):
@@ -269,7 +269,7 @@ class FileSet:
                 taken[place] = output.what if name == output.target else f"a sidecar file of {output.what}"
 
     def stage(self, output: Output, files: Mapping[Path, Iterable[Bytes]]) -> None:
-        from beltrami_cli.surface.large_arrays import leave_memory
+        from beltrami_cli.surface.large_arrays import release_pages
 
         own = {output.path, *(output.path.parent / name for name in output.replaceable)}
         # The journal lies where the next run with the same OUTPUT looks first.
@@ -289,7 +289,7 @@ class FileSet:
                     self._replacing[path] = output
             except OSError as error:
                 raise _unwritable(output.target, error) from error
-            leave_memory()
+            release_pages()
 
     def _make_folder(self, folder: Path) -> None:
         missing = takewhile(lambda each: not each.exists(), (folder, *folder.parents))
@@ -310,7 +310,7 @@ class FileSet:
                 raise _unwritable(self._names[path], error) from error
             self._staged[path] = dataclasses.replace(staged, overwrite=False)
 
-    def put_in_place(self) -> None:
+    def commit(self) -> None:
         """Give all files their names; OutputError if that fails, and then all is as it was."""
         for write in self.streams:
             write()
@@ -320,7 +320,7 @@ class FileSet:
         try:
             with replacing.folders_locked(path.parent for path in order), replacing.signals_deferred():
                 if self._journal is not None:
-                    self._journal.put_together([self._replacing_newer(self._staged[path]) for path in order])
+                    self._journal.rename_all([self._replacing_newer(self._staged[path]) for path in order])
                 self._made_folders.clear()
                 self._remove_temporary()
         except OSError as error:

@@ -134,7 +134,7 @@ class Share(Work):
         self.forward(label, self.share())
 
 
-def one_of(
+def each_with_progress(
     items: Sequence[Item], noun: str, progress: Progress | None
 ) -> Iterator[tuple[Item, Progress | None]]:
     """Give items one after the other, each with the progress of the work on it."""

@@ -146,7 +146,7 @@ def begin(
     watch, output, access = Stopwatch(), None, job.access
     if not job.dry_run:
         output = Output(target, overwrite=job.overwrite, files=job.files)
-        output.files.guard(settings.files_besides(source))
+        output.files.guard(settings.input_files(source))
         access = output.files.watching(access)
     job.begin("reading")
     with watch.stage("read"):
@@ -348,7 +348,7 @@ def _files(
         if normals is not None and moved.normals is not None:
             normals = np.where(np.isnan(moved.normals), normals, moved.normals)
         mesh = replace(mesh, positions=moved.positions, normals=normals)
-    mesh, notices = with_suffixes(mesh, registry.held_images(kind.name) or ())
+    mesh, notices = with_suffixes(mesh, registry.image_suffixes(kind.name) or ())
     stem = naming.free_stem(partial(registry.sidecars_of, mesh, kind.name))
     written = registry.write_mesh(mesh, kind.name, stem)
     return replace(written, notices=(*notices, *written.notices))
@@ -363,7 +363,7 @@ def _is_new(document: Document, slot: Slot, key: str, image: ImageFile) -> bool:
 
 def _has_textures(document: Document, kind: OutputFormat) -> bool:
     """Whether textures are converted along with a document."""
-    return registry.held_images(kind.name) is not None and bool(document.readable(document.slots()))
+    return registry.image_suffixes(kind.name) is not None and bool(document.readable(document.slots()))
 
 
 def moved_vertices(document: Document, positions: Float64s) -> MovedVertices:

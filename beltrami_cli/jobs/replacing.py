@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.changes import Bytes
 
 _JOURNAL = re.compile(r"\.beltrami-[0-9a-f]{12}\.tmp")
-_COMMITTED = True  # as the last line of a journal: the set is complete, or undone
+_COMMITTED = True  # as the last line of a journal: the set is complete, or rolled back
 _LARGEST_JOURNAL = 1 << 26  # bytes: 10,000 files with paths of 4096 bytes
 _user = getattr(os, "geteuid", int)  # 0 where there are no users
 _OPEN_FLAGS = (
@@ -42,7 +42,7 @@ _OPEN_FLAGS = (
 )
 
 _BLOCK = 1 << 20  # bytes that are read back at a time
-_LOCK_TIMEOUT, _LOCK_POLL = 30.0, 0.02  # seconds that a run waits for another, and between two looks
+_LOCK_TIMEOUT, _LOCK_POLL = 30.0, 0.02  # seconds that a run waits for another, and between two attempts
 
 
 # Size and time of the last change of the content, which a file keeps when it is linked, renamed, or moved elsewhere.
@@ -93,7 +93,7 @@ class Journal:
             take_over(path, file.temporary)
         return file
 
-    def put_together(self, files: list[TemporaryFile]) -> None:
+    def rename_all(self, files: list[TemporaryFile]) -> None:
         """Give all files their names, in this order, or none; OSError names the file that cannot be put in place."""
         if len(files) < 2:  # one rename, which is done or not
             for file in files:
@@ -232,13 +232,13 @@ def _undo(files: Sequence[TemporaryFile]) -> OSError | None:
     failure = None
     for file in reversed(files):
         try:
-            _take_back(file)
+            _roll_back(file)
         except OSError as error:
             failure = error
     return failure
 
 
-def _take_back(file: TemporaryFile) -> None:
+def _roll_back(file: TemporaryFile) -> None:
     """Restore the previous file of a path, unless another process has replaced it meanwhile."""
     now = _identity_of(file.path)
     # Where there are no links, `_put_new` reserves a name by an empty file.
@@ -250,8 +250,8 @@ def _take_back(file: TemporaryFile) -> None:
         file.path.unlink()
 
 
-def place_of(path: Path) -> str:
-    """Return what two names of one place have in common."""
+def canonical_path(path: Path) -> str:
+    """Return the path that all names of a file share: absolute, without links, in one case."""
     place = os.path.normcase(os.path.realpath(path.parent) + os.sep + path.name)
     return place.casefold() if sys.platform == "darwin" else place
 

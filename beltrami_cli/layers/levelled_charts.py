@@ -99,7 +99,7 @@ def _report(what: str, found: Levelled, change: float, charts: Sequence[dict[str
     if verdict is None:
         reason = _NO_STEPS if facts.seams else _NO_SEAMS
     elif found.exposures is None:
-        reason = _why_not(verdict)
+        reason = _refusal_reason(verdict)
     exposures = []
     if found.exposures is not None:
         terms = np.round(found.exposures.terms, 5)
@@ -117,7 +117,7 @@ def _report(what: str, found: Levelled, change: float, charts: Sequence[dict[str
     )  # fmt: skip
 
 
-def _why_not(verdict: Verdict) -> str:
+def _refusal_reason(verdict: Verdict) -> str:
     share = f"{100 * verdict.share:.0f} %"
     explained = f"one exposure per chart explains {share} of the steps"
     if verdict.confidence >= CONFIDENCE:

@@ -28,7 +28,7 @@ from beltrami_cli.layers.settings import SLOTS, SmoothSettings, binding_paramete
 from beltrami_cli.layers.texture_layer import TextureLayer, choose_textures, only_textures
 from beltrami_cli.surface.geometry import coarse_rounding
 from beltrami_cli.surface.grouping import group_places
-from beltrami_cli.surface.large_arrays import kept_within
+from beltrami_cli.surface.large_arrays import arrays_in_files
 from beltrami_cli.surface.records import Slot, TexturedSurface, check_scale
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ class Selection:
                 if left < 0:
                     raise too_large(name, size)
         chunk = chunk_memory(len(self.document.coloured_vertices().colours), left) if self.vertices else None
-        with kept_within(
+        with arrays_in_files(
             left, Path(target).absolute().parent if target else None, in_chunks=chunk is not None
         ):
             yield chunk
@@ -205,7 +205,7 @@ def _select(document: Document, settings: SmoothSettings, access: Access) -> Sel
         missing = "vertex colours" if slots else "textures in the chosen slots"
         raise InputError(document.name, f"it has no {missing}", "use --on auto")
     if not slots:
-        raise _nothing_to_smooth(document, present, textures_only=settings.on == "texture")
+        raise _no_colours_error(document, present, textures_only=settings.on == "texture")
     absent, both = absent_slots(document, settings), settings.on == "both"
     if coloured and not both:
         absent.append("its vertex colours stay as they are; --on both smooths them too")
@@ -299,7 +299,7 @@ def _no_such_textures(document: Document, present: Sequence[Slot], wanted: Seque
     return NoColoursError(document.name, cause, f"give --slots {present[0]}")
 
 
-def _nothing_to_smooth(document: Document, present: Sequence[Slot], *, textures_only: bool) -> InputError:
+def _no_colours_error(document: Document, present: Sequence[Slot], *, textures_only: bool) -> InputError:
     """Return the error that a document has no colours of the requested kind, or damaged ones."""
     why = Obstacle("")
     if textures_only and not present and document.has_vertex_colours():

@@ -338,7 +338,7 @@ class SmoothSettings:
             cause = "--noise shot:A,read:B is the noise of sRGB colours; leave out --space, or give a number"
             raise UsageError(cause)
 
-    def files_besides(self, source: str | None = None) -> list[str]:
+    def input_files(self, source: str | None = None) -> list[str]:
         """Return the files that are named here, besides the one that is smoothed."""
         own = None if source in (None, "-") else Path(str(source)).resolve()
         paths = map(Path, named_files(self))
@@ -347,7 +347,7 @@ class SmoothSettings:
     @property
     def fits_parts(self) -> bool:
         """Whether textures can be smoothed separately: no map covers all of them."""
-        return not self.embedding.guides and not self.files_besides()
+        return not self.embedding.guides and not self.input_files()
 
 
 DEFAULTS = SmoothSettings()

@@ -190,7 +190,7 @@ class TextureLayer(PictureLayer):
             pixels, change = self.new_pixels(index, new, is_dithered=is_dithered)
             if gutter is not None:
                 self._refill_gutter(pixels, index, new, gutter, is_dithered=is_dithered)
-            large_arrays.leave_memory()
+            large_arrays.release_pages()
             write = partial(layer.rewritten, picture, wanted=wanted, suffix=self.suffix, as_data=self.as_data)
             if texture.key in self.shared:
                 columns = self.colours.columns(picture)
@@ -212,7 +212,7 @@ class TextureLayer(PictureLayer):
         covered, known, rows = self._near_charts(index, pixels.shape[:2], new, gutter)
         beyond = NewColours.of(new.beyond[rows])
         self._fill(pixels, index, new.beyond_places[rows], beyond.take, is_dithered=is_dithered)
-        _keep_others(
+        _keep_foreign_texels(
             picture.pixels, pixels, covered, known, partial(self.colours.shown, picture),
             width=gutter, lone=self._of_picture(self.atlas.lone_texels, index)[1], threads=threads,
         )  # fmt: skip
@@ -346,7 +346,7 @@ def all_texel_colours(colours: PictureColours, pictures: Sequence[Picture], atla
     return table
 
 
-def _keep_others(
+def _keep_foreign_texels(
     old: Array, new: Array, covered: Bools, known: Bools, shown: Callable[[Array], Float32s], *,
     width: int, lone: Indices, threads: int,
 ) -> None:  # fmt: skip

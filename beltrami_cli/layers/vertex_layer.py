@@ -407,7 +407,7 @@ def coloured_rows(vertices: ColouredVertices, *, in_triangles: bool = False) -> 
     return np.flatnonzero(valid)
 
 
-def without_others(vertices: ColouredVertices, rows: NDArray[np.intp]) -> ColouredVertices:
+def restricted_to(vertices: ColouredVertices, rows: NDArray[np.intp]) -> ColouredVertices:
     """Select vertices, in ascending order, and the triangles with all corners among them."""
     if len(rows) == len(vertices.positions):
         return vertices

@@ -212,7 +212,7 @@ def _build(surface: TexturedSurface, sizes: Sequence[tuple[int, int]], margin: i
             margin,
             threads,
             lambda size: large_arrays.empty(size, np.uint8),
-            lambda _: large_arrays.leave_memory(),
+            lambda _: large_arrays.release_pages(),
         )
     except ValueError as error:  # what the core's length errors become
         raise ProcessingError(f"{error}; use smaller textures") from error

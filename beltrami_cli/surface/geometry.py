@@ -161,7 +161,7 @@ def _gathered(values: Float64s, faces: Int32s, group_of: Int32s) -> Float64s:
 
 def on_boundary(faces: Int32s, count: int) -> Bools:
     """Return which vertices are ends of an edge that has one triangle only."""
-    edges, uses = _edge_uses(_distinct(_proper(faces)), count)
+    edges, uses = _edge_uses(_distinct(_without_degenerate(faces)), count)
     alone = edges[uses == 1]
     boundary = np.zeros(count, bool)
     boundary[alone // max(1, count)] = True
@@ -169,7 +169,7 @@ def on_boundary(faces: Int32s, count: int) -> Bools:
     return boundary
 
 
-def _proper(faces: Int32s) -> Int64s:
+def _without_degenerate(faces: Int32s) -> Int64s:
     """Return the triangles that repeat no vertex, each with its vertices in order."""
     corners = np.sort(faces.astype(np.int64), axis=1)
     is_proper = (corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2])
@@ -190,7 +190,7 @@ def _edge_uses(corners: Int64s, count: int) -> tuple[Int64s, Int64s]:
 
 def count_topology(positions: Float64s, faces: Int32s) -> dict[str, int]:
     """Count the parts of a triangle mesh, by their names; duplicate faces count once for the edges."""
-    count, proper = len(positions), _proper(faces)
+    count, proper = len(positions), _without_degenerate(faces)
     distinct = _distinct(proper)
     _, uses = _edge_uses(distinct, count)
     flat = np.count_nonzero(triangle_areas(positions, proper.astype(np.int32)) == 0)

@@ -71,7 +71,7 @@ _LIMIT: ContextVar[_Limit | None] = ContextVar("limit", default=None)
 
 
 @contextlib.contextmanager
-def kept_within(memory: int, folder: Path | None = None, *, in_chunks: bool = False) -> Iterator[None]:
+def arrays_in_files(memory: int, folder: Path | None = None, *, in_chunks: bool = False) -> Iterator[None]:
     """Let arrays made in this context and thread be files without a name, in a folder, where memory is short.
 
     `memory`: bytes for the arrays and for temporary blocks of them; `in_chunks`: work on parts takes it, and all arrays
@@ -201,13 +201,13 @@ def find(array: Array, value: int) -> NDArray[np.signedinteger[Any]]:
 
 def blocks(count: int, size: int = BLOCK) -> Iterator[slice]:
     """Go through a number of samples in blocks; what was touched of arrays in files leaves memory in between."""
-    leave_memory()
+    release_pages()
     for first in range(0, count, size):
         yield slice(first, min(count, first + size))
-        leave_memory()
+        release_pages()
 
 
-def leave_memory() -> None:
+def release_pages() -> None:
     """Let what was touched of arrays in files leave memory; it is read again when it is needed."""
     limit = _LIMIT.get()
     if limit is not None and hasattr(mmap, "MADV_DONTNEED"):

@@ -53,7 +53,7 @@ class Preview:
     def draw(self) -> None:
         """Draw and write the picture, after OUTPUT was written aside."""
         before = open_views([self._source], self._looks, self._access, self._reading)
-        after = open_views([self._target], self._looks, self._output.files.with_staged(self._access))
+        after = open_views([self._target], self._looks, self._output.files.with_staged_files(self._access))
         picture = draw_views([*before, *after], ["before", "after"], self._looks)
         drawn = encoded(picture, self._output.target, self._suffix)
         if self._suffix == ".png":

@@ -22,7 +22,7 @@ from beltrami_cli.fields import override
 from beltrami_cli.flow.parameters import TUNABLE
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import WRITABLE
-from beltrami_cli.formats.image.reading import pictures_kept
+from beltrami_cli.formats.image.reading import decoding_cached
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.progress import Share, at_intervals
@@ -88,7 +88,7 @@ class Live:
         # The values that were chosen last, by the strength and the noise that they were chosen for.
         self._chosen: dict[tuple[float, str | None], dict[str, float]] = {}
         self._previewing, self._smoothing, self._saving = (threading.Lock() for _ in range(3))
-        with pictures_kept(image_files(self._document)):
+        with decoding_cached(image_files(self._document)):
             self._with_pictures = contextvars.copy_context()
         writer = ModelWriter(is_live=True)
         for layer in self._layers:
@@ -164,7 +164,7 @@ class Live:
                 raise NoPreviewError("the colours in view are not smoothed")
             if not settings.kernel.iterations:
                 raise NoPreviewError("no iteration is wanted, so nothing changes")
-            at_once = self._at_once(change)
+            at_once = self._without_search(change)
             self._preview_part(change, at_once, "")
             if settings.kernel.takes_patches and not settings.embedding.smooth_geometry:
                 self._preview_part(change, override(at_once, patches="on"), _WITH_PATCHES)
@@ -186,7 +186,7 @@ class Live:
         change.request.check()
         change.request.send(kind="preview", patches=patches, stage=stage, seconds=spent, samples=samples)
 
-    def _at_once(self, change: _Change) -> SmoothSettings:
+    def _without_search(self, change: _Change) -> SmoothSettings:
         """Return settings without a search: free parameters are as they were chosen last, or by the rule."""
         kernel = change.settings.kernel
         chosen = self._chosen.get((kernel.strength, kernel.noise), {})

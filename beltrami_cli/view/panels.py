@@ -68,7 +68,7 @@ def draw_panels(
     (width, height), count, windows = settings.size, len(settings.crops), list[Window]()
     for crop in settings.crops:
         if crop.centre is None:  # automatic ones are chosen in the view of the last file
-            windows.append(richest_window(drawn[-1], crop.side))
+            windows.append(most_detailed_window(drawn[-1], crop.side))
             continue
         (x, y), half = crop.centre, crop.side * min(width, height) / 2
         windows.append((x - half / width, y - half / height, x + half / width, y + half / height))
@@ -126,7 +126,7 @@ def is_lost_on_white(views: Sequence[Float32s]) -> bool:
     return white > _MAX_LOST_SHARE * outline
 
 
-def richest_window(view: Float32s, side: float) -> Window:
+def most_detailed_window(view: Float32s, side: float) -> Window:
     """Return the square window, the first of equals, filled by the model, with the most varying brightness."""
     height, width = view.shape[:2]
     square = max(1, round(side * min(width, height)))

@@ -18,11 +18,11 @@ from beltrami_cli.errors import OutputError, UsageError
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image.reading import pictures_kept
+from beltrami_cli.formats.image.reading import decoding_cached
 from beltrami_cli.jobs.compare.files import compare_documents, open_both, require_samples
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.output import Output
-from beltrami_cli.jobs.progress import Progress, one_of
+from beltrami_cli.jobs.progress import Progress, each_with_progress
 from beltrami_cli.jobs.recolour import open_input, recolour_in_memory
 from beltrami_cli.jobs.smoothing import Smoothed, Smoothing
 from beltrami_cli.layers.settings import LevelSetSettings, SmoothSettings
@@ -75,11 +75,11 @@ def sweep_file(
         sheet = _Sheet(f"Sweep of {Path(source).name}", labels, looks, output if is_page else None)
     done: list[Trial] = []
     kept = [file for each in opened.values() for file in image_files(each)]
-    with sheet or contextlib.nullcontext(), pictures_kept(kept):
+    with sheet or contextlib.nullcontext(), decoding_cached(kept):
         if sheet is not None:
             for label, shown in opened.items():
                 sheet.add(label, shown)
-        for (parameters, settings), progress in one_of(trials, "trials", job.progress):
+        for (parameters, settings), progress in each_with_progress(trials, "trials", job.progress):
             figures, result = _tried(opened, settings, Job(job.access, progress))
             done.append(Trial(parameters, figures))
             if sheet is not None:

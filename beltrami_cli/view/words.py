@@ -62,7 +62,7 @@ def doubt_in_words(part: Mapping[str, Any], *, is_smoothed: bool, moved: str = "
     return f"{grain}: left as it is; --noise {noise_to_give(reading)} removes it"
 
 
-def why_left(part: Mapping[str, Any]) -> str:
+def reason_in_words(part: Mapping[str, Any]) -> str:
     """Say why a part that is not smoothed is left as it is."""
     strongest = max(part["noise"].values(), default=0.0)
     if not strongest:
@@ -72,7 +72,7 @@ def why_left(part: Mapping[str, Any]) -> str:
     return f"noise {noise_of(part)}, {why}"
 
 
-def way_out(part: Mapping[str, Any]) -> str:
+def advice_in_words(part: Mapping[str, Any]) -> str:
     """Advise how to smooth a part that was left, if there is a way that would be seen."""
     reading, choice = part["reading"], _choice_of(part)
     was_worse = bool(choice and choice["chosen"].get("iterations"))

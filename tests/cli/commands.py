@@ -14,7 +14,7 @@ import click
 import pytest
 
 from beltrami_cli.cli.main import group, main
-from beltrami_cli.errors import unhandled_endings
+from beltrami_cli.errors import unhandled_signals
 from hostile.folders import snapshot
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
@@ -98,7 +98,7 @@ def interrupted(process, number, patience=2.0):
 @contextlib.contextmanager
 def kept_signals():
     """Give the signals that the command handles back to who handled them before."""
-    handlers = {number: signal.getsignal(number) for number in unhandled_endings()}
+    handlers = {number: signal.getsignal(number) for number in unhandled_signals()}
     try:
         yield
     finally:

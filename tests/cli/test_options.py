@@ -74,8 +74,8 @@ def test_files_that_parameters_name_are_guarded_and_named_by_users_only(declared
     path = tmp_path / "named.npy"
     path.touch()
     settings = override(DEFAULTS, **{declared.name: (str(path),) if declared.several else str(path)})
-    assert settings.files_besides() == [str(path)]
-    assert settings.files_besides(str(path)) == []
+    assert settings.input_files() == [str(path)]
+    assert settings.input_files(str(path)) == []
     assert declared.is_deliberate(str(path))
 
 

@@ -23,7 +23,7 @@ from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.changes import Naming
 from beltrami_cli.formats.image import read_image, write_image
 from beltrami_cli.formats.model_folder import ModelFolder
-from beltrami_cli.formats.registry import FORMATS, held_images, open_bytes, sidecars_of, write_mesh
+from beltrami_cli.formats.registry import FORMATS, image_suffixes, open_bytes, sidecars_of, write_mesh
 from beltrami_cli.formats.usd.layers import Package
 from beltrami_cli.formats.volume import is_volume, read_volume
 from beltrami_cli.layers.settings import DEFAULTS
@@ -89,7 +89,7 @@ def _convert(document):
     if document.slots():
         mesh = document.textured_mesh()
         for form in (line.name for line in TEXTURED if line.module != "usd"):  # which is slow to write
-            held, names = held_images(form), sidecars_of(mesh, form, "out")
+            held, names = image_suffixes(form), sidecars_of(mesh, form, "out")
             assert held is not None
             assert len({*names}) == len(names)
             if not held or all(image.file.suffix in held for image in mesh.images):

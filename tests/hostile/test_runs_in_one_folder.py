@@ -113,7 +113,7 @@ def test_of_two_that_replace_a_new_output_the_last_one_wins(kind, tmp_path, monk
     """The second run starts and ends while the first one computes; both have seen that there is no OUTPUT."""
     source = write_model(tmp_path / "in", kind, "skin.png")
     (source.parent / "skin.png").write_bytes(PICTURE)
-    folder, put = tmp_path / "out", FileSet.put_in_place
+    folder, put = tmp_path / "out", FileSet.commit
     folder.mkdir()
 
     def run(seed):
@@ -122,14 +122,14 @@ def test_of_two_that_replace_a_new_output_the_last_one_wins(kind, tmp_path, monk
         return snapshot(folder)
 
     def put_second(files):
-        monkeypatch.setattr(FileSet, "put_in_place", put)
+        monkeypatch.setattr(FileSet, "commit", put)
         run(2)
         put(files)
 
     first = run(1)
     for path in folder.iterdir():
         path.unlink()
-    monkeypatch.setattr(FileSet, "put_in_place", put_second)
+    monkeypatch.setattr(FileSet, "commit", put_second)
     assert run(1) == first
     assert len(first) > 1
     # A file that the OUTPUT of another run does not name is left alone.
@@ -137,7 +137,7 @@ def test_of_two_that_replace_a_new_output_the_last_one_wins(kind, tmp_path, monk
         path.unlink()
     image = next(name for name in first if name.endswith(".png"))
     monkeypatch.setattr(
-        FileSet, "put_in_place", lambda files: ((folder / image).write_text("precious"), put(files))
+        FileSet, "commit", lambda files: ((folder / image).write_text("precious"), put(files))
     )
     with pytest.raises(OutputError, match="exists already"):
         run(1)

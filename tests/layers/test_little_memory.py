@@ -158,15 +158,15 @@ def test_an_atlas_leaves_memory_as_it_is_made(tmp_path, monkeypatch):
     uv = np.tile(triangle[:, :2] / 100, (count, 1, 1))
     textures = tuple(Texture(str(number), "x.png", b"") for number in range(count))
     surface = TexturedSurface(positions, faces, uv, np.arange(count, dtype=np.int32), textures)
-    held, leave = [], large_arrays.leave_memory
+    held, leave = [], large_arrays.release_pages
 
     def measured():
         status = Path("/proc/self/status").read_text().split("RssFile:")[1]
         held.append(int(status.split()[0]) << 10)
         leave()
 
-    monkeypatch.setattr(large_arrays, "leave_memory", measured)
-    with large_arrays.kept_within(0, tmp_path):
+    monkeypatch.setattr(large_arrays, "release_pages", measured)
+    with large_arrays.arrays_in_files(0, tmp_path):
         measured()
         build_atlas(surface, [(side, side)] * count, 3)
     # Two numbers of 4 bytes a texel would be 268 MB; every 4 million texels they leave.
@@ -197,7 +197,7 @@ def test_what_is_dropped_from_memory_before_kernels_and_patches_is_found_again()
 def test_patches_keep_what_is_large_for_the_memory_in_files(tmp_path):
     """Besides fixed blocks of samples: the colours alone, in all their versions, are 44 MB in memory."""
     memory = 8 << 20
-    with large_arrays.kept_within(memory, tmp_path):
+    with large_arrays.arrays_in_files(memory, tmp_path):
         plan = plan_with_patches(512)
         tracemalloc.start()
         try:
@@ -210,14 +210,14 @@ def test_patches_keep_what_is_large_for_the_memory_in_files(tmp_path):
 
 
 def test_arrays_in_files_are_like_others(tmp_path, on_disk):
-    with large_arrays.kept_within(1 << 20, tmp_path):
+    with large_arrays.arrays_in_files(1 << 20, tmp_path):
         array = large_arrays.zeros((5, 7), np.int16)
         assert array.shape == (5, 7)
         assert not array.any()
         for block in large_arrays.blocks(5, 2):
             array[block] = block.start
         copy = large_arrays.copy_of(array)
-    large_arrays.leave_memory()
+    large_arrays.release_pages()
     assert array[:, 3].tolist() == [0, 0, 2, 2, 4]
     assert np.array_equal(copy, array)
     assert on_disk == [array.nbytes, copy.nbytes]
@@ -226,7 +226,7 @@ def test_arrays_in_files_are_like_others(tmp_path, on_disk):
 
 def test_arrays_are_in_memory_up_to_a_share_of_it(tmp_path):
     size = large_arrays.SMALLEST
-    with large_arrays.kept_within(4 * size, tmp_path):  # for three of them
+    with large_arrays.arrays_in_files(4 * size, tmp_path):  # for three of them
         kept = [large_arrays.empty(size, np.uint8), large_arrays.kept(np.ones(size, np.uint8))]
         freed = large_arrays.zeros(size, np.uint8)
         assert not large_arrays.any_in_files()

@@ -8,7 +8,14 @@ import pytest
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.surface.geometry import triangle_areas
 from beltrami_cli.surface.records import Texture, TexturedSurface
-from beltrami_cli.view.panels import Panel, arranged, displayed, draw_views, is_lost_on_white, richest_window
+from beltrami_cli.view.panels import (
+    Panel,
+    arranged,
+    displayed,
+    draw_views,
+    is_lost_on_white,
+    most_detailed_window,
+)
 from beltrami_cli.view.render import distinct_labels
 from beltrami_cli.view.settings import DEFAULT_RENDER, RenderSettings
 from beltrami_cli.view.tracing import (  # fmt: skip
@@ -239,11 +246,11 @@ def test_the_richest_window_is_where_the_contrast_is():
     view = np.full((80, 100, 4), 0.5, np.float32)
     view[..., 3] = 1
     view[30:46, 60:76, :3] = np.indices((16, 16)).sum(axis=0)[..., None] % 2
-    left, upper, right, lower = richest_window(view, 0.2)
+    left, upper, right, lower = most_detailed_window(view, 0.2)
     assert (left * 100, upper * 80, right * 100, lower * 80) == pytest.approx((60, 30, 76, 46))
     view[30:46, 60:76, 3] = 0  # where nothing is, nothing is to be seen
     view[..., :3] *= view[..., 3:]
-    left, upper, right, lower = np.array(richest_window(view, 0.2)) * [100, 80, 100, 80]
+    left, upper, right, lower = np.array(most_detailed_window(view, 0.2)) * [100, 80, 100, 80]
     assert not (left < 76 and right > 60 and upper < 46 and lower > 30)
 
 

@@ -207,7 +207,7 @@ class NormalTables:
         """The limits a of the table entries."""
         return np.linspace(-self.furthest, self.furthest, len(self.lost))
 
-    def lost_to_limits(self, colours: Float32s, sigma: float) -> Float32s:
+    def clipping_bias(self, colours: Float32s, sigma: float) -> Float32s:
         """Return the difference between colours and the mean of their noisy values clipped to [0, 1]."""
         low, high = (self._lost_at(gap / np.float32(sigma)) for gap in (colours, 1 - colours))
         return (high - low) * np.float32(sigma)

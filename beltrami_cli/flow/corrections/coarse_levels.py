@@ -70,7 +70,7 @@ def without_shared_noise(
     for number, level in reversed(list(enumerate(levels, 1))):
         noise = level.noise * _noise_of_level(covariances, number, is_coarsest=number == len(levels))
         error += max(0.0, _estimate_in_place(level, manifold, noise))
-    left = dataclasses.replace(manifold.noise, covariances=_left_for_samples(covariances))
+    left = dataclasses.replace(manifold.noise, covariances=_residual_covariances(covariances))
     return dataclasses.replace(manifold, noise=left), manifold.noise.square_to_input(error)
 
 
@@ -181,7 +181,7 @@ def _noise_of_level(covariances: Float64s, level: int, *, is_coarsest: bool) -> 
     return own
 
 
-def _left_for_samples(covariances: Float64s) -> Float64s:
+def _residual_covariances(covariances: Float64s) -> Float64s:
     """Return the covariances of the noise left by coarser levels, shape (L, N, N), see `noise.model`."""
     left = np.zeros_like(covariances)
     left[0] = covariances[0]

@@ -152,7 +152,7 @@ def expected(
     All are of full scale 255.
     """
     of_planes = picture.tables, picture.sigma_of_planes(255 * sigma)
-    darker = normal_tables().lost_to_limits(pilot / np.float32(255), sigma) * np.float32(255)
+    darker = normal_tables().clipping_bias(pilot / np.float32(255), sigma) * np.float32(255)
     differences = []
     for own, near, steps, noise in zip(planes, picture.planes(pilot - darker), *of_planes, strict=True):
         changes, means = coefficients_of(near), coefficients_of(own)

@@ -33,10 +33,10 @@ def for_blocks(
     blocks = in_blocks(axis, *stacks)
     if planes:
         blocks = ((*own, *others) for own, others in zip(blocks, in_blocks(0, *planes), strict=True))
-    at_same_time(work, threads, blocks)
+    in_parallel(work, threads, blocks)
 
 
-def at_same_time(work: Callable[..., object], threads: int, blocks: Iterable[tuple[Any, ...]]) -> None:
+def in_parallel(work: Callable[..., object], threads: int, blocks: Iterable[tuple[Any, ...]]) -> None:
     """Call `work` with the arguments of each block, in parallel threads."""
     if threads == 1:
         for block in blocks:

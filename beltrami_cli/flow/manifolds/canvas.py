@@ -253,7 +253,7 @@ def _patches_on(
         estimates = large_arrays.empty(noisy.shape, np.float32)
 
     def report(done: int) -> None:
-        large_arrays.leave_memory()
+        large_arrays.release_pages()
         if progress is not None:
             progress(done)
 

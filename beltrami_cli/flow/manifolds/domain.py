@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar, Protocol
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Uint8s
-from beltrami_cli.flow.manifolds.blocks import at_same_time, block_rows
+from beltrami_cli.flow.manifolds.blocks import block_rows, in_parallel
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface.atlas import Indices
 
@@ -70,7 +70,7 @@ class Domain(Samples):
             own, means = self.means_of_rows(terms(rows), rows)
             planes[:, own] = means
 
-        at_same_time(gather, threads, ((rows,) for rows in block_rows(like, self.side)))
+        in_parallel(gather, threads, ((rows,) for rows in block_rows(like, self.side)))
         return planes
 
     def enlarged(self, planes: Float32s, rows: slice) -> Float32s:

@@ -153,7 +153,7 @@ class GridManifold(Manifold):
             return Averaged(_split(after, stacks), samples)
         samples, finished = 0, None
         for block in blocks:
-            large_arrays.leave_memory()
+            large_arrays.release_pages()
             around = slice(max(0, block.start - margin), min(rows, block.stop + margin))
             own = slice(block.start - around.start, block.stop - around.start)
             inside = np.zeros((around.stop - around.start, 1), bool)
@@ -174,7 +174,7 @@ class GridManifold(Manifold):
             finished, samples = (block, after[:, own]), samples + held
         if finished is not None:
             self._put(stacks, *finished)
-        large_arrays.leave_memory()
+        large_arrays.release_pages()
         for stack in stacks:
             refresh_halo(stack, grid.atlas)
         return Averaged(stacks, samples)

@@ -100,7 +100,7 @@ class Accessor:
         """Load the buffer, so that the count is known to be backed by bytes."""
         if self.layout is not None:
             self.buffers.stored(self.layout.buffer)
-        elif self.count > self.buffers.bytes_at_hand:
+        elif self.count > self.buffers.bytes_read:
             raise self.entry.fault("count", f"{self.count} zeros are more than the file has bytes")
 
     def stored(self) -> Stored:
@@ -214,8 +214,8 @@ class Accessors:
     def count_drawn(self, primitive: Entry, corners: int) -> None:
         """Count the corners that primitives draw, and refuse far more than bytes: small files can repeat them."""
         self._drawn += corners
-        if self._drawn > _MIN_DRAWN + _MAX_DRAWN * self.buffers.bytes_at_hand:
-            cause = f"with it, {self._drawn} corners are drawn of {self.buffers.bytes_at_hand} bytes"
+        if self._drawn > _MIN_DRAWN + _MAX_DRAWN * self.buffers.bytes_read:
+            cause = f"with it, {self._drawn} corners are drawn of {self.buffers.bytes_read} bytes"
             raise primitive.fault("", cause, "the same triangles are used again and again: export each once")
 
 

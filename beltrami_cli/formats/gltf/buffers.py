@@ -227,7 +227,7 @@ class Buffers:
         return bytes(self.stored(view.buffer)[view.offset : view.end])
 
     @property
-    def bytes_at_hand(self) -> int:
+    def bytes_read(self) -> int:
         """Bytes of the main file and of all buffers that were read: the measure of what may be allocated."""
         return len(self._container.data) + sum(len(data) for data in self._loaded.values())
 

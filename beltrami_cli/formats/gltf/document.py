@@ -156,7 +156,7 @@ class GltfDocument(Document):
             stored=shown.stored,
             alpha=self.surface.opacity(),
             normals=self.surface.normals(),
-            left_out=(*_left_out(self.container.tree), *self._extensions(), *self.hidden_places()),
+            left_out=(*_omitted(self.container.tree), *self._extensions(), *self.hidden_places()),
         )
 
     def textured_mesh(self, colours: Float32s | None = None) -> MeshContents:
@@ -171,7 +171,7 @@ class GltfDocument(Document):
                 by_primitive |= dict.fromkeys(block.users, rows[block.rows])
         known = self.root, self.accessors, self.images
         mesh = read_textured_mesh(*known, by_primitive, stored)
-        others = [what for what in _left_out(self.container.tree) if what in _NOT_TEXTURED]
+        others = [what for what in _omitted(self.container.tree) if what in _NOT_TEXTURED]
         others += self._extensions()
         if any(node.get("children") for node in objects(self.container.tree.get("nodes"))):
             others.append("node hierarchy")
@@ -226,7 +226,7 @@ class GltfDocument(Document):
         }
 
 
-def _left_out(tree: Tree) -> list[str]:
+def _omitted(tree: Tree) -> list[str]:
     primitives = [primitive for _, primitive in primitives_of(tree)]
     held = [primitive.get("attributes", {}) for primitive in primitives]
     attributes, nodes = {key for each in held for key in each}, objects(tree.get("nodes"))

@@ -155,7 +155,7 @@ class Edit:
 
     def _store(self, buffer: int, new: dict[Holder, Bytes]) -> None:
         """Put new bytes into one buffer: each where old ones leave room, or at the end."""
-        vacant, data = self._vacated(buffer, new.keys()), self.open(buffer)
+        vacant, data = self._released_spans(buffer, new.keys()), self.open(buffer)
         for (view, extension), octets in new.items():
             size = len(octets)
             chosen = next((n for n, (start, end) in enumerate(vacant) if size <= end - start), None)
@@ -172,7 +172,7 @@ class Edit:
             named |= {"buffer": buffer, "byteOffset": start, "byteLength": size}
         self.tree["buffers"][buffer]["byteLength"] = len(data)
 
-    def _vacated(self, buffer: int, holders: Set[Holder]) -> list[tuple[int, int]]:
+    def _released_spans(self, buffer: int, holders: Set[Holder]) -> list[tuple[int, int]]:
         """Clear the bytes that the holders alone name, cut them off at the end, and return the free spans."""
         places, data = self._places(buffer), self.open(buffer)
         left = [

@@ -25,7 +25,7 @@ from beltrami_cli.formats.image import format_of, label_of, read_image, write_im
 from beltrami_cli.formats.image.extra_codecs import EXTRA, EXTRA_CODECS, missing_package
 from beltrami_cli.formats.image.file_formats import FORMATS, suffix_for
 from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError
-from beltrami_cli.formats.new_files import still_shown
+from beltrami_cli.formats.new_files import stale_use_notice
 from beltrami_cli.surface.records import ImageFile, PlannedImage, Slot, Wrap
 
 WEBP = "EXT_texture_webp"
@@ -220,7 +220,7 @@ def show_images(edit: Edit, images: Images, new: NewImages) -> None:
             file = next(iter(files_of_it), None)
         uses_of_textures.append((info, "index", file))
     for place, name in left.items():
-        edit.notices.append(still_shown(place, name))
+        edit.notices.append(stale_use_notice(place, name))
     changed = edit.separate("textures", uses_of_textures)
     replaced = {(shown[texture], file) for texture, file in changed}
     if replaced != {(image, file) for (_, image), file in wanted.items()}:

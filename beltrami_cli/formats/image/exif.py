@@ -36,7 +36,7 @@ def exif_of(data: bytes, known: str) -> bytes:
 
 
 def with_exif(exif: bytes, encoded: bytes, known: str) -> bytes:
-    """Return an image with other EXIF data in the place of its own; the same image if the format has no place."""
+    """Return an image with other EXIF data instead of its own; the same image if the format holds none."""
     match known:
         case "tiff":
             return exif

@@ -36,7 +36,7 @@ _CACHE: ContextVar[dict[tuple[bytes, str, bool], Picture | None]] = ContextVar("
 
 
 @contextmanager
-def pictures_kept(files: Iterable[tuple[bytes, str]]) -> Iterator[None]:
+def decoding_cached(files: Iterable[tuple[bytes, str]]) -> Iterator[None]:
     """Within this context and thread, decode these image files, given with their names, only once."""
     token = _CACHE.set({(data, name, finite): None for data, name in files for finite in (False, True)})
     try:

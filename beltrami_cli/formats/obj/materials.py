@@ -199,17 +199,17 @@ class Materials:
         try:
             data = self.folder.read(path, _MAX_BYTES + 1)
         except OSError as error:
-            self._leave_alone(Obstacle(f"'{path}' cannot be read ({error.strerror})"))
+            self._ignore(Obstacle(f"'{path}' cannot be read ({error.strerror})"))
             data = b""
         if len(data) > _MAX_BYTES:
-            self._leave_alone(Obstacle(f"'{path}' has more than {_MAX_BYTES} bytes"))
+            self._ignore(Obstacle(f"'{path}' has more than {_MAX_BYTES} bytes"))
             data = b""
         materials, maps = read_maps(data)
         within = PurePosixPath(path).parent
         found = tuple((known, self._found(known.name, within)) for known in maps)
         return Library(path, data, frozenset(materials), found, tuple(mentions))
 
-    def _leave_alone(self, obstacle: Obstacle) -> None:
+    def _ignore(self, obstacle: Obstacle) -> None:
         self.obstacles.append(obstacle)
         self.notices.append(f"{obstacle.cause}{IGNORED}")
 
@@ -223,7 +223,7 @@ class Materials:
             if name not in self._unread:
                 self._unread[name] = error.obstacle
                 if len(self._unread) <= _MAX_NOTICES:
-                    self._leave_alone(Obstacle(f"'{name}' {error}", error.obstacle.remedy))
+                    self._ignore(Obstacle(f"'{name}' {error}", error.obstacle.remedy))
                 elif len(self._unread) == _MAX_NOTICES + 1:  # a file may name a million
                     self.notices.append("Further files are missing as well.")
             return None
@@ -269,7 +269,7 @@ def renaming(materials: Materials, images: NewImages, source: str, naming: Namin
     missing = [found.name for library in materials.libraries for found, path in library.maps if path is None]
     names = NewFiles(naming, source, materials.paths, missing)
     edits = _take_images(materials, images, names)
-    _take_others(materials, names, edits)
+    _rename_others(materials, names, edits)
     spans: Spans = {}
     changed: dict[str, tuple[Library, Spans]] = {}
     for library in materials.libraries:
@@ -302,7 +302,7 @@ def _take_images(materials: Materials, images: NewImages, names: NewFiles) -> di
         for library in materials.libraries:
             for found, used in library.maps:
                 if used == path and id(found) not in followed and found.keyword not in SLOTS:
-                    names.keep_shown(f"{found.keyword} of material {found.material}", path)
+                    names.note_stale_use(f"{found.keyword} of material {found.material}", path)
         # Its name is free only if no map that keeps the old image has it.
         is_replaced = len(affected) == materials.uses(path)
         suffix = common_suffix(image.suffix for _, image in files)
@@ -315,7 +315,7 @@ def _take_images(materials: Materials, images: NewImages, names: NewFiles) -> di
     return edits
 
 
-def _take_others(materials: Materials, names: NewFiles, edits: dict[str, Spans]) -> None:
+def _rename_others(materials: Materials, names: NewFiles, edits: dict[str, Spans]) -> None:
     """Name the images that stay as they are, for libraries that are written, or copied, into another folder."""
     tiles, new_of = materials.folder.tiles, dict[str, str]()
     for library in materials.libraries:

@@ -172,7 +172,7 @@ class PlyDocument(Document):
             colours=self.colours_at_vertices(self._colours.values),
             alpha=self._alpha(),
             normals=self._normals(),
-            left_out=_left_out(self._header, self._converted, of_faces),
+            left_out=_omitted(self._header, self._converted, of_faces),
         )
 
     def colours_at_vertices(self, colours: Float32s) -> Float32s:
@@ -187,7 +187,7 @@ class PlyDocument(Document):
 
     def textured_mesh(self, colours: Float32s | None = None) -> MeshContents:
         used = self._converted | {*texturing.find_coordinates(self._tables)}
-        dropped = _left_out(self._header, used, {texturing.NUMBER, *used})
+        dropped = _omitted(self._header, used, {texturing.NUMBER, *used})
         others = self._header.comments > len(self._images)
         left_out = [what for what in dropped if what != "comments" or others]
         mesh = dataclasses.replace(self._scene.mesh(left_out), normals=self._normals())
@@ -338,7 +338,7 @@ def _patch_body(data: bytes, header: Header, changes: Sequence[_Change]) -> list
     return [memoryview(patched)[header.end :]]
 
 
-def _left_out(header: Header, used: Collection[str], of_faces: Collection[str] = ()) -> tuple[str, ...]:
+def _omitted(header: Header, used: Collection[str], of_faces: Collection[str] = ()) -> tuple[str, ...]:
     """Name what a conversion loses: elements, and properties of vertices and faces, that are not used."""
     dropped = []
     used, of_faces = ({name.partition(" ")[0] for name in names} for names in (used, of_faces))

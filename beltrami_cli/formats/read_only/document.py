@@ -6,7 +6,7 @@ triangles that have a colour by the highest bit; blue is in the lowest five. Mat
 for all in the header, marks triangles without one of their own, and has red lowest. trimesh reads the triangles. It
 leaves the two bytes as numbers, and makes text of the header, so both are understood here.
 
-COLLADA files are read by pycollada, which is not made for files that mean harm, so it runs as `python -m` of this
+COLLADA files are read by pycollada, which malicious files can break, so it runs as `python -m` of this
 module, with a limit on memory and time. trimesh reads COLLADA by pycollada, too, but drops the vertex colours of every
 mesh that has a material and all polygons with a skin, and rounds other colours to 8 bits.
 

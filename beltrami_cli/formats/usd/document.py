@@ -209,15 +209,15 @@ class UsdDocument(Document):
             "normals": np.isfinite(arrays["normals"]).any(),
         }
         alpha = arrays["opacity"].clip(0, 1).astype(np.float32) if counts.get("transparent") else None
-        left_out = (*(what for what, found in held.items() if found), *self._left_out())
+        left_out = (*(what for what, found in held.items() if found), *self._omitted())
         return dataclasses.replace(mesh, alpha=alpha, left_out=left_out)
 
     def textured_mesh(self, colours: Float32s | None = None) -> MeshContents:
         groups, normals = (self._contents.meshes, self._arrays["mesh_of"]), self._arrays["normals"]
-        mesh = dataclasses.replace(self._scene.mesh(self._left_out(), groups, normals), frame=self.frame)
+        mesh = dataclasses.replace(self._scene.mesh(self._omitted(), groups, normals), frame=self.frame)
         return with_vertex_colours(mesh, self, colours)
 
-    def _left_out(self) -> list[str]:
+    def _omitted(self) -> list[str]:
         contents = self._contents
         others = [f"{kind} prims" for kind in contents.others]
         others += ["variants"] if contents.variants else []

@@ -87,7 +87,7 @@ class Images:
             attributes = self._attributes(path, slots)
             is_replaced = attributes == self._attributes(path)
             for attribute in sorted(self._attributes(path) - {use.attribute for use in self._contents.uses}):
-                names.keep_shown(attribute, path)
+                names.note_stale_use(attribute, path)
             new = self._new_path(path, dict(changed), names, is_replaced=is_replaced)
             own = new_files(path, new, self._layers.folder.tiles)
             names.sidecars |= {own.pop(file): image.content for file, image in changed}

@@ -62,7 +62,7 @@ class Package(Archive):
         self.layers = [member for member in self.members if member.lower().endswith(LAYERS)]
 
     def faults(self) -> list[str]:
-        """Return what readers that map packages into memory cannot do with, one sentence each."""
+        """Return the violations of USDZ packing on which readers that map packages into memory fail, by sentence."""
         found = []
         for entry in self.entries:
             *_, name_size, extra_size = _LOCAL_HEADER.unpack_from(self._data, entry.header_offset)
@@ -235,10 +235,10 @@ def _carry_out(order: dict[str, Any], arrays: dict[str, Array]) -> Message:
     except Tf.ErrorException as error:
         if _NO_MEMORY in str(error):
             raise MemoryError from error
-        raise UsdError(_said(str(error), order["folder"])) from error
+        raise UsdError(_first_message(str(error), order["folder"])) from error
 
 
-def _said(error: str, folder: str) -> str:
+def _first_message(error: str, folder: str) -> str:
     """Return the first message of an error, without names of C++ and the folder that the layers lie in for a while."""
     found = re.search(r" at line \d+ in file \S+ : '(.*?)'(?:\s*Error in '|\s*$)", error, re.DOTALL)
     message = error if found is None else found[1]

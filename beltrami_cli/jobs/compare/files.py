@@ -153,7 +153,7 @@ def _opened_map(
     if Path(target).suffix.lower() not in _SUFFIXES:
         raise UsageError("a map is drawn as .png, or of vertices as .ply; end the name in one", target)
     output = Output(target, overwrite=overwrite, what="map", is_own=is_map, reads=names)
-    output.files.guard(settings.files_besides())
+    output.files.guard(settings.input_files())
     return output
 
 
