@@ -16,15 +16,12 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from beltrami_cli.batch.storage import hash_at, staged
 from beltrami_cli.errors import BeltramiError, MemoryLimitError, NoColoursError
-from beltrami_cli.formats.access import (
-    Access,
-    is_url,
-    limited_memory,
-)
+from beltrami_cli.formats.access import Access, is_url
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.output import FileSet
 from beltrami_cli.jobs.progress import Progress, Share
 from beltrami_cli.jobs.settings import BakeSettings
+from beltrami_cli.surface.memory import limited_memory
 
 if TYPE_CHECKING:
     from beltrami_cli.flow.chunks import Chunking

@@ -19,9 +19,10 @@ from beltrami_cli.cli.console import Messages, printable, show_table
 from beltrami_cli.errors import OutputError, ProcessingError, UsageError
 from beltrami_cli.fields import of_255, parameters, without_effect
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.formats.access import Access, default_memory, is_file, is_url
+from beltrami_cli.formats.access import Access, is_file, is_url
 from beltrami_cli.jobs.progress import Label, Work
 from beltrami_cli.layers.settings import SmoothSettings
+from beltrami_cli.surface.memory import default_memory
 
 if TYPE_CHECKING:
     from beltrami_cli.batch.item import Attempt, Item, Outcome

@@ -17,11 +17,12 @@ from beltrami_cli.cli.console import Messages
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import REQUIRED, Parameter, parameters, parts, requiring_effect
 from beltrami_cli.flow.parameters import PRESETS, KernelParameters, parameters_with
-from beltrami_cli.formats.access import Access, default_memory, limited_memory
+from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.layers.settings import IMAGE_FORMATS, SmoothSettings, TextureSettings, given_values
+from beltrami_cli.surface.memory import default_memory, limited_memory
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 

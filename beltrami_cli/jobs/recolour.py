@@ -23,7 +23,7 @@ from beltrami_cli.arrays import Float64s
 from beltrami_cli.errors import BeltramiError, UsageError
 from beltrami_cli.fields import given_parameters
 from beltrami_cli.formats import registry
-from beltrami_cli.formats.access import Access, peak_memory, read_source
+from beltrami_cli.formats.access import Access, read_source
 from beltrami_cli.formats.changes import Naming, Written
 from beltrami_cli.formats.colours import as_in_file
 from beltrami_cli.formats.conversion import vertex_mesh
@@ -40,6 +40,7 @@ from beltrami_cli.layers.selection import Selection, select
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.geometry import vertex_normals
 from beltrami_cli.surface.grouping import group_equal_rows
+from beltrami_cli.surface.memory import peak_memory
 from beltrami_cli.surface.records import ImageFile, MovedVertices, PlannedImage, Slot
 
 

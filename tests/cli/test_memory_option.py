@@ -11,9 +11,9 @@ import pytest
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.fields import show_size, size_in
-from beltrami_cli.formats import access
-from beltrami_cli.formats.access import default_memory, limited_memory
 from beltrami_cli.jobs import smoothing
+from beltrami_cli.surface import memory
+from beltrami_cli.surface.memory import default_memory, limited_memory
 from cli.commands import beltrami, run_command
 from formats.tile_files import tiled_model
 from formats.volume_files import npz
@@ -48,8 +48,8 @@ def test_by_default_half_of_what_is_available_may_be_taken(monkeypatch, tmp_path
     (root / "jobs" / "memory.stat").write_text(f"anon 5\ninactive_file {1 << 25}\nactive_file 0\n")
     (root / "jobs" / "one" / "memory.max").write_text("max\n")
     (tmp_path / "own").write_text("1:name=systemd:/\n0::/jobs/one\n")
-    monkeypatch.setattr(access, "_CGROUPS", root)
-    monkeypatch.setattr(access, "_OWN_CGROUPS", tmp_path / "own")
+    monkeypatch.setattr(memory, "_CGROUPS", root)
+    monkeypatch.setattr(memory, "_OWN_CGROUPS", tmp_path / "own")
     assert default_memory() == ((3 << 26) - (1 << 26) + (1 << 25)) // 2
     (tmp_path / "own").write_text("4:cpu,memory:/jobs\n")
     (root / "memory" / "jobs").mkdir(parents=True)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections import deque
+import contextlib
+from _thread import start_new_thread
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -37,16 +38,36 @@ def for_blocks(
 
 
 def in_parallel(work: Callable[..., object], threads: int, blocks: Iterable[tuple[Any, ...]]) -> None:
-    """Call `work` with the arguments of each block, in parallel threads."""
-    if threads == 1:
-        for block in blocks:
-            work(*block)
-        return
-    waiting = deque[Future[object]]()
-    with ThreadPoolExecutor(threads) as pool:
-        for block in blocks:
-            waiting.append(pool.submit(work, *block))
-            if len(waiting) > threads:  # so that an interruption waits for few calls
-                waiting.popleft().result()
-        for each in waiting:
-            each.result()
+    """Call `work` with the arguments of each block, in parallel threads, this one included.
+
+    Pools of the standard library wait forever for a thread that could not begin for lack of memory. Here, only threads
+    that have taken a block are waited for, and nothing is allocated to tell that one failed.
+    """
+    left, lock = iter(blocks), Lock()
+    idle = [Lock() for _ in range(threads)]
+    failures: list[BaseException | None] = [None] * threads
+
+    def run(thread: int) -> None:
+        try:
+            while True:
+                with lock:
+                    block = None if any(failures) else next(left, None)
+                    if block is None:
+                        return
+                    idle[thread].acquire(blocking=False)
+                work(*block)
+        except BaseException as error:  # KeyboardInterrupt, too: raised again when the others have stopped
+            failures[thread] = error
+        finally:
+            if idle[thread].locked():
+                idle[thread].release()
+
+    for thread in range(1, threads):
+        with contextlib.suppress(RuntimeError):  # no further thread can be started: fewer do the work
+            start_new_thread(run, (thread,))
+    run(0)
+    for each in idle:
+        each.acquire()
+    for error in failures:
+        if error is not None:
+            raise error
