@@ -34,48 +34,46 @@ from beltrami_cli.surface.records import TexturedSurface
 Indices: TypeAlias = NDArray[np.signedinteger[Any]]
 
 EMPTY, OWNED, HALO = 0, 1, 2
-# A line through the values 1/2, 3/2 and 5/2 texels from a seam, by least squares, has this value at the seam.
+# Weights of the least-squares line through values 1/2, 3/2 and 5/2 texels from a seam, evaluated at the seam.
 _EXTRAPOLATION = np.array([13, 4, -5]) / 12
 REACH = len(_EXTRAPOLATION)
 
 
 @dataclass(frozen=True)
 class Atlas:
-    """Charts laid out on one canvas of R x C cells."""
+    """Charts laid out on a canvas of R x C cells."""
 
     kind: Uint8s  # (R, C): EMPTY, OWNED or HALO. A margin as wide as the halo is EMPTY or HALO on all sides.
-    # Shape (4, R, C): squared distance in space, in the surface's own unit, from the cell to its neighbour
-    # on the right, below, below right, and below left. Infinite where the neighbour lies outside, and where
-    # the surface ends between the two (at an open edge, or between two parts of a chart that only touch in
-    # the image); without meaning where either is EMPTY.
+    # Shape (4, R, C): squared distances in space, in the surface's unit, from each cell to its neighbours on the right,
+    # below, below right and below left. Infinite outside the canvas and where the surface ends between both cells (at
+    # an open edge, or between parts of a chart that touch only in the image); undefined if either is EMPTY.
     lengths: large_arrays.Droppable[Float32s]
-    # Shape (K,): flat indices, ascending, of the cells between which and a neighbour, not EMPTY, the
-    # surface ends at an edge.
+    # Shape (K,): flat indices, ascending, of cells at an edge where the surface ends between them and a neighbour that
+    # is not EMPTY.
     cut_cells: Indices
     owned: large_arrays.Droppable[Indices]  # (T,): flat indices of the owned cells, ascending
-    owned_texels: Indices  # (T,): the texel of each: offset of its texture plus row * width + column
+    owned_texels: Indices  # (T,): their texels: offset of the texture + row * width + column
     # Shape (number of textures + 1,): texels of texture i are numbered from its offset, row by row.
     texture_offsets: Int64s
     halo_cells: Indices  # (H,): flat indices of the halo cells, ascending
-    halo_taps: Indices  # (H, 4): owned cells (flat indices) from which the halo cell's colour is interpolated
-    halo_weights: Float32s  # (H, 4): their weights, not negative, with the sum 1
-    # Shape (H,): the seam over which the cell was reached, or -1 (no seam: the cell stands for a texel
-    # owned elsewhere).
+    halo_taps: Indices  # (H, 4): owned cells (flat indices) to interpolate from
+    halo_weights: Float32s  # (H, 4): non-negative weights of sum 1
+    # Shape (H,): seam over which the cell was reached; -1: none, the cell stands for a texel owned elsewhere.
     halo_seams: Int32s
-    gutter_cells: Indices  # (G,): halo cells (flat indices) that stand on a texel that nothing covers
-    # Shape (G,): that texel, each at most once: what a lookup just beyond a chart's border should see.
+    gutter_cells: Indices  # (G,): halo cells (flat indices) on uncovered texels
+    # Shape (G,): those texels, each at most once: the colours for lookups just beyond a chart's border.
     gutter_texels: Indices
-    # Shapes (B,) and (L,): texels that nothing covers, but faces look up, ascending: next to texels that the chart of
-    # each such face covers; and next to none of its chart's texels, so that they show a
-    # part of the surface that may lie far from the charts around them.
+    # Shapes (B,) and (L,), ascending: uncovered texels that lookups on faces read. Border texels are next to texels
+    # that the chart of each such face covers; lone texels are next to none, and may show a part of the surface far from
+    # the charts around them.
     border_texels: Indices
     lone_texels: Indices
     chart_of: Indices  # (T,): chart of each owned cell
-    # How many; a seam is a run of seam edges between the same two charts (or of a chart with itself).
+    # Numbers of charts and seams. A seam is a run of seam edges between two charts, or of a chart with itself.
     charts: int
     seams: int
     seam_edges: int
-    covered: int  # texels covered by the surface, and of these the texels covered more than once
+    covered: int  # texels covered by the surface, then those covered more than once
     overlapped: int
 
     @property
@@ -93,31 +91,31 @@ class Atlas:
 
     @property
     def is_owned(self) -> Bools:
-        """Which cells are owned, shape (R, C)."""
+        """Mask of owned cells, shape (R, C)."""
         owned: Bools = large_arrays.empty(self.kind.shape, bool)
         return np.equal(self.kind, OWNED, out=owned)
 
     @property
     def is_filled(self) -> Bools:
-        """Which cells are not empty, shape (R, C)."""
+        """Mask of cells that are not empty, shape (R, C)."""
         filled: Bools = large_arrays.empty(self.kind.shape, bool)
         return np.not_equal(self.kind, EMPTY, out=filled)
 
     def covered_by_texture(self) -> Int64s:
-        """Return how many texels of each texture have a cell."""
+        """Return the number of texels of each texture that have a cell."""
         if len(self.texture_offsets) == 2:
             return np.array([len(self.owned_texels)])
         return np.histogram(self.owned_texels, self.texture_offsets)[0].astype(np.int64)
 
     @cached_property
     def halo_nearest(self) -> Indices:
-        """The owned cell nearest to the place of each halo cell, shape (H,)."""
+        """The nearest owned cell of each halo cell, shape (H,)."""
         nearest = self.halo_weights.argmax(axis=1)
         return np.take_along_axis(self.halo_taps, nearest[:, None], axis=1)[:, 0]
 
 
 def texels_by_texture(offsets: Int64s, texels: Indices) -> Iterator[tuple[int, Bools | slice, Indices]]:
-    """Yield each texture's index, which of the texels are of it, and these counted from its first."""
+    """Yield the index of each texture, a mask of its texels, and these relative to the first texel."""
     if not len(texels):
         return
     first = int(np.searchsorted(offsets, texels.min(), "right")) - 1
@@ -133,10 +131,9 @@ def texels_by_texture(offsets: Int64s, texels: Indices) -> Iterator[tuple[int, B
 
 
 def refresh_halo(planes: Float32s | Int8s, atlas: Atlas, *, interpolated: bool = False) -> None:
-    """Give the halo cells of all planes, shape (N, R, C), in place, the values of their owned cells."""
-    # The nearest cell is better for colours that are averaged: a mean has less noise than other samples,
-    # and at an edge it is a colour that neither side has, over which kernels find their way across.
-    # Interpolated values are for show.
+    """Update the halo cells of all planes, shape (N, R, C), from their owned cells, in place."""
+    # Averages need the nearest cell: an interpolated value has less noise than other samples, and at an edge it is a
+    # colour of neither side, which lets kernels leak across. Interpolated values are for display.
     cells, nearest = atlas.halo_cells, atlas.halo_nearest
     at_once = large_arrays.SCATTERED if interpolated or large_arrays.any_in_files() else max(1, len(cells))
     for block in large_arrays.blocks(len(cells), at_once):
@@ -147,7 +144,7 @@ def refresh_halo(planes: Float32s | Int8s, atlas: Atlas, *, interpolated: bool =
 
 
 def without_halo(atlas: Atlas, dropped: Bools) -> Atlas:
-    """Return the atlas with some of its halo cells, shape (H,), empty."""
+    """Return the atlas with the marked halo cells, shape (H,), emptied."""
     kind = large_arrays.copy_of(atlas.kind)
     kind.reshape(-1)[atlas.halo_cells[dropped]] = EMPTY
     seen = kind.reshape(-1)[atlas.gutter_cells] != EMPTY
@@ -158,7 +155,7 @@ def without_halo(atlas: Atlas, dropped: Bools) -> Atlas:
 
 
 def without_owned(atlas: Atlas, dropped: Bools) -> Atlas:
-    """Return the atlas with some of its owned cells, shape (T,), empty; halo cells lose their colours."""
+    """Return the atlas with the marked owned cells, shape (T,), emptied, and halo cells that depend on them."""
     gone = np.zeros(atlas.kind.size, bool)
     gone[atlas.owned_cells[dropped]] = True
     weights = np.where(gone[atlas.halo_taps], 0, atlas.halo_weights)
@@ -174,7 +171,7 @@ def without_owned(atlas: Atlas, dropped: Bools) -> Atlas:
 
 
 def owned_of(kind: Uint8s) -> large_arrays.Droppable[Indices]:
-    """Return the flat indices of the owned cells, ascending, found when they are needed."""
+    """Return the flat indices of the owned cells, ascending, computed on demand."""
     return large_arrays.Droppable(None, partial(large_arrays.find, kind, OWNED))
 
 
@@ -184,11 +181,11 @@ _WRAP_CODES = {"repeat": 0, "mirror": 1, "clamp": 2}
 def build_atlas(
     surface: TexturedSurface, sizes: Sequence[tuple[int, int]], margin: int, threads: int = 1
 ) -> Atlas:
-    """Lay out the charts of a textured surface, and continue each by `margin` cells over its seams."""
+    """Lay out the charts of a textured surface, and extend each by `margin` cells over its seams."""
     build = partial(_build, surface, sizes, margin, threads)
     made = build()
     lengths = large_arrays.Droppable(made.pop("squared_lengths"), lambda: build()["squared_lengths"])
-    numbers = made["chart_of"]  # kept in as few bytes as they need
+    numbers = made["chart_of"]  # in the smallest integer type
     made["chart_of"] = large_arrays.empty(len(numbers), np.min_scalar_type(-made["charts"] - 1))
     for block in large_arrays.blocks(len(numbers)):
         made["chart_of"][block] = numbers[block]
@@ -208,27 +205,27 @@ def _build(surface: TexturedSurface, sizes: Sequence[tuple[int, int]], margin: i
             np.ascontiguousarray(place_of[surface.faces], np.int32).reshape(-1, 3),
             np.ascontiguousarray(surface.uv, np.float64).reshape(-1, 3, 2),
             np.ascontiguousarray(surface.texture_of, np.int32),
-            grids,  # width, height and codes of the wrap modes along u and v of each texture
+            grids,  # width, height, wrap modes along u and v of each texture
             margin,
             threads,
             lambda size: large_arrays.empty(size, np.uint8),
             lambda _: large_arrays.release_pages(),
         )
-    except ValueError as error:  # what the core's length errors become
+    except ValueError as error:  # std::length_error of the core
         raise ProcessingError(f"{error}; use smaller textures") from error
 
 
-ROWS = 256  # of an image, laid out at a time
+ROWS = 256  # of an image, processed at a time
 
-# Row and column of the neighbours whose distances an atlas keeps: right, below, below right, below left.
+# Row and column offsets of the neighbours in `Atlas`: right, below, below right, below left.
 STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))
 
 
 def grid_atlas(shape: tuple[int, int], margin: int, positions: Float64s | None, valid: Bools) -> Atlas:
-    """Lay out an image, shape (H, W), as one chart without seams, with at least `margin` empty cells around."""
+    """Lay out an image, shape (H, W), as one chart without seams, with a border of at least `margin` empty cells."""
     margin += margin % 2  # as charts are: squares of 2 x 2 cells begin at even pixels
-    # Positions, shape (H, W, M), that are not finite are holes, as pixels that are not valid are; without positions
-    # pixels lie on the plane, 1 apart. Nothing crosses a hole, and holes that touch at corners are a closed barrier.
+    # Invalid pixels and non-finite positions, shape (H, W, M), are holes. Without positions, pixels lie on a plane at a
+    # spacing of 1. Nothing crosses a hole, and holes that touch at corners form a closed barrier.
     filled = valid if positions is None else valid & np.isfinite(positions).all(axis=2)
     kind = large_arrays.zeros((shape[0] + 2 * margin, shape[1] + 2 * margin), np.uint8)
     inside = slice(margin, margin + shape[0]), slice(margin, margin + shape[1])
@@ -260,7 +257,7 @@ def _measure_grid(filled: Bools, margin: int, positions: Float64s | None) -> Flo
         lengths[:, rows] = np.inf
     inside = lengths[:, margin : margin + height, margin : margin + width]
     for rows in large_arrays.blocks(height, ROWS):
-        below = slice(rows.start, rows.stop + 1)  # the row that edges of the last one end in
+        below = slice(rows.start, rows.stop + 1)  # with the row in which edges of the last row end
         places = None if positions is None else positions[below]
         for plane, step in zip(inside[:, below], STEPS, strict=True):
             _measure(plane, step, filled[below], places)
@@ -268,26 +265,26 @@ def _measure_grid(filled: Bools, margin: int, positions: Float64s | None) -> Flo
 
 
 def _measure(plane: Float32s, step: tuple[int, int], filled: Bools, positions: Float64s | None) -> None:
-    """Write the squared lengths of the edges in one direction; those at holes stay infinite."""
+    """Write the squared lengths of the edges in one direction; those at holes remain infinite."""
     here, there = ends_of(step)
     edges = filled[here] & filled[there]
-    if 0 not in step:  # a diagonal is an edge of two triangles; a hole at its side removes one
+    if 0 not in step:  # a hole beside a diagonal removes one of its two triangles
         edges &= filled[here[0], there[1]] | filled[there[0], here[1]]
     if positions is None:
         plane[here][edges] = step[0] ** 2 + step[1] ** 2
         return
     total = np.zeros(edges.shape)
-    # The background of a map may be as far away as numbers go: infinitely far, so that nothing crosses there.
+    # The background of a map may be at the limit of float: an infinite length, which nothing crosses.
     with np.errstate(over="ignore"):
         for column in np.moveaxis(positions, 2, 0):
-            # Differences are taken before any rounding: maps may lie far from the origin.
+            # Subtract before rounding, since maps may be far from the origin.
             steps = np.subtract(column[there], column[here], out=np.zeros(edges.shape), where=edges)
             total += np.square(steps)
         np.copyto(plane[here], total, where=edges, casting="same_kind")
 
 
 def ends_of(step: tuple[int, int]) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
-    """Return the cells at which edges in one direction start, and those at which they end."""
+    """Return slices of the cells at which edges of a direction start and end."""
     down, right = step
     rows = slice(None, -down or None), slice(down, None)
     if right >= 0:
@@ -298,14 +295,14 @@ def ends_of(step: tuple[int, int]) -> tuple[tuple[slice, slice], tuple[slice, sl
 
 
 def at_seam(values: Sequence[Array]) -> Float64s:
-    """Extrapolate the values of three cells on a line, the nearest first, to the seam; of one, take it."""
+    """Extrapolate three cells on a line, nearest first, to the seam; return a single cell unchanged."""
     if len(values) == 1:
         return values[0].astype(np.float64)
     return np.asarray(sum(weight * each for weight, each in zip(_EXTRAPOLATION, values, strict=True)))
 
 
 def lines_over_seams(atlas: Atlas, reach: int) -> list[list[Int64s]]:
-    """Return lines of cells across seams in all four directions: `reach` owned ones from the seam, then halo ones."""
+    """Return lines of cells across seams, in four directions: `reach` owned cells from the seam, then halo cells."""
     columns, size = atlas.kind.shape[1], atlas.kind.size
     owned = atlas.kind.reshape(-1) == OWNED
     beyond = np.zeros(size, bool)
@@ -322,17 +319,17 @@ def lines_over_seams(atlas: Atlas, reach: int) -> list[list[Int64s]]:
     return found
 
 
-ROWS = 512  # of a texture that are looked at together
+ROWS = 512  # of a texture, processed at a time
 
 
 def fill_gutter(
     pixels: Array, covered: Bools, width: int | None, known: Bools | None = None,
     threads: int = 1, channels: Sequence[int] | None = None, opacity: Float32s | None = None,
 ) -> None:  # fmt: skip
-    """Give texels around charts, in place, the colour of the nearest covered texel."""
-    # `width`: the largest distance, in texels; None: any. `known`: uncovered texels that have their colours already, as
-    # from beyond a seam, and keep them. `opacity`: alpha that is multiplied into the colours, which get the alpha of
-    # their new texel; not 0 where covered.
+    """Fill texels around charts, in place, with the colour of the nearest covered texel."""
+    # `width`: maximum distance in texels; None: unlimited. `known`: uncovered texels that already have their colours,
+    # as from beyond a seam, and are not filled. `opacity`: alpha by which colours are multiplied, replaced by that of
+    # the new texel; not 0 where covered.
     table = pixels.reshape(-1, pixels.shape[2])
     visible = None if opacity is None else opacity.reshape(-1)
     for texels, nearest in nearest_covered(covered, width, known, threads):
@@ -345,7 +342,7 @@ def fill_gutter(
 def nearest_covered(
     covered: Bools, width: int | None, left_out: Bools | None = None, threads: int = 1
 ) -> Iterator[tuple[Int64s, Int64s]]:
-    """Yield uncovered texels, band by band, and the nearest covered texel of each, which is within the width."""
+    """Yield, band by band, uncovered texels and the nearest covered texel of each within the width."""
     reach = sum(covered.shape) if width is None else width
     for band in large_arrays.blocks(len(covered), max(ROWS, reach)):
         target = ~covered[band]
@@ -371,8 +368,8 @@ def _scaled(colours: Array, share: Float32s) -> Array:
 def store_integers(
     table: Array, pixels: Indices, values: Float32s, channels: Sequence[int], threads: int
 ) -> tuple[float, float, float]:
-    """Put values into pixels of integers, in place; return sum, sum of squares and maximum of the changes."""
-    # Values beyond full scale are clipped; NaN becomes 0.
+    """Write values to integer pixels, in place; return sum, sum of squares and maximum of the changes."""
+    # Values beyond full scale are clipped, and NaN becomes 0.
     rows, columns = np.ascontiguousarray(values), np.array(channels, np.int32)
     total, squares, largest = store_colours(table, pixels, rows, columns, threads)
     one = float(np.iinfo(table.dtype).max)
@@ -380,11 +377,11 @@ def store_integers(
 
 
 def within(covered: Bools, reach: int) -> Bools:
-    """Return which cells are at most `reach` rows and columns from a covered one."""
+    """Return a mask of the cells at most `reach` rows and columns from a covered cell."""
     near, known = covered, 0
     while known < reach:
-        # Dilate by shifted copies: the step is the largest that leaves no gap between them, also at the edges of the
-        # canvas, where half of the neighbourhood lies outside.
+        # Dilate by shifted copies. The step is the largest that leaves no gap between them, also at the edges of the
+        # canvas, where half of the neighbourhood is outside.
         step = min(known + 1, reach - known)
         for axis in (0, 1):
             ahead, behind = [slice(None), slice(None)], [slice(None), slice(None)]

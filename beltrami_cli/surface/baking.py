@@ -1,4 +1,4 @@
-"""Colours of a surface put into the texels of an atlas, which texels its triangles cover, and textures looked up.
+"""Baking of surface colours into an atlas, coverage of texels by triangles, and texture lookups.
 
 References
 ----------
@@ -23,25 +23,24 @@ from beltrami_cli.surface.records import TexturedSurface, Wrap
 Shade = Callable[[Int64s, Float64s], Array]
 
 
-_BLOCK = 1 << 20  # texels looked at at a time, which bounds the memory for them
-_COVER_MARGIN = 0.75  # texels: centres so near to a triangle may be of it
-_LOOKUP_MARGIN = 1.0  # texels beyond a border that bilinear lookups on it touch
+_BLOCK = 1 << 20  # texels processed at a time, to bound memory
+_COVER_MARGIN = 0.75  # texels: distance at which a centre may belong to a triangle
+_LOOKUP_MARGIN = 1.0  # texels beyond a border that bilinear lookups on it read
 _EDGE = 1e-9  # barycentric: centres on an edge are inside, whichever way they are rounded
 
 
 @dataclass(frozen=True)
 class Cover:
-    """Some texels and the triangles that they lie in."""
+    """Texels and the triangles that cover them."""
 
     texels: Int64s  # (K,): row * width + column
-    faces: Int64s  # (K,): the triangle of each
-    # Shape (K, 2): barycentric weights of its second and third corner. Texels inside have none below 0
-    # (beyond rounding).
+    faces: Int64s  # (K,): their triangles
+    # Shape (K, 2): barycentric weights of the second and third corner; for texels inside, not below 0 up to rounding.
     weights: Float64s
 
     @property
     def inside(self) -> Bools:
-        """Whether each centre lies in the triangle, edges included."""
+        """Whether each centre is in the triangle, edges included."""
         all_three = np.column_stack([self.weights, 1 - self.weights.sum(axis=1)])
         return np.asarray(np.all(all_three >= -_EDGE, axis=1))
 
@@ -49,8 +48,8 @@ class Cover:
 def cover(
     uv: Float64s, size: tuple[int, int], reach: float = 0.0, chosen: NDArray[np.intp] | None = None
 ) -> Iterator[Cover]:
-    """Yield texels whose centres lie in triangles with an area, or up to `reach` texels from them."""
-    corners = uv * size - 0.5  # so that centres are whole numbers
+    """Yield texels whose centres are in triangles with an area, or up to `reach` texels outside."""
+    corners = uv * size - 0.5  # so that centres are integers
     one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     area = _cross(one, two)
     faces = np.flatnonzero(area) if chosen is None else chosen[area[chosen] != 0]
@@ -78,16 +77,16 @@ class Cells:
     row: Int64s
     column: Int64s
     chart: NDArray[np.signedinteger[Any]]
-    names: Sequence[str] = ()  # of the pictures; none: of an image by itself
+    names: Sequence[str] = ()  # of the pictures; empty: a single image
 
     def of(self, index: int) -> tuple[Bools, tuple[Int64s, Int64s]]:
-        """Return which samples are in a picture, and their rows and columns."""
+        """Return a mask of the samples in a picture, and their rows and columns."""
         mine = self.picture == index
         return mine, (self.row[mine], self.column[mine])
 
 
 def places_of_texels(surface: TexturedSurface, cells: Cells) -> tuple[Float64s, Float64s]:
-    """Return the places of texels in space, (K, 3), and how far they are apart there, (K,)."""
+    """Return the positions of texels in space, (K, 3), and their spacing there, (K,)."""
     places, spacing = np.zeros((len(cells.row), 3)), np.ones(len(cells.row))
     of_corners = _texel_spacing(surface, [(columns, rows) for rows, columns in cells.sizes])
     for index, (rows, columns) in enumerate(cells.sizes):
@@ -105,7 +104,7 @@ def places_of_texels(surface: TexturedSurface, cells: Cells) -> tuple[Float64s, 
 
 
 def _texel_spacing(surface: TexturedSurface, sizes: Sequence[tuple[int, int]]) -> Float64s:
-    """Return how far apart texels are in space at each corner, (F, 3): the same wherever triangles meet."""
+    """Return the spacing of texels in space at each corner, (F, 3), equal where triangles meet."""
     place_of, _ = group_places(surface.positions, surface.space_of, surface.faces)
     count = len(surface.positions)
     shown = surface.texture_of >= 0
@@ -123,9 +122,9 @@ def _texel_spacing(surface: TexturedSurface, sizes: Sequence[tuple[int, int]]) -
 def _texels_in_space(
     positions: Float64s, uv: Float64s, size: tuple[int, int], spacing: Float64s
 ) -> tuple[Int64s, Float64s, Float64s]:
-    """Return texels on triangles, in ascending order, their places, and the spacing, given by corner, at them.
+    """Return the texels on triangles, ascending, their positions, and the spacing interpolated from corners.
 
-    `positions` of corners have the shape (F, 3, 3), `spacing` (F, 3).
+    Shapes: `positions` of corners (F, 3, 3), `spacing` (F, 3).
     """
     found = [(part.texels, part.faces, part.weights) for part in cover(uv, size, _COVER_MARGIN)]
     texels, faces, weights = map(np.concatenate, zip(*found, strict=True))
@@ -140,7 +139,7 @@ def _texels_in_space(
 
 
 def border_faces(uv: Float64s) -> NDArray[np.intp]:
-    """Return the triangles that have an edge which no other triangle has in the image."""
+    """Return the triangles with an edge that no other triangle shares in the image."""
     point_of, _ = group_equal_rows(*uv.reshape(-1, 2).T)
     points = point_of.reshape(-1, 3)
     edges = np.sort(np.stack([points, np.roll(points, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
@@ -154,14 +153,14 @@ def _cross(a: Float64s, b: Float64s) -> Float64s:
 
 
 def _between(low: Float64s, high: Float64s, reach: float, count: int) -> tuple[Int64s, Int64s]:
-    """Return the first and the last of some whole numbers between two places, or up to `reach` beyond."""
+    """Return the first and last integer between two numbers, or up to `reach` beyond."""
     first = np.ceil(np.clip(low - reach - _EDGE, -1, count))
     last = np.floor(np.clip(high + reach + _EDGE, -1, count))
     return np.maximum(first, 0).astype(np.int64), np.minimum(last, count - 1).astype(np.int64)
 
 
 def _columns(corners: Float64s, rows: Int64s, reach: float, width: int) -> tuple[Int64s, Int64s]:
-    """Return the first and the last column of each triangle in its row: where its edges run through the strip."""
+    """Return the first and last column of each triangle in a row, from its edges within the strip of the row."""
     ends = np.roll(corners, -1, axis=1)
     (ax, ay), (bx, by) = np.moveaxis(corners, 2, 0), np.moveaxis(ends, 2, 0)
     top, bottom = (rows - reach - _EDGE)[:, None], (rows + reach + _EDGE)[:, None]
@@ -178,7 +177,7 @@ def _columns(corners: Float64s, rows: Int64s, reach: float, width: int) -> tuple
 
 
 def runs_of(counts: Int64s) -> Iterator[slice]:
-    """Split rows into runs whose counts add up to about a block."""
+    """Split rows into runs whose counts sum to about a block."""
     sums, first = np.cumsum(counts), 0
     while first < len(counts):
         done = sums[first - 1] if first else 0
@@ -188,15 +187,15 @@ def runs_of(counts: Int64s) -> Iterator[slice]:
 
 
 def expanded(starts: Int64s, counts: Int64s) -> tuple[Int64s, Int64s]:
-    """Return start, start + 1, ... for every row, and which row each number belongs to."""
+    """Return start, start + 1, ... for each row, and the row of each number."""
     owner = np.repeat(np.arange(len(counts)), counts)
     return starts[owner] + np.arange(len(owner)) - (np.cumsum(counts) - counts)[owner], owner
 
 
 def bake(uv: Float64s, size: tuple[int, int], shade: Shade, channels: int, dtype: DTypeLike) -> Array:
-    """Fill a texture, shape (height, width, channels), with what `shade` gives for triangles and weights."""
-    # Texels just beyond the border of a chart continue its triangles (there weights leave [0, 1]), so that
-    # bilinear lookups on the border are right; all others have the colour of the nearest chart.
+    """Fill a texture, shape (height, width, channels), with the values of `shade` for triangles and weights."""
+    # Texels just beyond the border of a chart extend its triangles (weights outside [0, 1]), so that bilinear lookups
+    # on the border are exact. All others get the colour of the nearest chart.
     width, height = size
     pixels = np.zeros((height * width, channels), dtype)
     covered, adjacent = np.zeros((2, height * width), bool)
@@ -208,7 +207,7 @@ def bake(uv: Float64s, size: tuple[int, int], shade: Shade, channels: int, dtype
         free = ~covered[part.texels]
         adjacent[part.texels[free]] = True
         pixels[part.texels[free]] = shade(part.faces[free], part.weights[free])
-    # Charts smaller than a texel have adjacent texels only.
+    # Charts smaller than a texel only have adjacent texels.
     source = covered if covered.any() else adjacent
     texture = pixels.reshape(height, width, channels)
     fill_gutter(texture, source.reshape(height, width), None, adjacent.reshape(height, width))
@@ -216,8 +215,8 @@ def bake(uv: Float64s, size: tuple[int, int], shade: Shade, channels: int, dtype
 
 
 def interpolated(corners: NDArray[np.floating[Any]], faces: Int64s, weights: Float64s) -> Float64s:
-    """Interpolate between the corners, shape (F, 3, C), of triangles; exact where all three agree."""
-    # Outside the triangle values go on linearly, by at most the difference between the corners.
+    """Interpolate corner values, shape (F, 3, C), within triangles; exact where all three are equal."""
+    # Outside the triangle values are extrapolated, by at most the difference between corners.
     mine = corners[faces].astype(np.float64)
     first = mine[:, 0]
     steps = mine[:, 1:] - mine[:, :1]
@@ -227,7 +226,7 @@ def interpolated(corners: NDArray[np.floating[Any]], faces: Int64s, weights: Flo
 
 
 def overlap(uv: Float64s, size: tuple[int, int]) -> float:
-    """Return the share of the covered texels that lie inside more than one triangle."""
+    """Return the share of the covered texels that are inside more than one triangle."""
     hits = np.zeros(size[0] * size[1], np.int32)
     for part in cover(uv, size):
         weights = part.weights
@@ -237,7 +236,7 @@ def overlap(uv: Float64s, size: tuple[int, int]) -> float:
 
 
 def texels_for_vertices(positions: Float64s, faces: Int32s) -> float:
-    """Return how many texels cover a mesh if each is half as long as an edge."""
+    """Return the number of texels that cover a mesh with two texels per edge."""
     unit = positions / max(float(np.abs(positions).max(initial=0)), np.finfo(float).tiny)
     edges = np.linalg.norm(unit[faces] - unit[np.roll(faces, -1, axis=1)], axis=2)
     mean = float(edges.mean()) if edges.size else 0.0
@@ -248,9 +247,9 @@ def look_up(
     image: Float32s, uv: Array, wrap: tuple[Wrap, Wrap], alpha: int | None = None,
     precision: type[np.float32] | type[np.float64] = np.float64,
 ) -> Array:  # fmt: skip
-    """Interpolate between the four texels around each place; exact where the four agree."""
-    # Places are (u to the right, v down), (0, 0) the upper left corner of the image and (1, 1) the lower
-    # right. Where the channel `alpha`, the opacity, is transparent, no colour is taken.
+    """Interpolate bilinearly between texels; exact where all four are equal."""
+    # Coordinates: u to the right, v down, (0, 0) the upper left corner of the image and (1, 1) the lower right. No
+    # colour is taken where the channel `alpha` is transparent.
     height, width = image.shape[:2]
     left, right, across = _taps(uv[:, 0], width, wrap[0])
     upper, lower, down = _taps(uv[:, 1], height, wrap[1])
@@ -270,14 +269,14 @@ def look_up(
 
 
 def _texels(image: Array, row: Int64s, column: Int64s) -> Array:
-    if image.flags.c_contiguous:  # as it mostly is, and then this is faster
+    if image.flags.c_contiguous:  # the usual and faster case
         return np.asarray(image.reshape(-1, image.shape[2]).take(row * image.shape[1] + column, axis=0))
     return np.asarray(image[row, column])
 
 
 def noise_around(image: Float32s, uv: Float64s, wrap: tuple[Wrap, Wrap]) -> Float64s:
-    """Return samples of the texture's noise: what a mask gives that turns any plane to zero [1]."""
-    # They have the standard deviation of independent noise.
+    """Return samples of the texture's noise, by a mask that maps any plane to zero [1]."""
+    # The samples have the standard deviation of independent noise.
     height, width = image.shape[:2]
     mask = np.outer([1, -2, 1], [1, -2, 1]) / 6
     column, row = (np.floor(uv * [width, height]).astype(np.int64)).T
@@ -296,8 +295,8 @@ def _mixed(four: list[Array], across: Array, down: Array) -> Array:
 
 
 def _taps(coordinate: Array, count: int, wrap: Wrap) -> tuple[Int64s, Int64s, Array]:
-    """Return the texels on both sides along one axis, and how far between them each place lies."""
-    # Whole periods are taken off first: coordinates may be huge, and only their remainder says anything.
+    """Return the texels on both sides along one axis, and the fraction between them."""
+    # Subtract whole periods first, since coordinates may be huge.
     period = 2.0 if wrap == "mirror" else 1.0
     if wrap == "clamp":
         folded = np.clip(coordinate, -1, 2)
@@ -309,7 +308,7 @@ def _taps(coordinate: Array, count: int, wrap: Wrap) -> tuple[Int64s, Int64s, Ar
 
 
 def _all_within(values: Array, end: float) -> bool:
-    """Whether all values are in [0, end), so that there is nothing to wrap."""
+    """Whether all values are in [0, end), so that wrapping is unnecessary."""
     return bool(values.size) and bool(values.min() >= 0) and bool(values.max() < end)
 
 

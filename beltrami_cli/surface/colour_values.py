@@ -1,4 +1,4 @@
-"""Colours as numbers: the sRGB transfer function, spaces, limits, and values drawn as colours."""
+"""Numeric colours: sRGB transfer function, colour spaces, limits, and colour maps."""
 
 from __future__ import annotations
 
@@ -11,36 +11,36 @@ from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Uint8s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.surface.records import Encoding, require_finite
 
-_SLOPE = 12.92  # of the straight piece near black
+_SLOPE = 12.92  # of the linear segment near black
 _OFFSET = 0.055
 _EXPONENT = 2.4
-_KNEE_SRGB = 0.04045  # where the standard lets the straight piece end, on either side
+_KNEE_SRGB = 0.04045  # end of the linear segment in the standard, on either side
 _KNEE_LINEAR = 0.0031308
-# Every tenth part of the colour map viridis: its lightness grows evenly, also for the colour-blind and in grey.
-# S. van der Walt, N. Smith, "A better default colormap for matplotlib" (2015), in the public domain (CC0).
+# The colour map viridis in steps of a tenth: its lightness grows evenly, also for the colour-blind and in grey. S. van
+# der Walt, N. Smith, "A better default colormap for matplotlib" (2015), in the public domain (CC0).
 VIRIDIS = np.array([
     [0.267, 0.005, 0.329], [0.283, 0.141, 0.458], [0.254, 0.265, 0.530], [0.207, 0.372, 0.553],
     [0.164, 0.471, 0.558], [0.128, 0.567, 0.551], [0.135, 0.659, 0.518], [0.267, 0.749, 0.441],
     [0.478, 0.821, 0.318], [0.741, 0.873, 0.150], [0.993, 0.906, 0.144],
 ])  # fmt: skip
-# The greys of a picture where there is no value: neither black nor white.
+# Range of greys where there is no value: neither black nor white.
 _GREY_FROM, _GREY_TO = 0.35, 0.9
 
-# Share of samples beyond 0 or full scale up to which these are limits: single spikes and rounding prove nothing.
+# Maximum share of samples beyond 0 or full scale for these to be limits, in view of spikes and rounding.
 _MAX_SHARE_BEYOND = 1e-3
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
 def srgb_to_linear(values: ArrayLike) -> NDArray[np.floating[Any]]:
-    """Turn display values into linear light, in double precision; float32 stays float32."""
+    """Convert display values to linear light in double precision; float32 stays float32."""
     size = np.abs(np.asarray(values, np.float64))
     curve = ((size + _OFFSET) / (1 + _OFFSET)) ** _EXPONENT
     return _signed(np.where(size <= _KNEE_SRGB, size / _SLOPE, curve), values)
 
 
 def linear_to_srgb(values: ArrayLike) -> NDArray[np.floating[Any]]:
-    """Turn linear light into display values, in double precision; float32 stays float32."""
+    """Convert linear light to display values in double precision; float32 stays float32."""
     size = np.abs(np.asarray(values, np.float64))
     curve = (1 + _OFFSET) * size ** (1 / _EXPONENT) - _OFFSET
     return _signed(np.where(size <= _KNEE_LINEAR, size * _SLOPE, curve), values)
@@ -52,7 +52,7 @@ def _signed(size: Float64s, given: ArrayLike) -> NDArray[np.floating[Any]]:
 
 
 def limits_of(colours: Array) -> tuple[float, float]:
-    """Return where noise of colours is cut off: at 0 and 1, or at infinity where more than a few lie beyond."""
+    """Return the limits at which noise is clipped: 0 and 1, or infinity if more than a few samples are beyond."""
     few, low, high = _MAX_SHARE_BEYOND * colours.size, 0.0, 1.0
     if colours.min(initial=0) < 0 and np.count_nonzero(colours < 0) > few:
         low = -np.inf
@@ -62,7 +62,7 @@ def limits_of(colours: Array) -> tuple[float, float]:
 
 
 def colour_by_value(values: Float32s, colours: Float32s, known: Bools) -> Float64s:
-    """Colour values in [0, 1], of any shape, by viridis; where none is known, the grey of `colours` shows."""
+    """Map values in [0, 1], of any shape, to viridis; where unknown, show the grey of `colours`."""
     at = np.clip(np.where(known, values, 0), 0, 1)
     steps = np.linspace(0, 1, len(VIRIDIS))
     colours = np.stack([np.interp(at, steps, channel) for channel in VIRIDIS.T], axis=-1)
@@ -93,7 +93,7 @@ _LAB = np.array(
 
 
 def to_space(colours: Float32s, encoding: Encoding, space: str, unit: float = 1.0) -> Float32s:
-    """Convert stored colours, shape (S, C), to the working space, where `unit` is 1; "data" keeps the numbers."""
+    """Convert stored colours, shape (S, C), to the working space, divided by `unit`; "data" is not converted."""
     if unit != 1:
         colours = colours / np.float32(unit)
     if space in ("data", encoding):
@@ -106,7 +106,7 @@ def to_space(colours: Float32s, encoding: Encoding, space: str, unit: float = 1.
 
 
 def _light_of(colours: Float32s) -> Float32s:
-    """Return sRGB colours as linear light; InputError where that power of 2.4 leaves single precision."""
+    """Return sRGB colours as linear light; InputError if the power of 2.4 overflows single precision."""
     with np.errstate(over="ignore"):
         linear = np.asarray(srgb_to_linear(colours), np.float32)
     require_finite(
@@ -116,7 +116,7 @@ def _light_of(colours: Float32s) -> Float32s:
 
 
 def from_space(colours: Float32s, encoding: Encoding, space: str, unit: float = 1.0) -> Float32s:
-    """Convert working colours, shape (S, C), back to what the file stores; the inverse of `to_space`."""
+    """Convert working colours, shape (S, C), to stored ones; the inverse of `to_space`."""
     if unit != 1:
         return from_space(colours, encoding, space) * np.float32(unit)
     if space in ("data", encoding):
@@ -131,9 +131,9 @@ def from_space(colours: Float32s, encoding: Encoding, space: str, unit: float = 
 
 
 def unit_in_space(unit: float, encoding: Encoding, space: str) -> float:
-    """Return the factor by which working colours are divided where stored ones are divided by a unit.
+    """Return the divisor of working colours that corresponds to a divisor of stored colours.
 
-    In sRGB this holds above the linear part of the curve, which ends at 0.04.
+    In sRGB this holds above the linear segment of the curve, which ends at 0.04.
     """
     if space in ("data", encoding):
         return unit

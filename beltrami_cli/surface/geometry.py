@@ -30,15 +30,15 @@ from beltrami_cli.surface.records import typical_edge, upper_median
 
 
 def bounds(positions: Float64s) -> list[list[float]]:
-    """Return the least and the greatest coordinates; nothing if there are no positions."""
+    """Return the minimum and maximum coordinates; empty without positions."""
     return [positions.min(axis=0).tolist(), positions.max(axis=0).tolist()] if len(positions) else []
 
 
 def unit_vectors(vectors: Float64s) -> Float64s:
-    """Return vectors, shape (N, 3), with length 1, or 0 where they have none."""
+    """Normalise vectors, shape (N, 3); zero vectors remain 0."""
     with np.errstate(over="ignore"):
         length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    beyond = np.isinf(length[:, 0])  # squares of finite numbers can be
+    beyond = np.isinf(length[:, 0])  # squares of finite numbers may overflow
     if beyond.any():
         vectors = vectors.copy()
         vectors[beyond] /= np.abs(vectors[beyond]).max(axis=1, keepdims=True)
@@ -47,35 +47,35 @@ def unit_vectors(vectors: Float64s) -> Float64s:
 
 
 def centred(positions: Float64s) -> Float64s:
-    """Return points around the origin, the farthest at 1/2 to 1, so that squares neither vanish nor overflow."""
+    """Centre and scale points so that the furthest is at 1/2 to 1, and squares neither underflow nor overflow."""
     if not len(positions):
         return positions
-    # Halves, since a sum may overflow; a power of two, since it rounds nothing.
+    # Halves, since a sum may overflow; a power of two, since it does not round.
     points = positions / 2 - (positions.min(axis=0) / 2 + positions.max(axis=0) / 2) / 2
     extent = float(np.abs(points).max())
     return np.asarray(np.ldexp(points, -int(np.frexp(extent)[1]))) if extent > 0 else points
 
 
 def shortest_type(positions: Float64s) -> Float32s | Float64s:
-    """Return positions as float32 if that loses nothing, which takes fewer bytes or digits in a file."""
+    """Return positions as float32 if exact, to save memory and digits in files."""
     with np.errstate(over="ignore"):  # Beyond float32 they become infinite, which is not equal.
         single = positions.astype(np.float32)
     return single if bool((single == positions).all()) else positions
 
 
-# Steps of stored positions as wide as this part of an edge bend the surface; half of a step each is rounded away.
+# Steps of stored positions larger than this share of an edge bend the surface; half a step is rounded away.
 _COARSE = 0.25
 
 
 def coarse_rounding(positions: Float64s, faces: Int32s) -> list[str]:
-    """Return the notice of positions that single precision has rounded about as coarsely as vertices lie, or nothing.
+    """Return a notice if single precision has rounded positions about as coarsely as the vertex spacing, else "".
 
-    The stored type follows from the numbers: doubles have more digits than single precision holds.
+    The stored type is inferred from the numbers: doubles have more digits than single precision holds.
     """
     edge = typical_edge(positions, faces)
     if edge == 0 or shortest_type(positions).dtype != np.float32:
         return []
-    # Half of the vertices are as far out as this: a single one may lie anywhere.
+    # The median vertex, since a single vertex may be anywhere.
     step = float(np.spacing(np.float32(upper_median(np.abs(positions).max(axis=1)))))
     if step < _COARSE * edge:
         return []
@@ -86,7 +86,7 @@ def coarse_rounding(positions: Float64s, faces: Int32s) -> list[str]:
 
 
 def triangle_areas(positions: Float64s, faces: Int32s) -> Float64s:
-    """Compute the areas of triangles in any dimension, from the Gram determinant."""
+    """Compute the areas of triangles in any dimension from the Gram determinant."""
     p = positions[faces[:, 1]] - positions[faces[:, 0]]
     q = positions[faces[:, 2]] - positions[faces[:, 0]]
     gram = (p * p).sum(1) * (q * q).sum(1) - (p * q).sum(1) ** 2
@@ -94,7 +94,7 @@ def triangle_areas(positions: Float64s, faces: Int32s) -> Float64s:
 
 
 def vertex_areas(positions: Float64s, faces: Int32s) -> Float32s:
-    """Compute the area that each vertex stands for: a third of the triangles around it."""
+    """Compute the area of each vertex: a third of that of its triangles."""
     # In units of the mean over all vertices; 0 at isolated vertices.
     third = np.repeat(triangle_areas(positions, faces) / 3, 3)
     areas = np.bincount(faces.ravel(), third, len(positions))
@@ -102,14 +102,14 @@ def vertex_areas(positions: Float64s, faces: Int32s) -> Float32s:
     return (areas / mean if mean > 0 else areas).astype(np.float32)
 
 
-# Triangles back to back leave this much of their sum at most, by rounding.
+# Remainder by rounding of the normals of opposite triangles, relative to their sum of sizes.
 _CANCELLED = 1e-12
 
 
 def vertex_normals(positions: Float64s, faces: Int32s, group_of: Int32s) -> Float32s:
-    """Compute the mean unit normal of the triangles around each vertex; 0 where they cancel out."""
-    # Weights are the angle [1] and the square root of the area, since the normals of slivers are mostly noise. Vertices
-    # with the same number in `group_of` have one normal in common, such as the copies of a split vertex.
+    """Compute the unit normal of the triangles around each vertex; 0 where they cancel."""
+    # Weights are the angle [1] and the square root of the area, since normals of slivers are mostly noise. Vertices
+    # with equal numbers in `group_of`, such as copies of a split vertex, share a normal.
     crosses = _double_areas(positions, faces)
     area = np.linalg.norm(crosses, axis=1)
     root = np.sqrt(area)[:, None]
@@ -123,9 +123,9 @@ def vertex_normals(positions: Float64s, faces: Int32s, group_of: Int32s) -> Floa
 
 
 def normal_tensors(positions: Float64s, faces: Int32s, group_of: Int32s) -> Float64s:
-    """Return the sum of n n^T over the triangles around each group, weighted by area: the quadric of [2]."""
-    # The largest eigenvalue is 1: in a plane this is the projector on its normal, on a crease that on the
-    # plane of both normals, at a corner of a cube all of space. 0 where there is no area.
+    """Return the area-weighted sum of n n^T over the triangles around each group: the quadric of [2]."""
+    # The largest eigenvalue is 1. On a plane the tensor is the projector on its normal, on a crease that on the plane
+    # of both normals, and at a corner of a cube the identity. It is 0 without area.
     crosses = _double_areas(positions, faces)
     area = np.linalg.norm(crosses, axis=1, keepdims=True)
     normals = np.divide(crosses, area, out=np.zeros_like(crosses), where=area > 0)
@@ -136,13 +136,13 @@ def normal_tensors(positions: Float64s, faces: Int32s, group_of: Int32s) -> Floa
 
 
 def _double_areas(positions: Float64s, faces: Int32s) -> Float64s:
-    """Return the normal of each triangle, as long as twice its area, shape (F, 3)."""
+    """Return the normal of each triangle, with twice its area as length, shape (F, 3)."""
     corners = positions[faces]
     return np.asarray(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
 
 
 def _angles(positions: Float64s, faces: Int32s, double_area: Float64s) -> Float64s:
-    """Return the angle of each corner of each triangle, shape (F, 3), in radians."""
+    """Return the angles of triangles at their corners, shape (F, 3), in radians."""
     angles = np.empty((len(faces), 3))
     for corner in range(3):
         origin = positions[faces[:, corner]]
@@ -153,14 +153,14 @@ def _angles(positions: Float64s, faces: Int32s, double_area: Float64s) -> Float6
 
 
 def _gathered(values: Float64s, faces: Int32s, group_of: Int32s) -> Float64s:
-    """Sum what corners have, shape (3 F, N), first corners first, over each group of vertices, shape (G, N)."""
+    """Sum corner values, shape (3 F, N), all first corners first, over groups of vertices, shape (G, N)."""
     groups = group_of[faces].T.ravel()
     count = int(group_of.max(initial=-1)) + 1
     return np.stack([np.bincount(groups, column, count) for column in values.T], axis=1)
 
 
 def on_boundary(faces: Int32s, count: int) -> Bools:
-    """Return which vertices are ends of an edge that has one triangle only."""
+    """Return which vertices are ends of a boundary edge."""
     edges, uses = _edge_uses(_distinct(_without_degenerate(faces)), count)
     alone = edges[uses == 1]
     boundary = np.zeros(count, bool)
@@ -170,26 +170,26 @@ def on_boundary(faces: Int32s, count: int) -> Bools:
 
 
 def _without_degenerate(faces: Int32s) -> Int64s:
-    """Return the triangles that repeat no vertex, each with its vertices in order."""
+    """Return the triangles without repeated vertices, their corners sorted."""
     corners = np.sort(faces.astype(np.int64), axis=1)
     is_proper = (corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2])
     return np.asarray(corners[is_proper], np.int64)
 
 
 def _distinct(corners: Int64s) -> Int64s:
-    """Return each triangle once, its vertices in ascending order."""
+    """Return each triangle once, with sorted corners."""
     return corners[group_equal_rows(*corners.T)[1]]
 
 
 def _edge_uses(corners: Int64s, count: int) -> tuple[Int64s, Int64s]:
-    """Return the edges of triangles, as low * count + high, and how many triangles each has."""
+    """Return the edges of triangles, as low * count + high, and the number of triangles of each."""
     keys = np.concatenate([corners[:, i] * count + corners[:, j] for i, j in ((0, 1), (0, 2), (1, 2))])
     edges, uses = np.unique(keys, return_counts=True)
     return edges, uses
 
 
 def count_topology(positions: Float64s, faces: Int32s) -> dict[str, int]:
-    """Count the parts of a triangle mesh, by their names; duplicate faces count once for the edges."""
+    """Count the elements of a triangle mesh, by name; duplicate faces count once for the edges."""
     count, proper = len(positions), _without_degenerate(faces)
     distinct = _distinct(proper)
     _, uses = _edge_uses(distinct, count)
@@ -204,20 +204,20 @@ def count_topology(positions: Float64s, faces: Int32s) -> dict[str, int]:
     }
 
 
-# Means over neighbours are taken this often: far enough to be steady where edges differ at random, near enough to
-# follow a gradation of the mesh.
+# Number of averages over neighbours: enough to be steady where edge lengths vary at random, few enough to follow a
+# gradation of the mesh.
 _SMOOTHING_ROUNDS = 3
 
 
 def mean_side(positions: Float64s, faces: Int32s) -> float:
-    """Return the mean length of the sides of all faces, shape (F, 3); 1 without faces."""
+    """Return the mean side length of all faces; 1 without faces."""
     corners = positions[faces]
     sides = corners - np.roll(corners, 1, axis=1)
     return float(np.sqrt((sides**2).sum(axis=2)).mean()) if len(corners) else 1.0
 
 
 def distinct_edges(faces: Int32s) -> Int32s:
-    """Return the edges of triangles, or of pairs, each once, shape (E, 2), the lower end first, in order."""
+    """Return the edges of triangles or pairs, each once, shape (E, 2), sorted, lower end first."""
     sides = 3 if faces.shape[1] == 3 else 1
     pairs = large_arrays.empty(sides * len(faces), np.int64)
     for corner, own in enumerate(np.split(pairs, sides)):
@@ -228,7 +228,7 @@ def distinct_edges(faces: Int32s) -> Int32s:
     pairs.sort()
     is_edge = np.ones(len(pairs), bool)
     for block in large_arrays.blocks(len(pairs)):
-        # A triangle that repeats a vertex has a side without length.
+        # A triangle with a repeated vertex has a side without length.
         is_edge[block] = (pairs[block] >> 32).astype(np.int32) != pairs[block].astype(np.int32)
     is_edge[1:] &= pairs[1:] != pairs[:-1]
     edges = large_arrays.empty((int(np.count_nonzero(is_edge)), 2), np.int32)
@@ -241,7 +241,7 @@ def distinct_edges(faces: Int32s) -> Int32s:
 
 
 def edges_in_space(edges: Int32s, positions: Float64s) -> tuple[Int32s, Float64s]:
-    """Return the edges, shape (L, 2), whose ends lie apart, and their lengths."""
+    """Return the edges whose ends differ in position, shape (L, 2), and their lengths."""
     lengths: Float64s = large_arrays.zeros(len(edges), np.float64)
     for block in large_arrays.blocks(len(edges)):
         low, high = edges[block].T
@@ -258,7 +258,7 @@ def local_spacing(count: int, edges: Int32s, lengths: Float64s) -> Float64s:
         return np.ones(count)
     degree = np.bincount(edges.ravel(), minlength=count)
     total = np.bincount(edges[:, 0], lengths, count) + np.bincount(edges[:, 1], lengths, count)
-    # Vertices without edges get the overall mean.
+    # Isolated vertices get the overall mean.
     spacing: Float64s = np.where(degree > 0, total / np.maximum(degree, 1), lengths.mean())
     for _ in range(_SMOOTHING_ROUNDS):
         around = np.bincount(edges[:, 0], spacing[edges[:, 1]], count)
@@ -267,12 +267,12 @@ def local_spacing(count: int, edges: Int32s, lengths: Float64s) -> Float64s:
     return spacing
 
 
-_BLOCK = 1 << 16  # polygons cut at a time, which bounds the memory for their corners
-_MAX_EARS = 1 << 14  # corners of a polygon that is not convex: some ten seconds of work at most
+_BLOCK = 1 << 16  # polygons processed at a time, to bound memory
+_MAX_EARS = 1 << 14  # corners of a concave polygon, for at most ten seconds of work
 
 
 def triangulate(positions: Float64s, corners: Int32s, offsets: Int64s) -> Int32s:
-    """Cut polygons into triangles of the same orientation, in order: n - 2 for n corners, no new vertices."""
+    """Cut polygons into triangles of the same orientation, in order: n - 2 per n corners, without new vertices."""
     # Polygon p has the corners ``corners[offsets[p]:offsets[p + 1]]``.
     sizes = np.diff(offsets)
     if sizes.size and (sizes == 3).all():
@@ -304,7 +304,7 @@ def polygons_of(offsets: Int64s) -> Int64s:
 
 
 def polygons_with(marked: Bools, offsets: Int64s) -> Bools:
-    """Return which polygons have any of the corners that are marked."""
+    """Return which polygons have a marked corner."""
     return np.bincount(polygons_of(offsets)[marked], minlength=len(offsets) - 1) > 0
 
 
@@ -316,7 +316,7 @@ def dual(positions: Float64s, corners: Int32s, offsets: Int64s) -> tuple[Float64
     place = group_equal_rows(*positions.T)[0][corners].astype(np.int64)
     after = np.arange(1, len(corners) + 1)
     after[offsets[1:][sizes > 0] - 1] = offsets[:-1][sizes > 0]
-    # Across the edge from a corner to the next one lies the polygon that has this edge in the other direction.
+    # The polygon across the edge from a corner to the next has this edge in the opposite direction.
     edges, reverse = (a * len(positions) + b for a, b in ((place, place[after]), (place[after], place)))
     order = np.argsort(edges, kind="stable")
     match = order[np.minimum(np.searchsorted(edges, reverse, sorter=order), len(order) - 1)]
@@ -328,7 +328,7 @@ def dual(positions: Float64s, corners: Int32s, offsets: Int64s) -> tuple[Float64
 
 
 def unrolled(strips: Int64s, ends: Int64s) -> Int64s:
-    """Convert strips, which -1 restarts, to triangles, with every other one of a strip reversed."""
+    """Convert triangle strips, which -1 restarts, to triangles; every second one of a strip is reversed."""
     if strips.size < 3:
         return np.empty((0, 3), np.int64)
     begins = np.zeros(len(strips), np.bool_)
@@ -349,7 +349,7 @@ def _cut(positions: Float64s, polygons: Int32s) -> Int32s:
     size = polygons.shape[1]
     if size == 3:
         return polygons[:, None, :]
-    # Relative to the first corner, so that meshes far from the origin lose no digits in the products.
+    # Relative to the first corner, so that products keep their digits far from the origin.
     points = positions[polygons] - positions[polygons[:, :1]]
     if size == 4:
         return _cut_quads(points, polygons)
@@ -361,7 +361,7 @@ def _cut(positions: Float64s, polygons: Int32s) -> Int32s:
         if size > _MAX_EARS:
             cause = f"a polygon of {size} corners is not convex; up to {_MAX_EARS} are cut into triangles"
             raise InputError("the mesh", cause, "triangulate it first")
-        # The axis that the normal is closest to is dropped, and the polygon stays counter-clockwise.
+        # Project along the axis closest to the normal, which keeps the polygon counter-clockwise.
         axis = int(np.argmax(np.abs(normals[bad])))
         axes = [(axis + 1) % 3, (axis + 2) % 3][:: -1 if normals[bad, axis] < 0 else 1]
         cut[bad] = polygons[bad][_ears(points[bad][:, axes])]
@@ -374,7 +374,7 @@ def _cut_quads(points: Float64s, quads: Int32s) -> Int32s:
     diagonals = points[:, 2] - points[:, 0], points[:, 3] - points[:, 1]
     normals = np.cross(*diagonals)
     lengths = [np.einsum("pi,pi->p", diagonal, diagonal) for diagonal in diagonals]
-    # Whether both triangles look along the normal and have area.
+    # Whether both triangles face along the normal and have an area.
     fine = []
     for cut in (one, other):
         triangles = points[:, cut]
@@ -386,19 +386,18 @@ def _cut_quads(points: Float64s, quads: Int32s) -> Int32s:
 
 
 def _ears(points: Float64s) -> NDArray[np.intp]:
-    """Cut a counter-clockwise polygon, shape (n, 2), into triangles, shape (n - 2, 3), by taking ears off."""
-    # Only the two neighbours of an ear can become ears, or cease to be any, when it is taken off. So the
-    # work grows with the square of n, whatever the polygon is like.
+    """Triangulate a counter-clockwise polygon, shape (n, 2), by ear clipping, shape (n - 2, 3)."""
+    # Clipping an ear can change only its two neighbours. So the work is quadratic in n for any polygon.
     left, is_left, triangles, at = [*range(len(points))], np.ones(len(points), bool), [], 0
     axes = np.ascontiguousarray(points.T)
     ears = [_is_ear(axes, left, tip, is_left) for tip in left]
     while len(left) > 3:
-        # Where the polygon crosses itself, there may be none.
+        # A self-intersecting polygon may have none.
         tip = next((tip for tip in (*range(at, len(left)), *range(at)) if ears[tip]), at)
         triangles.append((left[tip - 1], left[tip], left[(tip + 1) % len(left)]))
         is_left[left[tip]] = False
         del left[tip], ears[tip]
-        at = tip % len(left)  # going on behind the gap spreads the corners
+        at = tip % len(left)  # continue behind the gap to spread the corners
         for neighbour in (at - 1, at):
             ears[neighbour] = _is_ear(axes, left, neighbour, is_left)
     triangles.append((left[at - 1], left[at], left[(at + 1) % 3]))
@@ -406,7 +405,7 @@ def _ears(points: Float64s) -> NDArray[np.intp]:
 
 
 def _is_ear(axes: Float64s, left: list[int], tip: int, is_left: Bools) -> bool:
-    """Return whether a corner and its neighbours form a triangle that looks up and holds no other corner."""
+    """Whether a corner and its neighbours form a triangle that faces up and contains no other corner."""
     x, y = axes
     (ax, bx, cx), (ay, by, cy) = axes[:, [left[tip - 1], left[tip], left[(tip + 1) % len(left)]]].tolist()
     if (bx - ax) * (cy - ay) - (by - ay) * (cx - ax) <= 0:

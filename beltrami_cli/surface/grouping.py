@@ -1,11 +1,11 @@
-"""Equal rows found by hashing: coincident vertices, and vertex colours as samples.
+"""Grouping of equal rows by hashing: coincident vertices, and the samples of vertex colours.
 
-Vertices that a format splits (for normals, texture coordinates, primitives) but that stand at one place, but for
-rounding, with one colour become one sample. Where coincident vertices differ in colour, each colour is a sample of its
-own, and bridges join them: on the image manifold (X, beta I) a colour jump along an edge is an upright strip between
-the edge's two copies, with no extent in X and the jump in I. Both of its diagonals are laid, so that the result does
-not depend on the order of vertices. More than two copies of one edge (non-manifold edges) are joined in a chain, by the
-order of their colours.
+Vertices that a format splits (for normals, texture coordinates or primitives) become one sample if their positions are
+equal up to rounding and their colours are equal. If coincident vertices differ in colour, each colour is a sample, and
+bridges join them. On the image manifold (X, beta I) a colour jump along an edge is an upright strip between the two
+copies of the edge, with no extent in X and the jump in I. Both diagonals of the strip are added, so that the result
+does not depend on the order of vertices. More than two copies of an edge (non-manifold edges) are joined in a chain,
+ordered by colour.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from numpy.typing import NDArray
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.surface.records import ColouredVertices, SampledSurface, typical_edge
 
-# Odd constants of the splitmix64 generator (Steele, Lea, Flood 2014): each step is a bijection of 64-bit words.
+# Odd constants of the splitmix64 generator (Steele, Lea, Flood 2014); each step is a bijection of 64-bit words.
 _INCREMENT = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
 _MIX_2 = np.uint64(0x94D049BB133111EB)
 
 
 def group_equal_rows(*columns: Array) -> tuple[Int32s, Int32s]:
-    """Find the distinct rows of a table, numbered by their first row: each row's number, and first rows."""
-    # Columns are of any integer or floating type, without NaN; -0.0 equals 0.0.
+    """Find the distinct rows of a table; return the number of each row, and the first row of each number."""
+    # Columns have any integer or floating type, without NaN; -0.0 equals 0.0.
     words = []
     for column in columns:
         is_float = column.dtype.kind == "f"
@@ -40,15 +40,15 @@ def group_equal_rows(*columns: Array) -> tuple[Int32s, Int32s]:
     for word in words:
         hashed = mix_bits(hashed ^ word)
     ascending = np.sort(hashed)
-    if not np.any(ascending[1:] == ascending[:-1]):  # as in most files; to sort alone is quick
+    if not np.any(ascending[1:] == ascending[:-1]):  # the usual case, in which sorting suffices
         every = np.arange(len(hashed), dtype=np.int32)
         return every, every.copy()
     order = np.argsort(hashed, kind="stable")
     new, same_hash = _run_starts(words, order), hashed[order][1:] == hashed[order][:-1]
-    if np.any(new[1:] & same_hash):  # two different rows with one hash: sort by the rows themselves
+    if np.any(new[1:] & same_hash):  # hash collision: sort by the rows themselves
         order = np.lexsort(words)
         new = _run_starts(words, order)
-    # The sort is stable, so the first member of a run is the group's first row.
+    # The sort is stable, so the first member of a run is the first row of the group.
     first_of_run = order[new]
     by_first = np.argsort(first_of_run)
     rank = np.empty(len(by_first), np.int32)
@@ -59,7 +59,7 @@ def group_equal_rows(*columns: Array) -> tuple[Int32s, Int32s]:
 
 
 def _run_starts(columns: Sequence[Array], order: NDArray[np.intp]) -> Bools:
-    """Return which rows of a table differ from the one before them in an order."""
+    """Return which rows, in an order, differ from the row before."""
     new = np.zeros(len(order), bool)
     new[:1] = True
     for column in columns:
@@ -67,25 +67,24 @@ def _run_starts(columns: Sequence[Array], order: NDArray[np.intp]) -> Bools:
     return new
 
 
-# Copies of a vertex differ by so many units in the last place of the largest coordinate, in every coordinate: each of
-# the two may be rounded by half a unit in four operations, such as a rotation and an offset.
+# Maximum difference between copies of a vertex, in units in the last place of the largest coordinate: either copy may
+# be rounded by half a unit in four operations, such as a rotation and an offset.
 _ROUNDED_UNITS = 4
-# A typical edge is so many times longer than the tolerance, or steps of rounding are as wide as details of the mesh.
+# Minimum ratio of a typical edge to the tolerance: else rounding is as coarse as details of the mesh.
 _EDGE_OF_TOLERANCE = 64
-# More than twice, so that in every direction one of two shifted grids has copies in one cell.
+# More than twice the tolerance, so that along each axis at least one of two shifted grids has both copies in one cell.
 _CELL_OF_TOLERANCE = 4
 _SINGLE_EPS = np.finfo(np.float32).eps
-_SAMPLED_VALUES = 10_000  # coordinates whose digits are counted
-_MAX_DECIMALS = 9  # of coordinates in text, with which programs write single precision
+_SAMPLED_VALUES = 10_000  # number of coordinates whose digits are counted
+_MAX_DECIMALS = 9  # of single-precision coordinates in text
 
 
 def group_places(
     positions: Float64s, space_of: Int32s | None, faces: Int32s | None = None
 ) -> tuple[Int32s, Int32s]:
-    """Find the distinct positions, each in its space, as `group_equal_rows` does.
+    """Find the distinct positions in each space, as `group_equal_rows`.
 
-    Vertices at open borders of faces count as one, too, if they differ by no more than rounding, unless an edge joins
-    any two of them.
+    Vertices at open borders are merged if they differ only by rounding, unless an edge joins any two of them.
     """
     spaces = [] if space_of is None else [space_of]
     place_of, first = group_equal_rows(*positions.T, *spaces)
@@ -104,26 +103,26 @@ def group_places(
 
 
 def _tolerance(positions: Float64s) -> float:
-    """Return by how much coordinates of copies differ at most: by units in the last place, as they are stored."""
+    """Return the maximum difference of copies' coordinates, from the precision in which they are stored."""
     with np.errstate(over="ignore"):
         if (positions.astype(np.float32) == positions).all():
             return _ROUNDED_UNITS * float(np.spacing(np.float32(np.abs(positions).max())))
-        # In double precision an offset may have been added, or a node of a scene turned the mesh, but most programs
-        # compute a mesh in single precision.
+        # Doubles may have an offset added, or be rotated by a scene node, but most programs compute meshes in single
+        # precision.
         computed = _ROUNDED_UNITS * float(_SINGLE_EPS * np.ptp(positions, axis=0).max())
         values = positions.ravel()[:: 1 + positions.size // _SAMPLED_VALUES]
         for decimals in range(_MAX_DECIMALS + 1):
             scaled = np.abs(values * 10.0**decimals)
             if (np.abs(scaled - np.rint(scaled)) <= np.spacing(scaled)).all():
-                # In text copies differ by one in the last digit, where they lie on both sides of its half.
+                # In text, copies may differ by one in the last digit.
                 return max(computed, 1.5 * 10.0**-decimals)
     return computed
 
 
 def _open_places(corners: Int32s, count: int) -> Int64s:
-    """Return the places around which triangles are no closed fan."""
-    # Around a closed fan every neighbour is once before and once behind the place. Numbers are scattered, so that no
-    # others have the same sum, and their sums are exact.
+    """Return the places whose triangles do not form a closed fan."""
+    # In a closed fan every neighbour comes once before and once after another. Numbers are hashed, so that no other set
+    # has the same sum, and sums are exact.
     number = (mix_bits(np.arange(count, dtype=np.uint64)) >> np.uint64(34)).astype(np.float64)
     balance = np.zeros(count)
     for corner in range(3):
@@ -133,7 +132,7 @@ def _open_places(corners: Int32s, count: int) -> Int64s:
 
 
 def _near(points: Float64s, tolerance: float, further: Sequence[Array]) -> Int64s:
-    """Return pairs of points, (K, 2), that differ by at most a tolerance in every coordinate, and not in others."""
+    """Return pairs of points, (K, 2), that differ by at most a tolerance per coordinate, and not in `further`."""
     every, pairs = np.arange(len(points)), []
     for shift in product((0, 0.5), repeat=points.shape[1]):
         cells = np.floor(points / (_CELL_OF_TOLERANCE * tolerance) + shift)
@@ -147,11 +146,11 @@ def _near(points: Float64s, tolerance: float, further: Sequence[Array]) -> Int64
 
 
 def _joined(place_of: Int32s, first: Int32s, corners: Int32s, pairs: Int64s) -> tuple[Int32s, Int32s]:
-    """Join places that pairs connect, except where an edge joins two places that would become one."""
+    """Merge places connected by pairs, unless an edge joins two places that would become one."""
     every, count = np.arange(len(first), dtype=np.int32), len(first)
     label = connected(count, pairs)
     _, least = np.unique(label, return_index=True)
-    joined = least[label].astype(np.int32)  # the first place of each
+    joined = least[label].astype(np.int32)  # the first place of each group
     ends = joined[corners]
     is_edge = (ends == np.roll(ends, 1, axis=1)) & (corners != np.roll(corners, 1, axis=1))
     has_edge = np.zeros(count, bool)
@@ -163,7 +162,7 @@ def _joined(place_of: Int32s, first: Int32s, corners: Int32s, pairs: Int64s) -> 
 
 
 def connected(count: int, pairs: NDArray[np.integer[Any]]) -> Int32s:
-    """Return the group of each of `count` nodes, numbered from 0, that pairs, (K, 2), connect."""
+    """Return the connected component of each of `count` nodes, joined by pairs, (K, 2); numbered from 0."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -172,19 +171,19 @@ def connected(count: int, pairs: NDArray[np.integer[Any]]) -> Int32s:
 
 
 def edges_of(faces: Int32s) -> Int32s:
-    """Return the edges of triangles, (3 F, 2): of all the first, then the second and the third."""
+    """Return the edges of triangles, (3 F, 2): all first edges, then the second and the third."""
     return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
 
 
 def without_unused(positions: Float64s, faces: Int32s) -> tuple[Float64s, Int32s]:
-    """Return the vertices that faces use, and the faces in their numbers."""
+    """Return the vertices that faces use, and the renumbered faces."""
     used = np.zeros(len(positions), bool)
     used[faces] = True
     return positions[used], (np.cumsum(used, dtype=np.int32) - 1)[faces]
 
 
 def mix_bits(word: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """Scatter the bits of words, each to another word."""
+    """Hash words by a bijection."""
     word = word + _INCREMENT
     word = (word ^ (word >> np.uint64(30))) * _MIX_1
     word = (word ^ (word >> np.uint64(27))) * _MIX_2
@@ -193,16 +192,16 @@ def mix_bits(word: NDArray[np.uint64]) -> NDArray[np.uint64]:
 
 @dataclass(frozen=True)
 class VertexSampling:
-    """Which sample each vertex is; ``smoothed[sample_of]`` are vertex colours."""
+    """The sample of each vertex; ``smoothed[sample_of]`` are vertex colours."""
 
-    sample_of: Int32s  # (V,): sample of each vertex. Vertices at one place with one colour are one sample.
-    first_vertex: Int32s  # (S,): A vertex of each sample
-    # Shape (S,): place of each sample; coincident vertices that differ in colour are samples of one place.
+    sample_of: Int32s  # (V,): coincident vertices of one colour are one sample
+    first_vertex: Int32s  # (S,): a vertex of each sample
+    # Shape (S,): place of each sample; coincident vertices of different colours are samples of one place.
     place_of: Int32s
-    places: int  # distinct places, at most S
+    places: int  # number of distinct places, at most S
 
     def means(self, values: Float32s) -> Float32s:
-        """Give each sample the mean of what its vertices have, shape (V, G) to (S, G)."""
+        """Return the mean over each sample's vertices, shape (V, G) to (S, G)."""
         if len(self.first_vertex) == len(self.sample_of):  # each sample is one vertex
             return values[self.first_vertex]
         samples = len(self.first_vertex)
@@ -211,7 +210,7 @@ class VertexSampling:
         return np.ascontiguousarray((np.array(sums) / count).T, np.float32)
 
     def surface(self, vertices: ColouredVertices, colours: Float32s) -> SampledSurface:
-        """Return the samples of the vertices as a surface, with their colours in the working space, shape (S, N)."""
+        """Return the samples as a surface, with colours in the working space, shape (S, N)."""
         if self.places == len(self.sample_of):
             return SampledSurface(vertices.positions, vertices.faces, np.empty((0, 3), np.int32), colours)
         faces = self.sample_of[vertices.faces]
@@ -221,9 +220,9 @@ class VertexSampling:
 
 
 def sample_vertices(vertices: ColouredVertices) -> VertexSampling:
-    """Join the vertices that are at one place, and have one colour."""
+    """Merge coincident vertices of the same colour."""
     place_of, first_of_place = group_places(vertices.positions, vertices.space_of, vertices.faces)
-    if len(first_of_place) == len(place_of):  # nothing is split: the vertices are the samples
+    if len(first_of_place) == len(place_of):  # no vertex is split: the vertices are the samples
         every = np.arange(len(place_of), dtype=np.int32)
         return VertexSampling(every, every, every, len(every))
     sample_of, first_vertex = group_equal_rows(place_of, *vertices.colours.T)
@@ -231,11 +230,11 @@ def sample_vertices(vertices: ColouredVertices) -> VertexSampling:
 
 
 def build_bridges(faces: Int32s, place_of: Int32s, colours: Float32s) -> Int32s:
-    """Join the two sides of hard colour edges between samples by triangles, shape (W, 3)."""
+    """Join both sides of hard colour edges between samples by triangles, shape (W, 3)."""
     shared = np.bincount(place_of) > 1
     if not shared.any():
         return np.empty((0, 3), np.int32)
-    # Distinct edges of samples that may have a copy, both ends in order of place.
+    # Distinct edges of samples that may have copies, their ends ordered by place.
     edges = edges_of(faces)
     edges = edges[shared[place_of[edges]].any(axis=1)]
     places = place_of[edges]
@@ -248,10 +247,10 @@ def build_bridges(faces: Int32s, place_of: Int32s, colours: Float32s) -> Int32s:
     order = np.lexsort([*by_colour, places[:, 1], places[:, 0]])
     copies, places = copies[order], places[order]
     joined = np.all(places[1:] == places[:-1], axis=1)
-    # Both diagonals are laid between the copies (a, b) and (c, d) of an edge.
+    # Add both diagonals between the copies (a, b) and (c, d) of an edge.
     (a, b), (c, d) = copies[:-1][joined].T, copies[1:][joined].T
     corners = (a, b, c), (a, b, d), (c, d, a), (c, d, b)
     triangles = np.concatenate([np.stack(three, axis=1) for three in corners])
-    # Where the copies share an end, two of the four repeat a corner; the others are equal and count once.
+    # If the copies share an end, two of the four triangles are degenerate, and the others are equal and count once.
     distinct = (triangles[:, 0] != triangles[:, 2]) & (triangles[:, 1] != triangles[:, 2])
     return np.asarray(triangles[distinct], np.int32)

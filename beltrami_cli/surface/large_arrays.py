@@ -1,7 +1,7 @@
-"""Arrays as long as a surface has samples: in memory, or in a file where a job must do with less of it.
+"""Arrays as long as a surface has samples: in memory, or memory-mapped files if memory is limited.
 
-In a file they look the same to whoever uses them. The system reads and writes the pages of the file as they are
-touched, so work that goes through such arrays from one end to the other, block by block, needs memory for blocks only.
+Files behave like arrays. The system reads and writes pages as they are accessed, so code that processes such arrays
+sequentially, block by block, only needs memory for blocks.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ CACHED = 1 << 16
 SCATTERED = 1 << 14
 """The same of samples that lie all over the arrays, each on a page of its own, or 64 KB that are read with it."""
 
-# Of the memory that is left for such arrays and for blocks of them: what they take before others are files.
+# Share of the remaining memory for arrays in memory; the rest is for blocks of them.
 _SHARE = 3 / 4
-# Bytes from which on an array is a mapping of its own. With a quarter of it, `smooth` of 3 million points under
-# --max-memory 680M takes 18 s of system time instead of 10.
+# Minimum size in bytes of a mapped array. With a quarter of it, `smooth` of 3 million points under --max-memory 680M
+# takes 18 s of system time instead of 10.
 _MMAP_BYTES = 1 << 22
 _M_MMAP_THRESHOLD = -3  # of mallopt, in <malloc.h> of glibc
 SMALLEST = 1 << 16
@@ -47,7 +47,7 @@ SMALLEST = 1 << 16
 
 @dataclass
 class _Limit:
-    """Where arrays are files once those in memory take a number of bytes."""
+    """Limit above which arrays are put into files."""
 
     folder: Path | None  # None: for temporary files
     most: int
@@ -58,7 +58,7 @@ class _Limit:
         return size < SMALLEST or self.held + size <= self.most
 
     def count(self, array: Array) -> None:
-        """Count an array as long as it lives."""
+        """Count the bytes of an array during its lifetime."""
         if array.nbytes >= SMALLEST:
             self.held += array.nbytes
             weakref.finalize(array, self._release, array.nbytes).atexit = False
@@ -72,10 +72,10 @@ _LIMIT: ContextVar[_Limit | None] = ContextVar("limit", default=None)
 
 @contextlib.contextmanager
 def arrays_in_files(memory: int, folder: Path | None = None, *, in_chunks: bool = False) -> Iterator[None]:
-    """Let arrays made in this context and thread be files without a name, in a folder, where memory is short.
+    """Put arrays made in this context and thread into anonymous files in a folder if memory is short.
 
-    `memory`: bytes for the arrays and for temporary blocks of them; `in_chunks`: work on parts takes it, and all arrays
-    of the whole are files.
+    `memory`: bytes for arrays and temporary blocks; `in_chunks`: work on chunks needs the memory, so all arrays of the
+    whole are files.
     """
     if in_chunks:
         _return_freed_memory()
@@ -87,24 +87,24 @@ def arrays_in_files(memory: int, folder: Path | None = None, *, in_chunks: bool 
 
 
 def _return_freed_memory() -> None:
-    """Have the C library return large arrays to the system when they are freed, for the rest of the process.
+    """Let the C library return large freed arrays to the system, for the rest of the process.
 
-    Else glibc keeps blocks of up to 32 MB for later, which took a quarter of the memory of a cloud of 3 million points.
+    Otherwise glibc keeps blocks of up to 32 MB, which took a quarter of the memory of a cloud of 3 million points.
     """
     if sys.platform == "linux":
         import ctypes
 
-        with contextlib.suppress(AttributeError):  # musl has no such parameter, and returns them by itself
+        with contextlib.suppress(AttributeError):  # musl has no such parameter, and always returns them
             ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, _MMAP_BYTES)
 
 
 def zeros(shape: int | Sequence[int], dtype: DTypeLike) -> Array:
-    """Return an array of zeros, like `numpy.zeros`; OutputError if the disk is full where it belongs."""
+    """Return an array of zeros, like `numpy.zeros`; OutputError if the disk is full."""
     return _made(np.zeros, shape, dtype)
 
 
 def empty(shape: int | Sequence[int], dtype: DTypeLike) -> Array:
-    """Return an array whose values mean nothing yet, like `numpy.empty`; OutputError as for `zeros`."""
+    """Return an uninitialised array, like `numpy.empty`; OutputError if the disk is full."""
     return _made(np.empty, shape, dtype)
 
 
@@ -121,7 +121,7 @@ def _made(make: Callable[..., Array], shape: int | Sequence[int], dtype: DTypeLi
 
 
 def kept(array: Array) -> Array:
-    """Return an array made elsewhere, from now on in a file if there is no room for it."""
+    """Return the array, moved to a file if memory is short."""
     limit = _LIMIT.get()
     if limit is None:
         return array
@@ -132,19 +132,19 @@ def kept(array: Array) -> Array:
 
 
 def kept_bytes(data: bytes) -> bytes | memoryview:
-    """Return the same bytes, from now on in a file if there is no room for them."""
+    """Return the bytes, moved to a file if memory is short."""
     return data if _LIMIT.get() is None else kept(np.frombuffer(data, np.uint8)).data
 
 
 def _in_file(limit: _Limit, size: int) -> Array:
-    """Return an array of bytes in a file."""
+    """Return an array of bytes in an anonymous file."""
     import tempfile
 
     from beltrami_cli.surface.worker_process import unwritable
 
     try:
         with tempfile.TemporaryFile(dir=limit.folder) as file:
-            # Else a full disk would end the program when a page is written.
+            # Otherwise a full disk would kill the process when a page is written.
             if hasattr(os, "posix_fallocate"):
                 os.posix_fallocate(file.fileno(), 0, size)
             else:
@@ -161,10 +161,10 @@ def _in_file(limit: _Limit, size: int) -> Array:
 
 @dataclass
 class Droppable(Generic[AnyArray]):
-    """A large array that is computed when it is needed, and again after it was dropped."""
+    """A large array that is computed on demand, and again after it was dropped."""
 
     array: AnyArray | None
-    compute: Callable[[], AnyArray] | None = None  # None: it is never dropped
+    compute: Callable[[], AnyArray] | None = None  # None: never dropped
 
     def get(self) -> AnyArray:
         if self.array is None:
@@ -178,7 +178,7 @@ class Droppable(Generic[AnyArray]):
 
 
 def copy_of(array: Array) -> Array:
-    """Return a copy of an array, made block by block, with its axes in the same order in memory."""
+    """Copy an array block by block, with the same memory order of axes."""
     if array.T.flags.c_contiguous and not array.flags.c_contiguous:
         return copy_of(array.T).T
     copy = empty(array.shape, array.dtype)
@@ -189,7 +189,7 @@ def copy_of(array: Array) -> Array:
 
 
 def find(array: Array, value: int) -> NDArray[np.signedinteger[Any]]:
-    """Return the flat indices of elements that have a value, ascending, in as few bytes as they need."""
+    """Return the flat indices of elements with a value, ascending, in the smallest integer type."""
     flat, at = array.reshape(-1), 0
     counts = [int(np.count_nonzero(flat[block] == value)) for block in blocks(len(flat))]
     found: NDArray[np.signedinteger[Any]] = empty(sum(counts), np.int32 if len(flat) < 1 << 31 else np.int64)
@@ -200,7 +200,7 @@ def find(array: Array, value: int) -> NDArray[np.signedinteger[Any]]:
 
 
 def blocks(count: int, size: int = BLOCK) -> Iterator[slice]:
-    """Go through a number of samples in blocks; what was touched of arrays in files leaves memory in between."""
+    """Yield slices of samples block by block; between blocks, pages of arrays in files leave memory."""
     release_pages()
     for first in range(0, count, size):
         yield slice(first, min(count, first + size))
@@ -208,7 +208,7 @@ def blocks(count: int, size: int = BLOCK) -> Iterator[slice]:
 
 
 def release_pages() -> None:
-    """Let what was touched of arrays in files leave memory; it is read again when it is needed."""
+    """Release accessed pages of arrays in files; they are read again on demand."""
     limit = _LIMIT.get()
     if limit is not None and hasattr(mmap, "MADV_DONTNEED"):
         for pages in limit.maps:
@@ -216,13 +216,13 @@ def release_pages() -> None:
 
 
 def any_in_files() -> bool:
-    """Return whether there are arrays in files."""
+    """Whether any array is in a file."""
     limit = _LIMIT.get()
     return limit is not None and len(limit.maps) > 0
 
 
 def random_signs(shape: Sequence[int], random: np.random.Generator) -> Int8s:
-    """Draw independent signs: the same in blocks as at once, as blocks are multiples of one draw."""
+    """Draw independent signs; the result does not depend on blocks, which are multiples of one draw."""
     signs: Int8s = empty(shape, np.int8)
     flat = signs.reshape(-1)
     for block in blocks(len(flat)):

@@ -41,27 +41,27 @@ from beltrami_cli.surface.grouping import connected, edges_of, group_places, wit
 from beltrami_cli.surface.large_arrays import blocks, kept
 from beltrami_cli.surface.records import ColouredVertices, Encoding
 
-# In units of the change of values across the surface: nearer to the level than that is outside by that
-# much, since marching cubes leaves holes where values are on the level itself.
+# In units of the change of values across the surface: values nearer to the level are moved outside by this much, since
+# marching cubes leaves holes where values equal the level.
 _MIN_VALUE = 1e-6
-# Beyond that, the exact value moves no vertex; float32 must hold its products.
+# Bound beyond which exact values do not move a vertex; their products must fit float32.
 _MAX_VALUE = 1e9
-_LARGEST_EXPONENT = 1000  # of a scale whose inverse is a number too
-SLAB = 1 << 22  # voxels looked at together, which bounds the memory for their double precision
+_LARGEST_EXPONENT = 1000  # exponent of a scale whose inverse is also finite
+SLAB = 1 << 22  # voxels processed at a time in double precision, to bound memory
 
 
 @dataclass(frozen=True)
 class Lattice:
-    """Where the samples of a grid stand in space: sample (i, j, k) at ``origin + (i, j, k) @ axes``."""
+    """Positions of grid samples in space: sample (i, j, k) is at ``origin + (i, j, k) @ axes``."""
 
-    # Shape (3, 3): row a is the step in space from a sample to the next one along index a; invertible.
+    # Shape (3, 3): row a is the step in space to the next sample along index a; invertible.
     axes: Float64s
-    origin: Float64s  # (3,): place of sample (0, 0, 0), which is the centre of its voxel
+    origin: Float64s  # (3,): position of sample (0, 0, 0), the centre of its voxel
 
 
 @dataclass(frozen=True)
 class GridColours:
-    """Colours on a lattice of their own, which may be that of the level set."""
+    """Colours on a lattice, which may differ from that of the level set."""
 
     lattice: Lattice  # where they stand
     # Shape (X, Y, Z, C): numbers as stored, of any integer or floating type; C is 1 or 3, and one more if
@@ -73,10 +73,10 @@ class GridColours:
 class NearColours:
     """Colours at points near the surface."""
 
-    points: Float64s  # (P, 3): finite places, in the space of the level set
+    points: Float64s  # (P, 3): finite positions, in the space of the level set
     samples: Array  # (P, C): numbers as stored, as in `GridColours`
     encoding: Encoding = "srgb"  # what the numbers mean
-    stored: str = ""  # Type in the file where `samples` are already of full scale 1; empty: that of `samples`
+    stored: str = ""  # type in the file if `samples` are of full scale 1; empty: that of `samples`
 
 
 @dataclass(frozen=True)
@@ -86,30 +86,30 @@ class Volume:
     lattice: Lattice  # where the samples stand
     # Shape (X, Y, Z): of any integer, floating or boolean type. Values that are not finite are unknown.
     values: Array
-    known: Bools | None = None  # (X, Y, Z): false where the value is unknown whatever it is; None: nowhere
-    level: float | None = None  # value on the surface, where the file says so
-    colours: GridColours | NearColours | None = None  # the colours of the surface, where the file says so
+    known: Bools | None = None  # (X, Y, Z): false where the value is unknown; None: all known
+    level: float | None = None  # value on the surface, if in the file
+    colours: GridColours | NearColours | None = None  # colours of the surface, if in the file
 
 
-_NEIGHBOURS = 4  # points that a vertex takes its colour from: about what surrounds it on a surface
-_COLOUR_RADIUS = 4.0  # in voxels, or in distances between points where these are larger
-_PROBES = 10_000  # points whose distances to their neighbours represent all points within a per cent
-_WEIGHTLESS = 1e-6  # less than the weight of any voxel that contributes
+_NEIGHBOURS = 4  # points from which a vertex takes its colour, about those around it on a surface
+_COLOUR_RADIUS = 4.0  # in voxels, or point spacings if larger
+_PROBES = 10_000  # points whose spacing represents that of all to a per cent
+_WEIGHTLESS = 1e-6  # below the weight of any contributing voxel
 
 
 def places(lattice: Lattice, at: Float64s) -> Float64s:
-    """Return the positions in space of points in units of a lattice, shape (V, 3)."""
+    """Convert points from units of a lattice to space, shape (V, 3)."""
     return np.asarray(lattice.origin + at @ lattice.axes)
 
 
 def interpolate_colours(colours: GridColours, positions: Float64s, known: Bools | None = None) -> Float64s:
-    """Interpolate colours, as stored, between the eight voxels around each place, trilinearly."""
-    # Voxels that have no colour, are not known, or lie outside do not contribute: the weights of the others are
-    # normalised. NaN where no voxel around has a colour.
+    """Interpolate stored colours trilinearly between the eight voxels around each position."""
+    # Voxels without a colour, unknown or outside do not contribute; the weights of the others are normalised. NaN where
+    # no voxel contributes.
     samples = colours.samples
     sides = np.array(samples.shape[:3])
     at = np.linalg.solve(colours.lattice.axes.T, (positions - colours.lattice.origin).T).T
-    # A place on the grid that rounding moves off it must not take colour from a voxel further on.
+    # A position on the grid must not take colour from a further voxel because of rounding.
     at = np.where(np.abs(at - np.rint(at)) < _WEIGHTLESS, np.rint(at), at)
     corner = np.floor(at)
     beyond = at - corner
@@ -129,9 +129,9 @@ def interpolate_colours(colours: GridColours, positions: Float64s, known: Bools 
 
 
 def nearest_colours(colours: NearColours, positions: Float64s, voxel: float, threads: int) -> Float64s:
-    """Take colours, as stored, from the nearest points, by inverse squared distance [3]."""
-    # NaN where no point is within 4 voxels, or within 4 distances from a point to its fourth neighbour
-    # where these are larger.
+    """Take stored colours from the nearest points, weighted by inverse squared distance [3]."""
+    # NaN where no point is within 4 voxels, or within 4 times the distance of a point to its fourth neighbour if that
+    # is larger.
     from scipy.spatial import cKDTree
 
     samples = colours.samples.astype(np.float64)
@@ -144,16 +144,16 @@ def nearest_colours(colours: NearColours, positions: Float64s, voxel: float, thr
     between = tree.query(probes, [min(count + 1, len(points))], workers=threads)[0]
     reach = _COLOUR_RADIUS * max(voxel, float(np.median(between)))
     distances, nearest = tree.query(positions, list(range(1, count + 1)), workers=threads)
-    nearest = np.minimum(nearest, len(points) - 1)  # beyond all numbers there is none, and its weight is 0
+    nearest = np.minimum(nearest, len(points) - 1)  # missing points have the weight 0
     with np.errstate(over="ignore"):
-        # The least distance keeps the weight of a point at the very place finite, and far above that of all others.
+        # A minimum distance keeps the weight of a coincident point finite, and far above all others.
         weights = np.where(distances <= reach, 1 / (distances**2 + (1e-6 * voxel) ** 2), 0.0)
         total = (weights[..., None] * samples[nearest]).sum(axis=1)
     return _mean(total, weights.sum(axis=1))
 
 
 def has_colour(samples: Float64s) -> Bools:
-    """Return which rows, of shape (V, C), are finite and not wholly transparent."""
+    """Return which rows, shape (V, C), are finite and not fully transparent."""
     coloured = np.asarray(np.isfinite(samples).all(axis=1), bool)
     if samples.shape[1] in (2, 4):
         coloured &= np.greater(samples[:, -1], 0)
@@ -167,15 +167,15 @@ def _mean(total: Float64s, weights: Float64s) -> Float64s:
 
 @dataclass(frozen=True)
 class Crossings:
-    """What the surface of a level set will be like, before it is made."""
+    """Size of the surface of a level set before it is triangulated."""
 
-    # Edges of the grid that it cuts: the vertices that marching cubes makes, apart from a few inside cells.
+    # Number of grid edges that it cuts, which are the vertices of marching cubes, apart from a few inside cells.
     count: int
-    scale: float  # A power of two near 1 / the geometric mean of the change of values along these edges
+    scale: float  # power of two near 1 / geometric mean of the change along these edges
 
 
 def find_crossings(values: Array, level: float, known: Bools | None = None) -> Crossings:
-    """Count the edges of a grid, shape (X, Y, Z), that a level set cuts; values that are not finite are unknown."""
+    """Count the edges of a grid, shape (X, Y, Z), that a level set cuts; non-finite values are unknown."""
     count, total = 0, 0.0
     for first, stop in _slabs(values.shape, overlap=1):
         with np.errstate(over="ignore"):
@@ -183,13 +183,14 @@ def find_crossings(values: Array, level: float, known: Bools | None = None) -> C
         if known is not None:
             offsets[~known[first:stop]] = np.nan
         for axis in range(3):
-            # The last layer of a slab is the first of the next, which then looks at the edges within it.
+            # The last layer of a slab is the first of the next slab, which counts the edges within it.
             layers = offsets[:-1] if axis > 0 and stop < len(values) else offsets
             lower = np.take(layers, range(layers.shape[axis] - 1), axis)
             upper = np.take(layers, range(1, layers.shape[axis]), axis)
             cut = np.isfinite(lower) & np.isfinite(upper) & ((lower < 0) != (upper < 0))
             count += int(np.count_nonzero(cut))
-            # Halves, since the difference of two doubles may be none; and not nothing, since there is a change.
+            # Halves, since the difference of two doubles may overflow; at least the smallest positive number, since it
+            # is not 0.
             change = np.maximum(np.abs(upper[cut] / 2 - lower[cut] / 2), np.finfo(float).smallest_subnormal)
             total += float((1 + np.log2(change)).sum())
     exponent = -round(total / count) if count else 0
@@ -199,25 +200,25 @@ def find_crossings(values: Array, level: float, known: Bools | None = None) -> C
 def triangulate_level_set(
     values: Array, level: float, crossings: Crossings, known: Bools | None = None
 ) -> tuple[Float64s, Int32s]:
-    """Triangulate a level set that crosses some edges: vertices in units of the grid, and faces."""
-    # Faces are counter-clockwise where values grow towards the viewer. Cells with an unknown corner have
-    # none, so that the surface has holes there.
+    """Triangulate a level set with crossings; return vertices in units of the grid, and faces."""
+    # Faces are counter-clockwise seen from larger values. Cells with an unknown corner have no faces, which leaves
+    # holes.
     from skimage.measure import marching_cubes
 
     offsets, cells = _prepared(values, level, crossings.scale, known)
     _require_memory(crossings.count, values.shape)
     try:
-        # "descent" counts by the left hand: by the right hand, triangles face larger values.
+        # "descent" uses the left-hand rule: by the right-hand rule, triangles face larger values.
         vertices, faces, _, _ = marching_cubes(offsets, 0.0, gradient_direction="descent", mask=cells)
-    except RuntimeError:  # nothing is cut in any known cell
+    except RuntimeError:  # no known cell is cut
         return np.empty((0, 3)), np.empty((0, 3), np.int32)
     return compacted(vertices.astype(np.float64), faces)
 
 
 def _require_memory(crossings: int, shape: tuple[int, ...]) -> None:
-    """Raise MemoryError if marching cubes could run out of it: it writes on past an array that it could not enlarge."""
-    # It has arrays of powers of two for vertices (28 bytes) and corners (4 bytes), and copies them. A cell with k cut
-    # edges, each shared by four cells, makes up to 9 k / 7 triangles, and a vertex inside if k is 7 or more.
+    """Raise MemoryError if marching cubes could run out of memory: it overruns an array that it failed to enlarge."""
+    # Its arrays of vertices (28 bytes) and corners (4 bytes) have lengths of powers of two, and are copied. A cell with
+    # k cut edges, each shared by four cells, makes up to 9 k / 7 triangles, and an inner vertex if k is 7 or more.
     vertices = 1 << (11 * crossings // 7).bit_length()
     corners = 1 << (16 * crossings).bit_length()
     layers = 2 * 4 * 4 * shape[1] * shape[2]
@@ -225,15 +226,15 @@ def _require_memory(crossings: int, shape: tuple[int, ...]) -> None:
 
 
 def _slabs(shape: tuple[int, ...], overlap: int) -> Iterator[tuple[int, int]]:
-    """Split the first index into ranges of a bounded number of voxels, which share some layers."""
+    """Split the first index into ranges of a bounded number of voxels, with overlapping layers."""
     thickness = max(1, SLAB // (shape[1] * shape[2]))
     for first in range(0, shape[0] - overlap, thickness):
         yield first, min(first + thickness + overlap, shape[0])
 
 
 def _prepared(values: Array, level: float, scale: float, known: Bools | None) -> tuple[Float32s, Bools]:
-    """Return the values relative to the level, and which cells to look at, each at its last corner."""
-    # The cell of (i, j, k) has its first corner at (i - 1, j - 1, k - 1): so scikit-image reads its mask.
+    """Return the values relative to the level, and a mask of cells to process, at the last corner of each."""
+    # The cell of (i, j, k) has its first corner at (i - 1, j - 1, k - 1), as in the masks of scikit-image.
     offsets = np.empty(values.shape, np.float32)
     finite = np.empty(values.shape, bool)
     for first, stop in _slabs(values.shape, overlap=0):
@@ -255,14 +256,14 @@ def _prepared(values: Array, level: float, scale: float, known: Bools | None) ->
 
 
 def compacted(vertices: Float64s, faces: Int32s) -> tuple[Float64s, Int32s]:
-    """Put together vertices that edges join and whose nearest grid point is the same, in the middle of them."""
+    """Merge vertices that edges join and whose nearest grid point is the same into their mean."""
     edges = edges_of(faces)
     nearest = np.rint(vertices)
     edges = edges[(nearest[edges[:, 0]] == nearest[edges[:, 1]]).all(axis=1)]
     group_of = connected(len(vertices), edges)
     members = np.bincount(group_of)
     middles = np.column_stack([np.bincount(group_of, column) / members for column in vertices.T])
-    # Left out are triangles that have collapsed, pairs of opposite ones, which bound nothing, and then loose vertices.
+    # Remove collapsed triangles, pairs of opposite ones, which bound nothing, and then unused vertices.
     faces = group_of[faces]
     ordered = np.sort(faces, axis=1)
     proper = (ordered[:, 0] != ordered[:, 1]) & (ordered[:, 1] != ordered[:, 2])
@@ -272,18 +273,18 @@ def compacted(vertices: Float64s, faces: Int32s) -> tuple[Float64s, Int32s]:
     return without_unused(middles, faces)
 
 
-# Nearest neighbours asked for, until there are enough to know a point's triangles: usually the first number
-# does, on rims and between the lines of a scanner the last may not.
+# Numbers of nearest neighbours, tried until a point's triangles are determined. Usually the first suffices; on rims and
+# between the lines of a scanner the last may not.
 _NEIGHBOUR_COUNTS = (24, 64, 192)
-_POINTS_AT_ONCE = 1 << 17  # which bounds the memory that their neighbours take
+_POINTS_AT_ONCE = 1 << 17  # bounds the memory of their neighbours
 
 
 def faces_of_points(vertices: ColouredVertices, threads: int) -> Int32s:
-    """Find triangles between coloured points in at most three dimensions, whose own faces do not count."""
-    # Coincident points are each a corner of the triangles that their place has.
+    """Triangulate coloured points in at most three dimensions; their own faces are ignored."""
+    # Each of several coincident points is a corner of the triangles of their place.
     place_of, first = group_places(vertices.positions, vertices.space_of)
     if vertices.space_of is None and len(first) == len(place_of):
-        del place_of, first  # the points are the places
+        del place_of, first  # all points are distinct
         return triangulate_points(vertices.positions, threads)
     places = vertices.positions[first]
     if vertices.space_of is None:
@@ -297,9 +298,9 @@ def faces_of_points(vertices: ColouredVertices, threads: int) -> Int32s:
 
 
 def triangulate_points(positions: Float64s, threads: int = 1, at_once: int = _POINTS_AT_ONCE) -> Int32s:
-    """Find triangles of the surface that distinct points, shape (P, 2 or 3), lie on, corners ascending.
+    """Triangulate the surface through distinct points, shape (P, 2 or 3); corners are sorted.
 
-    `at_once`: points whose neighbours are found together; the result does not depend on it.
+    `at_once`: number of points whose neighbours are found together; it does not affect the result.
     """
     from scipy.spatial import cKDTree
 
@@ -330,8 +331,8 @@ def triangulate_points(positions: Float64s, threads: int = 1, at_once: int = _PO
 
 
 def _with_copies(faces: Int32s, place_of: Int32s, colours: Float32s) -> Int32s:
-    """Give the triangles of places to the first point there, and to each other one with first ones elsewhere."""
-    # Colours say which is first, so that the order of points makes no difference.
+    """Give the triangles of each place to its first point, and copies of them to the other points there."""
+    # Colours determine the first point, so that the order of points does not matter.
     order = np.lexsort([*colours.T[::-1], place_of])
     leads = np.ones(len(order), bool)
     leads[1:] = place_of[order][1:] != place_of[order][:-1]

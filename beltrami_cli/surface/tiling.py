@@ -1,4 +1,4 @@
-"""Textures in tiles: triangles cut along the borders of the unit squares of the UV plane, each with its own image.
+"""Textures in tiles (UDIM): triangles are cut along unit squares of the UV plane, each of which has its own image.
 
 Tile (u, v) has its lower left corner at (u, v).
 """
@@ -22,16 +22,16 @@ Tile: TypeAlias = tuple[int, int]
 COLUMNS, ROWS = 10, 900
 """How many there are: the numbers from 1001 to 9999."""
 
-_MAX_NEW = 1 << 18  # triangles beyond four times as many as there were
+_MAX_NEW = 1 << 18  # new triangles beyond four times the original number
 _BORDER_TOLERANCE = 1e-9  # a border that an edge crosses this close to its end is none
 
 
 def on_tiles(surface: TexturedSurface, sets: Sequence[Mapping[Tile, int]], name: str) -> TexturedSurface:
-    """Give triangles of set k, whose `texture_of` is -2 - k, the texture of their tile; -1 where there is none.
+    """Assign the texture of their tile to triangles of set k, whose `texture_of` is -2 - k; -1 if there is none.
 
-    InputError with the name if they reach over more tiles than any real model does.
+    InputError with the name if they span more tiles than any real model.
     """
-    with np.errstate(over="ignore", invalid="ignore"):  # where there is no texture, coordinates mean nothing
+    with np.errstate(over="ignore", invalid="ignore"):  # coordinates are undefined without a texture
         surface = _cut(surface, name)
     texture_of, uv = surface.texture_of.copy(), surface.uv.copy()
     for number, known in enumerate(sets):
@@ -48,13 +48,13 @@ def on_tiles(surface: TexturedSurface, sets: Sequence[Mapping[Tile, int]], name:
 
 
 def tiles_under(uv: Float64s) -> Float64s:
-    """Return column and row of the tile of each triangle's centre, (F, 2), from coordinates (F, 3, 2) with v down."""
+    """Return column and row of the tile at each triangle's centre, (F, 2), from coordinates (F, 3, 2) with v down."""
     centre = uv.mean(axis=1)
     return np.asarray(np.floor(np.column_stack([centre[:, 0], 1 - centre[:, 1]])))
 
 
 def _cut(surface: TexturedSurface, name: str) -> TexturedSurface:
-    """Cut triangles at the borders of tiles, and their neighbours at the same places, so that edges still fit."""
+    """Cut triangles at the borders of tiles, and their neighbours at the same points, so that edges still match."""
     most = 4 * len(surface.faces) + _MAX_NEW
     while True:
         place_of, first = group_places(surface.positions, surface.space_of, surface.faces)
@@ -66,7 +66,7 @@ def _cut(surface: TexturedSurface, name: str) -> TexturedSurface:
             return surface
         keys = ends.min(axis=2).astype(np.int64) * len(first) + ends.max(axis=2)
         cut, chosen = np.unique(keys[crossed], return_index=True)
-        at = share[crossed][chosen]  # from the end with the lower place
+        at = share[crossed][chosen]  # from the end with the lower place number
         number = np.minimum(np.searchsorted(cut, keys), len(cut) - 1)
         is_cut = cut[number] == keys
         along = np.where(ends[:, :, 0] < ends[:, :, 1], at[number], 1 - at[number])
@@ -84,13 +84,13 @@ def _cut(surface: TexturedSurface, name: str) -> TexturedSurface:
 
 
 def _crossings(uv: Float64s, ends: Int32s) -> Float64s:
-    """Return where edges cross a border, as the share from the end with the lower place on, (F, 3); NaN: nowhere."""
+    """Return where edges cross a border, as the fraction from the end with the lower place, (F, 3); NaN: nowhere."""
     turned = ends[:, :, 0] > ends[:, :, 1]
     one, other = uv, np.roll(uv, -1, axis=1)
     start, stop = np.where(turned[..., None], other, one), np.where(turned[..., None], one, other)
     found = np.full(turned.shape, np.nan)
     for axis, last in ((0, COLUMNS), (1, ROWS)):
-        # With v down the borders are the whole numbers from 1 downwards.
+        # With v down the borders are the integers from 1 downwards.
         below, above = (0, last) if axis == 0 else (1 - last, 1)
         a, b = start[..., axis], stop[..., axis]
         low, high = np.maximum(np.minimum(a, b), below - 0.5), np.minimum(np.maximum(a, b), above + 0.5)
@@ -103,10 +103,10 @@ def _crossings(uv: Float64s, ends: Int32s) -> Float64s:
 
 
 def _split(surface: TexturedSurface, new_of: Int64s, before: Float64s) -> TexturedSurface:
-    """Split each triangle that has cut edges into up to four, around the first vertex that is new.
+    """Split each triangle with cut edges into up to four, around the first new vertex.
 
-    Edges, (F, 3), are from each corner to the next one: of each the row of its new vertex, -1: none, and the share of
-    the edge that lies before that.
+    Edges, (F, 3), lead from each corner to the next. For each, `new_of` has the row of its new vertex (-1: none), and
+    `before` the fraction of the edge before that.
     """
     touched = (new_of >= 0).any(axis=1)
     faces = np.flatnonzero(touched)
@@ -116,7 +116,7 @@ def _split(surface: TexturedSurface, new_of: Int64s, before: Float64s) -> Textur
     between = uv + share[..., None] * (np.roll(uv, -1, axis=1) - uv)
     whole = np.rint(between)
     between = np.where(np.abs(between - whole) < _BORDER_TOLERANCE, whole, between)
-    # Where an edge is not cut, its vertex is the end that makes a triangle of no area, which is left out.
+    # An uncut edge uses an end for its vertex, which makes a degenerate triangle, removed below.
     end = [1, 1, 0]
     rows = np.concatenate([np.where(row >= 0, row, corner[:, end]), corner], axis=1)
     coordinates = np.concatenate([np.where((row >= 0)[..., None], between, uv[:, end]), uv], axis=1)

@@ -1,7 +1,7 @@
-"""A new texture atlas for a mesh that has none: charts by xatlas, in a process that can be ended.
+"""Unwrapping: a new texture atlas by xatlas, in a process that can be killed.
 
-xatlas reports nothing while it works, cannot be interrupted, and hangs on some meshes. The process runs this module:
-asked with a mesh, it answers with texture coordinates.
+xatlas reports no progress, cannot be interrupted, and hangs on some meshes. The process runs this module: it reads a
+mesh and returns texture coordinates.
 
 References
 ----------
@@ -30,28 +30,28 @@ Progress = Callable[[int, int], None] | None
 
 _SIDES = [part * 2**k for k in range(6, 11) for part in (4, 5, 6, 7)]  # 256, 320, 384, 448, 512, 640 ...
 _SIDES.append(8192)
-_FLAT = 1e-6  # of the squared longest edge: what counts as a triangle without area, for single precision
+_FLAT = 1e-6  # relative to the squared longest edge: a triangle without area in single precision
 
 
 @dataclass(frozen=True)
 class Unwrapped:
     """A new atlas."""
 
-    # Shape (F, 3, 2): texture coordinates of every corner in [0, 1], u to the right, v down. The corners of
-    # a triangle without area all have one place.
+    # Shape (F, 3, 2): texture coordinates of every corner in [0, 1], u to the right, v down. All corners of a triangle
+    # without area coincide.
     uv: Float64s
     size: tuple[int, int]  # width and height of the texture in texels
-    charts: int  # how many
+    charts: int  # number of charts
 
 
 def unwrap(
     positions: Float64s, faces: Int32s, size: int | None, padding: int, name: str, *,
     texels: float = 0.0, space_of: Int32s | None = None, progress: Progress = None,
 ) -> Unwrapped:  # fmt: skip
-    """Lay a mesh out on a square. Vertices at one place (and in one space) are one."""
-    # `size`: longest side of the texture, in texels; None: up to 8192, as `texels`, which charts
-    # should cover, need. `padding`: texels between charts, and around all of them. `progress` is called
-    # several times a second with the elapsed and the expected tenths of a second.
+    """Unwrap a mesh to a square. Coincident vertices of one space are joined."""
+    # `size`: longest side of the texture in texels; None: up to 8192, so that charts cover `texels`. `padding`: texels
+    # between and around charts. `progress` is called several times a second with the elapsed and the expected tenths of
+    # a second.
     require_finite(positions, name, "the position of vertex")
     used, row_of = np.unique(faces, return_inverse=True)
     unit, rows = centred(positions[used]) / 2, row_of.reshape(-1, 3).astype(np.int32)
@@ -62,7 +62,7 @@ def unwrap(
     if not len(whole):
         raise InputError(name, "it has no triangle with an area", "nothing in it can be unwrapped")
     place_of, first = group_places(positions[used], None if space_of is None else space_of[used], rows)
-    # Edges of about one unit are what xatlas' fixed tolerances suit.
+    # The fixed tolerances of xatlas suit edges of about one unit.
     scaled = (np.sqrt(len(whole)) * unit[first]).astype(np.float32)
     triangles = place_of[rows[whole]].astype(np.uint32)
     sizes = [side - 2 * padding for side in (_SIDES if size is None else [size])]
@@ -83,7 +83,7 @@ def unwrap(
 
 
 def require_few_faces(count: int, most: int, name: str) -> None:
-    """Raise InputError if unwrapping this number of triangles would take longer than users allowed."""
+    """Raise InputError if unwrapping this number of triangles would exceed the time limit of users."""
     if count > most:
         seconds = expected_seconds(count)
         shown = f"{seconds / 60:.0f} minutes" if seconds >= 90 else f"{max(1.0, seconds):.0f} s"
@@ -93,14 +93,14 @@ def require_few_faces(count: int, most: int, name: str) -> None:
 
 
 def _side(needed: float, size: int) -> int:
-    """Halve the side of a texture as long as everything stays on it."""
+    """Halve the side of a texture as long as it still fits `needed`."""
     while needed <= size // 2 and size % 2 == 0:
         size //= 2
     return size
 
 
 def _collapse_others(uv: Float64s, faces: Int32s, whole: NDArray[np.intp], vertices: int) -> None:
-    """Give each triangle without area the one place that a corner of it has elsewhere, or the middle of nowhere."""
+    """Give each triangle without area one texture coordinate: that of a corner in another triangle, or 0."""
     place = np.zeros((vertices, 2))
     known = np.zeros(vertices, bool)
     place[faces[whole]], known[faces[whole]] = uv[whole], True
@@ -119,7 +119,7 @@ MIN_TIMEOUT = 120.0
 
 
 def expected_seconds(faces: int) -> float:
-    """Return how long unwrapping that many triangles takes."""
+    """Return the expected time of unwrapping a number of triangles."""
     return float(_SECONDS * (faces / _FACES) ** _GROWTH)
 
 
@@ -142,17 +142,16 @@ def _ask_worker(mesh: Message, progress: Progress) -> Message:
     return answer
 
 
-_COVERAGE = 0.75  # that xatlas expects of its packing when it is given a resolution
+_COVERAGE = 0.75  # assumed by xatlas for packing with a given resolution
 _MAX_ATTEMPTS = 8
 
 
 def unwrapped(
     positions: Float32s, faces: NDArray[np.uint32], sizes: list[int], wanted: float, padding: int
 ) -> tuple[Float64s, int, int]:
-    """Cut a mesh into charts and pack them; return corners in texels, shape (F, 3, 2), size and charts."""
-    # `sizes` are longest sides, ascending: a single one is filled; of several the first is taken that is large enough
-    # for as many texels as wanted, or else the last is filled. If charts do not fit even when tiny, corners
-    # reach beyond the size.
+    """Cut a mesh into charts and pack them; return corners in texels, shape (F, 3, 2), size and number of charts."""
+    # `sizes` are longest sides, ascending. A single size is filled. Of several, the first that holds the wanted number
+    # of texels is used, or else the last is filled. If charts do not fit even when tiny, corners exceed the size.
     texels, corners, charts = _generated(
         "add_mesh", (positions, faces), padding, resolution=max(8, int(_COVERAGE * sizes[0]))
     )
@@ -174,7 +173,7 @@ def unwrapped(
     else:
         side = max(1.0, float(texels.max()))
     for _ in range(_MAX_ATTEMPTS):
-        # Packing is not monotonic: aim a little lower than what would fit exactly.
+        # Packing is not monotonic: aim slightly below an exact fit.
         scale *= 0.98 * size / side
         places, side = packed(scale)
         if side <= size:

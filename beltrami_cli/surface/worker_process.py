@@ -1,6 +1,6 @@
-"""A module of this package in a process of its own, which can be ended whatever the libraries that it uses do.
+"""A module of this package in a separate process, which can be killed whatever its libraries do.
 
-It is asked on its standard input, and answers on its standard output. Also the folders for temporary files.
+It reads a question from standard input and writes the answer to standard output. Also temporary folders.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from beltrami_cli.import_path import safe_environment
 Message = tuple[Any, dict[str, Array]]
 """Words, as JSON has them, and arrays by name."""
 
-PARENT = "BELTRAMI_PARENT"  # the variable with the number of the process that waits
-_POLL = 0.1  # seconds between looks at whether a process is done or the user wants to stop
+PARENT = "BELTRAMI_PARENT"  # environment variable with the id of the waiting process
+_POLL = 0.1  # seconds between checks for the end of a process or an interruption
 
 
 class WorkerError(Exception):
-    """Why a process failed, in a line, and its exit code."""
+    """Failure of a process: one line of explanation, and its exit code."""
 
     def __init__(self, cause: str, code: int) -> None:
         super().__init__(cause)
@@ -40,7 +40,7 @@ class WorkerError(Exception):
 
 @contextmanager
 def writing_temporary_files() -> Iterator[None]:
-    """Let a file that cannot be written, such as on a full disk, be an OutputError."""
+    """Convert errors of writing files, such as on a full disk, to OutputError."""
     try:
         yield
     except OSError as error:
@@ -49,12 +49,12 @@ def writing_temporary_files() -> Iterator[None]:
 
 @contextmanager
 def temporary_folder() -> Iterator[Path]:
-    """Make a folder for temporary files, and remove it in the end; OutputError if it cannot be made."""
+    """Make a temporary folder for this context; OutputError if it cannot be made."""
     from tempfile import TemporaryDirectory
 
     with ExitStack() as stack:
         with writing_temporary_files():
-            # The work is done when it is removed, and a file that stays there is no reason to lose it.
+            # The work is complete when the folder is removed, so a failed removal is ignored.
             made = TemporaryDirectory(prefix="beltrami-", ignore_cleanup_errors=True)
             folder = stack.enter_context(made)
         yield Path(folder)
@@ -69,10 +69,10 @@ def unwritable(cause: str) -> OutputError:
 def ask(
     module: str, question: Message, *arguments: int, seconds: float, tick: Callable[[float], None] = lambda gone: None
 ) -> Message:  # fmt: skip
-    """Run a module that calls `serve`, with some arguments, and return its answer.
+    """Run a module that calls `serve`, with a question, and return its answer.
 
-    `tick` is called several times a second with the seconds that are gone. WorkerError if the process fails,
-    TimeoutError if it has not ended after some seconds.
+    `tick` is called several times a second with the elapsed seconds. WorkerError if the process fails, TimeoutError if
+    it exceeds `seconds`.
     """
     from concurrent.futures import ThreadPoolExecutor
 
@@ -82,11 +82,11 @@ def ask(
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
-        start_new_session=True,  # so that it does not see Ctrl-C, which is for this process
+        start_new_session=True,  # keeps Ctrl-C from the process
         env=safe_environment() | {PARENT: str(os.getpid())},
     ) as process, ThreadPoolExecutor(1) as pool:  # fmt: skip
         try:
-            # One call in a thread: after a timeout, another call would send nothing more of what the pipe did not hold.
+            # A single `communicate` in a thread: a second call after a timeout would not send the rest of the input.
             answered = pool.submit(process.communicate, _packed(question))
             while True:
                 try:
@@ -99,7 +99,7 @@ def ask(
                 tick(gone)
         finally:
             process.kill()
-            process.wait()  # Popen does not after a KeyboardInterrupt, nor the thread if that came as it began
+            process.wait()  # neither Popen nor the thread waits after a KeyboardInterrupt
     if process.returncode:
         lines = said.decode(errors="replace").strip().splitlines()
         cause = lines[-1] if lines else f"it ended with code {process.returncode}"
@@ -108,11 +108,11 @@ def ask(
 
 
 def serve(answer: Callable[[Any, dict[str, Array]], Message], seconds: int) -> None:
-    """Answer the question of the process that waits, within some seconds."""
+    """Answer the question of the waiting process within a number of seconds."""
     end_with_parent(int(os.environ[PARENT]))
-    if hasattr(signal, "alarm"):  # where the system cannot tell that the process that waits for it was killed
+    if hasattr(signal, "alarm"):  # a timeout in case the waiting process was killed
         signal.alarm(seconds)
-    # What a library prints must not come between the numbers.
+    # Output of libraries must not mix with the answer.
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     with out:
