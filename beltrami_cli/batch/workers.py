@@ -236,7 +236,7 @@ def serve(pipe: Connection[Any, Any], path: Path) -> None:
     if (leader := multiprocessing.parent_process()) is not None and leader.pid is not None:
         end_with_parent(leader.pid, signal.SIGTERM)  # which lets it remove its files
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all; who leads decides
-    channel, held = Channel(pipe, path), dict[int, Any]()
+    channel, cached = Channel(pipe, path), dict[int, Any]()
 
     def report(*event: object) -> None:
         try:
@@ -248,8 +248,8 @@ def serve(pipe: Connection[Any, Any], path: Path) -> None:
     with contextlib.suppress(EOFError, ConnectionError):
         while True:
             order: Order = channel.receive()
-            held = {key: held[key] for key in order.kept}
+            cached = {key: cached[key] for key in order.kept}
             if order.key is not None and order.made is not None:
-                held[order.key] = copy.deepcopy(order.made)  # the arrays of a message last until the next
-            parts = () if order.key is None else (held[order.key],)
+                cached[order.key] = copy.deepcopy(order.made)  # the arrays of a message last until the next
+            parts = () if order.key is None else (cached[order.key],)
             channel.send((True, order.task(*parts, *order.arguments, progress)))

@@ -77,10 +77,10 @@ class Run:
 
     def finish(self):
         """Take the result; return what was said. ExchangeError if the program failed."""
-        said = [line for line in self.lines() if line and not line.startswith("progress: ")]
+        messages = [line for line in self.lines() if line and not line.startswith("progress: ")]
         try:
             if self.process.returncode:
-                raise exchange.ExchangeError(said[-1] if said else "beltrami failed")
+                raise exchange.ExchangeError(messages[-1] if messages else "beltrami failed")
             before = self._taken()
             for name, pixels in (before or {}).items():
                 _remember(bpy.data.images[name], pixels)
@@ -92,8 +92,8 @@ class Run:
             self.end()
         folder = Path(self._temporary.name)
         for file in ("in.ply", "out.ply"):
-            said = [line.replace(str(folder / file), self._name) for line in said]
-        return said
+            messages = [line.replace(str(folder / file), self._name) for line in messages]
+        return messages
 
     def _taken(self):
         try:
@@ -203,13 +203,13 @@ class OBJECT_OT_beltrami_smooth(bpy.types.Operator):
 
     def _finish(self, context):
         try:
-            said = self._run.finish()
+            messages = self._run.finish()
         except (exchange.ExchangeError, OSError, RuntimeError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        for line in said:
+        for line in messages:
             self.report({"WARNING" if line.startswith("warning: ") else "INFO"}, line)
-        context.scene.beltrami_said = said[-1] if said else ""
+        context.scene.beltrami_said = messages[-1] if messages else ""
         for area in context.screen.areas if context.screen else ():
             area.tag_redraw()
         return {"FINISHED"}

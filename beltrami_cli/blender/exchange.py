@@ -139,15 +139,15 @@ class ImageTextures:
         for index, use in enumerate(shown):
             if use is None or use[0] not in self.images:
                 continue
-            mine = np.flatnonzero(np.clip(material_of, 0, len(shown) - 1) == index)
-            uv = _coordinates(mesh, use[1])[loops[mine]]
-            tiles = np.zeros((len(mine), 1, 2), np.float32)
-            numbers = np.full(len(mine), number_of.get((use[0].name, 0), -1))
+            chosen = np.flatnonzero(np.clip(material_of, 0, len(shown) - 1) == index)
+            uv = _coordinates(mesh, use[1])[loops[chosen]]
+            tiles = np.zeros((len(chosen), 1, 2), np.float32)
+            numbers = np.full(len(chosen), number_of.get((use[0].name, 0), -1))
             if use[0].source == "TILED":
                 tiles = np.floor(uv.mean(axis=1, keepdims=True))
                 tile = (_FIRST_TILE + tiles @ [1, _TILES_A_ROW]).astype(int).ravel()
                 numbers = np.array([number_of.get((use[0].name, each), -1) for each in tile.tolist()])
-            faces["uv"][mine], faces["texture"][mine] = (uv - tiles).reshape(-1, 6), numbers
+            faces["uv"][chosen], faces["texture"][chosen] = (uv - tiles).reshape(-1, 6), numbers
         names = [name for _, _, name in self._files]
         _write_ply(folder / "in.ply", _positions(mesh, item.matrix_world), None, faces, names)
 
@@ -273,18 +273,18 @@ def save(image):
 
 def save_copy(image, path):
     """Write an image, all tiles of it, and let it mean the file that it meant before."""
-    own = image.filepath_raw
+    stored_path = image.filepath_raw
     try:
         image.save(filepath=str(path), save_copy=True)
     except TypeError:  # before Blender 4.3
         image.save(filepath=str(path))
-        image.filepath_raw = own
+        image.filepath_raw = stored_path
 
 
 def _set_tiles(image, tiles):
     """Write new tiles to the files of an image and read them again; packed ones stay packed."""
-    own, is_packed = image.filepath_raw, bool(image.packed_files)
-    place = bpy.path.abspath(own)
+    stored_path, is_packed = image.filepath_raw, bool(image.packed_files)
+    place = bpy.path.abspath(stored_path)
     if is_packed or "<UDIM>" not in place:
         place = str(next(iter(tiles.values())).parent / f"new.<UDIM>{'.exr' if image.is_float else '.png'}")
     form = image.file_format if not is_packed else ("OPEN_EXR" if image.is_float else "PNG")
@@ -292,8 +292,8 @@ def _set_tiles(image, tiles):
         _save(_loaded(path), place.replace("<UDIM>", str(tile)), form, is_float=image.is_float)
     if is_packed:
         image.unpack(method="REMOVE")
-    image.filepath_raw = own if place == bpy.path.abspath(own) else place
+    image.filepath_raw = stored_path if place == bpy.path.abspath(stored_path) else place
     image.reload()
     if is_packed:
         image.pack()
-        image.filepath_raw = own
+        image.filepath_raw = stored_path

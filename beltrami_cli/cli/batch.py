@@ -175,23 +175,23 @@ def _settings(request: Request, values: Mapping[str, Any], given: Collection[str
     """Return the item of a file with options of its own, besides the `given` ones for all files."""
     command = click.get_current_context().command
     known = {n: each for n, each in options_by_name(command).items() if each.name in SHARED_WITH_SMOOTH}
-    own = values_for(known, request.options)
+    given_values = values_for(known, request.options)
 
     def next_to_manifest(name: str, *, may_be_other: bool) -> str:
         path = request.folder / name
         return name if may_be_other and not is_file(path) else str(path)
 
     for each in parameters(SmoothSettings, deep=True):
-        if each.name in own:  # files are relative to the manifest; guides may be something else
+        if each.name in given_values:  # files are relative to the manifest; guides may be something else
             renamed = partial(next_to_manifest, may_be_other=each.repeatable)
-            own[each.name] = each.with_files(own[each.name], renamed)
+            given_values[each.name] = each.with_files(given_values[each.name], renamed)
     with click.Context(command).scope() as context:
         context.params = {name: values[name] for name in SHARED_WITH_SMOOTH}
         for name in given:
             context.set_parameter_source(name, ParameterSource.DEFAULT_MAP)
-        for name in own:  # overrides the options for all files, also with a preset
+        for name in given_values:  # overrides the options for all files, also with a preset
             context.set_parameter_source(name, ParameterSource.COMMANDLINE)
-            context.params[name] = known[name].process_value(context, own[name])
+            context.params[name] = known[name].process_value(context, given_values[name])
         return _item_from(context.params)
 
 

@@ -101,13 +101,15 @@ def with_variables(command: click.Command, name: str, shared: Collection[str]) -
 
 def refuse_unknown_variables(command: click.Command, name: str) -> None:
     """Raise UsageError if a variable of a command belongs to none of its options."""
-    own = f"{_PREFIX}_{name}_".upper().replace("-", "_")
-    known = [each.removeprefix(own) for option in command.params for each in option.envvar or ()]
+    prefix = f"{_PREFIX}_{name}_".upper().replace("-", "_")
+    known = [each.removeprefix(prefix) for option in command.params for each in option.envvar or ()]
     for variable in sorted(os.environ):
-        if variable.startswith(own) and variable.removeprefix(own) not in known:
-            similar = get_close_matches(variable.removeprefix(own), known, 1)
+        if variable.startswith(prefix) and variable.removeprefix(prefix) not in known:
+            similar = get_close_matches(variable.removeprefix(prefix), known, 1)
             remedy = (
-                f"did you mean {own}{similar[0]}?" if similar else f"beltrami config {name} shows all options"
+                f"did you mean {prefix}{similar[0]}?"
+                if similar
+                else f"beltrami config {name} shows all options"
             )
             raise UsageError(f"the variable {variable} belongs to no option of {name}; {remedy}")
 

@@ -212,13 +212,13 @@ def kernel(source: str, target: str, at: str, iteration: int, messages: Messages
 
     with options.job_from(smoothing, source, messages) as job:
         shown = kernel_file(source, target, at, settings, iteration=iteration, job=job)
-    held = len(shown.table["distance"])
+    sample_count = len(shown.table["distance"])
     furthest = f"{shown.table['distance'].max():.3g} of {shown.radius:.3g}"
     messages.say(
         f"{output_name(target)}: kernel of the {shown.at} in iteration {iteration} of {shown.iterations}, "
-        f"{counted(held, 'sample')} up to {furthest} away, beta {shown.beta:.3g}"
+        f"{counted(sample_count, 'sample')} up to {furthest} away, beta {shown.beta:.3g}"
     )
     if shown.cut_short:
         messages.warn(
-            f"{source}: the kernel was cut short at {held} samples; lower -t, or raise --max-samples"
+            f"{source}: the kernel was cut short at {sample_count} samples; lower -t, or raise --max-samples"
         )

@@ -84,13 +84,13 @@ class Chunking:
         with contextlib.closing(run(chunks, operation, stacks)) as answers:
             for done, (number, values, figures) in enumerate(answers, 1):
                 if adds:
-                    waiting[number] = [own.copy() for own in values]
+                    waiting[number] = [part.copy() for part in values]
                 else:
-                    for result, own in zip(results, values, strict=True):
-                        result[chunks[number].place] = own
+                    for result, part in zip(results, values, strict=True):
+                        result[chunks[number].place] = part
                 while added in waiting:
-                    for result, own in zip(results, waiting.pop(added), strict=True):
-                        result[chunks[added].place] += own
+                    for result, part in zip(results, waiting.pop(added), strict=True):
+                        result[chunks[added].place] += part
                     added += 1
                 samples, truncated = samples + figures[0], truncated + figures[1]
                 if progress is not None:

@@ -205,13 +205,13 @@ def _means(
     (colours, signs, size, divisors), (before, memory) = noisy, results
     means, probe = level.means(colours), size * level.means(signs)
 
-    def cube_share(p: Array, own: Array, relative: Array) -> None:
-        blend_share_within(p, (*model.noise, relative), own, 1)
-        np.subtract(1, own, out=own)
-        own *= np.square(own)
+    def cube_share(p: Array, shares: Array, relative: Array) -> None:
+        blend_share_within(p, (*model.noise, relative), shares, 1)
+        np.subtract(1, shares, out=shares)
+        shares *= np.square(shares)
 
     for_blocks(
-        lambda z, p, own, relative: blend_residual(z, p, (*model.noise, relative), own, 1),
+        lambda z, p, shares, relative: blend_residual(z, p, (*model.noise, relative), shares, 1),
         model.threads, axis, colours, before, memory, relatives,
     )  # fmt: skip
     residual = level.means(memory)

@@ -45,12 +45,12 @@ def with_vertex_colours(
 
 def not_converted(
     mesh: records.MeshContents,
-    others: Iterable[str] = (),
+    further: Iterable[str] = (),
     *,
     keeps_frame: bool = False,
 ) -> list[str]:
     """Return the notice of what a conversion drops, or nothing."""
-    left = dict.fromkeys([*mesh.left_out, *others])
+    left = dict.fromkeys([*mesh.left_out, *further])
     if mesh.frame.up != "Y" and not keeps_frame:
         left |= {f"the axis that is up, which is {mesh.frame.up}": None}
     if mesh.frame.unit != 1 and not keeps_frame:

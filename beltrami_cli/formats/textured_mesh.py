@@ -68,13 +68,13 @@ def triangulated(mesh: MeshContents) -> MeshContents:
     )
 
 
-def image_names(mesh: MeshContents, stem: str, held: Collection[str] = ()) -> list[str]:
+def image_names(mesh: MeshContents, stem: str, supported: Collection[str] = ()) -> list[str]:
     """Return names for the files of the images, after the model, all different, as `with_suffixes` has them."""
     names, found = NewFiles(Naming(stem), mesh.source, (), ()), []
     for image in mesh.images:
         # A reference in MTL and PLY is the rest of a line, whose blanks at the ends programs cut off.
         plain = plain_name(PurePosixPath(image.name).stem)
-        suffix = image.file.suffix if not held or image.file.suffix in held else _FIT
+        suffix = image.file.suffix if not supported or image.file.suffix in supported else _FIT
         found.append(names.image(plain + suffix) if plain else names.new(suffix))
     return found
 

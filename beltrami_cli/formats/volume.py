@@ -197,7 +197,7 @@ def read_nrrd_colours(data: bytes, name: str, folder: ModelFolder, most: int) ->
 def _read(data: bytes, name: str, folder: ModelFolder, most: int) -> tuple[Array, Lattice, str | None]:
     """Return samples, indexed [x, y, z] and in the list, where they stand, and the list's kind; None for one number."""
     nrrd = require_package("nrrd", "pynrrd", name, "to read NRRD files")
-    header, rest = _header(nrrd, data, name)
+    header, body = _header(nrrd, data, name)
     sizes = [int(size) for size in header["sizes"]]
     listed = _list_axis(header, name)
     spatial = [axis for axis in range(len(sizes)) if axis != listed]
@@ -211,7 +211,7 @@ def _read(data: bytes, name: str, folder: ModelFolder, most: int) -> tuple[Array
         cause = f"each sample is a list of {sizes[listed]} numbers"
         raise InputError(name, cause, f"give up to {_LONGEST_LIST}")
     lattice = _spatial_lattice(header, spatial, name)
-    samples = _samples(nrrd, header, _data(header, rest, name, folder), name)
+    samples = _samples(nrrd, header, _data(header, body, name, folder), name)
     if listed is None:
         return samples, lattice, None
     return np.moveaxis(samples, listed, -1), lattice, str(header.get("kinds", ["list"] * 4)[listed]).lower()
@@ -230,11 +230,11 @@ def _header(nrrd: Any, data: bytes, name: str) -> tuple[dict[str, Any], bytes]:
     return header, data[file.tell() :]
 
 
-def _data(header: dict[str, Any], rest: bytes, name: str, folder: ModelFolder) -> bytes:
+def _data(header: dict[str, Any], body: bytes, name: str, folder: ModelFolder) -> bytes:
     """Return the data behind the header, or the content of the file that it names."""
     named = header.pop("data file", None) or header.pop("datafile", None)
     if named is None:
-        return rest
+        return body
     found = folder.find(str(named))
     if found is None:
         cause = f"its data are in {named}, which is not a file in its folder"

@@ -132,12 +132,12 @@ def _texel_at(at: str, cells: Cells, what: str, *, is_flipped: bool) -> Place:
         which = "several textures" if fitting else "no texture"
         remedy = f"write one of {', '.join(names)} and a colon before the place"
         raise UsageError(f"--at {at} names {which}; {remedy}")
-    mine, (row, column) = cells.of(fitting[0])
+    in_texture, (row, column) = cells.of(fitting[0])
     size = np.array(cells.sizes[fitting[0]][::-1])
     if len(numbers) == 2 and not is_image:
         numbers = np.floor((numbers[0], 1 - numbers[1] if is_flipped else numbers[1]) * size)
     last = size - 1 if is_image else size
-    if len(numbers) != 2 or not ((numbers >= 0) & (numbers <= last)).all() or not mine.any():
+    if len(numbers) != 2 or not ((numbers >= 0) & (numbers <= last)).all() or not in_texture.any():
         form = "column and row as X,Y" if is_image else "texture coordinates U,V from 0 to 1"
         raise UsageError(f"--at {at} is not inside {what}, {size[0]} x {size[1]}; give {form}")
     nearest = np.square(np.stack([column, row], axis=1) - numbers).sum(axis=1).argmin()
@@ -145,7 +145,7 @@ def _texel_at(at: str, cells: Cells, what: str, *, is_flipped: bool) -> Place:
     if not is_image:
         columns = {"texture": np.array(names)[cells.picture], **columns}
     name = f"pixel {name}" if is_image else f"texel {name} of {names[fitting[0]]}"
-    return name, int(np.flatnonzero(mine)[nearest]), columns
+    return name, int(np.flatnonzero(in_texture)[nearest]), columns
 
 
 def _numbers(at: str) -> list[float]:

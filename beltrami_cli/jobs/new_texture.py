@@ -367,12 +367,12 @@ def _corner_colours(surface: TexturedSurface, pictures: Sequence[Picture]) -> tu
     values, residues = np.ones((len(uv), 4)), np.zeros((len(uv), 4))
     common = _encoding(pictures)
     for index, picture in enumerate(pictures):
-        mine = texture_of == index
+        in_texture = texture_of == index
         image, wrap = as_rgba(picture), surface.textures[index].wrap
-        found = look_up(image, uv[mine], wrap, None if picture.alpha is None else 3)
+        found = look_up(image, uv[in_texture], wrap, None if picture.alpha is None else 3)
         if picture.encoding != common:
             found[:, :3] = linear_to_srgb(found[:, :3])
-        values[mine], residues[mine] = found, noise_around(image, uv[mine], wrap)
+        values[in_texture], residues[in_texture] = found, noise_around(image, uv[in_texture], wrap)
     known = residues[texture_of >= 0]
     return values, _MEDIAN * np.median(np.abs(known), axis=0) if len(known) else np.zeros(4)
 

@@ -362,23 +362,25 @@ def _demosaiced(seen: Float64s, cells: Cells) -> Float64s:
     """Return colours as demosaiced from a Bayer mosaic: missing ones are means of neighbours in a chart."""
     result = seen.copy()
     for index, (rows, columns) in enumerate(cells.sizes):
-        mine, (row, column) = cells.of(index)
+        inside, (row, column) = cells.of(index)
         chart = np.zeros((rows + 2, columns + 2), np.int64)
-        chart[row + 1, column + 1] = cells.chart[mine] + 1
+        chart[row + 1, column + 1] = cells.chart[inside] + 1
         measured = np.zeros(chart.shape)
         samples = np.arange(len(row))
-        measured[row + 1, column + 1] = seen[mine][samples, _BAYER[row % 2, column % 2]]
+        measured[row + 1, column + 1] = seen[inside][samples, _BAYER[row % 2, column % 2]]
         sums, weights = np.zeros((2, len(row), 3))
         for down in (-1, 0, 1):
             for right in (-1, 0, 1):
                 channel = _BAYER[(row + down) % 2, (column + right) % 2]
                 place = row + down + 1, column + right + 1
-                weight = np.where(chart[place] == cells.chart[mine] + 1, 0.5 ** (abs(down) + abs(right)), 0.0)
+                weight = np.where(
+                    chart[place] == cells.chart[inside] + 1, 0.5 ** (abs(down) + abs(right)), 0.0
+                )
                 if down and right:
                     weight[channel == 1] = 0.0  # green is measured next to each place
                 sums[samples, channel] += weight * measured[place]
                 weights[samples, channel] += weight
-        result[mine] = np.where(weights > 0, sums / np.where(weights > 0, weights, 1), seen[mine])
+        result[inside] = np.where(weights > 0, sums / np.where(weights > 0, weights, 1), seen[inside])
     return result
 
 

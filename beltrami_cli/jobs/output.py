@@ -271,14 +271,14 @@ class FileSet:
     def stage(self, output: Output, files: Mapping[Path, Iterable[Bytes]]) -> None:
         from beltrami_cli.surface.large_arrays import release_pages
 
-        own = {output.path, *(output.path.parent / name for name in output.replaceable)}
+        output_paths = {output.path, *(output.path.parent / name for name in output.replaceable)}
         # The journal lies where the next run with the same OUTPUT looks first.
         main = min(
             (each for each in self._outputs if each.folder is not None), key=lambda each: not each.is_result
         )
         self._names |= {path: name for name, path in output.paths()}
         for path, pieces in files.items():
-            may_replace = output.overwrite and path in own
+            may_replace = output.overwrite and path in output_paths
             try:
                 if self._journal is None:
                     with replacing.folders_locked([main.path.parent]), replacing.signals_deferred():

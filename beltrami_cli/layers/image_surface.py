@@ -93,12 +93,12 @@ def _read(path: str, picture: Picture, access: Access, notices: list[str]) -> Pi
 def _height_of(picture: Picture) -> NDArray[np.float64]:
     lower = [channel.lower() for channel in picture.channels]
     named = next((lower.index(name) for name in _HEIGHTS if name in lower), None)
-    others = [channel for channel in range(len(lower)) if channel != picture.alpha]
-    first, *rest = (picture.pixels[..., channel] for channel in others or [0])
+    colour_channels = [channel for channel in range(len(lower)) if channel != picture.alpha]
+    first, *rest = (picture.pixels[..., channel] for channel in colour_channels or [0])
     if named is None and not all(np.array_equal(first, each, equal_nan=True) for each in rest):
         cause = f"which of its channels {', '.join(picture.channels)} is the height is not clear"
         raise InputError(picture.name, cause, "give an image of one channel, or call it Z")
-    column = others[0] if named is None else named
+    column = colour_channels[0] if named is None else named
     return full_scale_one(picture.pixels[..., column]).astype(np.float64)
 
 
@@ -152,12 +152,12 @@ def canvas_of_image(
         kernel = dataclasses.replace(kernel, units="world")
     atlas = grid_atlas(valid.shape, canvas_margin(kernel), positions, valid)
     del positions  # as large as the canvas
-    own = atlas.owned_texels
+    texels = atlas.owned_texels
     return ColouredCanvas(
-        atlas=atlas, parameters=kernel, channels=colours_of(own[:0]).shape[1],
-        colours_of=lambda block: colours_of(own[block]),
-        deviations=None if deviations is None else deviations[own], light=light,
-        guides=[dataclasses.replace(guide, values=guide.values[own]) for guide in guides],
+        atlas=atlas, parameters=kernel, channels=colours_of(texels[:0]).shape[1],
+        colours_of=lambda block: colours_of(texels[block]),
+        deviations=None if deviations is None else deviations[texels], light=light,
+        guides=[dataclasses.replace(guide, values=guide.values[texels]) for guide in guides],
         metric_channels=metric_channels, stop_at_holes=atlas.covered < valid.size,
         unit=None if surface.heights is None else 1.0,
     )  # fmt: skip

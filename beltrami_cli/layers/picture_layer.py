@@ -198,13 +198,13 @@ class PictureColours:
             raise UsageError(cause)
         sampled = tuple((*names, *further, "alpha")[i] for i in chosen.sampled)
         kept = [i for i in chosen.sampled if i < width]
-        others = {name: further[name] for name in sampled if name in further}
-        is_plain = space in ("srgb", "data") and not (has_alpha or others or slot == "normal")
+        further_channels = {name: further[name] for name in sampled if name in further}
+        is_plain = space in ("srgb", "data") and not (has_alpha or further_channels or slot == "normal")
         is_light = space != "data" and all(picture.encoding == "linear" for picture in pictures)
         return cls(
             names=sampled, written=chosen.written, metric_channels=chosen.metric, space=space,
             shows_all=is_plain and len(kept) == width, light_space=space if is_light else None, width=width,
-            kept=kept, changing=changing, others=others, has_alpha=has_alpha,
+            kept=kept, changing=changing, others=further_channels, has_alpha=has_alpha,
             hides=slot in COLOUR_SLOTS and not smoothes_alpha, is_normal=slot == "normal",
         )  # fmt: skip
 

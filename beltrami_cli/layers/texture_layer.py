@@ -155,15 +155,15 @@ class TextureLayer(PictureLayer):
         plan, described = self.plan(), self._facts()
         seams = 0
         for index, facts in enumerate(described):
-            own = plan.manifold if len(described) == 1 else _manifold_alone(self, index)
-            atlas = own.geometry.atlas
+            manifold = plan.manifold if len(described) == 1 else _manifold_alone(self, index)
+            atlas = manifold.geometry.atlas
             noise, read = (
                 (plan.noise, plan.reading)
-                if own is plan.manifold
-                else (own.noise.of_input, own.noise.reading)
+                if manifold is plan.manifold
+                else (manifold.noise.of_input, manifold.noise.reading)
             )
             facts |= {"charts": atlas.charts, "seams": atlas.seams, "overlapped": atlas.overlapped}
-            facts |= {"pitch": own.geometry.spacing, "noise": layer.named(self.names, self.unit * noise)}
+            facts |= {"pitch": manifold.geometry.spacing, "noise": layer.named(self.names, self.unit * noise)}
             facts["reading"] = layer.describe_reading(read, self.unit)
             seams += atlas.seams
         return {

@@ -161,8 +161,8 @@ def _solved(
 
     colours, (channels, charts, terms) = found.sides(steps).mean(axis=1), found.terms.shape
     unknowns = 2 * channels + terms - 2  # of a chart
-    own = np.empty((channels, terms), np.int64)  # indices of a channel's terms among them
-    own[:, :2], own[:, 2:] = np.arange(2 * channels).reshape(-1, 2), np.arange(2 * channels, unknowns)
+    index = np.empty((channels, terms), np.int64)  # indices of a channel's terms among them
+    index[:, :2], index[:, 2:] = np.arange(2 * channels).reshape(-1, 2), np.arange(2 * channels, unknowns)
     # A row sums the terms of both sides, with those of the first side negated.
     rows = np.ones((len(colours), channels, 2, terms))
     rows[..., 0] = colours[:, :, None]
@@ -171,7 +171,7 @@ def _solved(
     rows[:, :, 0] *= -1
     if fixed is not None:
         rows *= ~fixed[steps.ends][:, None, :, None]
-    columns = (steps.ends[:, None, :, None] * unknowns + own[:, None]).ravel()
+    columns = (steps.ends[:, None, :, None] * unknowns + index[:, None]).ravel()
     starts, shape = np.arange(0, rows.size + 1, 2 * terms), (len(colours) * channels, charts * unknowns)
     weighted = rows * weights[:, :, None, None]
     system, by_weight = (csr_array((each.ravel(), columns, starts), shape) for each in (rows, weighted))
@@ -181,7 +181,7 @@ def _solved(
     symmetric = {"SymmetricMode": True}
     factors = splu(matrix, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, panel_size=1, options=symmetric)
     solved = factors.solve(by_weight.T @ (steps.colours[:, 1] - steps.colours[:, 0]).ravel())
-    return np.asarray(solved.reshape(charts, unknowns)[:, own].transpose(1, 0, 2))
+    return np.asarray(solved.reshape(charts, unknowns)[:, index].transpose(1, 0, 2))
 
 
 @dataclass(frozen=True)
@@ -218,12 +218,13 @@ def have_steps(steps: Steps) -> bool:
 
 def judge(steps: Steps, fixed: Bools | None = None) -> Verdict:
     """Test by cross-validation whether exposures explain the steps, and whether gains vary within charts."""
-    held, verdicts = _HeldOut.of(steps), dict[tuple[float, ...], Verdict]()
-    folds, sides = np.unique(held.folds), {spread: held.steps.colours.copy() for spread in SPREADS.values()}
+    held_out, verdicts = _HeldOut.of(steps), dict[tuple[float, ...], Verdict]()
+    folds = np.unique(held_out.folds)
+    sides = {spread: held_out.steps.colours.copy() for spread in SPREADS.values()}
     for fold in folds:
         for spread, each in sides.items():
-            held.predict(each, fold, spread, fixed)
-        tested = held.up_to(fold)
+            held_out.predict(each, fold, spread, fixed)
+        tested = held_out.up_to(fold)
         if tested.count <= FEW_SEAMS and fold != folds[-1]:
             continue
         verdicts |= {spread: tested.verdict(spread, each) for spread, each in sides.items()}

@@ -90,7 +90,7 @@ def places_of_texels(surface: TexturedSurface, cells: Cells) -> tuple[Float64s, 
     places, spacing = np.zeros((len(cells.row), 3)), np.ones(len(cells.row))
     of_corners = _texel_spacing(surface, [(columns, rows) for rows, columns in cells.sizes])
     for index, (rows, columns) in enumerate(cells.sizes):
-        mine, (row, column) = cells.of(index)
+        in_texture, (row, column) = cells.of(index)
         if not len(row):
             continue
         faces = surface.texture_of == index
@@ -99,7 +99,7 @@ def places_of_texels(surface: TexturedSurface, cells: Cells) -> tuple[Float64s, 
         corners = surface.positions[surface.faces[faces]]
         texels, found, apart = _texels_in_space(corners, uv, (columns, rows), of_corners[faces])
         nearest = np.minimum(np.searchsorted(texels, row * columns + column), len(texels) - 1)
-        places[mine], spacing[mine] = found[nearest], apart[nearest]
+        places[in_texture], spacing[in_texture] = found[nearest], apart[nearest]
     return places, spacing
 
 
@@ -217,11 +217,11 @@ def bake(uv: Float64s, size: tuple[int, int], shade: Shade, channels: int, dtype
 def interpolated(corners: NDArray[np.floating[Any]], faces: Int64s, weights: Float64s) -> Float64s:
     """Interpolate corner values, shape (F, 3, C), within triangles; exact where all three are equal."""
     # Outside the triangle values are extrapolated, by at most the difference between corners.
-    mine = corners[faces].astype(np.float64)
-    first = mine[:, 0]
-    steps = mine[:, 1:] - mine[:, :1]
+    face_corners = corners[faces].astype(np.float64)
+    first = face_corners[:, 0]
+    steps = face_corners[:, 1:] - face_corners[:, :1]
     values = first + weights[:, :1] * steps[:, 0] + weights[:, 1:] * steps[:, 1]
-    low, high = mine.min(axis=1), mine.max(axis=1)
+    low, high = face_corners.min(axis=1), face_corners.max(axis=1)
     return np.asarray(np.clip(values, 2 * low - high, 2 * high - low))
 
 

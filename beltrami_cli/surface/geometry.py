@@ -220,11 +220,11 @@ def distinct_edges(faces: Int32s) -> Int32s:
     """Return the edges of triangles or pairs, each once, shape (E, 2), sorted, lower end first."""
     sides = 3 if faces.shape[1] == 3 else 1
     pairs = large_arrays.empty(sides * len(faces), np.int64)
-    for corner, own in enumerate(np.split(pairs, sides)):
+    for corner, keys in enumerate(np.split(pairs, sides)):
         ends = faces[:, corner], faces[:, corner - 1]
-        np.minimum(*ends, out=own)
-        own <<= 32
-        own |= np.maximum(*ends)
+        np.minimum(*ends, out=keys)
+        keys <<= 32
+        keys |= np.maximum(*ends)
     pairs.sort()
     is_edge = np.ones(len(pairs), bool)
     for block in large_arrays.blocks(len(pairs)):
@@ -234,9 +234,9 @@ def distinct_edges(faces: Int32s) -> Int32s:
     edges = large_arrays.empty((int(np.count_nonzero(is_edge)), 2), np.int32)
     first = 0
     for block in large_arrays.blocks(len(pairs)):
-        own = pairs[block][is_edge[block]]
-        edges[first : first + len(own)] = np.stack([own >> 32, own], axis=1)
-        first += len(own)
+        keys = pairs[block][is_edge[block]]
+        edges[first : first + len(keys)] = np.stack([keys >> 32, keys], axis=1)
+        first += len(keys)
     return edges
 
 

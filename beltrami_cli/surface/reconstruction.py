@@ -336,14 +336,14 @@ def _with_copies(faces: Int32s, place_of: Int32s, colours: Float32s) -> Int32s:
     order = np.lexsort([*colours.T[::-1], place_of])
     leads = np.ones(len(order), bool)
     leads[1:] = place_of[order][1:] != place_of[order][:-1]
-    first, others = order[leads].astype(np.int32), order[~leads].astype(np.int32)
-    copies = np.bincount(place_of[others], minlength=len(first))
+    first, duplicates = order[leads].astype(np.int32), order[~leads].astype(np.int32)
+    copies = np.bincount(place_of[duplicates], minlength=len(first))
     starts = np.cumsum(copies) - copies
     parts = [first[faces]]
     for corner in range(3):
         at = faces[:, corner]
         copy, row = expanded(starts[at], copies[at])
         more = first[faces[row]]
-        more[:, corner] = others[copy]
+        more[:, corner] = duplicates[copy]
         parts.append(more)
     return np.concatenate(parts)

@@ -104,11 +104,11 @@ def _collapse_others(uv: Float64s, faces: Int32s, whole: NDArray[np.intp], verti
     place = np.zeros((vertices, 2))
     known = np.zeros(vertices, bool)
     place[faces[whole]], known[faces[whole]] = uv[whole], True
-    others = np.ones(len(faces), bool)
-    others[whole] = False
-    corners = faces[others]
+    is_outside = np.ones(len(faces), bool)
+    is_outside[whole] = False
+    corners = faces[is_outside]
     chosen = np.take_along_axis(corners, known[corners].argmax(axis=1)[:, None], axis=1)
-    uv[others] = place[chosen]
+    uv[is_outside] = place[chosen]
 
 
 WORKER = "beltrami_cli.surface.unwrap"

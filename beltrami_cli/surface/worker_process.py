@@ -90,7 +90,7 @@ def ask(
             answered = pool.submit(process.communicate, _packed(question))
             while True:
                 try:
-                    answer, said = answered.result(_POLL)
+                    answer, output = answered.result(_POLL)
                     break
                 except TimeoutError:
                     gone = time.monotonic() - start
@@ -101,7 +101,7 @@ def ask(
             process.kill()
             process.wait()  # neither Popen nor the thread waits after a KeyboardInterrupt
     if process.returncode:
-        lines = said.decode(errors="replace").strip().splitlines()
+        lines = output.decode(errors="replace").strip().splitlines()
         cause = lines[-1] if lines else f"it ended with code {process.returncode}"
         raise WorkerError(cause, process.returncode)
     return _unpacked(answer)

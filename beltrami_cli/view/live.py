@@ -214,7 +214,7 @@ class Live:
             request.send(kind="failed", message=message)
             return
         choices = [done.report.choice for done in results if done.report.choice is not None]
-        said = [each for done in results for each in (*done.warnings, *done.stored.notices)]
+        notices = [each for done in results for each in (*done.warnings, *done.stored.notices)]
         noisiest = max(
             (each.report for each in results), key=lambda own: max(own.noise.values(), default=0.0)
         )
@@ -225,7 +225,8 @@ class Live:
             self._chosen[settings.kernel.strength, settings.kernel.noise] = chosen
             request.send(
                 kind="whole", patches=[patch for layer in self._layers for patch in layer.whole(result)], chosen=chosen,
-                used=rendered("parameters.html", used=used), notices=[*dict.fromkeys([*self._document.notices, *said])],
+                used=rendered("parameters.html", used=used),
+                notices=[*dict.fromkeys([*self._document.notices, *notices])],
                 noise=None if settings.kernel.noise else noise,
             )  # fmt: skip
 

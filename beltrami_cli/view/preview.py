@@ -162,12 +162,12 @@ class LayerView:
             vertex = coloured.faces[order[0], 0] if is_mesh else order[0]
             middle = np.array(np.unravel_index(int(np.argmax(grid == vertex)), grid.shape), np.float64)
             part = np.ascontiguousarray(grid[_window(grid.shape, middle, budget)])
-            rows = own = part[part >= 0]
+            rows = part_rows = part[part >= 0]
             layer = GridLayer(vertices=coloured, grid=part, settings=settings)
         else:
             order = order[: budget * (2 if is_mesh else 1)]
             rows = np.unique(coloured.faces[order]).astype(np.int64) if is_mesh else np.sort(order)
-            own = np.arange(len(rows))
+            part_rows = np.arange(len(rows))
             faces = np.searchsorted(rows, coloured.faces[order] if is_mesh else coloured.faces)
             vertices = only_rows(coloured, rows, faces.astype(np.int32))
             layer = MeshLayer(vertices=vertices, settings=settings)
@@ -175,8 +175,8 @@ class LayerView:
         assert made.colours is not None
         kept = dataclasses.replace(
             layer.vertices,
-            colours=made.colours[own],
-            positions=layer.vertices.positions[own],
+            colours=made.colours[part_rows],
+            positions=layer.vertices.positions[part_rows],
             faces=_NO_FACES,
         )
         return [Patch(-1, rows, rows, displayed_colours(kept), made.positions)]

@@ -56,21 +56,21 @@ def distinct_labels(paths: Sequence[str]) -> list[str]:
     """Return the names of files; of files with equal names, also what differs in their folders."""
     parts = [PurePath(path).parts for path in paths]
     labels = []
-    for own in parts:
-        folders_of = [other[:-1] for other in parts if other[-1:] == own[-1:]]
+    for path_parts in parts:
+        folders_of = [other[:-1] for other in parts if other[-1:] == path_parts[-1:]]
         first = len(commonprefix(folders_of))  # noqa: RUF071 - of tuples
         last = len(commonprefix([folders[first:][::-1] for folders in folders_of]))  # noqa: RUF071
-        differing = own[first : len(own) - 1 - last]
+        differing = path_parts[first : len(path_parts) - 1 - last]
         between = ("...",) if last and differing else ()
-        labels.append(str(PurePosixPath(*differing, *between, *own[-1:])))
+        labels.append(str(PurePosixPath(*differing, *between, *path_parts[-1:])))
     return labels
 
 
-def picture_suffix(target: str, looks: RenderSettings, others: str = "") -> str:
+def picture_suffix(target: str, looks: RenderSettings, alternatives: str = "") -> str:
     """Return the extension, with the dot, of an image that can be written; `others` is what else could be made."""
     suffix = ".png" if target == "-" else Path(target).suffix.lower()
     if format_of_suffix(suffix) is None:
-        raise UsageError(f"its extension is of no image format; call it .png{others}", target)
+        raise UsageError(f"its extension is of no image format; call it .png{alternatives}", target)
     known = check_writable(new_picture(np.zeros((64, 64, 3), np.uint8), target), suffix)  # of any size
     if looks.background == "transparent" and not FORMATS[known].alpha:
         raise UsageError(f"{suffix} files have no transparent background; choose .png, or a colour", target)

@@ -227,7 +227,7 @@ class _Sheet:
         rows = [placed[at : at + columns] for at in range(0, len(placed), columns)]
         return arranged(rows, self._looks.background_colour())
 
-    def _write(self, others: str) -> None:
+    def _write(self, state: str) -> None:
         """Write the page; `others` is the state of trials without a result."""
         if self._page is None:
             return
@@ -240,7 +240,7 @@ class _Sheet:
             ["sweep.js"],
             {"trials": [dataclasses.asdict(trial) for trial in trials]},
             title=self._title,
-            state=others,
+            state=state,
             count=len(self._labels),
             swept=parameters,
             sorts={key: FIGURES[key] for key in found},

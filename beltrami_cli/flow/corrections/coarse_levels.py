@@ -85,12 +85,12 @@ def _impute_cut_off_in_place(manifold: Manifold) -> None:
         channel = colours[k : k + 1]
 
         def terms(rows: slice, channel: Array = channel, clipped: ClippedChannels = clipped) -> Float32s:
-            own = channel[:, rows]
-            marks = np.empty(own.shape, np.float32)
-            clipped.mark(own, marks)
+            block = channel[:, rows]
+            marks = np.empty(block.shape, np.float32)
+            clipped.mark(block, marks)
             # Samples beyond an edge are not near the limit, and are ignored.
-            return np.concatenate([np.ones_like(own), own, marks]) * clipped.near_limit(
-                own, relative[:, rows]
+            return np.concatenate([np.ones_like(block), block, marks]) * clipped.near_limit(
+                block, relative[:, rows]
             )
 
         sums = regions.spread(regions.gathered(3, terms, channel, geometry.threads))

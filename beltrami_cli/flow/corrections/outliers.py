@@ -107,11 +107,13 @@ class _Surface:
         """Compare samples with those within two steps. With fewer than four neighbours, the contrast is 0."""
         parts = [(samples[:0], *np.zeros((3, len(self.planes), 0), np.float32))]
         for block in large_arrays.blocks(len(samples), large_arrays.SCATTERED):
-            values, own = self.around(samples[block], 2), self.at(samples[block])
+            values, centres = self.around(samples[block], 2), self.at(samples[block])
             medians, count = _medians(values)
             deviations, _ = _medians(np.abs(values - medians[..., None]))
             # Factor from the median absolute deviation to the standard deviation of a normal variable.
-            parts.append((samples[block], own, np.where(count < 4, own, medians), 1.4826 * deviations))
+            parts.append(
+                (samples[block], centres, np.where(count < 4, centres, medians), 1.4826 * deviations)
+            )
         return _Rows(*(np.concatenate(each, axis=-1) for each in zip(*parts, strict=True)))
 
 
@@ -183,18 +185,18 @@ class _Search:
             # Bright light needs twice the contrast, since its noise has a longer tail.
             is_bright = is_light and sign > 0
             contrast = sign * contrasts / np.float32(2 if is_bright else 1)
-            own, contrast = rows[contrast > 1], contrast[contrast > 1]
+            outlying, contrast = rows[contrast > 1], contrast[contrast > 1]
             small, strongest = self._clumps(
-                own.samples, np.abs(own.colours - own.medians).max(axis=0) / 2, contrast
+                outlying.samples, np.abs(outlying.colours - outlying.medians).max(axis=0) / 2, contrast
             )
             # With few light paths, nearly all light is in single samples, which are not outliers.
             is_rare = _MAJORITY * len(small) <= np.count_nonzero(small) < _MAX_FIREFLIES * self.surface.count
             everywhere = np.ones(len(self.sampled.samples), bool)
-            is_firefly = is_bright and is_rare and self._is_random(own, contrast, strongest, everywhere)
+            is_firefly = is_bright and is_rare and self._is_random(outlying, contrast, strongest, everywhere)
             if insists or is_firefly:
-                found.append(own.samples[small])
+                found.append(outlying.samples[small])
             elif len(strongest) >= _MIN_CLUMPS:
-                found.append(self._of_one_value(own, sign * contrast, small, strongest))
+                found.append(self._of_one_value(outlying, sign * contrast, small, strongest))
         return np.unique(np.concatenate(found))
 
     def _of_one_value(self, rows: _Rows, contrast: Float32s, small: Bools, strongest: Int64s) -> Int64s:
@@ -239,14 +241,14 @@ class _Search:
         A clump is isolated if no sample around it has a similar colour, within `limits`. Return which samples are in
         small isolated clumps, and the sample of the highest contrast in each of these clumps.
         """
-        surface, own = self.surface, np.arange(len(samples))
+        surface, rows = self.surface, np.arange(len(samples))
         around = surface.where.around(samples, 1)
         rank = np.searchsorted(samples, around).clip(0, max(0, len(samples) - 1))
         joined = (around >= 0) & (samples[rank] == around) if len(samples) else around >= 0
-        rank = np.where(joined, rank, own[:, None])
+        rank = np.where(joined, rank, rows[:, None])
         away = np.abs(surface.at(around) - surface.at(samples)[..., None]).max(axis=0)
         alike = ((away <= limits[:, None]) & (around >= 0) & ~joined).any(axis=1)
-        label, before = own, np.zeros(0, np.int64)
+        label, before = rows, np.zeros(0, np.int64)
         while not np.array_equal(label, before):
             before, label = label, np.minimum(label, label[rank].min(axis=1, initial=len(samples)))
             label = label[label]
@@ -302,11 +304,11 @@ def _medians(values: Float32s) -> tuple[Float32s, Int64s]:
 def _fill_in_place(surface: _Surface, samples: Int64s, wrong: Bools) -> None:
     """Fill wrong samples with the median of the others within one step, or two if there are too few."""
     flat, filled = surface.planes.reshape(len(surface.planes), -1), surface.at(samples)
-    for channel, own in zip(flat, wrong, strict=True):
-        channel[samples[own]] = np.nan
+    for channel, is_wrong in zip(flat, wrong, strict=True):
+        channel[samples[is_wrong]] = np.nan
     for block in large_arrays.blocks(len(samples), large_arrays.SCATTERED):
         for reach, fewest in ((2, 1), (1, 3)):
             medians, count = _medians(surface.around(samples[block], reach))
             np.copyto(filled[:, block], medians, where=wrong[:, block] & (count >= fewest))
-    for channel, own, values in zip(flat, wrong, filled, strict=True):
-        channel[samples[own]] = values[own]
+    for channel, is_wrong, values in zip(flat, wrong, filled, strict=True):
+        channel[samples[is_wrong]] = values[is_wrong]

@@ -226,16 +226,16 @@ def collaborate_on_canvas(
     return estimates
 
 
-def _part_for_patches(kind: Uint8s, around: Rectangle, own: Rectangle) -> tuple[Uint8s, Rectangle]:
-    """Return the kinds of the cells of a part; groups start only near `own`, the rectangle that is estimated."""
+def _part_for_patches(kind: Uint8s, around: Rectangle, core: Rectangle) -> tuple[Uint8s, Rectangle]:
+    """Return the kinds of the cells of a part; groups start only near `core`, the rectangle that is estimated."""
     from beltrami_cli._native import PATCH_TILE_SIDE
 
     part: Uint8s = kind[around].copy()
     # The groups of adjacent tiles reach the rectangle; cells beyond these only supply candidates.
     inside = np.zeros(part.shape, bool)
-    inside[grown(own, PATCH_TILE_SIDE, PATCH_TILE_SIDE, part.shape)] = True
+    inside[grown(core, PATCH_TILE_SIDE, PATCH_TILE_SIDE, part.shape)] = True
     part[(part == OWNED) & ~inside] = HALO
-    return part, own
+    return part, core
 
 
 def _patches_on(

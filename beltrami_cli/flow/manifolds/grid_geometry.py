@@ -151,14 +151,14 @@ class CanvasSamples:
     def around(self, samples: Indices, reach: int) -> Int64s:
         """Return the owned cells within `reach` rows and columns of each cell, shape (B, W), padded by -1."""
         atlas, steps = self.atlas, np.arange(-reach, reach + 1)
-        own = np.asarray(samples, np.int64)[:, None]
+        cell = np.asarray(samples, np.int64)[:, None]
         others = (steps[:, None] * atlas.kind.shape[1] + steps).reshape(-1)
-        cells: Int64s = own + others[others != 0]
+        cells: Int64s = cell + others[others != 0]
         kind = atlas.kind.reshape(-1).take(cells, mode="clip")
         if len(atlas.halo_cells):
             halo = kind == HALO
             cells[halo] = atlas.halo_nearest[np.searchsorted(atlas.halo_cells, cells[halo])]
-        cells[(kind == EMPTY) | (cells == own)] = -1
+        cells[(kind == EMPTY) | (cells == cell)] = -1
         return cells
 
     def standing_out(self, planes: Float32s, least: Float32s) -> Indices:

@@ -91,12 +91,12 @@ class CanvasColours(StabilisedColours):
 
 def grid_manifold(canvas: ColouredCanvas, colours: CanvasColours) -> GridManifold:
     """Make the image manifold of colours of a canvas."""
-    own = canvas.parameters
-    grid, unit = GridGeometry.of(colours.atlas, own, stop_at_holes=canvas.stop_at_holes), canvas.unit
+    parameters = canvas.parameters
+    grid, unit = GridGeometry.of(colours.atlas, parameters, stop_at_holes=canvas.stop_at_holes), canvas.unit
     if unit is None:
-        unit = grid.spacing if own.units == "world" else 1.0
+        unit = grid.spacing if parameters.units == "world" else 1.0
     return GridManifold(
-        geometry=grid, colours=colours.stack, noise=colours.noise, parameters=own, unit=unit,
+        geometry=grid, colours=colours.stack, noise=colours.noise, parameters=parameters, unit=unit,
         metric_channels=slice(None) if canvas.metric_channels is None else list(canvas.metric_channels),
         guides=tuple(GuideStack.of(guide, _guide_on_canvas(guide, grid), grid, unit) for guide in canvas.guides),
         jumps=colours.jumps, outliers=colours.outliers, resources=canvas.resources,
@@ -155,15 +155,15 @@ class GridManifold(Manifold):
         for block in blocks:
             large_arrays.release_pages()
             around = slice(max(0, block.start - margin), min(rows, block.stop + margin))
-            own = slice(block.start - around.start, block.stop - around.start)
+            core = slice(block.start - around.start, block.stop - around.start)
             inside = np.zeros((around.stop - around.start, 1), bool)
-            inside[own] = True
+            inside[core] = True
             part, gaussian = self.cut(around, inside), cast("GridGaussian | None", metric.gaussian)
             if gaussian is not None:
                 gaussian = gaussian.from_row(around.start)
             share = (block.stop - block.start) / len(inside)
             before = [stack[:, around] for stack in stacks]
-            after, held = part._apply_kernel(
+            after, kernel_samples = part._apply_kernel(
                 before,
                 dataclasses.replace(metric, gaussian=gaussian),
                 _share(progress, block.start * columns, share),
@@ -171,7 +171,7 @@ class GridManifold(Manifold):
             # The next block depends on the rows replaced here, but on none above.
             if finished is not None:
                 self._put(stacks, *finished)
-            finished, samples = (block, after[:, own]), samples + held
+            finished, samples = (block, after[:, core]), samples + kernel_samples
         if finished is not None:
             self._put(stacks, *finished)
         large_arrays.release_pages()
@@ -202,29 +202,30 @@ class GridManifold(Manifold):
         """Average stacks, colours first, in one pass; return also the number of samples in all kernels."""
         from beltrami_cli._native import smooth_grid
 
-        own, grid = at_step(self.parameters, metric.step), self.geometry
+        parameters, grid = at_step(self.parameters, metric.step), self.geometry
         distances, beta = self._channels(stacks[0][: metric.channels], metric.step, metric.gaussian)
         planes = [plane for stack in stacks for plane in stack]
         return smooth_grid(
-            grid.atlas.kind, grid.atlas.squared_lengths, grid.scale, grid.repeats, distances, planes, beta, own.t,
-            own.radius, own.window // 2, scheme_of(own), own.thread_count, progress,
+            grid.atlas.kind, grid.atlas.squared_lengths, grid.scale, grid.repeats, distances, planes, beta,
+            parameters.t, parameters.radius, parameters.window // 2, scheme_of(parameters),
+            parameters.thread_count, progress,
         )  # fmt: skip
 
     def kernel_at(self, sample: int, step: Step) -> SampledKernel:
         """Return the kernel of an owned cell, in which halo cells count as their nearest owned cells."""
         gaussian = self.measure(self.colours, step).gaussian
         metric, beta = self._channels(self.colours, step, gaussian)
-        own, atlas = at_step(self.parameters, step), self.geometry.atlas
-        columns, reach = atlas.kind.shape[1], own.window // 2
+        parameters, atlas = at_step(self.parameters, step), self.geometry.atlas
+        columns, reach = atlas.kind.shape[1], parameters.window // 2
         row, column = divmod(int(atlas.owned_cells[sample]), columns)
-        window = self._distances(metric, beta, own, (row, column))
+        window = self._distances(metric, beta, parameters, (row, column))
         offsets = np.argwhere(np.isfinite(window)) - reach
         distances = window[tuple(offsets.T + reach)]
         # Coincident samples have the distance 0 too, and the cell itself comes first.
         order = np.lexsort([offsets.any(axis=1), distances])
         offsets, distances = offsets[order], distances[order]
         cells = (offsets[:, 0] + row) * columns + offsets[:, 1] + column
-        weights = kernel_values(distances, own.t)
+        weights = kernel_values(distances, parameters.t)
         if self.geometry.repeats is not None:
             weights /= self.geometry.repeats.reshape(-1)[cells]
         colours = np.ascontiguousarray(self.colours.reshape(len(self.colours), -1)[:, cells].T)
@@ -234,12 +235,12 @@ class GridManifold(Manifold):
         return SampledKernel(samples, distances, weights, self.noise.to_input(colours), offsets)
 
     def _distances(
-        self, metric: Float32s, beta: float, own: KernelParameters, centre: tuple[int, int]
+        self, metric: Float32s, beta: float, parameters: KernelParameters, centre: tuple[int, int]
     ) -> Float32s:
         """Return the distances within the window of a cell, infinite beyond the kernel's radius."""
         from beltrami_cli._native import grid_distances
 
-        grid, reach = self.geometry, own.window // 2
+        grid, reach = self.geometry, parameters.window // 2
         # Include supports, and the neighbours that determine the metric and its scale. Stencils of a whole canvas take
         # long.
         around = reach + FURTHEST_SUPPORT + 2
@@ -249,7 +250,7 @@ class GridManifold(Manifold):
         return grid_distances(
             kind, np.ascontiguousarray(grid.atlas.squared_lengths[part]),
             None if grid.scale is None else np.ascontiguousarray(grid.scale[part]),
-            np.ascontiguousarray(metric[part]), beta, own.radius, reach, scheme_of(own),
+            np.ascontiguousarray(metric[part]), beta, parameters.radius, reach, scheme_of(parameters),
             (centre[0] - top) * kind.shape[1] + centre[1] - left,
         )  # fmt: skip
 
@@ -283,12 +284,12 @@ class GridManifold(Manifold):
         return Squares(grid.atlas, side, grid.threads, None, IN_ONE_PIECE, width=6 / side)
 
     def trial(self) -> SampleTrial:
-        atlas, planes, own = self.geometry.atlas, self.colours, self.parameters
+        atlas, planes, parameters = self.geometry.atlas, self.colours, self.parameters
         budget = tried_cells(atlas)
         if len(atlas.owned_cells) <= budget:
             part, scored = dataclasses.replace(self, is_in_one_block=True), atlas.owned_cells
         else:
-            reach = own.window // 2 + guide_radius(own.metric_scale)
+            reach = parameters.window // 2 + guide_radius(parameters.metric_scale)
             cells, core = choose_blocks(atlas, budget, reach)
             part = cut_blocks(self, cells, core, reach)
             planes = pick(planes, cells)
@@ -334,11 +335,11 @@ def cut_blocks(whole: GridManifold, cells: Int64s, core: Bools, reach: int) -> G
 def _average_chunk(
     part: tuple[GridManifold, Rectangle], stacks: list[Stack], threads: int, step: Step, channels: int
 ) -> tuple[list[Float32s], Figures]:
-    manifold, own = part
+    manifold, core = part
     parameters = dataclasses.replace(manifold.parameters, threads=threads)
     manifold = dataclasses.replace(manifold, parameters=parameters, is_in_one_block=False)
     done = manifold._average_rows(stacks, manifold.measure(stacks[0][:channels], step), None)
-    return [stack[own] for stack in done.stacks], (done.samples, 0)
+    return [stack[core] for stack in done.stacks], (done.samples, 0)
 
 
 def row_blocks(rows: int, columns: int, margin: int, threads: int) -> list[slice]:

@@ -105,12 +105,12 @@ class Manifold(ABC):
     @property
     def beta(self) -> float:
         """The given beta, or one chosen for the noise, in length per unit of stabilised colours."""
-        sigma, own = self.noise.sigma[self.metric_channels], self.parameters
+        sigma, parameters = self.noise.sigma[self.metric_channels], self.parameters
         if not len(sigma):
             return 0.0
-        if own.beta is not None:
-            return own.beta
-        return choose_beta(sigma) * self.unit / math.sqrt(own.strength)
+        if parameters.beta is not None:
+            return parameters.beta
+        return choose_beta(sigma) * self.unit / math.sqrt(parameters.strength)
 
     @abstractmethod
     def measure(self, colours: Stack, step: Step, gaussian: Gaussian | None = None) -> Metric:
@@ -164,11 +164,11 @@ class Manifold(ABC):
 
     def _with_outliers(self, new: NewColours, order: Array | None = None) -> NewColours:
         """Restore the outliers in new colours, whose samples are in an order, if outliers are kept."""
-        own = self.outliers
-        if own is None or self.parameters.outliers != "keep":
+        outliers = self.outliers
+        if outliers is None or self.parameters.outliers != "keep":
             return new
-        samples = own.samples if order is None else order[own.samples]
-        return new.with_kept(samples, own.channels, own.colours)
+        samples = outliers.samples if order is None else order[outliers.samples]
+        return new.with_kept(samples, outliers.channels, outliers.colours)
 
     def _regularising(self, step: Step, gaussian: Gaussian | None) -> Gaussian | None:
         if not step.regularised or (step.beta == 0 and self.moving is None):

@@ -101,11 +101,11 @@ class MeshColours(StabilisedColours):
 
 def mesh_manifold(mesh: ColouredMesh, colours: MeshColours) -> MeshManifold:
     """Make the image manifold of colours of a mesh."""
-    own, unit = mesh.geometry, _unit_on(mesh.geometry, mesh.parameters)
+    geometry, unit = mesh.geometry, _unit_on(mesh.geometry, mesh.parameters)
     return MeshManifold(
-        geometry=own, colours=colours.stack, noise=colours.noise, parameters=mesh.parameters, unit=unit,
+        geometry=geometry, colours=colours.stack, noise=colours.noise, parameters=mesh.parameters, unit=unit,
         metric_channels=slice(None) if mesh.metric_channels is None else list(mesh.metric_channels),
-        guides=tuple(GuideStack.of(guide, guide.values[own.order], own, unit) for guide in mesh.guides),
+        guides=tuple(GuideStack.of(guide, guide.values[geometry.order], geometry, unit) for guide in mesh.guides),
         moving=mesh.moving, outliers=colours.outliers, graph=colours.graph,
         resources=mesh.resources,
     )  # fmt: skip
@@ -181,13 +181,13 @@ class MeshManifold(Manifold):
     @cached_property
     def _kernel_chunks(self) -> list[Chunk]:
         """The chunks of one iteration."""
-        wanted, mesh, own = self._chunking, self.geometry, self.parameters
+        wanted, mesh, parameters = self._chunking, self.geometry, self.parameters
         assert wanted is not None
         whole = self
-        if own.metric_steps and own.metric_scale > 0:
-            gain = mesh.gaussian(own.metric_scale).gain
+        if parameters.metric_steps and parameters.metric_scale > 0:
+            gain = mesh.gaussian(parameters.metric_scale).gain
             whole = dataclasses.replace(self, geometry=dataclasses.replace(mesh, gain=gain))
-        reach = _STRETCH * own.radius + _CHUNK_MARGIN * (
+        reach = _STRETCH * parameters.radius + _CHUNK_MARGIN * (
             (mesh.spacing or 1.0) if mesh.scales is None else 1.0
         )
         # Edges including bridges.
@@ -210,15 +210,15 @@ class MeshManifold(Manifold):
 
     def kernel_at(self, sample: int, step: Step) -> SampledKernel:
         """Return the kernel of a sample, numbered in the caller's order."""
-        own, mesh = at_step(self.parameters, step), self.geometry
+        parameters, mesh = at_step(self.parameters, step), self.geometry
         core = self.core_with(self._whole.measure(self.colours, step))
         (source,) = np.flatnonzero(mesh.order == sample)
-        held, distances = core.distances(int(source), own.radius, own.max_samples)
-        weights = kernel_values(distances, own.t)
+        reached, distances = core.distances(int(source), parameters.radius, parameters.max_samples)
+        weights = kernel_values(distances, parameters.t)
         if mesh.weights is not None:
-            weights = weights * mesh.weights[held]
-        colours = self.noise.to_input(self.colours[held])
-        return SampledKernel(mesh.order[held].astype(np.int64), distances, weights, colours)
+            weights = weights * mesh.weights[reached]
+        colours = self.noise.to_input(self.colours[reached])
+        return SampledKernel(mesh.order[reached].astype(np.int64), distances, weights, colours)
 
     def collaborate(
         self, noisy: Stack, pilot: Stack, mixing: Mixing, progress: Callable[[int], None] | None, *,

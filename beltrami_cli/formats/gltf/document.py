@@ -171,11 +171,11 @@ class GltfDocument(Document):
                 by_primitive |= dict.fromkeys(block.users, rows[block.rows])
         known = self.root, self.accessors, self.images
         mesh = read_textured_mesh(*known, by_primitive, stored)
-        others = [what for what in _omitted(self.container.tree) if what in _NOT_TEXTURED]
-        others += self._extensions()
+        losses = [what for what in _omitted(self.container.tree) if what in _NOT_TEXTURED]
+        losses += self._extensions()
         if any(node.get("children") for node in objects(self.container.tree.get("nodes"))):
-            others.append("node hierarchy")
-        return dataclasses.replace(mesh, left_out=(*mesh.left_out, *others))
+            losses.append("node hierarchy")
+        return dataclasses.replace(mesh, left_out=(*mesh.left_out, *losses))
 
     def _extensions(self) -> list[str]:
         """Return the extensions of the file and of its nodes, such as avatars and instances."""
@@ -228,17 +228,17 @@ class GltfDocument(Document):
 
 def _omitted(tree: Tree) -> list[str]:
     primitives = [primitive for _, primitive in primitives_of(tree)]
-    held = [primitive.get("attributes", {}) for primitive in primitives]
-    attributes, nodes = {key for each in held for key in each}, objects(tree.get("nodes"))
+    sets = [primitive.get("attributes", {}) for primitive in primitives]
+    attributes, nodes = {key for each in sets for key in each}, objects(tree.get("nodes"))
     placed = ("children", "matrix", "translation", "rotation", "scale")
     there = {key: tree.get(key) for key in ("materials", "textures", "skins", "animations", "cameras")} | {
         "morph targets": any(primitive.get("targets") for primitive in primitives),
-        "uncoloured meshes": any("COLOR_0" not in each for each in held),
+        "uncoloured meshes": any("COLOR_0" not in each for each in sets),
         "texture coordinates": any(key.startswith("TEXCOORD_") for key in attributes),
         "further vertex attributes": any(
             key in ("TANGENT", "COLOR_1") or key.startswith("_") for key in attributes
         ),
-        "normals, which some parts lack": len({"NORMAL" in each for each in held if "COLOR_0" in each}) > 1,
+        "normals, which some parts lack": len({"NORMAL" in each for each in sets if "COLOR_0" in each}) > 1,
         "lines": any(primitive.get("mode") in (1, 2, 3) for primitive in primitives),
         "node hierarchy": len(nodes) > 1 or any(key in node for node in nodes for key in placed),
     }
@@ -325,12 +325,12 @@ def _hide_colours(tree: Tree) -> dict[str, bytes]:
 def _numbers(accessors: Accessors, source: Tree, tree: Tree) -> dict[str, bytes]:
     """Return the numbers of accessors, and the bytes of other views; hide accessors and views of colours alone."""
     parts: dict[str, bytes] = {}
-    others = {holder[key] for _, holder, key in accessor_uses(tree)}
+    used = {holder[key] for _, holder, key in accessor_uses(tree)}
     colours = {primitive.get("attributes", {}).get("COLOR_0") for _, primitive in primitives_of(source)}
     opaque = set(named_views({key: value for key, value in tree.items() if key != "accessors"}))
     views = set(opaque)
     for index, accessor in enumerate(tree.get("accessors", [])):
-        if index in colours and index not in others:
+        if index in colours and index not in used:
             tree["accessors"][index] = None
             continue
         views |= set(named_views(accessor))

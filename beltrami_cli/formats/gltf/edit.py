@@ -257,13 +257,13 @@ def exchange(edit: Edit, attribute: str, columns: Sequence[Column]) -> None:
 def _overwrite(edit: Edit, column: Column) -> None:
     """Put numbers where they are; of a sparse accessor each where it is read, the elements that it replaces too."""
     accessor, rows = column.accessor, column.accessor.replaced()
-    own, octets = np.ones(len(column.after), bool), column.after.view(np.uint8)
-    own[rows] = False
+    is_element, octets = np.ones(len(column.after), bool), column.after.view(np.uint8)
+    is_element[rows] = False
     if accessor.sparse is not None:
         _elements(edit, accessor.sparse.values)[...] = octets[rows]
     if accessor.layout is not None:
-        _elements(edit, accessor.layout)[own] = octets[own]
-    elif octets[own].any():  # no more zeros
+        _elements(edit, accessor.layout)[is_element] = octets[is_element]
+    elif octets[is_element].any():  # no more zeros
         view = _put_numbers(edit, column)
         for index in column.members:
             _point_at(edit.tree["accessors"][index], view, keep_sparse=True)
@@ -353,12 +353,12 @@ def _alone(edit: Edit, columns: Sequence[Column], shared: set[int]) -> list[bool
 
     own = [[canonical(layout) for layout in column.accessor.layouts] for column in columns]
     members = {member for column in columns for member in column.members}
-    others = [canonical(layout) for layout in _others(edit.container.tree, accessors, members)]
+    other_layouts = [canonical(layout) for layout in _others(edit.container.tree, accessors, members)]
     ranges = [(layout.buffer, layout.start, layout.end) for layout in chain(*own)]
     buffer, start, end = np.array(ranges, np.int64).reshape(-1, 3).T
     used = [
         layout
-        for layout in [*chain(*own), *others]
+        for layout in [*chain(*own), *other_layouts]
         if ((buffer == layout.buffer) & (start < layout.end) & (layout.start < end)).any()
     ]
     counts = {n: np.zeros(max(each.end for each in used if each.buffer == n), np.uint8) for n, *_ in ranges}

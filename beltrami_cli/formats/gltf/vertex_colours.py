@@ -379,9 +379,11 @@ class Surface:
                 columns[key] = Column(accessor, members[key], block.users, position, before, after)
                 continue
             earlier = columns[key].after
-            mine, theirs = (after != before).any(axis=1), (earlier != before).any(axis=1)
-            if attribute == "POSITION" and not np.array_equal(after[mine | theirs], earlier[mine | theirs]):
+            changes, other = (after != before).any(axis=1), (earlier != before).any(axis=1)
+            if attribute == "POSITION" and not np.array_equal(
+                after[changes | other], earlier[changes | other]
+            ):
                 cause = "is shared by parts that would move apart"
                 raise accessor.entry.fault("", cause, "give each part positions of its own")
-            earlier[mine] = after[mine]
+            earlier[changes] = after[changes]
         exchange(edit, attribute, list(columns.values()))

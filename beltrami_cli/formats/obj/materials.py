@@ -84,11 +84,11 @@ def read_maps(text: bytes) -> tuple[list[str], list[Map]]:
     return materials, maps
 
 
-def _read_map(material: str, keyword: str, rest: bytes, start: int) -> Map:
+def _read_map(material: str, keyword: str, arguments: bytes, start: int) -> Map:
     """Read options up to the file name, which may hold blanks and stand in quotes."""
     scale, offset, clamped, channel = (1.0, 1.0), (0.0, 0.0), False, ""
     at = 0
-    while option := _OPTION.match(rest, at):
+    while option := _OPTION.match(arguments, at):
         at = option.end()
         match (option[1] or option[3] or b"").lower():  # a letter, if what follows is a number
             case b"s" if option[2]:
@@ -99,7 +99,7 @@ def _read_map(material: str, keyword: str, rest: bytes, start: int) -> Map:
                 clamped = option[4].lower() == b"on"
             case b"imfchan":
                 channel = option[4].lower().decode("ascii", "replace")
-    name = rest[at:]
+    name = arguments[at:]
     if len(name) > 2 and name[:1] == name[-1:] == b'"':
         name, at = name[1:-1], at + 1
     begin = start + at
@@ -273,10 +273,10 @@ def renaming(materials: Materials, images: NewImages, source: str, naming: Namin
     spans: Spans = {}
     changed: dict[str, tuple[Library, Spans]] = {}
     for library in materials.libraries:
-        own = edits.get(library.path, {})
+        edits_of_file = edits.get(library.path, {})
         outside = is_outside(library.path)
-        differs = any(library.data[start:end] != new for (start, end), new in own.items())
-        is_new = bool(own) and (outside or differs)
+        differs = any(library.data[start:end] != new for (start, end), new in edits_of_file.items())
+        is_new = bool(edits_of_file) and (outside or differs)
         if not is_new and (outside or not names.copies):
             for name, _, _ in library.mentions if outside else ():
                 names.leave(name)
@@ -285,7 +285,7 @@ def renaming(materials: Materials, images: NewImages, source: str, naming: Namin
         for name, start, end in library.mentions:
             spans[start, end] = new_reference(name, library.path, new)
         if is_new:
-            changed[new] = library, own
+            changed[new] = library, edits_of_file
         else:
             names.copied[new] = library.path
     return Renaming(names, spans, changed)
@@ -322,9 +322,9 @@ def _rename_others(materials: Materials, names: NewFiles, edits: dict[str, Spans
         comes_inside = is_outside(library.path)
         if not edits.get(library.path) if comes_inside else not names.copies:
             continue
-        own = edits.setdefault(library.path, {})
+        edits_of_file = edits.setdefault(library.path, {})
         for found, path in library.maps:
-            if path is None or (found.start, found.end) in own:
+            if path is None or (found.start, found.end) in edits_of_file:
                 continue
             if is_outside(path) and not comes_inside:
                 names.leave(found.name)
@@ -337,7 +337,7 @@ def _rename_others(materials: Materials, names: NewFiles, edits: dict[str, Spans
                         names.sidecars[new] = materials.folder.content(old)
                     else:
                         names.copied[new] = old
-            own[found.start, found.end] = _spelled(found, path, new_of[path], library)
+            edits_of_file[found.start, found.end] = _spelled(found, path, new_of[path], library)
 
 
 def _spelled(found: Map, path: str, new: str, library: Library) -> bytes:

@@ -180,12 +180,12 @@ def _read_values(materials: Materials) -> dict[str, dict[str, list[float]]]:
     """Read the numbers of all materials by their keywords; of two libraries the first that has a material counts."""
     found: dict[str, dict[str, list[float]]] = {}
     for library in reversed(materials.libraries):
-        own: dict[str, list[float]] = {}
+        numbers_of: dict[str, list[float]] = {}
         for match in _VALUE.finditer(library.data):
             if match[1].lower() == b"newmtl":
-                own = found[os.fsdecode(match[2])] = {}
+                numbers_of = found[os.fsdecode(match[2])] = {}
             elif numbers := _numbers(match[2]):
-                own[match[1].lower().decode("ascii")] = numbers
+                numbers_of[match[1].lower().decode("ascii")] = numbers
     return found
 
 

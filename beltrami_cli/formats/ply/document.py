@@ -345,9 +345,9 @@ def _omitted(header: Header, used: Collection[str], of_faces: Collection[str] = 
     for element in header.elements:
         lists = elements.VERTEX_LISTS.get(element.name, ())
         known = used if element.name == "vertex" else (*lists, *of_faces)
-        others = [other.name for other in element.properties if other.name not in known]
+        unused = [other.name for other in element.properties if other.name not in known]
         if element.name != "vertex" and element.name not in elements.VERTEX_LISTS:
             dropped.append(f"element {element.name}")
-        elif others:
-            dropped.append(f"{element.name} properties {', '.join(others)}")
+        elif unused:
+            dropped.append(f"{element.name} properties {', '.join(unused)}")
     return (*dropped, *(["comments"] if header.comments else []))

@@ -210,11 +210,13 @@ class NpzPointsDocument(PointsDocument):
         parts = {f"member {name}": content for name, content in self._archive.contents().items()}
         if not self.has_vertex_colours():
             return Fingerprint(parts)
-        rest = self._stored.copy()
-        rest[self._measured, : self._tables.channels] = 0
+        numbers = self._stored.copy()
+        numbers[self._measured, : self._tables.channels] = 0
         key = self._tables.colours
         header = self._archive.header(key)
-        parts[f"member {key}.npy"] = header.exchanged(parts[f"member {key}.npy"], rest.reshape(header.shape))
+        parts[f"member {key}.npy"] = header.exchanged(
+            parts[f"member {key}.npy"], numbers.reshape(header.shape)
+        )
         return Fingerprint(parts, {"point colours": self._colours})
 
     def facts(self) -> dict[str, object]:
@@ -277,11 +279,11 @@ def _find_tables(archive: NpzArchive) -> Tables:
     if normals is not None and archive.header(normals).shape != shape:
         normals = None
     used = {positions, colours, normals, faces}
-    rest = [key for key in archive.names if key not in used and _goes_along(archive, key, points)]
+    along = [key for key in archive.names if key not in used and _goes_along(archive, key, points)]
     channels = math.prod(wide)
     has_alpha = channels in (2, 4)
     return Tables(
-        positions, colours, normals, tuple(rest), points, channels - has_alpha, has_alpha,
+        positions, colours, normals, tuple(along), points, channels - has_alpha, has_alpha,
         is_intensity=colours in _INTENSITY_KEYS, faces=faces,
     )  # fmt: skip
 

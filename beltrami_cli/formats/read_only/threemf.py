@@ -240,13 +240,13 @@ class _Building:
 
     def whole(self) -> ColouredPolygons:
         corners = np.concatenate([np.empty(0, np.int64), *self._corners])
-        others = set().union(*(model.others for model in self._models.values()))
+        other_groups = set().union(*(model.others for model in self._models.values()))
         return ColouredPolygons(
             positions=np.concatenate([np.empty((0, 3)), *self._positions]),
             corners=corners,
             sizes=np.full(len(corners) // 3, 3),
             colours=np.concatenate([np.empty((0, 4), np.float32), *self._colours]),
             stored="uint8",
-            left_out=(*sorted(others), "names, metadata and settings of printers"),
+            left_out=(*sorted(other_groups), "names, metadata and settings of printers"),
             frame=Frame("Z", self.model(self.start()).unit),
         )

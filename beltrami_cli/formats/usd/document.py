@@ -200,7 +200,7 @@ class UsdDocument(Document):
 
     def contents(self) -> MeshContents:
         mesh, counts, arrays = self._mesh, self._contents.counts, self._arrays
-        held = {
+        losses = {
             "materials": self._contents.materials,
             "uncoloured meshes": any(map(counts.get, ("uncoloured", "flat", "unfit", "animated"))),
             "texture coordinates": any(
@@ -209,7 +209,7 @@ class UsdDocument(Document):
             "normals": np.isfinite(arrays["normals"]).any(),
         }
         alpha = arrays["opacity"].clip(0, 1).astype(np.float32) if counts.get("transparent") else None
-        left_out = (*(what for what, found in held.items() if found), *self._omitted())
+        left_out = (*(what for what, found in losses.items() if found), *self._omitted())
         return dataclasses.replace(mesh, alpha=alpha, left_out=left_out)
 
     def textured_mesh(self, colours: Float32s | None = None) -> MeshContents:
@@ -219,12 +219,12 @@ class UsdDocument(Document):
 
     def _omitted(self) -> list[str]:
         contents = self._contents
-        others = [f"{kind} prims" for kind in contents.others]
-        others += ["variants"] if contents.variants else []
-        others += self.hidden_places()
-        others += ["further vertex attributes"] if contents.counts.get("further") else []
-        others += dict.fromkeys(lost for inputs in contents.materials for lost in inputs.lost)
-        return [*others, *(["node hierarchy"] if len(contents.meshes) > 1 else [])]
+        omitted = [f"{kind} prims" for kind in contents.others]
+        omitted += ["variants"] if contents.variants else []
+        omitted += self.hidden_places()
+        omitted += ["further vertex attributes"] if contents.counts.get("further") else []
+        omitted += dict.fromkeys(lost for inputs in contents.materials for lost in inputs.lost)
+        return [*omitted, *(["node hierarchy"] if len(contents.meshes) > 1 else [])]
 
     def fingerprint(self) -> Fingerprint:
         self._compared = True

@@ -107,12 +107,12 @@ class Geometry:
                 if shown is None:
                     continue
                 self.slots.add(slot)
-                own = _coordinates(prim, shown.mapping, polygons)
-                if own is None:
+                coordinates = _coordinates(prim, shown.mapping, polygons)
+                if coordinates is None:
                     self.counts["bare"] += 1
                     continue
                 in_chosen = np.repeat(materials == number, polygons.sizes)
-                uv[in_chosen] = own[in_chosen]
+                uv[in_chosen] = coordinates[in_chosen]
         return found
 
     def _material(self, material: Any) -> int:

@@ -78,11 +78,13 @@ def _are_equal(layer: Any, data: bytes, suffix: str) -> bool:
     path.unlink()
     if made is None:
         return False
-    paths, others = list[Any](), list[Any]()
+    paths, paths_made = list[Any](), list[Any]()
     layer.Traverse("/", paths.append)
-    made.Traverse("/", others.append)
+    made.Traverse("/", paths_made.append)
     properties = [path for path in paths if path.IsPropertyPath()]
-    return len(paths) == len(others) and all(_value(layer, path) == _value(made, path) for path in properties)
+    return len(paths) == len(paths_made) and all(
+        _value(layer, path) == _value(made, path) for path in properties
+    )
 
 
 def _value(layer: Any, path: Any) -> object:

@@ -22,7 +22,7 @@ def read(order: dict[str, Any], _: dict[str, Array]) -> tuple[dict[str, Any], di
     except NeedsLayersError as error:
         return {"needs": error.needs}, {}
     geometry = Geometry()
-    others: set[str] = set()
+    other_types: set[str] = set()
     images = files_in_variants(stage, order["layers"])
     for prim in Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()):
         if prim.IsA(UsdGeom.Mesh):
@@ -30,7 +30,7 @@ def read(order: dict[str, Any], _: dict[str, Array]) -> tuple[dict[str, Any], di
             continue
         images |= files_of(prim)
         if prim.IsA(UsdGeom.Gprim):
-            others.add(str(prim.GetTypeName()))
+            other_types.add(str(prim.GetTypeName()))
             colours = UsdGeom.Gprim(prim).GetDisplayColorAttr().Get(Usd.TimeCode.EarliestTime())
             geometry.counts["no mesh"] += int(colours is not None and len(colours) > 1)
     uses = tuple(
@@ -46,7 +46,7 @@ def read(order: dict[str, Any], _: dict[str, Array]) -> tuple[dict[str, Any], di
         meshes=tuple(geometry.meshes),
         counts=dict(geometry.counts),
         slots=tuple(sorted(geometry.slots)),
-        others=tuple(sorted(others)),
+        others=tuple(sorted(other_types)),
         up=str(UsdGeom.GetStageUpAxis(stage)),
         # `UsdGeom.GetStageMetersPerUnit` refuses single precision, as old exporters wrote it.
         unit=float(stage.GetMetadata("metersPerUnit")),

@@ -247,12 +247,12 @@ def check_limits(
 ) -> tuple[list[Verdict], list[str]]:
     """Hold the figures of each part that has samples to the limits; return notices of what nothing can break."""
     # A limit that cannot be measured raises InputError: an unchecked limit must not pass.
-    held = [part for part in parts if part["samples"] and not part.get("identical")]
+    compared = [part for part in parts if part["samples"] and not part.get("identical")]
     verdicts: list[Verdict] = []
     for limit, allowed in vars(limits).items():
         if allowed is None or limit not in _FIGURES:
             continue
-        for part in held:
+        for part in compared:
             if limit == "max_seam_jump" and part["near_seams"] is None:
                 continue  # nothing can jump
             figure = part[_FIGURES[limit]]
@@ -263,7 +263,7 @@ def check_limits(
             sign = 1 if limit.startswith("min") else -1
             kept = measured is None or sign * measured >= sign * allowed
             verdicts.append(Verdict(limit, part["name"], allowed, measured, kept))
-    seamless = limits.max_seam_jump is not None and all(part["near_seams"] is None for part in held)
+    seamless = limits.max_seam_jump is not None and all(part["near_seams"] is None for part in compared)
     return verdicts, ["--max-seam-jump is kept, because there is no seam"] if seamless else []
 
 

@@ -185,14 +185,14 @@ def choose_parts(documents: Documents, settings: SmoothSettings) -> tuple[Select
     chosen = settings if settings.textures.slots else _everything(documents, settings, notices)
     selection = select(documents[0], chosen)
     notices += absent_slots(documents[0], chosen) if selection.slots else []
-    others = [f"{slot} textures" for slot in _slots_of(documents) if slot not in selection.slots]
+    uncompared = [f"{slot} textures" for slot in _slots_of(documents) if slot not in selection.slots]
     if not selection.vertices and any(document.has_vertex_colours() for document in documents):
-        others.insert(0, "vertex colours")
+        uncompared.insert(0, "vertex colours")
     if settings.textures.names or settings.textures.materials:
-        others.append("textures that --texture and --material leave out")
+        uncompared.append("textures that --texture and --material leave out")
     if settings.channels is not None:
-        others.append("other channels")
-    return selection, [*notices, *([f"not compared: {', '.join(others)}"] if others else [])]
+        uncompared.append("other channels")
+    return selection, [*notices, *([f"not compared: {', '.join(uncompared)}"] if uncompared else [])]
 
 
 def _slots_of(documents: Documents) -> tuple[Slot, ...]:

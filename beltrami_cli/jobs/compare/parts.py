@@ -294,11 +294,11 @@ def _require_same_size(old: Picture, new: Picture, name: str) -> None:
         raise InputError(name, cause, "compare images of one size")
 
 
-def moves_of(places: Float64s, others: Float64s) -> Float64s:
+def moves_of(places: Float64s, places_after: Float64s) -> Float64s:
     """Return how far known places are apart, in sizes of the model, shape (K,)."""
-    known = np.isfinite(places).all(axis=1) & np.isfinite(others).all(axis=1)
-    places, others = places[known], others[known]
-    moves = np.asarray(np.linalg.norm(others - places, axis=1), np.float64)
+    known = np.isfinite(places).all(axis=1) & np.isfinite(places_after).all(axis=1)
+    places, places_after = places[known], places_after[known]
+    moves = np.asarray(np.linalg.norm(places_after - places, axis=1), np.float64)
     if not len(places):
         return moves
     # Coordinates of a small model far from the origin are rounded by more.
