@@ -1,4 +1,4 @@
-"""What weights depend on besides the pictures."""
+"""Hash of the code and settings that trained weights depend on."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SIZES = (
 
 
 def configuration(files: tuple[str, ...]) -> str:
-    """Return the hash of all that weights depend on besides the pictures, without comments and spaces."""
+    """Return the hash of some source files without comments and spaces."""
     root = Path(__file__).parents[1]
     text = "\n".join(re.sub(r"\s+|#.*", "", (root / path).read_text(encoding="utf-8")) for path in files)
     return hashlib.sha256(text.encode()).hexdigest()

@@ -23,7 +23,7 @@ from noises import Recipe, Sample, degrade
 from surfaces import sampled, surface
 
 SIDE, CASES, SEED = 192, 44, 7
-LEAST_NOISE = 4 / 255  # of which clean pictures must not be read
+LEAST_NOISE = 4 / 255  # that must not be read from clean pictures
 
 
 def _log(rng, low, high):
@@ -67,7 +67,7 @@ KINDS: dict[str, Callable[[np.random.Generator], Recipe]] = {
 }
 
 
-# Kinds on surfaces, and whether noise was added to vertices instead of the picture that they show.
+# Kinds of noise on surfaces, and whether noise is added to vertices instead of the picture they sample.
 KINDS_ON_SURFACES = {
     "white, sigma 2 to 50": True,
     "white, equal in all channels": True,
@@ -81,14 +81,14 @@ KINDS_ON_SURFACES = {
     "none": True,
     "none, but JPEG": False,
 }
-# Surfaces for these; training has others.
+# Numbers of these surfaces; training uses others.
 SURFACES = range(1000, 1024)
 
 
 def pictures_of(
     crops: list[pictures.Crop], kind: str
 ) -> Iterator[tuple[np.random.Generator, np.ndarray, Recipe]]:
-    """Yield clean pictures and the steps to noisy ones of a kind."""
+    """Yield clean pictures and the recipes of noise of a kind."""
     rng = np.random.default_rng([SEED, list(KINDS).index(kind)])
     large = [crop for crop in crops if min(crop.pixels.shape[:2]) >= SIDE]
     for number in rng.permutation(len(large))[: CASES * (4 if kind.startswith("none") else 1)]:
@@ -96,7 +96,6 @@ def pictures_of(
 
 
 def cases(crops: list[pictures.Crop], kind: str) -> Iterator[tuple[Grid, Sample]]:
-    """Yield noisy pictures of a kind."""
     for rng, clean, recipe in pictures_of(crops, kind):
         made = degrade(rng, clean, recipe)
         sample = Sample(*(own[:SIDE, :SIDE] for own in (made.noisy, made.noise, made.loss)))
@@ -104,7 +103,7 @@ def cases(crops: list[pictures.Crop], kind: str) -> Iterator[tuple[Grid, Sample]
 
 
 def cases_on_surfaces(crops: list[pictures.Crop], kind: str) -> Iterator[tuple[VertexClusters, Sample]]:
-    """Yield noisy surfaces of a kind, with as many texels as samples."""
+    """Yield noisy surfaces of a kind, with one sample per texel."""
     for number, (rng, clean, recipe) in enumerate(pictures_of(crops, kind)):
         clusters, places = surface(SURFACES[number % len(SURFACES)])
         side = int(np.clip(np.sqrt(len(places)), 16, SIDE))
@@ -114,7 +113,7 @@ def cases_on_surfaces(crops: list[pictures.Crop], kind: str) -> Iterator[tuple[V
 
 
 def truth_of(sample: Sample) -> float:
-    """Return the root mean square of the noise."""
+    """Return the RMS noise."""
     return float(np.sqrt(max(0.0, np.mean(sample.noise**2) - np.mean(sample.loss**2))))
 
 
@@ -129,7 +128,7 @@ def judged(readings: np.ndarray, truths: np.ndarray, is_clean: bool) -> str:
 
 
 def main(roots: list[Path], part: str, kind: str, weights: Weights | None = None) -> None:
-    """Print the table of grids or clusters."""
+    """Print the table for grids or clusters."""
     crops, everything = pictures.clean_crops(roots, part, SEED), []
     make, kinds = (cases, KINDS) if kind == "grid" else (cases_on_surfaces, KINDS_ON_SURFACES)
     print(f"| kind of noise on a {kind} | cases | model | 90 % interval holds |\n|---|---|---|---|")

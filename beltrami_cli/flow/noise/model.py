@@ -39,23 +39,24 @@ from beltrami_cli.surface.colour_values import srgb_to_linear
 if TYPE_CHECKING:
     from beltrami_cli.flow.vertex_graph import Level
 
-# Colours of red, green and blue share a curve by their level; other channels are no levels.
+# Red, green and blue share a curve by level; other channels are not levels.
 COLOURS = 3
 
-# Probability of no noise above which colours stay as they are: at 0.2 clean pictures lose least by what is gained in
-# noisy ones, by `noise_model/train_sizes.py`; and from which on there certainly is none.
+# Probability of no noise above which colours are not changed: at 0.2 the loss of clean pictures is least relative to
+# the gain of noisy ones, by `noise_model/train_sizes.py`; and the probability from which on there is certainly no
+# noise.
 MOST_NONE, _CERTAIN = 0.2, 0.95
 
-# By how much more than its median noise is removed. Noisy pictures lose 0.53 dB against telling the noise, and 0.72 dB
-# with 1, by benchmarks/bench_regret.py: noise that is told too small is kept as edges.
+# Factor of the removed noise to its median. Noisy pictures lose 0.53 dB against a known noise, and 0.72 dB with a
+# factor of 1, by benchmarks/bench_regret.py: underestimated noise is kept as edges.
 _MORE = 1.1
 
-# Noise that people see, of full scale: of less, most samples are within a step of 8 bits of their value.
+# Visible noise, of full scale: with less, most samples are within a step of 8 bits of their value.
 _VISIBLE = 2 * BYTE_STEP
 
-# Colour distance at which the first kernel should fall off, in units of the noise: beta sigma. A search over vertex
-# colours and textures at sigma 20 of 255, with t = 2.4, a growth of 2, two regularised and three plain iterations,
-# has its flat optimum here.
+# Beta times sigma: the distance of colours at which the first kernel should decay, in units of the noise. A search over
+# vertex colours and textures at sigma 20 of 255, with t = 2.4, a growth of 2, two regularised and three plain
+# iterations, has its flat optimum here.
 _BETA_SIGMA = 0.8
 
 # Levels of dark, middle and bright colours at which noise is described.
@@ -64,41 +65,41 @@ _DESCRIBED_LEVELS = {"dark": 0.1, "middle": 0.5, "bright": 0.9}
 # Quantiles of the relative variance at which quiet and loud places are described.
 _QUIET, _LOUD = 0.05, 0.95
 
-# Steps of the table of a transformation.
+# Number of steps of a transformation table.
 _STEPS = 1024
 
-# Levels at which the noise of a camera is tabulated.
+# Number of levels at which the noise of a camera is tabulated.
 _LEVELS = 65
 
-# The least relative standard deviation of samples, so that colours can be divided by it.
+# Minimum relative standard deviation of samples, as a divisor of colours.
 _LEAST_RELATIVE = 0.05
 
-# Rows that are worked on at a time, where each needs memory.
+# Rows processed at a time where each needs temporary memory.
 _ROWS = 64
 
 
 @dataclass(frozen=True)
 class Reading:
-    """What is read of the size of noise, the root mean square of the colours."""
+    """The estimated size of the noise: root mean square over the colours."""
 
     none: float  # probability that there is no noise
-    # If there is any: the size that it exceeds with a probability of 95 %, its median, the size that it hardly exceeds.
+    # Given that there is noise: its 5 % quantile, median, and 95 % quantile.
     low: float
     median: float
     high: float
 
     @property
     def is_likely(self) -> bool:
-        """Whether there is noise, as far as it is worth the harm to clean colours."""
+        """Whether there is noise to remove, given the harm to clean colours."""
         return self.none <= MOST_NONE
 
     def assumed(self, strength: float) -> float:
-        """Return the size to be removed: the lower end of what may be there if gentle, the upper end if strong.
+        """Return the size to remove: the lower end of the interval if gentle, the upper end if strong.
 
-        Unless it is strong, there is none where that is likely enough.
+        It is 0 where no noise is likely enough, unless the strength is high.
         """
         low, median = (self.low, _MORE * self.median) if self.is_likely else (0.0, 0.0)
-        # No noise counts as 0, so that it may take the place of the upper end.
+        # No noise counts as 0, so that the upper end may be 0.
         high = max(median, self.high) if self.none < _CERTAIN else 0.0
         return float(np.interp(strength, tuple(STRENGTHS.values()), (low, median, high)))
 
@@ -109,14 +110,14 @@ class Reading:
 
     @property
     def visible(self) -> float:
-        """Probability that there is noise that people see."""
+        """Probability of visible noise."""
         places = np.log(np.maximum((self.low, self.median, self.high), 1e-9))
         return (1 - self.none) * float(np.interp(math.log(_VISIBLE), places, (0.95, 0.5, 0.05)))
 
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """Noise of N channels of colours that a `VarianceStabiliser` has transformed, if its variance depends on the level.
+    """Noise of N channels; of stabilised colours, if the variance depends on the level (`VarianceStabiliser`).
 
     Neighbouring samples share noise if there are covariances of several scales.
     """
@@ -130,7 +131,7 @@ class NoiseModel:
 
     @classmethod
     def independent(cls, sigma: Float64s) -> NoiseModel:
-        """Return the model of noise that neither samples nor channels share, of standard deviations by channel."""
+        """Return the model of noise that is independent between samples and channels, given sigma by channel."""
         return cls(np.diag(np.square(sigma))[None])
 
     @property
@@ -140,7 +141,7 @@ class NoiseModel:
 
     @property
     def largest_sigma(self) -> Float64s:
-        """Standard deviation by channel that the noise may have with a certainty of 95 %, shape (N,)."""
+        """Upper bound of sigma by channel with a certainty of 95 %, shape (N,)."""
         if self.reading is None or not self.overall:
             return self.sigma
         return self.sigma * max(1.0, self.reading.high / self.overall)
@@ -163,43 +164,43 @@ class NoiseModel:
 
     @property
     def _growth(self) -> float:
-        """Root mean square factor from differences of stabilised colours to those of the input."""
+        """RMS factor from differences of stabilised colours to differences of the input's colours."""
         return 1.0 if self.stabiliser is None else self.stabiliser.growth
 
     @property
     def of_input(self) -> Float64s:
-        """Standard deviation of the noise of the input's colours, by channel."""
+        """Standard deviation of the noise in the input's colours, by channel."""
         sigma = self.sigma
         sigma[:COLOURS] *= self._growth
         return sigma
 
     @property
     def overall(self) -> float:
-        """Root mean square of the noise of the input's colours."""
+        """RMS noise of the input's colours."""
         colours = self.of_input[:COLOURS]
         return float(np.sqrt(np.mean(np.square(colours)))) if len(colours) else 0.0
 
     @property
     def grain(self) -> float:
-        """The width, in samples, of the area that samples share noise over; 1: each has its own."""
-        # Noise of a filter has its power at the coarsest scale divided by the filter's area.
+        """Width in samples of the area over which noise is shared; 1: independent samples."""
+        # Filtered noise has a power at the coarsest scale that is divided by the filter's area.
         single = np.trace(self.covariance)
         return float(np.sqrt(max(1.0, np.trace(self.covariances[-1]) / max(single, 1e-12))))
 
     def difference_to_input(self, size: float) -> float:
-        """Return the root mean square size of differences of stabilised colours in those of the input."""
+        """Convert an RMS difference of stabilised colours to the input's colours."""
         return self._growth * size
 
     def square_to_input(self, square: float) -> float:
-        """Return the mean square of differences of stabilised colours in those of the input."""
+        """Convert a mean square of differences of stabilised colours to the input's colours."""
         return self._growth**2 * square
 
     def beta_to_input(self, beta: float) -> float:
-        """Return a beta, a length per unit of stabilised colours, per unit of the input's: lengths stay."""
+        """Convert beta, a length per unit of stabilised colours, to the input's colours; lengths are preserved."""
         return beta / self._growth
 
     def to_input(self, rows: Float32s) -> Float32s:
-        """Return stabilised colours, shape (S, N), as colours of the input."""
+        """Convert stabilised colours, shape (S, N), to colours of the input."""
         if self.stabiliser is None:
             return rows
         rows = rows.copy()
@@ -207,9 +208,9 @@ class NoiseModel:
         return rows
 
     def scaled_to(self, sigma: float) -> NoiseModel:
-        """Return a model of the same structure whose colours have a root mean square noise of `sigma`.
+        """Return a model with the same structure and an RMS noise of the colours of `sigma`.
 
-        Where there is no noise, samples and channels get independent noise.
+        Without noise, samples and channels get independent noise.
         """
         covariances = self.covariances.copy()
         colours = covariances[:, :COLOURS, :COLOURS]
@@ -220,15 +221,15 @@ class NoiseModel:
         return dataclasses.replace(self, covariances=covariances)
 
     def as_read(self) -> NoiseModel:
-        """Return the model of the most likely size: what is removed differs from it by the strength."""
+        """Return the model with the median size; the removed noise differs from it by the strength."""
         if self.reading is None or not self.reading.is_likely:
             return self
         return self.scaled_to(self.reading.median)
 
     def described(self) -> dict[str, float]:
-        """Return standard deviations, the mean of colour channels, of full scale 1, and the grain.
+        """Describe the noise: mean sigma of the colour channels, of full scale 1, and the grain.
 
-        "dark", "middle" and "bright" are deviations at these levels, "quiet" and "loud" at places that differ.
+        "dark", "middle" and "bright": sigma at these levels; "quiet" and "loud": sigma at places, if they differ.
         """
         found: dict[str, float] = {}
         if not len(self.sigma):
@@ -247,7 +248,7 @@ class NoiseModel:
 
 
 class VarianceStabiliser:
-    """The transformation for noise of a relative standard deviation at ascending levels, each of some samples."""
+    """Stabilising transformation for noise of a relative sigma at ascending levels, each of some samples."""
 
     def __init__(
         self, levels: Float64s, relative: Float64s, samples: Float64s, full_scale: float = 1.0
@@ -264,8 +265,8 @@ class VarianceStabiliser:
 
     @classmethod
     def of_camera(cls, shot: float, read: float) -> VarianceStabiliser:
-        """Make the noise of a camera, by its shares of shot and read noise, the same at all levels of sRGB colours."""
-        levels = np.linspace(0, 1, _LEVELS) ** 2  # denser where the encoding of colours is steep
+        """Make the transformation for shot and read noise of a camera, in sRGB colours."""
+        levels = np.linspace(0, 1, _LEVELS) ** 2  # denser where the sRGB curve is steep
         light = srgb_to_linear(levels).astype(np.float64)
         slopes = np.maximum(np.gradient(light, levels), 1 / 12.92)
         sigma = np.sqrt(shot * light + read**2) / slopes
@@ -276,28 +277,28 @@ class VarianceStabiliser:
         return np.diff(self._levels) / np.diff(self._stable)
 
     def stabilised(self, channels: Float32s) -> Float32s:
-        """Return transformed channels, the first axis."""
+        """Return transformed channels, which are along the first axis."""
         stable = large_arrays.copy_of(channels)
         self.stabilise_in_place(stable)
         return stable
 
     def stabilise_in_place(self, channels: Float32s) -> None:
-        """Transform channels, the first axis."""
+        """Transform channels along the first axis."""
         self._each(channels, self._levels, self._stable)
 
     def restore_in_place(self, channels: Float32s) -> None:
-        """Transform them back."""
+        """Apply the inverse transformation."""
         self._each(channels, self._stable, self._levels)
 
     def slopes(self, channels: Float32s) -> Float32s:
-        """Return by what factor small differences of stabilised channels grow when they are transformed back."""
+        """Return the derivative of the inverse transformation at stabilised channels."""
         factors = np.ones_like(channels)
         for own, plane in zip(factors, channels[:COLOURS], strict=False):
             own[:] = np.interp(plane, (self._stable[1:] + self._stable[:-1]) / 2, self._slopes)
         return factors
 
     def sigma_at(self, level: Array | float, sigma: float) -> Float64s:
-        """Return the standard deviation at levels of colour, by that of stabilised colours."""
+        """Return sigma at levels of colour, given that of stabilised colours."""
         slopes = np.interp(level, (self._levels[1:] + self._levels[:-1]) / 2, self._slopes)
         return np.asarray(sigma * slopes, np.float64)
 
@@ -309,13 +310,13 @@ class VarianceStabiliser:
         for block in large_arrays.blocks(channels.shape[1], rows):
             for plane in channels[:COLOURS, block]:
                 within = np.interp(plane, before, after)
-                # Colours beyond the limits go on with the slopes there.
+                # Extrapolate with the slopes at the limits.
                 within += np.minimum(plane, 0) * first + np.maximum(plane - before[-1], 0) * last
                 plane[...] = within
 
 
 def relative_to_mean(deviations: Float32s) -> tuple[Float32s, Float64s]:
-    """Return variances relative to their mean, shape (S, 1), and sigma by channel, of deviations of shape (S, K)."""
+    """Split deviations, shape (S, K), into variances relative to their mean, shape (S, 1), and sigma by channel."""
     variances = np.square(deviations, dtype=np.float64)
     sigma = np.sqrt(variances.mean(axis=0))
     mean = np.mean(np.square(sigma))
@@ -327,20 +328,20 @@ def relative_to_mean(deviations: Float32s) -> tuple[Float32s, Float64s]:
 
 def choose_beta(sigma: Float64s, contrast: float = _BETA_SIGMA) -> float:
     """Choose beta, in spacings per unit of colour, so that noise has a length of `contrast` spacings."""
-    # The deviation of an even distribution over a step; less noise cannot be measured.
+    # Standard deviation of rounding to 8 bits; less noise cannot be measured.
     rounding = BYTE_STEP / math.sqrt(12)
     return contrast / max(overall_noise(sigma), rounding)
 
 
 def overall_noise(sigma: Float64s) -> float:
-    """Return the root mean square of the channels' noise, without channels that have none, such as constant alpha."""
+    """Return the RMS noise of the channels that have any; others may be constant alpha."""
     noisy = sigma[sigma > 0.1 * sigma.max()] if len(sigma) else sigma
     return float(np.sqrt(np.mean(np.square(noisy)))) if len(noisy) else 0.0
 
 
 def covariance_of_cells(covariances: Float64s) -> Float64s:
-    """Return the covariance of the noise of cells, shape (N, N), given that of each scale, shape (L, N, N)."""
-    # Three quarters of independent noise are detail, and one quarter is in the means of 2 x 2 cells.
+    """Return the covariance of single cells' noise, shape (N, N), from that of each scale, shape (L, N, N)."""
+    # Three quarters of independent noise are in details, and one quarter in the means of 2 x 2 cells.
     shares = 3 / 4.0 ** np.arange(1, len(covariances) + 1)
     shares[-1] += 1 / 4.0 ** len(covariances)
     total: Float64s = np.einsum("l,lij->ij", shares, covariances)
@@ -348,7 +349,7 @@ def covariance_of_cells(covariances: Float64s) -> Float64s:
 
 
 def sigma_of_covariances(covariances: Float64s) -> Float64s:
-    """Return sigma of the noise of single cells, per channel, from covariances of shape (L, N, N)."""
+    """Return sigma of single cells' noise, per channel, from covariances of shape (L, N, N)."""
     return np.sqrt(np.maximum(np.diag(covariance_of_cells(covariances)), 0))
 
 
@@ -369,7 +370,7 @@ def draw_model(covariances: Float64s, shape: tuple[int, int], random: np.random.
 
 
 def _with_details(noise: Float32s, details: list[Float32s], size: np.float32) -> Float32s:
-    """Return noise on twice as many rows and columns, with details divided by a size."""
+    """Upsample noise to twice as many rows and columns, and add details divided by `size`."""
     channels, rows, columns = noise.shape
     finer: Float32s = large_arrays.empty((channels, 2 * rows, 2 * columns), np.float32)
     cells = finer.reshape(channels, rows, 2, columns, 2)
@@ -389,25 +390,25 @@ def mixed_signs(covariance: Float64s, shape: Sequence[int], random: np.random.Ge
     signs = large_arrays.random_signs((len(root), *shape), random)
     mixed: Float32s = large_arrays.empty(signs.shape, np.float32)
     for rows in large_arrays.blocks(shape[0], _ROWS):
-        # Not by BLAS, whose threads would spin on.
+        # Not with BLAS, whose idle threads keep spinning.
         mixed[:, rows] = np.einsum("ij,jrc->irc", root, signs[:, rows].astype(np.float32))
     return mixed
 
 
 def root_of(covariance: Float64s) -> Float32s:
-    """Return the symmetric root of a covariance."""
+    """Return the symmetric square root of a covariance."""
     values, vectors = np.linalg.eigh(covariance)
     root: Float32s = ((vectors * np.sqrt(np.maximum(values, 0))) @ vectors.T).astype(np.float32)
     return root
 
 
 def draw_noise_of_clusters(covariances: Float64s, levels: Sequence[Level], signs: Float32s) -> Float32s:
-    """Draw the same on clusters, from single samples on, by independent signs of samples for each level."""
+    """Draw the noise on clusters instead, from independent signs of samples for each level."""
     noise: Float32s = np.zeros(signs.shape[1:], np.float32)
     for number, (level, own) in enumerate(zip(levels, signs, strict=True)):
         root = root_of(covariances[min(number, len(covariances) - 1)])
         drawn = np.einsum("ij,sj->si", root, own[level.centres]) / np.sqrt(level.counts)[:, None]
-        if number + 1 < len(levels):  # details are what differs from the mean of the next level
+        if number + 1 < len(levels):  # details: differences from the mean of the next level
             above, held = levels[number + 1], drawn * level.counts[:, None]
             parents = above.members[level.centres]
             sums = np.stack([np.bincount(parents, column, above.graph.size) for column in held.T], axis=1)

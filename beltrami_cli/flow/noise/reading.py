@@ -1,4 +1,4 @@
-"""The noise of colours: its size as the trained network reads it, its structure as residuals of a pilot show it.
+"""Estimation of the noise: its size by the trained network, its structure from residuals of a pilot.
 
 Three colours are read together, and all other channels one by one. At most `MAX_SQUARES` squares are read, so that the
 cost does not grow with the picture.
@@ -48,29 +48,30 @@ from beltrami_cli.flow.noise.structure import (
 )
 from beltrami_cli.flow.parameters import GivenNoise
 
-# Difference of the covariances of the finest two scales, of the smaller one, above which neighbours share noise: that
-# of readings of white noise is 0.29 at most, and that of filtered noise 1 or more, but for mosaics.
+# Relative difference of the covariances of the finest two scales above which neighbours share noise. It is at most 0.29
+# for readings of white noise, and at least 1 for filtered noise other than mosaics.
 MIN_DIFFERENCE_OF_SCALES = 0.35
 
-# Correlation of channels above which they share noise: that of readings of independent noise is up to 0.1, and 0.2
-# where they are uncertain.
+# Correlation of channels above which they share noise. It is up to 0.1 for readings of independent noise, or 0.2 where
+# they are uncertain.
 MIN_CORRELATION = 0.2
 
-# Above this they do for certain; between both, mosaics and colours that the network takes for such are told apart by
-# the correlation of neighbours in what a pilot takes: that of white noise is up to 0.1, also on rich texture, and that
-# of filtered noise 0.13 to 0.45, in the kinds of benchmarks/bench_regret.py.
+# Difference of covariances above which neighbours certainly share noise. Between both values, mosaics and colours that
+# the network mistakes for them are distinguished by the correlation of neighbours in the residual of a pilot. It is up
+# to 0.1 for white noise, also on rich texture, and 0.13 to 0.45 for filtered noise, in the kinds of
+# benchmarks/bench_regret.py.
 _CERTAIN_DIFFERENCE_OF_SCALES = 1.0
 _MAX_CORRELATION_OF_NEIGHBOURS = 0.12
 
-# Details whose mean square is as uncertain as the variance that the network reads, by 28 %, or 0.2 of log2 of a
+# Number of details whose mean square is as uncertain as the variance read by the network: 28 %, or 0.2 of log2 of a
 # deviation.
 _DETAILS_OF_READING = 26
 
-# Samples that the smallest pictures of the training have: with fewer, paint cannot be told from noise.
+# Number of samples of the smallest training pictures; with fewer, hard-edged paint is not distinguishable from noise.
 _FEWEST = 256
 
-# Where values exceed full scale, as in light, this quantile of theirs becomes full scale. Where less than this share of
-# them is at least 0, or at most full scale, they are no levels, and are shifted.
+# If values exceed full scale, as with light, this quantile becomes full scale. If less than this share of them is at
+# least 0, or at most full scale, values are not levels, and are shifted.
 _BRIGHT = 0.99
 
 
@@ -85,12 +86,12 @@ def estimate_noise(
 ) -> NoiseModel:
     """Estimate the noise of channels, as far as it is not given.
 
-    If it `varies`, its dependence on level and place is estimated, too. The stronger, the more of what may be noise is
-    taken for it. `measured` is noise given for each sample: relative variances, and sigma by channel.
+    If it `varies`, its dependence on level and place is estimated too. A higher strength assumes more noise. `measured`
+    is noise given for each sample: relative variances, and sigma by channel.
     """
     if measured is None and given is not None and given.is_by_level:
         stabiliser = VarianceStabiliser.of_camera(given.shot, given.read)
-        # The noise of stabilised colours is the same at all levels.
+        # Stabilised colours have the same noise at all levels.
         stable = stabiliser.stabilised(channels)
         found = read_noise(stable, where, varies=False, sigma=stabiliser.scale).scaled_to(stabiliser.scale)
         return dataclasses.replace(found, stabiliser=stabiliser)
@@ -112,7 +113,7 @@ def estimate_noise(
 
 
 def _measured(found: NoiseModel, relative: Float32s, sigma: Float64s) -> NoiseModel:
-    """Return noise with the given standard deviations of colours, and other channels as they were found."""
+    """Return a noise model with given standard deviations of the colours, and other channels as estimated."""
     channels = min(COLOURS, len(found.sigma))
     if len(sigma) not in (1, channels):
         cause = f"noise has {len(sigma)} channels, but must have one, or one for each colour"
@@ -139,8 +140,8 @@ def read_noise(
 ) -> NoiseModel:
     """Read the noise of channels on a grid, shape (N, R, C), or of vertices, shape (N, S).
 
-    If it `varies`, its dependence on level and place is read, too. `sigma` is the root mean square noise of the
-    colours, if it is known. Without weights, those in the package are used.
+    If it `varies`, its dependence on level and place is read too. `sigma` is the RMS noise of the colours, if known.
+    `weights` of the network default to those of the package.
     """
     weights, count = weights or weights_of(where.kind), len(planes)
     if not where.count:
@@ -155,7 +156,7 @@ def read_noise(
     colours = sizes[: 1 if together else None]
     structure = Structure.even(where)
     if varies and all(own.sigma for own in colours):
-        # Where there are two colours, both have the structure of the first.
+        # Two colours both have the structure of the first.
         first, are_levels = colours[0], all(own.are_levels for own in colours)
         structure = structure_of(
             first.residual, first.sigma, first.places, len(first.order), are_levels=are_levels
@@ -169,24 +170,24 @@ def read_noise(
             parts.append([size.size.none, *(factor * quantile for quantile in size.quantiles)])
     stabiliser = None if structure.curve is None else structure.curve.stabiliser(colours[0].full_scale)
     relative = structure.over_samples(colours[0].residual) if structure.is_by_place else None
-    if any(own.sigma for own in colours) and not covariances.any():  # even cells show that there is none
+    if any(own.sigma for own in colours) and not covariances.any():  # even cells show no noise
         return NoiseModel(covariances[:1], reading=Reading(1.0, 0.0, 0.0, 0.0))
-    # Root mean squares over the channels, but for the probability that there is none in any.
+    # RMS over the channels, except the probability of no noise in any of them.
     none, *quantiles = np.array(parts).T
     reading = Reading(float(none.prod()), *(float(np.sqrt(np.mean(np.square(own)))) for own in quantiles))
     return NoiseModel(_simplified(covariances), stabiliser, relative, reading)
 
 
 def difference_of_scales(covariances: Float64s) -> float:
-    """Return by how much the covariances of the finest two scales differ, of the smaller one; 0: white noise."""
-    # What filters made of white noise shows in the finest two scales, where there is the least texture.
+    """Return the difference of the covariances of the finest two scales, relative to the smaller; 0: white noise."""
+    # Filtering shows in the finest two scales, which have the least texture.
     fine, coarse = covariances[:2]
     least = min(float(np.linalg.norm(fine)), float(np.linalg.norm(coarse)))
     return float(np.linalg.norm(coarse - fine)) / max(1e-12, least)
 
 
 def _simplified(covariances: Float64s) -> Float64s:
-    """Return covariances of one scale where no other differs, and of independent channels where they nearly are."""
+    """Drop scales if none differs, and correlations of channels if they are nearly independent."""
     if difference_of_scales(covariances) <= MIN_DIFFERENCE_OF_SCALES:
         covariances = covariances[:1]
     single = covariance_of_cells(covariances)
@@ -198,13 +199,13 @@ def _simplified(covariances: Float64s) -> Float64s:
 
 @dataclass(frozen=True, eq=False)
 class _Colours:
-    """The noise of K channels, one or three, as large as the network reads it; in steps of 8 bits of full scale."""
+    """Noise of K channels, one or three, with the size read by the network, in steps of 8 bits of full scale."""
 
     samples: Samples
     order: Int64s  # of the channels, shape (K,)
     size: Size
-    sigma: float  # root mean square of the channels; 0: none
-    components: Float64s  # covariances by scale as the network reads them, shape (SCALES, 3, 3)
+    sigma: float  # RMS of the channels; 0: no noise
+    components: Float64s  # covariances by scale as read, shape (SCALES, 3, 3)
     places: Float64s  # log2 of the relative deviations of neighbourhoods, shape (P,)
     full_scale: float
     are_levels: bool
@@ -217,19 +218,19 @@ class _Colours:
         return low, median, high
 
     def of_sigma(self, sigma: float) -> _Colours:
-        """Return the same for a root mean square noise that is known."""
+        """Return the noise with a known RMS."""
         return dataclasses.replace(self, sigma=sigma * float(STEPS) / self.full_scale)
 
     @cached_property
     def residual(self) -> Residual:
-        """What a pilot takes for even noise."""
+        """The residual of a pilot that assumes even noise."""
         return Residual.of(self.samples, np.full(1, self.sigma**2, np.float32))
 
     def covariances(self, structure: Structure) -> tuple[Float64s, float]:
-        """Return the covariances of stabilised channels by scale, and by what factor the noise differs from `sigma`.
+        """Return the covariances of stabilised channels by scale, and the ratio of the noise to `sigma`.
 
-        Components have the covariance of what a pilot took. Where neighbours share noise, it takes little of it, and
-        the network is trusted, as far as even cells have that much energy.
+        Components have the covariance of the pilot's residual. It lacks most of the noise that neighbours share, for
+        which the network is trusted as far as even cells have that much energy.
         """
         if not self.sigma:
             return np.zeros((SCALES, len(self.order), len(self.order))), 1.0
@@ -256,7 +257,7 @@ class _Colours:
         return np.asarray(np.einsum("kc,lkm,md->lcd", mixing, found, mixing), np.float64), factor
 
     def _is_shared(self, residual: Residual) -> bool:
-        """Whether neighbours share the noise, by the network, and unless that is sure, by the residual."""
+        """Whether neighbours share the noise, by the network or, if uncertain, by the residual."""
         difference = difference_of_scales(self.components)
         if difference > _CERTAIN_DIFFERENCE_OF_SCALES:
             return True
@@ -265,10 +266,10 @@ class _Colours:
 
 
 def _combined(components: Float64s, measured: Float64s, counts: Float64s) -> Float64s:
-    """Return what the network reads of the covariance of components, and what even cells have, weighted.
+    """Return the weighted mean of the covariance of components as read, and as measured in even cells.
 
-    Plain colours show the noise more exactly than it is read. The more details even cells have, the more certain it is.
-    The more their energy exceeds what the network reads, the more texture is in it.
+    Plain colours show the noise more exactly than the network reads it. The weight of even cells grows with their
+    number of details, and falls the more their energy exceeds what is read, since that is texture.
     """
     shares = shares_of_noise(*(np.einsum("lkk->lk", own) for own in (components, measured)))
     shares *= (counts / (counts + _DETAILS_OF_READING))[:, None]
@@ -279,7 +280,7 @@ def _combined(components: Float64s, measured: Float64s, counts: Float64s) -> Flo
 
 
 def _read_size(planes: Float32s, where: Neighbourhoods, weights: Weights) -> _Colours:
-    """Read the noise of three channels, or of one as three that are the same."""
+    """Read the noise of three channels, or of one channel repeated three times."""
     samples = where.cut(np.broadcast_to(planes, (COLOURS, *planes.shape[1:])))
     samples, scale, are_levels = _in_full_scale(samples)
     found, candidates = read_network(samples, weights)
@@ -297,7 +298,7 @@ def _read_size(planes: Float32s, where: Neighbourhoods, weights: Weights) -> _Co
 
 
 def read_network(samples: Samples, weights: Weights) -> tuple[dict[str, Array], Array]:
-    """Return what the network reads of samples, with its context, and candidates of the total, shape (1, 1, M)."""
+    """Return the network's reading of samples, its context, and candidates of the total, shape (1, 1, M)."""
     cells, start, kind = samples.cells(), np.zeros(1, np.int64), samples.where.kind
     even, squares = features.describe_even_cells(cells)[None], features.describe(samples.described(), cells)
     candidates = candidates_of(even, quiet_of(squares, kind), start, kind)
@@ -307,7 +308,7 @@ def read_network(samples: Samples, weights: Weights) -> tuple[dict[str, Array], 
 
 
 def _components(found: dict[str, Array]) -> Float64s:
-    """Return the covariances of components by scale, as the network reads them."""
+    """Return the covariances of components by scale, as read by the network."""
     medians = _medians(found["deviations"].reshape(SCALES, COLOURS, len(QUANTILES)))
     deviations = np.maximum(2.0**medians - OFFSET, 1e-3)
     correlations = np.tanh(found["correlations"].reshape(SCALES, COLOURS).astype(np.float64))
@@ -325,7 +326,7 @@ def _medians(quantiles: Array) -> Float64s:
 
 
 def _in_full_scale(samples: Samples) -> tuple[Samples, float, bool]:
-    """Return colours from 0 to 1, what full scale was, and whether they are levels, which begin between 0 and 1."""
+    """Scale colours to [0, 1]; return them, the full scale, and whether they are levels, which start in [0, 1]."""
     values = samples.colours / STEPS
     low, high = np.quantile(values, (1 - _BRIGHT, _BRIGHT))
     shift = 0.0 if 0 <= low <= 1 else float(low)
@@ -333,5 +334,5 @@ def _in_full_scale(samples: Samples) -> tuple[Samples, float, bool]:
     if shift == 0 and scale == 1:
         return samples, scale, True
     values = (values - np.float32(shift)) * (STEPS / np.float32(scale))
-    # What lies beyond is seldom noise: single samples there must not hide that of all others.
+    # Values beyond are seldom noise; single samples must not hide the noise of all others.
     return dataclasses.replace(samples, colours=values.clip(0, STEPS)), scale, shift == 0

@@ -1,8 +1,7 @@
-"""How noise of a known size is structured: its covariance by channel, its dependence on level and place.
+"""Structure of noise of known size: covariance of channels, dependence on level and place.
 
-A pilot, an edge-preserving mean of few neighbours, takes away what noise of that size would be. What it took, the
-residual, shows the noise itself where the pilot is even: at levels and places that noise has not mixed, and without
-the texture that the pilot keeps.
+A pilot, an edge-preserving mean of few neighbours, removes noise of that size. Its residual shows the noise where the
+pilot is even: at levels and places that are not mixed by noise, and without the texture that the pilot keeps.
 """
 
 from __future__ import annotations
@@ -20,58 +19,59 @@ from beltrami_cli.flow.noise.grid_squares import quiet_energies
 from beltrami_cli.flow.noise.model import VarianceStabiliser
 from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, Samples
 
-# Deviation that the pilot takes for the noise, in units of the noise: from 1.5 on it takes nine tenths of white noise.
+# Noise assumed by the pilot relative to the noise: from 1.5 on it removes nine tenths of white noise.
 _TOLD = 1.5
 
-# Bins of the level of the pilot, and their middles.
+# Bins of the pilot's level, and their middles.
 _LEVELS = 16
 _MIDDLES = (np.arange(_LEVELS) + 0.5) / _LEVELS
 
-# Share of the blocks of a level or a neighbourhood, and of the cells of all, that are the most even ones.
+# Share of the most even blocks of a level or neighbourhood, and of the most even cells.
 _EVEN_SHARE = 0.5
 
-# Blocks that a level must have to count, and blocks by which it is drawn towards the mean: the variance of a block, of
-# 15 details, is known to a third.
+# Minimum number of blocks of a level, and number of blocks that the mean counts as: the variance of a block of 15
+# details is known to a third.
 _FEWEST_BLOCKS, _PRIOR_BLOCKS = 8, 2
 
-# Share of the samples of a block at a limit of the colours, above which its noise is cut off.
+# Share of samples at a limit above which the noise of a block is clipped.
 _MAX_CUT_OFF = 0.05
 
-# Least variance of a level or place, relative to the mean, so that it can be divided by.
+# Minimum relative variance of a level or place, as a divisor.
 _LEAST = 1e-3
 
-# Variance that energies are rounded by, relative to the mean.
+# Relative variance to which energies are rounded.
 _ROUNDED = 0.01
 
-# Ratio of deviations between levels or places, above which they differ. Between places: of twelve pictures with white
-# noise, ratios reach 1.12, and those of two exposures that are blended are 1.25 to 2.4.
+# Ratio of deviations above which levels or places differ. Between places, it reaches 1.12 on twelve pictures with white
+# noise, and is 1.25 to 2.4 for blends of two exposures.
 MIN_RATIO = 1.25
 
-# Share of the deviance that a structure with more freedom must fall below: level and place often go together, as where
-# a noisy part is brighter, and what explains less is then left out.
+# Ratio of deviance required of a structure with more freedom. Level and place are often correlated, as where a noisy
+# part is brighter; then the one that explains less is left out.
 _WORTH = 2 / 3
 
-# Share of the neighbourhoods that must be quieter, and noisier, for places to differ; less explains the residual.
+# Minimum share of quieter, and of noisier, neighbourhoods for places to differ; smaller shares are explained by the
+# residual.
 _SHARE_OF_PLACES = 0.1
 
-# Ratio of the variances of the noisiest and the quietest neighbourhood around one, above which noise ends there. With
-# the square of `MIN_RATIO`, ramps of pictures of 180 texels lose 0.4 dB by benchmarks/bench_regret.py.
+# Ratio of variances of the noisiest and the quietest adjacent neighbourhood above which noise ends there. With the
+# square of `MIN_RATIO`, ramps in pictures of 180 texels lose 0.4 dB by benchmarks/bench_regret.py.
 _END = 25
 
-# Relative variance of quiet neighbourhoods, whose residual is mostly texture.
+# Relative variance below which a neighbourhood is quiet, and its residual mostly texture.
 _QUIET = 0.25
 
-# Power of the share of the energy of quiet tiles or even cells that may be noise, by which it is trusted to be noise.
-# With 1, texture is taken for white noise, which costs 0.2 dB of PSNR.
+# Exponent of the share of energy in quiet tiles or even cells that is trusted as noise. With 1, texture is taken for
+# white noise, which costs 0.2 dB of PSNR.
 _TRUST = 3
 
-# Share of the samples of a neighbourhood at a limit, from which on its noise shows to be weaker than it is.
+# Share of samples at a limit above which the noise of a neighbourhood is underestimated.
 MAX_SHARE_CUT_OFF = 0.01
 
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """Blocks of some sixteen samples, up to m in each of P neighbourhoods; what is not known is infinite."""
+    """Up to m blocks of about sixteen samples in each of P neighbourhoods; unknown values are infinite."""
 
     levels: Float32s  # of the pilot by channel, in steps of 8 bits, shape (3, P, m)
     energies: Float32s  # mean squares of the residual's details by channel, shape (3, P, m)
@@ -79,13 +79,13 @@ class Blocks:
 
     @property
     def is_known(self) -> Bools:
-        """Which blocks there are, shape (P, m)."""
+        """Mask of existing blocks, shape (P, m)."""
         return np.isfinite(self.unevenness)
 
 
 @dataclass(frozen=True, eq=False)
 class Residual:
-    """What a pilot took of some samples."""
+    """The residual of a pilot on some samples."""
 
     samples: Samples
     pilot: Samples
@@ -93,7 +93,7 @@ class Residual:
 
     @classmethod
     def of(cls, samples: Samples, variances: Float32s) -> Residual:
-        """Let a pilot remove noise of variances, in squared steps of 8 bits."""
+        """Compute the pilot that removes noise of some variances, in squared steps of 8 bits."""
         colours = samples.where.pilot(samples.colours, np.float32(_TOLD**2) * variances)
         return cls(
             samples,
@@ -103,13 +103,13 @@ class Residual:
 
     @property
     def correlation_of_neighbours(self) -> float:
-        """How far neighbouring samples share what was removed; near 0 for white noise."""
+        """Correlation of the residual between neighbouring samples; near 0 for white noise."""
         removed = self.removed.colours
         variance = float(np.mean(np.square(removed, dtype=np.float64)))
         return self.samples.where.product_of_neighbours(removed) / max(1e-9, variance)
 
     def stabilised(self, stabiliser: VarianceStabiliser, step: float) -> Residual:
-        """Return the same of stabilised colours; `step`: a step of 8 bits, of the stabiliser's full scale."""
+        """Return the residual of stabilised colours; `step`: a step of 8 bits, of the stabiliser's full scale."""
         parts = []
         for part in (self.samples, self.pilot):
             colours = part.colours * np.float32(step)
@@ -137,30 +137,30 @@ class Residual:
 def _squares_in_blocks(samples: Samples) -> Array:
     """Return the squared differences of samples from the means of their blocks, shape (3, n).
 
-    Their sums are those of the squared details of the finest two scales in each block.
+    Their sums equal those of the squared details of the finest two scales in each block.
     """
     fine, coarse = samples.where.scales[:2]
     return np.asarray(np.square(samples.means[0] - fine.spread(coarse.spread(samples.means[2]))))
 
 
 def _energies(samples: Samples, number: int) -> Array:
-    """Return the mean squares of the details in each cell of a scale, the sum of the channels."""
+    """Return the mean squared detail in each cell of a scale, summed over the channels."""
     scale = samples.where.scales[number]
     squares = np.square(scale.details(*samples.means[number : number + 2])).sum(axis=0)
     return np.asarray(scale.sums_of_details(squares) / np.maximum(scale.freedom, 1))
 
 
 def even_covariance(residual: Residual, variances: Float64s) -> Float64s:
-    """Return the covariance of the components of single samples in even cells, shape (3, 3), in squared steps.
+    """Return the covariance of components of single samples in even cells, shape (3, 3), in squared steps.
 
-    It is divided by the relative variance of each neighbourhood, shape (P,). Quiet neighbourhoods do not count.
+    It is divided by the relative variance of each neighbourhood, shape (P,). Quiet neighbourhoods are ignored.
     """
     finest = residual.samples.where.scales[0]
     unevenness = residual.pilot.unevenness(0) + residual.pilot.products[0][:3].sum(axis=0)
     uneven = finest.padded(np.where(finest.is_whole & (finest.freedom > 0), unevenness, np.inf), np.inf)
     known = np.isfinite(uneven) & (variances > _QUIET)[:, None]
     energies = finest.padded(residual.samples.products[0][:3].sum(axis=0))
-    if not known.any() or np.median(energies[known]) == 0:  # where most cells are constant, there is none
+    if not known.any() or np.median(energies[known]) == 0:  # most cells are constant: no noise
         return np.zeros((3, 3))
     relative = uneven / variances[:, None]
     even = known & (relative <= np.quantile(relative[known], _EVEN_SHARE))
@@ -171,7 +171,7 @@ def even_covariance(residual: Residual, variances: Float64s) -> Float64s:
 
 @dataclass(frozen=True, eq=False)
 class LevelCurve:
-    """Relative variances of the noise at ascending levels, shape (B,), and how many blocks show each."""
+    """Relative variances of the noise at ascending levels, shape (B,), and the number of blocks at each."""
 
     levels: Float64s  # of full scale 1
     variances: Float64s
@@ -179,7 +179,7 @@ class LevelCurve:
 
     @classmethod
     def of(cls, blocks: Blocks, channels: int) -> LevelCurve | None:
-        """Measure even blocks of so many channels; None: fewer than two levels have enough of them."""
+        """Measure even blocks of a number of channels; None if fewer than two levels have enough blocks."""
         sums, counts, known = np.zeros(_LEVELS), np.zeros(_LEVELS), blocks.is_known
         for levels, energies in zip(blocks.levels[:channels], blocks.energies[:channels], strict=True):
             bins = np.clip(levels[known] / STEPS * _LEVELS, 0, _LEVELS - 1).astype(np.intp)
@@ -199,9 +199,10 @@ class LevelCurve:
         return bool(np.ptp(np.log2(self.variances)) > 2 * np.log2(MIN_RATIO))
 
     def at(self, levels: Float32s) -> Float32s:
-        """Return the relative variance at levels in steps of 8 bits."""
+        """Interpolate the relative variance at levels in steps of 8 bits."""
         found = levels.ravel() / STEPS
-        # Levels are some of the middles, so that the curve is the same through all of them, which have even steps.
+        # `levels` are a subset of the middles, so that the curve is the same through all of them, which are evenly
+        # spaced.
         interpolate(found, _MIDDLES, np.interp(_MIDDLES, self.levels, self.variances))
         return np.asarray(found.reshape(levels.shape), np.float32)
 
@@ -219,14 +220,14 @@ def _even(groups: Int64s, unevenness: Float32s) -> Bools:
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """How the variance of noise depends on level and place: on one of them, on both or on neither."""
+    """Dependence of the noise variance on level and place, on one of them, or on neither."""
 
     curve: LevelCurve | None
     places: Float64s  # relative variance of each neighbourhood, of mean 1, shape (P,)
 
     @classmethod
     def even(cls, where: Neighbourhoods) -> Structure:
-        """Return that of noise which is the same everywhere."""
+        """Return the structure of noise that is the same everywhere."""
         return cls(None, np.ones(where.count))
 
     @property
@@ -238,7 +239,7 @@ class Structure:
         return bool((self.places != 1).any())
 
     def variances(self, residual: Residual) -> Float32s:
-        """Return the relative variance of each sample, the mean of the channels, of mean 1."""
+        """Return the relative variance of each sample, averaged over channels, of mean 1."""
         where = residual.samples.where
         found = self.places[where.tiles].astype(np.float32)
         if self.curve is not None:
@@ -250,10 +251,10 @@ class Structure:
         return residual.samples.where.over_samples(self.places, self._in_parts(residual))
 
     def _in_parts(self, residual: Residual) -> Float64s:
-        """Return the relative variances of the parts of neighbourhoods at which noise ends; NaN: those of all others.
+        """Return the relative variances of the parts of neighbourhoods at which noise ends; NaN for other parts.
 
-        Of a part whose energy lies between those of the neighbourhoods around, the variance does, too. Texture counts
-        with the quiet ones, of which the one with the most energy stands for all.
+        If the energy of a part is between those of the adjacent neighbourhoods, its variance is interpolated. Texture
+        counts as quiet, and the quiet neighbourhood with the most energy represents all quiet ones.
         """
         where, squares = residual.samples.where, np.square(residual.removed.colours).mean(axis=0)
         if self.curve is not None:
@@ -275,14 +276,14 @@ class Structure:
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """A structure, and how badly it explains the energies that a pilot leaves which follows it."""
+    """A structure, and its deviance from the energies in the residual of a pilot that follows it."""
 
     structure: Structure
     deviance: float
 
     @classmethod
     def of(cls, structure: Structure, before: Residual, sigma: float, channels: int) -> _Trial:
-        """Let a pilot follow a structure that another one's residual showed."""
+        """Compute a pilot that follows a structure measured on another pilot's residual."""
         blocks = Residual.of(before.samples, np.float32(sigma**2) * structure.variances(before)).blocks()
         if structure.curve is not None:
             curve = LevelCurve.of(blocks, channels)
@@ -293,12 +294,11 @@ class _Trial:
 def structure_of(
     residual: Residual, sigma: float, places: Float64s, channels: int, *, are_levels: bool
 ) -> Structure:
-    """Find how the noise of so many channels depends on level and place.
+    """Find the dependence of the noise of some channels on level and place.
 
-    The structure is taken whose own pilot leaves energies that it explains best; one with more freedom must explain
-    them so much better that it is worth it. `residual` is that of a pilot which took the noise to be even; `places` are
-    log2 of the deviations of neighbourhoods as the network reads them; `sigma` is the root mean square noise, in steps
-    of 8 bits.
+    The structure is chosen that best explains the energies left by its own pilot; one with more freedom must explain
+    them better by a margin. `residual` is that of a pilot that assumes even noise; `places` are log2 of the deviations
+    of neighbourhoods as read by the network; `sigma` is the RMS noise, in steps of 8 bits.
     """
     where = residual.samples.where
     even, blocks = Structure.even(where), residual.blocks()
@@ -321,14 +321,14 @@ def structure_of(
 
 
 def _logs_of_level(blocks: Blocks, curve: LevelCurve) -> Float64s:
-    """Return log2 of the deviations that neighbourhoods have by their levels, shape (P,)."""
+    """Return log2 of the deviations of neighbourhoods expected from their levels, shape (P,)."""
     known = blocks.is_known
     logs = np.log2(curve.at(np.where(known, blocks.levels, 0))).mean(axis=0) / 2
     return np.asarray(np.where(known, logs, 0).sum(axis=1) / np.maximum(known.sum(axis=1), 1), np.float64)
 
 
 def _with_quiet_tiles(residual: Residual, variances: Float64s, sigma: float) -> Float64s:
-    """Return relative variances of neighbourhoods, drawn to what quiet tiles of a grid show where these are quieter."""
+    """Reduce relative variances of neighbourhoods towards those of quieter tiles of a grid."""
     energies, variances = None, _of_mean_1(variances)
     if residual.samples.where.kind == "grid":
         shape = np.diag(even_covariance(residual, variances))
@@ -336,7 +336,7 @@ def _with_quiet_tiles(residual: Residual, variances: Float64s, sigma: float) -> 
             quiet_energies(residual.samples, shape * (sigma**2 / shape.mean())) if shape.any() else None
         )
     if energies is not None:
-        # Where noise was cut off, squares show less than there is.
+        # Clipped squares show less noise than there is.
         is_known = np.isfinite(energies) & (residual.samples.cut_off() < MAX_SHARE_CUT_OFF)
         energies = np.where(is_known, energies, variances)
         shares = shares_of_noise(variances, energies)
@@ -345,7 +345,7 @@ def _with_quiet_tiles(residual: Residual, variances: Float64s, sigma: float) -> 
 
 
 def shares_of_noise(variances: Float64s, energies: Float64s) -> Float64s:
-    """Return how far energies are trusted to be noise that is read as variances."""
+    """Return the share of energies that is trusted to be noise, given the variances read."""
     most = np.maximum(np.maximum(variances, energies), np.finfo(np.float64).tiny)
     return np.asarray((variances / most) ** _TRUST, np.float64)
 
@@ -356,7 +356,7 @@ def _of_mean_1(variances: Float64s) -> Float64s:
 
 
 def _ratios(blocks: Blocks, curve: LevelCurve | None) -> tuple[Float64s, Bools]:
-    """Return the energies of blocks by what their levels have, shape (P, m), and which of them are even."""
+    """Return the ratios of blocks' energies to those of their levels, shape (P, m), and a mask of even blocks."""
     known = blocks.is_known
     levels = np.where(known, blocks.levels, 0)
     expected = 1.0 if curve is None else curve.at(levels).mean(axis=0)
@@ -369,7 +369,7 @@ def _ratios(blocks: Blocks, curve: LevelCurve | None) -> tuple[Float64s, Bools]:
 
 
 def _deviance(blocks: Blocks, structure: Structure) -> float:
-    """Return by how much the energies of even blocks depart from a structure: the mean deviance of a gamma law."""
+    """Return the mean gamma deviance of the energies of even blocks from a structure."""
     ratios, even = _ratios(blocks, structure.curve)
     if not even.any():
         return 0.0
