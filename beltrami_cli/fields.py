@@ -221,14 +221,14 @@ def of_255(share: float) -> str:
 
 
 def sure_amount(text: str, forms: str = _AMOUNT) -> float:
-    """Read it, but refuse plain numbers between 0 and 1, which may be of 255 or of full scale."""
+    """Read it, but reject plain numbers between 0 and 1, which are ambiguous: of 255 or of full scale."""
     value = amount(text, forms)
     if value > 1:
         raise ValueError(f"is {text.strip()}, but must be at most 255 (of 255), or 100%")
     if 0 < value < 1 / 255 and not set(text) & set("/%"):
         number = text.strip()
         remedy = f"write {number}/255 or {100 * float(number):g}%"
-        raise ValueError(f"is {number}, which may be of 255 or of full scale; {remedy}")
+        raise ValueError(f"is {number}, which is ambiguous: of 255 or of full scale; {remedy}")
     return value
 
 
@@ -241,7 +241,7 @@ def size_in(text: str) -> int:
     """Read an amount of memory such as 500M or 1.5G, in powers of 1024; return bytes; ValueError names the fault."""
     match = _SIZE.fullmatch(text.strip())
     if match is None or len(match[1]) > 20:
-        raise ValueError(f"is {text!r}, which is no size such as 500M or 4G")
+        raise ValueError(f"is {text!r}, which is not a size such as 500M or 4G")
     size = min(int(float(match[1]) * _UNITS[match[2].upper()]), _LARGEST_SIZE)
     if size == 0:
         raise ValueError(f"is {text!r}, and nothing can be done in no memory")

@@ -66,7 +66,7 @@ def plan(inputs: Iterable[str], out_dir: str, suffix: str, extension: str | None
     is_converted = extension is not None or Path(f"x{suffix}").suffix.lower() in _WRITABLE
     for text in map(without_scheme, inputs):
         if text == "-":
-            raise UsageError("a batch is of files, and - is none; beltrami smooth takes a pipe")
+            raise UsageError("a batch takes files, not standard input (-); beltrami smooth reads it")
         if Path(text).suffix.lower() in _READERS and not is_glob(text):  # a manifest
             requests += list(_of_manifest(text, out_dir, suffix, extension))
         else:

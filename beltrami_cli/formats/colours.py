@@ -188,7 +188,9 @@ def check_polygons(found: ColouredPolygons, name: str) -> None:
     if not vertices or not len(found.corners):
         raise InputError(name, "there are no polygons", "nothing in it can be smoothed")
     if found.corners.min() < 0 or found.corners.max() >= vertices:
-        raise InputError(name, f"a polygon names a vertex that is none of the {vertices}", "export it again")
+        raise InputError(
+            name, f"a polygon names a vertex beyond the {vertices} of the file", "export it again"
+        )
     require_finite(found.positions, name, "the position of vertex")
     require_single(np.where(np.isnan(found.colours), 0, found.colours), name, "the colour of corner")
     if not np.isfinite(found.colours).all(axis=1).any():

@@ -169,7 +169,7 @@ def require_level_set(settings: SmoothSettings, *documents: Document) -> None:
     """Raise UsageError if options of level sets are given, and none of the documents is one."""
     wrong = [each.flag for each in given_parameters(settings.level_set)]
     if wrong and all(document.kind != "volume" for document in documents):
-        raise UsageError(f"{', '.join(wrong)}: for level sets, and {documents[0].name} is none")
+        raise UsageError(f"{', '.join(wrong)} need a level set, and {documents[0].name} is not one")
 
 
 def open_any(source: str, settings: SmoothSettings, access: Access) -> Document:

@@ -32,8 +32,9 @@ class NoiseSettings(Checked):
     )  # fmt: skip
     kind: Kind = parameter(
         "gaussian",
-        "Of the same deviation everywhere (white is the same); black and white samples; in proportion to the "
-        "colour; to its square root; as a camera makes it; shared by neighbours; or as JPEG makes it.",
+        "gaussian (or white): the same deviation everywhere; salt-pepper: black and white samples; speckle: "
+        "proportional to the colour; poisson: to its square root; camera: shot and read noise through a Bayer "
+        "mosaic; grain: correlated over neighbours; jpeg: what coding changes.",
         choices=get_args(Kind), is_daily=True,
     )  # fmt: skip
     seed: int = parameter(
@@ -48,7 +49,7 @@ class NoiseSettings(Checked):
         low=0, high=1, metavar="B", is_daily=True,
     )  # fmt: skip
     grain_size: float = parameter(
-        2.0, "Of grain: how far neighbours share it; from this distance on they hardly do.",
+        2.0, "Of grain: its correlation length; samples further apart than this are hardly correlated.",
         low=1, high=64, unit="distances of samples", metavar="N", is_daily=True,
     )  # fmt: skip
     quality: int = parameter(

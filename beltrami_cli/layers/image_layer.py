@@ -69,7 +69,7 @@ class ImageLayer(PictureLayer):
         remarks = [*surface.notices]
         if unfit := usable.size - int(np.count_nonzero(usable)):
             remarks.append(
-                f"{picture.name} has {unfit} pixels that are no finite numbers; they are holes, and stay."
+                f"{picture.name} has {unfit} pixels that are not finite; they are holes, and stay."
             )
         if colours.others and settings.channels is None and not colours_only:
             remarks.append(

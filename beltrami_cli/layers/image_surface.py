@@ -110,7 +110,9 @@ def _positions_of(picture: Picture) -> NDArray[np.float64]:
         columns = list(picture.colour)
     if len(columns) != 3:
         remedy = "give an image with the three channels X, Y and Z, or red, green and blue"
-        raise InputError(picture.name, f"its channels {', '.join(picture.channels)} are no positions", remedy)
+        raise InputError(
+            picture.name, f"its channels {', '.join(picture.channels)} are not positions", remedy
+        )
     return full_scale_one(picture.pixels[..., columns]).astype(np.float64)
 
 

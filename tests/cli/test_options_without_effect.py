@@ -18,10 +18,11 @@ VERTICES, TEXTURES, IMAGES, TEXT = "vertex colours", "textures", "images", "poin
 MODELS = (VERTICES, TEXTURES)
 # The kinds of input on which each option of a command has an effect; first those that have one on all.
 NAMES_OF = {
-    (): "allow-outside background beta beta-growth channels clipping crop fast guide guide-beta iterations keep-uv "
-    "kind label max-delta-e max-memory max-move max-seam-jump max-unwrap-faces metric-channels metric-scale "
-    "metric-steps min-psnr min-ssim noise outliers padding patches quality read reference seed shot side-by-side "
-    "sigma size space strength texture-size threads threshold time-step units zoom",
+    (): "allow-outside background beta beta-growth channels clipping crop exposure-strength fast grain-size guide "
+    "guide-beta iterations keep-uv kind label max-delta-e max-memory max-move max-seam-jump max-unwrap-faces "
+    "metric-channels metric-scale metric-steps min-psnr min-ssim noise outliers padding patches quality read "
+    "reference-charts seed shot side-by-side sigma size space strength texture-size threads threshold time-step "
+    "units zoom",
     (VERTICES,): "max-samples normal-beta photographs smooth-geometry solver weights",
     (TEXTURES,): "gutter material slot slots texture texture-format",
     MODELS: "azimuth elevation fov level lit on show up view",

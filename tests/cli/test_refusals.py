@@ -113,13 +113,13 @@ REFUSED = [
     ("smooth @terrain-noisy.ply out.ply --strength 1.51", 2, "--strength is 1.51"),
     ("smooth @terrain-noisy.ply out.ply --strength nan", 2, "--strength is nan"),
     ("smooth @terrain-noisy.ply out.ply --patches some", 2, "'auto', 'on', 'off'"),
-    ("smooth @terrain-noisy.ply out.ply --max-memory lots", 2, "no size"),
+    ("smooth @terrain-noisy.ply out.ply --max-memory lots", 2, "not a size"),
     ("smooth @terrain-noisy.ply out.ply --max-memory 0", 2, "no memory"),
     ("noise @terrain-noisy.ply out.ply --sigma 300", 2, "beltrami: --sigma is 300, but must be at most 255"),
     ("noise @terrain-noisy.ply out.ply --sigma 5 --quality 50", 2, "--quality is of jpeg noise, not of gaussian"),
     ("noise @terrain-noisy.ply out.ply --sigma 0.08", 2, "8%"),
     *(
-        (f"{command} 0.9", 2, "may be of 255 or of full scale; write 0.9/255 or 90%")
+        (f"{command} 0.9", 2, "is ambiguous: of 255 or of full scale; write 0.9/255 or 90%")
         for command in (
             "smooth @terrain-noisy.ply out.ply --noise", "info @terrain-noisy.ply --noise",
             "sweep @terrain-noisy.ply a.gif --noise", "batch @terrain-noisy.ply --out-dir out --noise",
@@ -230,7 +230,7 @@ REFUSED = [
     ("smooth @head-tex-noisy.png out.png --positions @sphere-exr-noisy.exr", 3, "do not fit the 416 x 416"),
     ("smooth @head-tex-noisy.png out.png --mask @mirrored-noisy.png", 3, "do not fit the 416 x 416"),
     ("smooth @head-tex-noisy.png out.png --height @head-tex-clean.png", 3, "which of its channels R, G, B"),
-    ("smooth @mirrored-noisy.png out.png --positions @mirrored-clean.png", 3, "its channels Y are no positions"),
+    ("smooth @mirrored-noisy.png out.png --positions @mirrored-clean.png", 3, "its channels Y are not positions"),
     ("smooth @head-tex-noisy.png out.png --mask absent.png", 3, "absent.png: there is no such file"),
     # places of kernels
     ("kernel --fast @nonmanifold-noisy.ply k.ply --at 999999", 2, "vertex"),

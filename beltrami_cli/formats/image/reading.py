@@ -127,7 +127,7 @@ def _check(spec: Any, format_name: str, known: str, name: str) -> None:
     """Refuse what must not or cannot be decoded, going by the header."""
     width, height = spec.width, spec.height
     if format_name != plugin_of(known):
-        raise InputError(name, f"it starts like a {known} image, but is none", READABLE)
+        raise InputError(name, f"it starts like a {known} image, but is not one", READABLE)
     if spec.deep:
         raise InputError(name, "it is a deep image, with many samples a pixel", "flatten it")
     if width <= 0 or height <= 0 or not 0 < spec.nchannels <= _MAX_CHANNELS or spec.depth > 1:

@@ -229,7 +229,9 @@ class _Building:
             )
         positions = np.array(thing.vertices, np.float64).reshape(-1, 3)
         if triangles.size and (triangles.min() < 0 or triangles.max() >= len(positions)):
-            raise InputError(self._name, f"a triangle names a vertex that is none of the {len(positions)}")
+            raise InputError(
+                self._name, f"a triangle names a vertex beyond the {len(positions)} of its object"
+            )
         with np.errstate(over="ignore", invalid="ignore"):  # values that are not finite are refused later
             self._positions.append(positions @ matrix[:3, :3] + matrix[3, :3])
         self._corners.append(triangles.ravel() + self._vertices)

@@ -59,7 +59,7 @@ class Geometry:
         if (sizes < 0).any() or sizes.sum() != len(corners):
             raise ValueError(f"{name}: its polygons have {sizes.sum()} corners, but there are {len(corners)}")
         if len(corners) and (corners.min() < 0 or corners.max() >= len(points)):
-            raise ValueError(f"{name}: a polygon names a vertex that is none of the {len(points)}")
+            raise ValueError(f"{name}: a polygon names a vertex beyond the {len(points)} of its mesh")
         matrix = np.array(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time))
         turned = (mesh.GetOrientationAttr().Get() == "leftHanded") != (np.linalg.det(matrix[:3, :3]) < 0)
         polygons = _Polygons.of(sizes, corners, len(points), turned=bool(turned))
