@@ -15,7 +15,7 @@ NETWORK = (
 )
 SIZES = (
     *NETWORK,
-    "noise_model/train_sizes.py",
+    *(f"noise_model/{name}.py" for name in ("size_kinds", "train_sizes")),
     *(f"beltrami_cli/flow/noise/{name}.py" for name in ("pilot", "size")),
     *(f"beltrami_cli/native/noise/{name}" for name in ("pilot.cpp", "pilot.hpp", "pilot_of_squares.cpp")),
 )

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from PIL import Image
-from scipy.ndimage import convolve, gaussian_filter, median_filter
+from scipy.ndimage import convolve, gaussian_filter, median_filter, uniform_filter
 
 KERNELS = (
     Image.Resampling.BILINEAR,
@@ -16,6 +15,10 @@ KERNELS = (
     Image.Resampling.LANCZOS,
     Image.Resampling.BOX,
 )
+
+# Shares of red, green and blue in luma; texels a side of the windows of a Wiener filter, and of the noise it is told.
+_LUMA = np.array([0.299, 0.587, 0.114], np.float32)
+_WIENER_SIDE, _NOISE_SIDE = 5, 25
 
 
 @dataclass(frozen=True)
@@ -36,6 +39,10 @@ class Recipe:
     places: str = ""  # "halves", "chess", "blob", "blend", "part", "tiles"
     place_gain: float = 1.0
     impulses: float = 0.0  # share of samples that are black or white; below 0: only brighter
+    saturation: float = 0.0  # by which the camera increases differences of the channels after the mosaic
+    contrast: float = 0.0  # of the tone curve, from 0 to 1
+    luma: float = 0.0  # noise that a Wiener filter of luma is told, of its variance
+    chroma: float = 0.0  # standard deviation of a Gaussian for chroma
     mosaic: str = ""  # "bilinear", "malvar"
     resampled: float = 1.0
     kernel: int = 0
@@ -45,6 +52,7 @@ class Recipe:
     codec: str = ""  # "JPEG", "WEBP", "BC1"
     quality: int = 90
     second_quality: int = 0  # of the same compression again; 0: none
+    shifted: int = 0  # rows and columns that are cut off before
     subsampling: int = 2  # 0: none, 2: half the resolution for chroma
     after_codec: float = 1.0  # resampled by this afterwards
     bits: int = 8  # 0: real numbers
@@ -106,87 +114,6 @@ def draw_recipe_of_textures(rng: np.random.Generator) -> Recipe:
         quality=int(rng.integers(60, 98)), subsampling=int(rng.choice([0, 2])),
     )  # fmt: skip
     return recipe if rng.random() < 0.75 else replace(recipe, second_quality=int(rng.integers(60, 98)))
-
-
-def draw_recipe_of_sizes(rng: np.random.Generator) -> Recipe:
-    """Draw the steps for reading sizes: half as for the network, the others of kinds that even cells do not show."""
-    choice, chance = rng.random(), rng.random
-    if choice < 0.5:
-        recipe = draw_recipe(rng)
-        if recipe.sigma and chance() < 0.15:
-            return replace(recipe, correlation=float(rng.uniform(-0.5, 0)))
-        if recipe.sigma and chance() < 0.1:
-            gains = rng.uniform(-1, 1, 3)
-            return replace(
-                recipe, gains=tuple(gains / np.abs(gains).max()), correlation=float(rng.choice([0, 1, 1]))
-            )
-        return recipe
-    if choice < 0.6:
-        return draw_recipe_of_textures(rng)
-    plain = Recipe(float(2 ** rng.uniform(0.5, 5.5)) / 255)
-    kinds: dict[Callable[[np.random.Generator, Recipe], Recipe], float] = {
-        _photons: 0.1, _in_parts: 0.125, _opposite: 0.1, _of_chroma: 0.075, _by_level: 0.075, _of_camera: 0.1,
-        _in_blocks: 0.075, _of_light: 0.075, _shared_by_channels: 0.175, lambda rng, plain: Recipe(): 0.1,
-    }  # fmt: skip
-    return list(kinds)[rng.choice(len(kinds), p=list(kinds.values()))](rng, plain)
-
-
-def _photons(rng, plain):
-    return replace(plain, tail="poisson", shape=float(rng.uniform(2.5, 9)))
-
-
-def _in_parts(rng, plain):
-    return replace(
-        plain, places=str(rng.choice(["part", "part", "tiles"])), correlation=float(rng.choice([0, 0, 1])),
-        place_gain=float(rng.choice([0, 0, rng.uniform(0, 0.5)])),
-    )  # fmt: skip
-
-
-def _opposite(rng, plain):
-    gains = ((1, -1, 0), (1, 0, -1), (0, 1, -1), (1, -0.5, -0.5), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0))
-    return replace(plain, gains=gains[rng.integers(len(gains))], correlation=1.0)
-
-
-def _of_chroma(rng, plain):
-    return replace(plain, correlation=float(rng.uniform(-0.5, -0.3)))
-
-
-def _by_level(rng, plain):
-    return replace(
-        plain, power=float(rng.choice([1, 2])), floor=0.0, correlation=float(rng.choice([0, 0, 1]))
-    )
-
-
-def _of_camera(rng, plain):
-    shot, read = float(np.exp(rng.uniform(*np.log((5e-4, 0.03))))), float(rng.uniform(0.002, 0.02))
-    sigma = float(np.sqrt(shot / 2 + read**2))  # at half the light
-    return replace(
-        plain, sigma=sigma, power=1.0, floor=read / sigma, is_linear=True,
-        mosaic=str(rng.choice(["bilinear", "malvar"])), denoised=float(rng.choice([0, 0, -1, rng.uniform(0.4, 0.9)])),
-        sharpened=float(rng.choice([0, 0, rng.uniform(0.2, 1)])), codec="JPEG", quality=int(rng.integers(75, 99)),
-        subsampling=int(rng.choice([0, 2])),
-    )  # fmt: skip
-
-
-def _in_blocks(rng, plain):
-    return replace(
-        plain,
-        sigma=float(rng.choice([0, plain.sigma, plain.sigma])),
-        codec="BC1",
-        correlation=float(rng.choice([0, 0, 1])),
-    )
-
-
-def _of_light(rng, plain):
-    return replace(
-        plain, sigma=float(rng.uniform(0.05, 0.6)), power=2.0, floor=0.0, correlation=float(rng.choice([0, 1])),
-        tail=str(rng.choice(["gamma", "normal"])), shape=float(rng.uniform(2, 20)), is_linear=bool(rng.random() < 0.5),
-        bits=int(rng.choice([0, 8])),
-    )  # fmt: skip
-
-
-def _shared_by_channels(rng, plain):
-    return replace(plain, correlation=float(rng.choice([0, 0, 1, rng.uniform(0, 1)])))
 
 
 def _with_one_step(rng: np.random.Generator, recipe: Recipe) -> Recipe:
@@ -270,6 +197,8 @@ def degrade(rng: np.random.Generator, clean: np.ndarray, recipe: Recipe) -> Samp
     is_linear = recipe.is_linear or bool(recipe.mosaic and recipe.power)
     if is_linear:
         pair = to_linear(pair)
+    if recipe.saturation:
+        pair = _saturated(pair, 1 / (1 + recipe.saturation))
     if recipe.sigma:
         pair[0] += _noise(rng, pair[1], recipe)
     if recipe.impulses:
@@ -278,10 +207,16 @@ def degrade(rng: np.random.Generator, clean: np.ndarray, recipe: Recipe) -> Samp
         pair[0][hit] = np.maximum(pair[0][hit], value[:, None]) if recipe.impulses < 0 else value[:, None]
     if recipe.mosaic:
         pair = np.stack([_demosaiced(own.clip(0, None), recipe.mosaic) for own in pair])
+    if recipe.saturation:
+        pair = _saturated(pair, 1 + recipe.saturation)
     if is_linear:
         pair = to_srgb(pair)
+    if recipe.contrast:
+        pair = pair - np.float32(recipe.contrast / (2 * np.pi)) * np.sin(2 * np.pi * pair.clip(0, 1))
     if recipe.resampled != 1:
         pair = np.stack([_resized(own, recipe.resampled, recipe.kernel) for own in pair])
+    if recipe.luma or recipe.chroma:
+        pair = _denoised_in_camera(pair, recipe)
     if recipe.denoised > 0:
         pair = gaussian_filter(pair, (0, recipe.denoised, recipe.denoised, 0))
     elif recipe.denoised < 0:
@@ -293,6 +228,23 @@ def degrade(rng: np.random.Generator, clean: np.ndarray, recipe: Recipe) -> Samp
     return _stored(pair, recipe)
 
 
+def _saturated(pair: np.ndarray, factor: float) -> np.ndarray:
+    """Multiply the differences of the channels from their mean."""
+    mean = pair.mean(axis=3, keepdims=True)
+    return (mean + np.float32(factor) * (pair - mean)).astype(np.float32)
+
+
+def _denoised_in_camera(pair: np.ndarray, recipe: Recipe) -> np.ndarray:
+    """Blur chroma, and take from luma the energy of its noise, so that noise stays beside edges and on texture."""
+    luma = pair @ _LUMA
+    chroma = gaussian_filter(pair - luma[..., None], (0, recipe.chroma, recipe.chroma, 0))
+    noise = recipe.luma * uniform_filter(np.square(luma[0] - luma[1]), _NOISE_SIDE)
+    mean = uniform_filter(luma, (0, _WIENER_SIDE, _WIENER_SIDE))
+    energy = uniform_filter(np.square(luma - mean), (0, _WIENER_SIDE, _WIENER_SIDE))
+    kept = np.maximum(0, 1 - noise / np.maximum(energy, 1e-9))
+    return (chroma + (mean + kept * (luma - mean))[..., None]).astype(np.float32)
+
+
 def _stored(pair: np.ndarray, recipe: Recipe) -> Sample:
     """Round, cut off and compress a pair."""
     stored = pair.clip(0, 1) if recipe.bits else pair.clip(0, None)
@@ -301,10 +253,10 @@ def _stored(pair: np.ndarray, recipe: Recipe) -> Sample:
     if not recipe.codec:
         # The noise goes on where it is cut off, and has no rounding in it.
         return Sample(stored[0], pair[0] - pair[1], np.zeros_like(pair[0]))
-    coded = np.stack([_coded(own, recipe) for own in stored])
+    coded, reference = np.stack([_coded(own, recipe) for own in stored]), stored[1]
     if recipe.second_quality:
+        coded, reference = (own[..., recipe.shifted :, recipe.shifted :, :] for own in (coded, reference))
         coded = np.stack([_coded(own, replace(recipe, quality=recipe.second_quality)) for own in coded])
-    reference = stored[1]
     if recipe.after_codec != 1:
         coded = np.stack([_resized(own, recipe.after_codec, 1).clip(0, 1) for own in coded])
         reference = _resized(reference, recipe.after_codec, 1).clip(0, 1)
@@ -357,7 +309,7 @@ def _field(rng: np.random.Generator, shape: tuple[int, ...], recipe: Recipe) -> 
             field += np.sqrt(recipe.correlation) * _drawn(rng, (height, width, 1), recipe)
     field = field.astype(np.float32)
     if recipe.grain > 1:
-        field = _to_size(field, shape[1], shape[0], recipe.kernel)
+        field = to_size(field, shape[1], shape[0], recipe.kernel)
     elif recipe.spectrum:
         down, across = np.fft.fftfreq(height)[:, None] * 2, np.fft.rfftfreq(width) * 2
         passed = np.exp(-(down**2 + across**2) / (2 * recipe.spectrum**2))
@@ -408,7 +360,7 @@ def _mask(rng: np.random.Generator, shape: tuple[int, ...], kind: str) -> np.nda
         ]
     else:
         coarse = rng.uniform(-0.3, 1.3, (3, 3, 1)).astype(np.float32)
-        return np.clip(_to_size(coarse, shape[1], shape[0], 1), 0, 1)
+        return np.clip(to_size(coarse, shape[1], shape[0], 1), 0, 1)
     return mask.astype(np.float32)[..., None]
 
 
@@ -449,10 +401,10 @@ def _demosaiced(colours: np.ndarray, method: str) -> np.ndarray:
 
 
 def _resized(colours: np.ndarray, factor: float, kernel: int) -> np.ndarray:
-    return _to_size(colours, *(max(8, round(size * factor)) for size in colours.shape[1::-1]), kernel)
+    return to_size(colours, *(max(8, round(size * factor)) for size in colours.shape[1::-1]), kernel)
 
 
-def _to_size(colours: np.ndarray, width: int, height: int, kernel: int) -> np.ndarray:
+def to_size(colours: np.ndarray, width: int, height: int, kernel: int) -> np.ndarray:
     planes = (Image.fromarray(np.ascontiguousarray(plane)) for plane in np.moveaxis(colours, 2, 0))
     return np.stack([np.asarray(plane.resize((width, height), KERNELS[kernel])) for plane in planes], axis=2)
 

@@ -14,7 +14,7 @@ from beltrami_cli.flow.noise.grid_squares import SIDE, Grid
 from beltrami_cli.flow.noise.neighbourhoods import Samples
 from beltrami_cli.flow.noise.network import log_of
 from noises import Recipe, Sample, degrade, draw_recipe, draw_recipe_of_textures, of_one_channel
-from pictures import Crop, drawn, painted, varied
+from pictures import Crop, Picture, random_picture
 
 Draw = Callable[[np.random.Generator], Recipe]
 Observed = tuple[
@@ -55,15 +55,13 @@ def _draw_recipe(rng: np.random.Generator) -> Recipe:
 
 
 def random_samples(
-    rng: np.random.Generator, crops: list[Crop], draw: Draw, paint: float = 0.0
+    rng: np.random.Generator, crops: list[Crop], draw: Draw, picture: Picture = random_picture
 ) -> Observed | None:
-    """Draw noisy colours, their noise and the loss of compression; a share of the pictures is hard-edged paint."""
+    """Draw noisy colours, their noise and the loss of compression."""
     crop = crops[rng.integers(len(crops))]
     recipe, side = draw(rng), int(rng.choice(SIDES, p=SHARES))
     wanted = int(np.ceil(side / min(1, recipe.resampled * recipe.after_codec))) + 8
-    clean = _part_of(rng, crop.pixels, wanted)
-    is_paint = paint > 0 and rng.random() < paint
-    clean = painted(rng, *clean.shape[:2]) if is_paint else varied(rng, drawn(rng, clean))
+    clean = picture(rng, _part_of(rng, crop.pixels, wanted))
     if rng.random() < ONE_CHANNEL:
         clean, recipe = of_one_channel(clean, recipe)
     sample = degrade(rng, clean, recipe)

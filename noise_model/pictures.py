@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +17,8 @@ from PIL import Image, ImageDraw
 from scipy.spatial import cKDTree
 
 Image.MAX_IMAGE_PIXELS = None
+
+Picture = Callable[[np.random.Generator, np.ndarray], np.ndarray]  # from a crop
 
 SIDE = 288  # of crops, in texels
 CROPS = {"photograph": 10, "texture": 1}  # of each file
@@ -87,6 +90,13 @@ def clean_crops(roots: list[Path], part: str, seed: int) -> list[Crop]:
                     )
                 )
     return crops
+
+
+def random_picture(rng: np.random.Generator, pixels: np.ndarray, paint: float = 0.0) -> np.ndarray:
+    """Draw a clean picture from a crop; a share of the pictures is hard-edged paint."""
+    if paint and rng.random() < paint:
+        return painted(rng, *pixels.shape[:2])
+    return varied(rng, drawn(rng, pixels))
 
 
 def drawn(rng: np.random.Generator, pixels: np.ndarray) -> np.ndarray:

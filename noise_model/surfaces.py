@@ -13,7 +13,7 @@ from beltrami_cli.flow.noise.clusters import VertexClusters
 from beltrami_cli.flow.vertex_graph import Graph
 from noises import Recipe, Sample, degrade, draw_recipe, of_one_channel
 from observations import ONE_CHANNEL, Draw, Observation, Observed, observed
-from pictures import Crop, drawn, painted, varied
+from pictures import Crop, Picture, random_picture
 
 SIZES = 250, 20_000  # samples of a surface
 SURFACES = 96  # that pictures are sampled on
@@ -61,9 +61,9 @@ def random_observation(rng: np.random.Generator, crops: list[Crop]) -> Observati
 
 
 def random_samples(
-    rng: np.random.Generator, crops: list[Crop], draw: Draw, paint: float = 0.0
+    rng: np.random.Generator, crops: list[Crop], draw: Draw, picture: Picture = random_picture
 ) -> Observed | None:
-    """Draw noisy colours, their noise and the loss of compression; a share of the pictures is hard-edged paint."""
+    """Draw noisy colours, their noise and the loss of compression."""
     clusters, places = surface(int(rng.integers(SURFACES)))
     density = np.exp(rng.uniform(*np.log(DENSITIES)))
     pixels = crops[rng.integers(len(crops))].pixels
@@ -76,13 +76,10 @@ def random_samples(
     )
     height, width = (int(own) for own in np.minimum(sides + 8, pixels.shape[:2]))
     top, left = int(rng.integers(len(pixels) - height + 1)), int(rng.integers(pixels.shape[1] - width + 1))
-    if paint and rng.random() < paint:
-        picture = painted(rng, height, width)
-    else:
-        picture = varied(rng, drawn(rng, pixels[top : top + height, left : left + width]))
+    clean = picture(rng, pixels[top : top + height, left : left + width])
     if rng.random() < ONE_CHANNEL:
-        picture, recipe = of_one_channel(picture, recipe)
-    return in_clusters(sampled(rng, picture, places, recipe, is_on_vertices=is_on_vertices), clusters)
+        clean, recipe = of_one_channel(clean, recipe)
+    return in_clusters(sampled(rng, clean, places, recipe, is_on_vertices=is_on_vertices), clusters)
 
 
 def sampled(

@@ -21,12 +21,11 @@ from beltrami_cli.flow.noise.network import OFFSET, weights_of
 from beltrami_cli.flow.noise.reading import read_network
 from beltrami_cli.flow.noise.size import EDGES, LAYERS, WIDTHS, Size, SizeWeights, evidence, removal_curve
 from configuration import SIZES, configuration
-from noises import draw_recipe_of_sizes
+from size_kinds import FAMILIES
 from train import WEIGHTS, Node, Tape, crops_of, descend
 
 SAMPLES = {"grid": observations.random_samples, "cluster": surfaces.random_samples}
-PAINT = {"grid": 0.06, "cluster": 0.2}  # share of the pictures; vertices are painted more often
-ROWS = {"grid": 10_000, "cluster": 6_000, "test": 2_000}
+TEST_ROWS = 1_000  # of each family
 CHUNK = 500
 EPOCHS, BATCH, RATE = 40, 128, 2e-3
 SEED = 77
@@ -36,13 +35,14 @@ WIDTH = 0.12  # standard deviation of the labels, in log2 of the strength
 NONE, SOME = 0.2, 0.8
 
 
-def make_rows(job: tuple[str, str, int, int, list[Path]]) -> list[np.ndarray]:
+def make_rows(job: tuple[str, str, int, int, int, list[Path]]) -> list[np.ndarray]:
     """Draw samples; return evidence, first readings, and the truth: root mean squares in steps of 8 bits."""
-    kind, part, seed, count, roots = job
+    kind, part, number, seed, count, roots = job
+    family = FAMILIES[kind][number]
     crops, weights = crops_of(tuple(roots), part), weights_of(kind)
-    rng, found = np.random.default_rng([SEED, seed, part == "training"]), []
+    rng, found = np.random.default_rng([SEED, seed, part == "training", number]), []
     while len(found) < count:
-        drawn = SAMPLES[kind](rng, crops, draw_recipe_of_sizes, PAINT[kind])
+        drawn = SAMPLES[kind](rng, crops, family.draw, family.picture)
         if drawn is None or drawn[0].where.scales[0].freedom.sum() < observations.FEWEST_DETAILS:
             continue
         seen, *parts = drawn
@@ -140,41 +140,50 @@ def judge(weights: SizeWeights, rows: np.ndarray, first: np.ndarray, truth: np.n
     print(f"90 % interval holds for {holds[noisy].mean():.1%}; within 25 % are {near[truth > 3].mean():.1%}")
 
 
+def train_kind(kind: str, roots: list[Path], options: argparse.Namespace) -> None:
+    """Train for grids or for clusters."""
+    began, families = time.monotonic(), range(len(FAMILIES[kind]))
+    jobs = [
+        (kind, part, number, seed, CHUNK, roots)
+        for number in families
+        for part, count in (("training", options.rows or FAMILIES[kind][number].rows), ("test", TEST_ROWS))
+        for seed in range(count // CHUNK)
+    ]
+    with Pool(options.processes) as pool:
+        made = list(zip(jobs, pool.map(make_rows, jobs, chunksize=1), strict=True))
+
+    def rows_of(part, numbers):
+        chosen = [rows for job, rows in made if job[1] == part and job[2] in numbers]
+        return [np.concatenate(own) for own in zip(*chosen, strict=True)]
+
+    training = rows_of("training", families)
+    print(f"{kind}: {len(training[0])} rows: {time.monotonic() - began:.0f} s", flush=True)
+    weights = train(*training)
+    for number in families:
+        print(FAMILIES[kind][number].draw.__name__)
+        judge(weights, *rows_of("test", [number]))
+    save(weights, options.weights / f"{kind}_sizes.npz")
+    print(f"written after {time.monotonic() - began:.0f} s", flush=True)
+
+
+def save(weights: SizeWeights, path: Path) -> None:
+    """Write a file of weights."""
+    arrays = {name: own.astype(np.float16) for name, own in weights.layers.items()}
+    parts = {"means": weights.means, "scales": weights.scales}
+    np.savez_compressed(path, **arrays, **parts, configuration=np.array(weights.configuration))
+
+
 def main() -> None:
     """Make rows, train, judge and write, for grids and for clusters."""
     parser = argparse.ArgumentParser(description="Train the network that reads the size of noise.")
     parser.add_argument("folders", nargs="+", type=Path, help="with pictures")
     parser.add_argument("--kinds", nargs="+", default=list(SAMPLES), choices=list(SAMPLES))
-    parser.add_argument("--rows", type=int, help="of each kind")
+    parser.add_argument("--rows", type=int, help="of each family")
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--weights", type=Path, default=WEIGHTS, help="the folder that they are written to")
     options = parser.parse_args()
-    roots = [*options.folders, *pictures.folders_of_packages()]
     for kind in options.kinds:
-        began, count = time.monotonic(), options.rows or ROWS[kind]
-        jobs = [(kind, "training", seed, CHUNK, roots) for seed in range(count // CHUNK)]
-        jobs += [(kind, "test", seed, CHUNK, roots) for seed in range(ROWS["test"] // CHUNK)]
-        with Pool(options.processes) as pool:
-            made = pool.map(make_rows, jobs, chunksize=1)
-        training, test = (
-            [np.concatenate(own) for own in zip(*part, strict=True)]
-            for part in (made[: count // CHUNK], made[count // CHUNK :])
-        )
-        print(f"{kind}: {len(training[0])} rows: {time.monotonic() - began:.0f} s", flush=True)
-        weights = train(*training)
-        judge(weights, *test)
-        path = options.weights / f"{kind}_sizes.npz"
-        arrays = {name: own.astype(np.float16) for name, own in weights.layers.items()}
-        np.savez_compressed(
-            path,
-            **arrays,
-            means=weights.means,
-            scales=weights.scales,
-            configuration=np.array(weights.configuration),
-        )
-        print(
-            f"{path.stat().st_size / 1024:.0f} KB written after {time.monotonic() - began:.0f} s", flush=True
-        )
+        train_kind(kind, [*options.folders, *pictures.folders_of_packages()], options)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, get_args
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.fields import check, described, parameter, sure_amount
+from beltrami_cli.fields import BYTE_STEP, check, described, parameter, sure_amount
 
 Weights = Literal["uniform", "area"]
 Units = Literal["spacing", "world"]
@@ -30,6 +30,9 @@ STRENGTHS = {"gentle": 0.7, "normal": 1.0, "strong": 1.5}
 
 # Probability, of no noise or of some noise, below which that case is ignored: one in ten.
 NEGLIGIBLE = 0.1
+
+# Visible noise, of full scale: with less, most samples are within a step of 8 bits of their value.
+VISIBLE = 2 * BYTE_STEP
 
 _STRENGTH_RANGE = "{}, or a number between {gentle} and {strong}".format(", ".join(STRENGTHS), **STRENGTHS)
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from beltrami_cli.fields import BYTE_STEP, of_255
-from beltrami_cli.flow.parameters import NEGLIGIBLE
+from beltrami_cli.flow.parameters import NEGLIGIBLE, VISIBLE
 
 NO_NOISE_FOUND = "no noise detected"
 
@@ -78,7 +78,7 @@ def advice_in_words(part: Mapping[str, Any]) -> str:
     was_worse = bool(choice and choice["chosen"].get("iterations"))
     if reading is None or (any(part["noise"].values()) and not was_worse):
         return ""
-    if reading["visible"] < 0.5 * (1 - reading["none"]):
+    if reading["median"] < VISIBLE:
         return ""
     return f"; to smooth all the same, give --noise {noise_to_give(reading)}"
 

@@ -6,6 +6,7 @@ import pytest
 from beltrami_cli.flow.noise.network import OFFSET
 from noises import Recipe, Sample, degrade, draw_recipe, draw_recipe_of_textures
 from observations import observe
+from size_kinds import draw_recipe_of_cameras, draw_recipe_on_slopes
 
 SHAPE = (96, 128, 3)
 
@@ -34,7 +35,9 @@ def test_pictures_without_enough_cells_are_left_out(shape):
     assert observe(Sample(none, none, none)) is None
 
 
-@pytest.mark.parametrize("draw", [draw_recipe, draw_recipe_of_textures])
+@pytest.mark.parametrize(
+    "draw", [draw_recipe, draw_recipe_of_textures, draw_recipe_of_cameras, draw_recipe_on_slopes]
+)
 def test_all_recipes_make_finite_observations(draw):
     rng, picture = np.random.default_rng(2), clean()
     for _ in range(20):

@@ -1,15 +1,20 @@
 """What the trained noise model must read, whatever its weights are, and what every training must have taught it."""
 
+import io
 from dataclasses import astuple
 from functools import partial
 
 import numpy as np
 import pytest
+from PIL import Image
+from scipy.ndimage import gaussian_filter
 
 from beltrami_cli.flow.noise.features import MAX_SQUARES
 from beltrami_cli.flow.noise.grid_squares import SIDE, Grid, choose_corners
 from beltrami_cli.flow.noise.model import draw_model
 from beltrami_cli.flow.noise.reading import read_noise
+from flow.noisy_surfaces import by_camera
+from oracles.pictures import photograph
 
 SHAPE = (128, 192)  # of whole squares, so that turning the picture keeps them
 
@@ -195,6 +200,32 @@ def test_noise_in_a_part_is_read_there_and_nowhere_else(columns):
     deviations = model.overall * np.sqrt(model.relative[0])
     assert deviations[:, : columns - 16].mean() == pytest.approx(12 / 255, rel=0.3)
     assert deviations[:, columns + 32 :].mean() < 2 / 255
+
+
+def as_kept(image, quality):
+    """Return what a camera keeps of an image: luma blurred a little, chroma more, and both compressed."""
+    luma = image @ np.array([0.299, 0.587, 0.114], np.float32)
+    chroma = gaussian_filter(image - luma[..., None], (1.5, 1.5, 0))
+    file = io.BytesIO()
+    kept = rounded(gaussian_filter(luma, 0.6)[..., None] + chroma)
+    Image.fromarray(np.rint(255 * kept).astype(np.uint8)).save(file, "JPEG", quality=quality)
+    return np.asarray(Image.open(file), np.float32) / 255
+
+
+@pytest.mark.parametrize("quality", [85, 92])
+@pytest.mark.parametrize("shot", [0.002, 0.006])
+def test_weak_noise_that_a_camera_denoised_and_compressed_is_found(quality, shot):
+    """Within a factor of 2, on a picture whose finest detail spans some texels."""
+    clean = gaussian_filter(photograph(256, contrast=0.1), (1, 1, 0)).astype(np.float32)
+    noisy, without = (as_kept(by_camera(clean, *noise), quality) for noise in ((shot, 0.004), (1e-9, 1e-6)))
+    truth = np.sqrt(np.mean(np.square(noisy - without)))
+    assert truth / 2 < estimate(noisy.transpose(2, 0, 1)).overall < 2 * truth
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_size_of_opposite_noise_is_read_on_slopes_of_light(seed):
+    model = estimate(painting(12, seed, covariance=[[1.01, -1, 0], [-1, 1.01, 0], [0, 0, 0.01]]))
+    assert model.overall == pytest.approx(12 / 255 * np.sqrt(2.03 / 3), rel=0.1)
 
 
 def test_large_pictures_are_read_in_some_squares():

@@ -170,7 +170,9 @@ def read_noise(
             parts.append([size.size.none, *(factor * quantile for quantile in size.quantiles)])
     stabiliser = None if structure.curve is None else structure.curve.stabiliser(colours[0].full_scale)
     relative = structure.over_samples(colours[0].residual) if structure.is_by_place else None
-    if any(own.sigma for own in colours) and not covariances.any():  # even cells show no noise
+    is_constant = not any(np.ptp(own.samples.colours, axis=1).any() for own in colours)
+    # Even cells may show no noise where some was read.
+    if is_constant or (any(own.sigma for own in colours) and not covariances.any()):
         return NoiseModel(covariances[:1], reading=Reading(1.0, 0.0, 0.0, 0.0))
     # RMS over the channels, except the probability of no noise in any of them.
     none, *quantiles = np.array(parts).T

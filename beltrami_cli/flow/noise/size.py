@@ -64,9 +64,15 @@ def evidence(
 ) -> tuple[Float32s, Float64s]:
     """Return what sizes are read from, shape (N, F), and the first readings, shape (N,), in steps of 8 bits.
 
-    `quantiles` and `candidates` are readings of the network, as log2(deviation + OFFSET); `counts` neighbourhoods.
+    `quantiles` and `candidates` are readings of the network, as log2(deviation + OFFSET); `counts` neighbourhoods. A
+    first reading is the network's. If that is more than the noise of rounding, it is at least the least candidate:
+    noise that the network has not seen, as of opposite sign in two channels, shows in even cells.
     """
-    first = np.maximum(2.0 ** quantiles[:, quantiles.shape[1] // 2].astype(np.float64) - OFFSET, 0)
+    read, least = (
+        np.maximum(2.0 ** logs.astype(np.float64) - OFFSET, 0)
+        for logs in (quantiles[:, quantiles.shape[1] // 2], candidates.min(axis=1))
+    )
+    first = np.where(read > OFFSET, np.maximum(read, least), read)
     logs = np.log2(first + OFFSET)[:, None]
     place = np.clip(np.log2(np.maximum(first, OFFSET))[:, None] + PLACES, 0, np.log2(LADDER[-1]))
     place *= (len(LADDER) - 1) / np.log2(LADDER[-1])
