@@ -14,7 +14,7 @@ import numpy as np
 from beltrami_cli import smooth
 from beltrami_cli.batch.item import Item
 from beltrami_cli.batch.plan import plan
-from beltrami_cli.batch.record import _read_record, is_done, is_ours
+from beltrami_cli.batch.record import _read_record, is_done, is_own_output
 from beltrami_cli.cli.batch import _settings
 from beltrami_cli.cli.config import load
 from beltrami_cli.cli.main import group
@@ -208,7 +208,7 @@ def read_record(data):
         item = Item(str(path.with_name("a.ply")), str(path.with_name("b.ply")), DEFAULTS)
         for outcome in _read_record(str(path)).values():
             assert not is_done(item, outcome)
-            is_ours(outcome)
+            is_own_output(outcome)
 
 
 def read_report(data):
