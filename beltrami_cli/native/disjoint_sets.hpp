@@ -1,4 +1,4 @@
-// Disjoint sets of numbers, as a forest whose paths are halved on the way.
+// Disjoint sets of numbers, as a forest with path halving.
 #pragma once
 
 #include <algorithm>
@@ -13,7 +13,7 @@ class DisjointSets {
  public:
   explicit DisjointSets(std::size_t count) : parent_(count) { std::iota(parent_.begin(), parent_.end(), 0); }
 
-  // The least number of a set.
+  // Returns the least number of a set.
   std::int32_t root(std::int32_t item) {
     while (parent(item) != item) item = parent(item) = parent(parent(item));
     return item;

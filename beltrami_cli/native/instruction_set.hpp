@@ -8,8 +8,8 @@ namespace beltrami {
 
 enum class InstructionSet { baseline, x86_64_v3, x86_64_v4 };
 
-// The best that the processor has, or the one that the environment variable BELTRAMI_SIMD names: "x86-64-v4", "x86-64-v3"
-// or "baseline". Throws std::invalid_argument if the processor does not have it.
+// The best supported instruction set, or that of the environment variable BELTRAMI_SIMD: "x86-64-v4", "x86-64-v3" or
+// "baseline". Throws std::invalid_argument if the processor does not support it.
 InstructionSet choose_instruction_set();
 
 const char* name_of(InstructionSet set);

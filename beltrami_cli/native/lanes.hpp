@@ -1,5 +1,5 @@
-// As many floats side by side as one register of the instruction set holds, see instruction_set.hpp. Lanes never mix, so
-// their number does not change any result.
+// A pack of floats, as many as a register of the instruction set holds, see instruction_set.hpp. Lanes never mix, so
+// their number does not affect results.
 //
 // All that depends on the compiler or the instruction set is here, each with what other compilers do instead; they do it
 // everywhere with BELTRAMI_PLAIN_LANES, to try that.
@@ -10,7 +10,7 @@
 #include <cstdint>
 #include <cstring>
 
-// The bits of a register that intrinsics are used for.
+// The register width in bits for which intrinsics are used.
 #if !defined(__GNUC__) || !defined(__SSE__) || defined(BELTRAMI_PLAIN_LANES)
 #define BELTRAMI_REGISTER 0
 #elif defined(__AVX512F__)
@@ -38,7 +38,7 @@ using Mask = Pack<std::int32_t, lane_count>;
 
 inline Lanes splat(float value) { return value - Lanes{}; }
 inline Lanes select(Mask mask, Lanes yes, Lanes no) { return mask ? yes : no; }
-// Rounds towards zero, and takes bits as they are.
+// Conversion that rounds towards zero, and reinterpretation of bits.
 inline Mask to_integers(Lanes value) { return __builtin_convertvector(value, Mask); }
 inline Lanes from_bits(Mask bits) { return reinterpret_cast<Lanes>(bits); }
 #else
@@ -132,7 +132,7 @@ inline Lanes larger(Lanes a, Lanes b) {
 #endif
 }
 
-// The least of all lanes.
+// The minimum over all lanes.
 inline float least_lane(Lanes value) {
 #if BELTRAMI_REGISTER > 0
 #if BELTRAMI_REGISTER == 512
@@ -171,7 +171,7 @@ inline Lanes square_root(Lanes value) {
 #endif
 }
 
-// One bit for every lane in which a < b.
+// One bit per lane: a < b.
 inline std::uint32_t where_smaller(Lanes a, Lanes b) {
 #if BELTRAMI_REGISTER == 512
   return _mm512_cmp_ps_mask(reinterpret_cast<__m512>(a), reinterpret_cast<__m512>(b), _CMP_LT_OQ);
@@ -188,7 +188,7 @@ inline std::uint32_t where_smaller(Lanes a, Lanes b) {
 #endif
 }
 
-// The values at `lane_count` places.
+// Gathers the values at `lane_count` offsets.
 inline Lanes gather(const float* from, const std::int32_t* at) {
 #if BELTRAMI_REGISTER == 512
   return reinterpret_cast<Lanes>(
@@ -219,7 +219,7 @@ inline void transpose_square(const float* from, std::size_t from_step, float* to
 #endif
 }
 
-// Memory that is about to be read.
+// Prefetches memory.
 inline void prefetch([[maybe_unused]] const void* address) {
 #if defined(__GNUC__)
   __builtin_prefetch(address);

@@ -1,4 +1,4 @@
-// Channels of samples, in planes or in rows.
+// Memory layout of channels: in planes or in rows.
 #pragma once
 
 #include <cstddef>

@@ -13,7 +13,7 @@
 namespace beltrami {
 namespace {
 
-// Often enough for a smooth progress bar and a prompt Ctrl-C, rare enough to cost nothing.
+// Interval of polls: short enough for a smooth progress bar and a prompt Ctrl-C, long enough to be free.
 constexpr auto poll_interval = std::chrono::milliseconds(50);
 
 class Crew {
@@ -39,7 +39,7 @@ class Crew {
     all_done_.notify_one();
   }
 
-  // Waits for all workers, polling meanwhile; returns whether the poll asked to stop.
+  // Waits for all workers and polls; returns whether the poll asked to stop.
   bool wait(unsigned workers, const Poll& poll) {
     std::unique_lock lock(mutex_);
     bool cancelled = false;
@@ -81,7 +81,7 @@ void parallel_chunks(std::size_t count, std::size_t chunk, unsigned threads, con
     try {
       for (unsigned worker = 0; worker < workers; ++worker) pool.emplace_back(&Crew::work, &crew, worker);
     } catch (const std::system_error&) {
-      // No memory for the stack of another thread, or too many threads: the running ones do all the work.
+      // No memory for another stack, or too many threads: the running threads do all the work.
       if (pool.empty()) crew.work(0);
     }
     cancelled = crew.wait(static_cast<unsigned>(std::max<std::size_t>(1, pool.size())), poll);

@@ -1,4 +1,4 @@
-// Work shared out to threads in fixed chunks, so that results never depend on how many threads there are.
+// Parallel loops in fixed chunks, so that results do not depend on the number of threads.
 #pragma once
 
 #include <cstddef>
@@ -7,7 +7,7 @@
 
 namespace beltrami {
 
-// Called from the calling thread a few times a second with the count of items done; false asks to stop.
+// Called from the calling thread a few times per second with the number of items done; returns false to stop.
 using Poll = std::function<bool(std::size_t done)>;
 
 // Handles items [begin, end); worker is in [0, threads).
@@ -17,9 +17,8 @@ struct Cancelled : std::runtime_error {
   Cancelled() : std::runtime_error("cancelled") {}
 };
 
-// Runs body over [0, count) in chunks on `threads` threads. Chunks are handed out in any order, so each must
-// write only what belongs to its own items.
-// Throws Cancelled if poll returned false, or the first exception that a body threw.
+// Runs body over [0, count) in chunks on `threads` threads. Chunks run in any order, so each must write only to its own
+// items. Throws Cancelled if poll returned false, or the first exception of a body.
 void parallel_chunks(std::size_t count, std::size_t chunk, unsigned threads, const ChunkBody& body,
                      const Poll& poll = {});
 

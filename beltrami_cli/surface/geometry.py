@@ -210,7 +210,7 @@ _SMOOTHING_ROUNDS = 3
 
 
 def mean_side(positions: Float64s, faces: Int32s) -> float:
-    """Return the mean side length of all faces; 1 without faces."""
+    """Return the mean side length of all triangles; 1 without any."""
     corners = positions[faces]
     sides = corners - np.roll(corners, 1, axis=1)
     return float(np.sqrt((sides**2).sum(axis=2)).mean()) if len(corners) else 1.0

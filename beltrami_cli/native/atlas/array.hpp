@@ -1,4 +1,4 @@
-// Arrays as long as the textures have texels, in memory that the caller provides: it may be a file's.
+// Arrays with one element per texel, in memory that the caller provides, possibly of a mapped file.
 #pragma once
 
 #include <cstddef>
@@ -8,7 +8,7 @@
 
 namespace beltrami::atlas {
 
-// A piece of memory, kept as long as it is referred to.
+// A block of memory, kept alive by references.
 using Memory = std::shared_ptr<void>;
 // Called from the calling thread only.
 using Allocate = std::function<Memory(std::size_t bytes)>;

@@ -21,7 +21,7 @@
 namespace beltrami::atlas {
 namespace {
 
-// Small charts make small bands: one alone is too little work for a thread.
+// Small bands are grouped, since one alone is too little work for a thread.
 constexpr std::size_t bands_per_chunk = 8;
 constexpr std::size_t cells_per_chunk = 1 << 20;
 
@@ -134,7 +134,7 @@ class Builder {
     });
   }
 
-  // Calls visit(begin, end) for the kinds of many cells at a time, and polls in between.
+  // Calls visit(begin, end) for blocks of cells, and polls in between.
   template <class Visit>
   void for_each_chunk(const Visit& visit) const {
     for (std::size_t cell = 0; cell < atlas_.kind.size; cell += 4 * cells_per_chunk) {
@@ -181,7 +181,7 @@ class Builder {
     return found == looked_up_.end() || found->texel != texel || found->chart == several || found->chart == chart;
   }
 
-  // Each uncovered texel is given the cell of the nearest chart; but what one chart looks up, that chart's.
+  // Each uncovered texel gets the cell of the nearest chart; if one chart looks it up, the cell of that chart.
   void list_gutter() {
     std::vector<GutterCell> all;
     for (const auto& part : gutter_)

@@ -1,4 +1,4 @@
-// An atlas as a manifold: every chart on a canvas, continued over its seams.
+// An atlas as a manifold: charts on a canvas, extended over their seams.
 #pragma once
 
 #include <array>
@@ -27,9 +27,9 @@ struct Atlas {
   std::int64_t charts = 0, seams = 0, seam_edges = 0, covered = 0, overlapped = 0;
 };
 
-// The large arrays, also temporary ones, are allocated by `allocate`. The poll counts bands of
-// charts. Throws std::invalid_argument if an index of the surface is out of range or the margin is not positive,
-// std::length_error if the surface, its textures or its canvas are too large, Cancelled if the poll asks to stop.
+// `allocate` provides the memory of large arrays, also temporary ones. The poll counts bands of charts. Throws
+// std::invalid_argument if an index of the surface is out of range or the margin is not positive, std::length_error if
+// the surface, its textures or its canvas are too large, Cancelled if the poll asks to stop.
 Atlas make_atlas(const Surface& surface, std::int64_t margin, unsigned threads,
                  const Allocate& allocate = allocate_on_heap, const Poll& poll = {});
 

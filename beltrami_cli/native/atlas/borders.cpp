@@ -8,7 +8,7 @@ namespace {
 
 // A texel in a coarse chart is looked up between two or three texels of a fine one.
 constexpr std::int64_t reach_of_open = 2, reach_of_any = 1;
-// Of a segment that spans more periods of the texture than this, only the first ones are marked.
+// Maximum number of periods of a segment that are marked.
 constexpr double most_marked_periods = 4;
 
 // Marks the texels within `reach` rows and columns of a segment.
@@ -32,7 +32,7 @@ void mark(std::vector<bool>& marks, const Texture& grid, Point2 a, Point2 b, std
   }
 }
 
-// Distances that differ by rounding are equal.
+// Tolerance within which distances are equal.
 constexpr double rounding = 1e-9;
 
 class Spreader {
@@ -50,7 +50,7 @@ class Spreader {
   std::int64_t bottom() const {
     return static_cast<std::int64_t>(std::floor(start_.y + std::max(along_.y, 0.0) + reach_)) + 1;
   }
-  // Columns [left, right) of a row that can be within reach.
+  // Columns [left, right) of a row that may be within reach.
   std::pair<std::int64_t, std::int64_t> columns(double y) const {
     double from = 0, to = 1;
     if (along_.y != 0) {

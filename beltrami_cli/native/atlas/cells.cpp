@@ -8,7 +8,7 @@
 namespace beltrami::atlas {
 namespace {
 
-// A face thinner than this many texels holds too few of them to measure how far apart they are.
+// Minimum height of a face in texels to measure its spacing from them.
 constexpr double thin = 2;
 
 // Extends the marks by `margin` columns.
@@ -25,7 +25,7 @@ void widen(const std::uint8_t* marks, std::int64_t width, std::int64_t margin, s
 }  // namespace
 
 double halo_reach(std::int64_t margin) {
-  // A cell in the corner of the square of cells around an owned one; and a little, for rounding.
+  // The distance of a corner of the square of cells around an owned cell, plus a tolerance for rounding.
   return std::sqrt(2.0) * static_cast<double>(margin) + 0.01;
 }
 
@@ -159,7 +159,7 @@ void Cells::place_on(Index face, std::size_t begin, std::size_t end) {
       z[i] = position.z;
     }
   };
-  // Between two places in a face are others.
+  // Points between two points of a face are in the face.
   if (map.holds(at(0)) && map.holds(at(count - 1)))
     place_all([&](Point2 p) { return map.extended(p); });
   else
@@ -194,7 +194,7 @@ void Cells::make_halo(std::size_t cell, Point2 place, bool record) {
   if (seam != none) record_gutter(cell, place, at);
 }
 
-// The surface where the nearest border leads on. Where no texel shows it, the colour comes from further on.
+// Follows the surface over the nearest border. If no texel shows it there, the colour comes from further on.
 std::optional<Sample> Cells::continue_chart(std::size_t cell, Point2 place) {
   const Edge edge = plan_.charts.borders[static_cast<std::size_t>(nearest_[cell].border)].edge;
   const Plane plane = plane_at(edge, place);
@@ -230,7 +230,7 @@ Plane Cells::plane_at(Edge edge, Point2 place) const {
   return plane;
 }
 
-// From an owned cell to the next one in space: from its neighbours, or from its face if it has none.
+// The step in space from an owned cell to the next: from its neighbours, or from its face if it has none.
 Point3 Cells::step_at(std::int64_t x, std::int64_t y, Point2 step) const {
   const auto right = static_cast<std::int64_t>(step.x), down = static_cast<std::int64_t>(step.y);
   const bool ahead = is_owned(x + right, y + down), behind = is_owned(x - right, y - down);

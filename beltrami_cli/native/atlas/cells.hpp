@@ -22,7 +22,7 @@ struct HaloCell {
   Index seam;
 };
 
-// A halo cell that stands on a texel that no face covers.
+// A halo cell on an uncovered texel.
 struct GutterCell {
   std::int64_t texel;
   double squared_distance;  // to the chart, in texels
@@ -36,16 +36,16 @@ class Cells {
 
   void make(const Band& band, std::span<const Index> borders, std::span<const Index> faces);
 
-  // Row by row, as wide as the rectangle; one row more than the band where the rectangle goes on below it.
+  // Row by row, with the width of the rectangle; one row more than the band if the rectangle continues below.
   std::int64_t width() const { return block_.width; }
   std::int64_t height() const { return block_.height; }
   Kind kind(std::size_t cell) const { return kinds_[cell]; }
   Point3 position(std::size_t cell) const { return {positions_[0][cell], positions_[1][cell], positions_[2][cell]}; }
-  // The same for all cells; where nearness is 0, the surface goes on to all neighbours that are not empty.
+  // The same for all cells; where nearness is 0, the surface continues to all neighbours that are not empty.
   const Kind* kinds() const { return kinds_.data(); }
   const double* coordinates(std::size_t axis) const { return positions_[axis].data(); }
   const std::uint8_t* nearness() const { return nearness_.data(); }
-  // Whether the surface goes on between two neighbouring cells, neither empty.
+  // Whether the surface continues between two neighbouring cells, neither of them empty.
   bool are_joined(std::size_t cell, std::size_t other) const {
     return nearness_[cell] == 0 || nearness_[other] == 0 || is_on(cell, other);
   }
@@ -95,7 +95,7 @@ class Cells {
   NearestBorders nearest_;
 };
 
-// How far from its chart a cell of the halo can be, in texels.
+// Maximum distance of a halo cell from its chart, in texels.
 double halo_reach(std::int64_t margin);
 
 }  // namespace beltrami::atlas

@@ -17,7 +17,7 @@ void number_charts(const Mesh& mesh, Charts& charts) {
       sets.unite(static_cast<Index>(edge / 3), mesh.twins[edge] / 3);
   charts.chart_of.resize(mesh.size());
   for (std::size_t face = 0; face < mesh.size(); ++face) {
-    // A root is the least face of its set, so it has its number already.
+    // A root is the least face of its set, so it is numbered already.
     const Index root = sets.root(static_cast<Index>(face));
     if (root == static_cast<Index>(face)) {
       charts.chart_of[face] = static_cast<Index>(charts.areas.size());
@@ -59,7 +59,7 @@ struct SeamEdge {
   auto key() const { return std::tuple(low, high, run); }
 };
 
-// Edges of a chart with itself that share a place are one run, named by its least place.
+// Edges of a chart with itself that share a place form one run, named by its least place.
 void name_runs(const Mesh& mesh, std::vector<SeamEdge>& edges) {
   std::vector<std::pair<Index, Index>> places;  // (chart, place), of the ends of such edges
   const auto ends = [&](const SeamEdge& e) {

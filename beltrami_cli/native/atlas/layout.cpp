@@ -11,7 +11,7 @@
 namespace beltrami::atlas {
 namespace {
 
-// A picture of bits, rows of whole words.
+// A bitmap with rows of whole words.
 struct Bits {
   std::int64_t rows = 0, columns = 0;
   std::vector<std::uint64_t> words;
@@ -32,7 +32,7 @@ struct Packing {
   std::vector<Spot> spots;  // [shape]: where its upper left bit goes
 };
 
-// Widths that are tried, in sides of a square of the shapes' area; of many shapes the first ones only, which then suit.
+// Candidate widths, relative to the side of a square of the shapes' area; with many shapes, only the first ones.
 constexpr std::array relative_widths{1.0, 1.15, 1.3, 1.6, 2.0, 2.5};
 constexpr std::size_t many_shapes = 256, widths_for_many = 2;
 
@@ -82,7 +82,7 @@ class Canvas {
 
   std::uint64_t* taken(std::int64_t row) { return taken_.data() + static_cast<std::size_t>(row) * words_; }
 
-  // The first column at which none of the runs meets an occupied cell; -1 if there is none.
+  // Returns the first column at which no run overlaps an occupied cell; -1 if there is none.
   std::int64_t find_column(const Bits& shape, const std::vector<RunOfBits>& runs, std::int64_t row) {
     for (const RunOfBits& run : runs)
       if (run.length > longest_[static_cast<std::size_t>(row + run.row)]) return -1;
@@ -100,7 +100,7 @@ class Canvas {
     return -1;
   }
 
-  // Blocks the columns at which a run would meet an occupied cell; returns whether any is left.
+  // Marks the columns at which a run would overlap an occupied cell; returns whether any column is left.
   bool block(const RunOfBits& run, std::int64_t row) {
     const std::uint64_t* from = taken(row + run.row);
     shift_down(from, run.first, shifted_.data());
@@ -161,8 +161,7 @@ Packing pack_into(std::span<const Bits> shapes, const std::vector<std::size_t>& 
   return packing;
 }
 
-// Packs shapes so that no bit lies on another: high ones come first, each to the first row, and in it the first column,
-// where it fits.
+// Packs shapes without overlap, the highest first, each in the first row and there in the first column that fits.
 Packing pack(std::span<const Bits> shapes) {
   std::vector<std::size_t> order(shapes.size());
   std::iota(order.begin(), order.end(), 0);
@@ -197,13 +196,13 @@ Place place_of(const Window& window, std::int64_t texel, const Texture& grid) {
   return {unwrapped(column, window.x, grid.width, grid.wrap_x), unwrapped(row, window.y, grid.height, grid.wrap_y)};
 }
 
-// Rectangles begin at even texels, and lie at even cells: JPEG stores hues of squares of 2 x 2 texels, and noise is measured
-// in squares of 2 x 2 cells.
+// Rectangles begin at even texels and even cells: JPEG subsamples chroma over 2 x 2 texels, and noise is measured in
+// squares of 2 x 2 cells.
 constexpr std::int64_t cell_step = 2;
 
 std::int64_t rounded_down(std::int64_t place) { return place - (place % cell_step + cell_step) % cell_step; }
 
-// Side of the blocks in which rectangles are packed: fine enough to fit charts together, coarse enough to take little time.
+// Side of the blocks of packing: fine enough to fit charts together, coarse enough to be fast.
 std::int64_t block_side(const std::vector<Rectangle>& rectangles) {
   double area = 0;
   for (const Rectangle& rectangle : rectangles) area += static_cast<double>(rectangle.width * rectangle.height);
@@ -226,7 +225,7 @@ void set(std::uint64_t* row, std::int64_t first, std::int64_t last) {
   for (std::int64_t i = first; i <= last; ++i) row[i / 64] |= std::uint64_t{1} << (i % 64);
 }
 
-// The blocks of the rectangle, `block` cells a side, that hold a cell within `margin` rows and columns of an owned one.
+// The blocks of the rectangle, of side `block`, with a cell within `margin` rows and columns of an owned cell.
 Bits make_footprint(const Mesh& mesh, const Windows& windows, const Ownership& ownership, const Rectangle& rectangle,
                     std::int64_t margin, std::int64_t block, const Poll& poll) {
   Bits footprint((rectangle.height + block - 1) / block, (rectangle.width + block - 1) / block);
@@ -254,10 +253,10 @@ Bits make_footprint(const Mesh& mesh, const Windows& windows, const Ownership& o
   return footprint;
 }
 
-// High enough that the row that neighbouring bands both look at costs little, low enough that a band fits the cache.
+// Height of a band: so large that rows shared with the next band cost little, so small that it fits the cache.
 constexpr std::int64_t rows_per_band = 64;
 
-// The bands [first, last] of a rectangle that a shape comes near to.
+// The bands [first, last] of a rectangle that are near a shape.
 struct Span {
   std::int64_t first = 0, last = -1;
 };
@@ -276,11 +275,11 @@ Span bands_near(const Rectangle& rectangle, std::span<const Point2> shape, doubl
   const auto row = [&](double place) {
     return static_cast<std::int64_t>(std::floor(std::clamp(place - y, 0.0, height - 1)));
   };
-  // The row below a band is looked at, too.
+  // A band also reads the row below it.
   return {std::max<std::int64_t>(row(top - reach) - 1, 0) / rows_per_band, row(bottom + reach) / rows_per_band};
 }
 
-// Lists numbers by band; the visitor calls its argument with (band, number), twice in the same way.
+// Groups numbers by band; `visit` must call its argument with (band, number) in the same way twice.
 template <class Visitor>
 void list_by_band(std::size_t bands, const Visitor& visit, std::vector<std::size_t>& offsets, std::vector<Index>& list) {
   offsets.assign(bands + 1, 0);
@@ -314,7 +313,7 @@ Layout make_layout(const Mesh& mesh, const Windows& windows, const Ownership& ow
   for (const Rectangle& rectangle : layout.rectangles)
     footprints.push_back(make_footprint(mesh, windows, ownership, rectangle, margin, block, poll));
   const Packing packing = pack(footprints);
-  // Without any rectangle there is a canvas still: all margin.
+  // Without rectangles the canvas is a margin.
   layout.rows = layout.columns = 2 * margin;
   for (std::size_t i = 0; i < layout.rectangles.size(); ++i) {
     Rectangle& rectangle = layout.rectangles[i];

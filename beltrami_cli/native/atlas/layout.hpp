@@ -1,4 +1,4 @@
-// Where the windows lie on the canvas, and the bands of rows that are worked on one by one.
+// Layout of windows on the canvas, and the bands of rows that are processed one by one.
 #pragma once
 
 #include <cstdint>
@@ -13,7 +13,7 @@
 
 namespace beltrami::atlas {
 
-// The rectangle of a window: what it owns and a margin on all sides, a cell wider above and to the left if that is odd.
+// The rectangle of a window: its owned cells with a margin, one cell wider above and on the left if that is odd.
 struct Rectangle {
   Index window = none;
   std::int64_t x = 0, y = 0;            // its upper left cell, in the texture's plane
@@ -21,7 +21,7 @@ struct Rectangle {
   std::int64_t row = 0, column = 0;     // its upper left cell, on the canvas
 };
 
-// Rectangles may overlap on the canvas, but not the cells within the margin of what their windows own.
+// Rectangles may overlap on the canvas, but cells within the margin of owned cells may not.
 struct Layout {
   std::int64_t rows = 0, columns = 0;
   std::vector<Rectangle> rectangles;
@@ -32,7 +32,7 @@ struct Layout {
 Layout make_layout(const Mesh& mesh, const Windows& windows, const Ownership& ownership, std::int64_t margin,
                    const Poll& poll);
 
-// All that is known of a surface before cells are made.
+// The surface before cells are made.
 struct Plan {
   const Mesh& mesh;
   const Charts& charts;
@@ -44,7 +44,7 @@ struct Plan {
 
   // The canvas cell of a texel that a window owns.
   std::int64_t cell_of(std::int64_t texel, const Texture& grid) const;
-  // The place in the texture's plane at which the owner has the texel.
+  // The point in the texture's plane at which the owner has the texel.
   Point2 owned_place(std::int64_t texel, const Texture& grid) const;
 };
 
@@ -53,10 +53,10 @@ struct Band {
   std::int64_t top = 0, bottom = 0;  // rows of the rectangle; the row at the bottom is looked at but not made
 };
 
-// Rectangles cut in bands, and what of the surface each band needs.
+// Bands of the rectangles, and the parts of the surface that each needs.
 struct Bands {
   std::vector<Band> bands;
-  // Borders near each band, and faces that may cover cells of it which belong to another window.
+  // Borders near each band, and faces that may cover its cells which belong to another window.
   std::vector<std::size_t> border_offsets, face_offsets;
   std::vector<Index> borders, faces;
 

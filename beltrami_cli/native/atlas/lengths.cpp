@@ -41,7 +41,7 @@ void Lengths::measure(const Cells& cells, std::size_t local, bool has_below, std
   }
 }
 
-// Cells in whose row and the one below nothing is empty around them, and from which the surface goes on everywhere.
+// Marks cells without empty cells around them, in their row and the next, from which the surface continues everywhere.
 void Lengths::find_plain(const Cells& cells, std::size_t local, std::size_t width) {
   const Kind *row = cells.kinds() + local, *below = row + width;
   const std::uint8_t* nearness = cells.nearness() + local;
@@ -51,7 +51,7 @@ void Lengths::find_plain(const Cells& cells, std::size_t local, std::size_t widt
                (below[x] != Kind::empty) & (below[x + 1] != Kind::empty);
 }
 
-// One direction after the other, so that the same is done to neighbouring cells side by side.
+// One direction at a time, so that neighbouring cells are vectorised.
 void Lengths::measure_plain(const Cells& cells, std::size_t local, std::size_t start, std::size_t begin, std::size_t end) {
   const auto width = static_cast<std::size_t>(cells.width());
   const std::size_t steps[] = {1, width, width + 1, width - 1};

@@ -1,4 +1,4 @@
-// How far apart neighbouring cells of a canvas lie in space.
+// Distances in space between neighbouring cells of a canvas.
 #pragma once
 
 #include <cstdint>
@@ -20,8 +20,8 @@ class Lengths {
  public:
   explicit Lengths(LengthPlanes planes) : planes_(planes) {}
 
-  // Measures the row that starts at `local` among the cells and at `start` on the canvas, where the surface goes on. Where
-  // it does not, both cells are added to the cuts. The last row has none below.
+  // Measures the row that starts at `local` among the cells and at `start` on the canvas. Where the surface ends
+  // between two cells, both are added to the cuts. The last row has no row below.
   void measure(const Cells& cells, std::size_t local, bool has_below, std::size_t start, std::vector<Index>& cuts);
 
  private:

@@ -9,12 +9,12 @@
 namespace beltrami::atlas {
 namespace {
 
-// A texel that weighs less than this in a lookup does not show in 8 bits, and rounding may be all that reaches it.
+// Minimum weight of a texel in a lookup: smaller ones are invisible in 8 bits, or due to rounding.
 constexpr double least_weight = 1.0 / 256;
-// An edge that is longer than this many periods of its texture is looked at about its middle only.
+// Maximum length of an edge in periods of its texture; of longer ones only the middle is used.
 constexpr double most_edge_periods = 8;
 constexpr std::size_t edges_per_poll = 1 << 12;
-// Many edges meet a texel. What they find is sorted now and then, so that each texel is kept about once.
+// Many edges meet a texel. Results are sorted from time to time, so that each texel is kept about once.
 constexpr std::size_t first_compaction = 1 << 16;
 
 // The texels within less than one row and column of a line: no more than what a lookup on it reads. Calls visit(x, y).
@@ -37,7 +37,7 @@ class Finder {
   Finder(const Mesh& mesh, const Charts& charts, const Windows& windows, const Ownership& ownership)
       : mesh_(mesh), charts_(charts), windows_(windows), ownership_(ownership) {}
 
-  // All that lies in no chart but is looked up from one lies around the chart's border.
+  // Texels outside all charts that a chart looks up are around its border.
   std::vector<LookedUp> find(const Poll& poll) {
     for (std::size_t i = 0; i < charts_.borders.size(); ++i) {
       if (i % edges_per_poll == 0 && poll && !poll(0)) throw Cancelled();
@@ -67,7 +67,7 @@ class Finder {
   // The chart that owns the texels next to an uncovered texel that a face shows.
   Index shown_beside(Index face, std::int64_t x, std::int64_t y) const {
     Index chart = owner_beside(face, x, y);
-    // Where a face without area in the image lies on the border of another, it shows what that one does.
+    // A face without area in the image, on the border of another, shows the same as that face.
     for (Edge edge = 3 * face; chart == none && edge < 3 * face + 3; ++edge)
       if (const Edge twin = mesh_.twins[static_cast<std::size_t>(edge)]; twin != none && lie_on_each_other(edge, twin))
         chart = owner_beside(twin / 3, x, y);
@@ -105,7 +105,7 @@ class Finder {
     return grid.texel(wrapped(x, grid.width, grid.wrap_x), wrapped(y, grid.height, grid.wrap_y));
   }
 
-  // Makes one of all that was found of a texel.
+  // Merges all results of a texel.
   void compact() {
     std::sort(found_.begin(), found_.end(), [](const LookedUp& a, const LookedUp& b) { return a.texel < b.texel; });
     std::size_t kept = 0;

@@ -12,7 +12,7 @@
 
 namespace beltrami::atlas {
 
-// Instead of one chart: several; or none, because a face looks the texel up whose chart covers no texel next to it.
+// Instead of one chart: several; or none, if the chart of the face that looks up the texel covers no texel next to it.
 constexpr Index several = -2, lone = -3;
 
 struct LookedUp {

@@ -7,14 +7,14 @@
 namespace beltrami::atlas {
 namespace {
 
-// What touches but for rounding touches: a single-precision coordinate near 1 of a texture of 1,024 texels is no better.
+// Tolerance of contact: the precision of a single-precision coordinate near 1 of a texture of 1,024 texels.
 constexpr double touching = 1e-4;
-// Neighbouring cells of a mesh that is so much finer than the texture count as joined.
+// Maximum number of faces between neighbouring cells; beyond it they count as joined.
 constexpr std::size_t most_faces = 256, most_seams = 16;
-// A way over a seam leads back to the same place if it ends nearer to it than to any other texel.
+// A path over a seam returns to the same point if it ends nearer to it than to any other texel.
 constexpr double same_place = 0.5;
 
-// Whether all of the points lie more than `touching` off the line, on one side.
+// Whether all points are more than `touching` off the line, on one side.
 bool is_clear(Point2 from, Point2 along, double length, Point2 a, Point2 b) {
   const double slack = touching * length, left = cross(along, a - from), right = cross(along, b - from);
   return (left > slack && right > slack) || (left < -slack && right < -slack);
@@ -28,14 +28,15 @@ bool touch(Point2 from, Point2 to, Point2 a, Point2 b) {
   return !is_clear(from, way, std::sqrt(dot(way, way)), a, b) && !is_clear(a, edge, std::sqrt(dot(edge, edge)), from, to);
 }
 
-// The faces of a chart that a line touches, from a first one on over edges that it touches, too; and the borders it meets.
+// The faces of a chart that a line touches, starting with a given face, also over edges that it only touches; and the
+// borders it meets.
 class Touched {
  public:
   Touched(const Mesh& mesh, Index face, Point2 from, Point2 to) : mesh_(mesh), from_(from), to_(to) {
     faces_[face_count_++] = face;
   }
 
-  // Goes on until a face fits, or there is no other.
+  // Continues until a face fits, or none is left.
   template <class Fits>
   bool find(const Fits& fits) {
     for (std::size_t i = 0; i < face_count_; ++i) {
@@ -81,9 +82,10 @@ bool holds(const Mesh& mesh, Index face, Point2 place) {
   return true;
 }
 
-// Rounding in single-precision coordinates and in unfolding is less, and too small to change an interpolated value.
+// Tolerance above the rounding of single-precision coordinates and of unfolding, too small to change an interpolated
+// value.
 constexpr double on_centre = 1e-4;
-// Sub-texel faces may have no texel around a point of theirs, but one close by.
+// Faces smaller than a texel may have no texel around a point, but one nearby.
 constexpr double farthest_substitute = 1.5;
 constexpr int longest_search = 64;
 
@@ -162,14 +164,14 @@ class Lookup {
     return result;
   }
 
-  // Whether a texel's owner has it at this very place of the chart's plane, not in another period.
+  // Whether the owner of a texel has it at this point of the chart's plane, not in another period.
   bool is_owned_here(std::int64_t texel, double x, double y) const {
     if (!is_of_owners_chart(texel)) return false;
     const Point2 place = plan_.owned_place(texel, grid_);
     return place.x == x && place.y == y;
   }
 
-  // The place of a texel's owner on the surface.
+  // The position on the surface of a texel's owner.
   Point3 owners_position(std::int64_t texel) const {
     const FaceMap map(plan_.mesh, plan_.ownership.face[static_cast<std::size_t>(texel)]);
     return map.inside(plan_.owned_place(texel, grid_));

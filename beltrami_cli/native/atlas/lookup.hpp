@@ -1,4 +1,4 @@
-// Looking up a texture at a point of the surface: owned cells and their bilinear weights, and where the surface goes on.
+// Texture lookups at points of the surface: owned cells, their bilinear weights, and continuity of the surface.
 #pragma once
 
 #include <array>
@@ -10,16 +10,16 @@
 
 namespace beltrami::atlas {
 
-// Whether the surface goes on between cells that are neighbours in the texture's plane, or ends at an edge between them.
+// Whether the surface continues between adjacent cells, or ends at an edge between them.
 class Connections {
  public:
   Connections(const Mesh& mesh, const Charts& charts) : mesh_(mesh), charts_(charts) {}
 
-  // Between two places on faces of one chart: whether the faces along the line between them join one face to the other,
-  // in the chart or over seams that lead back to the same place. Of the second face `none` stands for any face there.
+  // Between two points on faces of one chart: whether the faces along the line join one face to the other, in the chart
+  // or over seams that return to the same point. `none` as the second face stands for any face there.
   bool inside(Index face, Point2 from, Index other, Point2 to) const;
 
-  // From a place on a face to one outside the chart, beyond a seam: whether no open edge lies on the way.
+  // From a point on a face to a point outside the chart, beyond a seam: whether the path crosses no open edge.
   bool outwards(Index face, Point2 from, Point2 to) const;
 
  private:
@@ -27,7 +27,7 @@ class Connections {
   const Charts& charts_;
 };
 
-// Whether the chart of a face covers a place near the face: a walk in the image, within the chart.
+// Whether the chart of a face covers a point near the face: a walk in the image, within the chart.
 bool is_covered(const Mesh& mesh, Index start, Point2 place);
 
 struct Sample {
@@ -39,12 +39,12 @@ struct Sample {
 
 Point3 position_of(const Mesh& mesh, const Landing& landing);
 
-// The texels around the landing in the texture of its face, if they belong to its chart; of a face without area in
-// the image, the texels that it shows, of any chart. A point on a texel's centre is that texel. Empty if there is
-// no such texel near.
+// The texels around the end point of a path, if they belong to the chart of its face; for a face without area in the
+// image, the texels it shows, of any chart. A point at the centre of a texel is that texel. Empty if there is no such
+// texel nearby.
 std::optional<Sample> look_up(const Plan& plan, const Landing& landing);
 
-// The texel at a place of a chart's plane, which a face of the chart covers. Empty if no window owns it.
+// The texel at a point of a chart's plane, covered by a face of the chart. Empty if no window owns it.
 std::optional<Sample> stand_in(const Plan& plan, Index face, std::int64_t x, std::int64_t y, Point3 position);
 
 }  // namespace beltrami::atlas

@@ -9,15 +9,15 @@
 namespace beltrami::atlas {
 namespace {
 
-// Rounds off what computing u * width leaves behind, so that coordinates of texel centres lie on the centres.
+// Removes the rounding of u * width, so that coordinates of texel centres are on the centres.
 constexpr double coordinate_steps = 1 << 20;
-// Coordinates beyond this name no texel to any use; such faces stay, but without extent in the image.
+// Limit of useful coordinates; faces beyond it are kept, but without extent in the image.
 constexpr double farthest_texel = 1 << 28;
-// More faces on the same three places than this are not compared with each other.
+// Maximum number of faces with the same three places that are compared with each other.
 constexpr std::ptrdiff_t most_copies = 16;
-// A single-precision coordinate near 1 of a texture of 16,384 texels is no better than this.
+// Precision of a single-precision coordinate near 1 of a texture of 16,384 texels.
 constexpr double same_texel_tolerance = 1.0 / 1024;
-// An edge on which more faces meet is open without looking for pairs among them.
+// Maximum number of faces at an edge among which pairs are searched; with more, the edge is open.
 constexpr std::size_t most_faces_on_an_edge = 16;
 
 std::array<Index, 3> sorted(std::array<Index, 3> triple) {
@@ -132,7 +132,7 @@ void join(Mesh& mesh, Edge one, Edge other, bool seam) {
   mesh.seams[static_cast<std::size_t>(one)] = mesh.seams[static_cast<std::size_t>(other)] = seam;
 }
 
-// Two faces with the same three places lie on each other: the surface does not go on from one to the other.
+// Two faces with the same three places coincide: the surface does not continue from one to the other.
 bool is_fold(const Mesh& mesh, Edge one, Edge other) {
   return sorted(mesh.places[static_cast<std::size_t>(one / 3)]) == sorted(mesh.places[static_cast<std::size_t>(other / 3)]);
 }
@@ -144,7 +144,7 @@ void pair_edges(Mesh& mesh, std::span<const Index> edges) {
     if (inside || !is_fold(mesh, edges[0], edges[1])) join(mesh, edges[0], edges[1], !inside);
     return;
   }
-  // Several sheets meet here; each goes on where exactly one other face continues it in the image.
+  // Several sheets meet here; each continues where exactly one other face continues it in the image.
   std::array<Edge, most_faces_on_an_edge> partner;
   for (std::size_t i = 0; i < edges.size(); ++i) {
     partner[i] = none;
@@ -171,7 +171,7 @@ void find_twins(Mesh& mesh) {
     return low ? std::min(a, b) : std::max(a, b);
   };
   const auto key_of = [&](std::size_t edge) {
-    // A face that repeats a place has no inside that could lead from one edge to another.
+    // A face that repeats a place has no inside that could connect its edges.
     const auto& [a, b, c] = mesh.places[edge / 3];
     return a == b || b == c || c == a ? none : other_end(static_cast<Edge>(edge), true);
   };
@@ -192,7 +192,8 @@ void find_twins(Mesh& mesh) {
   }
 }
 
-// Where neighbours differ by a rounding, the later face takes the corners of the earlier: no texel falls between.
+// If neighbours differ by rounding, the later face takes the corners of the earlier one, so that no texel is left out
+// between.
 void close_cracks(Mesh& mesh) {
   for (std::size_t edge = 0; edge < mesh.twins.size(); ++edge) {
     const Edge twin = mesh.twins[edge];
@@ -205,8 +206,8 @@ void close_cracks(Mesh& mesh) {
   }
 }
 
-// Fills in Mesh::twins and Mesh::seams from the places and texels of the faces, and makes corners of neighbours inside a
-// chart, which may differ by a rounding, equal.
+// Fills Mesh::twins and Mesh::seams from the places and texels of the faces, and equalises the corners of neighbours in
+// a chart, which may differ by rounding.
 void join_faces(Mesh& mesh) {
   find_twins(mesh);
   close_cracks(mesh);

@@ -56,7 +56,7 @@ inline std::int64_t floor_mod(std::int64_t i, std::int64_t n) {
   return remainder < 0 ? remainder + n : remainder;
 }
 
-// The texel column or row that is seen at place i of the plane.
+// The texel column or row visible at coordinate i of the plane.
 inline std::int32_t wrapped(std::int64_t i, std::int32_t size, Wrap wrap) {
   if (i >= 0 && i < size) return static_cast<std::int32_t>(i);
   if (wrap == Wrap::clamp) return i < 0 ? 0 : size - 1;
@@ -65,8 +65,8 @@ inline std::int32_t wrapped(std::int64_t i, std::int32_t size, Wrap wrap) {
   return static_cast<std::int32_t>(twofold < size ? twofold : 2 * static_cast<std::int64_t>(size) - 1 - twofold);
 }
 
-// The place of texel j within [start, start + size), in which each texel has one place (for mirror and clamp the start
-// is a multiple of the size).
+// The coordinate of texel j within [start, start + size), where each texel has one (for mirror and clamp, start is a
+// multiple of the size).
 inline std::int64_t unwrapped(std::int32_t j, std::int64_t start, std::int32_t size, Wrap wrap) {
   if (wrap == Wrap::clamp) return j;
   if (wrap == Wrap::repeat) return start + floor_mod(j - start, size);
@@ -74,7 +74,7 @@ inline std::int64_t unwrapped(std::int32_t j, std::int64_t start, std::int32_t s
   return odd ? start + size - 1 - j : start + j;
 }
 
-// The input. A place is a point of space in which all vertices at it are joined.
+// The input. A place is a position in space, at which all vertices are joined.
 struct Surface {
   const double* positions = nullptr;     // three a place
   Index place_count = 0;
@@ -83,7 +83,7 @@ struct Surface {
   std::span<const Index> texture_of;     // one a triangle; -1: none
   std::vector<Texture> textures;
 
-  // Of all textures together.
+  // Total over all textures.
   std::int64_t texel_count() const { return textures.empty() ? 0 : textures.back().texel(0, textures.back().height); }
   Point3 position(Index place) const {
     const double* p = positions + 3 * static_cast<std::size_t>(place);
@@ -134,20 +134,20 @@ class FaceMap {
     along_second_ = mesh.corner(f, 2) - base_;
   }
 
-  // In the plane of the face, inside it or not.
+  // Point in the plane of the face, inside it or not.
   Point3 extended(Point2 place) const {
     const Point2 offset = place - origin_;
     return base_ + cross(offset, second_) * scale_ * along_first_ + cross(first_, offset) * scale_ * along_second_;
   }
 
-  // Whether a place lies in the face, so that `inside` and `extended` are the same, bit for bit.
+  // Whether a point is inside the face, where `inside` and `extended` have equal bits.
   bool holds(Point2 place) const {
     const Point2 offset = place - origin_;
     const double u = cross(offset, second_) * scale_, v = cross(first_, offset) * scale_;
     return u >= 0 && v >= 0 && u + v <= 1;
   }
 
-  // On the face, for a place that lies in it but for rounding (which slivers magnify).
+  // Point on the face, for a point inside up to rounding (which slivers magnify).
   Point3 inside(Point2 place) const {
     const Point2 offset = place - origin_;
     double u = std::clamp(cross(offset, second_) * scale_, 0.0, 1.0);
@@ -164,14 +164,14 @@ class FaceMap {
   double scale_ = 0;
 };
 
-// Whether two corners are one but for rounding.
+// Whether two corners are equal up to rounding.
 bool same_texel(Point2 a, Point2 b);
 
-// Takes the textured faces; of duplicates with equal places and texture coordinates the first. Two faces are
-// neighbours inside a chart if they share an edge in space and in the image and lie on its two sides there;
-// otherwise an edge of exactly two faces is a seam, unless they lie on each other. Where more than two faces meet,
-// each pair that goes on inside a chart is joined. All other edges are open.
-// Throws std::invalid_argument if an index is out of range.
+// Builds the mesh of the textured faces; of duplicates with equal places and texture coordinates, of the first. Two
+// faces are neighbours inside a chart if they share an edge in space and in the image and are on its two sides there;
+// otherwise an edge of exactly two faces is a seam, unless the faces coincide. Where more than two faces meet, each
+// pair that continues inside a chart is joined. All other edges are open. Throws std::invalid_argument if an index is
+// out of range.
 Mesh make_mesh(const Surface& surface);
 
 }  // namespace beltrami::atlas

@@ -11,11 +11,11 @@ namespace {
 constexpr std::size_t rows_per_chunk = 16, columns_per_chunk = 64;
 constexpr std::int64_t no_texel = -1;
 
-// Farther than any row: what stands for the nearest marked row of a column without one.
+// Farther than any row: the nearest marked row of a column without marks.
 constexpr std::int32_t far = 1 << 30;
 
-// Sets for each texel of some columns the nearest marked row of its column, the upper of two. Loops over arrays, so that
-// columns are gone through side by side.
+// Computes the nearest marked row of each texel in its column, the upper of two. The loops run over arrays, so that
+// columns are processed side by side.
 void search_columns(const unsigned char* marked, std::size_t height, std::size_t width, std::size_t begin, std::size_t end,
                     std::int32_t* nearest) {
   const std::size_t count = end - begin;
@@ -59,7 +59,7 @@ class Envelope {
     part_ = 0;
   }
 
-  // The column of the mark nearest to x, if it is within reach; x only grows from call to call.
+  // Returns the column of the mark nearest to x, if within reach; x must not decrease from call to call.
   std::int64_t column_for(std::int64_t x, std::int64_t reach) {
     if (parts_.empty()) return no_texel;
     while (part_ + 1 < parts_.size() && parts_[part_ + 1].start <= x) ++part_;
@@ -87,7 +87,7 @@ void search_row(const bool* wanted, const std::int32_t* nearest, std::int64_t ro
                 Envelope& envelope, NearestMarks& found) {
   const bool* const end = wanted + width;
   for (const bool* first = std::find(wanted, end, true); first != end;) {
-    // Wanted texels at most 2 reach apart share an envelope, of all columns that may hold a mark of theirs.
+    // Wanted texels at most 2 reach apart share an envelope of all columns that may contain their marks.
     const bool* last = first;
     for (const bool* next = first + 1; next < end && next - last <= 2 * reach; ++next)
       if (*next) last = next;

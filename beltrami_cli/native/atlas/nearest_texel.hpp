@@ -14,8 +14,8 @@ struct NearestMarks {
   std::vector<std::int64_t> texels, marks;
 };
 
-// Returns the wanted texels, ascending, that have a mark within `reach`, and for each the mark at the least Euclidean
-// distance: the leftmost of several, then the upper one.
+// Returns the wanted texels, ascending, that have a mark within `reach`, and the nearest mark of each by Euclidean
+// distance; of several, the leftmost, then the upper one.
 NearestMarks nearest_marked(const bool* marked, const bool* wanted, std::int64_t height, std::int64_t width,
                             std::int64_t reach, unsigned threads);
 

@@ -8,7 +8,7 @@
 namespace beltrami::atlas {
 namespace {
 
-// A single-precision coordinate near 1 of a texture of 1,024 texels is no better than this.
+// Precision of a single-precision coordinate near 1 of a texture of 1,024 texels.
 constexpr double on_edge = 1e-4;
 
 constexpr std::int64_t texels_per_poll = 1 << 22;
@@ -88,7 +88,7 @@ class Rasteriser {
     }
   }
 
-  // Claims texels that follow each other, if none of them is owned.
+  // Claims a run of texels if none of them is owned.
   bool claim_whole(std::size_t index, Index face, std::size_t first, std::size_t count) {
     Index* const owners = result_.window.data() + first;
     if (std::any_of(owners, owners + count, [](Index owner) { return owner != none; })) return false;

@@ -1,4 +1,4 @@
-// Which window, and which face in it, each texel belongs to.
+// Ownership of texels by windows, and by faces in these.
 #pragma once
 
 #include <cstdint>
@@ -12,7 +12,7 @@
 
 namespace beltrami::atlas {
 
-// What a window owns, as a box in the texture's plane; empty while last_x < first_x.
+// The bounding box of a window's texels in the texture's plane; empty while last_x < first_x.
 struct Extent {
   std::int64_t first_x = 0, first_y = 0, last_x = -1, last_y = -1;
   bool empty() const { return last_x < first_x; }
@@ -27,8 +27,8 @@ struct Ownership {
   std::int64_t covered = 0, overlapped = 0;
 };
 
-// Texels belong to the first window, and in it to the first face, that covers their centre. What lies exactly on the
-// outer edges of charts is covered, too, where nothing else covers it. Throws Cancelled if the poll asks to stop.
+// A texel belongs to the first window, and in it to the first face, that covers its centre. Centres exactly on outer
+// edges of charts are covered too, unless they are covered otherwise. Throws Cancelled if the poll asks to stop.
 Ownership make_ownership(const Mesh& mesh, const Charts& charts, const Windows& windows, const Allocate& allocate,
                          const Poll& poll);
 

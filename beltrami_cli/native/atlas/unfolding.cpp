@@ -6,20 +6,20 @@
 namespace beltrami::atlas {
 namespace {
 
-// A halo is a few texels wide; only fans of slivers need more faces than this.
+// Maximum number of faces: a halo is a few texels wide, and only fans of slivers need more.
 constexpr int longest_walk = 64;
-// What lies on an edge but for rounding belongs to the face before it: it must not fall off an open edge.
+// Tolerance within which a point on an edge belongs to the face before it, so that it does not fall off an open edge.
 constexpr double relative_rounding = 1e-9;
-// Relative difference of steps across an edge; less is the curvature of the surface.
+// Relative difference of steps across an edge; smaller ones are due to the curvature of the surface.
 constexpr double contradiction = 0.5;
-// Edge k of a laid face leads from its corner k to the next; by the last one a way enters.
+// Edge k of an unfolded face leads from corner k to the next; the path enters over the last edge.
 constexpr std::size_t entry = 2, no_edge = 3;
 
 struct Base {
   Point2 a, b;  // an edge in the plane; what comes next lies on its left
 };
 
-// The apex over the edge from a to b in space, in units of the edge: its foot and its height.
+// Apex over the edge from a to b in space, in units of the edge: foot and height.
 struct Apex {
   double foot, height;
 };
@@ -43,13 +43,13 @@ bool is_beyond(Base edge, Point2 point, double reach) {
   return left_of(edge.a, edge.b, point) > relative_rounding * length * (length + reach);
 }
 
-// The mesh's name of edge k of a laid face; in the mesh it may lead the other way.
+// Code in the mesh of edge k of an unfolded face, which may have the opposite direction there.
 Edge edge_of(const Laid& laid, std::size_t k) {
   const std::size_t from = laid.corner[k], to = laid.corner[next(k)];
   return static_cast<Edge>(3 * static_cast<std::size_t>(laid.face) + (next(from) == to ? from : to));
 }
 
-// Lays out the face on the other side of an edge, which leads from `place` at base.a to base.b.
+// Unfolds the face beyond an edge, which leads from `place` at base.a to base.b.
 End enter(const Mesh& mesh, Edge edge, Base base, Index place, Laid& laid) {
   const Edge twin = mesh.twins[static_cast<std::size_t>(edge)];
   if (twin == none) return End::open;
@@ -63,12 +63,12 @@ End enter(const Mesh& mesh, Edge edge, Base base, Index place, Laid& laid) {
   return End::landed;
 }
 
-// The edge, but for one, by which a line leaves a face for a point outside; no_edge for a point inside.
+// The edge, other than the entry, over which a line leaves a face for a point outside; no_edge for a point inside.
 std::size_t exit_of(const Laid& laid, std::size_t entered, Point2 from, Point2 to, double reach) {
   std::size_t found = no_edge;
   for (std::size_t k = 0; k < 3; ++k) {
     if (k == entered || !is_beyond({laid.at[k], laid.at[next(k)]}, to, reach)) continue;
-    // If the point lies beyond two edges, the line passes their common corner, on one side or the other.
+    // If the point is beyond two edges, the line passes their common corner on one side or the other.
     const bool corner_is_between = found + 1 == k;
     if (found == no_edge || (left_of(from, to, laid.at[corner_is_between ? k : 0]) > 0) == corner_is_between) found = k;
   }
@@ -162,7 +162,7 @@ Landing Way::landing() const {
     for (std::size_t k = 0; k < 3; ++k) landing.weights[laid_.corner[k]] = weights[k] / sum;
     return landing;
   }
-  // A face without extent: a point of the edge by which the way entered.
+  // A degenerate face: a point of the edge over which the path entered.
   const Point2 a = laid_.at[next(entry)], along = laid_.at[entry] - a;
   const double t = std::clamp(dot(to_ - a, along) / dot(along, along), 0.0, 1.0);
   landing.weights[laid_.corner[next(entry)]] = 1 - t;

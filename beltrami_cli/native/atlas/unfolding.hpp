@@ -1,4 +1,4 @@
-// Straight on over an edge: the faces beyond it, unfolded one after the other into the plane of the face before it.
+// Unfolding: a straight line continued over an edge, through faces unfolded into the plane of the face before.
 #pragma once
 
 #include <array>
@@ -25,23 +25,24 @@ struct Laid {
   std::array<Point2, 3> at;
 };
 
-// The plane of a face with one of its edges along the x axis, from the origin, and the face below.
+// Plane coordinates in which an edge of a face is on the x axis, starting at the origin, with the face below.
 class Plane {
  public:
   Plane(const Mesh& mesh, Edge edge);
 
   bool is_flat() const { return area_ != 0 && length_ > 0; }
   double length() const { return length_; }
-  // The least height of the face, in texels.
+  // Minimum height of the face, in texels.
   double thickness() const;
   // The unit vector across the edge, in texels.
   Point2 across() const;
-  // Uses the steps in space from a texel near the edge to the right and down instead of the face, if it contradicts them.
+  // Replaces the map of the face by the steps in space from a texel near the edge to the right and down, if they
+  // contradict it.
   void correct(Point3 right, Point3 down);
-  // Of a place in the texture's plane, and of the edge's point nearest to it.
+  // Plane coordinates of a point of the texture, and of the point on the edge nearest to it.
   Point2 at(Point2 place) const;
   Point2 nearest(Point2 place) const;
-  // That point, in the texture's plane.
+  // The nearest point on the edge, in the texture's plane.
   Point2 foot(Point2 place) const { return origin_ + (nearest(place).x / length_) * along_; }
 
  private:
@@ -52,18 +53,17 @@ class Plane {
   Point2 right_, down_;  // if corrected: steps of a texel beyond the edge
 };
 
-// The straight way from an edge to a place of the texture's plane, outside the edge's face beyond the edge: the face's map
-// to its plane in space is extended, and the line from the edge's point nearest to the place is followed over the unfolded
-// faces.
+// The straight path from an edge to a point of the texture's plane beyond it. The map of the edge's face to space is
+// extended to that point, and the line from the nearest point on the edge is followed over the unfolded faces.
 class Way {
  public:
   Way(const Mesh& mesh, Edge edge, const Plane& plane, Point2 place);
   Way(const Mesh& mesh, Edge edge, Point2 place) : Way(mesh, edge, Plane(mesh, edge), place) {}
 
   End end() const { return end_; }
-  // Where it has landed.
+  // End of the path.
   Landing landing() const;
-  // How the line ends that leads straight on from there to another place.
+  // Continues straight on to another point; returns where that line ends.
   End on_to(const Mesh& mesh, Point2 place) const;
 
  private:

@@ -10,8 +10,8 @@
 namespace beltrami::atlas {
 namespace {
 
-// A face that spans more periods than that is looked at about its middle only; and all faces together do not make
-// more than a few million pairs of a face and a window.
+// Maximum number of periods of a face; of larger ones only the middle is used. All faces together have at most a few
+// million pairs of a face and a window.
 constexpr double most_face_periods = 64, most_pairs = 1 << 22;
 
 struct Box {
@@ -40,7 +40,7 @@ struct Axis {
   std::int64_t window(double place) const {
     return static_cast<std::int64_t>(std::floor((place - static_cast<double>(start)) / static_cast<double>(size)));
   }
-  // The windows that a face takes part in.
+  // The windows that a face overlaps.
   std::pair<std::int64_t, std::int64_t> range(double low, double high, double periods) const {
     if (alone) return {0, 0};
     const double centre = 0.5 * (low + high), reach = 0.5 * periods * static_cast<double>(size);
@@ -89,7 +89,7 @@ class Maker {
     std::stable_sort(order.begin(), order.end(),
                      [&](std::size_t a, std::size_t b) { return charts_.areas[a] > charts_.areas[b]; });
     result_.faces.reserve(mesh_.size());
-    // Charts without extent cover no texel.
+    // Degenerate charts do not cover any texel.
     for (const std::size_t chart : order)
       if (charts_.areas[chart] > 0) add(chart);
     return std::move(result_);
@@ -120,7 +120,7 @@ class Maker {
     struct WindowRun {
       std::size_t begin, end;
       double area, from_middle = 0;
-      // Equally full windows are ranked by where they lie: in the middle the chart goes on on all sides.
+      // Equally full windows are ranked by position: in the middle the chart continues on all sides.
       auto rank(double full) const { return std::tuple(-std::llround(1000 * area / full), from_middle); }
     };
     std::vector<WindowRun> runs;

@@ -25,7 +25,7 @@ struct Windows {
   std::vector<Index> faces;
 };
 
-// The texel columns at places [x, x + columns.size()) of the texture's plane; none outside the window.
+// The texel columns at coordinates [x, x + columns.size()) of the texture's plane; none outside the window.
 void list_columns(const Window& window, const Texture& grid, std::int64_t x, std::span<std::int32_t> columns);
 
 Windows make_windows(const Mesh& mesh, const Charts& charts);

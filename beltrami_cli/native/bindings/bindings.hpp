@@ -1,4 +1,4 @@
-// What the bindings share: array types, handing memory over, polling for signals and progress; and what each file binds.
+// Common parts of the bindings: array types, transfer of memory, polls for signals and progress, and declarations.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -62,7 +62,7 @@ T part(const nb::handle& given) {
   return array;
 }
 
-// Channels, along the first axis, of samples in the others, which follow each other in memory in even steps.
+// Channels along the first axis; the other axes are samples with a constant stride.
 template <class Value>
 using Channels = nb::ndarray<Value, nb::device::cpu>;
 
@@ -83,7 +83,7 @@ template <class Value>
 Layout<Value> layout_of(const Channels<Value>& stack, std::size_t channels, std::size_t samples) {
   if (stack.ndim() < 2 || stack.shape(0) != channels || samples_of(stack) != samples)
     throw nb::value_error("all stacks must have one shape");
-  // Steps along axes of one sample do not matter, and are whatever NumPy has set them to.
+  // Strides of axes of length 1 are arbitrary in NumPy.
   std::int64_t step = 0, next = 0;
   bool is_last = true;
   for (std::size_t axis = stack.ndim() - 1; axis > 0; --axis) {
@@ -97,7 +97,7 @@ Layout<Value> layout_of(const Channels<Value>& stack, std::size_t channels, std:
   return {stack.data(), stack.stride(0), step};
 }
 
-// Hands memory to NumPy without a copy.
+// Transfers memory to NumPy without a copy.
 template <class T, class Shape>
 Result<T, Shape> give(std::unique_ptr<T[]> data, std::initializer_list<std::size_t> shape) {
   T* raw = data.release();
@@ -113,7 +113,7 @@ auto give_copy(const std::vector<T>& numbers) {
   return give<T, nb::ndim<1>>(std::move(copy), {numbers.size()});
 }
 
-// Hands rows over without a copy.
+// Transfers rows to NumPy without a copy.
 template <class T, std::size_t N>
 auto give_rows(std::vector<std::array<T, N>> rows) {
   auto kept = std::make_unique<std::vector<std::array<T, N>>>(std::move(rows));
@@ -123,7 +123,7 @@ auto give_rows(std::vector<std::array<T, N>> rows) {
   return Result<T, nb::shape<-1, static_cast<nb::ssize_t>(N)>>(first, {count, N}, owner);
 }
 
-// A poll that lets Python handle signals and report progress; what it raises is kept for after the join.
+// A poll that lets Python handle signals and report progress; an exception is kept until threads have joined.
 class PythonPoll {
  public:
   explicit PythonPoll(const nb::object& progress) : progress_(progress) {}
@@ -144,7 +144,7 @@ class PythonPoll {
       return true;
     };
   }
-  // Called with the lock held.
+  // Called with the interpreter lock held.
   void rethrow() {
     if (error_) throw nb::python_error(*error_);
   }
@@ -154,7 +154,7 @@ class PythonPoll {
   std::optional<nb::python_error> error_;
 };
 
-// Runs work(poll) without the interpreter lock; throws what Python raised meanwhile.
+// Runs work(poll) without the interpreter lock; rethrows an exception raised by Python meanwhile.
 template <class Work>
 void run_polled(const nb::object& progress, const Work& work) {
   PythonPoll poll(progress);

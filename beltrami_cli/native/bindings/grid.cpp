@@ -1,4 +1,4 @@
-// Grids for Python: the kernel, and what it is prepared with.
+// Grids for Python: the kernel and its preparation.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
@@ -18,7 +18,7 @@ namespace {
 
 using namespace beltrami::grid;
 
-// The planes of a grid, each by itself: an array of them, or a list.
+// The planes of a grid: one array, or a list of arrays.
 class PlanesOfGrid {
  public:
   PlanesOfGrid(const nb::object& planes, const Cells& like) {
@@ -49,7 +49,7 @@ Grid grid_of(const Cells& kind, const Planes& squared_lengths, const std::option
   return grid;
 }
 
-// None: sweeps.
+// No scheme: sweeps.
 std::optional<Scheme> march_of(const std::string& scheme) {
   if (scheme == "sweep") return {};
   require(scheme == "metric" || scheme == "triangles", "a scheme is sweep, triangles or metric");
@@ -108,7 +108,7 @@ auto grid_distances(const Cells& kind, const nb::object& squared_lengths, const 
   return give<float, nb::ndim<2>>(std::move(distances), {side, side});
 }
 
-// Planes whose rows follow each other, as in some rows of a larger stack.
+// Planes with contiguous rows, such as some rows of a larger stack.
 using Bands = nb::ndarray<const float, nb::ndim<3>, nb::device::cpu>;
 
 // See convolve.
@@ -127,7 +127,7 @@ auto convolve_planes(const Bands& planes, const Vector<float>& taps, unsigned th
   return give<float, nb::ndim<3>>(std::move(result), {count, rows, columns});
 }
 
-// What makes local units of squared lengths to the right and below, see local_scale.
+// Factors from squared lengths to the right and below to local units, see local_scale.
 auto local_scale_of(const Plane& right, const Plane& below, int window_radius) {
   const std::size_t rows = right.shape(0), columns = right.shape(1);
   if (below.shape(0) != rows || below.shape(1) != columns) throw nb::value_error("both planes must have one shape");
@@ -140,7 +140,8 @@ auto local_scale_of(const Plane& right, const Plane& below, int window_radius) {
   return give<float, nb::ndim<2>>(std::move(scale), {rows, columns});
 }
 
-// How often halo cells show the same sample, see count_repeats; cells, sources and seams have a row a halo cell.
+// Number of halo cells that show the same sample, see count_repeats; cells, sources and seams have one row per halo
+// cell.
 auto halo_repeats(std::size_t rows, std::size_t columns, const Vector<std::int64_t>& cells,
                   const Vector<std::int64_t>& sources, const Vector<std::int32_t>& seams, int reach, unsigned threads) {
   if (sources.size() != cells.size() || seams.size() != cells.size())

@@ -1,4 +1,4 @@
-// Asks for huge pages for whatever is large, in place of the allocation functions that the language comes with.
+// Allocation functions that replace those of the language, and request huge pages for large blocks.
 //
 // Linux clears memory page by page when it is first touched: of 4 KiB that takes eight times as long as of 2 MiB, and
 // as long as some of the stages that fill it. Memory from here lies in whole pages of 2 MiB; the system gives
@@ -14,7 +14,7 @@ namespace {
 
 constexpr std::size_t huge_page = std::size_t{1} << 21;
 
-// Below, the last page, used in part, would weigh too much.
+// Minimum size: below, the partly used last page would waste too much.
 constexpr std::size_t least_size = 2 * huge_page;
 
 void* allocate(std::size_t size) {

@@ -1,4 +1,4 @@
-// The Python face of the core. Bindings check all arguments, release the interpreter lock, and translate; no more.
+// The Python module of the core. Bindings check arguments, release the interpreter lock, and convert types.
 #include "bindings/bindings.hpp"
 
 NB_MODULE(_native, module) {

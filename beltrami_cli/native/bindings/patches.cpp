@@ -45,8 +45,8 @@ struct MixingArrays {
   }
 };
 
-// See collaborate; without a pilot, patches are compared on `pilot` all the same. The result goes to `estimates`, which may
-// be the pilot.
+// See collaborate; without a pilot, patches are still compared on `pilot`. Writes to `estimates`, which may be the
+// pilot.
 void collaborate_on_grid(const Cells& kind, const Stack& noisy, const Stack& pilot, const nb::tuple& mixing,
                          const std::optional<Plane>& relative, bool has_pilot, OpenStack& estimates, unsigned threads,
                          const nb::object& progress) {
@@ -114,7 +114,7 @@ void in_ranges(std::size_t count, unsigned threads, F f) {
   parallel_chunks(count, samples_per_chunk, threads, [&](std::size_t begin, std::size_t end, unsigned) { f(Range{begin, end}); });
 }
 
-// The noise as Python gives it: a row (variance, sigma, low, high) a channel, tables of a limit, and relative variances.
+// The noise from Python: a row (variance, sigma, low, high) per channel, tables of a limit, and relative variances.
 class NoiseOfBlend {
  public:
   explicit NoiseOfBlend(const nb::tuple& parts, std::size_t channels, std::size_t samples)

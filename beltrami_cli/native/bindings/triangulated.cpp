@@ -101,8 +101,8 @@ void require_march(const Kernel& kernel, float radius, std::size_t max_samples) 
   require(max_samples > 0, "a kernel has at least one sample");
 }
 
-// The rows of smoothed colours, the samples that all kernels held, and the kernels cut short; without a meaning the rows
-// of vertices that are not in [first, last).
+// Returns the rows of smoothed colours (undefined for vertices outside [first, last)), the number of samples in all
+// kernels, and the number of truncated kernels.
 template <class Kernel>
 auto smooth_manifold(Kernel& kernel, const Matrix<float>& colours, const Numbers& weights, float time_step,
                      float radius, std::size_t max_samples, unsigned threads, const nb::object& progress, Index first,

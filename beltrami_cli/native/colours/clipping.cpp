@@ -25,7 +25,7 @@ void restore(const Layout<float>& averages, const Layout<const float>& share, co
     const float marked = share.at(0, i);
     if (!(marked > 0) && !(marked < 0)) return;
     float& average = averages.at(0, i);
-    // The share of a true colour within the limits is at most one half.
+    // For a true colour within the limits, the share is at most one half.
     const float cut_off = std::min(std::abs(marked), 0.5F), gap_of_one = gap(cut_off);
     const float most = cut.sigma * std::sqrt(samples.relative.at(0, i)) * trusted;
     const float from_limit = marked > 0 ? 1 - average : average;

@@ -13,8 +13,8 @@ namespace {
 
 constexpr std::size_t pixels_per_chunk = 1 << 12;
 
-// Rounds to the nearest integers, the even of two: where doubles are so large, they have no digits behind the point. In
-// single precision a product may be rounded to the middle between two integers.
+// Rounds to the nearest integers, ties to even, in doubles of a magnitude without fractional digits. In single
+// precision a product may be rounded to the middle between two integers.
 constexpr double no_fractions = 6755399441055744.0;  // 1.5 * 2^52
 
 void round_all(const float* values, std::size_t count, double largest, std::int32_t* rounded) {
@@ -25,7 +25,7 @@ void round_all(const float* values, std::size_t count, double largest, std::int3
   }
 }
 
-// Takes account of a number that is stored in place of another.
+// Accounts for a number that replaces another.
 template <class Sum, class Sample>
 struct Sums {
   Sum total = 0, squares = 0;
@@ -46,13 +46,13 @@ struct Sums {
   }
 };
 
-// Sums over a line of bytes fit into 32 bits, and vector instructions add twice as many of these at a time.
+// Sums over a line of bytes fit into 32 bits, of which vector instructions add twice as many at a time.
 template <class Sample>
 using LineSum = std::conditional_t<sizeof(Sample) == 1, std::uint32_t, std::uint64_t>;
 constexpr std::size_t longest_line = 1 << 16;
 static_assert(std::uint64_t{longest_line} * 255 * 255 <= std::numeric_limits<std::uint32_t>::max());
 
-// Stores whole pixels that lie in contiguous runs.
+// Stores contiguous runs of whole pixels.
 template <class Sample, class Index>
 void store_whole(const std::int32_t* now, std::span<const Index> pixels, std::size_t width, Sample* samples, Moved& moved) {
   for (std::size_t row = 0; row < pixels.size();) {

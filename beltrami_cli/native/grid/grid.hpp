@@ -12,14 +12,14 @@
 
 namespace beltrami::grid {
 
-// Squared lengths of a cell's edges are kept in four planes; the other four directions are the neighbours' own.
+// Squared lengths of a cell's edges are stored in four planes; the other four directions belong to its neighbours.
 enum Direction : std::size_t { right, below, below_right, below_left };
 constexpr std::size_t direction_count = 4;
 
 // An edge that does not exist: longer than any radius, and small enough that no arithmetic on it overflows.
 constexpr float no_edge = 1e12F;
 
-// No kernel reaches further, so none goes over an edge that does not exist.
+// Maximum radius of kernels, so that none crosses a missing edge.
 constexpr float longest_radius = 9e5F;
 
 enum Kind : std::uint8_t { empty = 0, owned = 1, halo = 2 };
@@ -36,14 +36,14 @@ struct Grid {
   std::size_t cells() const { return rows * columns; }
 };
 
-// Planes of rows * columns values, each by itself.
+// Planes of rows * columns values, not necessarily contiguous.
 struct Planes {
   const float* const* data = nullptr;
   std::size_t channels = 0;
   const float* operator[](std::size_t channel) const { return data[channel]; }
 };
 
-// The planes that lie one behind the other.
+// Contiguous planes.
 template <class Value>
 std::vector<Value*> planes_of(Value* values, const Grid& grid, std::size_t channels) {
   std::vector<Value*> planes;
@@ -70,7 +70,7 @@ constexpr std::array<StencilClass, 8> stencil_classes{{
 
 constexpr std::array<Offset, 8> neighbours{{{-1, 0}, {1, 0}, {0, -1}, {0, 1}, {-1, -1}, {1, 1}, {1, -1}, {-1, 1}}};
 
-// Where the edge from cell `from` to its neighbour `from + step` is kept: a plane, and the cell that owns it.
+// Storage of the edge from cell `from` to `from + step`: a plane, and the cell that owns it.
 struct EdgePlace {
   Direction plane;
   Offset cell;
@@ -88,7 +88,7 @@ constexpr EdgePlace edge_place(Offset from, Offset step) {
   return {below_left, to};
 }
 
-// What a stencil needs at an update, see triangulated/stencils.hpp; all zero where it gives none.
+// Coefficients of a stencil's update, see triangulated/stencils.hpp; all zero if there is no update.
 struct Coefficients {
   float k, squared_height, n;
 };

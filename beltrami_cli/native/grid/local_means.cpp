@@ -10,7 +10,7 @@
 namespace beltrami::grid {
 namespace {
 
-// Logarithms of the lengths of edges, and how many edges there are: of the two axes at a cell, or of many such.
+// Sum of the logarithms of edge lengths, and number of edges: of both axes at a cell, or of many cells.
 struct Sums {
   std::vector<float> logarithms, counts;
   explicit Sums(std::size_t size) : logarithms(size), counts(size) {}
@@ -32,14 +32,14 @@ void convolve(const Planes& planes, std::size_t rows, std::size_t columns, std::
               unsigned threads) {
   const std::size_t reach = taps.size() / 2;
   const auto sum = BELTRAMI_VARIANT_OF(sum_over_taps, choose_instruction_set());
-  // A chunk is some rows of a plane; a line of means down columns has zeros on both sides.
+  // A chunk is a block of rows of a plane; a line of means down columns has zeros on both sides.
   const std::size_t height = std::max<std::size_t>(1, (std::size_t{1} << 16) / std::max<std::size_t>(1, columns));
   parallel_chunks(planes.channels * rows, height, threads, [&](std::size_t begin, std::size_t end, unsigned) {
     std::vector<float> line(columns + 2 * reach, 0.0F);
     for (std::size_t i = begin; i < end; ++i) {
       const std::size_t row = i % rows;
       const float* const plane = planes[i / rows];
-      // Beyond the plane there is nothing.
+      // Beyond the plane there are no cells.
       const std::size_t begin_tap = reach - std::min(reach, row), end_tap = std::min(taps.size(), rows + reach - row);
       sum(plane + (row + begin_tap - reach) * columns, columns, taps.subspan(begin_tap, end_tap - begin_tap), columns,
           line.data() + reach);
@@ -51,11 +51,11 @@ void convolve(const Planes& planes, std::size_t rows, std::size_t columns, std::
 void local_scale(std::size_t rows, std::size_t columns, const float* right, const float* below, int window_radius,
                  float* scale) {
   const auto reach = static_cast<std::size_t>(window_radius);
-  // Sums over the window's rows, one a column, move down with the window; those over its columns along the row. The rows
-  // in the window are kept. In doubles, a value that is added and subtracted again leaves nothing.
+  // Sums over the window's rows, one per column, move down with the window, and those over its columns along the row.
+  // The rows in the window are stored. In double precision, subtracting a value that was added leaves no error.
   const std::size_t held = 2 * reach + 1;
   Sums kept(held * columns), window(columns);
-  // Beyond both ends there is nothing.
+  // Beyond both ends there are no cells.
   std::vector<double> padded(columns + held), padded_counts(columns + held);
   double *down = padded.data() + reach + 1, *counts_down = padded_counts.data() + reach + 1;
   const auto move = [&](std::size_t row, bool in) {

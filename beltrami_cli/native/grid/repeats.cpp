@@ -15,7 +15,7 @@ void count_repeats(std::size_t rows, std::size_t columns, const HaloCells& halo,
   const auto height = static_cast<std::ptrdiff_t>(rows), width = static_cast<std::ptrdiff_t>(columns);
   constexpr std::size_t chunk = 4096;
   parallel_chunks(halo.count, chunk, threads, [&](std::size_t begin, std::size_t end, unsigned) {
-    // Where the rows about a cell begin in the list moves on as the cell does.
+    // The beginnings of the nearby rows in the list advance with the cell.
     std::vector<const std::int64_t*> starts;
     for (std::ptrdiff_t down = -reach; down <= reach; ++down)
       starts.push_back(std::lower_bound(halo.cells, last, halo.cells[begin] + down * width - reach));

@@ -1,7 +1,7 @@
-// How often a canvas shows a sample beyond a seam.
+// Repeats of a sample on a canvas, beyond seams.
 //
-// A chart that is finer than what it is continued by shows each sample there in several cells. They hold one sample's
-// noise, so together they should count for one sample, and not draw averages to it.
+// A chart that is finer than its extension shows each sample there in several cells. They have the noise of one sample,
+// so together they should count as one sample, and not bias averages.
 #pragma once
 
 #include <cstddef>
@@ -16,8 +16,8 @@ struct HaloCells {
   std::size_t count;
 };
 
-// Writes for each of rows * columns cells how many halo cells within `reach` rows and columns, itself included, were
-// reached over the same seam and have the value of the same source; 1 for other cells, and at most 255.
+// Writes, for each of rows * columns cells, the number of halo cells within `reach` rows and columns, including itself,
+// that were reached over the same seam and have the value of the same source; 1 for other cells, at most 255.
 void count_repeats(std::size_t rows, std::size_t columns, const HaloCells& halo, std::ptrdiff_t reach,
                    std::uint8_t* repeats, unsigned threads);
 

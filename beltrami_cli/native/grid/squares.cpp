@@ -9,7 +9,7 @@
 namespace beltrami::grid {
 namespace {
 
-// The squares before and after a cell's middle, and how far it is from the first to the second.
+// The squares before and after the middle of a cell, and the fraction between them.
 struct Between {
   std::size_t low, high;
   float share;
@@ -23,7 +23,7 @@ struct Between {
   }
 };
 
-// Rows of squares that are handled together.
+// Rows of squares processed together.
 constexpr std::size_t chunk = 8;
 
 }  // namespace
@@ -60,7 +60,7 @@ void add_enlarged(const Squares& squares, const std::uint8_t* kinds, const float
   std::vector<Between> columns;
   for (std::size_t column = 0; column < squares.columns; ++column) columns.emplace_back(column, side, across);
   parallel_chunks(squares.rows, chunk * side, threads, [&](std::size_t begin, std::size_t end, unsigned) {
-    // Of the squares above and below: the share of owned ones, and the changes of each plane times it.
+    // For the squares above and below: the share of owned ones, and the changes of each plane times that share.
     std::vector<float> shares(across), sums(across);
     for (std::size_t row = begin; row < end; ++row) {
       const Between own(row, side, down);

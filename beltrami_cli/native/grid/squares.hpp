@@ -1,4 +1,4 @@
-// Squares of cells of a grid as cells of a coarser one.
+// Coarse grid of squares of cells.
 #pragma once
 
 #include <cstddef>
@@ -6,7 +6,7 @@
 
 namespace beltrami::grid {
 
-// A grid of rows * columns cells, in squares of `side` cells a side; the last of a row or column may be narrower.
+// A grid of rows * columns cells, in squares of side `side`; the last of a row or column may be narrower.
 struct Squares {
   std::size_t rows, columns, side;
   const std::uint8_t* kind;
@@ -15,11 +15,12 @@ struct Squares {
   std::size_t across() const { return (columns + side - 1) / side; }
 };
 
-// Means of planes over the cells of each square that are of its kind; 0 in empty squares.
+// Averages planes over the cells of each square that have its kind; 0 in empty squares.
 void means_of_squares(const Squares& squares, const std::uint8_t* kinds, const float* planes, std::size_t count, float* means,
                       unsigned threads);
 
-// Adds changes of the owned squares to planes at the owned cells, bilinear between the middles of squares.
+// Adds changes of the owned squares to planes at the owned cells, interpolated bilinearly between the centres of
+// squares.
 void add_enlarged(const Squares& squares, const std::uint8_t* kinds, const float* changes, std::size_t count, float* planes,
                   unsigned threads);
 

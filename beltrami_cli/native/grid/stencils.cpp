@@ -14,8 +14,8 @@ using triangulated::none;
 using triangulated::Partner;
 using triangulated::Stencils;
 
-// Split supports further away than this are not looked for: the section of a quadrant that needs them is narrower than
-// about 1 / 10 radian, and the front then runs along the edges.
+// Maximum distance of split supports: a quadrant that needs further ones has a section narrower than about 1 / 10
+// radian, and the front then runs along the edges.
 constexpr int furthest_support = 10;
 
 double squared(double x) { return x * x; }
@@ -24,7 +24,7 @@ class ImageGrid {
  public:
   ImageGrid(const Grid& grid, Planes metric, float beta) : grid_(grid), metric_(metric), beta_(beta) {}
 
-  // The cell at an offset, or nothing outside the grid and where it is empty.
+  // The cell at an offset; empty outside the grid and for empty cells.
   std::optional<std::size_t> at(std::size_t cell, Offset offset) const {
     const auto row = static_cast<std::ptrdiff_t>(cell / grid_.columns) + offset.y;
     const auto column = static_cast<std::ptrdiff_t>(cell % grid_.columns) + offset.x;
@@ -47,7 +47,7 @@ class ImageGrid {
     return local < no_edge ? local : no_edge;
   }
 
-  // The same on the image manifold.
+  // Squared length of the edge on the image manifold.
   float squared_edge(std::size_t cell, Offset step) const {
     const float space = squared_in_space(cell, step);
     if (space >= no_edge) return no_edge;
@@ -103,7 +103,7 @@ std::optional<Metric> metric_at(const ImageGrid& image, std::size_t cell) {
   if (falling && rising) g12 = (*falling - *rising) / 4;
   else if (falling) g12 = (*falling - *g11 - *g22) / 2;
   else if (rising) g12 = (*g11 + *g22 - *rising) / 2;
-  // Lengths that were rounded, or taken on different sides, may contradict each other.
+  // Rounded lengths, or lengths from different sides, may contradict each other.
   const double bound = 0.999 * std::sqrt(*g11 * *g22);
   Metric metric{*g11, std::clamp(g12, -bound, bound), *g22};
   for (std::size_t channel = 0; channel < image.channels(); ++channel) {

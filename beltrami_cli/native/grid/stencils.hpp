@@ -1,5 +1,5 @@
-// Grids as stencils for the heap march: the reference that the window sweep is tested against, the kernel of windows
-// too large for it, and the scheme of the paper to the letter.
+// Stencils of grids for fast marching with a heap: the reference for tests of the window sweep, the kernel for larger
+// windows, and the exact scheme of the paper.
 //
 // A. Spira, R. Kimmel, "An efficient solution to the eikonal equation on parametric manifolds", Interfaces and Free
 // Boundaries 6 (2004): the four quadrants around a grid point are its stencils; where the metric makes a quadrant obtuse, a

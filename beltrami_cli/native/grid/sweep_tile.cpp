@@ -10,15 +10,15 @@
 namespace beltrami::grid::BELTRAMI_VARIANT {
 namespace {
 
-// Larger than any distance in a window, and far below where adding lengths would round to itself wrongly.
+// Larger than any distance in a window, and small enough that sums with lengths keep their precision.
 constexpr float unreached = 1e8F;
 
 struct Totals {
   Lanes held, kernel;
 };
 
-// Turns the window's distances into values of the kernel, 0 beyond the radius, and sums them up with that of the
-// centre. `shares` is what each cell of the tile counts for, if it is not 1 for all.
+// Converts the window's distances to kernel values, 0 beyond the radius, and sums them with that of the centre.
+// `shares` is the weight of each cell of the tile, if not 1 for all.
 template <bool shared>
 Totals weigh(const TileJob& job, const Layout& layout, const float* shares, std::size_t centre, float* window) {
   const float factor = -1 / (4 * job.parameters->time_step);
@@ -38,7 +38,7 @@ Totals weigh(const TileJob& job, const Layout& layout, const float* shares, std:
   return totals;
 }
 
-// Sums some channels over the window by its weights, as differences from the centres, so that a constant stays.
+// Sums channels over the window by its weights, as differences from the centres, so that a constant is preserved.
 template <std::size_t channels>
 void sum_up(const TileJob& job, const Layout& layout, const float* window, const float* colours, float* sums) {
   std::array<Lanes, channels> sum{}, here;
@@ -52,7 +52,7 @@ void sum_up(const TileJob& job, const Layout& layout, const float* window, const
   for (std::size_t channel = 0; channel < channels; ++channel) store(sums + channel * lane_count, sum[channel]);
 }
 
-// The same for all channels, three at a time while there are three.
+// Sums all channels, three at a time as long as possible.
 void sum_up_all(const TileJob& job, const Layout& layout, const float* window, const float* colours, float* sums) {
   std::size_t channel = 0;
   for (; channel + 3 <= job.colours.channels; channel += 3)
@@ -61,8 +61,8 @@ void sum_up_all(const TileJob& job, const Layout& layout, const float* window, c
     sum_up<1>(job, layout, window, colours + channel * layout.size, sums + channel * lane_count);
 }
 
-// Writes the averages of those centres that are owned, which are `count` from `cell` on in the grid and begin at
-// `colours` in the tile; returns their samples.
+// Writes the averages of the owned centres, `count` of them from `cell` on in the grid and from `colours` on in the
+// tile; returns their number of samples.
 std::int64_t write_owned(const TileJob& job, const Layout& layout, const Totals& totals, const float* colours,
                          const float* sums, std::size_t cell, std::size_t count) {
   const Grid& grid = *job.grid;

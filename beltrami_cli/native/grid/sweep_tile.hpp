@@ -10,7 +10,7 @@
 
 namespace beltrami::grid {
 
-// Rectangle of centres; the sweep reads a border of the window's radius about it.
+// Rectangle of centres; the sweep also reads a border of the window's radius.
 struct Tile {
   std::size_t row, column, rows, columns;
 };
@@ -24,12 +24,12 @@ struct TileJob {
   float* distances = nullptr;  // of a tile of one cell: where its window's distances go
 };
 
-// Scratch memory of one thread, grown on first use and kept.
+// Scratch memory of one thread, which grows on demand and is reused.
 struct TileScratch {
   std::vector<float> planes, window, sums;
 };
 
-// Returns the samples held by the kernels of the tile's owned cells.
+// Returns the number of samples in the kernels of the tile's owned cells.
 using SweepTile = std::int64_t (*)(const TileJob& job, const Tile& tile, TileScratch& scratch);
 
 BELTRAMI_DECLARE_VARIANTS(std::int64_t sweep_tile(const TileJob& job, const Tile& tile, TileScratch& scratch))

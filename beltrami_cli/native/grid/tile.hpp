@@ -20,7 +20,7 @@ using namespace beltrami::lanes::BELTRAMI_VARIANT;
 constexpr std::size_t coefficient_planes = 3 * stencil_classes.size();
 constexpr std::size_t plane_count = 2 * direction_count + coefficient_planes;
 
-// Two registers of centres go through the same operations by turns, so that neither waits for its square roots.
+// Two registers of centres alternate, so that neither waits for its square roots.
 constexpr std::size_t register_count = 2, centre_count = register_count * lane_count;
 
 struct Layout {
@@ -34,12 +34,12 @@ struct Layout {
   std::ptrdiff_t at(Offset offset) const { return offset.y * static_cast<std::ptrdiff_t>(columns) + offset.x; }
 };
 
-// Copies a plane of the grid to the tile and its border, each value converted; `fill` stands outside the grid.
+// Copies a plane of the grid to the tile and its border, converting each value; `fill` is the value outside the grid.
 template <class T, class Convert>
 void copy_plane(const Grid& grid, const T* plane, const Tile& tile, const Layout& layout, float fill, float* out,
                 Convert convert) {
   std::fill(out, out + layout.size, fill);
-  // The grid's rectangle in the tile's planes.
+  // Rectangle of the grid in the tile's planes.
   const auto first = [&](std::size_t begin) { return begin < layout.border ? layout.border - begin : 0; };
   const std::size_t left = first(tile.column), top = first(tile.row);
   const std::size_t right_end = std::min(layout.columns, grid.columns + layout.border - tile.column);
@@ -95,7 +95,7 @@ inline void make_class(const Layout& layout, const float* squared, const Stencil
   const float* to_axis = plane(edge_place({0, 0}, stencil.axis));
   const float* between = plane(edge_place(stencil.axis, stencil.diagonal - stencil.axis));
   const Lanes none = splat(0), missing = splat(no_edge);
-  // One cell in from every side, where all neighbours are at hand; further out no window reaches. The planes have spare
+  // One cell inside every side, where all neighbours exist; windows do not reach further out. The planes have spare
   // cells for the lanes behind the last cell.
   const std::size_t first = layout.columns + 1, last = (layout.rows - 1) * layout.columns - 1;
   for (std::size_t i = first; i < last; i += lane_count) {
@@ -111,8 +111,8 @@ inline void make_class(const Layout& layout, const float* squared, const Stencil
   }
 }
 
-// A list of targets with places in the window and in the planes of a tile instead of slots and cells. They are the same for
-// all centres; to compute them for each would take as long as the updates.
+// Targets with offsets in the window and in the planes of a tile, instead of slots and cells. They are the same for all
+// centres; computing them per centre would take as long as the updates.
 class Course {
  public:
   Course(const std::vector<Target>& targets, const Layout& layout) {
@@ -130,7 +130,7 @@ class Course {
     n_ = plane(2);
   }
 
-  // Updates the window of the centres at which the pointers into the planes stand.
+  // Updates the window of the centres to which the pointers into the planes point.
   void run(const float* lengths, const float* coefficients, float* window) const {
     const Edge* edge = edges_.data();
     const Triangle* triangle = triangles_.data();
@@ -161,7 +161,7 @@ class Course {
     std::size_t edges, triangles;  // up to which
   };
 
-  // The distance through a triangle, or the best so far if the way does not come out of it or is longer.
+  // The distance through a triangle, or the previous one if the path does not come from it or is longer.
   Lanes through(const Triangle& triangle, const float* coefficients, const float* window, Lanes best) const {
     const float* k_plane = coefficients + triangle.coefficients;
     const Lanes axis = load(window + triangle.axis);

@@ -16,7 +16,7 @@ constexpr std::size_t tile_rows = 32, tile_columns = 96;
 
 std::vector<Tile> cut_into_tiles(const Grid& grid) {
   std::vector<Tile> tiles;
-  // A band of a canvas has rows without owned cells above it, and its own rows fill whole tiles.
+  // A band of a canvas has rows without owned cells above, and its own rows are whole tiles.
   const std::uint8_t* first = std::find(grid.kind, grid.kind + grid.cells(), owned);
   const std::size_t top = static_cast<std::size_t>(first - grid.kind) / std::max<std::size_t>(1, grid.columns);
   for (std::size_t row = top; row < grid.rows; row += tile_rows)

@@ -15,7 +15,7 @@
 
 namespace beltrami::grid {
 
-// The window has 2 radius + 1 cells a side; slot (y + radius) * side + x + radius is the cell at offset (x, y).
+// The window has a side of 2 radius + 1 cells; slot (y + radius) * side + x + radius is the cell at offset (x, y).
 struct EdgeStep {
   int from;         // slot
   Direction plane;  // where the edge's length is kept
@@ -34,8 +34,8 @@ struct Target {
   std::vector<TriangleStep> triangles;
 };
 
-// Targets ring by ring outwards, by distance in the plane. Each is supported only by cells of earlier rings, which already
-// hold distances: paths that turn back around colour edges are missed.
+// Targets in rings outwards, by distance in the plane. Each is supported only by cells of inner rings, which already
+// have distances: paths that turn back around colour edges are missed.
 struct WindowProgram {
   int radius;
   std::vector<Target> targets;
@@ -49,28 +49,28 @@ struct SweepParameters {
   float beta;       // lengths per unit of colour
 };
 
-// Copies planes of some cells to others.
+// Copies cells of planes to other planes.
 void copy_planes(const Planes& planes, std::size_t cells, float* const* copies, unsigned threads);
 
-// Distances come from `metric` colours, averages are taken over `colours`; both have grid.cells() values a plane.
-// Writes the owned cells of `smoothed` (planes as in colours, one behind the other) and copies the others. Returns the sum over owned cells of how
-// many samples each kernel held. Bit-identical for any number of threads and any instruction set. The poll counts cells of
-// the grid; throws Cancelled if it asks to stop.
+// Measures distances on `metric` colours and averages `colours`; both have grid.cells() values per plane. Writes the
+// owned cells of `smoothed` (contiguous planes, like colours) and copies the others. Returns the sum over owned cells
+// of the number of samples in each kernel. Bit-identical for any number of threads and any instruction set. The poll
+// counts cells of the grid; throws Cancelled if it asks to stop.
 std::int64_t smooth_by_sweeps(const Grid& grid, Planes metric, Planes colours, const SweepParameters& parameters,
                               const WindowProgram& program, float* smoothed, unsigned threads, const Poll& poll = {});
 
-// Distances from one owned cell, as smooth_by_sweeps takes them: (2 program.radius + 1)^2 values, row by row, infinite
-// beyond parameters.radius. The time step has no effect.
+// Distances from one owned cell, as in smooth_by_sweeps: (2 program.radius + 1)^2 values, row by row, infinite beyond
+// parameters.radius. The time step has no effect.
 void distances_by_sweeps(const Grid& grid, Planes metric, const SweepParameters& parameters, const WindowProgram& program,
                          std::size_t cell, float* distances);
 
-// As smooth_by_sweeps, by a heap march over the stencils from every owned cell; cells further than window_radius in rows or
-// columns are left out, which 0 turns off.
+// As smooth_by_sweeps, by fast marching over the stencils from every owned cell, without cells further than
+// window_radius in rows or columns; 0: no limit.
 std::int64_t smooth_by_marching(const Grid& grid, Planes metric, Planes colours, const SweepParameters& parameters,
                                 int window_radius, Scheme scheme, float* smoothed, unsigned threads,
                                 const Poll& poll = {});
 
-// As distances_by_sweeps, by the march that smooth_by_marching makes from the cell.
+// As distances_by_sweeps, by the march of smooth_by_marching.
 void distances_by_marching(const Grid& grid, Planes metric, const SweepParameters& parameters, int window_radius,
                            Scheme scheme, std::size_t cell, float* distances);
 

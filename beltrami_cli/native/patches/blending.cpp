@@ -9,12 +9,12 @@
 namespace beltrami::patches::BELTRAMI_VARIANT {
 namespace {
 
-// Samples whose values stay in the cache.
+// Number of samples whose values fit the cache.
 constexpr std::size_t run = 256;
 
 using Run = std::array<float, run>;
 
-// Standard deviations of noise from a limit beyond which the tables hold less than float32 adds to 1.
+// Distance to a limit in standard deviations, beyond which the tables are negligible in float32 relative to 1.
 constexpr float beyond_reach = 5.5F;
 
 // Some samples of one channel.
@@ -34,7 +34,7 @@ class Channel {
       for (std::size_t i = 0; i < count_; ++i) to[i] = from.at(channel_, first_ + i);
   }
 
-  // Imputed colours as they were.
+  // Imputed colours before imputation.
   void cut_off(Run& values) const {
     if (own_.low)
       for (std::size_t i = 0; i < count_; ++i) values[i] = std::max(values[i], 0.0F);
@@ -42,28 +42,28 @@ class Channel {
       for (std::size_t i = 0; i < count_; ++i) values[i] = std::min(values[i], 1.0F);
   }
 
-  // Replaces colours without noise by the mean of colours with noise that is cut off.
+  // Replaces colours without noise by the mean of noisy, clipped colours.
   void expect(Run& values) const {
     Run lost{};
     near_limits(values, noise_.tables.lost, [&](std::size_t i, float found, float sign) { lost[i] += sign * sigma_[i] * found; });
     for (std::size_t i = 0; i < count_; ++i) values[i] += lost[i];
   }
 
-  // The share of samples that are not cut off, by the colours without noise.
+  // The share of unclipped samples, given the colours without noise.
   void share_within(const Run& values, Run& within) const {
     within.fill(1);
     near_limits(values, noise_.tables.share, [&](std::size_t i, float found, float) { within[i] -= found; });
   }
 
-  // The same times the variance of each.
+  // The same, multiplied by the variance of each sample.
   void variance_within(const Run& values, Run& variances) const {
     share_within(values, variances);
     for (std::size_t i = 0; i < count_; ++i) variances[i] = own_.variance * (variances[i] * noise_.relative.at(0, first_ + i));
   }
 
  private:
-  // Calls f(sample, value of a table, sign) for each limit that noise was cut off at, unless all samples are beyond reach of
-  // it; the sign is 1 at 0 and -1 at full scale.
+  // Calls f(sample, value of a table, sign) for each limit at which noise is clipped, unless all samples are beyond its
+  // reach; the sign is 1 at 0 and -1 at full scale.
   template <class F>
   void near_limits(const Run& values, std::span<const float> table, F f) const {
     for (const bool is_high : {true, false}) {
@@ -78,7 +78,7 @@ class Channel {
     }
   }
 
-  // Interpolates a table linearly; beyond its ends it stays as it is there.
+  // Interpolates a table linearly; it is constant beyond its ends.
   float look_up(float limit, std::span<const float> table) const {
     const float furthest = noise_.tables.furthest, steps = static_cast<float>(table.size() - 1) / (2 * furthest);
     const float place = (std::clamp(limit, -furthest, furthest) + furthest) * steps;

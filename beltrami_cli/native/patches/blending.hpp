@@ -1,5 +1,5 @@
-// Sums over channels for Stein's unbiased estimate of the error of a blend of two estimates, which flow/patches.py explains,
-// where noise may have been cut off at 0 and at full scale.
+// Sums over channels for Stein's unbiased estimate of the error of a blend of two estimates, see flow/patches.py, for
+// noise that may be clipped at 0 and full scale.
 #pragma once
 
 #include <cstddef>
@@ -12,14 +12,14 @@ namespace beltrami::patches {
 
 using Values = Layout<const float>;
 
-// Of a normal variable z with a deviation of 1, for limits a from `-furthest` to `furthest` in even steps: E max(z - a, 0) and
+// Tables for a unit normal variable z, at limits a from `-furthest` to `furthest` in even steps: E max(z - a, 0) and
 // P(z > a).
 struct NormalTables {
   float furthest;
   std::span<const float> lost, share;
 };
 
-// The noise of a channel, and whether it was cut off at 0 and at 1.
+// The noise of a channel, and whether it is clipped at 0 and at 1.
 struct ChannelNoise {
   float variance;  // what the estimate of the error reckons with
   float sigma;     // before it was cut off
@@ -32,7 +32,7 @@ struct BlendNoise {
   Values relative;  // what the variance of a sample is multiplied by; one channel
 };
 
-// Two estimates, and the same after the perturbation of the noisy colours.
+// Two estimates, without and with perturbation of the noisy colours.
 struct Estimates {
   Values first, second, near_first, near_second;
 };
@@ -48,11 +48,11 @@ BELTRAMI_DECLARE_VARIANTS(
     void blend_terms(const Values& noisy, const Values& probe, const Estimates& estimates, const BlendNoise& noise,
                      const Range& samples, const Layout<float>& terms);
 
-    // Writes the noisy colours, cut off as they were, less what they are on average by an estimate.
+    // Writes the noisy colours, clipped as they are, minus their expectation given an estimate.
     void blend_residual(const Values& noisy, const Values& estimate, const BlendNoise& noise, const Range& samples,
                         const Layout<float>& residual);
 
-    // Writes the share of noisy colours that are not cut off, by an estimate of the colours without noise.
+    // Writes the share of unclipped noisy colours, given an estimate of the colours without noise.
     void blend_share_within(const Values& estimate, const BlendNoise& noise, const Range& samples, const Layout<float>& share))
 
 inline auto best_blend_terms() { return BELTRAMI_VARIANT_OF(blend_terms, choose_instruction_set()); }

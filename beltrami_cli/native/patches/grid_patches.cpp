@@ -7,7 +7,7 @@
 namespace beltrami::patches {
 namespace {
 
-// Rows of cells that are finished together.
+// Rows of cells finished at a time.
 constexpr std::size_t finished_rows = 64;
 
 bool any_owned(const Canvas& canvas, std::size_t row, std::size_t column) {
@@ -19,7 +19,7 @@ bool any_owned(const Canvas& canvas, std::size_t row, std::size_t column) {
   return false;
 }
 
-// The tiles with owned cells of each row of tiles: those in even columns, and those in odd ones.
+// The tiles with owned cells in each row of tiles: those in even columns, and those in odd ones.
 std::vector<std::array<std::vector<Tile>, 2>> rows_of_tiles(const Canvas& canvas) {
   std::vector<std::array<std::vector<Tile>, 2>> rows((canvas.rows + tile_side - 1) / tile_side);
   for (std::size_t row = 0; row < canvas.rows; row += tile_side)
@@ -30,16 +30,16 @@ std::vector<std::array<std::vector<Tile>, 2>> rows_of_tiles(const Canvas& canvas
   return rows;
 }
 
-// Tiles of one colour in a band, by threads: at most one in as many waits at its end.
+// Tiles of one colour in a band, per thread: at the end at most one tile's time in this many is spent waiting.
 constexpr std::size_t tiles_per_thread = 8;
 
-// How many rows of tiles are worked on together, an even number.
+// Number of rows of tiles processed together, an even number.
 std::size_t rows_at_once(const Canvas& canvas, unsigned threads) {
   const std::size_t of_colour = std::max<std::size_t>(1, canvas.columns / tile_side / 2);
   return 2 * ((tiles_per_thread * (threads - 1)) / of_colour + 1);
 }
 
-// Moves a band down to start at row `first`: rows that both hold keep their sums, new ones have none.
+// Moves a band down to start at row `first`: rows in both positions keep their sums, new ones are zero.
 void move_band(Band& band, const Canvas& canvas, std::size_t first, std::size_t end) {
   const std::size_t columns = canvas.columns, kept = (std::max(first, band.first + band.rows) - first) * columns;
   for (std::vector<float>* sums : {&band.estimates, &band.weights}) {
@@ -53,12 +53,12 @@ void move_band(Band& band, const Canvas& canvas, std::size_t first, std::size_t 
   band.rows = end - first;
 }
 
-// Cells whose values stay in the cache.
+// Number of cells whose values fit the cache.
 constexpr std::size_t finished_cells = 256;
 using Cells = std::array<float, finished_cells>;
 
-// Divides the sums of up to `finished_cells` cells by their weights, and mixes the channels back; cells without an estimate
-// get the pilot.
+// Divides the sums of up to `finished_cells` cells by their weights, and inverts the mixing of channels; cells without
+// an estimate get the pilot.
 void finish(const Canvas& canvas, const Band& band, std::size_t cell, std::size_t count, std::vector<Cells>& mixed,
             float* estimates) {
   const std::size_t own = cell - band.first * canvas.columns, stride = band.rows * canvas.columns, n = canvas.channels;
@@ -87,9 +87,9 @@ void collaborate(const Canvas& canvas, bool has_pilot, float* estimates, unsigne
   const auto counted = [&](std::size_t done) { return poll((before + done) * canvas.rows * canvas.columns / std::max<std::size_t>(1, total)); };
   std::vector<TileScratch> scratch(std::max(1U, threads));
   Band band{};
-  // The canvas is worked on from above. An odd row of tiles waits for the even ones above and below it, and tiles of one
-  // colour lie so far apart that no two add to the same cell: the order in which a cell's estimates are added depends
-  // neither on the band nor on the threads.
+  // The canvas is processed from above. An odd row of tiles waits for the even ones above and below, and tiles of one
+  // colour are so far apart that no two add to the same cell. So the order of additions in a cell depends neither on
+  // the band nor on the threads.
   std::size_t finished = 0;
   for (std::size_t row = 0, step = rows_at_once(canvas, threads); row < rows.size(); row += step) {
     const bool is_last = row + step >= rows.size();

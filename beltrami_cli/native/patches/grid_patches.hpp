@@ -1,7 +1,7 @@
 // Collaborative patches on a grid, see groups.hpp: squares of cells, and the most similar ones in a window around.
 //
-// Only how patches look decides, not where they lie: the window goes over the borders of charts. Patches reach over seams
-// by the halo. Cells that are empty are in no patch.
+// Patches are compared by their colours, not by position: the window crosses borders of charts. Patches extend over
+// seams by the halo. Empty cells are in no patch.
 #pragma once
 
 #include <cstddef>
@@ -15,21 +15,21 @@
 
 namespace beltrami::patches {
 
-// How far a patch reaches from its centre, and the distance between the centres that start groups.
+// Reach of a patch from its centre, and distance between the centres that start groups.
 constexpr int patch_reach = 3, spacing = 7;
 
-// The window of candidates: rows above and below, columns to the left, and columns in all. Without a pilot few are needed,
-// and those nearby serve better.
+// The window of candidates: rows above and below, columns to the left, and total columns. Without a pilot few
+// candidates are needed, and nearby ones are better.
 constexpr int rows_beside = 12, rows_beside_few = 7, columns_before = 16, candidate_columns = 32;
 
-// Cells a side of the tiles of work.
+// Side of the tiles of work in cells.
 constexpr int tile_side = 63;
 
 // The surroundings of a tile: candidates, and their patches.
 constexpr int margin = columns_before + patch_reach;
 static_assert(tile_side >= 2 * margin && tile_side % spacing == 0);
 
-// No group starts where all cells of a patch have this many estimates from groups before it.
+// No group starts where all cells of a patch have this many estimates already.
 constexpr std::uint16_t enough_estimates = 4;
 
 // Colours in planes.
@@ -60,8 +60,8 @@ struct Band {
 BELTRAMI_DECLARE_VARIANTS(void add_tile(const Canvas& canvas, const Tile& tile, bool has_pilot, Band& band,
                                         TileScratch& scratch))
 
-// Writes estimates of the owned cells to `channels` planes; other cells get the pilot, whose planes the estimates may
-// replace. Throws Cancelled if poll returned false.
+// Writes estimates of the owned cells to `channels` planes; other cells get the pilot, whose planes may be those of the
+// estimates. Throws Cancelled if poll returned false.
 void collaborate(const Canvas& canvas, bool has_pilot, float* estimates, unsigned threads, const Poll& poll = {});
 
 }  // namespace beltrami::patches

@@ -14,17 +14,17 @@ using namespace beltrami::lanes::BELTRAMI_VARIANT;
 // Without a pilot, a share of D is added to Y^T Y: patches may be equal, as where noise was cut off.
 constexpr float least_share = 0.05F;
 
-// The least regularisation, as a share of the trace, with which float32 can solve the system.
+// Minimum regularisation, as a share of the trace, for solving the system in float32.
 constexpr float least_of_trace = 1e-6F;
 
-// Patches whose noise the detail of a group must exceed to count more than `shrinkage`; and the detail of a patch in the
-// pilot, in units of what D was made, below which there is none.
+// Number of patches whose noise the detail of a group must exceed to count more than `shrinkage`; and the detail of a
+// patch in the pilot, relative to the scaled D, below which there is none.
 constexpr float trusted_patches = 10, least_detail = 0.02F;
 
-// A bound on weights.
+// Upper bound of weights.
 constexpr float least_norm = 1e-6F;
 
-// Rows that are multiplied together, and registers of columns: as many sums as registers hold.
+// Rows multiplied together, and registers of columns: as many sums as there are registers.
 constexpr std::size_t block = 4;  // the side of `transpose_square`
 constexpr std::size_t most_packs = lane_count == 16 ? 4 : 2;
 
@@ -88,7 +88,7 @@ class Estimate {
     return true;
   }
 
-  // Draws the mean of the noisy patches to its own mean; `noise` is the energy of the noise in it.
+  // Shrinks the mean of the noisy patches towards its own mean; `noise` is the energy of its noise.
   void shrink_mean(float noise) {
     const auto count = static_cast<float>(group_.count);
     float level = 0, squares = 0;
@@ -126,7 +126,7 @@ class Estimate {
     return std::max(totals[0], 0.0F);
   }
 
-  // Makes rows of values whose columns are the patches: one for each place in the rows of patches.
+  // Transposes the patches: one row for each position in a patch.
   void transpose(const float* patches) {
     float* values = group_.values.data();
     const std::size_t places = (group_.used[group_.count - 1] + block) / block * block;
@@ -160,14 +160,14 @@ class Estimate {
         transpose_square(theta + i * size + j, size, theta + j * size + i, size);
   }
 
-  // Calls f with each pack as a constant.
+  // Calls f with each pack index as a compile-time constant.
   template <std::size_t first, class F>
   static void for_packs(F f) {
     f.template operator()<first>();
     if constexpr (first + 1 < packs) for_packs<first + 1>(f);
   }
 
-  // Inverts theta, positive definite, by Gauss and Jordan in place, `block` pivots at a time.
+  // Inverts theta, positive definite, in place by Gauss-Jordan elimination, `block` pivots at a time.
   void invert() {
     float* theta = group_.theta.data();
     alignas(64) std::array<float, size> others;  // 1 but in the columns of the pivots
@@ -198,12 +198,12 @@ class Estimate {
     }
   }
 
-  // The same for the rows of the pivots alone: multiplied by the inverse of their own square, which takes its place.
+  // The same for the rows of the pivots alone: multiplied by the inverse of their own square, which replaces it.
   void invert_rows(std::size_t first) {
     float* rows = group_.theta.data() + first * size;
     for (std::size_t j = 0; j < block; ++j) {
       float* pivot = rows + j * size;
-      // A pivot is at least what was added to the diagonal, but for rounding.
+      // A pivot is at least what was added to the diagonal, up to rounding.
       const float inverse = 1 / std::max(pivot[first + j], added_[first + j]);
       std::array<float, block> factors;
       for (std::size_t i = 0; i < block; ++i) {

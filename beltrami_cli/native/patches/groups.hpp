@@ -34,13 +34,14 @@
 
 namespace beltrami::patches {
 
-// Patches in a group: without a pilot, and with one, on surfaces and on grids.
+// Number of patches in a group: without a pilot, and with one, on surfaces and on grids.
 constexpr std::size_t few = 16, medium = 32, many = 48;
 
-// Values in the rows that hold the patches of surfaces and of grids, padding included.
+// Values per row of the patches of surfaces and of grids, including padding.
 constexpr std::size_t short_row = 32, long_row = 64;
 
-// How channels are mixed: `forth`, channels * channels factors, makes the ones to estimate one by one; `back` undoes it.
+// Mixing of channels: `forth`, channels * channels factors, gives the channels that are estimated separately; `back` is
+// its inverse.
 struct Mixing {
   const float *forth, *back;
   const float *variances, *shrinkage;  // of each mixed channel: the variance of its noise, and see above
@@ -54,13 +55,13 @@ struct Colours {
   const float* relative;  // what a sample's variance is multiplied by; nullptr: 1
 };
 
-// Sums of estimates and of their weights, laid out like the colours.
+// Sums of weighted estimates and of their weights, laid out like the colours.
 struct Sums {
   float *estimates, *weights;
 };
 
-// One channel of a group, and memory to work with. Patches are rows of `length` values, as differences from one colour, so
-// that sums lose few digits.
+// One channel of a group, and scratch memory. Patches are rows of `length` values, as differences from one colour, to
+// keep the precision of sums.
 struct alignas(64) Group {
   std::size_t size, length;  // `few` to `many`, `short_row` or `long_row`
   std::size_t found;         // patches, at most `size`
@@ -78,8 +79,8 @@ struct alignas(64) Group {
   alignas(64) std::array<float, many * many> theta;
 };
 
-// Estimates the patches of a group from its noisy ones, by the pilot if there is one. All `size` rows are written, of which
-// those from `found` on mean nothing, nor do their weights.
+// Estimates the patches of a group from its noisy ones, by the pilot if there is one. All `size` rows are written;
+// those from `found` on, and their weights, are undefined.
 using EstimateGroup = void (*)(Group& group, bool has_pilot);
 
 BELTRAMI_DECLARE_VARIANTS(void estimate_group(Group& group, bool has_pilot))

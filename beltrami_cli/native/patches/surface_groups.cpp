@@ -9,7 +9,7 @@
 namespace beltrami::patches {
 namespace {
 
-// Parts between whose ends sums are added.
+// Number of parts whose sums are added at a time.
 constexpr std::size_t parts_in_wave = 32;
 
 // As in grids, see tile_patches.cpp.
@@ -22,10 +22,10 @@ struct Variant {
   AddRows add_rows;
 };
 
-// Values in a row of a patch, as many as are compared at a time, or several times that.
+// Values per row of a patch, a multiple of those compared at a time.
 std::size_t row_length(std::size_t channels) { return (channels * nodes + 15) / 16 * 16; }
 
-// What the groups of a part add to: vertices under numbers of their own, so that little memory is touched at a time.
+// Sums of a part's groups, with vertices renumbered so that little memory is accessed at a time.
 struct PartSums {
   std::vector<std::int32_t> members;
   std::vector<std::array<float, 2>> sums;  // of estimates and of their weights, a row of channels a member
@@ -44,7 +44,7 @@ struct PartSums {
 
 }  // namespace
 
-// Handles one part after the other; one for each thread.
+// Processes one part after another; one object per thread.
 class SurfacePatches::Worker {
  public:
   void run(const SurfacePatches& surface, const Colours& colours, bool has_pilot, const Part& part, const Variant& variant,
@@ -108,11 +108,11 @@ class SurfacePatches::Worker {
     }
   }
 
-  // Makes rows of patches; nodes without a vertex are far from all colours.
+  // Writes rows of patches; nodes without a vertex are far from all colours.
   void describe(const Colours& colours, std::size_t count) {
     const std::size_t n = colours.channels;
     length_ = row_length(n);
-    // Of the last channel `short_row` values are read, too.
+    // Of the last channel `short_row` values are read too.
     for (auto* rows : {&noisy_rows_, &pilot_rows_, &sum_rows_}) rows->assign(count * length_ + short_row, 0);
     weights_.assign(count * n, 0);
     is_chosen_.assign(count, false);
@@ -130,7 +130,7 @@ class SurfacePatches::Worker {
     }
   }
 
-  // Finds the candidates that have all nodes of the first and are most like it in the pilot.
+  // Finds the candidates most similar to the first in the pilot, with vertices at all of its nodes.
   void choose(std::span<const std::int32_t> candidates, std::size_t size, std::size_t channels, const Variant& variant) {
     const Numbers& own = patches_[static_cast<std::size_t>(candidates[0])];
     compared_.assign(length_, 0);
@@ -145,7 +145,7 @@ class SurfacePatches::Worker {
     distances_.resize(candidates.size());
     variant.compare_rows(pilot_rows_.data(), length_, compared_.data(), candidates, distances_.data());
     keys_.clear();
-    // Positive floats are ordered as their bits are.
+    // Positive floats order like their bits.
     for (std::size_t k = 1; k < candidates.size(); ++k)
       if (distances_[k] < too_far) keys_.push_back(std::uint64_t{std::bit_cast<std::uint32_t>(distances_[k])} << 32 | k);
     const std::size_t others = std::min(size - 1, keys_.size());
@@ -192,7 +192,7 @@ class SurfacePatches::Worker {
     return total;
   }
 
-  // Of whole patches weights are added once, not at each node.
+  // Weights of whole patches are added once, not at each node.
   void add_weight(std::size_t k, std::size_t channel, std::size_t channels, PartSums& to) {
     const std::size_t patch = chosen_[k];
     if (group_.count == nodes) {
@@ -223,7 +223,7 @@ class SurfacePatches::Worker {
   std::vector<std::int32_t> number_;
   std::vector<Numbers> patches_;           // of the candidates of a part
   std::vector<float> noisy_, pilot_, relative_;  // of members
-  // Of candidates: values and sums of estimates at all nodes, and sums of weights.
+  // For candidates: values and sums of estimates at all nodes, and sums of weights.
   std::vector<float> noisy_rows_, pilot_rows_, sum_rows_, weights_;
   std::vector<bool> is_chosen_;
   std::size_t length_ = 0;

@@ -10,23 +10,23 @@
 namespace beltrami::patches {
 namespace {
 
-// Vertices around one that its lattice is looked for in, more if nodes are left without one, and that its patches are
-// compared with, without a pilot and with one. More for the first estimate make no difference to the second.
+// Number of vertices among which a lattice is searched, more if nodes remain without one, and with whose patches a
+// patch is compared, without and with a pilot. More in the first estimate make no difference to the second.
 constexpr std::array<std::size_t, 2> enough_for_lattice{36, 50};
 constexpr std::size_t few_candidates = 85, enough_candidates = 200;
 
-// In units of the lattice: how far from its node a vertex may be, and how far off the tangent plane.
+// Maximum distance of a vertex from its node, and from the tangent plane, in units of the lattice.
 constexpr double furthest = 0.8, highest = 2.0;
 
-// Squared distances from nodes that differ by less are equal.
+// Tolerance within which squared distances from nodes are equal.
 constexpr double tie = 1e-6;
 
-// Vertices that are handled together.
+// Vertices processed together.
 constexpr std::size_t chunk = 1024;
 
 using points::dot;
 
-// The axis that the rows of a lattice follow: the first, unless it is nearly normal to the surface.
+// The axis of the rows of a lattice: the first, unless it is nearly normal to the surface.
 std::size_t leading_axis(const points::TangentPlane& plane, const std::array<Position, 2>& axes) {
   const double along = dot(axes[0], plane.normal);
   return along * along < 0.8 * dot(axes[0], axes[0]) ? 0 : 1;
@@ -42,13 +42,13 @@ Position direction_in(const points::TangentPlane& plane, const Position& axis) {
   return direction;
 }
 
-// The number of a node, by its place from the middle.
+// The number of a node, given its offset from the middle.
 std::size_t node_at(int row, int column) {
   return static_cast<std::size_t>((row + lattice_reach) * (2 * lattice_reach + 1) + column + lattice_reach);
 }
 
-// The rows or columns of nodes that are near enough to a place outside the lattice. Positive numbers are rounded down by
-// conversion, and calls of floor and ceil would take longer than all else.
+// The rows or columns of nodes near a position. Conversion rounds positive numbers down; calls of floor and ceil would
+// dominate the time.
 constexpr int far_beside = 8;
 int first_near(double place) {
   return std::max(-lattice_reach, far_beside - static_cast<int>(far_beside + furthest - place));
@@ -76,7 +76,7 @@ Nodes lattice_of(std::int32_t vertex, std::span<const std::int32_t> around, std:
   const points::TangentPlane plane = points::fit_tangent_plane(offsets, reach * reach);
   const std::size_t leading = leading_axis(plane, axes);
   const Position right = direction_in(plane, axes[leading]), up = cross(plane.normal, right);
-  // The sign of a fitted normal means nothing; up is on the side of the other axis.
+  // The sign of a fitted normal is arbitrary; up is the side of the other axis.
   const double across = 1 / step, upwards = std::copysign(across, dot(up, axes[1 - leading]));
   const auto priority_of = [&](std::int32_t other) { return priorities[static_cast<std::size_t>(other)]; };
   std::array<double, nodes> nearest;
@@ -92,7 +92,7 @@ Nodes lattice_of(std::int32_t vertex, std::span<const std::int32_t> around, std:
         const double distance = (x - column) * (x - column) + (y - row) * (y - row);
         const std::size_t node = node_at(row, column);
         const double gain = nearest[node] - distance;
-        // Of two at one distance, the choice must not depend on rounding.
+        // Between two at one distance, the choice must not depend on rounding.
         const bool earlier =
             found[node] >= 0 && std::abs(gain) <= tie && priority_of(around[k + 1]) < priority_of(found[node]);
         if (gain > (found[node] < 0 ? 0 : tie) || earlier) {
@@ -106,10 +106,10 @@ Nodes lattice_of(std::int32_t vertex, std::span<const std::int32_t> around, std:
 
 }  // namespace
 
-// The vertices around one, ring by ring along edges.
+// The vertices around a vertex, ring by ring along edges.
 class SurfacePatches::VertexRings {
  public:
-  // Finds the vertices around one, itself first: whole rings, until there are `enough`.
+  // Finds the vertices around a vertex, itself first: whole rings, until there are `enough`.
   std::span<const std::int32_t> around(std::int32_t vertex, std::size_t enough, std::span<const std::size_t> first,
                                        std::span<const std::int32_t> neighbours) {
     seen_.resize(first.size() - 1, 0);
@@ -134,7 +134,7 @@ class SurfacePatches::VertexRings {
     return std::span(found_).first(count);
   }
 
-  // How many of these the first whole rings hold that have `enough`: within a ring, order means nothing.
+  // Number of vertices in the first whole rings with `enough`: the order within a ring is arbitrary.
   std::size_t whole_rings(std::size_t enough) const {
     const auto end = std::find_if(ends_.begin(), ends_.end(), [&](std::size_t own) { return own >= enough; });
     return end != ends_.end() ? *end : ends_.empty() ? 1 : ends_.back();
@@ -194,8 +194,8 @@ void SurfacePatches::find_patches(std::span<const Position> positions, const std
   parallel_chunks(patches_.size(), chunk, static_cast<unsigned>(rings.size()), find, poll);
 }
 
-// A vertex starts a group unless it is in the patch of one that does, other than at a corner. Isolated ones keep their
-// colours.
+// A vertex starts a group unless it is in the patch of another start, other than at a corner. Isolated vertices keep
+// their colours.
 std::vector<std::int32_t> SurfacePatches::choose_starts(std::span<const std::uint64_t> priorities) const {
   std::vector<std::int32_t> starts;
   std::vector<std::int32_t> order(patches_.size());
@@ -215,7 +215,7 @@ std::vector<std::int32_t> SurfacePatches::choose_starts(std::span<const std::uin
         if (neighbour >= 0) covered[static_cast<std::size_t>(neighbour)] = true;
       }
   }
-  // Neighbours together, which share most of their candidates.
+  // Neighbours are processed together, since they share most candidates.
   std::sort(starts.begin(), starts.end());
   return starts;
 }

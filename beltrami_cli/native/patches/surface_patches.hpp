@@ -1,9 +1,9 @@
 // Collaborative patches on a triangulated surface, see groups.hpp.
 //
-// A patch holds the vertices nearest to the nodes of a small square lattice in the tangent plane of a vertex, one mean
-// edge length apart; nothing is interpolated. The lattice is turned towards a direction in space that is the same for all.
-// Its vertices are found along edges, so that the other side of a thin sheet is no neighbour. Where the surface ends,
-// nodes have no vertex.
+// A patch consists of the vertices nearest to the nodes of a small square lattice in the tangent plane of a vertex,
+// with a spacing of one mean edge length; nothing is interpolated. The lattice is rotated towards a direction in space
+// that is the same for all. Its vertices are found along edges, so that the other side of a thin sheet is excluded.
+// Nodes beyond the border of the surface have no vertex.
 #pragma once
 
 #include <array>
@@ -20,7 +20,7 @@ namespace beltrami::patches {
 constexpr int lattice_reach = 2;
 constexpr std::size_t nodes = (2 * lattice_reach + 1) * (2 * lattice_reach + 1);
 
-// Vertices of a block. About two hundred of them start groups, and the sums of a block are added to the total at once.
+// Vertices per block. About two hundred of them start groups, and the sums of a block are added to the total at once.
 constexpr std::size_t block_size = 4096;
 
 using Position = std::array<double, 3>;
@@ -28,17 +28,16 @@ using Nodes = std::array<std::int32_t, nodes>;  // vertices, -1 where there is n
 
 class SurfacePatches {
  public:
-  // axes: directions to which the lattices are turned; the second where the first is normal to the surface.
-  // priorities: of vertices as starts of groups, the least first, so that the order of vertices makes no difference.
-  // blocks: numbers, ascending but for -1, of the blocks of vertices whose groups are summed one after another; -1: groups
-  // that start at the vertex are left out. nullptr: of blocks of `block_size` vertices.
-  // Throws Cancelled if poll returned false.
+  // axes: directions to which lattices are rotated; the second where the first is normal to the surface. priorities: of
+  // vertices as starts of groups, the least first, so that the order of vertices does not matter. blocks: numbers,
+  // ascending except -1, of the blocks of vertices whose groups are summed one after another; -1: groups that start at
+  // the vertex are omitted. nullptr: blocks of `block_size` vertices. Throws Cancelled if poll returned false.
   SurfacePatches(std::span<const Position> positions, std::span<const std::array<std::int32_t, 2>> edges,
                  const std::array<Position, 2>& axes, std::span<const std::uint64_t> priorities, unsigned threads,
                  const std::int32_t* blocks = nullptr, const Poll& poll = {});
 
-  // The colours are a row a vertex. Adds the weighted estimates of mixed channels and their weights to `sums`, which have a
-  // row of `channels` a vertex. Throws Cancelled if poll returned false.
+  // Colours have one row per vertex. Adds the weighted estimates of mixed channels and their weights to `sums`, with
+  // `channels` columns and one row per vertex. Throws Cancelled if poll returned false.
   void collaborate(const Colours& colours, bool has_pilot, const Sums& sums, unsigned threads, const Poll& poll = {}) const;
 
   std::size_t size() const { return patches_.size(); }
@@ -47,7 +46,7 @@ class SurfacePatches {
   class VertexRings;
   class Worker;
 
-  // The starts of a block, and the vertices whose patches theirs are compared with.
+  // The starts of a block, and the vertices with whose patches theirs are compared.
   struct Part {
     std::vector<std::int32_t> vertices;
     std::vector<std::int32_t> candidates;  // of all starts, places in `vertices`; of each, itself first

@@ -19,10 +19,10 @@ constexpr Index candidates = (2 * rows_beside + 1) * candidate_columns;
 constexpr int patch_side = 2 * patch_reach + 1, patch_cells = patch_side * patch_side;
 static_assert(candidates <= 1024 && candidate_columns % lane_count == 0);
 
-// Empty cells are this far from all colours, so that no candidate has one where the first patch has none.
+// Value of empty cells, far from all colours, so that no candidate has an empty cell where the first patch has none.
 constexpr float far_away = 1e9F, too_far = 1e17F, least_distance = 1e-30F;
 
-// The cells of a tile and around it, with mixed channels.
+// The cells of a tile and its surroundings, with mixed channels.
 class TilePlanes {
  public:
   TilePlanes(const Canvas& canvas, const Tile& tile, TileScratch& scratch) : canvas_(canvas), tile_(tile), own_(scratch) {
@@ -101,7 +101,7 @@ class TilePlanes {
   TileScratch& own_;
 };
 
-// The cells of the patch at a centre that are there; patches have rows of `row_length` cells, the last of them padding.
+// The existing cells of the patch at a centre; patches have rows of `row_length` cells, the last of them padding.
 constexpr Index row_length = 8;
 static_assert(patch_side * row_length <= Index{long_row} && patch_side <= row_length);
 
@@ -127,13 +127,12 @@ struct Shape {
   }
 };
 
-// Candidates: their squared differences are summed for some rows of the window at a time. The first channel is compared on all
-// cells, so that candidates have all that the patch has; of the others every second is enough, as neighbours are similar.
+// Rows of the window whose squared differences are summed at a time. The first channel is compared on all cells, so
+// that candidates have all cells of the patch; of the others every second cell suffices, since neighbours are similar.
 constexpr Index rows_at_once = 5;
 static_assert((2 * rows_beside + 1) % rows_at_once == 0 && (2 * rows_beside_few + 1) % rows_at_once == 0);
 
-// Sums of squared differences of the pilot between the patch at `centre` and those of all candidates; beyond the window they
-// are far away.
+// Sums of squared differences of the pilot between the patch at `centre` and all candidates; large beyond the window.
 void compare(const float* pilot, std::size_t channels, const Shape& shape, Index centre, bool has_pilot, float* distances) {
   const Index rows = has_pilot ? rows_beside : rows_beside_few;
   if (!has_pilot) std::fill_n(distances, candidates, 2 * too_far);
@@ -169,7 +168,7 @@ float mean_of(const float* plane, const Shape& shape, Index centre) {
 // Patches of the pilot that differ by less than this, in units of the noise, count as equal.
 constexpr float least_difference = 0.08F;
 
-// The energy of the noise in the differences that are summed, of the patch at `centre`.
+// The energy of the noise in the summed differences of the patch at `centre`.
 float noise_of(const Colours& colours, const Shape& shape, Index centre) {
   float energy = 0;
   for (std::size_t channel = 0; channel < colours.channels; ++channel)
@@ -177,7 +176,7 @@ float noise_of(const Colours& colours, const Shape& shape, Index centre) {
   return colours.relative == nullptr ? energy : energy * mean_of(colours.relative, shape, centre);
 }
 
-// How many candidates have a key, the bits of a positive float, below a bound.
+// Number of candidates whose key, the bits of a positive float, is below a bound.
 std::size_t count_below(const float* keys, std::uint32_t bound) {
   Lanes counts{};
   for (std::size_t first = 0; first < candidates; first += lane_count)
@@ -187,20 +186,21 @@ std::size_t count_below(const float* keys, std::uint32_t bound) {
   return static_cast<std::size_t>(std::accumulate(each.begin(), each.end(), 0.0F));
 }
 
-// Chooses the nearest candidates, always the patch itself, in their order in the window; returns how many there are.
-// Candidates nearer than `near` are alike, and are taken as if at random, all over the window: by the pilot's noise those
-// would be chosen that share it. Keys hold a distance, and in their last bits the number of a candidate, shuffled.
+// Chooses the nearest candidates, in their order in the window, always including the patch itself; returns their
+// number. Candidates nearer than `near` are equivalent, and are chosen pseudo-randomly all over the window: a choice by
+// the noise of the pilot would prefer those that share it. Keys consist of a distance and, in the last bits, the
+// shuffled number of a candidate.
 std::size_t choose(std::vector<float>& distances, std::vector<std::uint32_t>& chosen, std::size_t size, float near) {
   constexpr std::uint32_t low = 1023, shuffling = 599;
   constexpr std::uint32_t itself = rows_beside * candidate_columns + columns_before;
-  // Keys are normal numbers, which are ordered as their bits are whatever the processor does with subnormal ones.
+  // Keys are normal numbers, which order like their bits on any processor, unlike subnormal ones.
   near = std::max(near, least_distance);
   for (std::uint32_t i = 0; i < candidates; ++i) {
     const auto bits = std::bit_cast<std::uint32_t>(std::max(distances[i], near));
     distances[i] = std::bit_cast<float>((bits & ~low) | ((i - itself) * shuffling & low));
   }
   distances[itself] = 0;
-  // The least bound that `size` keys are below, or that of all that are near enough: keys differ.
+  // The least bound above `size` keys, or that of all candidates that are near enough: keys are distinct.
   std::uint32_t least = 0, bound = std::bit_cast<std::uint32_t>(too_far);
   for (std::size_t below = count_below(distances.data(), bound); below > size;) {
     const std::uint32_t middle = least + (bound - least) / 2;
@@ -232,7 +232,7 @@ inline void add_to_row(const Row& values, float* to) {
   write_row(sums + values, to);
 }
 
-// Reads the patches whose centres are at `places`: their differences from `mean`, or 0 for cells that are not there.
+// Reads the patches with centres at `places`: their differences from `mean`, or 0 for missing cells.
 void read_patches(const float* plane, const Shape& shape, const std::int32_t* places, std::size_t found, float mean,
                   float* patches) {
   for (std::size_t k = 0; k < found; ++k) {
@@ -277,7 +277,7 @@ bool has_enough(Index centre, const std::uint16_t* counts) {
   return least == enough_estimates;
 }
 
-// Estimates the patches that look like the one at `centre`, unless its cells have been estimated with others.
+// Estimates the patches similar to the one at `centre`, unless its cells have enough estimates.
 void add_one(const Colours& colours, Index centre, bool has_pilot, const Sums& sums, TileScratch& scratch) {
   if (has_enough(centre, scratch.counts.data())) return;
   const Shape shape(scratch.kind.data(), centre);
@@ -314,7 +314,7 @@ void add_one(const Colours& colours, Index centre, bool has_pilot, const Sums& s
   }
 }
 
-// Calls f(cell) for the centres of a block of cells: its own, and others until each owned cell is in a patch.
+// Calls f(cell) for the centre of a block of cells, and for further cells until each owned cell is in a patch.
 template <class F>
 void each_centre(const std::uint8_t* kind, Index first, F f) {
   std::array<Index, spacing * spacing> ys, xs;

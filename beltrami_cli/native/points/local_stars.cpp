@@ -15,21 +15,21 @@
 namespace beltrami::points {
 namespace {
 
-// Points this near to a circle, relative to their distance, count as on it: grids that are rotated and stored in
-// single precision are still grids.
+// Relative distance within which points count as on a circle: grids that are rotated and stored in single precision
+// remain grids.
 constexpr double on_circle = 3e-5;
 
-// Tangent of the angle below which two directions are the same but for rounding.
+// Tangent of the angle below which two directions are equal up to rounding.
 constexpr double one_direction = 1e-12;
 
-// Grows with the angle from -x over -y, x, y; only its order matters.
+// Increases with the angle from -x over -y, x, y; only its order matters.
 double pseudo_angle(const Spoke& spoke) {
   const double slope = spoke.x / (std::abs(spoke.x) + std::abs(spoke.y));
   return spoke.y < 0 ? slope - 1 : 1 - slope;
 }
 
-// Whether b, which lies between a and c anticlockwise, is beyond the circle through the origin, a and c. Where a and c
-// are half a turn apart or more, there is no such circle.
+// Whether b, between a and c anticlockwise, is outside the circle through the origin, a and c, which exists only if a
+// and c are less than half a turn apart.
 bool is_hidden(const Spoke& a, const Spoke& b, const Spoke& c) {
   const double whole = cross(a, c);
   if (whole <= 0) return false;
@@ -42,7 +42,7 @@ bool have_one_direction(const Spoke& a, const Spoke& b) {
   return along > 0 && std::abs(cross(a, b)) <= one_direction * along;
 }
 
-// The spokes anticlockwise from the first, which is the shortest; of those in one direction only the shortest.
+// The spokes anticlockwise from the first, which is the shortest; only the shortest of each direction.
 std::vector<Spoke> distinct_directions(const std::vector<Spoke>& spokes) {
   struct Keyed {
     double angle;
@@ -80,7 +80,7 @@ void keep_delaunay_star(std::vector<Spoke>& spokes) {
   if (spokes.size() < 2) return;
   const std::vector<Spoke> around = distinct_directions(spokes);
   spokes.clear();
-  // The scan starts and ends at the shortest spoke, which belongs to the star for certain.
+  // The scan starts and ends at the shortest spoke, which is always part of the star.
   for (std::size_t i = 0; i <= around.size(); ++i) {
     const Spoke& next = around[i % around.size()];
     while (spokes.size() >= 2 && is_hidden(spokes[spokes.size() - 2], spokes.back(), next)) spokes.pop_back();
@@ -94,40 +94,40 @@ namespace {
 constexpr std::size_t chunk = 1024;
 constexpr double infinity = std::numeric_limits<double>::infinity();
 
-// Neighbours that the tangent plane is fitted to: few, so that a second sheet nearby is not among them, or many, so
-// that noise is averaged. Whichever are the flatter are taken.
+// Numbers of neighbours to which the tangent plane is fitted: few, to exclude a second sheet nearby, or many, to
+// average noise. The flatter fit is used.
 constexpr std::size_t few = 8, many = 22;
 
-// Few points look flatter than they are: their flatness is multiplied by 1 + this / their number.
+// Bias correction: flatness is multiplied by 1 + this / number of points, since few points look too flat.
 constexpr double doubt = 8;
 
-// Points whose second spread is a smaller part of the first lie in a line, which many planes contain.
+// Ratio of the second to the first spread below which points are collinear, so that many planes contain them.
 constexpr double in_line = 0.02;
 
-// Neighbours count if the way to them makes at most this sine with the tangent plane (53 degrees: on the edge of a box
-// the plane is tilted by 45), and if they are at most `highest` spacings above or below it.
+// Maximum sine of the angle of a neighbour to the tangent plane (53 degrees: on the edge of a box the plane is tilted
+// by 45), and maximum height in spacings.
 constexpr double steepest = 0.8;
 constexpr double highest = 1;
 
-// The spacing is at least this part of the distance of the `many`-th neighbour, or else a few points that nearly
-// coincide would have so small a spacing that they lose the others. Of points spread evenly it is 0.38 of that.
+// Minimum spacing relative to the distance of the `many`-th neighbour; else a few points that nearly coincide would
+// have so small a spacing that they lose the others. For evenly spread points the ratio is 0.38.
 constexpr double least_spacing = 0.25;
 
-// The `many`-th neighbour counts at most as so many times as far as the `few`-th: on a line, where points are spread the most
-// unevenly, it is 11 / 4 times as far. Beyond that, a cloud of fewer points ends, and another begins.
+// Maximum ratio of the distance of the `many`-th neighbour to that of the `few`-th: on a line, the most uneven case, it
+// is 11 / 4. Beyond that, a cloud of fewer points ends, and another begins.
 constexpr double most_uneven = 3;
 
 struct Neighbour {
   Vector offset;
   double squared;
   Index point;
-  // Not by the point's number, so that the order of the points makes no difference.
+  // Not by the number of the point, so that the result does not depend on the order of points.
   bool operator<(const Neighbour& other) const {
     return squared != other.squared ? squared < other.squared : offset < other.offset;
   }
 };
 
-// The star of one point at a time; keeps its memory from one to the next.
+// Finds the star of one point at a time; keeps its memory for the next.
 class Finder {
  public:
   explicit Finder(const double* positions) : positions_(positions) {}
@@ -138,7 +138,7 @@ class Finder {
     settled_ = complete;
     gather(point, others, complete);
     if (around_.size() < 2 || !find_plane()) return;
-    // How high a neighbour may be depends on the spacing, and the spacing on who is a neighbour.
+    // The maximum height of a neighbour depends on the spacing, and the spacing on the neighbours.
     lay_out(infinity);
     spacing_ = measure_spacing();
     lay_out(highest * spacing_);
@@ -153,7 +153,7 @@ class Finder {
   bool settled() const { return settled_; }
 
  private:
-  // Leaves out the farthest neighbours: others at the same distance may be missing.
+  // Removes the farthest neighbours, since others at the same distance may be missing.
   void gather(Index point, std::span<const Index> others, bool complete) {
     around_.clear();
     const double* here = positions_ + 3 * static_cast<std::size_t>(point);
@@ -171,7 +171,7 @@ class Finder {
     while (!around_.empty() && around_.back().squared == squared_reach_) around_.pop_back();
   }
 
-  // Square of the distance at which there are `wanted` neighbours nearer, or of the farthest distance known.
+  // Squared distance within which there are `wanted` neighbours, or of the farthest known neighbour.
   double squared_distance_beyond(std::size_t wanted) const {
     if (wanted < around_.size()) return around_[wanted].squared;
     return squared_reach_ < infinity ? squared_reach_ : 2 * around_.back().squared;
@@ -199,8 +199,7 @@ class Finder {
     return flattest < infinity;
   }
 
-  // Finds the star of the neighbours in the tangent plane, each at its distance in space, as if the surface were
-  // unrolled.
+  // Finds the star in the tangent plane, with each neighbour at its distance in space, as if the surface were unrolled.
   void lay_out(double height_limit) {
     star_.clear();
     for (const Neighbour& neighbour : around_) {
@@ -213,9 +212,9 @@ class Finder {
     keep_delaunay_star(star_);
   }
 
-  // The side of a square in the circle around a triangle of the star, which for points on a square grid is their
-  // spacing. Not the length of spokes, as many are short if points are in dense lines; and of the triangles the
-  // one at the lower fourth, since at the rim of a hole half of them may be across.
+  // The side of a square in the circumcircle of a triangle of the star, which on a square grid is the spacing. Lengths
+  // of spokes are unsuitable, since many are short if points are in dense lines. The lower quartile of triangles is
+  // used, since at the rim of a hole half of them may span it.
   double measure_spacing() {
     squared_radii_.clear();
     for (std::size_t i = 0; i < star_.size(); ++i) squared_radii_.push_back(squared_radius_beside(i));
@@ -227,7 +226,7 @@ class Finder {
     return std::isfinite(*fourth) ? std::max(std::sqrt(2 * *fourth), least) : least;
   }
 
-  // Of the triangle between a spoke and the next; infinite if they are half a turn apart or more.
+  // Squared circumradius of the triangle between a spoke and the next; infinite if they are half a turn apart or more.
   double squared_radius_beside(std::size_t spoke) const {
     const Spoke &a = star_[spoke], &b = star_[(spoke + 1) % star_.size()];
     return cross(a, b) > 0 ? squared_circumradius(a, b) : infinity;
@@ -242,8 +241,8 @@ class Finder {
       if (squared_radius <= limit)
         triangles_.push_back({point, star_[i].point, star_[(i + 1) % star_.size()].point});
     }
-    // A circle through the point reaches twice its radius: farther neighbours cannot be inside. A star that is open may
-    // get more, on the rim of the cloud as well as between the dense lines of a scanner.
+    // A circle through the point reaches twice its radius, so farther neighbours cannot be inside. An open star may
+    // gain more neighbours, at the rim of the cloud and between dense lines of a scanner.
     if (largest < infinity && 4 * std::min(largest, limit) <= squared_reach_ && !star_.empty()) settled_ = true;
   }
 

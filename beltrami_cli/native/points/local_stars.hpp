@@ -1,5 +1,5 @@
-// What each point of a cloud sees of the surface around it: the Delaunay triangles of its neighbours in its tangent
-// plane, as in N. Sharp, K. Crane, "A Laplacian for nonmanifold triangle meshes", Computer Graphics Forum 39(5), 2020,
+// Local triangulation of a point cloud: the Delaunay triangles of each point's neighbours in its tangent plane, as in
+// N. Sharp, K. Crane, "A Laplacian for nonmanifold triangle meshes", Computer Graphics Forum 39(5), 2020,
 // doi:10.1111/cgf.14069, with limits in units of the local spacing that keep holes open and sheets apart.
 #pragma once
 
@@ -14,7 +14,7 @@ namespace beltrami::points {
 
 using triangulated::Index;
 
-// Another point as seen from the one in question, which is the origin.
+// A neighbour relative to the point, which is the origin.
 struct Spoke {
   double x, y;
   Index point;
@@ -26,9 +26,9 @@ inline double cross(const Spoke& a, const Spoke& b) { return a.x * b.y - a.y * b
 // Square of the radius of the circle through the origin and both ends; infinite if these are in one line.
 double squared_circumradius(const Spoke& a, const Spoke& b);
 
-// Keeps the spokes that a Delaunay triangulation joins to the origin, anticlockwise. Of points on one empty
-// circle, which have no unique triangulation, it leaves all. The spokes must not be of length zero; the first
-// must be the shortest. Takes O(k log k).
+// Keeps the spokes that a Delaunay triangulation joins to the origin, anticlockwise. Several points on one empty
+// circle, which have no unique triangulation, are all kept. Spokes must not have length zero, and the first must be the
+// shortest. Takes O(k log k).
 void keep_delaunay_star(std::vector<Spoke>& spokes);
 
 using Triangle = std::array<Index, 3>;
@@ -45,17 +45,17 @@ struct Neighbours {
 struct Stars {
   std::vector<Triangle> triangles;  // each starts with the point whose star it is in
   std::vector<Index> unsettled;     // points that need more neighbours; their triangles are not there
-  // For each row, 0 where unsettled:
+  // Per row; 0 if the point is unsettled:
   std::vector<double> spacing;   // local spacing in the unit of the positions; 0 if no plane was found
   std::vector<double> flatness;  // squared distances from the tangent plane by those within it: of a flat surface 0
   std::vector<double> distance;  // of the eighth neighbour, or the last
 };
 
-// Positions are three numbers a point. keep_unsettled: incomplete stars are taken as they are, and no point is unsettled.
+// Positions are three numbers per point. keep_unsettled: accept incomplete stars, so that no point is unsettled.
 Stars find_stars(const double* positions, const Neighbours& neighbours, bool keep_unsettled, unsigned threads);
 
-// Largest radius of the circle around a triangle, in spacings at its corners: the triangulation of points at random has
-// hardly any larger ones (one of a thousand), and gaps of more than five spacings stay open.
+// Maximum circumradius of a triangle, in spacings at its corners: of random points, one triangle in a thousand is
+// larger, and gaps of more than five spacings stay open.
 inline constexpr double largest_radius = 2.5;
 
 }  // namespace beltrami::points

@@ -11,16 +11,17 @@
 namespace beltrami::points {
 namespace {
 
-// Points as many times as far from their neighbours as most points of the cloud are lone: they may be outliers.
+// Ratio of distances to neighbours, relative to most points of the cloud, above which a point is lone and may be an
+// outlier.
 constexpr double far_apart = 4;
 
-// Points at random in space have a flatness around 0.7, those on a surface with noise of half a spacing one around 0.3.
+// Flatness of random points in space is about 0.7, of a surface with noise of half a spacing about 0.3.
 constexpr double not_flat = 0.25;
 
-// Parts of the triangles, which are sorted one after the other to save memory.
+// Parts of the triangles, sorted one at a time to save memory.
 constexpr std::size_t windows = 32;
 
-// Flakes have fewer points.
+// Minimum number of points of a piece that is not a flake.
 constexpr Index few_together = 16;
 
 Vector between(const double* positions, Index from, Index to) {
@@ -51,7 +52,7 @@ bool is_too_large(const double* positions, std::span<const double> spacing, cons
   return !(squared_radius(positions, triangle) <= limit * limit);
 }
 
-// Each triangle that is kept once, its corners ascending, in lexicographic order. in_stars: as in `Stars`, of all points,
+// The kept triangles, each once with sorted corners, in lexicographic order. in_stars: as in `Stars`, of all points,
 // each with three different corners in [0, spacing.size()).
 std::vector<Triangle> agreed_triangles(const double* positions, std::span<const double> spacing,
                                        std::span<const PackedTriangles> in_stars) {
@@ -83,7 +84,7 @@ std::vector<Triangle> agreed_triangles(const double* positions, std::span<const 
   return kept;
 }
 
-// Marks the lone points, which may still be on a surface that is sampled sparsely. distance: as in `Stars`, of all points.
+// Marks lone points, which may still be on a sparsely sampled surface. distance: as in `Stars`, of all points.
 std::vector<char> find_lone_points(std::span<const double> distance) {
   std::vector<char> lone(distance.size(), 0);
   std::vector<double> sorted(distance.begin(), distance.end());
@@ -94,7 +95,7 @@ std::vector<char> find_lone_points(std::span<const double> distance) {
   return lone;
 }
 
-// Removes the triangles of flakes: a few lone points that are joined to no others.
+// Removes the triangles of flakes: small pieces of lone points only.
 void remove_flakes(std::vector<Triangle>& triangles, std::span<const char> lone) {
   DisjointSets pieces(lone.size());
   for (const auto& [a, b, c] : triangles) {

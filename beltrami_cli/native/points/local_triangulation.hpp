@@ -15,12 +15,12 @@
 
 namespace beltrami::points {
 
-// Triangles in less than half of their memory: one that goes on where the one before ended, as around a point, is one number.
+// Compressed triangles: one that continues where the previous one ended, as around a point, is a single number.
 class PackedTriangles {
  public:
   explicit PackedTriangles(std::span<const Triangle> triangles);
 
-  // Calls visit(triangle) in the order in which they were given.
+  // Calls visit(triangle) in the original order.
   template <class Visit>
   void for_each(const Visit& visit) const {
     Triangle triangle{};
@@ -40,15 +40,16 @@ class PackedTriangles {
 
 class LocalTriangulation {
  public:
-  // Three finite numbers a point, near 1 in size, no two points at one place; they are not copied.
+  // Three finite numbers per point, near 1 in size, all points distinct; they are not copied.
   explicit LocalTriangulation(std::span<const double> positions);
 
   Index point_count() const { return static_cast<Index>(spacing_.size()); }
 
-  // Finds the stars of some points, see `find_stars`. Returns those to be asked for again with more neighbours, ascending.
+  // Finds the stars of some points, see `find_stars`. Returns those that need more neighbours, ascending.
   std::vector<Index> add_stars(const Neighbours& neighbours, bool keep_unsettled, unsigned threads);
 
-  // Each triangle once, its corners ascending, in lexicographic order, when all points have their stars. To be called once.
+  // All triangles, each once with sorted corners, in lexicographic order, after the stars of all points. May be called
+  // once.
   std::vector<Triangle> faces();
 
  private:

@@ -9,19 +9,19 @@ namespace {
 
 using Matrix = std::array<Vector, 3>;
 
-// Jacobi's method converges quadratically: sweeps beyond the sixth change nothing in double precision, nor do entries this
-// much smaller than those on the diagonal.
+// Limits of Jacobi's method, which converges quadratically: neither sweeps beyond the sixth nor off-diagonal entries
+// this small relative to the diagonal change anything in double precision.
 constexpr int sweeps = 8;
 constexpr double negligible = 1e-17;
 
-// Turns rows i and j of a symmetric matrix so that its entry (i, j) becomes zero, and the axes with it.
+// Rotates rows i and j of a symmetric matrix so that its entry (i, j) becomes zero, and the axes with it.
 void rotate(Matrix& matrix, Matrix& axes, std::size_t i, std::size_t j) {
   if (std::abs(matrix[i][j]) <= negligible * (std::abs(matrix[i][i]) + std::abs(matrix[j][j]))) {
     matrix[i][j] = matrix[j][i] = 0;
     return;
   }
   const double theta = (matrix[j][j] - matrix[i][i]) / (2 * matrix[i][j]);
-  // Where the square is beyond all numbers, the turn is none.
+  // If the square overflows, the rotation is none.
   const double t = std::copysign(1.0, theta) / (std::abs(theta) + std::sqrt(theta * theta + 1));
   const double c = 1 / std::sqrt(t * t + 1), s = t * c;
   const std::size_t k = 3 - i - j;

@@ -10,7 +10,7 @@ using Vector = std::array<double, 3>;
 
 inline double dot(const Vector& a, const Vector& b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
-// Axes of unit length at right angles to each other, and the variance of the points along them, in descending order.
+// Orthonormal axes, and the variance of the points along them, in descending order.
 struct TangentPlane {
   Vector first{}, second{}, normal{};
   double first_spread = 0, second_spread = 0, normal_spread = 0;

@@ -8,10 +8,10 @@
 namespace beltrami::triangulated {
 namespace {
 
-// Four children a node: half the levels of a binary heap, and they share a cache line.
+// Four children per node: half the levels of a binary heap, and they share a cache line.
 constexpr std::size_t arity = 4;
 
-// Vertices with more links than this are hubs: a kernel that reaches one must not take as long as its list of links is.
+// Vertices with more links are hubs: the time of a kernel that reaches one must not be proportional to its links.
 constexpr Index most_links = 512;
 
 }  // namespace
@@ -44,8 +44,8 @@ std::span<const Reached> FastMarching::march(Index source, float radius, std::si
   return reached_;
 }
 
-// Shortens the heap to the nearest vertices, as many as can still be taken: further ones never are, since distances only
-// fall. So a vertex of very many links does not fill it.
+// Truncates the heap to the vertices that can still be taken; further ones never are, since distances only decrease. So
+// a hub does not fill it.
 void FastMarching::keep_nearest() {
   std::erase_if(heap_, [&](std::uint64_t key) {
     const auto vertex = static_cast<Index>(key & 0xffffffffU);
@@ -99,7 +99,7 @@ void FastMarching::update_over(Index index, float distance) {
   relax(link.target, best);
 }
 
-// Does what update_over does for all links with accepted partners, and for the shortest of the others.
+// As update_over, for all links with accepted partners, and for the shortest of the others.
 void FastMarching::update_from_hub(Index vertex, float distance) {
   const Hub& hub = hub_of(vertex);
   for (const Reached& reached : reached_) {

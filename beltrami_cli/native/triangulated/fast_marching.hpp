@@ -24,19 +24,19 @@ struct Reached {
   float distance;
 };
 
-// Where a vertex stands on a grid, if it does.
+// Position of a vertex on a grid, if any.
 struct GridPlace {
   std::int32_t row, column;
 };
 
-// What to march from and how far, besides the radius; a grid's window is none of a general mesh.
+// Source and limits of a march besides the radius; a general mesh has no window.
 struct Selection {
   const std::uint8_t* wanted = nullptr;  // [vertex]: whether its kernel is wanted; nullptr: all
   const GridPlace* places = nullptr;     // [vertex]: for the window; nullptr: no window
   std::int32_t window_radius = 0;        // in rows and columns
 };
 
-// Marches from many sources one after the other; the scratch memory, 8 bytes a vertex, is reused between them.
+// Marches from many sources, one after another; the scratch memory, 8 bytes per vertex, is reused.
 class FastMarching {
  public:
   explicit FastMarching(const Stencils& stencils, const Selection& selection = {});
@@ -45,7 +45,7 @@ class FastMarching {
   // Valid until the next call.
   std::span<const Reached> march(Index source, float radius, std::size_t max_count);
 
-  // Whether the last march was ended by max_count while vertices within the radius were still waiting.
+  // Whether max_count ended the last march while vertices within the radius were still queued.
   bool truncated() const { return truncated_; }
 
  private:
@@ -55,7 +55,7 @@ class FastMarching {
     std::uint32_t mark = 0;
   };
 
-  // Links of a vertex with very many.
+  // Links of a hub.
   struct PartneredLink {
     Index partner, link;
   };

@@ -23,7 +23,7 @@ class GroupAverage {
 
   KernelStatistics run() {
     const KernelStatistics statistics = find_kernels();
-    // Several channels at once, since each sum waits for its last addition.
+    // Several channels at once, to hide the latency of additions.
     std::size_t channel = 0;
     for (; channel + 3 <= job_.colours.width; channel += 3) average<3>(channel);
     for (; channel < job_.colours.width; ++channel) average<1>(channel);
@@ -36,7 +36,7 @@ class GroupAverage {
     std::array<float, group_size> lane;
   };
 
-  // Computes the kernels, and those with too many samples again without the surplus.
+  // Computes the kernels; those with too many samples are truncated and computed again.
   KernelStatistics find_kernels() {
     Numbers counts = evaluate();
     KernelStatistics statistics;
@@ -76,7 +76,7 @@ class GroupAverage {
     return counts;
   }
 
-  // Leaves max_samples of a lane's samples, the source and those nearest to it.
+  // Keeps max_samples of a lane's samples: the source and those nearest to it.
   void cut_short(std::size_t lane) {
     const auto rank = [&](std::size_t i) {
       const Index vertex = region_.vertices[i];
@@ -91,7 +91,7 @@ class GroupAverage {
       if (!(rank(i) < *last)) region_.places[i].distance[lane] = region_.beyond;
   }
 
-  // Averages differences from the sources, so that a constant is a fixed point to the last bit.
+  // Averages differences from the sources, so that a constant is preserved exactly.
   template <std::size_t channels>
   void average(std::size_t first) {
     std::array<Numbers, channels> centres{}, averages;
@@ -117,7 +117,7 @@ class GroupAverage {
       const Lanes total = load(totals_.lane.data() + part);
       for (std::size_t c = 0; c < channels; ++c) {
         const Lanes average = centre[c] + select(total > splat(0), sums[c] / total, Lanes{});
-        // Rounding must not take an average out of the range of its colours.
+        // Rounding must not move an average beyond the range of its colours.
         store(averages[c].lane.data() + part, smaller(larger(average, splat(low[c])), splat(high[c])));
       }
     }

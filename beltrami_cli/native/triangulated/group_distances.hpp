@@ -17,18 +17,18 @@ namespace beltrami::triangulated::BELTRAMI_VARIANT {
 
 using namespace beltrami::lanes::BELTRAMI_VARIANT;
 
-// Where the kernels of a group reach more vertices than this, their distances do not fit the caches.
+// Maximum number of vertices that the kernels of a group reach: with more, their distances do not fit the caches.
 constexpr std::size_t largest_region = 16384;
 
-// Where they reach more than this many times the samples that a kernel may hold, a march that ends at these is faster. Small
-// regions are swept at any rate.
+// Maximum number of reached vertices relative to the maximum number of samples of a kernel: above it, a march that ends
+// at the latter is faster. Small regions are always swept.
 constexpr std::size_t reached_for_held = 10, always_swept = 2048;
 
-// Sweeps there and back after which a march is faster.
+// Number of sweeps in both directions after which a march is faster.
 constexpr int most_sweeps_at_hub = 20;
 
-// What does not help: to list the segments within a region once for all iterations, to pass on several vertices at a time
-// without branches, to take vertices in the order in which they change. All were slower.
+// Slower alternatives that were tried: listing the segments of a region once for all iterations, propagating several
+// vertices at a time without branches, and taking vertices in the order of their changes.
 class GroupDistances {
  public:
   GroupDistances(const Segments& segments, const KernelParameters& parameters, GroupScratch& scratch)
@@ -36,21 +36,21 @@ class GroupDistances {
         beyond_(std::nextafter(parameters.radius, std::numeric_limits<float>::infinity())),
         most_(std::clamp(reached_for_held * std::min(parameters.max_samples, largest_region), always_swept, largest_region)) {}
 
-  // Passes changes on, vertex by vertex, until there are none: then every distance is that of the shortest path, whatever
-  // the order, as sums along a path are rounded in the same way for all. Returns nothing if that takes too long.
+  // Propagates changes, vertex by vertex, until there are none. Every distance is then that of the shortest path, in
+  // any order, since sums along a path are always rounded the same. Returns nothing if that takes too long.
   std::optional<Region> find(const VertexGroup& group) {
     reserve(group_size);
     for (std::size_t lane = 0; lane < group.sources.size(); ++lane) {
       add(group.sources[lane]);
       scratch_.region[lane].nearest[lane] = 0;
     }
-    // What the sources are from each other comes first, or else they would all be passed on twice.
+    // Distances between the sources come first; otherwise all would be propagated twice.
     for (const InnerSegment& segment : group.inner) join(segment);
     bool any = true;
     for (int sweep = 0; any && fits_; ++sweep) {
       any = false;
       for (std::size_t place = 0; place < size_; ++place) any |= pass_on(place);
-      // Around a hub distances may run against the order of the places, and then move by one place a sweep.
+      // Around a hub distances may run against the order of slots, and then advance by one slot per sweep.
       if (!any || !at_hub_) continue;
       for (std::size_t place = size_; place-- > 0;) any |= pass_on(place);
       fits_ &= sweep < most_sweeps_at_hub;
@@ -68,7 +68,7 @@ class GroupDistances {
     scratch_.vertices.resize(size);
   }
 
-  // Gives a vertex a place.
+  // Assigns a slot to a vertex.
   std::uint32_t add(Index vertex) {
     scratch_.vertices[size_] = vertex;
     RegionPlace& place = scratch_.region[size_++];
@@ -80,7 +80,7 @@ class GroupDistances {
     return scratch_.place[static_cast<std::size_t>(vertex)] = static_cast<std::uint16_t>(size_);
   }
 
-  // The list of segments from a vertex is about to be read.
+  // Prefetches the list of segments from a vertex.
   void prefetch_segments(Index vertex) const {
     const std::uint32_t* offset = segments_.offsets.data() + vertex;
     for (std::uint32_t i = offset[0]; i < offset[1]; i += 64 / sizeof(float)) {
@@ -89,7 +89,7 @@ class GroupDistances {
     }
   }
 
-  // Passes on distances between two sources, both ways.
+  // Propagates distances between two sources, in both directions.
   void join(const InnerSegment& segment) {
     const float length = segments_.lengths[segment.place];
     float* one = scratch_.region[segment.from].nearest.data();
@@ -121,11 +121,11 @@ class GroupDistances {
     fits_ = size_ + (end - begin) <= most_;
     if (!fits_) return false;
     reserve(size_ + (end - begin));
-    // Local copies: for all that the compiler knows, stores might change these pointers.
+    // Local copies, since the compiler must assume that stores change these pointers.
     RegionPlace* const region = scratch_.region.data();
     const std::uint16_t* const places = scratch_.place.data();
-    // A longer segment leads out of all kernels in which the distance has fallen; rounding must not make that of one that
-    // does not.
+    // A longer segment leaves all kernels in which the distance has decreased; rounding must not exclude one that does
+    // not.
     const float limit = (beyond_ - least_lane(fallen)) * 1.000001F;
     for (std::uint32_t first = begin; first < end; first += 64) {
       const float* lengths = segments_.lengths.data() + first;
@@ -144,7 +144,7 @@ class GroupDistances {
     return true;
   }
 
-  // One bit for each of up to 64 lengths that is below the limit.
+  // One bit for each of up to 64 lengths: whether it is below the limit.
   static std::uint64_t find_within(const float* lengths, std::uint32_t count, float limit) {
     std::uint64_t within = 0;
     for (std::uint32_t k = 0; k < count; k += lane_count)

@@ -1,4 +1,4 @@
-// The kernels of one group, side by side in the lanes; compiled once for each instruction set from the same source.
+// The kernels of one group, in parallel lanes; compiled once for each instruction set from the same source.
 #pragma once
 
 #include <array>
@@ -25,25 +25,25 @@ struct GroupJob {
   float* smoothed;
 };
 
-// A vertex that any of a group's kernels reaches.
+// A vertex reached by any kernel of a group.
 struct alignas(64) RegionPlace {
   std::array<float, group_size> nearest;   // its shortest distance from each source that is known so far
   std::array<float, group_size> distance;  // that which was passed on to other vertices last: in the end, the shortest
-  // The value of each kernel there, in memory that is free once distances are known.
+  // The value of each kernel at the vertex, in memory that is free once distances are known.
   std::array<float, group_size>& kernel() { return nearest; }
 };
 
-// What the kernels of a group reach, once distances are known.
+// Vertices reached by the kernels of a group, once distances are known.
 struct Region {
   std::span<const Index> vertices;
   std::span<RegionPlace> places;  // of the vertices
   float beyond;                   // the distance where a vertex is out of reach
 };
 
-// A sample of a kernel: its distance, and its vertex, which decides between equal ones.
+// A sample of a kernel: distance and vertex, which breaks ties.
 using Rank = std::pair<float, Index>;
 
-// Scratch memory of one thread, grown on first use and kept.
+// Scratch memory of one thread, which grows on demand and is reused.
 struct GroupScratch {
   explicit GroupScratch(std::size_t vertex_count) : place(vertex_count, 0) {}
   std::vector<std::uint16_t> place;  // [vertex]: 1 + its place in the region, 0 outside
@@ -52,8 +52,8 @@ struct GroupScratch {
   std::vector<Rank> order;           // of the samples of a kernel that is cut short
 };
 
-// Writes the smoothed colours of up to 16 sources. Writes nothing and returns nothing if a march from each
-// is faster: they reach too many vertices.
+// Writes the smoothed colours of up to 16 sources. Writes and returns nothing if they reach so many vertices that a
+// march from each is faster.
 using SweepGroup = std::optional<KernelStatistics> (*)(const GroupJob& job, const VertexGroup& group,
                                                        GroupScratch& scratch);
 

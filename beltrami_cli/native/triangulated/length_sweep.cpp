@@ -43,7 +43,7 @@ void set_lengths(LengthTables& tables, std::size_t begin, std::size_t end) {
   }
 }
 
-// A vertex in the plane in which an edge that faces it runs from its lower vertex, the origin, along the first axis.
+// A vertex in plane coordinates in which an opposite edge runs from its lower vertex, the origin, along the first axis.
 struct Place {
   Lanes along, height;
 };
@@ -54,8 +54,8 @@ struct Unfolded {
   std::array<Lanes, 3> lengths, inverse;
 };
 
-// Twice the area of triangles with these squares of sides, whatever the order of these; from the angle between the longer
-// two sides, which suffers least from rounding.
+// Twice the area of triangles from their squared sides, in any order; computed from the angle between the longer two
+// sides, which is least affected by rounding.
 Lanes area(Lanes a, Lanes b, Lanes c) {
   const Lanes low = smaller(a, b), high = larger(a, b);
   const Lanes least = smaller(low, c), most = larger(high, c), middle = larger(low, smaller(high, c));
@@ -130,7 +130,7 @@ void cross_edges(LengthTables& tables, std::size_t begin, std::size_t end) {
     for (std::size_t k = 0; k < 3; ++k) {
       const std::size_t corner = k * tables.planes.stride + face;
       for (std::size_t i = 0; i < lane_count; ++i) {
-        // Both triangles of an edge find the same length, and each sets it for the direction from its own corner.
+        // Both triangles of an edge compute the same length, and each stores it for the direction from its own corner.
         const std::uint32_t place = segments.across_edges[corner + i];
         if (place != no_place) lengths[place] = over_one[k][i];
         const auto [one, other] = segments.round_corners[corner + i];

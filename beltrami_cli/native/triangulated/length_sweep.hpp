@@ -1,4 +1,4 @@
-// The lengths of many segments side by side; compiled once for each instruction set from the same source.
+// Vectorised lengths of segments; compiled once for each instruction set from the same source.
 #pragma once
 
 #include <array>

@@ -12,7 +12,7 @@
 
 namespace beltrami::triangulated {
 
-// Rows of `width` numbers each, one row a vertex.
+// Rows of `width` numbers, one row per vertex.
 template <class T>
 struct Rows {
   const T* data = nullptr;

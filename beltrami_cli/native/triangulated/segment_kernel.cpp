@@ -29,8 +29,8 @@ void measure_in_space(LengthTables& tables, Rows<double> positions, const float*
   }
 }
 
-// About a tenth of a millisecond of work: small enough to share out a small mesh evenly, large enough that sharing costs
-// nothing.
+// Size of a work item, about a tenth of a millisecond: small enough to distribute a small mesh evenly, large enough
+// that distribution is free.
 constexpr std::size_t groups_per_chunk = 16;
 
 struct SegmentWorker {
@@ -73,7 +73,7 @@ bool SegmentLengths::update(Rows<double> positions, Rows<float> colours, double 
     if (changed) measure_in_space(tables_, positions, scales, begin, end);
     sweep.measure_edges(tables_, colours, squared_beta, begin, end);
   });
-  // Edges and triangles are sorted by their vertices, so that like parts of both set lengths in the same lists.
+  // Edges and triangles are sorted by their vertices, so that corresponding parts of both write to the same lists.
   const std::size_t chunks = (std::max(edge_count, face_count) + items_per_chunk - 1) / items_per_chunk;
   parallel_chunks(chunks, 1, threads, [&](std::size_t chunk, std::size_t, unsigned) {
     const auto part = [&](std::size_t count, std::size_t i) { return i == chunks ? count : count / chunks * i / 16 * 16; };
@@ -115,14 +115,14 @@ std::span<const Reached> SegmentMarch::march(Index source, float radius, std::si
     }
     reached_.push_back({vertex, distance});
     pass_on(vertex, distance);
-    // One more than the kernel takes, to know that it is cut short.
+    // One more than the kernel takes, to detect that it is truncated.
     const std::size_t wanted = max_count - reached_.size() + 1;
     if (heap_.size() / 2 > wanted) keep_nearest(wanted);
   }
   return reached_;
 }
 
-// Shortens the heap to the nearest vertices. What lies further away is never taken, since distances only fall.
+// Truncates the heap to the nearest vertices. Others are never taken, since distances only decrease.
 void SegmentMarch::keep_nearest(std::size_t count) {
   std::erase_if(heap_, [&](std::uint64_t key) {
     return key != make_key(nodes_[key & 0xffffffffU].distance, static_cast<Index>(key & 0xffffffffU));

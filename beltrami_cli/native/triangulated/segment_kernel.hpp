@@ -17,9 +17,9 @@
 
 namespace beltrami::triangulated {
 
-// Shortest paths along segments from one source, by Dijkstra's algorithm. At hubs, segments are taken from the shortest on,
-// one at a time, so that k samples take O(k log k) whatever the valence. The scratch memory, 8 bytes a vertex, is reused between
-// marches.
+// Shortest paths along segments from one source, by Dijkstra's algorithm. At hubs, segments are taken one at a time
+// from the shortest on, so that k samples take O(k log k) for any valence. The scratch memory, 8 bytes per vertex, is
+// reused between marches.
 class SegmentMarch {
  public:
   SegmentMarch(const Segments& segments, const HubLists& hubs);
@@ -28,7 +28,7 @@ class SegmentMarch {
   // Valid until the next call.
   std::span<const Reached> march(Index source, float radius, std::size_t max_count);
 
-  // Whether the last march was ended by max_count while vertices within the radius were still waiting.
+  // Whether max_count ended the last march while vertices within the radius were still queued.
   bool truncated() const { return truncated_; }
 
  private:
@@ -37,7 +37,7 @@ class SegmentMarch {
     std::uint32_t mark = 0;  // of the march that found the distance
   };
 
-  // The next segment of a hub whose list is being taken; its key is that of the vertex at its other end.
+  // The next segment of a hub whose list is being processed; its key is that of the vertex at its other end.
   struct Waiting {
     std::uint64_t key;
     std::uint32_t hub, next;  // the number of the hub, and the place in the lists of hubs
@@ -69,8 +69,8 @@ class SegmentLengths {
   const std::vector<std::array<Index, 2>>& edges() const { return tables_.edges; }
   const Segments& segments() const { return tables_.segments; }
 
-  // Renews the lengths of all segments, from edges by eq. (1) as squared_edge_lengths(), in single precision. Returns
-  // whether positions or scales have changed since the last call.
+  // Updates the lengths of all segments from edges, by eq. (1) as in squared_edge_lengths(), in single precision.
+  // Returns whether positions or scales have changed since the last call.
   bool update(Rows<double> positions, Rows<float> colours, double beta, const float* scales, unsigned threads);
 
  private:
@@ -89,12 +89,12 @@ class SegmentKernel {
   Index vertex_count() const { return lengths_.segments().vertex_count(); }
   const std::vector<std::array<Index, 2>>& edges() const { return lengths_.edges(); }
 
-  // Renews all lengths; groups only if positions or scales have changed. As squared_edge_lengths().
+  // Updates all lengths, and the groups if positions or scales have changed. As squared_edge_lengths().
   void update_metric(Rows<double> positions, Rows<float> colours, double beta, const float* scales, unsigned threads);
 
-  // As smooth() of fast marching. Bit-identical for any number of threads and any instruction set; the distances do not
-  // depend on the groups either, so that another order of vertices changes no more than the rounding of the averages.
-  // All kernels of a group are averaged if one of them is wanted.
+  // As smooth() of fast marching. Bit-identical for any number of threads and any instruction set. Distances do not
+  // depend on the groups, so another order of vertices only changes the rounding of averages. All kernels of a group
+  // are averaged if one of them is wanted.
   KernelStatistics smooth(Rows<float> colours, const float* weights, const KernelParameters& parameters, float* smoothed,
                           unsigned threads, const Poll& poll = {});
 

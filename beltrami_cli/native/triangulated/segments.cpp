@@ -31,7 +31,7 @@ void for_each_segment(const Topology& topology, OverEdge over_edge, AcrossEdge a
   }
 }
 
-// Where the list of each vertex begins, and their whole length.
+// The start of the list of each vertex, and the total length.
 std::vector<std::uint32_t> make_offsets(const Topology& topology) {
   std::vector<std::uint32_t> offsets(static_cast<std::size_t>(topology.vertex_count) + 1, 0);
   std::uint64_t count = 0;

@@ -16,8 +16,8 @@
 
 namespace beltrami::triangulated {
 
-// What the lengths of segments need of triangles, laid out for many of them side by side: all first corners, then all second
-// and all third ones.
+// Input of the lengths of segments from triangles, laid out for vectorisation: all first corners, then all second and
+// all third ones.
 struct TrianglePlanes {
   std::size_t count = 0, stride = 0;  // of triangles; stride is a multiple of 16, with spare ones at the end
   std::vector<Index> edges;           // [at(corner)]: the edge that faces it
@@ -35,23 +35,22 @@ TrianglePlanes make_planes(const Topology& topology);
 // Larger than any length; adding lengths to it cannot overflow.
 constexpr float no_segment = 1e30F;
 
-// As many as the widest register holds may be read from any place in the lists.
+// Spare entries, since the widest register may be read from any offset in the lists.
 constexpr std::size_t spare_lengths = 16;
 
-// Vertices with more segments than this are hubs: what each kernel that reaches one does there must not take as long as the
-// list of the hub is.
+// Vertices with more segments are hubs: the time of a kernel that reaches one must not be proportional to its segments.
 constexpr std::uint32_t most_segments = 512;
 
-// A place in the lists that means "no segment".
+// Index that means "no segment".
 constexpr std::uint32_t no_place = std::numeric_limits<std::uint32_t>::max();
 
-// Both directions of every segment stand in lists, grouped by the vertex that it comes from.
+// Lists of both directions of every segment, grouped by origin.
 struct Segments {
   std::vector<std::uint32_t> offsets;  // [vertex], one more at the end
   std::vector<Index> targets;          // [place in the lists], and some more
   std::vector<float> lengths;          // the same; no_segment where the straight line leaves the strip
 
-  // Where segments stand in the lists.
+  // Positions of segments in the lists.
   std::vector<std::array<std::uint32_t, 2>> over_edges;  // [edge]: from its lower and from its higher vertex
   std::vector<std::uint32_t> across_edges;               // [corner in planes]: from it, across the edge that it faces
   std::vector<std::array<std::uint32_t, 2>> round_corners;  // [corner in planes]: around it, over both its edges
@@ -59,7 +58,7 @@ struct Segments {
   Index vertex_count() const { return static_cast<Index>(offsets.size() - 1); }
 };
 
-// The segments of hubs by length.
+// The segments of hubs, sorted by length.
 struct HubLists {
   std::vector<Index> hubs;             // ascending
   std::vector<std::uint32_t> offsets;  // [hub], one more at the end

@@ -7,7 +7,7 @@
 namespace beltrami::triangulated {
 namespace {
 
-// About a millisecond of work: small enough to share out evenly, large enough that sharing costs nothing.
+// Size of a work item, about a millisecond: small enough to distribute evenly, large enough that distribution is free.
 constexpr std::size_t sources_per_chunk = 512;
 
 struct MarchWorker {

@@ -36,15 +36,15 @@ struct KernelStatistics {
   }
 };
 
-// The average of eq. (9) over the samples of one kernel: of differences from the first sample, the centre, so that a
-// constant is a fixed point to the last bit. sums: scratch, one number a channel. weights: w_q, or nullptr for 1.
+// The average of eq. (9) over the samples of one kernel, of differences from the first sample, the centre, so that a
+// constant is preserved exactly. sums: scratch memory, one number per channel. weights: w_q, or nullptr for 1.
 void average(std::span<const Reached> samples, Rows<float> colours, const float* weights, float quarter_inverse_t,
              std::vector<double>& sums, float* smoothed);
 
 // Reads all colours before writing any (Jacobi): `smoothed`, vertex_count rows of colours.width, must not overlap them.
-// weights: w_q >= 0 of every vertex, or nullptr for 1. Where all weights of a kernel are zero the colour stays.
-// Vertices that the selection does not want keep their colour; the rows of vertices without a kernel are not written.
-// Bit-identical for any number of threads. Throws Cancelled if poll asks to stop.
+// weights: w_q >= 0 of every vertex, or nullptr for 1. If all weights of a kernel are zero, the colour is not changed.
+// Unselected vertices keep their colours; rows of vertices without a kernel are not written. Bit-identical for any
+// number of threads. Throws Cancelled if poll asks to stop.
 KernelStatistics smooth(const Stencils& stencils, Rows<float> colours, const float* weights,
                         const KernelParameters& parameters, float* smoothed, unsigned threads, const Poll& poll = {},
                         const Selection& selection = {});

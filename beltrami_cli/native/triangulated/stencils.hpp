@@ -47,7 +47,7 @@ struct Stencils {
   std::vector<SplitLink> splits;
 };
 
-// A split as it is found, before the splits are grouped by their support.
+// A split before the splits are grouped by their support.
 struct FoundSplit {
   Index support;
   SplitLink link;
@@ -57,7 +57,7 @@ struct FoundSplit {
 // each vertex, and one more.
 void group_splits(Stencils& stencils, const std::vector<std::vector<FoundSplit>>& chunks);
 
-// Takes over the topology's lists of links and slots, which nothing else reads: they are empty afterwards.
+// Takes over the topology's lists of links and slots, which are empty afterwards and not read elsewhere.
 Stencils make_stencils(Topology& topology);
 
 // Fills lengths, coefficients and splits for a metric given by its squared edge lengths.

@@ -1,8 +1,8 @@
 // The combinatorial part of a triangulated manifold, made once per mesh: it does not depend on the metric.
 //
-// Any set of triangles is taken: open, closed, self-intersecting, non-manifold. Triangles with the same three
-// vertices count once; a triangle that repeats a vertex contributes its edge alone. Orientation is of no
-// meaning to geodesic distances, so the corners of a face are kept in ascending order.
+// Any set of triangles is accepted: open, closed, self-intersecting, non-manifold. Triangles with the same three
+// vertices count once; a triangle with a repeated vertex only contributes its edge. Geodesic distances do not depend on
+// orientation, so the corners of a face are sorted.
 #pragma once
 
 #include <array>
@@ -45,7 +45,7 @@ struct Topology {
                                                    // corners k + 1 and k + 2 (mod 3) to C
 };
 
-// Links and partner slots are what fast marching needs; without them their lists are empty.
+// Links and partner slots are used by fast marching; on request their lists are left empty.
 enum class Links { made, left_out };
 
 // Throws std::invalid_argument if an index is outside [0, vertex_count), std::length_error if the mesh is too

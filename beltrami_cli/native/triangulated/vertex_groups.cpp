@@ -12,8 +12,8 @@ namespace {
 
 constexpr std::size_t groups_per_block = 256;
 
-// On even surfaces every third segment or so stays within a group; where it is less than one of this many, vertices that
-// lie side by side are not neighbours: leaves of a tree, sheets upon sheets, positions that mean nothing.
+// Minimum share of segments within groups. On even surfaces about every third segment is; with fewer, vertices that are
+// close in space are not neighbours: leaves of a tree, stacked sheets, meaningless positions.
 constexpr std::size_t usual_share = 8;
 
 class Bisection {
@@ -59,7 +59,7 @@ class Block {
  public:
   Block(const Segments& segments, std::size_t first, std::size_t size) : segments_(segments), first_(first), size_(size) {}
 
-  // How many segments stay within groups.
+  // Number of segments within groups.
   std::size_t count_inside(std::span<const Index> members) const {
     std::vector<std::size_t> group(size_);
     for (std::size_t i = 0; i < size_; ++i) group[static_cast<std::size_t>(members[i]) - first_] = i / group_size;
@@ -71,7 +71,7 @@ class Block {
 
   std::size_t count_all() const { return segments_.offsets[first_ + size_] - segments_.offsets[first_]; }
 
-  // Grows group after group along segments, each from the first vertex that is left.
+  // Grows one group after another along segments, each from the first remaining vertex.
   std::vector<Index> gather() const {
     std::vector<Index> members;
     members.reserve(size_);
@@ -154,7 +154,7 @@ VertexGroups make_groups(Rows<double> positions, const Segments& segments, unsig
   parallel_chunks(groups.members.size(), groups_per_block * group_size, threads,
                   [&](std::size_t begin, std::size_t end, unsigned) {
                     const std::span<Index> members(groups.members.data() + begin, end - begin);
-                    // Without positions the order given must do.
+                    // Without positions, the given order is used.
                     if (positions.width > 0) bisection.cut(members);
                     const Block block(segments, begin, members.size());
                     const std::size_t inside = block.count_inside(members);

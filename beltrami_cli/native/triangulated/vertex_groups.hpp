@@ -1,4 +1,4 @@
-// Groups of neighbouring vertices, whose kernels are computed side by side, and the regions that these can reach.
+// Groups of neighbouring vertices, whose kernels are computed in parallel lanes, and the regions they can reach.
 #pragma once
 
 #include <cstdint>
@@ -13,7 +13,7 @@ namespace beltrami::triangulated {
 
 constexpr std::size_t group_size = 16;
 
-// A segment between two vertices of a group; it is as long in both directions.
+// A segment between two vertices of a group, with the same length in both directions.
 struct InnerSegment {
   std::uint32_t place;     // in the lists of segments
   std::uint16_t from, to;  // numbers in the group
@@ -33,8 +33,8 @@ struct VertexGroups {
   VertexGroup group(std::size_t number) const;
 };
 
-// Cuts the vertices into groups, within blocks that follow each other in memory: by bisecting space, or, where neighbours
-// in space are hardly joined by segments, by gathering joined ones.
+// Divides the vertices into groups, within contiguous blocks: by bisecting space or, if neighbours in space are seldom
+// joined by segments, by collecting joined ones.
 VertexGroups make_groups(Rows<double> positions, const Segments& segments, unsigned threads);
 
 }  // namespace beltrami::triangulated

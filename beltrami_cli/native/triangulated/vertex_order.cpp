@@ -33,8 +33,8 @@ struct Keyed {
   }
 };
 
-// A few groups of vertices. Along a Z-order curve four of five edges of even surfaces are within it, and on ten
-// sheets upon each other half are.
+// Distance in the order that counts as near: a few groups of vertices. Along a Z-order curve four of five edges of even
+// surfaces are shorter, and half of those on ten stacked sheets.
 constexpr Index close_by = 64;
 
 std::vector<Index> invert(const std::vector<Index>& order) {
@@ -54,7 +54,7 @@ bool are_neighbours_near(const std::vector<Index>& order, std::span<const Index>
   return 3 * count >= corners.size();
 }
 
-// The faces at every vertex: those at v are faces[offsets[v]] up to offsets[v + 1].
+// The faces at every vertex v: faces[offsets[v]] up to offsets[v + 1].
 struct Incidence {
   std::vector<std::uint32_t> offsets;
   std::vector<std::uint32_t> faces;

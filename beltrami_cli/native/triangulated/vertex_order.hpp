@@ -1,5 +1,4 @@
-// Orders in which neighbouring vertices lie close in memory, whatever order they are given in: marches and sweeps go from
-// neighbour to neighbour.
+// Cache-friendly orders of vertices, for marches and sweeps that go from neighbour to neighbour.
 #pragma once
 
 #include <span>
@@ -13,8 +12,8 @@ namespace beltrami::triangulated {
 // [0, vertex_count), new position -> vertex. Positions must be finite.
 std::vector<Index> morton_order(Rows<double> positions, Index vertex_count);
 
-// The Morton order; where neighbours in space are not neighbours on the surface, breadth first along faces. Positions must be
-// finite. Throws std::invalid_argument if an index of a face's corner is outside [0, vertex_count).
+// The Morton order or, if neighbours in space are not neighbours on the surface, a breadth-first order along faces.
+// Positions must be finite. Throws std::invalid_argument if a corner of a face is outside [0, vertex_count).
 std::vector<Index> vertex_order(Rows<double> positions, std::span<const Index> face_corners, Index vertex_count);
 
 }  // namespace beltrami::triangulated
