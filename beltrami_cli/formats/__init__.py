@@ -1,1 +1,1 @@
-"""Documents that keep their bytes: open, list the coloured parts, patch the colours, and nothing else."""
+"""File formats: a file is opened as a document that keeps its bytes, and only its colours are patched."""

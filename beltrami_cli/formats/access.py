@@ -1,8 +1,8 @@
 """Limits of a job: which files it may read, how large, and from where; and reading.
 
-JSON and TOML may be from anybody: configurations, manifests, reports, records. Their length, their nesting and the
-length of lines are bounded, and no text in them has characters that no name of a file can have. Whatever is wrong with
-them is a ValueError.
+Files in JSON and TOML (configurations, manifests, reports, records) are not trusted: their size, their nesting and the
+length of their lines are bounded, and texts with characters that cannot occur in file names are refused. Every fault of
+such a file is a ValueError.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _OPEN_FLAGS = (
 )
 _MIN_UNPACKED, _MAX_RATIO = 1 << 26, 100  # up to this many bytes any ratio is accepted
 LARGE = 1 << 20
-"""Bytes; images of at least so many are read whenever they are needed, since all of a model may not fit into memory."""
+"""Bytes from which on an image is read each time it is needed, since all images of a model may not fit into memory."""
 
 _BLOCK = 1 << 24  # bytes of standard input read at a time: a larger request is allocated at once
 
@@ -40,19 +40,19 @@ class Access(Checked):
     Attributes
     ----------
     outside : bool
-        Whether files outside a model's folder may be read that it refers to. Networks are never used.
+        Whether a model may refer to files outside of its folder. Networks are never used.
     memory : int or None
         Bytes that the job may use; None: no limit. Larger files and images are refused before they are read.
     note : callable or None
         Called with the path and content of every file that was read, so that a job can record its inputs.
     bring : callable or None
-        Called with the path of every sidecar before it is opened, so that it can be fetched from elsewhere.
+        Called with the path of every sidecar file before it is opened, so that it can be fetched from elsewhere.
     instead : mapping of Path to Path
-        Files that are read instead of others, by their resolved path: new files that are not in place yet.
+        Replacements of files, by resolved path: new files that are not in place yet.
     columns : tuple of str
-        Of points in text files: the names of all columns, where neither names in the file nor values decide.
+        Names of all columns of points in text files, where neither the file nor its values determine them.
     channels : tuple of str
-        Of vertices in PLY files: the channels that are smoothed, one of which may be a scalar.
+        Channels of PLY vertices that are smoothed, one of which may be a scalar.
     """
 
     group: ClassVar[str] = "Files and memory"
@@ -83,7 +83,7 @@ class Access(Checked):
     )  # fmt: skip
 
     def found_at(self, path: Path) -> Path:
-        """Return where a file is read."""
+        """Return the path that a file is read from: its own, or its replacement in `instead`."""
         if not self.instead:
             return path
         return self.instead.get(Path(os.path.realpath(path.parent), path.name), path)
@@ -97,12 +97,12 @@ class NotRegularError(OSError):
 
 
 def is_file(path: str | os.PathLike[str]) -> bool:
-    """Whether there is a file of a name; there is none of one that no file can have."""
+    """Whether a file exists; False for names that no file can have."""
     return os.path.isfile(path)  # noqa: PTH113
 
 
 def is_there(path: str | os.PathLike[str]) -> bool:
-    """Whether there is anything of a name, as `is_file`."""
+    """Whether a file or folder exists; False as for `is_file`."""
     return os.path.exists(path)  # noqa: PTH110
 
 
@@ -112,7 +112,7 @@ def most_unpacked(packed: int) -> int:
 
 
 def is_too_dense(packed: int, unpacked: int) -> bool:
-    """Whether some bytes would be unpacked to more times their number than any real model is."""
+    """Whether the compression ratio exceeds that of any legitimate model."""
     return unpacked > most_unpacked(packed)
 
 
@@ -136,7 +136,7 @@ def open_regular(path: Path) -> BufferedReader:
 
 
 def read_regular(path: Path, access: Access, most: int = -1) -> bytes:
-    """Return a regular file's content, or its first `most` bytes, never waiting for a writer; OSError if it cannot."""
+    """Return the content of a regular file, or its first `most` bytes; OSError if it cannot be read."""
     with open_regular(access.found_at(path)) as file:
         size = os.fstat(file.fileno()).st_size
         if most < 0 and access.memory is not None and size > access.memory:
@@ -170,12 +170,12 @@ _URL = re.compile(r"(?!(?:file|local):)[a-z][a-z0-9+.-]+://", re.IGNORECASE)
 
 
 def is_url(name: str) -> bool:
-    """Whether a name is a URL of another place than this machine's own files."""
+    """Whether a name is a URL of something other than a local file."""
     return _URL.match(name) is not None
 
 
 def unreadable(name: str, error: Exception, remedy: str = "check the path and its permissions") -> InputError:
-    """Return the error that a file cannot be read; the remedy is for what is neither a URL nor a wrong name."""
+    """Return the error for a file that cannot be read; `remedy` applies if it exists and is not a URL."""
     if is_url(name):
         return InputError(
             name, "it is a URL, which batch alone reads", "download it, or give it to beltrami batch"
@@ -209,7 +209,7 @@ _UNFIT = re.compile("[\0\ud800-\udc7f\udd00-\udfff]")  # the other surrogates st
 
 
 def read_bounded(path: Path, most: int) -> str:
-    """Return the text of a regular file; OSError, or ValueError if it is longer than `most` bytes or no UTF-8."""
+    """Return the text of a regular file; OSError, or ValueError if it exceeds `most` bytes or is not UTF-8."""
     with open_regular(path) as file:
         return text_in(file, most)
 
@@ -223,12 +223,12 @@ def text_in(file: BinaryIO, most: int) -> str:
 
 
 def parse_json(text: str | bytes) -> Any:
-    """Return what JSON says; ValueError if it is damaged, or its text and nesting cannot be used."""
+    """Parse JSON; ValueError if it is damaged, nested too deeply, or holds unusable texts or numbers."""
     return _checked(lambda: json.loads(text))
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Return what TOML says; ValueError as `parse_json`."""
+    """Parse TOML; ValueError as for `parse_json`."""
     import tomllib
 
     if any(len(line) > _LONGEST_LINE for line in text.splitlines()):
@@ -238,7 +238,7 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def require_text(text: str) -> str:
-    """Return a text; ValueError if it has characters that no name of a file can have."""
+    """Return the text; ValueError if it has characters that cannot occur in file names."""
     unfit = _UNFIT.search(text)
     if unfit is not None:
         raise ValueError(f"it has the character U+{ord(unfit[0]):04X}, which no name can have")

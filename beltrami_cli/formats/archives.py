@@ -1,7 +1,7 @@
-"""ZIP archives in which files come, and arrays of NumPy, alone (.npy) and in archives (.npz), with bounds.
+"""Bounded reading of ZIP archives, and of NumPy arrays in files of their own (.npy) or in archives (.npz).
 
-Nothing is unpickled, and nothing is allocated before the headers have been checked: an archive costs no more than its
-refusal. The format of arrays: https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html
+Nothing is unpickled, and headers are checked before anything is allocated. The format of arrays:
+https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html
 """
 
 from __future__ import annotations
@@ -52,26 +52,27 @@ class Archive:
         return self._content(known)
 
     def _content(self, member: zipfile.ZipInfo) -> bytes:
-        """Unpack a member; without a size, a read unpacks all there is, however little the archive announces."""
         what = f"{member.filename} in the archive"
         with _refusing_damage(self.name, what), self._file.open(member) as file:
-            return file.read(member.file_size)
+            return file.read(
+                member.file_size
+            )  # without a size, all would be unpacked, whatever was announced
 
 
 _MAGIC = b"PK\x03\x04"
 NPY_MAGIC = b"\x93NUMPY"
-_LONGEST_HEADER = 10_000  # as NumPy has it: a longer one could burden the parser of Python literals
-_DEFLATE_RATIO = 1032  # a byte cannot stand for more: zlib's technical notes
+_LONGEST_HEADER = 10_000  # NumPy's own limit: longer ones could overload the parser of Python literals
+_DEFLATE_RATIO = 1032  # the largest possible ratio: zlib's technical notes
 _SAVE = "write it with numpy.savez_compressed"
 
-# The first name that is there is taken. A level set has one of these, and a cloud of points has not.
+# Of several names, the first that an archive has counts. An archive with a level set key is a level set.
 LEVEL_SET_KEYS = ("values", "sdf", "tsdf", "level_set")
 POSITION_KEYS = ("positions", "points", "xyz")
 
 
 @dataclass(frozen=True)
 class Header:
-    """What an array of numbers or booleans is, before it is read; its numbers start at the offset in the member."""
+    """The header of an array of numbers or booleans; its numbers start at `offset` of the member."""
 
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
@@ -87,7 +88,7 @@ class Header:
         return self.count * self.dtype.itemsize
 
     def array(self, data: bytes, offset: int = 0) -> Array:
-        """Return the numbers that stand in data from an offset, in the byte order of the machine."""
+        """Return the numbers that start at an offset of `data`, in native byte order."""
         flat = np.frombuffer(data, self.dtype, self.count, offset)
         array = flat.reshape(self.shape, order="F" if self.fortran else "C")
         return array.astype(self.dtype.newbyteorder("="), copy=False)
@@ -114,7 +115,7 @@ def is_npz(data: bytes, _: str = "") -> bool:
 
 
 class NpzArchive(Archive):
-    """An archive of arrays, whose `names` are these."""
+    """An archive of arrays."""
 
     def __init__(self, data: bytes, name: str) -> None:
         super().__init__(data, name)
@@ -129,7 +130,7 @@ class NpzArchive(Archive):
         return next((name for name in names if name in self.names), None)
 
     def header(self, key: str) -> Header:
-        """Return what an array is; InputError if it is damaged, or holds anything but numbers or booleans."""
+        """Read the header of an array; InputError if it is damaged, or of other types than numbers and booleans."""
         member = self._known[f"{key}.npy"]
         if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise self._error(key, "is compressed in a way that NumPy does not write")
@@ -167,7 +168,7 @@ class NpzArchive(Archive):
         return {member.filename: self._content(member) for member in self._file.infolist()}
 
     def with_array(self, key: str, array: Array) -> bytes:
-        """Return the archive with other numbers in an array; members keep their order, dates and compression."""
+        """Return the archive with new numbers in one array; members keep their order, dates and compression."""
         buffer, header = io.BytesIO(), self.header(key)
         with zipfile.ZipFile(buffer, "w") as new:
             new.comment = self._file.comment
@@ -211,7 +212,7 @@ def _parse(start: bytes) -> Header:
     version = np.lib.format.read_magic(file)
     if version not in ((1, 0), (2, 0)):
         raise ValueError(f"version {version} of the format is for records only")
-    # The length stands in the header itself; what was read is bounded, so a false one is found, not followed.
+    # The header states its own length; since only a bounded part of the file is read, a wrong one does no harm.
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     with warnings.catch_warnings(action="ignore"):  # of headers as Python 2 wrote them, which are understood
         try:

@@ -1,4 +1,4 @@
-"""What is replaced in a document, and the files that come of it."""
+"""Records of a patch: the replacements in a document, how its sidecar files are named, and the files that result."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PlannedImages = Mapping[tuple[records.Slot, str], records.PlannedImage]
 
 Bytes = bytes | bytearray | memoryview
 NO_IMAGES: NewImages = {}
-# Characters that references in some format cannot spell, or that readers do not take for part of a file name.
+# Characters that references of some format cannot express, or that readers do not accept in file names.
 _UNFIT = re.compile(r'[\x00-\x1f\x7f"\\:<>\ud800-\udfff]|^[\s.-]+|\s+$|(?<=\s)#')
 
 
@@ -24,8 +24,8 @@ class Naming:
     """How the sidecar files of an output are named."""
 
     stem: str  # of the output, without folder and extension
-    keeps: bool = False  # the output and its sidecar files replace the source's files
-    copies: bool = False  # the output lies in another folder, where it needs copies of unchanged files
+    keeps: bool = False  # whether the output and its sidecar files replace those of the source
+    copies: bool = False  # whether the output is in another folder and needs copies of unchanged files
     # Whether a path in the output's folder belongs to another model.
     is_taken: Callable[[str], bool] = lambda _: False
 
@@ -33,7 +33,7 @@ class Naming:
         object.__setattr__(self, "stem", _UNFIT.sub("_", self.stem))
 
     def free_stem(self, sidecars: Callable[[str], Iterable[str]]) -> str:
-        """Return a stem, numbered from 2 on if need be, such that no sidecar file belongs to another model."""
+        """Return the stem, with a number from 2 on if sidecar files of that name belong to another model."""
         stems = chain([self.stem], (f"{self.stem}-{number}" for number in count(2)))
         return next(stem for stem in stems if not any(self.is_taken(name) for name in sidecars(stem)))
 
@@ -43,11 +43,11 @@ class Written:
     """The files of a document with new colours, or of a mesh converted to another format."""
 
     main: Sequence[Bytes]  # pieces of the main file, in their order
-    # New or changed, by path relative to the main file.
+    # New or changed sidecar files, by path relative to the main file.
     sidecars: Mapping[str, Bytes] = field(default_factory=dict)
-    # For the user, one sentence each: what the format cannot hold, what was rounded.
+    # One sentence each for the user, on losses and rounding.
     notices: tuple[str, ...] = ()
-    # New paths, relative to the main file, of unchanged files, by their names in the source.
+    # Unchanged sidecar files: paths in the source, by new path relative to the main file.
     copies: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -57,14 +57,13 @@ class Written:
 
 @dataclass(frozen=True)
 class Changes:
-    """Replacements in a document; every entry that equals the present one keeps its stored bytes."""
+    """Replacements in a document; values that equal the present ones keep their stored bytes."""
 
     # Rows as in `coloured_vertices().colours`, shape (V, C); None: unchanged. They are clipped to the range of the
     # stored type and rounded to it once, to the nearest.
     colours: Float32s | None
-    # By slot and `Texture.key`, of the same size in pixels: each replaces that image in that slot and nowhere else. The
-    # type of file may change.
+    # By slot and `Texture.key`; each replaces an image of the same size in that slot only. The file type may differ.
     images: NewImages = field(default_factory=dict)
-    # New positions, which `require_movable` has allowed; None: unchanged. They are rounded to the stored type once.
+    # New positions if `require_movable` allows it; None: unchanged. They are rounded once to the stored type.
     places: records.MovedVertices | None = None
     form: str | None = None  # one of `Document.forms`; None: that of the document

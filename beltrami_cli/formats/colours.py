@@ -1,4 +1,4 @@
-"""Colours in files: which number is full scale, display values, and colours of the corners of polygons for vertices."""
+"""Stored colours: their full scale, their conversion to display values, and vertex colours from those of corners."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from beltrami_cli.surface.records import ColouredVertices, Frame, MeshContents, 
 
 BYTE = 255.0
 _GREY = "Grey is written as equal red, green and blue."
-_BRIGHTEST = 16.0  # four stops above white: float colours beyond this are taken for 0..255
+_BRIGHTEST = 16.0  # four stops above white: float colours beyond are taken to be of 0..255
 
-# Full scales of 8, 10, 12 and 16 bit, and of intensities of 14 bit, too. Colours up to 16383 may as well be a
-# dark picture of 16 bit, which would be four times too bright in another format; colours up to 4095 would be black.
+# Full scales of 8, 10, 12 and 16 bit, and for intensities of 14 bit. Colours up to 16383 may be a dark 16-bit picture,
+# which 14 bit would make four times too bright in another format; in 16 bit, colours up to 4095 would be nearly black.
 _COLOUR_SCALES = (BYTE, 1023.0, 4095.0, 65535.0)
 INTEGER_SCALES = (BYTE, 1023.0, 4095.0, 16383.0, 65535.0)
 
@@ -28,9 +28,9 @@ _RANGE_QUANTILE = 0.99
 
 
 def full_scale(colours: Float64s, name: str) -> tuple[float, str]:
-    """Return the full scale of finite stored colours, shape (V, C), and a notice, "" where there is no doubt."""
-    # 255 if numbers exceed 1 and all are integers, or if usual ones exceed 16: colours of high dynamic range may leave
-    # [0, 1], but hardly so far. Otherwise 1.
+    """Return the full scale of finite stored colours, shape (V, C), and a notice; "" where it is certain."""
+    # 255 if all numbers are integers and some exceed 1, or if usual ones exceed 16, which colours of high dynamic range
+    # hardly do. Otherwise 1.
     usual = _usual_largest(colours)
     if usual > BYTE:
         reach = f"from {colours.min():g} to {colours.max():g}"
@@ -46,13 +46,13 @@ def full_scale(colours: Float64s, name: str) -> tuple[float, str]:
 
 
 def _usual_largest(values: Array) -> float:
-    """Return the magnitude that few of the numbers other than 0 exceed."""
+    """Return the magnitude that only 1 % of the non-zero numbers exceed."""
     seen = np.abs(values[values != 0])
     return float(np.quantile(seen, _RANGE_QUANTILE, method="higher")) if seen.size else 0.0
 
 
 def integer_scale(largest: int, kind: DTypeLike, *, is_intensity: bool = False) -> tuple[float, str]:
-    """Return the full scale of numbers of an integer type by the largest magnitude among them, and a notice or ""."""
+    """Return the full scale of integers from their type and largest magnitude, and a notice or ""."""
     stored = np.dtype(kind)
     full = float(np.iinfo(stored).max)
     scales = INTEGER_SCALES if is_intensity else _COLOUR_SCALES
@@ -65,7 +65,7 @@ def integer_scale(largest: int, kind: DTypeLike, *, is_intensity: bool = False) 
 
 
 def point_colour_scale(colours: Float64s, name: str) -> tuple[float, str]:
-    """Return what `full_scale` does, but up to 65535 for integers above 255: scanners write these too."""
+    """Return the same as `full_scale`, but up to 65535 for integers, as scanners write them."""
     scale = _scale_of_whole(colours, _COLOUR_SCALES)
     if scale is None:
         return full_scale(colours, name)
@@ -75,7 +75,7 @@ def point_colour_scale(colours: Float64s, name: str) -> tuple[float, str]:
 
 def intensity_scale(values: Float64s) -> tuple[float, str]:
     """Return the full scale of finite intensities, shape (P, 1), and a notice or ""."""
-    # 1 or that of a number of bits, else the largest magnitude: it only affects reported noise and changes.
+    # 1, or the full scale of a bit depth, else the largest magnitude: it only affects reported noise and changes.
     low, high = float(values.min()), float(values.max())
     largest = max(-low, high)
     if largest <= 1:
@@ -87,34 +87,35 @@ def intensity_scale(values: Float64s) -> tuple[float, str]:
 
 
 def _scale_of_whole(values: Float64s, scales: Sequence[float]) -> float | None:
-    """Return the least scale that holds integers; None for other numbers, for signed ones, and for numbers up to 1."""
+    """Return the smallest scale that holds the integers; None if they are not, some are negative, or none exceeds 1."""
     largest = float(np.abs(values).max())
     if largest <= 1 or (values % 1 != 0).any() or limits_of(values)[0] < 0:
         return None
     return next((scale for scale in scales if largest <= scale), None)
 
 
-# How far numbers of 0..1 with five decimals or more are from levels of 8 bit that they stand for.
+# Largest rounding error, in 8-bit levels, of numbers in 0..1 with five decimals.
 _ROUNDED_LEVEL = 0.5e-5 * BYTE
 
 
 def holds_bytes(values: Float32s) -> bool:
-    """Return whether values of full scale 1 are levels of 8 bit."""
+    """Whether values of full scale 1 are 8-bit levels."""
     levels = values * np.float32(BYTE)  # to 2e-5
     return bool((np.abs(levels - np.rint(levels).clip(0, BYTE)) <= _ROUNDED_LEVEL).all())
 
 
 def opacity(alpha: Array, scale: float) -> Float32s:
-    """Return opacity in [0, 1]; with colours of 0..255 it may still be of 0..1."""
+    """Return opacity in [0, 1]; files whose colours are of 0..255 may store it in 0..1."""
     values: Float64s = np.nan_to_num(alpha.astype(np.float64))
     values /= scale if _usual_largest(values) > 1 else 1
     return np.clip(values, 0, 1).astype(np.float32)
 
 
 def quantised(values: Float32s, kind: DTypeLike, scale: float | None = None) -> Array:
-    """Return colours of full scale 1 in a type whose full scale is `scale` (None: 1, of integers their largest).
+    """Return colours of full scale 1 in a stored type.
 
-    Integers are rounded once, to the nearest, and clipped to what the type holds up to full scale.
+    `scale`: full scale of the type; None: 1 for floats, the largest value for integers, which are rounded to the
+    nearest and clipped.
     """
     stored = np.dtype(kind)
     if stored.kind == "f":
@@ -135,7 +136,7 @@ def as_in_file(vertices: ColouredVertices, colours: Float32s) -> Float32s:
 
 
 def display_colours(contents: MeshContents) -> tuple[Float32s, list[str]]:
-    """Return sRGB values of full scale 1, shape (V, 3), and a notice for each thing that was changed."""
+    """Return sRGB values of full scale 1, shape (V, 3), and a notice for each conversion."""
     colours, notices = contents.colours, []
     if contents.encoding == "linear":
         colours = linear_to_srgb(colours).astype(np.float32)
@@ -144,12 +145,12 @@ def display_colours(contents: MeshContents) -> tuple[Float32s, list[str]]:
 
 
 def display_colour(linear: Sequence[float]) -> tuple[float, ...]:
-    """Return the colour of a material, which is linear light in a file, as display values of full scale 1."""
+    """Convert the colour of a material from linear light to display values of full scale 1."""
     return tuple(linear_to_srgb(np.clip(np.array(linear, np.float64), 0, 1)).tolist())
 
 
 def linear_colours(contents: MeshContents, notices: list[str], reason: str, grey: str = _GREY) -> Float32s:
-    """Return colours in linear light, shape (V, 3), which a format has for a reason; add to the notices."""
+    """Return colours in linear light, shape (V, 3), and add notices; `reason`: why the format needs them."""
     colours = contents.colours
     if contents.encoding == "srgb":
         colours = srgb_to_linear(colours).astype(np.float32)
@@ -171,19 +172,19 @@ _UNCOLOURED_NOTICE = "{} of {} vertices have no colour, and are white."
 
 @dataclass(frozen=True)
 class ColouredPolygons:
-    """What a reader finds: V vertices, and polygons with K corners in all; colours are display values."""
+    """Polygons with display colours at their corners: V vertices and K corners in total."""
 
     positions: Float64s  # (V, 3)
     corners: Int64s  # (K,): vertices of all polygons, one polygon after the other
-    sizes: Int64s  # how many corners each polygon has
-    colours: Float32s  # (K, 3) of every corner, or (K, 4) with opacity; full scale 1, NaN where there is none
+    sizes: Int64s  # number of corners of each polygon
+    colours: Float32s  # (K, 3), or (K, 4) with opacity; full scale 1, NaN: no colour
     stored: str  # the type of colours in the file, as in `ColouredVertices`
     left_out: tuple[str, ...] = ()  # what else the file holds
     frame: Frame = field(default_factory=Frame)
 
 
 def check_polygons(found: ColouredPolygons, name: str) -> None:
-    """Raise `InputError` where there is nothing, an index is out of range, or a number not finite."""
+    """Raise InputError if there are no polygons or colours, or an index or a number is invalid."""
     vertices = len(found.positions)
     if not vertices or not len(found.corners):
         raise InputError(name, "there are no polygons", "nothing in it can be smoothed")
@@ -202,13 +203,13 @@ def check_polygons(found: ColouredPolygons, name: str) -> None:
 
 
 def joined(found: ColouredPolygons) -> ColouredPolygons:
-    """Make one vertex of those at the same place, for formats that give every triangle its own."""
+    """Merge vertices at the same position, for formats in which every triangle has vertices of its own."""
     number_of, first = group_equal_rows(*found.positions.T)
     return replace(found, positions=found.positions[first], corners=number_of[found.corners].astype(np.int64))
 
 
 def colours_of_vertices(found: ColouredPolygons) -> tuple[Float32s, list[str]]:
-    """Give every vertex the mean of its corners' colours, weighted by areas, or exactly their colour if they agree."""
+    """Return the area-weighted mean colour of the corners of each vertex, exact where they agree, and notices."""
     count, notices = len(found.positions), []
     known = np.isfinite(found.colours).all(axis=1)
     corners, colours = found.corners[known], found.colours[known]
@@ -232,7 +233,7 @@ def colours_of_vertices(found: ColouredPolygons) -> tuple[Float32s, list[str]]:
 
 
 def _areas(found: ColouredPolygons) -> Float64s:
-    """Return the areas of polygons in units of their mean, none of them zero."""
+    """Return the areas of polygons relative to their mean, all positive."""
     starts = np.cumsum(found.sizes) - found.sizes
     polygon = np.repeat(np.arange(len(found.sizes)), found.sizes)
     extent = float(np.abs(found.positions).max()) or 1.0

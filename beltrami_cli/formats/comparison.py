@@ -1,4 +1,4 @@
-"""Documents taken apart, so that two files can be compared: colours and images, and all the rest."""
+"""Fingerprints of documents, by which two files are compared: colours and images, and everything else."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from beltrami_cli.surface import records
 
 @dataclass(frozen=True)
 class Fingerprint:
-    """A file with colours and images separated from all the rest, so that two files can be compared."""
+    """A file with its colours and images separated from everything else."""
 
-    # Neither colours nor images, by place in the file; placeholders stand for these and for names of images, so that
-    # files that differ in nothing but colours have equal parts.
+    # Everything but colours and images, by place in the file. Placeholders replace these and the names of images, so
+    # that files that differ only in colours have equal parts.
     parts: Mapping[str, bytes]
     colours: Mapping[str, Float32s] = field(default_factory=dict)  # full scale 1, shape (n, C)
     images: Mapping[str, records.Texture] = field(default_factory=dict)  # by where they are used
@@ -25,7 +25,7 @@ class Fingerprint:
 
 
 def labelled(files: Mapping[str, str], read: Callable[[str], bytes]) -> dict[str, records.Texture]:
-    """Return image files as a fingerprint has them, by where they are used."""
+    """Return image files as textures, by where they are used, for a fingerprint."""
     return {
         label: records.Texture(file, file.rpartition("/")[2], partial(read, file))
         for label, file in files.items()

@@ -1,4 +1,4 @@
-"""Documents as meshes for writers of other formats."""
+"""Conversion of documents to meshes that writers of other formats take."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def vertex_mesh(document: Document, colours: Float32s | None = None) -> records.
 
 
 def _type_for(document: Document, mesh: records.MeshContents) -> str:
-    """Return the type that another format needs for the present colours, where the stored one says little."""
+    """Return the type in which another format stores the colours, where the stored one does not determine it."""
     shown = document.coloured_vertices()
     says_little = mesh.stored == "text" or shown.assumed_scale == BYTE
     are_bytes = says_little and holds_bytes(shown.colours) and (mesh.alpha is None or holds_bytes(mesh.alpha))
@@ -31,7 +31,7 @@ def _type_for(document: Document, mesh: records.MeshContents) -> str:
 def with_vertex_colours(
     mesh: records.MeshContents, document: Document, colours: Float32s | None
 ) -> records.MeshContents:
-    """Add vertex colours, as in `patch`, to a textured mesh if it has the vertices of these."""
+    """Add vertex colours, as in `patch`, to a textured mesh if both have the same vertices."""
     if not document.has_vertex_colours():
         return mesh
     shown = vertex_mesh(document, colours)

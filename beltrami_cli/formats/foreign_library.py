@@ -17,14 +17,14 @@ _TIMEOUT = 60  # seconds
 _MISSING, _EXHAUSTED = 77, 78  # exit codes where a package is not installed, and where memory is used up
 _LIBRARIES = 512 << 20  # bytes that they take
 _PER_PROCESSOR = 24 << 20  # bytes: the stack of a thread, and the arena of its allocations
-# Memory against the most that a file unpacks to: the data in the library, and the arrays of the answer. Meshes
-# of 90,000 and 1,000,000 vertices in .usdc take 72 and 53 bytes a byte of the file, of the 400 that this allows.
+# Memory as a multiple of the most that a file unpacks to: the data in the library, and the arrays of the answer.
+# Meshes of 90,000 and 1,000,000 vertices in .usdc take 72 and 53 bytes per byte of the file; this allows 400.
 _COPIES = 4
 
 
 @dataclass(frozen=True)
 class ForeignLibrary:
-    """A library that a module of this package calls, which runs `serve_files` as a process of its own."""
+    """A library, and the module of this package that calls it in a process of its own, see `serve_files`."""
 
     module: str
     extra: str
@@ -32,9 +32,9 @@ class ForeignLibrary:
     advice: str  # where it cannot read a file
 
     def ask(self, question: Message, name: str, size: int, memory: int | None) -> Message:
-        """Return its answer about a file of a size in bytes, with so much memory; InputError if there is none.
+        """Return the answer about a file of `size` bytes; InputError if the library fails.
 
-        A damaged file may ask for any memory, so it gets no more than a file of its size can need.
+        A damaged file may request any amount of memory, so the limit is what a file of its size can need.
         """
         seconds, most = _TIMEOUT + self.per_mebibyte * (size >> 20), _COPIES * most_unpacked(size)
         allowed = most if memory is None else min(most, memory)
@@ -52,7 +52,7 @@ class ForeignLibrary:
 
 
 def serve_files(answer: Callable[[Any, dict[str, Array]], Message], files: str, package: str) -> None:
-    """Answer the question of the process that waits, within the limits of the arguments."""
+    """Answer the question of the parent process, within the limits on its command line."""
     seconds, memory = map(int, sys.argv[1:])
     _limit_memory(memory)
     try:
@@ -66,7 +66,7 @@ def serve_files(answer: Callable[[Any, dict[str, Array]], Message], files: str, 
     except Exception as error:  # whatever the library makes of a damaged file
         said = " ".join(f"{type(error).__name__}: {error}".split())
         sys.exit(f"it is damaged, or not understood ({said[:200]})")
-    os._exit(0)  # what a library does at the end takes time, and may fail
+    os._exit(0)  # the clean-up of a library takes time and may fail
 
 
 def _limit_memory(memory: int) -> None:

@@ -12,7 +12,7 @@ from beltrami_cli.formats.image import Picture, read_image
 
 
 class ImageDocument(Document):
-    """An image, which is decoded when its picture is asked for."""
+    """An image file, decoded on demand."""
 
     format: ClassVar[str] = "image"
     kind: ClassVar[str] = "image"

@@ -1,4 +1,4 @@
-"""Files that a model refers to: which names are followed, and where they lead."""
+"""The files that a model refers to: which references are followed, and the paths that they resolve to."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from beltrami_cli.formats.access import DEFAULT_ACCESS, Access, read_regular
 from beltrami_cli.formats.tile_names import found_tiles, has_token, tile_name
 from beltrami_cli.surface.tiling import COLUMNS, Tile
 
-_SCHEME = re.compile(r"[a-z][a-z0-9+.-]*:", re.IGNORECASE)  # a URL, or the letter of a drive
+_SCHEME = re.compile(r"[a-z][a-z0-9+.-]*:", re.IGNORECASE)  # of a URL, or a drive letter
 _NETWORK = re.compile(r"[a-z][a-z0-9+.-]+:|//", re.IGNORECASE)
 _MODEL_FOLDER = PurePosixPath()
 _ENCODINGS = ("gbk", "cp932", "cp1252")  # in China, in Japan and in the West
@@ -35,7 +35,7 @@ IGNORED = ", and is left alone."  # behind the cause why a file is not read
 
 
 class UnfitReferenceError(Exception):
-    """A name that is not followed; the message is the cause, to be put behind the name."""
+    """A reference that is not followed; the message is the cause, which follows the name in a sentence."""
 
     def __init__(self, cause: str, remedy: str = "") -> None:
         super().__init__(cause)
@@ -48,13 +48,13 @@ def _missing(hint: str) -> UnfitReferenceError:
 
 
 class ModelFolder:
-    """The folder of a model (None: it has none), which no name leaves unless the access allows it."""
+    """The folder of a model (None: it has none); references outside of it are refused unless `access` allows them."""
 
     def __init__(self, folder: Path | None, access: Access = DEFAULT_ACCESS) -> None:
         self._folder = None if folder is None else folder.resolve()
         self._known: dict[tuple[str, PurePosixPath], str | Obstacle] = {}
         self._listings: dict[Path, dict[str, str]] = {}
-        self.tiles: dict[str, dict[Tile, str]] = {}  # files of the sets that were located, by the set's path
+        self.tiles: dict[str, dict[Tile, str]] = {}  # files of the located tile sets, by the path of the set
         self.access = access
 
     def find(self, name: str) -> str | None:
@@ -103,9 +103,9 @@ class ModelFolder:
     def locate_alike(
         self, name: str, within: PurePosixPath = _MODEL_FOLDER, *, tiles: bool = True
     ) -> tuple[str, str]:
-        """Return the path of a file (`tiles`: or a set of tiles) that a name means, and what to say behind it, or "".
+        """Return the path of a file (`tiles`: or tile set) by a name or a similar one, and the end of a notice or "".
 
-        Exporters write the paths of their own machine, and names in the encoding of its language.
+        Exporters write absolute paths of their own machine, and names in its local encoding.
         """
         locate = self.locate_any if tiles else self.locate
         try:
@@ -129,7 +129,7 @@ class ModelFolder:
             raise UnfitReferenceError(*_OUTSIDE_FOLDER)
         folder = PurePosixPath(path).parent
         if self.access.bring is not None:
-            # The hundred tiles that a set has at most in practice, for storage that is not listed.
+            # Storage that is not listed is asked for the hundred tiles that a set has at most in practice.
             for u, v in product(range(COLUMNS), range(10)):
                 self.access.bring(self._folder / folder / tile_name(PurePosixPath(path).name, (u, v)))
         names = {*self._names_in(self._folder / folder).values()}
@@ -141,11 +141,11 @@ class ModelFolder:
         return path
 
     def files(self, path: str) -> list[str]:
-        """Return the file of a path, or all files of a set of tiles."""
+        """Return the files of a tile set, or the path itself."""
         return list(self.tiles[path].values()) if path in self.tiles else [path]
 
     def _like_named(self, path: str) -> str | None:
-        """Return a file whose path differs only in capitals, or in how accents are coded."""
+        """Return the path of a file that differs only in case or in Unicode normalisation."""
         assert self._folder is not None
         found = PurePosixPath()
         for part in PurePosixPath(path).parts:
@@ -156,7 +156,7 @@ class ModelFolder:
         return found.as_posix()
 
     def _names_in(self, folder: Path) -> dict[str, str]:
-        """Return the names in a folder inside the model's, by their case-folded form."""
+        """Return the names in a subfolder, by their case-folded form."""
         if folder not in self._listings:
             names: list[str] = []
             inside = self._folder is not None and folder.resolve().is_relative_to(self._folder)
@@ -167,7 +167,7 @@ class ModelFolder:
         return self._listings[folder]
 
     def read(self, path: str, most: int = -1) -> bytes:
-        """Return the content of a located file, or its first `most` bytes; OSError if it cannot be read."""
+        """Return the content of a located file, at most `most` bytes; OSError if it cannot be read."""
         if self._folder is None:
             raise FileNotFoundError(path)
         return read_regular(self._folder / path, self.access, most)
@@ -181,7 +181,7 @@ class ModelFolder:
 
 
 def _spellings(name: str) -> list[str]:
-    """Return a name, or of one that is not UTF-8 what it is in the encodings of Windows programs."""
+    """Return the name as UTF-8, or else as decoded by the encodings of Windows programs."""
     octets, spellings = os.fsencode(name), []
     for encoding in ("utf-8", *_ENCODINGS):
         with contextlib.suppress(UnicodeDecodeError):
@@ -215,5 +215,5 @@ def checked_path(
 
 
 def is_outside(path: str) -> bool:
-    """Whether a located path leads out of the model's folder."""
+    """Whether a located path is outside of the model's folder."""
     return path.startswith(("/", "../")) or path == ".." or bool(_SCHEME.match(path))

@@ -1,4 +1,4 @@
-"""Names of the sidecar files that are written with a model, and how it refers to them."""
+"""Names of the sidecar files that are written with a model, and the references to them."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from beltrami_cli.surface.tiling import Tile
 _MODEL_FOLDER = PurePosixPath()
 _NOT_COPIED = "lies outside the model's folder; the output names it as the input does, and it is not copied."
 
-TileSets = Mapping[str, Mapping[Tile, str]]  # the files of sets of tiles, by the path of the set
+TileSets = Mapping[str, Mapping[Tile, str]]  # files of each tile set, by the path of the set
 SlotsByPath = dict[tuple[str, tuple[tuple[str, ImageFile], ...]], list[Slot]]
-_LONGEST = 255  # bytes of a name, on all usual file systems
+_LONGEST = 255  # bytes of a file name on common file systems
 
 
 def stale_use_notice(what: str, image: str) -> str:
@@ -32,21 +32,19 @@ class NewFiles:
     """Names the sidecar files of one output, each once, and collects them."""
 
     def __init__(self, naming: Naming, source: str, present: Iterable[str], missing: Iterable[str]) -> None:
-        """`source` is the model's own name; `present` and `missing` are the files that it refers to."""
+        """`source`: name of the model; `present` and `missing`: the files that it refers to."""
         self.copies = naming.copies
-        self.notices: dict[
-            str, None
-        ] = {}  # of files that stay where they are, and of old images that stay in use
-        self.sidecars: dict[str, Bytes] = {}  # and copies, as in `Written`
-        self.copied: dict[str, str] = {}
+        self.notices: dict[str, None] = {}  # on files outside of the folder, and old images that stay in use
+        self.sidecars: dict[str, Bytes] = {}  # as in `Written`
+        self.copied: dict[str, str] = {}  # as `Written.copies`
         self._naming, self._source = naming, PurePath(source).stem
-        # In another folder present files get other names, and references to missing files stay.
+        # In another folder present files are renamed, and references to missing files stay.
         self._taken = {path.casefold() for path in (*missing, *(() if naming.copies else present))}
 
     def image(
         self, path: str, suffix: str | None = None, *, is_replaced: bool = True, tiles: Iterable[Tile] = ()
     ) -> str:
-        """Return the path of an image, or a set of tiles, in place of another that nothing shows if `is_replaced`."""
+        """Return the new path of an image or tile set; `is_replaced`: nothing shows the old one any more."""
         keeps = self._naming.keeps and is_replaced
         new = path_inside(path)
         if not keeps:
@@ -56,7 +54,7 @@ class NewFiles:
         return self._reserve(new, may_stay=keeps and new == path, tiles=tuple(tiles))
 
     def other(self, path: str, suffix: str) -> str:
-        """Return the path of a file that is not an image, in place of another."""
+        """Return the new path of a file that is not an image."""
         if self._naming.keeps and not is_outside(path):
             return self._reserve(path, may_stay=True)
         return self.new(suffix, PurePosixPath(path_inside(path)).parent)
@@ -66,7 +64,7 @@ class NewFiles:
         return self._reserve(str(folder / (self._naming.stem + suffix)))
 
     def leave(self, name: str) -> None:
-        """Leave a file outside the folder where it is, and have the output name it as before."""
+        """Leave a file outside of the folder in place; the output refers to it as before."""
         if self.copies:
             self.notices[f"'{name}' {_NOT_COPIED}"] = None
 
@@ -75,7 +73,7 @@ class NewFiles:
         self.notices[stale_use_notice(what, path)] = None
 
     def written(self, main: Sequence[Bytes] = (), notices: Iterable[str] = ()) -> Written:
-        """Return the collected files with a main file, or without it."""
+        """Return the collected files, with a main file if it is given."""
         return Written(main, self.sidecars, (*notices, *self.notices), self.copied)
 
     def _reserve(self, path: str, *, may_stay: bool = False, tiles: tuple[Tile, ...] = ()) -> str:
@@ -93,7 +91,7 @@ class NewFiles:
 
 
 def slots_by_path(images: NewImages, paths_of: Callable[[Slot, str], Iterable[str]]) -> SlotsByPath:
-    """Return the slots in which a path, of an image or a set of tiles, gets the same new files; these go with it."""
+    """Return the slots that replace a path (image or tile set) by the same new files, by path and files."""
     files: dict[tuple[str, Slot], list[tuple[str, ImageFile]]] = {}
     for (slot, file), image in images.items():
         for path in paths_of(slot, file):
@@ -105,24 +103,24 @@ def slots_by_path(images: NewImages, paths_of: Callable[[Slot, str], Iterable[st
 
 
 def new_files(path: str, new: str, sets: TileSets) -> dict[str, str]:
-    """Return the new file of each file of a path, which is an image or one of some sets of tiles."""
+    """Return the new path of each file of an image or tile set."""
     tiles = sets[path].items() if path in sets else ()
     return {file: file if path == new else tile_name(new, tile) for tile, file in tiles} or {path: new}
 
 
 def common_suffix(suffixes: Iterable[str]) -> str | None:
-    """Return the suffix that all tiles of a set have; None if they differ, so that their name cannot have it."""
+    """Return the suffix that all tiles of a set have; None if they differ."""
     distinct = set(suffixes)
     return distinct.pop() if len(distinct) == 1 else None
 
 
 def path_inside(path: str) -> str:
-    """Return a path as it is, or for one outside the folder its name alone: nothing is written out there."""
+    """Return a path, reduced to its name if it is outside of the folder, where nothing is written."""
     return PurePosixPath(path).name if is_outside(path) else path
 
 
 def _renamed(path: str, source: str, stem: str) -> str:
-    """Return a path named after another model: its old stem, as a word, is replaced, or the new one put in front."""
+    """Return a path with the old stem, if it occurs as a word, replaced by the new one, or else prefixed by that."""
     whole = PurePosixPath(path)
     word = rf"(?<![^\W_])(?<!<){re.escape(source)}(?![^\W_])"
     new, count = re.subn(word, lambda _: stem, whole.name, count=1)
@@ -141,11 +139,11 @@ def _with_suffix(path: str, suffix: str) -> str:
 
 
 def new_reference(name: str, path: str, new: str) -> bytes:
-    """Return how a file refers to another after its move from `path` to `new`, with the folder as in `name`."""
+    """Return the reference to a file that moves from `path` to `new`; the folder is spelled as in `name`."""
     if new == path:
         return os.fsencode(name)
     plain = name.replace("\\", "/")
-    # From some folder of the model, the name may be the path itself, or stand for it.
+    # Relative to some folder of the model, the name may be the path.
     if is_outside(path) or not f"/{path}".endswith(f"/{posixpath.normpath(plain)}"):
         return os.fsencode(new)
     return os.fsencode(name[: plain.rfind("/") + 1] + PurePosixPath(new).name)

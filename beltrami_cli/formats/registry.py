@@ -1,7 +1,7 @@
-"""Which formats there are: how the bytes of each are recognised, and which module reads and writes it.
+"""The known formats: how each is recognised, and which module reads and writes it.
 
-A new mesh format is a folder in this package and a line of `FORMATS`. Nothing of a format is imported before a file
-needs it, so that the command line starts fast.
+A new mesh format is a folder in this package and a line of `FORMATS`. The module of a format is imported on demand, so
+that the command line starts fast.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 Kind = Literal["image", "volume", "model"]
 
 _ZIP = b"PK"
-_VOLUMES = (b"NRRD", b" BDV", _ZIP)  # what their files start with
+_VOLUMES = (b"NRRD", b" BDV", _ZIP)  # first bytes of their files
 
-# Files that are not read: their extensions, what they start with, and what makes a model of them.
+# Formats that are not read: extensions, a pattern of the first bytes, and the remedy.
 _BLENDER, _UNPACK = "open it in Blender, and export it as glTF", "unpack it, and give the model"
 _PARAVIEW = (
     "convert it to PLY with ParaView, or with PyVista: pyvista.read(...).save('model.ply', texture='RGB')"
@@ -49,7 +49,7 @@ _UNREAD: dict[str, tuple[tuple[str, ...], bytes, str]] = {
     "RAR archive": ((), rb"Rar!\x1a\x07", _UNPACK),
     "tar archive": ((), rb"[\0-\xff]{257}ustar", _UNPACK),
 }
-_HEAD = 512  # bytes in which a file says what it is
+_HEAD = 512  # bytes in which the mark of a format is looked for
 _JSON = rb"(?:\xef\xbb\xbf)?[ \t\r\n]*\{"
 _PCD = rb"# \.PCD|VERSION 0?\.7"
 _COMMON_IMAGES = (".png", ".jpg", ".jpeg")
@@ -61,28 +61,28 @@ READ_ONLY = ("off", "stl", "3mf", "dae", "zae")
 class Format:
     """A line of the registry. Classes and functions are found in `module`, relative to this package."""
 
-    name: str  # `Document.format`, and for formats with a writer what --format and the suffix of OUTPUT say
-    # Whether a file's bytes (and, if need be, its name) are of it; None: they have no mark, or that of another line.
+    name: str  # `Document.format`; with a writer also the value of --format and the suffix of OUTPUT
+    # Recognises the bytes and, if need be, the name of a file; None: the files have no mark, or that of another line.
     mark: Recogniser | None
     module: str
-    reader: str  # a `Document`; of volumes a function that returns a `Volume`
-    writer: str = ""  # (MeshContents, stem) -> Written; empty: there is none
-    has_textures: bool = False  # whether the writer writes them
-    sidecars: str = ""  # suffixes of the sidecar files that the writer makes
-    textured_sidecars: str = ""  # and with textures; ".*" is that of the texture
+    reader: str  # a `Document`; for volumes a function that returns a `Volume`
+    writer: str = ""  # (MeshContents, stem) -> Written; empty: none
+    has_textures: bool = False  # whether the writer writes textures
+    sidecars: str = ""  # suffixes of the sidecar files that the writer makes without textures
+    textured_sidecars: str = ""  # and with textures; ".*" is the suffix of the texture
     images: tuple[str, ...] = ()  # suffixes of the images that the format can hold; empty: any
-    slots: tuple[Slot, ...] = ()  # of whose maps a new file can be written; empty: any
+    slots: tuple[Slot, ...] = ()  # slots that the writer can write; empty: any
     aliases: tuple[str, ...] = ()  # further suffixes, without the dot
-    by_name: bool = False  # whether files without any mark are recognised by its suffixes
-    keeps_form: bool = False  # documents are written with new colours, but no other format is converted to it
-    kind: Kind = "model"  # what a file holds; meshes and clouds of points are models
+    by_name: bool = False  # whether files without any mark are recognised by these suffixes
+    keeps_form: bool = False  # whether only documents of this format are written in it
+    kind: Kind = "model"  # the content; meshes and point clouds are models
 
     @property
     def suffixes(self) -> tuple[str, ...]:
         return tuple(f".{name}" for name in (self.name, *self.aliases))
 
     def fitted(self, mesh: MeshContents) -> MeshContents:
-        """Leave out the maps that a new file cannot have."""
+        """Leave out the maps that a new file cannot hold."""
         from beltrami_cli.formats.textured_mesh import with_slots
 
         return with_slots(mesh, self.slots) if self.slots else mesh
@@ -97,7 +97,7 @@ def _starts(pattern: bytes) -> Recogniser:
 
 
 def _asks(function: str, *starts: bytes) -> Recogniser:
-    """Ask a function of this package, which is imported for files that start in one of some ways, or for all."""
+    """Recognise by a function of this package, imported only for files with one of the `starts` (none: all files)."""
     return lambda data, name: data.startswith(starts or b"") and bool(_loaded(function)(data, name))
 
 
@@ -115,19 +115,19 @@ def _is_usdz(data: bytes, name: str) -> bool:
 
 
 def _is_foreign(data: bytes, name: str) -> bool:
-    # OBJ files are known by their names alone, and may start with comments as OFF files do.
+    # OBJ files are recognised by their names alone, and may start with comments, as OFF files do.
     return not name.lower().endswith(".obj") and _loaded("read_only.document.kind_of")(data, name) is not None
 
 
 def _textured(name: str, mark: Recogniser | None, reader: str, form: str = "", **more: Any) -> Format:
-    """Return a line of a format whose writer is called after it, or after another `form`."""
+    """Return a line of a textured format; the writer is named after the format, or after `form`."""
     module, _, document = reader.partition(".")
     writer = f"writer.write_{form or name}"
     return Format(name, mark, module, f"document.{document}", writer, has_textures=True, **more)
 
 
 _is_image = _asks("image.file_formats.is_image")
-# The first line whose mark a file has is taken; only then the names count.
+# The first line whose mark matches is taken. Names are considered only if no mark matches.
 FORMATS = (
     Format("image", _is_image, "image_document", "ImageDocument", kind="image"),
     Format("volume", _asks("volume.is_volume", *_VOLUMES), "volume", "read_volume", kind="volume"),
@@ -144,7 +144,7 @@ FORMATS = (
     _textured("usdz", _is_usdz, "usd.UsdDocument", images=_COMMON_IMAGES),
     _textured("usda", _starts(rb"#usda"), "usd.UsdDocument", textured_sidecars=".*"),
     _textured("usdc", _starts(rb"PXR-USDC"), "usd.UsdDocument", textured_sidecars=".*"),
-    # It is of one of the two forms before.
+    # A .usd file has one of the two forms above.
     _textured("usd", None, "usd.UsdDocument", form="usdc", textured_sidecars=".*"),
     *(
         Format(
@@ -176,9 +176,9 @@ _WRITERS = {line.name: line for line in FORMATS if line.writer}
 OUTPUT_FORMATS = {name: name for name in _WRITERS} | {
     alias: line.name for line in _WRITERS.values() for alias in line.aliases
 }
-"""The formats that models can be written in, by the suffix of OUTPUT without its dot."""
+"""Formats that models can be written in, by the suffix of OUTPUT without its dot."""
 KEPT_FORMATS = tuple(line.name for line in FORMATS if line.keeps_form)
-"""The formats that only documents of the same format are written in."""
+"""Formats that only documents of the same format are written in."""
 
 
 def open_document(source: str, access: Access = DEFAULT_ACCESS) -> Document:
@@ -199,7 +199,7 @@ def open_bytes(data: bytes, name: str, folder: Path | None, access: Access = DEF
 
 
 def open_as(line: Format | None, data: bytes, name: str, folder: Path | None, access: Access) -> Document:
-    """Open the bytes of a model or an image of a recognised format; InputError if there is none."""
+    """Open the bytes of a model or image in a recognised format; InputError if it was not recognised."""
     if line is None:
         raise _refusal(data, name)
     document: Document = line.load(line.reader)(data, name, folder, access)
@@ -207,7 +207,7 @@ def open_as(line: Format | None, data: bytes, name: str, folder: Path | None, ac
 
 
 def recognised(data: bytes, name: str, *, models_only: bool = False) -> Format | None:
-    """Return the format of a file by its bytes, or else by its name; None if it is unknown."""
+    """Return the format of a file by its bytes, or else by its name; None: unknown."""
     lines = [line for line in FORMATS if line.kind == "model" or not models_only]
     marked = next((line for line in lines if line.mark is not None and line.mark(data, name)), None)
     if marked is not None or not data or _unread(data, name):
@@ -244,7 +244,7 @@ def _writer(name: str) -> Format:
 
 
 def write_mesh(mesh: MeshContents, name: str, stem: str) -> Written:
-    """Write a mesh as a new file of a format; UsageError if it has textures, and the format none, or not such ones."""
+    """Write a mesh as a new file; UsageError if the format cannot hold its textures."""
     line = require_textures(name) if mesh.materials else _writer(name)
     mesh = line.fitted(mesh)
     for image in mesh.images:
@@ -254,7 +254,7 @@ def write_mesh(mesh: MeshContents, name: str, stem: str) -> Written:
 
 
 def sidecars_of(mesh: MeshContents, name: str, stem: str) -> list[str]:
-    """Return the sidecar files of `write_mesh`, with images as `with_suffixes` has them."""
+    """Return the names of the sidecar files of `write_mesh`; images have the suffixes of `with_suffixes`."""
     from beltrami_cli.formats.textured_mesh import image_names
 
     line = _writer(name)
@@ -270,14 +270,14 @@ def image_suffixes(name: str) -> tuple[str, ...] | None:
 
 
 def sidecar_names(name: str, stem: str, image_suffix: str | None) -> list[str]:
-    """Return the sidecar files of `write_mesh` for a mesh with one image, or without images."""
+    """Return the names of the sidecar files of `write_mesh` for a mesh with one image, or without."""
     line = _writer(name) if image_suffix is None else require_textures(name, image_suffix)
     suffixes = line.sidecars if image_suffix is None else line.textured_sidecars
     return [stem + (suffix.replace(".*", image_suffix or ".*")) for suffix in suffixes.split()]
 
 
 def require_textures(name: str, image_suffix: str | None = None) -> Format:
-    """Return a format; UsageError if it cannot hold textures, or none with the suffix."""
+    """Return a format; UsageError if it cannot hold textures, or not those with this suffix."""
     line = _writer(name)
     if not line.has_textures:
         raise UsageError(f"a .{name} file has no textures; end the name of the output in .glb, .obj or .ply")
@@ -289,16 +289,16 @@ def require_textures(name: str, image_suffix: str | None = None) -> Format:
 
 @dataclass(frozen=True)
 class OutputFormat:
-    """A format to write."""
+    """The format of the output."""
 
     name: str
-    # Whether the output keeps all that the document holds besides colours; otherwise it is converted.
+    # Whether the document is patched, and keeps everything but its colours; otherwise it is converted.
     is_patched: bool
-    suffix: str | None = None  # of another image format, with its dot
+    suffix: str | None = None  # with its dot, if an image is written in another format
 
 
 def choose_format(document: Document, target: str, chosen: str | None) -> OutputFormat:
-    """Choose the format to write, by option, by the output's name, or as the source; UsageError if it is unknown."""
+    """Choose the output format by option, by the output's name, or as the source; UsageError if it is unknown."""
     from beltrami_cli.formats.image.file_formats import format_of_suffix
 
     if document.kind == "image":

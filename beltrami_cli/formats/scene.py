@@ -1,4 +1,4 @@
-"""Polygons with materials as formats give them, and what is made of them: surfaces with textures, and meshes."""
+"""A scene of polygons with materials, as readers fill it, and its conversion to textured surfaces and to meshes."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _UNREAD = Obstacle("cannot be read")
 def no_texture(
     slot: Slot, name: str, missing: Iterable[Obstacle], *, is_bare: bool, why: Obstacle | None = None
 ) -> InputError:
-    """Return the error that nothing shows an image: as one is missing, for lack of coordinates, or for a reason."""
+    """Return the error for a slot without a usable texture: missing images, no coordinates, or another reason."""
     for cause, remedy in missing:
         return NoColoursError(name, f"its {slot} texture cannot be read: {cause}", remedy)
     if is_bare:
@@ -58,14 +58,14 @@ def no_texture(
 class _SlotImages:
     """The images that materials show in a slot."""
 
-    texture_of: Int32s  # of each material: -1 where it has none, -2 minus the index in `sets` for tiles
+    texture_of: Int32s  # of each material; -1: none, -2 - n: the tile set `sets[n]`
     textures: dict[str, Texture] = field(default_factory=dict)  # by their keys
-    sets: list[dict[Tile, int]] = field(default_factory=list)  # numbers of the textures of tiles
-    missing: dict[Obstacle, list[str]] = field(default_factory=dict)  # materials by why they show no image
-    mixed: dict[str, None] = field(default_factory=dict)  # names of images that are repeated in several ways
+    sets: list[dict[Tile, int]] = field(default_factory=list)  # indices of textures
+    missing: dict[Obstacle, list[str]] = field(default_factory=dict)  # materials whose image cannot be read
+    mixed: dict[str, None] = field(default_factory=dict)  # names of images with several wrap modes
 
     def add(self, texture: Texture) -> int:
-        """Let a material show an image, and return its number."""
+        """Add an image of a material, and return its index."""
         old = self.textures.get(texture.key, texture)
         self.mixed |= {old.name: None} if old.wrap != texture.wrap else {}
         materials = tuple(dict.fromkeys([*old.materials, *texture.materials]))
@@ -87,8 +87,8 @@ class ShownMap:
     """The image that a material shows in a slot."""
 
     name: str  # as the file spells it
-    path: str | None  # of an image, or of a set of tiles; None: it is not read
-    obstacle: Obstacle = _UNREAD  # then: why, to be put behind the name
+    path: str | None  # of an image or tile set; None: it is not read
+    obstacle: Obstacle = _UNREAD  # why it is not read; follows the name in a message
     wrap: tuple[Wrap, Wrap] = ("repeat", "repeat")
     alpha_hides: bool = True  # as in `Texture`
 
@@ -103,22 +103,22 @@ class Scene:
     name: str  # of the file, for messages
     positions: Float64s  # (V, 3)
     corners: Int32s  # (K,): vertices of the corners of all polygons
-    offsets: Int64s  # (P + 1,): where each polygon starts
+    offsets: Int64s  # (P + 1,): first corner of each polygon
     material_of: Int64s  # (P,): index into `materials`
     materials: Sequence[Material]  # without their maps
     maps: Sequence[Maps]  # of each material
-    # Texture coordinates of all corners, (K, 2), for a slot (None: of polygons without an image); NaN: none.
+    # Texture coordinates of all corners, (K, 2), for a slot (None: for polygons without an image); NaN: none.
     uv: Callable[[Slot | None], Float64s]
     tiles: TileSets
     read: Callable[[str], bytes]
-    measured: Bools | None = None  # (V,): which vertices have a position; None: all
-    # Whether materials say what multiplies their maps, and how they are seen through; elsewhere maps do.
+    measured: Bools | None = None  # (V,): which vertices have a finite position; None: all
+    # Whether materials have factors for their maps and an alpha mode; otherwise these follow from the maps.
     has_factors: bool = False
-    names: Mapping[str, str] = field(default_factory=dict)  # of images, where they are not files with names
+    names: Mapping[str, str] = field(default_factory=dict)  # of images that are not files, by path
     is_v_up: bool = True
 
     def surface(self, slot: Slot, undefined: Obstacle | None = None) -> tuple[TexturedSurface, list[str]]:
-        """Return all triangles, the images of one slot, and notices; `undefined`: why a material is not known."""
+        """Return all triangles with the images of one slot, and notices; `undefined`: why a material is unknown."""
         cut, polygon = triangulate_corners(self.positions, self.corners, self.offsets)
         if not self._is_whole.all():
             kept = self._is_whole[polygon]
@@ -180,7 +180,7 @@ class Scene:
         groups: tuple[tuple[str, ...], Int64s] = (("",), np.zeros(1, np.int64)),
         normals: Array | None = None,
     ) -> MeshContents:
-        """Return the polygons with all materials; `groups` are names and the number of each polygon's."""
+        """Return the polygons with all materials; `groups`: names, and the index of the group of each polygon."""
         uv, elsewhere = self._common_coordinates()
         images, materials, lost = dict[str, MeshImage](), [*self.materials], [*left_out]
         kept = np.flatnonzero(self._is_whole)
@@ -214,7 +214,7 @@ class Scene:
         return _on_tiles(mesh.polygons(kept))
 
     def _image(self, path: str, known: dict[str, MeshImage]) -> MeshImage:
-        """Return the image of a file, or the image that stands for a set of tiles."""
+        """Return the image of a file or tile set."""
         if path in self.tiles:
             tiles = tuple((tile, self._image(file, known)) for tile, file in self.tiles[path].items())
             return dataclasses.replace(tiles[0][1], tiles=tiles)
@@ -231,7 +231,7 @@ class Scene:
         return self.uv(slot) * [1, -1] + [0, 1] if self.is_v_up else self.uv(slot)
 
     def _with_maps(self, material: Material, maps: MaterialMaps) -> Material:
-        """Return a material with maps, with which its colours and metalness count as white and 1."""
+        """Return a material with maps; the factors of these are white and 1 unless the scene has factors."""
         white, base = (1.0, 1.0, 1.0), maps.get("baseColor")
         new: dict[str, Any] = {"maps": maps}
         if not self.has_factors:
@@ -244,14 +244,14 @@ class Scene:
 
     @property
     def _is_whole(self) -> Bools:
-        """Which polygons have three corners or more, all of them with a position."""
+        """Polygons with at least three corners, all of them at finite positions."""
         is_whole = np.diff(self.offsets) >= 3
         if self.measured is not None:
             is_whole &= ~polygons_with(~self.measured[self.corners], self.offsets)
         return np.asarray(is_whole)
 
     def _common_coordinates(self) -> tuple[Float64s, set[tuple[int, Slot]]]:
-        """Return one set of texture coordinates, (K, 2), v down, and materials and slots that need another one."""
+        """Return one set of texture coordinates, (K, 2), v down, and the materials and slots that need another set."""
         uv, elsewhere = np.full((len(self.corners), 2), np.nan), set[tuple[int, Slot]]()
         material_of = self.material_of[polygons_of(self.offsets)]
         for slot in (*(slot for slot in SLOTS if any(slot in maps for maps in self.maps)), None):
@@ -270,7 +270,7 @@ class Scene:
 
 
 def _on_tiles(mesh: MeshContents) -> MeshContents:
-    """Return a mesh with a material for each tile, and with the materials that its polygons have."""
+    """Return a mesh with a material for each tile, and without unused materials."""
     assert mesh.uv is not None
     is_tiled = np.array([any(shown.image.tiles for shown in each.maps.values()) for each in mesh.materials])
     material_of, uv, materials = mesh.material_numbers.copy(), mesh.uv.copy(), list(mesh.materials)
@@ -298,7 +298,7 @@ def _on_tiles(mesh: MeshContents) -> MeshContents:
 
 
 def _alpha_mode(data: bytes, name: str) -> AlphaMode:
-    """Return how an image is seen through, in formats whose materials do not say it."""
+    """Return the alpha mode of an image, for formats whose materials have none."""
     from beltrami_cli.formats.image.reading import read_image
     from beltrami_cli.formats.image.sizes import measure_image
 

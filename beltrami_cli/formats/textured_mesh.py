@@ -1,4 +1,4 @@
-"""Meshes with textures on the way to another format: which maps it has, and names of their files and materials."""
+"""Textured meshes for writers: what the target format cannot hold, and names of image files and materials."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from beltrami_cli.surface.records import (
 )
 
 MaterialMaps = Mapping[Slot, MaterialMap]
-_FIT = ".png"  # the suffix of images that a format cannot hold as they are
+_FALLBACK_SUFFIX = ".png"  # of images whose own type the format cannot hold
 
 
 def bare_polygons(mesh: MeshContents) -> Bools:
-    """Return which polygons of a mesh with textures have no texture coordinates at a corner, shape (P,)."""
+    """Return the polygons, shape (P,), that lack texture coordinates at a corner."""
     assert mesh.uv is not None
     return polygons_with(np.asarray(np.isnan(mesh.uv).any(axis=1)), mesh.offsets)
 
 
 def lost_repetition(mesh: MeshContents, *kept: Wrap) -> list[str]:
-    """Return what a format does not say of images that are shown beyond their borders."""
+    """Return the loss of wrap modes other than `kept`, if texture coordinates leave the images."""
     wraps = {shown.wrap for material in mesh.materials for shown in material.maps.values()}
     is_kept = all(u == v and u in kept for u, v in wraps)
     is_within = mesh.uv is None or not ((mesh.uv < 0) | (mesh.uv > 1)).any()
@@ -41,7 +41,7 @@ def lost_repetition(mesh: MeshContents, *kept: Wrap) -> list[str]:
 
 
 def normals_of_corners(mesh: MeshContents, notices: list[str]) -> Float32s | None:
-    """Return the normals of corners, (K, 3), if all have one; a notice is added if only some have."""
+    """Return the normals of corners, (K, 3); None, with a notice, unless all have one."""
     normals = mesh.corner_normals if mesh.normals is None else mesh.normals[mesh.corners]
     if normals is None or np.isfinite(normals).all():
         return normals
@@ -51,7 +51,7 @@ def normals_of_corners(mesh: MeshContents, notices: list[str]) -> Float32s | Non
 
 
 def triangulated(mesh: MeshContents) -> MeshContents:
-    """Return a mesh whose polygons are cut into triangles, which `left_out` then says."""
+    """Cut the polygons of a mesh into triangles, and note that in `left_out`."""
     if (mesh.sizes == 3).all():
         return mesh
     lost = ["quads and polygons, which are cut into triangles"] if (mesh.sizes > 3).any() else []
@@ -72,7 +72,7 @@ def image_names(mesh: MeshContents, stem: str, supported: Collection[str] = ()) 
     """Return names for the files of the images, after the model, all different, as `with_suffixes` has them."""
     names, found = NewFiles(Naming(stem), mesh.source, (), ()), []
     for image in mesh.images:
-        # A reference in MTL and PLY is the rest of a line, whose blanks at the ends programs cut off.
+        # References in MTL and PLY extend to the end of the line, and programs strip blanks at their ends.
         plain = plain_name(PurePosixPath(image.name).stem)
         suffix = image.file.suffix if not supported or image.file.suffix in supported else _FIT
         found.append(names.image(plain + suffix) if plain else names.new(suffix))
@@ -80,7 +80,7 @@ def image_names(mesh: MeshContents, stem: str, supported: Collection[str] = ()) 
 
 
 def material_names(materials: Sequence[Material], default: str) -> list[str]:
-    """Return names for the materials, all different, on one line each; `default` where there is none."""
+    """Return unique names for the materials, each on one line; `default` for those without a name."""
     names: dict[str, None] = {}
     for material in materials:
         plain = name = plain_name(material.name) or default
@@ -91,7 +91,7 @@ def material_names(materials: Sequence[Material], default: str) -> list[str]:
 
 
 def plain_name(name: str) -> str:
-    """Return a name on one line, in characters: bytes that are not UTF-8 are taken for Latin-1."""
+    """Return a name on one line; bytes that are not UTF-8 are decoded as Latin-1."""
     line = " ".join(name.split())
     try:
         line.encode()
@@ -101,7 +101,7 @@ def plain_name(name: str) -> str:
 
 
 def with_images(mesh: MeshContents, images: NewImages) -> MeshContents:
-    """Return a mesh with other images, by slot and key; each replaces that image in that slot alone."""
+    """Replace images by slot and key; each replaces the image in that slot only."""
 
     def shown(slot: Slot, old: MaterialMap) -> MaterialMap:
         file = images.get((slot, old.image.key), old.image.file)
@@ -111,7 +111,7 @@ def with_images(mesh: MeshContents, images: NewImages) -> MeshContents:
 
 
 def with_slots(mesh: MeshContents, slots: Collection[Slot]) -> MeshContents:
-    """Return a mesh with the maps of some slots only, and notices of the others."""
+    """Keep only the maps of some slots, and note the others in `left_out`."""
     lost = {slot for material in mesh.materials for slot in material.maps if slot not in slots}
     left_out = (*mesh.left_out, *(f"{slot} maps" for slot in sorted(lost)))
     mesh = _with_maps(mesh, lambda maps: {slot: each for slot, each in maps.items() if slot in slots})
@@ -124,16 +124,16 @@ def _with_maps(mesh: MeshContents, change: Callable[[MaterialMaps], MaterialMaps
 
 
 def with_suffixes(mesh: MeshContents, suffixes: Collection[str]) -> tuple[MeshContents, list[str]]:
-    """Return a mesh whose images have one of some suffixes, and notices; the others are written as PNG."""
+    """Convert images with other suffixes to PNG; return also notices. No suffixes: any are kept."""
     from beltrami_cli.formats.image import losses, read_image, write_image
 
     new_of, notices = dict[MeshImage, MeshImage](), list[str]()
     for image in mesh.images:
         if suffixes and image.file.suffix not in suffixes:
             picture = read_image(image.file.data, image.name)
-            file = write_image(picture, picture.pixels, suffix=_FIT)
+            file = write_image(picture, picture.pixels, suffix=_FALLBACK_SUFFIX)
             new_of[image] = dataclasses.replace(image, file=file)
-            notices += losses(picture, _FIT)
+            notices += losses(picture, _FALLBACK_SUFFIX)
     if new_of:
         held = ", ".join(suffix[1:] for suffix in suffixes)
         notices.append(f"Textures written as PNG, since the format holds {held} only: {len(new_of)}.")
@@ -147,6 +147,6 @@ def with_suffixes(mesh: MeshContents, suffixes: Collection[str]) -> tuple[MeshCo
 def shown_materials(
     materials: Sequence[Material], material_of: NDArray[np.integer]
 ) -> tuple[tuple[Material, ...], Int32s]:
-    """Return the materials that triangles have, and which of these each has."""
+    """Return the materials in use, and the index of each triangle's."""
     used, number_of = np.unique(material_of, return_inverse=True)
     return tuple(materials[index] for index in used), number_of.astype(np.int32)

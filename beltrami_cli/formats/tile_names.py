@@ -1,6 +1,7 @@
-"""Names of the files of a set of tiles.
+"""File names of tile sets.
 
-The name of a set of tiles has a token, in whose place the files have the number of the tile at column u and row v:
+The name of a tile set contains a token, which the names of its files replace by the number of the tile at column u and
+row v:
 
 | token | numbering | tile (2, 1) |
 |---|---|---|
@@ -21,18 +22,18 @@ _FIRST = 1001
 
 
 def has_token(name: str) -> bool:
-    """Whether a name stands for a set of tiles."""
+    """Whether a name is that of a tile set."""
     return _TOKEN.search(name) is not None
 
 
 def token_in(name: str) -> str:
-    """Return what stands for the number of a tile in a name, with a dot in front; "" if nothing does."""
+    """Return the token of a name, with a dot in front; "" if it has none."""
     token = _TOKEN.search(name)
     return f".{token[0]}" if token else ""
 
 
 def tile_name(pattern: str, tile: Tile) -> str:
-    """Return the name of a tile's file."""
+    """Return the file name of a tile."""
 
     def number(token: re.Match[str]) -> str:
         if token[1].lower() == "udim":
@@ -44,7 +45,7 @@ def tile_name(pattern: str, tile: Tile) -> str:
 
 
 def found_tiles(pattern: str, names: Iterable[str]) -> dict[Tile, str]:
-    """Return the tiles of a set among the names of a folder, row by row from below."""
+    """Return the tiles of a set among the names in a folder, row by row from the bottom."""
     token = _TOKEN.search(pattern)
     assert token is not None
     is_mari, first = token[1].lower() == "udim", int(token[1] == "UVTILE")

@@ -1,4 +1,4 @@
-"""Values in files by where they stand: finding and reading the numbers of a text, and exchanging bytes for others."""
+"""Tokens of text files by their positions: find and read numbers, and replace tokens while every other byte stays."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.surface.large_arrays import blocks
 
-PLACEHOLDER = b"\0"  # replaces what may differ in a part of a fingerprint
-Spans = dict[tuple[int, int], bytes]  # new bytes by where the old ones start and end
+PLACEHOLDER = b"\0"  # for values that may differ, in a part of a fingerprint
+Spans = dict[tuple[int, int], bytes]  # new bytes, by start and end of the old ones
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
-# Not finite numbers as Microsoft's C library spelled them until 2015.
+# NaN and infinity as Microsoft's C library printed them until 2015.
 _MICROSOFT_NAN = re.compile(rb"(?<!\S)[-+]?1\.#(?:[QS]NAN|IND|INF)\d*(?=[\s,;]|\Z)")
 _SOLID = bytes(character not in b" \t\n\v\f\r" for character in range(256))
 _MAX_SHOWN = 40  # bytes of a token in a message
 _LONGEST_LINE = 1 << 22  # bytes: a polygon of some 200,000 corners
 _MIN_DIGITS, _MAX_DIGITS = 6, 9  # of full scale: as fine as 20 bits, and all that single precision has
 _WITH_EXPONENT = b"%.9g"
-_BLOCK = 1 << 16  # tokens exchanged or lines made at a time, which bounds the memory that the pieces take
+_BLOCK = 1 << 16  # tokens or lines at a time, which bounds the memory of the pieces
 
 
 def find_tokens(text: bytes) -> tuple[Int64s, Int64s]:
-    """Return starts and ends, shape (T,), of the runs of bytes between ASCII white space."""
+    """Return starts and ends, shape (T,), of the tokens between ASCII white space."""
     solid = np.frombuffer(text.translate(_SOLID), np.bool_)
     # Starts and ends of tokens, alternating.
     edges = np.flatnonzero(np.diff(solid, prepend=False, append=False))
@@ -36,8 +36,8 @@ def find_tokens(text: bytes) -> tuple[Int64s, Int64s]:
 
 
 def require_short_lines(text: bytes, name: str) -> None:
-    """Raise InputError if a line is longer than any that a file needs; reading it takes many times its length."""
-    # A longer line has no end within a block of half its length, which is looked for first.
+    """Raise InputError if a line exceeds the limit: parsing takes many times the memory of a line."""
+    # A longer line spans at least one block of half the limit without a line end, which is searched for first.
     for block in blocks(len(text), _LONGEST_LINE // 2):
         if text.find(b"\n", block.start, block.stop) < 0 and text.find(b"\r", block.start, block.stop) < 0:
             begin = max(text.rfind(end, 0, block.start) for end in (b"\n", b"\r")) + 1
@@ -49,7 +49,7 @@ def require_short_lines(text: bytes, name: str) -> None:
 
 
 def without_comments(text: bytes, *marks: bytes) -> bytes:
-    """Blank a byte order mark, and what stands from a mark to its line's end; every other byte stays at its place."""
+    """Blank a byte order mark, and each comment from its mark to the end of the line; offsets do not change."""
     if text.startswith(_BYTE_ORDER_MARK):
         text = b"   " + text[3:]
     text = _with_plain_nan(text)
@@ -59,10 +59,10 @@ def without_comments(text: bytes, *marks: bytes) -> bytes:
 
 
 class Lines:
-    """The tokens of a file by lines: line l, not counting empty ones, has the tokens `heads[l]` to `stops[l]`."""
+    """The tokens of a file by lines: non-empty line l has the tokens from `heads[l]` up to `stops[l]`."""
 
     def __init__(self, data: bytes, text: bytes, name: str) -> None:
-        """Find them in `text`, which is the data with blanks in place of comments."""
+        """`text`: the data with comments blanked."""
         require_short_lines(text, name)
         self.data, self.name = data, name
         self.characters = np.frombuffer(text, np.uint8)
@@ -76,12 +76,12 @@ class Lines:
         self.heads, self.stops = heads[heads < stops], stops[heads < stops]
 
     def numbers(self, tokens: Int64s) -> Float64s:
-        """Read tokens, given in file order, as numbers; InputError if one is none."""
+        """Read tokens, given in file order, as numbers; InputError if one is not a number."""
         if not tokens.size:
             return np.empty(0)
         begin, end = int(self.starts[tokens[0]]), int(self.ends[tokens[-1]])
         only = self.characters[begin:end]
-        if len(tokens) <= tokens[-1] - tokens[0]:  # there are others among them
+        if len(tokens) <= tokens[-1] - tokens[0]:  # other tokens lie between them
             inside = np.zeros(end - begin + 1, np.int8)
             inside[self.starts[tokens] - begin] = 1
             inside[self.ends[tokens] - begin] = -1
@@ -105,7 +105,7 @@ class Lines:
 
 
 def read_numbers(text: bytes) -> Float64s:
-    """Return the decimal numbers ("nan" and "inf" included) that a text starts with, up to the first other token."""
+    """Return the numbers ("nan" and "inf" included) at the start of a text, up to the first other token."""
     text = _with_plain_nan(text)
     values = _parse(text)
     if values is not None:
@@ -126,7 +126,7 @@ def read_numbers(text: bytes) -> Float64s:
 
 
 def _with_plain_nan(text: bytes) -> bytes:
-    """Return a text with "nan()" for 1.#QNAN, -1.#IND, 1.#INF and the like, filled up to the same length."""
+    """Replace 1.#QNAN, -1.#IND, 1.#INF and the like by "nan(000)" of the same length."""
     if b".#" not in text:
         return text
     return _MICROSOFT_NAN.sub(lambda found: b"nan(%s)" % (b"0" * (len(found[0]) - len("nan()"))), text)
@@ -134,7 +134,7 @@ def _with_plain_nan(text: bytes) -> bytes:
 
 def _parse(text: bytes) -> Float64s | None:
     if not text or text.isspace():
-        return np.empty(0)  # NumPy would make one number of blanks.
+        return np.empty(0)  # NumPy would return one number for blanks.
     with warnings.catch_warnings():
         # Older versions of NumPy warn instead of raising.
         warnings.simplefilter("error", DeprecationWarning)
@@ -147,7 +147,7 @@ def _parse(text: bytes) -> Float64s | None:
 def exchange_tokens(
     text: bytes, starts: Int64s, ends: Int64s, spell: Callable[[slice], Sequence[bytes]]
 ) -> list[bytes | memoryview]:
-    """Return a text, in pieces, whose T tokens at ascending places are replaced; `spell` gives a slice of new ones."""
+    """Replace T tokens at ascending offsets; return the text in pieces. `spell` formats a slice of the new tokens."""
     whole = memoryview(text)
     pieces: list[bytes | memoryview] = []
     done = 0
@@ -164,10 +164,10 @@ def exchange_tokens(
 class NewNumbers:
     """Tokens of a text and the numbers that replace them."""
 
-    starts: Int64s  # (K,) where the tokens stand
+    starts: Int64s  # (K,) offsets of the tokens
     ends: Int64s
     values: Array
-    style: bytes = b""  # how one is spelled; empty: the shortest that is read back the same
+    style: bytes = b""  # %-format of a number; empty: the shortest that reads back as the same number
 
     def spelled(self, chosen: Int64s) -> list[bytes]:
         values = self.values[chosen]
@@ -178,7 +178,7 @@ class NewNumbers:
 
 
 def renumbered(text: bytes, parts: Sequence[NewNumbers]) -> list[bytes | memoryview]:
-    """Exchange tokens for numbers, each token once, and keep every other byte; return the text in pieces."""
+    """Replace tokens by numbers, each token once; return the text in pieces."""
     starts, ends = (
         np.concatenate(both) for both in zip(*((part.starts, part.ends) for part in parts), strict=True)
     )
@@ -200,7 +200,7 @@ def renumbered(text: bytes, parts: Sequence[NewNumbers]) -> list[bytes | memoryv
 def new_colours(
     text: bytes, starts: Int64s, ends: Int64s, before: Float32s, after: Float32s, scale: float
 ) -> NewNumbers:
-    """Spell the colours that changed, all of shape (V, C), like the old ones; `scale` is their full scale."""
+    """Format the changed colours like the old ones; arrays have shape (V, C), and `scale` is full scale."""
     changed, values, style = after != before, after.astype(np.float64) * scale, _WITH_EXPONENT
     characters = np.frombuffer(text, np.uint8)
     exponents = np.append(np.flatnonzero((characters == ord("e")) | (characters == ord("E"))), len(text))
@@ -215,15 +215,15 @@ def new_colours(
 
 
 def most_decimals(text: bytes, starts: Int64s, ends: Int64s) -> int:
-    """Return how many characters stand behind the point of a token at most; negative if no token has one."""
+    """Return the largest number of decimals of a token; negative if no token has a decimal point."""
     points = np.append(np.flatnonzero(np.frombuffer(text, np.uint8) == ord(".")), len(text))
     return int((ends - points[np.searchsorted(points, starts)] - 1).max())
 
 
 def _colour_decimals(text: bytes, starts: Int64s, ends: Int64s, scale: float) -> int:
-    """Return with how many decimals to spell colours of a full scale: as the old ones, as far as float32 goes.
+    """Return the number of decimals for new colours: that of the old ones, within the precision of float32.
 
-    Negative where all old ones are whole numbers, and so the new ones are to be.
+    Negative if all old colours are integers, so that the new ones should be, too.
     """
     found = most_decimals(text, starts, ends)
     if found < 0 and scale > 1:
@@ -233,13 +233,13 @@ def _colour_decimals(text: bytes, starts: Int64s, ends: Int64s, scale: float) ->
 
 
 def without_tokens(text: bytes, starts: Int64s, ends: Int64s) -> bytes:
-    """Return a text with a placeholder for each of some tokens, as for `exchange_tokens`."""
+    """Replace tokens by placeholders; arguments as for `exchange_tokens`."""
     pieces = exchange_tokens(text, starts, ends, lambda block: [PLACEHOLDER] * (block.stop - block.start))
     return b"".join(pieces)
 
 
 def exchange_spans(data: bytes, spans: Spans) -> bytes:
-    """Return data with the bytes at some spans exchanged for others."""
+    """Replace the bytes of each span."""
     pieces, done = [], 0
     for (start, end), new in sorted(spans.items()):
         pieces += [data[done:start], new]
@@ -248,7 +248,7 @@ def exchange_spans(data: bytes, spans: Spans) -> bytes:
 
 
 def shifted(places: Int64s, spans: Spans) -> Int64s:
-    """Return where places outside the spans are after these were exchanged."""
+    """Return new offsets of places outside of the spans after `exchange_spans`."""
     ordered = sorted(spans.items())
     growth = np.cumsum([0, *(len(new) - (end - start) for (start, end), new in ordered)])
     moved: Int64s = places + growth[np.searchsorted([start for (start, _), _ in ordered], places)]
@@ -256,7 +256,7 @@ def shifted(places: Int64s, spans: Spans) -> Int64s:
 
 
 def number_lines(style: str, *tables: Array) -> Iterator[bytes]:
-    """Give a line for each row of some tables; "%s" is the shortest token that is read back the same."""
+    """Yield lines for the rows of tables, side by side; "%s" is the shortest token that reads back as that number."""
     kinds = re.findall(r"%[.\d]*([sdf])", style)
     for block in blocks(len(tables[0]), _BLOCK):
         columns = zip(kinds, (column for table in tables for column in table[block].T), strict=True)
@@ -265,7 +265,7 @@ def number_lines(style: str, *tables: Array) -> Iterator[bytes]:
 
 
 def zeroed(data: bytes, starts: Int64s, size: int) -> bytes:
-    """Return data in which the values of `size` bytes at some places, shape (n,), are zero."""
+    """Set `size` bytes at each of n offsets to zero."""
     octets: Array = np.frombuffer(data, np.uint8).copy()
     for step in range(size):
         octets[starts + step] = 0

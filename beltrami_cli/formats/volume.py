@@ -1,4 +1,4 @@
-"""Level sets and their colours: which format a file has, by its content, and those in NumPy archives.
+"""Level sets and their colours, from NRRD files and NumPy archives.
 
 Arrays, by their names; all but the first are optional:
 
@@ -44,14 +44,14 @@ _MIN_SIDE = 2  # a cell has two samples along each axis
 
 
 def is_volume(data: bytes, name: str) -> bool:
-    """Whether a file is a level set, or claims to be one; InputError if it is a damaged archive of arrays."""
+    """Whether a file is marked as a level set; InputError if it is a damaged archive of arrays."""
     if data.startswith((_NRRD, _OPENVDB)):
         return True
     return is_npz(data) and NpzArchive(data, name).kind() == "level set"
 
 
 def read_volume(data: bytes, name: str, folder: ModelFolder, most: int) -> Volume:
-    """Read a level set of at most `most` samples; InputError if it cannot be read."""
+    """Read a level set; InputError if it is damaged or has more than `most` samples."""
     if data.startswith(_OPENVDB):
         cause = "it is an OpenVDB file, for which there is no Python package to read it"
         remedy = "save its grid as .npz with the arrays values, colours, spacing and origin, or as .nrrd"
@@ -62,7 +62,7 @@ def read_volume(data: bytes, name: str, folder: ModelFolder, most: int) -> Volum
 
 
 def read_colours(data: bytes, name: str, folder: ModelFolder, most: int) -> GridColours | NearColours | None:
-    """Read a file of colours for a level set as `read_volume`; None if it is neither a level set nor an archive."""
+    """Read the colours of a level set from a file, as `read_volume`; None if it is neither NRRD nor an archive."""
     if data.startswith(_NRRD):
         return read_nrrd_colours(data, name, folder, most)
     if not is_npz(data):
@@ -155,7 +155,7 @@ def _require(holds: Any, archive: NpzArchive, cause: str) -> None:
         )
 
 
-_VALUE_AND_COLOURS = (2, 4, 5)  # a value with grey, with red, green and blue, and with opacity besides
+_VALUE_AND_COLOURS = (2, 4, 5)  # numbers of a sample: a value with grey, with RGB, or with RGB and opacity
 _LONGEST_LIST = 5
 _LONGEST_NUMBER = 8  # bytes of a double
 _LONGEST_HEADER = 1 << 16
@@ -172,7 +172,7 @@ _DAMAGE = (ValueError, KeyError, IndexError, TypeError, AttributeError, OSError,
 
 
 def read_nrrd(data: bytes, name: str, folder: ModelFolder, most: int) -> Volume:
-    """Read a level set, and its colours if they are in the same file; as `read_volume`."""
+    """Read a level set, with its colours if the file has them; as `read_volume`."""
     samples, lattice, kind = _read(data, name, folder, most)
     if kind is None:
         return Volume(lattice, samples)
@@ -195,7 +195,7 @@ def read_nrrd_colours(data: bytes, name: str, folder: ModelFolder, most: int) ->
 
 
 def _read(data: bytes, name: str, folder: ModelFolder, most: int) -> tuple[Array, Lattice, str | None]:
-    """Return samples, indexed [x, y, z] and in the list, where they stand, and the list's kind; None for one number."""
+    """Return samples [x, y, z], or [x, y, z, list], their lattice, and the kind of the list axis or None."""
     nrrd = require_package("nrrd", "pynrrd", name, "to read NRRD files")
     header, body = _header(nrrd, data, name)
     sizes = [int(size) for size in header["sizes"]]
@@ -247,7 +247,7 @@ def _data(header: dict[str, Any], body: bytes, name: str, folder: ModelFolder) -
 
 
 def _samples(nrrd: Any, header: dict[str, Any], data: bytes, name: str) -> Array:
-    """Read the numbers, with the fastest axis first; never more than the header says."""
+    """Read the samples, fastest axis first, and no more than the header announces."""
     try:
         with warnings.catch_warnings(action="ignore"):
             if header["encoding"] in ("gzip", "gz", "bzip2", "bz2"):
@@ -261,7 +261,7 @@ def _samples(nrrd: Any, header: dict[str, Any], data: bytes, name: str) -> Array
 
 
 def _inflated(header: dict[str, Any], data: bytes) -> tuple[dict[str, Any], bytes]:
-    """Undo the compression as far as the header says that there are data, since pynrrd would go on to any end."""
+    """Decompress up to the size that the header announces; pynrrd would decompress without a bound."""
     lines = int(header.get("line skip", header.get("lineskip", 0)))
     skipped = int(header.get("byte skip", header.get("byteskip", 0)))
     if skipped < 0 or lines < 0:
@@ -284,7 +284,7 @@ def _one_line(error: BaseException) -> str:
 
 
 def _list_axis(header: Mapping[str, Any], name: str) -> int | None:
-    """Return the axis along which the numbers of a sample are listed, counted from the fastest; None: there is none."""
+    """Return the axis of the numbers of a sample, counted from the fastest; None if samples are single numbers."""
     count = len(header["sizes"])
     if count not in (3, 4):
         raise InputError(name, f"it has {count} axes", "give three, or four with one for colours")
@@ -304,7 +304,7 @@ def _list_axis(header: Mapping[str, Any], name: str) -> int | None:
 
 
 def _spatial_lattice(header: Mapping[str, Any], axes: Sequence[int], name: str) -> Lattice:
-    """Return where the samples on three axes stand: by directions in space, or else along right angles."""
+    """Return the lattice of the three spatial axes: by space directions, or else at right angles."""
     directions = header.get("space directions")
     if directions is not None:
         rows = np.array([directions[axis] for axis in axes], float)
@@ -318,7 +318,7 @@ def _spatial_lattice(header: Mapping[str, Any], axes: Sequence[int], name: str) 
 
 
 def _along_axes(header: Mapping[str, Any], axes: Sequence[int]) -> tuple[Float64s, Float64s]:
-    """Return the spacings, and the place of the first sample, by `spacings`, `axis mins` and `axis maxs`."""
+    """Return the spacings and the position of the first sample from `spacings`, `axis mins` and `axis maxs`."""
     lows = _finite(_field(header, "axis mins", "axismins"), axes)
     highs = _finite(_field(header, "axis maxs", "axismaxs"), axes)
     spacings = _finite(header.get("spacings"), axes)
@@ -326,7 +326,7 @@ def _along_axes(header: Mapping[str, Any], axes: Sequence[int]) -> tuple[Float64
     cells = np.array([axis < len(centred) and str(centred[axis]) == "cell" for axis in axes])
     sizes = np.array([int(header["sizes"][axis]) for axis in axes])
     with np.errstate(invalid="ignore"):
-        # Cells fill the range from one end to the other; nodes stand on its ends.
+        # Cells fill the range; the outermost nodes lie on its ends.
         derived = (highs - lows) / np.where(cells, sizes, sizes - 1)
     steps = np.where(np.isfinite(spacings), spacings, np.where(np.isfinite(derived), derived, 1.0))
     start = np.where(np.isfinite(lows), lows + np.where(cells, steps / 2, 0), 0.0)
@@ -338,14 +338,14 @@ def _field(header: Mapping[str, Any], *names: str) -> Any:
 
 
 def _finite(values: Any, axes: Sequence[int]) -> Float64s:
-    """Return the entries of a per-axis field; NaN where there is none."""
+    """Return the entries of a per-axis field; NaN if it is missing."""
     if values is None or len(values) <= max(axes):
         return np.full(3, np.nan)
     return np.array([float(values[axis]) for axis in axes])
 
 
 def checked_lattice(axes: Float64s, origin: Float64s, name: str) -> Lattice:
-    """Make a lattice; InputError if steps lie in one plane, or are too small, large or unlike to compute with."""
+    """Make a lattice; InputError if its steps are coplanar, or too small, too large or too unequal."""
     if not (np.isfinite(axes).all() and np.isfinite(origin).all()):
         raise InputError(name, "its spacing or origin is not finite", "repair it")
     longest = np.abs(axes).max(axis=1)
