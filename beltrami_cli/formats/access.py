@@ -1,4 +1,4 @@
-"""Limits of a job: which files it may read, how large, and from where; and reading.
+"""Which files a job may read, from where and up to which size, and the functions that read within these limits.
 
 Files in JSON and TOML (configurations, manifests, reports, records) are not trusted: their size, their nesting and the
 length of their lines are bounded, and texts with characters that cannot occur in file names are refused. Every fault of
@@ -26,7 +26,8 @@ from beltrami_cli.fields import Checked, names_in, parameter, show_size, size_in
 _OPEN_FLAGS = (
     os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOCTTY", 0)
 )
-_MIN_UNPACKED, _MAX_RATIO = 1 << 26, 100  # up to this many bytes any ratio is accepted
+# Bytes up to which any compression ratio is accepted, and the largest ratio beyond.
+_MIN_UNPACKED, _MAX_RATIO = 1 << 26, 100
 LARGE = 1 << 20
 """Bytes from which on an image is read each time it is needed, since all images of a model may not fit into memory."""
 
@@ -107,7 +108,7 @@ def is_there(path: str | os.PathLike[str]) -> bool:
 
 
 def most_unpacked(packed: int) -> int:
-    """Return the size to which a real model of so many bytes unpacks at most."""
+    """Return the most bytes that a legitimate model unpacks to."""
     return max(_MIN_UNPACKED, _MAX_RATIO * packed)
 
 
@@ -124,7 +125,7 @@ def require_ratio(name: str, what: str, packed: int, unpacked: int) -> None:
 
 
 def open_regular(path: Path) -> BufferedReader:
-    """Open a regular file, never waiting for a writer; OSError if it cannot be opened, or is none."""
+    """Open a regular file, never waiting for a writer; OSError if it cannot be opened or is not regular."""
     file = os.fdopen(os.open(path, _OPEN_FLAGS), "rb")
     try:
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):

@@ -32,7 +32,7 @@ class Archive:
     """A ZIP archive in memory; members are read one by one, within limits. InputError if it is damaged."""
 
     def __init__(self, data: bytes, name: str, access: Access = DEFAULT_ACCESS, share: int = 1) -> None:
-        """`share` is how many times its size in memory a member takes while it is used."""
+        """`share`: how many times its own size a member takes in memory while it is used."""
         self.name = name
         self._most = _MAX_MEMBER if access.memory is None else min(_MAX_MEMBER, access.memory // share)
         with _refusing_damage(name, "the archive"):

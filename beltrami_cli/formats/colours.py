@@ -23,7 +23,7 @@ _BRIGHTEST = 16.0  # four stops above white: float colours beyond are taken to b
 _COLOUR_SCALES = (BYTE, 1023.0, 4095.0, 65535.0)
 INTEGER_SCALES = (BYTE, 1023.0, 4095.0, 16383.0, 65535.0)
 
-# Quantile of the colours other than 0 that gives the range of float colours: larger ones may be spikes of a renderer.
+# Quantile of the non-zero colours that determines the range of float colours: larger values may be fireflies.
 _RANGE_QUANTILE = 0.99
 
 
@@ -165,7 +165,7 @@ def _three_channels(colours: Float32s, notices: list[str], grey: str) -> Float32
     return np.repeat(colours, 3, axis=1)
 
 
-_MIN_WEIGHT = 1e-6  # of a polygon without area, against the mean one
+_MIN_WEIGHT = 1e-6  # of a degenerate polygon, relative to the mean area
 _MEANS_NOTICE = "Where polygons of different colours meet, vertices have the mean of their colours: {} of {}."
 _UNCOLOURED_NOTICE = "{} of {} vertices have no colour, and are white."
 

@@ -19,9 +19,7 @@ class Fingerprint:
     parts: Mapping[str, bytes]
     colours: Mapping[str, Float32s] = field(default_factory=dict)  # full scale 1, shape (n, C)
     images: Mapping[str, records.Texture] = field(default_factory=dict)  # by where they are used
-    faults: Sequence[
-        str
-    ] = ()  # violations of the packing that some readers need; the other file may have fewer
+    faults: Sequence[str] = ()  # violations of the format that some readers do not accept
 
 
 def labelled(files: Mapping[str, str], read: Callable[[str], bytes]) -> dict[str, records.Texture]:

@@ -49,7 +49,7 @@ def not_converted(
     *,
     keeps_frame: bool = False,
 ) -> list[str]:
-    """Return the notice of what a conversion drops, or nothing."""
+    """Return a notice of the losses of a conversion, if there are any."""
     left = dict.fromkeys([*mesh.left_out, *further])
     if mesh.frame.up != "Y" and not keeps_frame:
         left |= {f"the axis that is up, which is {mesh.frame.up}": None}

@@ -19,7 +19,7 @@ from beltrami_cli.surface.tiling import COLUMNS, Tile
 _SCHEME = re.compile(r"[a-z][a-z0-9+.-]*:", re.IGNORECASE)  # of a URL, or a drive letter
 _NETWORK = re.compile(r"[a-z][a-z0-9+.-]+:|//", re.IGNORECASE)
 _MODEL_FOLDER = PurePosixPath()
-_ENCODINGS = ("gbk", "cp932", "cp1252")  # in China, in Japan and in the West
+_ENCODINGS = ("gbk", "cp932", "cp1252")  # of Windows in China, Japan and the West
 _TILES = Obstacle(
     "stands for a set of tiles (UDIM), which are not read", "give each tile a material and a name of its own"
 )
@@ -64,7 +64,7 @@ class ModelFolder:
             return None
 
     def locate(self, name: str, within: PurePosixPath = _MODEL_FOLDER) -> str:
-        """Return the path of a regular file, relative to the folder; UnfitReferenceError if there is none."""
+        """Return the path of a regular file, relative to the folder; UnfitReferenceError if it cannot be used."""
         key = name, within
         if key not in self._known:  # A hostile file names the same one a million times.
             try:
@@ -121,7 +121,7 @@ class ModelFolder:
         raise failed
 
     def locate_any(self, pattern: str, within: PurePosixPath = _MODEL_FOLDER) -> str:
-        """Return the path of a file, or of a set of tiles; UnfitReferenceError if it is not there."""
+        """Return the path of a file or a tile set; UnfitReferenceError if it is missing."""
         if not has_token(pattern):
             return self.locate(pattern, within)
         path = checked_path(pattern, within, outside=self.access.outside, tiles=True)
@@ -198,7 +198,7 @@ def _case_folded(name: str) -> str:
 def checked_path(
     name: str, within: PurePosixPath = _MODEL_FOLDER, *, outside: bool, tiles: bool = False
 ) -> str:
-    """Return the path that a name stands for, as `ModelFolder.locate` does, but without looking at the disk."""
+    """Return the path of a name as `ModelFolder.locate` does, without accessing the disk."""
     plain = name.replace("\\", "/")
     if not name:
         raise UnfitReferenceError("is empty")

@@ -74,7 +74,7 @@ def image_names(mesh: MeshContents, stem: str, supported: Collection[str] = ()) 
     for image in mesh.images:
         # References in MTL and PLY extend to the end of the line, and programs strip blanks at their ends.
         plain = plain_name(PurePosixPath(image.name).stem)
-        suffix = image.file.suffix if not supported or image.file.suffix in supported else _FIT
+        suffix = image.file.suffix if not supported or image.file.suffix in supported else _FALLBACK_SUFFIX
         found.append(names.image(plain + suffix) if plain else names.new(suffix))
     return found
 

@@ -12,21 +12,21 @@ from pathlib import Path
 from beltrami_cli.errors import MemoryLimitError
 from beltrami_cli.fields import show_size
 
-_MIN_MEMORY = 1 << 26  # bytes that a command takes in any case
+_MIN_MEMORY = 1 << 26  # bytes that a command needs in any case
 _STATUS = Path("/proc/self/status")
 _MEMORY, _OWN_CGROUPS, _CGROUPS = Path("/proc/meminfo"), Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
-# What the program itself takes: libraries, and for each processor the stacks of its threads.
+# Bytes that the program itself takes: its libraries, and for each processor the stacks of its threads.
 _PROGRAM, _PER_PROCESSOR = 160 << 20, 24 << 20
 
 
 def default_memory() -> int | None:
-    """Return half of the bytes that are available to this process now; None if they are unknown."""
+    """Return half of the memory available to this process, in bytes; None if it is unknown."""
     known = [size for size in (_available(), *_left_in_cgroups()) if size is not None]
     return max(min(known) // 2, _MIN_MEMORY) if known else None
 
 
 def _available() -> int | None:
-    """Return what the system can give without swapping, or else what it has."""
+    """Return the bytes that the system can provide without swapping, or else all of its memory."""
     with contextlib.suppress(OSError, ValueError, IndexError):
         for line in _MEMORY.read_text(encoding="ascii").splitlines():
             if line.startswith("MemAvailable:"):
@@ -37,7 +37,7 @@ def _available() -> int | None:
 
 
 def _left_in_cgroups() -> Iterator[int]:
-    """Give the remaining memory under each cgroup limit of this process, of both cgroup versions."""
+    """Yield the bytes left under each cgroup limit of this process, for both cgroup versions."""
     lines: list[str] = []
     with contextlib.suppress(OSError, ValueError):
         lines = _OWN_CGROUPS.read_text().splitlines()
@@ -58,7 +58,7 @@ def _left_in_cgroups() -> Iterator[int]:
 
 
 def _cached(folder: Path) -> int:
-    """Return the bytes of files that a cgroup holds in memory, which are given up when they are needed."""
+    """Return the bytes of a cgroup's file cache, which is evicted when memory is needed."""
     with contextlib.suppress(OSError, ValueError):
         fields = dict(line.split() for line in (folder / "memory.stat").read_text().splitlines())
         return int(fields.get("inactive_file", 0)) + int(fields.get("active_file", 0))
@@ -67,7 +67,7 @@ def _cached(folder: Path) -> int:
 
 @contextmanager
 def limited_memory(size: int | None, name: str) -> Iterator[None]:
-    """Limit the memory of the process in this context; InputError with the name of the file if more is needed."""
+    """Limit the memory of the process; MemoryLimitError with the name of the file if more is needed."""
     # Windows and macOS have no such limit: there only the checks before a job apply.
     with contextlib.ExitStack() as restored:
         if size is not None and sys.platform != "win32":
@@ -93,7 +93,7 @@ def limited_memory(size: int | None, name: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def memory_reserved(size: int) -> Iterator[None]:
-    """Lift the limit for a library that crashes at it, and takes `size` bytes; MemoryError if there are none left."""
+    """Lift the limit for a library that would crash at it; MemoryError unless the `size` bytes it takes are left."""
     if sys.platform == "win32":
         yield
         return
@@ -109,7 +109,7 @@ def memory_reserved(size: int) -> Iterator[None]:
     try:
         yield
     finally:
-        # What it takes besides, for its threads, counts as memory of the program.
+        # Memory beyond `size`, such as for its threads, counts as that of the program.
         raised = limit + max(0, (_status("VmData") or 0) - data - size)
         resource.setrlimit(
             resource.RLIMIT_DATA, (raised if most == resource.RLIM_INFINITY else min(raised, most), most)
@@ -117,7 +117,7 @@ def memory_reserved(size: int) -> Iterator[None]:
 
 
 def peak_memory() -> int | None:
-    """Return the largest resident size of this process so far, in bytes, or None where it is not known."""
+    """Return the peak resident size of this process in bytes; None where it is unknown."""
     if _STATUS.exists():
         # On Linux ru_maxrss also counts what the process that started this one held at that moment.
         return _status("VmHWM")
@@ -130,7 +130,7 @@ def peak_memory() -> int | None:
 
 
 def _status(name: str) -> int | None:
-    """Return the bytes that Linux counts of this process under a name; None if it does not."""
+    """Return a size in bytes from the Linux status file of this process; None if it is not there."""
     if not _STATUS.exists():
         return None
     fields = dict(line.split(":", 1) for line in _STATUS.read_text().splitlines())
