@@ -153,9 +153,9 @@ def chunks_of_canvas(
     count = min(count, max(1, int(np.count_nonzero(owned)) // MIN_CELLS))
     bands = int(np.clip(round((count * owned.shape[0] / max(1, owned.shape[1])) ** 0.5), 1, count))
     shares = np.linspace(0, count, bands + 1).round().astype(int)
-    heights, chunks = _even(owned.sum(axis=1), shares / count, unit), []
+    heights, chunks = _split_evenly(owned.sum(axis=1), shares / count, unit), []
     for rows, parts in zip(heights, np.diff(shares).tolist(), strict=True):
-        for columns in _even(owned[rows].sum(axis=0), np.linspace(0, 1, parts + 1), unit):
+        for columns in _split_evenly(owned[rows].sum(axis=0), np.linspace(0, 1, parts + 1), unit):
             place = ..., rows, columns
             around = grown(place, before, after, owned.shape)
             sides = zip(place[1:], around[1:], strict=True)
@@ -165,7 +165,7 @@ def chunks_of_canvas(
     return chunks
 
 
-def _even(counts: Int64s, shares: Float64s, unit: int) -> list[slice]:
+def _split_evenly(counts: Int64s, shares: Float64s, unit: int) -> list[slice]:
     """Cut entries so that the sum of each slice is its share of the total; slices begin at multiples of `unit`."""
     totals = np.concatenate([[0], np.cumsum(counts)])
     borders = np.searchsorted(totals, shares * totals[-1])

@@ -104,17 +104,17 @@ def blend_with_patches_in_place(
 
     after = estimate(noisy, before)
     signs = perturbation.get()
-    with _added(axis, noisy, signs, size):
+    with _perturbed(axis, noisy, signs, size):
         response = estimate(noisy, disturbed)
     # The strength scales the weight of smoothness, as in the choice of parameters.
     counted = np.sqrt(manifold.parameters.strength)
-    model = _Model(sigma * np.sqrt(counted), clipped, threads)
+    model = _NoiseTerms(sigma * np.sqrt(counted), clipped, threads)
     results, responses = (before, after), (disturbed, response)
     probes = noisy, signs, size, _divisors(manifold, size)
     share, gain = _mix_in_place(manifold, model, probes, results, responses)
     del response, responses
     for level in _plain_levels(manifold):
-        means = _means(level, manifold, model, probes, results)
+        means = _noisy_means(level, manifold, model, probes, results)
         gain += _improve_means_in_place(level, model, second, means, (before, disturbed))
     count = max(1, geometry.kernels)
     return Blend(before, share / count, manifold.noise.square_to_input(gain) / count / len(sigma))
@@ -122,7 +122,7 @@ def blend_with_patches_in_place(
 
 def _mix_in_place(
     manifold: Manifold,
-    model: _Model,
+    model: _NoiseTerms,
     noisy: _Probed,
     results: tuple[Float32s, Float32s],
     responses: tuple[Float32s, Float32s],
@@ -191,10 +191,10 @@ class _NoisyMeans:
     within: Float32s
 
 
-def _means(
+def _noisy_means(
     level: CoarseLevel,
     manifold: Manifold,
-    model: _Model,
+    model: _NoiseTerms,
     noisy: _Probed,
     results: tuple[Float32s, Float32s],
 ) -> _NoisyMeans:
@@ -223,7 +223,7 @@ def _means(
 
 def _improve_means_in_place(
     level: CoarseLevel,
-    model: _Model,
+    model: _NoiseTerms,
     mixing: Mixing,
     noisy: _NoisyMeans,
     colours: tuple[Float32s, Float32s],
@@ -233,7 +233,7 @@ def _improve_means_in_place(
     mixing = dataclasses.replace(mixing, variances=mixing.variances * level.noise)
     (p, near_p), axis, sums = (level.means(own) for own in colours), level.axis, level.planes(2)
     q = level.collaborate(noisy.colours, p, mixing)
-    with _added(axis, noisy.colours, noisy.probe, np.float32(1)):
+    with _perturbed(axis, noisy.colours, noisy.probe, np.float32(1)):
         near_q = level.collaborate(noisy.colours, near_p, mixing)
     differences, others = (q, near_q), (noisy.residual, noisy.probe, noisy.within)
     stacks = in_blocks(axis, *differences, p, near_p, *others, np.expand_dims(level.relative, axis))
@@ -254,7 +254,7 @@ def _improve_means_in_place(
     return gain
 
 
-class _Model:
+class _NoiseTerms:
     """Noise of the channels in the form that the sums take."""
 
     def __init__(self, sigma: Float64s, clipped: ClippedChannels | None, threads: int) -> None:
@@ -294,7 +294,7 @@ def _weigh(
 
 
 @contextlib.contextmanager
-def _added(axis: int, stack: Float32s, signs: Array, size: np.float32) -> Iterator[None]:
+def _perturbed(axis: int, stack: Float32s, signs: Array, size: np.float32) -> Iterator[None]:
     """Add a multiple of the signs to a stack within this context."""
     _add(axis, stack, signs, size)
     yield

@@ -167,7 +167,7 @@ class GuidedTexels:
         width = len(colours.names)
         values = np.empty((len(self.atlas.owned_texels), width), np.float32)
         for index, inside, texels in texels_by_texture(self.atlas.texture_offsets, self.atlas.owned_texels):
-            shown = self._shown_with(index, guiding, slot)
+            shown = self._texture_at_same_faces(index, guiding, slot)
             if shown is None:
                 values[inside] = np.resize(_VALUES_WITHOUT_TEXTURE.get(slot, (1.0,)), width)
                 continue
@@ -176,7 +176,7 @@ class GuidedTexels:
             values[inside] = _at_size(image, size, guiding.textures[shown], texels)
         return values
 
-    def _shown_with(self, index: int, guiding: TexturedSurface, slot: Slot) -> int | None:
+    def _texture_at_same_faces(self, index: int, guiding: TexturedSurface, slot: Slot) -> int | None:
         """Return the texture of the guiding slot on the triangles of a smoothed texture; None if it has none."""
         faces = np.flatnonzero(self.surface.texture_of == index)
         name = self.surface.textures[index].name

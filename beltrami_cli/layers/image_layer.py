@@ -125,14 +125,14 @@ class ImageLayer(PictureLayer):
     def describe(self) -> dict[str, object]:
         plan, facts = self.plan(), self._facts()
         del facts["format"]  # the format is that of the file
-        return {"image": {**facts, "pitch": plan.manifold.geometry.spacing}, **self._planned(plan)}
+        return {"image": {**facts, "pitch": plan.manifold.geometry.spacing}, **self._described_plan(plan)}
 
     def report(self, plan: Plan[GridManifold], result: FlowResult[GridManifold]) -> ImageReport:
         return ImageReport(
             image=self._facts(),
             pitch=plan.manifold.geometry.spacing,
             samples_per_kernel=round(result.samples_per_kernel, 2),
-            **self._used(plan, result),
+            **self._common_report(plan, result),
         )
 
     def encode(self, new: NewColours, *, is_smoothed: bool = True) -> StoredColours:

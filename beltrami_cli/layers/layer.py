@@ -180,7 +180,7 @@ class Layer(ABC):
     def require_writable(self) -> None:  # noqa: B027
         """Raise errors of output images before anything is computed."""
 
-    def _used(self, plan: Plan[Any], result: FlowResult[Any]) -> dict[str, Any]:
+    def _common_report(self, plan: Plan[Any], result: FlowResult[Any]) -> dict[str, Any]:
         """Return the fields that all reports share."""
         return {
             "beta": plan.beta / self.unit,
@@ -203,7 +203,7 @@ class Layer(ABC):
             "wrong_samples": plan.outliers,
         }
 
-    def _planned(self, plan: Plan[Any]) -> dict[str, Any]:
+    def _described_plan(self, plan: Plan[Any]) -> dict[str, Any]:
         """Return the noise and the planned parameters of the kernel, for `describe`."""
         choice, given = describe_choice(plan.choice, self.unit), self.settings.kernel.noise
         used = dataclasses.asdict(

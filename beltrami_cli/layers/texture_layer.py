@@ -147,7 +147,7 @@ class TextureLayer(PictureLayer):
             counts={**self.atlas.counts, "jumps": plan.manifold.jumps},
             pitch=plan.manifold.geometry.spacing,
             samples_per_kernel=round(result.samples_per_kernel, 2),
-            **self._used(plan, result),
+            **self._common_report(plan, result),
         )
 
     def describe(self) -> dict[str, object]:
@@ -174,7 +174,7 @@ class TextureLayer(PictureLayer):
             "colour_jumps": plan.manifold.jumps,
             "pitch": plan.manifold.geometry.spacing,
             "exposure": None,
-            **self._planned(plan),
+            **self._described_plan(plan),
         }
 
     def encode(self, new: NewColours, *, is_smoothed: bool = True) -> layer.StoredColours:
@@ -209,7 +209,7 @@ class TextureLayer(PictureLayer):
     ) -> None:
         """Refill the gutter of a texture's charts, with its old width, in place."""
         picture, threads = self.pictures[index], self.settings.kernel.thread_count
-        covered, known, rows = self._near_charts(index, pixels.shape[:2], new, gutter)
+        covered, known, rows = self._gutter_rows(index, pixels.shape[:2], new, gutter)
         beyond = NewColours.of(new.beyond[rows])
         self._fill(pixels, index, new.beyond_places[rows], beyond.take, is_dithered=is_dithered)
         _keep_foreign_texels(
@@ -219,7 +219,7 @@ class TextureLayer(PictureLayer):
         opacity, columns = self.colours.opacity(picture), self.colours.columns(picture)
         fill_gutter(pixels, covered, gutter, known, threads, columns, opacity)
 
-    def _near_charts(
+    def _gutter_rows(
         self, index: int, shape: tuple[int, ...], new: NewColours, gutter: int
     ) -> tuple[Bools, Bools, Int64s]:
         """Return the covered texels, shape (H, W), the gutter texels next to them, and the rows of these."""
@@ -362,7 +362,7 @@ def _keep_foreign_texels(
     W), are not filled later.
     """
     rows, new_rows, is_known = old.reshape(covered.size, -1), new.reshape(covered.size, -1), known.reshape(-1)
-    limit = _REAL_STEP * _taken_away(rows, new_rows, covered, shown)
+    limit = _REAL_STEP * _rms_change_at_borders(rows, new_rows, covered, shown)
     candidates, continues = np.flatnonzero(is_known), np.zeros(covered.shape, bool)
     for texels, nearest in nearest_covered(covered, width + 1 if width else 0, threads=threads):
         for block in large_arrays.blocks(len(texels), large_arrays.CACHED):
@@ -371,9 +371,9 @@ def _keep_foreign_texels(
             is_halo = is_known[here]
             halo = here[is_halo]
             now = shown(new_rows[halo]) - shown(new_rows[there[is_halo]])
-            follows = _size(step[is_halo] - now) <= limit
+            follows = _rms_over_channels(step[is_halo] - now) <= limit
             is_known[halo] = follows
-            has_no_step = _size(step) <= limit
+            has_no_step = _rms_over_channels(step) <= limit
             has_no_step[is_halo] |= follows
             continues.reshape(-1)[here] = has_no_step
     continues &= _is_half(continues, ~covered)
@@ -399,16 +399,18 @@ def _is_half(marked: Bools, counted: Bools) -> Bools:
     return found
 
 
-def _taken_away(old: Array, new: Array, covered: Bools, shown: Callable[[Array], Float32s]) -> float:
+def _rms_change_at_borders(
+    old: Array, new: Array, covered: Bools, shown: Callable[[Array], Float32s]
+) -> float:
     """Return the RMS change of the texels at the borders of charts."""
     edge = np.flatnonzero(covered & within(~covered, 1))
     total = 0.0
     for block in large_arrays.blocks(len(edge), large_arrays.CACHED):
         change = shown(new[edge[block]]) - shown(old[edge[block]])
-        total += float(np.square(_size(change)).sum())
+        total += float(np.square(_rms_over_channels(change)).sum())
     return float(np.sqrt(total / max(1, len(edge))))
 
 
-def _size(differences: Float32s) -> Float64s:
+def _rms_over_channels(differences: Float32s) -> Float64s:
     """Return the root mean square over the channels."""
     return np.asarray(np.sqrt(np.square(differences, dtype=np.float64).mean(axis=1)))

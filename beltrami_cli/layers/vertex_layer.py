@@ -108,7 +108,7 @@ class VertexLayer(Layer):
                 "truncated_kernels": result.truncated,
             },
             spacing=plan.manifold.geometry.spacing,
-            **self._used(plan, result),
+            **self._common_report(plan, result),
         )
 
     def _stored_colours(
@@ -227,7 +227,7 @@ class MeshLayer(VertexLayer):
 
     def describe(self) -> dict[str, object]:
         vertices, counts, plan = self.joined, self._counts(), self.plan()
-        manifold, planned = plan.manifold, self._planned(plan)
+        manifold, planned = plan.manifold, self._described_plan(plan)
         if (moved := manifold.moving) is not None:
             planned["smooth"] |= {"normal_noise": float(moved.sigma), "normal_beta": float(moved.beta)}
         in_kernel = samples_per_kernel(manifold, _PROBED_KERNELS, plan.step(0))
@@ -332,7 +332,7 @@ class GridLayer(VertexLayer):
                 "holes": grid.size - measured,
                 "mean_edge_length": plan.manifold.geometry.spacing,
             },
-            **self._planned(plan),
+            **self._described_plan(plan),
         }
 
     def places(self) -> SampledVertices:

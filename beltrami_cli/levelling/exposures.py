@@ -218,7 +218,7 @@ def have_steps(steps: Steps) -> bool:
 
 def judge(steps: Steps, fixed: Bools | None = None) -> Verdict:
     """Test by cross-validation whether exposures explain the steps, and whether gains vary within charts."""
-    held_out, verdicts = _HeldOut.of(steps), dict[tuple[float, ...], Verdict]()
+    held_out, verdicts = _CrossValidation.of(steps), dict[tuple[float, ...], Verdict]()
     folds = np.unique(held_out.folds)
     sides = {spread: held_out.steps.colours.copy() for spread in SPREADS.values()}
     for fold in folds:
@@ -244,7 +244,7 @@ def _gains(before: Float64s, after: Float64s) -> Float64s:
 
 
 @dataclass(frozen=True)
-class _HeldOut:
+class _CrossValidation:
     """Stretches between different charts, their folds of cross-validation, and the units of the test."""
 
     whole: Steps
@@ -256,7 +256,7 @@ class _HeldOut:
     share: float = 1.0  # of the texels at seams that have been held out
 
     @classmethod
-    def of(cls, steps: Steps) -> _HeldOut:
+    def of(cls, steps: Steps) -> _CrossValidation:
         """Assign folds to seams, or to parts of seams, which share errors, if few seams close a loop."""
         between, inflation = steps.between, 2.0
         seams, first, number = np.unique(steps.seams, return_index=True, return_inverse=True)
@@ -277,7 +277,7 @@ class _HeldOut:
         rows = held[self.whole.between]
         sides[rows] = fit_exposures(self.whole.part(~held), spread, fixed).sides(self.steps.part(rows))
 
-    def up_to(self, fold: int) -> _HeldOut:
+    def up_to(self, fold: int) -> _CrossValidation:
         """Return the test restricted to the units of the first folds."""
         is_held = np.zeros(len(self.weights), bool)
         is_held[self.units] = self.folds[self.whole.between] <= fold

@@ -129,7 +129,7 @@ def steps_over_seams(atlas: Atlas, planes: Float32s, places: ChartPlaces) -> Ste
     first, both = order[starts], mean(np.stack(where, axis=1))
     is_low, is_high = (mean(each) > 0 for each in (low, high))
     found = Steps(atlas.charts, ends[first], mean(colours), both, seams[first], counts, is_low, is_high)
-    return _with_less_error(found.oriented())
+    return _reduce_noise(found.oriented())
 
 
 def _ordered(keys: Int64s) -> tuple[Int64s, Int64s]:
@@ -139,7 +139,7 @@ def _ordered(keys: Int64s) -> tuple[Int64s, Int64s]:
     return order, np.flatnonzero(np.r_[True, is_new][: len(order)])
 
 
-def _with_less_error(steps: Steps) -> Steps:
+def _reduce_noise(steps: Steps) -> Steps:
     """Use the colours at the seam, or halfway to line means, which have less noise but are biased by slopes."""
     exact, means = np.split(steps.colours, 2, axis=2)
     sharp, soft = (replace(steps, colours=each) for each in (exact, (exact + means) / 2))

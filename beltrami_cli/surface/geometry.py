@@ -115,7 +115,9 @@ def vertex_normals(positions: Float64s, faces: Int32s, group_of: Int32s) -> Floa
     root = np.sqrt(area)[:, None]
     parts = np.column_stack([np.divide(crosses, root, out=np.zeros_like(crosses), where=root > 0), root])
     angles = _angles(positions, faces, area)
-    sums = _gathered(np.concatenate([angles[:, [corner]] * parts for corner in range(3)]), faces, group_of)
+    sums = _sums_over_groups(
+        np.concatenate([angles[:, [corner]] * parts for corner in range(3)]), faces, group_of
+    )
     length = np.linalg.norm(sums[:, :3], axis=1)
     known = length > _CANCELLED * sums[:, 3]
     normals = np.divide(sums[:, :3], length[:, None], out=np.zeros((len(sums), 3)), where=known[:, None])
@@ -130,7 +132,7 @@ def normal_tensors(positions: Float64s, faces: Int32s, group_of: Int32s) -> Floa
     area = np.linalg.norm(crosses, axis=1, keepdims=True)
     normals = np.divide(crosses, area, out=np.zeros_like(crosses), where=area > 0)
     products = (crosses[:, :, None] * normals[:, None, :]).reshape(-1, 9)
-    tensors = _gathered(np.tile(products, (3, 1)), faces, group_of).reshape(-1, 3, 3)
+    tensors = _sums_over_groups(np.tile(products, (3, 1)), faces, group_of).reshape(-1, 3, 3)
     largest = np.linalg.eigvalsh(tensors)[:, -1:, None]
     return np.asarray(np.divide(tensors, largest, out=np.zeros_like(tensors), where=largest > 0), np.float64)
 
@@ -152,7 +154,7 @@ def _angles(positions: Float64s, faces: Int32s, double_area: Float64s) -> Float6
     return angles
 
 
-def _gathered(values: Float64s, faces: Int32s, group_of: Int32s) -> Float64s:
+def _sums_over_groups(values: Float64s, faces: Int32s, group_of: Int32s) -> Float64s:
     """Sum corner values, shape (3 F, N), all first corners first, over groups of vertices, shape (G, N)."""
     groups = group_of[faces].T.ravel()
     count = int(group_of.max(initial=-1)) + 1

@@ -99,7 +99,7 @@ def group_places(
         return place_of, first
     rows = first[border]
     pairs = border[_near(positions[rows], tolerance, [each[rows] for each in spaces])]
-    return _joined(place_of, first, corners, pairs) if len(pairs) else (place_of, first)
+    return _merged_places(place_of, first, corners, pairs) if len(pairs) else (place_of, first)
 
 
 def _tolerance(positions: Float64s) -> float:
@@ -145,7 +145,7 @@ def _near(points: Float64s, tolerance: float, further: Sequence[Array]) -> Int64
     return np.concatenate(pairs) if pairs else np.zeros((0, 2), np.int64)
 
 
-def _joined(place_of: Int32s, first: Int32s, corners: Int32s, pairs: Int64s) -> tuple[Int32s, Int32s]:
+def _merged_places(place_of: Int32s, first: Int32s, corners: Int32s, pairs: Int64s) -> tuple[Int32s, Int32s]:
     """Merge places connected by pairs, unless an edge joins two places that would become one."""
     every, count = np.arange(len(first), dtype=np.int32), len(first)
     label = connected(count, pairs)

@@ -78,7 +78,7 @@ def unwrap(
     width, height = (_side(reach + 2 * padding, size) for reach in largest.tolist())
     uv = np.empty((len(faces), 3, 2))
     uv[whole] = (corners + padding) / [width, height]
-    _collapse_others(uv, faces, whole, len(positions))
+    _collapse_degenerate(uv, faces, whole, len(positions))
     return Unwrapped(uv, (width, height), charts)
 
 
@@ -99,7 +99,7 @@ def _side(needed: float, size: int) -> int:
     return size
 
 
-def _collapse_others(uv: Float64s, faces: Int32s, whole: NDArray[np.intp], vertices: int) -> None:
+def _collapse_degenerate(uv: Float64s, faces: Int32s, whole: NDArray[np.intp], vertices: int) -> None:
     """Give each triangle without area one texture coordinate: that of a corner in another triangle, or 0."""
     place = np.zeros((vertices, 2))
     known = np.zeros(vertices, bool)

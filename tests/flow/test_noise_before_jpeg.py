@@ -11,7 +11,7 @@ from scipy.stats import truncnorm
 from beltrami_cli.flow.corrections.coded_picture import (
     PILOT_ERROR,
     CodedPicture,
-    _mean_within,
+    _truncated_normal_mean,
     coefficients_of,
     decode_in_place,
     is_changed,
@@ -75,10 +75,10 @@ def test_the_mean_between_limits_is_that_of_a_truncated_normal_distribution():
     reach, sigma = np.full(300, 5.0), 7.0
     low, high = (middle - reach - mean) / sigma, (middle + reach - mean) / sigma
     near = np.maximum(abs(low), abs(high)) < 6  # beyond, SciPy's own mean loses digits
-    found = _mean_within(mean, sigma, middle, reach)
+    found = _truncated_normal_mean(mean, sigma, middle, reach)
     assert near.sum() > 150
     np.testing.assert_allclose(found[near], truncnorm.mean(low, high, mean, sigma)[near], atol=1e-4)
-    far = _mean_within(np.array([0.0, 0.0]), 0.1, np.array([1000.0, -1000.0]), np.array([5.0, 5.0]))
+    far = _truncated_normal_mean(np.array([0.0, 0.0]), 0.1, np.array([1000.0, -1000.0]), np.array([5.0, 5.0]))
     np.testing.assert_allclose(far, [995, -995], atol=0.01)
 
 

@@ -129,7 +129,7 @@ def choose(
     search = Search(risks, grid, risks.noise, weight, tick)
     best = search.run()
     psnr, error, gain = _decibels(search.tried[best], risks.noise)
-    chosen, given = _chosen(manifold, parameters, best)
+    chosen, given = _with_schedule(manifold, parameters, best)
     return chosen, Choice(
         given, psnr=psnr, error=error, gain=gain, candidates=len(search.tried), samples=trial.samples,
         correlated=trial.correlated,
@@ -228,11 +228,11 @@ def choose_by_rule(
         beta = choose_beta(metric_sigma, rule.contrast) * manifold.unit / strength
     plain = rule.count(overall_noise(metric_sigma)) - rule.regularised
     schedule = Schedule(beta, rule.growth, rule.step, rule.regularised, plain)
-    chosen, given = _chosen(manifold, parameters, schedule)
+    chosen, given = _with_schedule(manifold, parameters, schedule)
     return chosen, Choice(given)
 
 
-def _chosen(
+def _with_schedule(
     manifold: Manifold, parameters: KernelParameters, schedule: Schedule
 ) -> tuple[KernelParameters, dict[str, Any]]:
     """Set the free parameters; return also their values, with beta per unit of the input's colours."""

@@ -62,7 +62,7 @@ def without_shared_noise(
     covariances = manifold.noise.covariances
     manifold = dataclasses.replace(manifold, colours=large_arrays.copy_of(manifold.colours))
     if manifold.parameters.clipping == "restore":
-        _impute_cut_off_in_place(manifold)
+        _impute_clipped_in_place(manifold)
     levels, error = manifold.levels(_coarsest(covariances), tick), 0.0
     if not levels:
         return manifold, 0.0
@@ -74,7 +74,7 @@ def without_shared_noise(
     return dataclasses.replace(manifold, noise=left), manifold.noise.square_to_input(error)
 
 
-def _impute_cut_off_in_place(manifold: Manifold) -> None:
+def _impute_clipped_in_place(manifold: Manifold) -> None:
     """Replace samples at a limit by the mean of the noise beyond it, given the samples around."""
     geometry, regions = manifold.geometry, manifold.regions
     found = clipped_on(manifold)
@@ -112,7 +112,7 @@ def fill_dark_outliers_in_place(manifold: Manifold, level: CoarseLevel, sigma: F
     shares = np.maximum(level.spread(level.planes(1) + np.float32(1)), np.float32(_MIN_SHARE))
     for _ in range(_ROUNDS):
         for channel, size in zip(colours, sigma, strict=True):
-            planes = _around(geometry, level, channel, shares)
+            planes = _local_moments(geometry, level, channel, shares)
             for own, variance, (mean, spread), far in in_blocks(
                 0, channel[None], relative, planes, found[None]
             ):
@@ -123,7 +123,7 @@ def fill_dark_outliers_in_place(manifold: Manifold, level: CoarseLevel, sigma: F
     geometry.refresh(manifold.colours)
 
 
-def _around(geometry: Geometry, level: CoarseLevel, channel: Float32s, shares: Float32s) -> Float32s:
+def _local_moments(geometry: Geometry, level: CoarseLevel, channel: Float32s, shares: Float32s) -> Float32s:
     """Return the local mean and variance of a channel, along the first axis, computed from means of a level.
 
     `shares`: the result of spreading ones over the level.

@@ -106,7 +106,7 @@ class CodedPicture:
     def decoded_planes(self, pixels: Array) -> list[Float32s]:
         """Return the luma and chroma that rows of pixels were decoded from, before interpolation."""
         luma, *chroma = self.planes(pixels)
-        return [luma, *(_not_interpolated(plane, self.span) for plane in chroma)]
+        return [luma, *(_uninterpolated(plane, self.span) for plane in chroma)]
 
     def stored_planes(self, rows: slice) -> list[Float32s]:
         """Return the stored luma and chroma of some rows, computed with additional rows around."""
@@ -157,7 +157,7 @@ def expected(
     for own, near, steps, noise in zip(planes, picture.planes(pilot - darker), *of_planes, strict=True):
         changes, means = coefficients_of(near), coefficients_of(own)
         for mean, row in zip(changes, means, strict=True):  # one by one, as this takes many arrays
-            mean[:] = _mean_within(mean, noise, np.rint(row / steps) * steps, steps / 2) - mean
+            mean[:] = _truncated_normal_mean(mean, noise, np.rint(row / steps) * steps, steps / 2) - mean
         differences.append(_from_coefficients(changes))
     # The loss of chroma by subsampling is taken from the pilot alone. Beyond whole blocks nothing is known.
     whole = tuple(
@@ -168,7 +168,7 @@ def expected(
     return found
 
 
-def _mean_within(mean: Float32s, sigma: float, middle: Float64s, reach: Float64s) -> Float32s:
+def _truncated_normal_mean(mean: Float32s, sigma: float, middle: Float64s, reach: Float64s) -> Float32s:
     """Return the mean of a normal variable truncated to [middle - reach, middle + reach]."""
     from scipy.special import ndtr
 
@@ -227,7 +227,7 @@ def noise_after(
     channels = pictures[0].pixels.shape[2]
     after, lost = (_Covariances(channels) for _ in range(2))
     squares, used = np.zeros(channels), 0
-    for number, (picture, some) in enumerate(zip(pictures, _some_bands(pictures), strict=True)):
+    for number, (picture, some) in enumerate(zip(pictures, _choose_bands(pictures), strict=True)):
         for rows in some:
             truth = 255 * pilots[number][rows]
             noisy = truth + np.float32(255 * sigma) * random.standard_normal(truth.shape, np.float32)
@@ -250,7 +250,7 @@ def noise_after(
     return NoiseModel(covariances, reading=reading), stored_error
 
 
-def _some_bands(pictures: Sequence[CodedPicture]) -> list[list[slice]]:
+def _choose_bands(pictures: Sequence[CodedPicture]) -> list[list[slice]]:
     """Choose evenly spread bands of rows of each picture, with enough pixels together to measure noise."""
     share, chosen = _ENOUGH_PIXELS / max(1, sum(each.used.size for each in pictures)), []
     for picture in pictures:
@@ -300,7 +300,7 @@ def _interpolated(plane: Float32s, span: tuple[int, int]) -> Float32s:
     return plane
 
 
-def _not_interpolated(means: Float32s, span: tuple[int, int]) -> Float32s:
+def _uninterpolated(means: Float32s, span: tuple[int, int]) -> Float32s:
     """Return the samples whose interpolated pixels have these means over spans."""
     from scipy.linalg import solve_banded
 

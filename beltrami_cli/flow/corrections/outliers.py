@@ -149,7 +149,7 @@ def _find_outliers(
         if sizes[first] > 0 and not any(begin <= first < end for begin, end in found):
             own = slice(first, last)
             search = _Search(_Surface(planes[own], where), sampled.of_channels(own), float(sizes[first]))
-            wrong = search.among(rows.of_channels(own), insists=insists, is_light=is_light)
+            wrong = search.outliers_in(rows.of_channels(own), insists=insists, is_light=is_light)
             found |= {(first, last): wrong} if len(wrong) else {}
     if not found:
         return None
@@ -178,7 +178,7 @@ class _Search:
     sampled: _Rows
     size: float
 
-    def among(self, rows: _Rows, *, insists: bool, is_light: bool) -> Int64s:
+    def outliers_in(self, rows: _Rows, *, insists: bool, is_light: bool) -> Int64s:
         """Return the outliers among rows that stand out; if it `insists`, all isolated ones, however distributed."""
         contrasts, found = rows.contrasts(self.size), [rows.samples[:0]]
         for sign in (-1, 1):
@@ -196,10 +196,10 @@ class _Search:
             if insists or is_firefly:
                 found.append(outlying.samples[small])
             elif len(strongest) >= _MIN_CLUMPS:
-                found.append(self._of_one_value(outlying, sign * contrast, small, strongest))
+                found.append(self._with_common_value(outlying, sign * contrast, small, strongest))
         return np.unique(np.concatenate(found))
 
-    def _of_one_value(self, rows: _Rows, contrast: Float32s, small: Bools, strongest: Int64s) -> Int64s:
+    def _with_common_value(self, rows: _Rows, contrast: Float32s, small: Bools, strongest: Int64s) -> Int64s:
         """Return the outliers that have the most frequent value, if they are spread at random."""
         colours, tolerance = rows.colours[:, strongest], _SAME_VALUE * self.size
         value = np.median(colours, axis=1)
@@ -220,9 +220,9 @@ class _Search:
         if is_plain or not self._is_random(rows, np.abs(contrast), chosen, np.asarray(hit)):
             return rows.samples[:0]
         # Noise added after the outliers spreads their value.
-        return self._all_of(value, float(np.quantile(near[chosen], 0.95)))
+        return self._samples_of_value(value, float(np.quantile(near[chosen], 0.95)))
 
-    def _all_of(self, value: Float32s, spread: float) -> Int64s:
+    def _samples_of_value(self, value: Float32s, spread: float) -> Int64s:
         """Return isolated samples of a value, with a lower threshold of contrast."""
         surface, found = self.surface, [np.zeros(0, np.int64)]
         for block in large_arrays.blocks(surface.count, large_arrays.CACHED):

@@ -39,7 +39,7 @@ class GridGaussian:
     reachable: Bools | None
     partial: Int32s  # flat indices of the filled cells that lack a neighbour
     totals: Float32s  # sums of their weights
-    cut_means: _CutMeans | None
+    cut_means: _ConnectedMeans | None
     threads: int
     first: int = 0  # row of the canvas at which planes begin
 
@@ -48,7 +48,7 @@ class GridGaussian:
         """Prepare a standard deviation of `scale` cells: find the cells that lack a neighbour."""
         taps, reachable = gaussian_taps(scale), atlas.is_filled if stop_at_holes else None
         partial, totals = _partial_totals(atlas.kind, taps, threads, stop_at_holes=stop_at_holes)
-        cut_means = _CutMeans.of(atlas, taps) if len(atlas.cut_cells) else None
+        cut_means = _ConnectedMeans.of(atlas, taps) if len(atlas.cut_cells) else None
         return cls(taps, reachable, partial, totals, cut_means, threads)
 
     @property
@@ -122,7 +122,7 @@ def _convolve_up_to_holes(plane: Float32s, filled: Bools, taps: Float32s) -> Flo
 
 
 @dataclass(frozen=True, eq=False)
-class _CutMeans:
+class _ConnectedMeans:
     """Means over the cells of a square window that are connected to its centre inside the window."""
 
     shape: tuple[int, int]
@@ -131,11 +131,11 @@ class _CutMeans:
     reached_bits: Uint8s  # connected cells of each window, as bits
 
     @classmethod
-    def of(cls, atlas: Atlas, taps: Float32s) -> _CutMeans:
+    def of(cls, atlas: Atlas, taps: Float32s) -> _ConnectedMeans:
         weights, reach = np.outer(taps, taps).reshape(-1), len(taps) // 2
         cells = _near_cuts(atlas, reach)
         reached = [
-            np.packbits(_reached(atlas, cells[chunk], reach), axis=1)
+            np.packbits(_connected_cells(atlas, cells[chunk], reach), axis=1)
             for chunk in _chunks(0, len(cells), len(weights))
         ]
         bits = np.concatenate(reached) if reached else np.zeros((0, 1), np.uint8)
@@ -184,7 +184,7 @@ def _window(shape: tuple[int, int], cells: Int64s, reach: int) -> tuple[Int64s, 
     return flat.reshape(len(cells), -1), inside.reshape(len(cells), -1)
 
 
-def _reached(atlas: Atlas, cells: Int64s, reach: int) -> Bools:
+def _connected_cells(atlas: Atlas, cells: Int64s, reach: int) -> Bools:
     """Return which cells of each window are connected to its centre by edges, shape (K, W)."""
     side = 2 * reach + 1
     window, inside = _window(atlas.kind.shape, cells, reach)

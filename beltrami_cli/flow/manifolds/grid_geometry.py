@@ -96,9 +96,9 @@ class GridGeometry(Geometry):
         if isinstance(samples, tuple):
             _, rows, columns = samples
             cells = np.r_[rows][:, None] * self.atlas.kind.shape[1] + np.r_[columns]
-            atlas = _without_references(atlas, self.atlas, cells)
+            atlas = _with_fixed_halo(atlas, self.atlas, cells)
         elif not isinstance(samples, slice):
-            atlas = _without_references(atlas, self.atlas, samples)
+            atlas = _with_fixed_halo(atlas, self.atlas, samples)
         scales = None if self.scale is None else large_arrays.Droppable(pick(self.scale, samples))
         repeats = None if self.repeats is None else pick(self.repeats, samples)
         return dataclasses.replace(self, atlas=atlas, scales=scales, repeats=repeats)
@@ -202,7 +202,7 @@ def colours_at(planes: Float32s, cells: Indices) -> Float32s:
     return colours
 
 
-def _without_references(part: Atlas, whole: Atlas, cells: Int64s) -> Atlas:
+def _with_fixed_halo(part: Atlas, whole: Atlas, cells: Int64s) -> Atlas:
     """Return the atlas of a part of another, whose halo is refreshed elsewhere."""
     kind = part.kind
     kind[cells == whole.kind.size - 1] = EMPTY  # cells of the margin and beyond the canvas

@@ -166,7 +166,7 @@ class GridManifold(Manifold):
             after, kernel_samples = part._apply_kernel(
                 before,
                 dataclasses.replace(metric, gaussian=gaussian),
-                _share(progress, block.start * columns, share),
+                _scaled_progress(progress, block.start * columns, share),
             )
             # The next block depends on the rows replaced here, but on none above.
             if finished is not None:
@@ -360,6 +360,8 @@ def _split(planes: Float32s, like: Sequence[Float32s]) -> list[Float32s]:
     return np.split(planes, np.cumsum([len(stack) for stack in like])[:-1])
 
 
-def _share(progress: Callable[[int], None] | None, before: int, share: float) -> Callable[[int], None] | None:
+def _scaled_progress(
+    progress: Callable[[int], None] | None, before: int, share: float
+) -> Callable[[int], None] | None:
     """Scale the progress of one row block, of whose cells a share is new, and add that of earlier blocks."""
     return None if progress is None else lambda done: progress(before + int(done * share))

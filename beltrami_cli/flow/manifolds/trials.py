@@ -163,7 +163,7 @@ def choose_patches(colours: Float32s, around: NDArray[np.uint64], edges: Int32s)
             middles[connected[np.argpartition(around[connected], count - 1)[:count]]] = True
         else:
             middles[[part[np.argmin(around[part])] for part in np.array_split(ranked, count)]] = True
-        patches = _grown(middles, edges)
+        patches = _grow_patches(middles, edges)
         if len(patches.samples) >= _SUFFICIENT_SHARE * budget:
             break
         count = min(len(connected), 1 + count * budget // len(patches.samples))
@@ -177,7 +177,7 @@ def _ranked(colours: Float32s, around: NDArray[np.uint64], edges: Int32s, connec
     return connected[np.lexsort((around[connected], detail))]
 
 
-def _grown(middles: Bools, edges: Int32s) -> TrialSamples:
+def _grow_patches(middles: Bools, edges: Int32s) -> TrialSamples:
     """Grow patches around some samples, ring by ring."""
     reached, scored = middles.copy(), middles
     low, high = np.ascontiguousarray(edges.T)
@@ -210,13 +210,13 @@ def fingerprints(colours: Float32s, edges: Int32s) -> NDArray[np.uint64]:
     hashes = np.zeros(len(colours), np.uint64)
     # A sum is invariant to the order of channels and of neighbours.
     for own in _bits(colours):
-        hashes += _mixed(own)
+        hashes += _hashed(own)
     for _ in range(2):
         around = np.zeros_like(hashes)
         for block in large_arrays.blocks(len(edges)):
             for this, other in ((0, 1), (1, 0)):
                 np.add.at(around, edges[block, this], hashes[edges[block, other]])
-        hashes = _mixed(_mixed(hashes) + around)
+        hashes = _hashed(_hashed(hashes) + around)
     return hashes
 
 
@@ -226,7 +226,7 @@ def random_signs(colours: Float32s, around: NDArray[np.uint64], count: int) -> F
     signs: Float32s = large_arrays.empty((count, *colours.shape), np.float32)
     for block in large_arrays.blocks(len(colours)):
         for channel, own in enumerate(_bits(colours[block])):
-            bits = _mixed(around[block] + _mixed(own))
+            bits = _hashed(around[block] + _hashed(own))
             for probe in range(count):
                 signs[probe, block, channel] = np.where(bits >> np.uint64(probe) & np.uint64(1), 1, -1)
     return signs
@@ -238,7 +238,7 @@ def _bits(colours: Float32s) -> Iterator[NDArray[np.uint64]]:
         yield np.ascontiguousarray(channel).view(np.uint32).astype(np.uint64)
 
 
-def _mixed(values: NDArray[np.uint64]) -> NDArray[np.uint64]:
+def _hashed(values: NDArray[np.uint64]) -> NDArray[np.uint64]:
     """Hash integers to well-mixed ones, modulo 2^64."""
     mixed: NDArray[np.uint64] = values + _MIXERS[0]
     mixed *= _MIXERS[1]

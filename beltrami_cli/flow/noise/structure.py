@@ -183,7 +183,7 @@ class LevelCurve:
         sums, counts, known = np.zeros(_LEVELS), np.zeros(_LEVELS), blocks.is_known
         for levels, energies in zip(blocks.levels[:channels], blocks.energies[:channels], strict=True):
             bins = np.clip(levels[known] / STEPS * _LEVELS, 0, _LEVELS - 1).astype(np.intp)
-            chosen = _even(bins, blocks.unevenness[known])
+            chosen = _most_even(bins, blocks.unevenness[known])
             of_channel = np.mean(energies[known][chosen]) if chosen.any() else 0.0
             if of_channel > 0:
                 sums += np.bincount(bins[chosen], energies[known][chosen] / of_channel, _LEVELS)
@@ -210,7 +210,7 @@ class LevelCurve:
         return VarianceStabiliser(full_scale * self.levels, np.sqrt(self.variances), self.counts, full_scale)
 
 
-def _even(groups: Int64s, unevenness: Float32s) -> Bools:
+def _most_even(groups: Int64s, unevenness: Float32s) -> Bools:
     """Return which items are among the most even ones of their group."""
     order, counts = np.lexsort((unevenness, groups)), np.bincount(groups)
     ranks = np.empty(len(order), np.int64)
@@ -364,7 +364,7 @@ def _ratios(blocks: Blocks, curve: LevelCurve | None) -> tuple[Float64s, Bools]:
     even = np.zeros_like(known)
     groups = np.broadcast_to(np.arange(len(known))[:, None], known.shape)[known]
     if len(groups):
-        even[known] = _even(groups, blocks.unevenness[known])
+        even[known] = _most_even(groups, blocks.unevenness[known])
     return ratios, even
 
 
