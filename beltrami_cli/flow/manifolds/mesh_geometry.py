@@ -41,8 +41,8 @@ _HUB = 512
 # Number of samples in kernels around hubs from which on they take seconds.
 _MAX_NEAR_HUBS = 1_000_000
 
-# Minimum size for irregular connectivity, since small meshes take no time. V - E + F is about 0 on surfaces, whatever
-# their handles and borders.
+# Minimum number of joined vertices, since small meshes take no time, and bound of (V - E + F) / V below which
+# connectivity is irregular. On surfaces V - E + F is about 0, whatever their handles and borders.
 _SMALL_MESH, _IRREGULAR = 1_000, -1 / 4
 
 # Bound of kernels there, as a multiple of the number of samples on an even surface.
@@ -287,7 +287,6 @@ def _axes(positions: Float64s, colours: Float32s) -> Float64s:
 
 
 def _find_hubs(size: int, edges: Int32s) -> Bools:
-    """Return which vertices are hubs."""
     return np.asarray(np.bincount(edges.ravel(), minlength=size) > _HUB)
 
 
