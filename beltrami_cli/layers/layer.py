@@ -121,7 +121,7 @@ class Layer(ABC):
     names: tuple[str, ...]  # of the sampled channels: changing ones, and ones that only enter the metric
     settings: SmoothSettings
     noise: Float32s | None = None  # given standard deviations, one row per sample
-    level_report: LevelReport | None = None  # None: exposure steps were not levelled
+    level_report: LevelReport | None = None  # None: exposure steps were not searched for
     notices: Sequence[str] = ()  # about storage and positions, for users
 
     def normalised(self) -> Self:

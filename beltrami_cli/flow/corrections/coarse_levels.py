@@ -37,7 +37,7 @@ AnyManifold = TypeVar("AnyManifold", bound=Manifold)
 # Share of the noise of a level that is in the means of four of its samples, which coarser levels estimate; the rest is
 # in its details.
 _SHARE_IN_MEANS = 0.25
-# Share that coarser levels leave of the noise in means, in the same units.
+# Share of the noise in means that coarser levels leave, in the same units.
 _RESIDUAL_SHARE = 0.1
 
 # A level is the coarsest if the noise grows by no more than this factor beyond it.

@@ -138,7 +138,7 @@ class Geometry(Samples):
 
     @abstractmethod
     def counted(self, colours: Stack) -> tuple[Float32s, int]:
-        """Return the channels of the samples that can be smoothed, and the number of empty ones among them, or 0."""
+        """Return the channels of the samples that can be smoothed, and the number of empty ones, which are 0."""
 
     @abstractmethod
     def gaussian(self, scale: float) -> Gaussian:
