@@ -47,7 +47,7 @@ _MAX_BEFORE_PATCHES = 2.0
 _SHARED_BY_NEIGHBOURS = 1.5
 
 # Error of predictions in dB with a certainty of 90 %, if the noise is known. Together with the uncertainty of the noise
-# it makes intervals that hold 60 of 63 results of `benchmarks/bench_regret.py`, and 93 of 125 with pictures of four
+# it makes intervals that hold 70 of 74 results of `benchmarks/bench_regret.py`, and 94 of 126 with pictures of four
 # packages. A larger value would make most intervals wider than `_WIDEST`.
 _PREDICTION_ERROR = 2.5
 

@@ -47,7 +47,7 @@ COLOURS = 3
 # of cameras, and loses 0.04 dB on clean ones.
 MOST_NONE, _CERTAIN = 0.3, 0.95
 
-# Factor of the removed noise to its median. Noisy pictures lose 0.53 dB against a known noise, and 0.72 dB with a
+# Factor of the removed noise to its median. Noisy pictures lost 0.53 dB against a known noise, and 0.72 dB with a
 # factor of 1, by benchmarks/bench_regret.py: underestimated noise is kept as edges.
 _MORE = 1.1
 
