@@ -35,25 +35,25 @@ _PROGRESS_INTERVAL = 0.3  # seconds between two messages on progress
 
 @contextlib.contextmanager
 def connected(address: str) -> Iterator[Any]:
-    """Give a distributed.Client of a scheduler: at tcp://HOST:PORT, or where a file (.json) that it wrote says."""
+    """Connect to a scheduler, at tcp://HOST:PORT or by its file (.json), and return the distributed.Client."""
     try:
         from distributed import Client
         from distributed.security import Security
     except ImportError as error:
         message = f"--scheduler needs Dask, which is not installed; {install_hint('beltrami-cli[cluster]')}"
         raise ProcessingError(message) from error
-    # What goes wrong is reported by us, in one line.
+    # Errors are reported by this program, in one line.
     for name in ("asyncio", "distributed", "distributed.client", "distributed.comm", "distributed.core"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         where = address
-        if address.endswith(".json"):  # in which a scheduler wrote where it is
+        if address.endswith(".json"):  # written by a scheduler, with its address
             where = str(parse_json(read_bounded(Path(address), CONFIGURATION))["address"])
         _require_listener(where)
         security = Security()  # certificates, and whether they are required, from Dask's own configuration
         asyncio.run(_require_scheduler(where, security))
         client = Client(where, timeout=_CONNECT_TIMEOUT, set_as_default=False, security=security)
-    except Exception as error:  # Dask raises whatever comes of bytes that are not its own
+    except Exception as error:  # Dask raises errors of any kind for bytes of other protocols
         cause = " ".join(f"{type(error).__name__}: {error}".split())[:200]
         raise ProcessingError(
             f"{address}: no Dask scheduler answers there ({cause}); start one with dask scheduler, or check the address"
@@ -67,7 +67,7 @@ def connected(address: str) -> Iterator[Any]:
 def _require_listener(address: str) -> None:
     """Raise ValueError or OSError at once if nothing listens at an address; a client would keep trying."""
     parts = urlsplit(address if "://" in address else f"tcp://{address}")
-    if parts.scheme == "inproc" and parts.path.count("/") == 2:  # one of this process
+    if parts.scheme == "inproc" and parts.path.count("/") == 2:  # a scheduler in this process
         return
     if not parts.hostname or not parts.port:
         raise ValueError("an address is like tcp://HOST:PORT")
@@ -75,7 +75,7 @@ def _require_listener(address: str) -> None:
 
 
 async def _require_scheduler(address: str, security: Any) -> None:
-    """Raise an exception of any kind if what listens at an address is not a scheduler, where a client would hang."""
+    """Raise an exception (of any kind) if the listener is not a scheduler; a client would hang there."""
     from distributed.core import rpc
 
     arguments = security.get_connection_args("client")
@@ -118,13 +118,13 @@ class OnDask(Pool):
             if key not in self._parts:
                 self._parts[key] = self._scattered(part())
             arguments = self._parts[key], *arguments
-        # What a task is called with alone would go through the scheduler.
+        # Arguments of the task itself would go through the scheduler.
         sent = [self._scattered(each) if isinstance(each, list) else each for each in arguments]
         try:
             future = self._client.submit(
                 _on_worker, task, self._topic, key, version("beltrami-cli"), *sent, pure=False
             )
-        except Exception as error:  # of many kinds where a worker or the scheduler is gone
+        except Exception as error:  # of various kinds, if a worker or the scheduler is gone
             future = Future[Any]()
             future.set_exception(error)
         self._futures[key] = future
@@ -140,11 +140,11 @@ class OnDask(Pool):
         if isinstance(event, tuple):
             if key in self._futures:
                 yield key, event
-        elif self._futures.get(key) is event:  # else of a task that was given up
+        elif self._futures.get(key) is event:  # otherwise the task was cancelled
             del self._futures[key]
             result = _result(event)
             if isinstance(result, Lost):
-                self._parts.pop(key, None)  # it may be what was lost
+                self._parts.pop(key, None)  # it may have been lost with a worker
             yield key, result
 
     def forget(self) -> None:
@@ -153,11 +153,11 @@ class OnDask(Pool):
     def _scattered(self, value: Any) -> Any:
         try:
             return self._client.scatter(value, hash=False)
-        except Exception:  # of many kinds where a worker is gone; the value is then sent with the task
+        except Exception:  # of various kinds, if a worker is gone; then the value is sent with the task
             return value
 
     def give_up(self) -> None:
-        with contextlib.suppress(Exception):  # where the scheduler is gone, nothing is left to be cancelled
+        with contextlib.suppress(Exception):  # if the scheduler is gone, there is nothing to cancel
             self._client.cancel([each for each in self._futures.values() if not each.done()], force=True)
         self._futures.clear()
 
@@ -176,7 +176,7 @@ def _result(future: Any) -> Any:
     try:
         return future.result()
     except KilledWorker as error:
-        # The last of them died with this task in work: it may be what they died of.
+        # The last worker died during this task, which may be the cause.
         cause = f"every worker that had it in work died, the last one at {error.last_worker.address}"
         return Lost(f"{cause}; there may be too little memory")
     except CancelledError:
@@ -186,9 +186,9 @@ def _result(future: Any) -> Any:
 
 
 def portable(item: Item) -> Item:
-    """Return the item with paths that mean the same everywhere, if the files are on shared storage."""
+    """Return the item with absolute paths, which are the same on all machines with shared storage."""
     source = item.source if is_url(item.source) else str(Path(item.source).absolute())
-    # A guide may be something else than a file.
+    # A guide is not always a file.
     settings = with_files(item.settings, lambda name: str(Path(name).absolute()) if is_file(name) else name)
     return dataclasses.replace(item, source=source, target=canonical_path(item.target), settings=settings)
 
@@ -202,7 +202,7 @@ def _on_worker(task: Task, topic: str, key: int, client_version: str, *arguments
     from distributed import get_worker
 
     worker = get_worker()
-    if version("beltrami-cli") != client_version:  # which might not give the same bytes
+    if version("beltrami-cli") != client_version:  # other versions may give other bytes
         cause = f"the worker {worker.address} has version {version('beltrami-cli')}, not {client_version}"
         return Lost(f"{cause}; install the same everywhere")
     own = worker.get_current_task()
@@ -213,7 +213,7 @@ def _on_worker(task: Task, topic: str, key: int, client_version: str, *arguments
             raise _Cancelled
         worker.log_event(topic, [key, label, done, total])
 
-    # Arrays that change: what Dask has received may be read-only, and stays for another attempt.
+    # Writable copies: arrays from Dask may be read-only, and another attempt needs them unchanged.
     values = [[np.array(each) for each in value] if isinstance(value, list) else value for value in arguments]
     try:
         return task(*values, at_intervals(_PROGRESS_INTERVAL, progress))
@@ -225,7 +225,7 @@ def do_on_worker(item: Item, local: Item, memory: int | None, progress: Progress
     """Smooth one file by its names on this machine, in `local`; `memory` None: the worker's share of its own limit."""
     from distributed import get_client, get_worker
 
-    # A worker that died may have written the file already, which was not there when the item was given out.
+    # A worker that died may already have written the file after the item was sent.
     worker, client = get_worker(), get_client()
     own = str(worker.get_current_task())
     again = client.get_metadata([own], default=None) is not None
@@ -234,5 +234,5 @@ def do_on_worker(item: Item, local: Item, memory: int | None, progress: Progress
     if memory is None and limit:
         memory = limit // threads
     local = dataclasses.replace(local, again=item.again or again)
-    # Threads share the memory of a process, which can then not be limited for one of them.
+    # Threads share the memory of their process, so it cannot be limited for one of them.
     return do_item(item, memory, progress, is_alone=threads == 1, local=local)

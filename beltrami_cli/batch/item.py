@@ -40,16 +40,16 @@ class Item:
     target: str
     settings: SmoothSettings
     unwrap: BakeSettings | None = None
-    outside: bool = False  # whether files are followed that the model names beyond its own folder
+    outside: bool = False  # whether files outside the model's folder may be read
     overwrite: bool = False
-    skip_uncoloured: bool = False  # whether a file without the colours that are asked for is not a failure
+    skip_uncoloured: bool = False  # whether a file without the selected colours is skipped instead of failing
     columns: tuple[str, ...] = ()  # names of the columns of points in text files
-    # Whether an attempt that was cut off may have written files; existing ones must then be equal.
+    # Whether an interrupted attempt may have written files; existing ones must then be equal.
     again: bool = False
 
     @property
     def parameters(self) -> str:
-        """Hash of all that the result depends on besides the files: the settings and the version of this program."""
+        """Hash of the settings and the program version, on which the result depends besides the files."""
         settings = dataclasses.asdict(self.settings)
         del settings["kernel"]["threads"]  # the result is the same for any number
         unwrap = None if self.unwrap is None else dataclasses.asdict(self.unwrap)
@@ -61,16 +61,16 @@ class Item:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of one file; as JSON it is a line of the record."""
+    """The outcome of one file; as JSON it is a line of the record."""
 
     input: str
     output: str
-    status: Status  # "skipped": what an earlier run did still holds
+    status: Status  # "skipped": the result of an earlier run is still valid
     parameters_sha256: str = ""
-    time: float = field(default_factory=time.time)  # when this was written, in seconds since 1970
+    time: float = field(default_factory=time.time)  # of writing this outcome, in seconds since 1970
     seconds: float = 0.0
     error: str = ""
-    exit_code: int = 0  # that of `beltrami smooth` for the same file
+    exit_code: int = 0  # the same as that of `beltrami smooth` for this file
     read: dict[str, str] = field(default_factory=dict)  # SHA-256 of every file that was read, by its name
     written: dict[str, str] = field(default_factory=dict)
     report: dict[str, Any] | None = None  # of `beltrami smooth`
@@ -93,16 +93,16 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Attempt:
-    """What a worker answers: the outcome, whether more memory might help, and where an unforeseen error arose."""
+    """The answer of a worker: the outcome, whether more memory might help, and the traceback of an unexpected error."""
 
     outcome: Outcome
     wants_memory: bool = False
     traceback: str = ""
-    pieces: int = 0  # at most, of a surface of the file; 0: none was cut
+    pieces: int = 0  # most chunks of a surface of the file; 0: no surface was cut
 
 
 def outcome_of(item: Item, status: Status, **values: Any) -> Outcome:
-    """Return an outcome with the names and parameters of an item."""
+    """Return an outcome with the paths and parameters of an item."""
     return Outcome(item.source, item.target, status, parameters_sha256=item.parameters, **values)
 
 
@@ -131,7 +131,7 @@ def do_item(
         if item.skip_uncoloured and isinstance(error, NoColoursError):
             outcome = dataclasses.replace(outcome, status="uncoloured")
         return Attempt(outcome, isinstance(error, MemoryLimitError))
-    except Exception as error:  # even a mistake of ours is of this file only
+    except Exception as error:  # a bug, too, is a failure of this file only
         cause = " ".join(f"{item.source}: unexpected error: {type(error).__name__}: {error}".split())
         message = f"{cause}; run again with -vv and report it"
         return Attempt(failed(item, message, 1, time.monotonic() - start), traceback=traceback.format_exc())
@@ -147,7 +147,7 @@ def _done(
             overwrite=local.overwrite or to_url, again=local.again and not to_url,
         )  # fmt: skip
         try:
-            # A file that the source names is downloaded as soon as it is looked for.
+            # Files that the source refers to are downloaded when they are first looked for.
             access = Access(local.outside, memory, stage.note, stage.bring, columns=local.columns)
             report = _made(copy, access, progress, chunking)
         except BeltramiError as error:

@@ -1,4 +1,4 @@
-"""Which files a batch is about: from files, folders, globs, URLs and manifests; and the names of their outputs.
+"""The files of a batch, from names, folders, globs, URLs and manifests; and the names of their outputs.
 
 A manifest lists files with parameters for each: TOML with a table [[files]] for each file, and options for all above
 them; CSV with a line of names first; or JSON lines. Every file has an input, may have an output, and options by the
@@ -30,8 +30,8 @@ from beltrami_cli.formats.access import (
 from beltrami_cli.formats.registry import KEPT_FORMATS, OUTPUT_FORMATS, READ_ONLY
 from beltrami_cli.layers.settings import IMAGE_FORMATS, IMAGE_SUFFIXES
 
-# What a folder stands for: models and points. Its images may be their textures, and its texts and tables anything: both
-# are named by themselves.
+# The files that are taken from a folder: models and points. Its images may be textures, its texts and tables anything:
+# both must be named themselves.
 _AMBIGUOUS = (".txt", ".csv")
 _SUFFIXES = tuple(f".{name}" for name in (*OUTPUT_FORMATS, *KEPT_FORMATS))
 _MODELS = {*_SUFFIXES} - {*_AMBIGUOUS}
@@ -46,13 +46,13 @@ class Request:
 
     source: str
     target: str
-    options: Mapping[str, object] = field(default_factory=dict)  # that a manifest has for it, by their names
+    options: Mapping[str, object] = field(default_factory=dict)  # from a manifest, by name
     origin: str = ""  # the manifest and the line or entry, for messages
-    folder: Path = Path()  # what paths among the options are relative to
+    folder: Path = Path()  # to which paths among the options are relative
 
 
 def plan(inputs: Iterable[str], out_dir: str, suffix: str, extension: str | None) -> list[Request]:
-    """Find the files that inputs stand for, and name their outputs; UsageError if two would be the same file.
+    """Find the files of the inputs, and name their outputs; UsageError if two outputs would be the same file.
 
     What lies below a folder or the fixed part of a glob keeps its place below `out_dir`. `suffix` is put between name
     and extension, or replaces the extension if it has one of a format. `extension` None: as the input.
@@ -82,12 +82,12 @@ def plan(inputs: Iterable[str], out_dir: str, suffix: str, extension: str | None
 
 
 def find_sources(inputs: Iterable[str]) -> list[str]:
-    """Return the files that names, folders and globs stand for, each once."""
+    """Return the files of names, folders and globs, each once."""
     return list(dict.fromkeys(source for text in inputs for source, _ in _found(text, os.devnull, _MODELS)))
 
 
 def _result_name(place: PurePath, suffix: str, extension: str | None) -> PurePath:
-    """Return the place of an output below the folder of all, from that of its input."""
+    """Return the path of an output below the output folder, from the path of its input."""
     ending = Path(f"x{suffix}").suffix.lower()
     if ending in _WRITABLE and extension is None:
         return place.with_name(place.stem + suffix)
@@ -95,7 +95,7 @@ def _result_name(place: PurePath, suffix: str, extension: str | None) -> PurePat
 
 
 def _found(text: str, out_dir: str, suffixes: Collection[str]) -> list[tuple[str, PurePath]]:
-    """Return the files that an input stands for, and their places below the output folder.
+    """Return the files of an input, and their paths below the output folder.
 
     A folder stands for its files with some suffixes. Hidden files and results of an earlier run are meant only if
     they are named.
@@ -117,7 +117,7 @@ def _found(text: str, out_dir: str, suffixes: Collection[str]) -> list[tuple[str
 
 
 def _no_files_reason(text: str) -> tuple[str, str]:
-    """Return the cause and the remedy where a folder or a glob gives no file to smooth."""
+    """Return cause and remedy of an input without files to smooth."""
     path = Path(text)
     images = {each.suffix.lower() for each in path.glob("*")} if path.is_dir() else set[str]()
     if images := images & set(IMAGE_SUFFIXES):
@@ -158,8 +158,8 @@ def _of_manifest(path: str, out_dir: str, suffix: str, extension: str | None) ->
 
 
 def _place_below(out_dir: str, target: str, origin: str) -> PurePath:
-    """Return where an output of a manifest lies below the folder of all; InputError if it does not."""
-    # As in names of URLs, `..` goes back to the folder before it, also where that is a link to elsewhere.
+    """Return the path of a manifest's output below the output folder; InputError if it is outside."""
+    # As in URLs, `..` removes the folder before it, even if that is a symbolic link.
     root = Path("out" if is_url(out_dir) else out_dir).absolute()
     place = PurePath(os.path.relpath(root / target, root))
     if place.parts[:1] == (os.pardir,) or is_url(target) or (is_url(out_dir) and target.startswith("/")):

@@ -1,4 +1,4 @@
-"""The record of a batch, from which a later run resumes: a line for each file that is started or finished."""
+"""The record of a batch, from which a later run resumes: a line for each started or finished file."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _HEAD = re.compile(rb'\{"input": ".*", "output": ".*", "status": "')
 _START = b'{"input": "'
 _LONGEST = 1 << 26  # bytes of a line
 _SHA256 = re.compile(r"[0-9a-f]{64}")
-# Of lines that are not from a report.
+# Errors of lines that are not from a report.
 _UNFIT = (ValueError, TypeError, LookupError, AttributeError, OverflowError)
 
 
@@ -50,14 +50,14 @@ class Record:
             is_own=lambda head: _HEAD.match(head) is not None,
         )
         self._latest = _read_record(path) if resume and is_there(path) else {}
-        self.close([])  # without the line that the end of a run cut off
-        self._output.overwrite = True  # from now on it is ours
+        self.close([])  # removes the incomplete line of an interrupted run
+        self._output.overwrite = True  # from now on this run may replace it
 
     def latest(self, item: Item) -> Outcome | None:
         return self._latest.get(canonical_path(item.target))
 
     def add(self, outcome: Outcome) -> None:
-        """Write a line, and wait until it is on the disk."""
+        """Write a line, and synchronise it to the disk."""
         self._latest[canonical_path(outcome.output)] = outcome
         try:
             with Path(self.path).open("a", encoding="utf-8") as file:
@@ -76,7 +76,7 @@ class Record:
 
 
 def is_done(item: Item, outcome: Outcome | None) -> bool:
-    """Whether an earlier run did the item, and nothing that it depends on has changed since."""
+    """Whether an earlier run completed the item, and all that it depends on is unchanged."""
     if outcome is None or outcome.status not in ("done", "skipped"):
         return False
     same = outcome.parameters_sha256 == item.parameters and canonical_path(item.source) == canonical_path(
@@ -86,7 +86,7 @@ def is_done(item: Item, outcome: Outcome | None) -> bool:
 
 
 def is_own_output(outcome: Outcome | None) -> bool:
-    """Whether the files at the place of an output are as an earlier run left them, and may be replaced."""
+    """Whether an output and its sidecars are as an earlier run wrote them, and so may be replaced."""
     if outcome is None or canonical_path(outcome.output) not in outcome.written:
         return False
     return _holds({name: digest for name, digest in outcome.written.items() if exists(name)})
@@ -104,7 +104,7 @@ def _line(outcome: Outcome) -> str:
 
 
 def _read_record(path: str) -> dict[str, Outcome]:
-    """Return the last line of each output; the very last line may be cut off by the end of a run."""
+    """Return the last line of each output; the last line of the file may be incomplete after an interruption."""
     latest: dict[str, Outcome] = {}
     try:
         with open_regular(Path(path)) as file:
@@ -125,10 +125,10 @@ def _read_record(path: str) -> dict[str, Outcome]:
 
 
 def _outcome_in(line: bytes) -> Outcome:
-    """Return what a line says; an error of `_UNFIT` if it cannot be from `_line`."""
+    """Parse a line; an error of `_UNFIT` if it was not written by `_line`."""
     outcome = Outcome(**parse_json(line))
     source, target = require_name(outcome.input), require_name(outcome.output)
-    outcome.figures()  # which the table shows
+    outcome.figures()  # raises an error if a figure of the table is missing
     report = outcome.report or {}
     texts = (outcome.parameters_sha256, outcome.error, *report.get("warnings", ()))
     is_valid = (
@@ -147,10 +147,10 @@ def _outcome_in(line: bytes) -> Outcome:
 
 
 def _are_hashes(values: object, file: str) -> bool:
-    """Return whether values are SHA-256 by name; URLs among the names are below the folder of the file's URL."""
+    """Whether values are SHA-256 hashes by name; names that are URLs must be below the folder of the file's URL."""
     folder = file.rpartition("/")[0]
 
-    def is_below(url: str) -> bool:  # "::" would chain another URL to it
+    def is_below(url: str) -> bool:  # "::" would chain another URL
         return url.startswith(f"{folder}/") and "::" not in url[len(folder) :]
 
     return isinstance(values, dict) and all(
@@ -162,5 +162,5 @@ def _are_hashes(values: object, file: str) -> bool:
 
 
 def _is_number(value: object) -> bool:
-    """Whether a value is a number that floats can hold."""
+    """Whether a value is a number within the range of floats."""
     return isinstance(value, float) or (type(value) is int and abs(value) < 1 << 63)

@@ -1,4 +1,4 @@
-"""Smooth many files, whatever happens to some of them: each by a worker, or one after another in pieces."""
+"""Smooth many files, also if some of them fail: several at once in workers, or one at a time in chunks."""
 
 from __future__ import annotations
 
@@ -31,24 +31,24 @@ Advanced = Callable[[int, str, int, int], None]  # called with a key and its pro
 
 
 class Watcher(Protocol):
-    """Shows how a batch goes; a key is the place of an item in it."""
+    """Shows the progress of a batch; keys are indices of its items."""
 
     def advanced(self, key: int, label: str, done: int, total: int) -> None: ...
-    def postponed(self, key: int) -> None: ...  # to the end, when it is tried alone with all memory
+    def postponed(self, key: int) -> None: ...  # to the end, when it is tried alone with the whole memory
     def finished(self, key: int, attempt: Attempt) -> None: ...
 
 
 @dataclass(frozen=True)
 class Workers:
-    """A pool that does files: `call` gives the task of an item, and its arguments."""
+    """A pool of workers for whole files: `call` returns the task of an item and its arguments."""
 
     pool: Pool
     call: Callable[[Item], tuple[Any, ...]]
-    threads: int | None = None  # for each file whose settings leave it open; None: as many as there are
+    threads: int | None = None  # for each file without this setting; None: all processors
 
 
 class Batch:
-    """Files that are smoothed as by `smooth_file`, but for what `record` says to be done, and still holds."""
+    """Smooths files as `smooth_file` does, except those whose results in `record` are still valid."""
 
     def __init__(
         self, items: Sequence[Item], record: Record, watcher: Watcher, *, fail_fast: bool = False
@@ -57,10 +57,10 @@ class Batch:
         self._fail_fast, self._stopped = fail_fast, False
         self._earlier = [record.latest(item) for item in items]
         self._outcomes: dict[int, Outcome] = {}
-        self._writers: dict[str, tuple[int, str]] = {}  # who wrote a file, and its hash
+        self._writers: dict[str, tuple[int, str]] = {}  # the item that wrote a file, and the file's hash
 
     def run(self, at_once: int, memory: int | None, workers: Workers | None = None) -> list[Outcome]:
-        """Return one outcome an item, in their order; without workers by `at_once` processes at a time.
+        """Return the outcomes of the items, in their order; without workers by `at_once` processes at a time.
 
         Each has an equal share of `memory` (bytes); what that is not enough for is done alone at the end, with all.
         """
@@ -79,9 +79,9 @@ class Batch:
             if waiting:
                 several = in_processes(count, share, max(1, threads // count))
                 waiting = self._work(waiting, several, is_last=count == 1)
-            if waiting:  # for more memory
+            if waiting:  # for the whole memory
                 self._work(waiting, in_processes(1, memory, threads), is_last=True)
-        for key in set(range(len(self._items))) - self._outcomes.keys():  # left undone by --fail-fast
+        for key in set(range(len(self._items))) - self._outcomes.keys():  # not tried because of --fail-fast
             written = _written(self._earlier[key])
             self._outcomes[key] = outcome_of(self._items[key], "not started", written=written)
         outcomes = [self._outcomes[key] for key in range(len(self._items))]
@@ -89,7 +89,7 @@ class Batch:
         return outcomes
 
     def _work(self, waiting: deque[int], workers: Workers, *, is_last: bool) -> deque[int]:
-        """Do what waits; return what wants more memory, unless `is_last`."""
+        """Run the waiting items; return those that need more memory, unless this is the last attempt (`is_last`)."""
         larger: deque[int] = deque()
         in_work = set[int]()
         with contextlib.closing(workers.pool) as pool:
@@ -114,10 +114,10 @@ class Batch:
         return Attempt(failed(item, f"{item.source}: {lost.cause}", 1), wants_memory=lost.wants_memory)
 
     def _started(self, key: int, workers: Workers) -> set[int]:
-        """Begin with an item; return it, unless it failed already."""
+        """Start an item; return the set of its key, empty if it failed at once."""
         item, earlier = self._items[key], self._earlier[key]
         overwrite = item.overwrite or is_own_output(earlier)
-        # By an earlier run, or by this one in a process that died.
+        # Written by an earlier run, or by a process of this run that died.
         latest = self._record.latest(item)
         again = latest is not None and latest.status == "started"
         try:
@@ -146,7 +146,7 @@ class Batch:
         self._watcher.finished(key, dataclasses.replace(attempt, outcome=outcome))
 
     def _checked(self, key: int, outcome: Outcome) -> Outcome:
-        """Fail an item that wrote over what another one has written, such as a texture of the same name."""
+        """Fail an item that replaced a file of another item, such as a texture of the same name."""
         if outcome.status == "failed":
             return outcome
         for name, digest in outcome.written.items():
@@ -160,17 +160,17 @@ class Batch:
 
 
 def _written(earlier: Outcome | None) -> dict[str, str]:
-    """Return the files of an earlier run, which are still there if a later attempt fails or is cut off."""
+    """Return the files of an earlier run that are still there, in case a later attempt fails or is interrupted."""
     return {} if earlier is None else earlier.written
 
 
 def in_processes(count: int, memory: int | None, threads: int) -> Workers:
-    """Return what does up to `count` files at the same time in processes, each with `memory` bytes."""
+    """Return a pool for up to `count` files at a time in processes with `memory` bytes each."""
     return Workers(Processes(count), lambda item: (do_item, item, memory), threads)
 
 
 def in_pieces(pool: Pool, count: int, memory: int | None, advanced: Advanced, threads: int | None) -> Workers:
-    """Return what does one file at a time here, with up to `count` chunks of each surface in a pool.
+    """Return a pool for one file at a time in this process, with up to `count` chunks of each surface in workers.
 
     `threads`: for the work between two operations, in which the workers of this machine have nothing to do.
     """
@@ -185,7 +185,7 @@ def in_pieces(pool: Pool, count: int, memory: int | None, advanced: Advanced, th
 
 
 class InProcess(Pool):
-    """Does one task at a time in this process."""
+    """Runs one task at a time in this process."""
 
     def __init__(self, advanced: Advanced) -> None:
         self._advanced = advanced
@@ -208,12 +208,12 @@ class InProcess(Pool):
 
 
 class ChunkRunner:
-    """Works on chunks with workers that may die; a `Runner`."""
+    """A `Runner` for chunks whose workers may die."""
 
     def __init__(self, pool: Pool, tries: int = _MAX_ATTEMPTS) -> None:
         self._pool, self._tries = pool, tries
-        self._chunks: Sequence[Chunk] = ()  # whose parts workers keep, so that only colours are sent
-        self.most = 0  # chunks that a surface was cut into
+        self._chunks: Sequence[Chunk] = ()  # workers keep their geometry, so that only colours are sent
+        self.most = 0  # most chunks of a surface
 
     def __call__(self, chunks: Sequence[Chunk], operation: Operation, stacks: Sequence[Float32s]) -> Answers:
         if chunks is not self._chunks:
@@ -250,10 +250,10 @@ class ChunkRunner:
 def do_chunk(
     part: Any, operation: Operation, stacks: list[Float32s], progress: object
 ) -> tuple[Sequence[Float32s], Figures] | Exception:
-    """Return the result of a chunk in a worker."""
+    """Compute a chunk in a worker."""
     del progress
     try:
         values, figures = operation(part, stacks, 1)
         return [np.ascontiguousarray(each) for each in values], figures
-    except Exception as error:  # other than the death of a worker, it would come again elsewhere
+    except Exception as error:  # unlike the death of a worker, it would recur elsewhere
         return error

@@ -1,4 +1,4 @@
-"""Files by name: on this machine, or at URLs that fsspec opens.
+"""Access to files by name: local paths, or URLs that fsspec opens.
 
 A file at a URL is smoothed on a copy: it is downloaded into a folder of this machine, with the files that it names, and
 the results are uploaded.
@@ -22,18 +22,18 @@ from beltrami_cli.formats.access import is_file, is_there, is_url, open_regular
 from beltrami_cli.surface.worker_process import temporary_folder
 
 _LOCAL_URL = re.compile(r"(?:file|local)://", re.IGNORECASE)
-# Where a file appears only once it is whole; elsewhere it is uploaded under another name and renamed.
+# Protocols whose files appear only when complete; otherwise files are uploaded under another name and renamed.
 _ATOMIC_UPLOADS = frozenset({"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "adl", "memory"})
 
 
 def without_scheme(name: str) -> str:
-    """Return the path that a file:// URL means, and any other name as it is."""
+    """Return the path of a file:// URL, and any other name unchanged."""
     found = _LOCAL_URL.match(name)
     return name if found is None else unquote(name[found.end() :])
 
 
 def require_name(name: object) -> str:
-    """Return what can be the name of a file; ValueError if it is not text, or cannot name a file."""
+    """Return a valid file name; ValueError if it is not text, or cannot name a file."""
     if not isinstance(name, str) or "\0" in name:
         raise ValueError("it cannot be the name of a file")
     os.fsencode(name)  # a UnicodeError is a ValueError
@@ -46,7 +46,7 @@ def canonical_path(name: str) -> str:
 
 
 def fixed_part(pattern: PurePath) -> PurePath:
-    """Return the folder that all files of a glob are in."""
+    """Return the innermost folder that contains all files of a glob."""
     fixed = next(number for number, part in enumerate(pattern.parts) if has_magic(part))
     return type(pattern)(*pattern.parts[:fixed])
 
@@ -59,7 +59,7 @@ def joined(folder: str, place: PurePath) -> str:
 
 
 def filesystem(url: str) -> tuple[Any, str]:
-    """Return the fsspec file system of a URL, and the path in it; InputError if there is none for it."""
+    """Return the fsspec file system of a URL, and the path in it; InputError if the protocol is unknown."""
     try:
         from fsspec.core import url_to_fs
     except ImportError as error:
@@ -74,7 +74,7 @@ def filesystem(url: str) -> tuple[Any, str]:
 
 
 def exists(name: str) -> bool:
-    """Return whether there is a file, or a folder, of that name."""
+    """Whether a file or folder of that name exists."""
     if not is_url(name):
         return is_there(name)
     files, path = filesystem(name)
@@ -82,7 +82,7 @@ def exists(name: str) -> bool:
 
 
 def make_folder_of(name: str) -> None:
-    """Make the folder that a file is to be written into; OutputError if that fails."""
+    """Make the folder of a new file; OutputError if that fails."""
     try:
         if is_url(name):
             files, path = filesystem(name)
@@ -106,12 +106,12 @@ def hash_at(name: str) -> str:
 
 
 def is_glob(name: str) -> bool:
-    """Whether a name stands for all files that match it; a file may have such a name itself."""
+    """Whether a name is a glob; existing files may have names that look like globs."""
     return has_magic(name) and (is_url(name) or not is_there(name))
 
 
 def find(name: str) -> tuple[str, list[tuple[str, PurePath]]]:
-    """Return the folder that a folder or a glob means, and the files there with their places; of a file no folder."""
+    """Return the base folder of a folder or a glob (None for a file), and the files with their relative paths."""
     if is_url(name):
         return _find_at(name)
     path = Path(name)
@@ -139,14 +139,14 @@ def _find_at(url: str) -> tuple[str, list[tuple[str, PurePath]]]:
 
 
 class Stage:
-    """The files of an item, those at URLs as copies in `folder`; `read` has the SHA-256 of what was read, by name."""
+    """The files of an item, with copies of URLs in `folder`; `read`: SHA-256 of the files read, by name."""
 
     def __init__(self, source: str, target: str, folder: Path) -> None:
         self._original_source, self._original_target = source, target
         self._from, _, source_name = source.rpartition("/")
         self._to, _, target_name = target.rpartition("/")
         self._inside = folder / "in"
-        # Files of one folder stay in one folder, so that the files of a model are kept or copied as in a local run.
+        # Files of one folder stay together, so that files of a model are kept or copied as in a local run.
         self._outside = self._inside if self._from == self._to else folder / "out"
         if is_url(target):
             self._outside.mkdir()
@@ -155,7 +155,7 @@ class Stage:
         self.read: dict[str, str] = {}
 
     def bring(self, path: Path) -> None:
-        """Download a file to where it is looked for, if there is one at the source's place."""
+        """Download a file to the path at which it is looked for, if it exists beside the source."""
         if not path.is_relative_to(self._inside) or path.exists():
             return
         files, there = filesystem(self._url_of(path))
@@ -167,7 +167,7 @@ class Stage:
             raise InputError(self._original_source, f"cannot be brought ({error})", "try again") from error
 
     def send(self, names: list[str], *, overwrite: bool, again: bool) -> dict[str, str]:
-        """Upload what was made, the model last, and return the hashes by URL; `again`: it may be there already."""
+        """Upload the new files, the model last, and return the hashes by URL; `again`: files may already exist."""
         own = Path(self.target)
         made = [*(self._outside / name for name in names), own]
         urls = {path: f"{self._to}/{path.relative_to(self._outside).as_posix()}" for path in made}
@@ -187,7 +187,7 @@ class Stage:
         return f"{self._from}/{path.relative_to(self._inside).as_posix()}"
 
     def note(self, path: Path, data: bytes) -> None:
-        """Note the hash of a file that was read."""
+        """Record the hash of a file that was read."""
         is_copy = is_url(self._original_source) and path.is_relative_to(self._inside)
         name = self._url_of(path) if is_copy else str(path.absolute())
         self.read[name] = hashlib.sha256(data).hexdigest()
@@ -195,7 +195,7 @@ class Stage:
 
 @contextlib.contextmanager
 def staged(source: str, target: str) -> Iterator[Stage]:
-    """Download the source, if it is a URL, and remove all copies in the end."""
+    """Download the source if it is a URL, and remove all copies at the end."""
     with contextlib.ExitStack() as stack:
         folder = Path(os.devnull)
         if is_url(source) or is_url(target):

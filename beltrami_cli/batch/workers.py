@@ -1,4 +1,4 @@
-"""Tasks for workers that may die: in processes of this machine, here, or on a Dask scheduler, see `cluster.py`.
+"""Tasks for workers that may die: processes of this machine, this process, or a Dask cluster, see `cluster.py`.
 
 The pool of the standard library fails everything when a process dies, as it does when the system runs out of memory.
 Each worker has a pipe to the process that leads, which alone decides, in one thread; one that dies loses only its task.
@@ -35,7 +35,7 @@ Task = Callable[..., Any]  # called with the arguments that it was started with,
 
 @dataclass(frozen=True)
 class Lost:
-    """What comes of a task whose worker died, or could not do it: the cause, in words."""
+    """The result of a task whose worker died or failed: the cause, in words."""
 
     cause: str
     wants_memory: bool = False  # whether more memory might help
@@ -43,46 +43,46 @@ class Lost:
 
 @dataclass(frozen=True)
 class Order:
-    """A task for a worker process, which is called with its part first, if it has one."""
+    """A task for a worker process; its part, if it has one, is its first argument."""
 
     task: Task
     arguments: tuple[Any, ...] = ()
-    key: int | None = None  # of its part; None: it has none
-    made: Any = None  # the part, unless the worker keeps it from an earlier order
-    kept: frozenset[int] = frozenset()  # the keys of the parts that the worker goes on to keep
+    key: int | None = None  # of its part; None: no part
+    made: Any = None  # the part, unless the worker has it from an earlier order
+    kept: frozenset[int] = frozenset()  # keys of the parts that the worker continues to keep
 
 
 class Pool(Protocol):
-    """Workers that do tasks."""
+    """Workers for tasks."""
 
     @property
     def is_full(self) -> bool:
-        """Whether it takes no more tasks for now."""
+        """Whether it takes no more tasks at present."""
 
     def start(self, key: int, task: Task, *arguments: Any, part: Callable[[], Any] | None = None) -> None:
-        """Begin a task; `part` makes a large first argument, which workers keep for tasks with the same key."""
+        """Start a task; `part` returns a large first argument, which workers keep for tasks with the same key."""
 
     def events(self) -> Iterator[tuple[int, Any]]:
-        """Wait for a while, and give by the keys of tasks their progress, a tuple of three, or what came of them."""
+        """Wait for a while, and yield keys of tasks with their progress (a tuple of three) or their results."""
 
     def held(self) -> Collection[int]:
-        """Return the keys of the parts that the next worker keeps, if that is known."""
+        """Return the keys of the parts that the next worker has, if that is known."""
         return ()
 
     def forget(self) -> None:
-        """Let workers drop the parts that they keep."""
+        """Make workers drop the parts that they keep."""
         return
 
     def give_up(self) -> None:
-        """Stop the tasks in work: what comes of them is not wanted any more."""
+        """Cancel the running tasks."""
 
     def close(self) -> None:
-        """Let the workers go, after they have cleaned up."""
+        """End the workers, after they have cleaned up."""
         self.give_up()
 
 
 class Channel:
-    """Messages between two processes, whose arrays are in a file that both map: a pipe would copy them four times."""
+    """Messages between two processes, with arrays in a file that both map: a pipe would copy them four times."""
 
     def __init__(self, pipe: Connection[Any, Any], path: Path) -> None:
         self.pipe, self._path, self._pages = pipe, path, memoryview(b"")
@@ -98,17 +98,17 @@ class Channel:
         self.pipe.send((head, sizes))
 
     def receive(self) -> Any:
-        """Return a message; its arrays last until the next one, in either direction."""
+        """Receive a message; its arrays are valid until the next one, in either direction."""
         head, sizes = self.pipe.recv()
         return pickle.loads(head, buffers=self._places(sizes))
 
     def _places(self, sizes: Sequence[int]) -> list[memoryview]:
-        """Return where arrays of these sizes in bytes are in the file."""
+        """Return the offsets in the file of arrays with these sizes in bytes."""
         *begins, end = accumulate((size + -size % _ALIGNMENT for size in sizes), initial=0)
         if end > len(self._pages):
             with self._path.open("r+b") as file:
                 if hasattr(os, "posix_fallocate"):
-                    # Without it, full storage would end the process as it writes a page.
+                    # Reserves the space: otherwise a full disk would kill the process when it writes a page.
                     os.posix_fallocate(file.fileno(), 0, end)
                 else:
                     file.truncate(end)
@@ -117,22 +117,22 @@ class Channel:
 
 
 class _Worker:
-    """A worker process, as the leading process sees it."""
+    """A worker process, seen from the leading process."""
 
     def __init__(self) -> None:
-        context = multiprocessing.get_context("spawn")  # a fork would copy locks of threads as they are
+        context = multiprocessing.get_context("spawn")  # a fork would copy locks that other threads hold
         self._file = contextlib.ExitStack()
         path = self._file.enter_context(scratch_file())
         ours, theirs = context.Pipe()
         self.process = context.Process(target=serve, args=(theirs, path), daemon=True)
         with _without_interrupts():
             self.process.start()
-        theirs.close()  # so that the pipe ends with the process
+        theirs.close()  # so that the pipe closes when the process ends
         self.channel = Channel(ours, path)
         self.key, self.held = -1, set[int]()  # of the task in work, and of parts
 
     def end(self, seconds: float | None = 0) -> None:
-        """End the process, which has some seconds left; None: wait until it ends."""
+        """End the process within some seconds; None: wait until it ends by itself."""
         self.process.join(seconds)
         self.process.kill()
         self.process.join()
@@ -141,7 +141,7 @@ class _Worker:
 
 
 class Processes(Pool):
-    """Processes of this machine; one that dies is replaced when it is needed."""
+    """Worker processes of this machine; one that died is replaced when it is needed."""
 
     def __init__(self, count: int) -> None:
         self._count, self._busy = count, list[_Worker]()
@@ -161,7 +161,7 @@ class Processes(Pool):
                 of_part = None if part is None else key
                 worker.channel.send(Order(task, arguments, of_part, made, frozenset(worker.held)))
                 break
-            except ConnectionError:  # it died while it had nothing to do
+            except ConnectionError:  # it died while it was idle
                 self._idle.pop().end()
             except OSError as error:
                 cause = f"there is no room for a piece in work ({error.strerror})"
@@ -214,13 +214,13 @@ def _lost(worker: _Worker) -> Lost:
 
 @contextlib.contextmanager
 def _without_interrupts() -> Iterator[None]:
-    """Start processes that Ctrl-C, which reaches all, does not end with a traceback while they load their modules."""
+    """Block Ctrl-C, which reaches all processes, in new ones until they have loaded their modules."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
     from multiprocessing import resource_tracker
 
-    resource_tracker.ensure_running()  # which would let the signal through again when it starts
+    resource_tracker.ensure_running()  # starting it later would unblock the signal
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -230,18 +230,18 @@ def _without_interrupts() -> Iterator[None]:
 
 # ---- in a worker process
 def serve(pipe: Connection[Any, Any], path: Path) -> None:
-    """Do the tasks that come through a channel until it is closed."""
+    """Run the tasks from a channel until it is closed."""
     for number in unhandled_signals():
         signal.signal(number, lambda number, _: sys.exit(128 + number))
     if (leader := multiprocessing.parent_process()) is not None and leader.pid is not None:
-        end_with_parent(leader.pid, signal.SIGTERM)  # which lets it remove its files
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all; who leads decides
+        end_with_parent(leader.pid, signal.SIGTERM)  # a signal on which it removes its files
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes; the leading one decides
     channel, cached = Channel(pipe, path), dict[int, Any]()
 
     def report(*event: object) -> None:
         try:
             channel.send((False, event))
-        except ConnectionError:  # the process that leads is gone, which is not the task's error
+        except ConnectionError:  # the leading process is gone, which is not an error of the task
             sys.exit()
 
     progress = at_intervals(_PROGRESS_INTERVAL, report)
@@ -250,6 +250,8 @@ def serve(pipe: Connection[Any, Any], path: Path) -> None:
             order: Order = channel.receive()
             cached = {key: cached[key] for key in order.kept}
             if order.key is not None and order.made is not None:
-                cached[order.key] = copy.deepcopy(order.made)  # the arrays of a message last until the next
+                cached[order.key] = copy.deepcopy(
+                    order.made
+                )  # the arrays of a message are valid until the next one
             parts = () if order.key is None else (cached[order.key],)
             channel.send((True, order.task(*parts, *order.arguments, progress)))

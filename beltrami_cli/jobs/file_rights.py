@@ -1,4 +1,4 @@
-"""Who may do what with a file that replaces another one: as before where the system allows it, and never more."""
+"""The permissions of a file that replaces another one: the same where the system allows it, and never more."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from pathlib import Path
 
 LOG = logging.getLogger(__name__)
 PRIVATE = 0o600
-"""Mode of a file until it has the rights of the one that it replaces."""
+"""Mode of a new file until it gets the permissions of the replaced one."""
 
 _OWNER = 0o700  # bits of a mode
-# Beginnings of the names of attributes that are kept: what users say of a file, access lists, and labels.
+# Prefixes of the extended attributes that are kept: those of users, access control lists, and security labels.
 _KEPT_ATTRIBUTES = ("user.", "system.", "security.selinux")
 _ACCESS_LISTS = "system."
 
 
 def take_over(old: Path, new: Path) -> None:
-    """Give a new file of mode `PRIVATE` the owner, group, access list, attributes and mode of another one.
+    """Copy owner, group, access control list, attributes and mode to a new file of mode `PRIVATE`.
 
     Where the group or the access list cannot be kept, others have the rights only that all of them had before.
     """
@@ -36,7 +36,7 @@ def take_over(old: Path, new: Path) -> None:
 
 
 def _take_owner(before: os.stat_result, new: Path) -> tuple[bool, bool]:
-    """Return whether the new file has the owner, and the group, of the old one."""
+    """Copy owner and group; return for each whether it succeeded."""
     wanted = before.st_uid, before.st_gid
     # Without privileges a file may still change to another group of the user's.
     for user, group in (wanted, (-1, wanted[1])) if hasattr(os, "chown") else ():
@@ -52,7 +52,7 @@ def _take_owner(before: os.stat_result, new: Path) -> tuple[bool, bool]:
 
 
 def _take_attributes(old: Path, new: Path, *, has_group: bool) -> bool:
-    """Copy attributes; return whether the access lists of both files are the same."""
+    """Copy extended attributes; return whether both files have the same access control lists."""
     names, is_same = _attributes(old), True
     for name in _attributes(new) - names:  # inherited from the folder
         try:
@@ -61,7 +61,7 @@ def _take_attributes(old: Path, new: Path, *, has_group: bool) -> bool:
             is_same &= not name.startswith(_ACCESS_LISTS)
     for name in sorted(names):
         is_list = name.startswith(_ACCESS_LISTS)
-        if is_list and not has_group:  # its entry of the group would mean another one
+        if is_list and not has_group:  # its group entry would apply to another group
             is_same = False
             continue
         try:

@@ -1,4 +1,4 @@
-"""How a job is done, besides its parameters: what may be read and replaced, and who is told how far it is."""
+"""The conditions of a job besides its parameters: what it may read and replace, and its progress callback."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Job:
     chunk_memory: int | None = None
 
     def expect(self, phases: Iterable[Expected]) -> None:
-        """Announce the phases ahead."""
+        """Announce the phases that follow."""
         if isinstance(self.progress, Work):
             self.progress.expect(phases)
 

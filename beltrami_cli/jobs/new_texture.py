@@ -1,4 +1,4 @@
-"""New textures: for a mesh, from its vertex colours or its textures; and `bake`, which moves colours to one or back."""
+"""New textures of meshes, from vertex colours or textures; and `bake`, which moves colours to a texture or back."""
 
 from __future__ import annotations
 
@@ -49,20 +49,20 @@ from beltrami_cli.surface.unwrap import Unwrapped, require_few_faces, unwrap
 
 Depth = type[np.uint8] | type[np.uint16]
 
-_ON_A_LEVEL = 0.05  # of an 8-bit step: numbers this close to levels came from 8 bits
-_SHARED = 0.01  # share of texels at several places that rounding at the edges of charts may make
+_ON_A_LEVEL = 0.05  # of an 8-bit step: numbers this close to levels are taken for 8-bit values
+_SHARED = 0.01  # share of texels at several places that rounding at chart boundaries may cause
 
 
 @dataclass(frozen=True)
 class NewTexture:
-    """A mesh with a texture that is made for it."""
+    """A mesh with its new texture."""
 
     positions: Float64s
     faces: Int32s
     uv: Float64s  # (F, 3, 2), as in `TexturedSurface`
     space_of: Int32s | None  # as in `ColouredVertices`
     pixels: Array  # uint8 or uint16, (H, W, 3) or (H, W, 4): the texture, sRGB
-    charts: int | None  # how many, if it was unwrapped
+    charts: int | None  # number of charts, if it was unwrapped
     notices: tuple[str, ...]
     frame: Frame
 
@@ -83,7 +83,7 @@ class NewTexture:
         return TexturedSurface(self.positions, self.faces, self.uv, texture_of, (texture,), self.space_of)
 
     def mesh(self, image: ImageFile) -> MeshContents:
-        """Return the mesh with the texture as a file, for the writers."""
+        """Return the mesh with the texture as an image file, for the writers."""
         alpha = self.pixels[..., 3:]
         transparent = bool(alpha.size and (alpha < alpha.max()).any())
         shown = MaterialMap(MeshImage(image), ("clamp", "clamp"))
@@ -105,8 +105,8 @@ def texture_from_vertices(
     progress: Progress | None = None,
     colours: Float32s | None = None,
 ) -> NewTexture:
-    """Spread the vertex colours, or others, shape (V, C), in their stead, over the texels of a texture."""
-    # They are interpolated as the numbers that are stored (in glTF linear light), and rounded once.
+    """Interpolate vertex colours, or the given ones, shape (V, C), at the texels of a new texture."""
+    # The stored numbers (in glTF linear light) are interpolated, and rounded once.
     contents = vertex_mesh(document, colours)
     faces = triangulate(contents.positions, contents.corners, contents.offsets)
     if not len(faces):
@@ -148,7 +148,7 @@ def texture_from_textures(
 
     def shade(owners: Int64s, weights: Float64s) -> Array:
         seen = np.ones((len(owners), 4))
-        # Places outside a triangle are moved into it: its texture shows something else there.
+        # Points outside a triangle are moved into it, since its texture shows other things there.
         inside = np.clip(weights, 0, 1)
         uv = interpolated(old.uv, owners, inside / np.maximum(inside.sum(axis=1, keepdims=True), 1))
         for index, (picture, texture) in enumerate(zip(pictures, old.textures, strict=True)):
@@ -176,7 +176,7 @@ def _unwrapped(
 
 
 def _kept_uv(document: Document, corners: Float64s, side: int | None) -> tuple[Float64s, tuple[int, int]]:
-    """Return the document's own texture coordinates, if no texel is at two places, and the texture's size."""
+    """Return the document's own texture coordinates, if they do not overlap, and the texture's size."""
     surface = document.textured("baseColor")
     cause = ""
     if surface.faces.shape[0] != len(corners) or (surface.positions[surface.faces] != corners).any():
@@ -204,7 +204,7 @@ def _vertex_values(contents: MeshContents) -> Float32s:
 
 
 def _depth(contents: MeshContents) -> Depth:
-    """Return the type of the texture: that of the colours, or what holds them where they are text or linear light."""
+    """Return the type of the texture: that of the colours, or one that holds them if they are text or linear light."""
     if contents.encoding == "srgb" and contents.stored in ("uint8", "uint16"):
         return np.uint8 if contents.stored == "uint8" else np.uint16
     levels = 255 * _as_srgb(_vertex_values(contents).astype(np.float64), contents.encoding)
@@ -222,7 +222,7 @@ def _lost_contents(contents: MeshContents) -> list[str]:
 
 
 def _lost_of_textured(document: Document) -> tuple[str, ...]:
-    """Name what a textured model holds besides its triangles and the base colour."""
+    """Return what a textured model has besides triangles and the base colour."""
     mesh = document.textured_mesh()
     has_normals = mesh.corner_normals is not None or mesh.normals is not None
     found = ["texture coordinates", "textures", "materials", *(["normals"] if has_normals else [])]
@@ -241,7 +241,7 @@ def _lost_of_textures(document: Document, old: TexturedSurface, pictures: list[P
 
 
 def texels_of(surface: TexturedSurface, sizes: Int64s) -> float:
-    """Return how many texels the textured triangles have together."""
+    """Return the total number of texels of the textured triangles."""
     is_textured = surface.texture_of >= 0
     corners = surface.uv[is_textured] * sizes[surface.texture_of[is_textured]][:, None]
     one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -324,7 +324,7 @@ def bake_file(
 
 
 def _colours_from_textures(document: Document) -> tuple[MeshContents, tuple[str, ...]]:
-    """Look the base colour up at every vertex."""
+    """Return the base colour at every vertex."""
     # Where a seam runs through a vertex each side is looked up, and if they agree within the noise the vertex has
     # their mean. Otherwise there is a real colour edge, and the vertex stays split.
     surface = document.textured("baseColor")
@@ -378,7 +378,7 @@ def _corner_colours(surface: TexturedSurface, pictures: Sequence[Picture]) -> tu
 
 
 def _spread(values: Float64s, place: Int32s, textured: Bools) -> Float64s:
-    """Return how far the textured corners at each place differ, shape (places, 4)."""
+    """Return the range of the textured corners at each place, shape (places, 4)."""
     low = np.full((int(place.max()) + 1, 4), np.inf)
     high = -low
     np.minimum.at(low, place[textured], values[textured])

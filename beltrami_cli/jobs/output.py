@@ -34,13 +34,13 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.changes import Bytes, Written
 
 LOG = logging.getLogger(__name__)
-# "own": only files that this program wrote, as far as that can be seen in them.
+# "own": only files with the signature of this program.
 Overwrite = bool | Literal["own"]
-_SIGNATURE_BYTES = 1 << 16  # bytes in which it is seen
+_SIGNATURE_BYTES = 1 << 16  # bytes searched for the signature
 
 
 class Output:
-    """Where a result, a report or a picture goes: `target` is a path, or "-" for standard output.
+    """The destination of a result, a report or a picture: `target` is a path, or "-" for standard output.
 
     `what` it is, for messages: OUTPUT may replace the file that it was made of, all else replaces nothing that is read.
     `is_own` recognises what this program wrote by its first bytes, for `overwrite="own"`.
@@ -69,11 +69,11 @@ class Output:
         self.is_device = not self.is_stdout and replacing.is_special(Path(target))
         # A link is followed, so that its target is replaced and the link stays; links to pipes lead nowhere.
         self.path = Path(target if self.is_device else os.path.realpath(target))
-        # None for standard output and devices, which hold one file only.
+        # None for standard output and devices, which take one file only.
         self.folder = None if self.is_stdout or self.is_device else self.path.parent
         self._sidecars: tuple[str, ...] = ()
-        self.replaceable: frozenset[str] = frozenset()  # sidecar files of an old OUTPUT
-        # What reads the names of the sidecar files of the OUTPUT that is there now.
+        self.replaceable: frozenset[str] = frozenset()  # sidecar files of the existing OUTPUT
+        # Reads the names of the sidecar files of the existing OUTPUT.
         self.references: Callable[[], frozenset[str]] = frozenset
         self._is_alone = files is None
         self.files = FileSet(reads) if files is None else files
@@ -89,7 +89,7 @@ class Output:
                 self._require_own(is_own)
 
     def paths(self) -> Iterator[tuple[str, Path]]:
-        """Give the files that are known to be written, with the names that the user knows them by."""
+        """Yield the files that will be written as far as they are known, with their names for messages."""
         if self.folder is not None:
             yield self.target, self.path
             yield from ((self._named(self.folder / name), self.folder / name) for name in self._sidecars)
@@ -103,14 +103,14 @@ class Output:
                 remedy = "choose a file as OUTPUT, or --format glb (of OBJ and PLY with --unwrap)"
                 raise OutputError("<stdout>" if self.is_stdout else self.target, cause, remedy)
             path = PurePosixPath(name)
-            # No reader gives such a name; this is the last check.
+            # Readers never return such names; this is a second line of defence.
             if path.is_absolute() or ".." in path.parts:
                 raise OutputError(name, "would be written outside the output's folder")
             self._check_file(self.folder / name)
         self.files.check()
 
     def write(self, written: Written) -> None:
-        """Write all files, or, in a set of others, write them aside; OutputError leaves all files as they were."""
+        """Write all files, under temporary names if it is in a set; on OutputError all files are as before."""
         if not self._is_alone:
             self._stage(written)
             return
@@ -138,7 +138,7 @@ class Output:
                     file.writelines(pieces)
         except OSError as error:
             if isinstance(error, BrokenPipeError):
-                # The rest of the buffer must not be tried again when the interpreter ends.
+                # The interpreter must not try to flush the rest of the buffer when it exits.
                 os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             raise _unwritable(self.target, error) from error
 
@@ -175,14 +175,14 @@ class Output:
             if not folder.is_dir():
                 raise OutputError(self.target, f"{name} is not a folder", "choose another place")
             with replacing.signals_deferred(), tempfile.TemporaryFile(dir=folder):
-                pass  # it can be written to
+                pass  # it is writable
             replacing.recover(folder)
         except OSError as error:
             cause = f"the folder {name} cannot be written to ({error.strerror})"
             raise OutputError(self.target, cause, "choose another folder") from error
 
     def _named(self, path: Path) -> str:
-        """Return a file of the output as the user would name it; behind a link, where it is."""
+        """Return the name of an output file for messages; of a link, the path of its target."""
         target = Path(self.target)
         with contextlib.suppress(OSError):  # such as names that are too long
             if target.is_symlink():
@@ -191,21 +191,21 @@ class Output:
 
 
 class FileSet:
-    """The files that one run writes; as a context, it removes files that were not put in place."""
+    """The files that one run writes; as a context manager it removes those that were not moved into place."""
 
-    # `reads` are files that only a result of them may replace: OUTPUT may be INPUT, but a report may not.
+    # `reads`: inputs, which only the result may replace: OUTPUT may be INPUT, but a report may not.
 
     def __init__(self, reads: Iterable[str] = ()) -> None:
         self._outputs: list[Output] = []
         self._reads = {replacing.canonical_path(Path(name)) for name in reads if name != "-"}
         self._guarded: set[str] = set()
         self._staged: dict[Path, replacing.TemporaryFile] = {}
-        self._names: dict[Path, str] = {}  # that the user knows them by
-        self._replacing: dict[Path, Output] = {}  # outputs that replace files, by the paths of these
-        # What writes to standard output or devices, before anything is put in place.
+        self._names: dict[Path, str] = {}  # for messages
+        self._replacing: dict[Path, Output] = {}  # outputs that replace files, by path
+        # Writes to standard output and devices, before files are moved into place.
         self.streams: list[Callable[[], None]] = []
         self._journal: replacing.Journal | None = None
-        self._made_folders: list[Path] = []  # inner ones before outer ones
+        self._made_folders: list[Path] = []  # innermost first
 
     def __enter__(self) -> FileSet:
         return self
@@ -214,13 +214,13 @@ class FileSet:
         with replacing.signals_deferred():
             self._remove_temporary()
             for folder in self._made_folders:
-                with contextlib.suppress(OSError):  # it may hold other files now
+                with contextlib.suppress(OSError):  # it may contain other files by now
                     folder.rmdir()
             self._made_folders.clear()
         self.streams.clear()
 
     def _remove_temporary(self) -> None:
-        """Remove the temporary files; files that stay are not a failure, since all others are complete."""
+        """Remove the temporary files; it is not a failure if some stay, since all outputs are complete."""
         stay = [] if self._journal is None else self._journal.close()
         self._journal = None
         self._staged.clear()
@@ -228,17 +228,17 @@ class FileSet:
             LOG.warning("the temporary file %s cannot be removed (%s)", error.filename, error.strerror)
 
     def add(self, output: Output) -> None:
-        """Let an output belong to the set; OutputError if it collides with another one."""
+        """Add an output to the set; OutputError if it collides with another one."""
         self._outputs.append(output)
         self.check()
 
     def guard(self, names: Iterable[str]) -> None:
-        """Let nothing replace these files, such as guides."""
+        """Protect files, such as guides, from being replaced."""
         self._guarded |= {replacing.canonical_path(Path(name)) for name in names}
         self.check()
 
     def watching(self, access: Access) -> Access:
-        """Return an access that records files as read, so that no output but the result replaces them."""
+        """Return an access that records files as read, so that only the result may replace them."""
 
         def note(path: Path, data: bytes) -> None:
             if access.note is not None:
@@ -249,7 +249,7 @@ class FileSet:
         return dataclasses.replace(access, note=note)
 
     def with_staged_files(self, access: Access) -> Access:
-        """Return what may be read, with the files that are written aside as if they were in place."""
+        """Return an access that reads temporary files as if they were already in place."""
         instead = {
             Path(os.path.realpath(path.parent), path.name): staged.temporary
             for path, staged in self._staged.items()
@@ -257,7 +257,7 @@ class FileSet:
         return dataclasses.replace(access, note=None, instead=instead)
 
     def check(self) -> None:
-        """Raise OutputError if two outputs are one file, or one is a file that it must not replace."""
+        """Raise OutputError if two outputs are the same file, or one is a file that must not be replaced."""
         taken: dict[str, str] = {}
         for output in sorted(self._outputs, key=lambda each: not each.is_result):
             for name, path in output.paths():
@@ -272,7 +272,7 @@ class FileSet:
         from beltrami_cli.surface.large_arrays import release_pages
 
         output_paths = {output.path, *(output.path.parent / name for name in output.replaceable)}
-        # The journal lies where the next run with the same OUTPUT looks first.
+        # The journal is where the next run with the same OUTPUT looks first.
         main = min(
             (each for each in self._outputs if each.folder is not None), key=lambda each: not each.is_result
         )
@@ -297,7 +297,7 @@ class FileSet:
         folder.mkdir(parents=True, exist_ok=True)
 
     def keep_equal(self) -> None:
-        """Replace nothing: leave files that have the same bytes already; OutputError if one has others."""
+        """Keep existing files that have the same bytes; OutputError if one differs."""
         self._replacing.clear()
         for path, staged in list(self._staged.items()):
             try:
@@ -311,10 +311,10 @@ class FileSet:
             self._staged[path] = dataclasses.replace(staged, overwrite=False)
 
     def commit(self) -> None:
-        """Give all files their names; OutputError if that fails, and then all is as it was."""
+        """Move all files into place; OutputError if that fails, with all files as before."""
         for write in self.streams:
             write()
-        # Files come before the files that name them, and OUTPUT last.
+        # Files come before the files that refer to them, so OUTPUT is last.
         ranks = {output.path: output.is_result for output in self._outputs}
         order = sorted(self._staged, key=lambda path: (path in ranks, ranks.get(path, False), str(path)))
         try:
@@ -331,7 +331,7 @@ class FileSet:
         self.streams.clear()
 
     def _replacing_newer(self, file: replacing.TemporaryFile) -> replacing.TemporaryFile:
-        """Let a file replace one that another run with the same OUTPUT has put in place meanwhile."""
+        """Allow a file to replace one that another run with the same OUTPUT has written meanwhile."""
         output = self._replacing.get(file.path)
         if file.overwrite or output is None or not os.path.lexists(file.path):
             return file
@@ -354,9 +354,9 @@ def _unwritable(name: str, error: OSError) -> OutputError:
     return OutputError(name, f"cannot be written ({error.strerror})", "free space or choose another place")
 
 
-# Files of a folder whose heads are searched.
+# Number of files of a folder that are searched.
 _MAX_FILES = 1000
-# Bytes of each file. OBJ and PLY name their files in front of the vertices; materials and the JSON of glTF are short,
+# Bytes of each file. OBJ and PLY list their files before the vertices; materials and the JSON of glTF are short,
 # unless buffers are written into them.
 _HEAD = 1 << 18
 
@@ -385,7 +385,7 @@ def _may_refer(name: str) -> bool:
 
 
 def _naming(heads: Mapping[str, bytes], names: Iterable[str]) -> list[str]:
-    """Return the files that name one of some others, as a whole word; URIs may have escapes."""
+    """Return the files that contain one of some names as a whole word; in URIs they may be percent-encoded."""
     spelled = sorted({os.fsencode(each) for name in names for each in (name, quote(name))})
     named = re.compile(rb"(?:^|[\s\"'@>]|\./)(?:" + b"|".join(map(re.escape, spelled)) + rb")(?=$|[\s\"'@<])")
     # The expression alone takes 10 ms for the head of a binary file.

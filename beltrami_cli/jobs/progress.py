@@ -1,4 +1,4 @@
-"""How far a job is: one share of the whole, which never falls.
+"""The progress of a job as one fraction of the whole, which never decreases.
 
 A job has phases, which it announces with the seconds that each is expected to take as soon as it knows how many samples
 there are. These are seconds of all cores together, so that neither their number nor other programs matter. Phases that
@@ -40,7 +40,7 @@ _STEPS = 1000  # of the work on one of several items
 
 
 class Label(str):
-    """The label of a phase that says more than its name."""
+    """A label of a phase with details, and the name of the phase."""
 
     phase: str
 
@@ -51,7 +51,7 @@ class Label(str):
 
 
 def phase_of(label: str) -> str:
-    """Return the phase that a progress reports; other labels than `Label` are its name."""
+    """Return the phase of a label; a label that is not a `Label` is the name of the phase."""
     return label.phase if isinstance(label, Label) else label
 
 
@@ -62,7 +62,7 @@ def phases_of(kinds: Sequence[str], samples: int) -> list[Expected]:
 
 @dataclass
 class Work:
-    """A progress callback that joins the phases of a job to one share of the whole.
+    """A progress callback that combines the phases of a job into one fraction of the whole.
 
     Without news the share comes ever closer to 1, at the pace of the seconds that are left.
     """
@@ -70,10 +70,10 @@ class Work:
     # Clock and seconds left when phases were announced last.
     _announced: tuple[float, float] = field(default_factory=lambda: (time.process_time(), _UNANNOUNCED_REST))
     _ahead: list[Expected] = field(default_factory=list)  # phases to come
-    _rest: float = _UNANNOUNCED_REST  # expected seconds of what no job has announced
+    _rest: float = _UNANNOUNCED_REST  # expected seconds of unannounced phases
     _label: str | None = None  # of the current phase
-    _expected: float = 0.0  # its seconds
-    _done: float = 0.0  # the share of it that is done
+    _expected: float = 0.0  # expected seconds of the current phase
+    _done: float = 0.0  # the completed fraction of the current phase
     _first: tuple[float, float] = (0.0, 1.0)  # share of the whole and seconds left when it began
     _last: tuple[float, float, float] = (0.0, 0.0, 0.0)  # share, seconds left and clock at the last report
     _lock: Any = field(default_factory=threading.RLock, repr=False)  # a terminal is drawn by another thread
@@ -85,7 +85,7 @@ class Work:
             self._announced = time.process_time(), self._left()
 
     def __call__(self, label: str, done: int, total: int) -> None:
-        """Report work of a phase; one of another phase than before ends that."""
+        """Report work of a phase; a new phase ends the previous one."""
         with self._lock:
             shown = self.share()
             if self._label is None or phase_of(label) != phase_of(self._label):
@@ -108,7 +108,7 @@ class Work:
         self._first = shown, self._left()
 
     def _left(self) -> float:
-        """Return the expected seconds of all that is left."""
+        """Return the expected remaining seconds."""
         return self._expected * (1 - self._done) + sum(seconds for _, seconds in self._ahead) + self._rest
 
     @property
@@ -117,7 +117,7 @@ class Work:
         return self._label or ""
 
     def share(self) -> float:
-        """Return the share of the whole that is done now."""
+        """Return the completed fraction of the whole."""
         with self._lock:
             share, left, when = self._last
             return 1 - (1 - share) * left / (left + time.process_time() - when) if left > 0 else share
@@ -125,7 +125,7 @@ class Work:
 
 @dataclass
 class Share(Work):
-    """Progress of a part of a job; `forward` is called with a label and the share of the part."""
+    """Progress of a part of a job; `forward` is called with a label and the completed fraction of the part."""
 
     forward: Callable[[str, float], None] = lambda label, share: None
 
@@ -137,7 +137,7 @@ class Share(Work):
 def each_with_progress(
     items: Sequence[Item], noun: str, progress: Progress | None
 ) -> Iterator[tuple[Item, Progress | None]]:
-    """Give items one after the other, each with the progress of the work on it."""
+    """Yield items, each with a progress callback for the work on it."""
     count = len(items)
     if isinstance(progress, Work):
         progress.expect([(noun, float(count))])
@@ -154,7 +154,7 @@ def each_with_progress(
 
 
 def tracked(items: Sequence[Item], label: str, progress: Progress | None) -> Iterator[Item]:
-    """Give items one after the other, and show how many of them are done."""
+    """Yield items, and report how many of them are done."""
     for number, item in enumerate(items):
         if progress is not None:
             progress(label, number, len(items))
@@ -164,7 +164,7 @@ def tracked(items: Sequence[Item], label: str, progress: Progress | None) -> Ite
 
 
 def at_intervals(seconds: float, progress: Progress) -> Progress:
-    """Return a progress that drops what comes less than some seconds after what it passed on last."""
+    """Return a progress callback that forwards at most one report per some seconds."""
     last = 0.0
 
     def update(label: str, done: int, total: int) -> None:

@@ -1,4 +1,4 @@
-"""Give a file new colours: open it, choose format and names of the output, select, take layers, filter, write, report.
+"""Recolour a file: open it, choose format and names of the output, select layers, filter them, write, report.
 
 A filter gives a layer new colours: by the kernel, by adding noise, and the like. No code here asks which layers they
 are. The files of the result have the format that the output asks for; in memory, the result is a document to look at.
@@ -45,7 +45,7 @@ from beltrami_cli.surface.records import ImageFile, MovedVertices, PlannedImage,
 
 
 class Stopwatch:
-    """Adds up the time of named stages."""
+    """Sums the time of named stages."""
 
     def __init__(self) -> None:
         # "wall" and "cpu" seconds (all threads of the process), in the order of their start.
@@ -82,15 +82,15 @@ class FileJob:
 
     source: str
     target: str
-    job: Job  # whose access records files as read, so that nothing but OUTPUT replaces them
+    job: Job  # its access records files as read, so that only OUTPUT may replace them
     document: Document
     format: OutputFormat
     output: Output | None  # None on a dry run
     watch: Stopwatch
-    occupied: dict[str, None] = field(default_factory=dict)  # names in OUTPUT's folder that other models have
+    occupied: dict[str, None] = field(default_factory=dict)  # names in OUTPUT's folder that other models use
 
     def reserve(self, sidecars: Callable[[Naming], Iterable[str]]) -> Naming:
-        """Return how the output's sidecar files are named; OutputError if one of them may not be written."""
+        """Return the naming of the output's sidecar files; OutputError if one of them must not be written."""
         if self.job.check is not None:
             self.job.check(self.document)
         naming = _naming_of(self)
@@ -100,7 +100,7 @@ class FileJob:
         return naming
 
     def reserve_new(self, image_suffix: str | None) -> str:
-        """Return an unused stem for the sidecar files of a new mesh with one texture, or none."""
+        """Return an unused stem for the sidecar files of a new mesh with one texture or no texture."""
 
         def names(stem: str) -> list[str]:
             return registry.sidecar_names(self.format.name, stem, image_suffix)
@@ -108,7 +108,7 @@ class FileJob:
         return self.reserve(lambda naming: names(naming.free_stem(names))).free_stem(names)
 
     def write(self, files: Written, notices: Iterable[str], warnings: Iterable[str] = ()) -> FileReport:
-        """Write the files, unless it is a dry run; `notices` are about the file, `warnings` about what was computed."""
+        """Write the files, unless it is a dry run; `notices` concern the file, `warnings` the computation."""
         with self.watch.stage("write"):
             folder, access = Path(self.source).parent, self.job.access
             copied = {new: read_source(str(folder / old), access) for new, old in files.copies.items()}
@@ -117,7 +117,7 @@ class FileJob:
             if self.output is not None:
                 self.output.write(files)
                 names = [self.target, *files.sidecars]
-        # Several slots say the same of one surface.
+        # Several slots repeat the warnings about their surface.
         notices = dict.fromkeys([*self.document.notices, *notices, *shared, *files.notices])
         return FileReport(
             input=self.source,
@@ -153,7 +153,7 @@ def begin(
     with watch.stage("read"):
         document = open_input(source, settings, access)
         if models_only and document.kind == "image":
-            document.coloured_vertices()  # raises the error that it is not a model
+            document.coloured_vertices()  # raises an error: it is not a model
         kind = choose_format(document, target, job.format)
     return FileJob(source, target, replace(job, access=access), document, kind, output, watch)
 
@@ -173,7 +173,7 @@ def require_level_set(settings: SmoothSettings, *documents: Document) -> None:
 
 
 def open_any(source: str, settings: SmoothSettings, access: Access) -> Document:
-    """Open a file as `open_input`, whether or not options of level sets mean anything for it."""
+    """Open a file as `open_input`, and allow options of level sets for any file."""
     data, access = read_source(source, access), replace(access, channels=settings.channels or ())
     name, folder = ("<stdin>", None) if source == "-" else (source, Path(source).parent)
     line = registry.recognised(data, name)
@@ -192,7 +192,7 @@ def _naming_of(file: FileJob) -> Naming:
         output.replaceable = frozenset(file.document.references())
 
     def references() -> frozenset[str]:
-        with suppress(BeltramiError):  # there may be no output yet, or none that names files
+        with suppress(BeltramiError):  # the output may not exist, or may not be readable
             return frozenset(registry.open_document(target, replace(file.job.access, note=None)).references())
         return frozenset()
 
@@ -212,7 +212,7 @@ def _naming_of(file: FileJob) -> Naming:
 
 
 def is_moved(source: str, target: str) -> bool:
-    """Whether the output is in another folder than the source."""
+    """Whether output and source are in different folders."""
     if "-" in (source, target):
         return source != "-"
     return Path(source).resolve().parent != Path(os.path.realpath(target)).parent
@@ -220,7 +220,7 @@ def is_moved(source: str, target: str) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class FilterResult:
-    """New colours of a layer; filters add what they report of it."""
+    """New colours of a layer; subclasses add figures for the report."""
 
     stored: StoredColours
     warnings: Sequence[str] = ()
@@ -230,43 +230,43 @@ AnyResult = TypeVar("AnyResult", bound=FilterResult)
 
 
 class ColourFilter(ABC, Generic[AnyResult]):
-    """Gives layers new colours. It is immutable; what it did is in its results."""
+    """Recolours layers. It is immutable: what it did is in its results."""
 
-    # Whether channels of images that are not colours stay, unless they are named.
+    # Whether image channels other than colours stay unchanged unless they are selected by name.
     colours_only: ClassVar[bool] = True
-    # Whether large arrays are in files where memory is too small for them.
+    # Whether large arrays may be stored in files if memory is short.
     works_in_files: ClassVar[bool] = True
 
     @property
     def phases(self) -> Sequence[str]:
-        """Return the phases of `apply`, see `jobs/progress.py`."""
+        """Phases of `apply`, see `jobs/progress.py`."""
         return ("recolouring",)
 
     @property
     def changes(self) -> bool:
-        """Whether it changes any colour; if not, the output is the input."""
+        """Whether it changes any colour; otherwise the output equals the input."""
         return True
 
     @property
     def works_in_groups(self) -> bool:
-        """Whether textures that do not touch are filtered separately."""
+        """Whether textures without common edges are filtered separately."""
         return False
 
     def check(self, selection: Selection, target: OutputFormat) -> None:
-        """Raise errors if the selection cannot be recoloured, before anything is computed."""
+        """Raise an error if the selection cannot be recoloured, before the computation."""
 
     @abstractmethod
     def apply(self, layer: Layer, job: Job) -> AnyResult:
-        """Give a layer new colours."""
+        """Return new colours of a layer."""
 
     def check_results(self, source: str, results: Sequence[AnyResult]) -> None:
-        """Raise errors about the results, before they are written."""
+        """Raise an error if the results must not be written."""
 
 
 def recolour(
     source: str, target: str, settings: SmoothSettings, colour_filter: ColourFilter[AnyResult], job: Job
 ) -> tuple[FileReport, list[AnyResult]]:
-    """Recolour what the settings select of a file, and write it with nothing else changed."""
+    """Recolour the selected parts of a file, and write it with everything else unchanged."""
     file = begin(source, target, settings, job)
     document, kind, watch = file.document, file.format, file.watch
     with watch.stage("read"):
@@ -294,7 +294,7 @@ def recolour(
 def recolour_in_memory(
     document: Document, settings: SmoothSettings, colour_filter: ColourFilter[AnyResult], job: Job
 ) -> tuple[Document, list[AnyResult]]:
-    """Recolour what the settings select, and return it as the document that would be written; the other is kept."""
+    """Recolour the selected parts, and return the document that would be written; the given one is unchanged."""
     selection = Selection(document, settings, job.access)
     if colour_filter.changes:
         selection = select(document, settings, job.access)
@@ -307,7 +307,7 @@ def recolour_in_memory(
 def apply_filter(
     selection: Selection, colour_filter: ColourFilter[AnyResult], job: Job, suffix: str | None = None
 ) -> list[AnyResult]:
-    """Recolour the selected parts, layer by layer; `suffix`: of another image format that is written."""
+    """Recolour the selected parts, layer by layer; `suffix`: of the image format of the output, if it differs."""
     results = []
     counts = selection.samples()
     phases = [phases_of(["laying out", *colour_filter.phases], count) for count in counts]
@@ -356,14 +356,14 @@ def _files(
 
 
 def _is_new(document: Document, slot: Slot, key: str, image: ImageFile) -> bool:
-    """Whether an image changed: in the source's folder, the output names unchanged images as the source does."""
+    """Whether an image changed: in the source's folder, the output refers to the unchanged images of the source."""
     if slot not in document.slots():
         return True
     return all(image.data != each.data for each in document.textured(slot).textures if each.key == key)
 
 
 def _has_textures(document: Document, kind: OutputFormat) -> bool:
-    """Whether textures are converted along with a document."""
+    """Whether conversion of a document also converts textures."""
     return registry.image_suffixes(kind.name) is not None and bool(document.readable(document.slots()))
 
 
@@ -372,7 +372,7 @@ def moved_vertices(document: Document, positions: Float64s) -> MovedVertices:
     vertices = document.coloured_vertices()
     if not document.has_normals_by_vertex():
         return MovedVertices(positions)
-    # Copies of a vertex that share a normal share the new one; others stay separate, so that hard edges stay hard.
+    # Copies of a vertex with equal normals get equal new ones; others stay separate, so that hard edges stay hard.
     columns = [*vertices.positions.T, *document.attribute("normal").T]
     if vertices.space_of is not None:
         columns.append(vertices.space_of)
@@ -386,7 +386,7 @@ def moved_vertices(document: Document, positions: Float64s) -> MovedVertices:
 
 
 def _sidecar_names(selection: Selection, kind: OutputFormat, naming: Naming) -> list[str]:
-    """Return the names of the output's sidecar files in advance, as if all selected colours changed."""
+    """Return the names of the output's sidecar files, as if all selected colours changed."""
     document, settings = selection.document, selection.settings
     chosen = settings.textures.image_suffix
     images: dict[tuple[Slot, str], PlannedImage] = {}
@@ -411,7 +411,7 @@ def _sidecar_names(selection: Selection, kind: OutputFormat, naming: Naming) -> 
 
 
 def with_new_colours(document: Document, stored: Sequence[StoredColours]) -> Document:
-    """Return what a document would be with new colours, rounded to what its file holds of them."""
+    """Return the document as it would be with new colours, rounded to the precision of its file."""
     images = {key: image.data for key, image in all_images(stored)[0].items()}
     new = next((each for each in stored if each.colours is not None), None)
     if document.kind == "image":

@@ -1,4 +1,4 @@
-"""Writing files under temporary names, and putting them in place: the steps that `output.FileSet` is made of.
+"""Write files under temporary names and move them into place: the steps of `output.FileSet`.
 
 A run that writes files has a journal, `.beltrami-ID.tmp` in OUTPUT's folder, which it keeps locked. It names the
 temporary files, `.beltrami-ID.N.tmp`, each in its target's folder. Before several files are put in place it lists them,
@@ -34,38 +34,38 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.changes import Bytes
 
 _JOURNAL = re.compile(r"\.beltrami-[0-9a-f]{12}\.tmp")
-_COMMITTED = True  # as the last line of a journal: the set is complete, or rolled back
+_COMMITTED = True  # last line of a journal whose set is complete or rolled back
 _LARGEST_JOURNAL = 1 << 26  # bytes: 10,000 files with paths of 4096 bytes
 _user = getattr(os, "geteuid", int)  # 0 where there are no users
 _OPEN_FLAGS = (
     os.O_RDWR | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 )
 
-_BLOCK = 1 << 20  # bytes that are read back at a time
+_BLOCK = 1 << 20  # bytes read back at a time
 _LOCK_TIMEOUT, _LOCK_POLL = 30.0, 0.02  # seconds that a run waits for another, and between two attempts
 
 
-# Size and time of the last change of the content, which a file keeps when it is linked, renamed, or moved elsewhere.
+# Size and modification time: a file keeps them when it is linked, renamed, or moved to another file system.
 _Identity = tuple[int, int]
 
 
 @dataclass(frozen=True)
 class TemporaryFile:
-    """A file under a temporary name, the place where it belongs, and whether it may replace a file there."""
+    """A file under a temporary name, its final path, and whether it may replace a file there."""
 
     temporary: Path
     path: Path
     overwrite: bool = False
-    identity: _Identity | None = None  # None: it is not being put in place yet
+    identity: _Identity | None = None  # None: it is not yet being moved into place
 
     @property
     def previous(self) -> Path:
-        """Where the file that it replaces is kept until the set is complete."""
+        """The path of the replaced file until the set is complete."""
         return self.temporary.with_suffix(".previous.tmp")
 
 
 class Journal:
-    """What a run writes down of its temporary files, so that the next one can tidy up if it is killed.
+    """The journal of a run's temporary files, from which the next run cleans up if this one is killed.
 
     It is made within the lock of its folder, so that no other run finds it before it is locked itself.
     """
@@ -94,8 +94,8 @@ class Journal:
         return file
 
     def rename_all(self, files: list[TemporaryFile]) -> None:
-        """Give all files their names, in this order, or none; OSError names the file that cannot be put in place."""
-        if len(files) < 2:  # one rename, which is done or not
+        """Move all files into place, in this order, or none; OSError names the file that failed."""
+        if len(files) < 2:  # a single rename is atomic
             for file in files:
                 _put(file, keep=False)
             return
@@ -117,19 +117,19 @@ class Journal:
                 self._is_needed = True
                 state = f"{stuck.filename} stays until the next run with this output ({stuck.strerror})"
                 raise OSError(errno.EIO, f"{error}; {state}") from error
-            with contextlib.suppress(OSError):  # Undoing it again would do no harm.
+            with contextlib.suppress(OSError):  # A second rollback would do no harm.
                 self._write(_COMMITTED)
             raise
-        with contextlib.suppress(OSError):  # On the disk before what was replaced is removed.
+        with contextlib.suppress(OSError):  # It must be on the disk before replaced files are removed.
             os.fsync(self._descriptor)
 
     def close(self) -> list[OSError]:
-        """Remove the temporary files, unless the next run needs them to undo the set; return why some stay."""
+        """Remove the temporary files, unless the next run needs them to roll back; return why some stay."""
         _close(self._descriptor)
         return [] if self._is_needed else _remove(self._files, self._path)
 
     def _list(self, file: TemporaryFile) -> None:
-        # A relative name stays right if the folder is moved with all that is in it.
+        # Relative names stay valid if the whole folder is moved.
         name = str(file.temporary).removeprefix(f"{self._path.parent}{os.sep}")
         self._write([name, file.path.name, file.overwrite, file.identity])
 
@@ -140,7 +140,7 @@ class Journal:
 
 
 def _write_all(file: BinaryIO, pieces: Iterable[Bytes]) -> int:
-    """Write pieces to a file; return the checksum of all."""
+    """Write pieces to a file, and return their checksum."""
     checksum = 0
     for piece in pieces:
         file.write(piece)
@@ -149,7 +149,7 @@ def _write_all(file: BinaryIO, pieces: Iterable[Bytes]) -> int:
 
 
 def _require_whole(path: Path, checksum: int) -> None:
-    """Raise OSError unless a file is read back as it was written, whatever the file system says of that."""
+    """Raise OSError unless a file reads back as written, since file systems may lose data without an error."""
     again = 0
     with path.open("rb") as file:
         while block := file.read(_BLOCK):
@@ -159,7 +159,7 @@ def _require_whole(path: Path, checksum: int) -> None:
 
 
 def recover(folder: Path) -> None:
-    """Undo unfinished sets of runs that were killed, and remove their temporary files, by the journals in a folder.
+    """Roll back unfinished sets of killed runs by the journals in a folder, and remove their temporary files.
 
     Files of running processes, or of other users, stay. OSError if files in place cannot be undone.
     """
@@ -167,7 +167,7 @@ def recover(folder: Path) -> None:
     with contextlib.suppress(OSError):
         journals = sorted(path for path in folder.iterdir() if _JOURNAL.fullmatch(path.name))
     for journal in journals:
-        # In the lock of the folder, since two runs would take each other for the one that goes on.
+        # Under the lock of the folder: otherwise two runs would each take the other for the owner of the journal.
         with folders_locked([folder]), contextlib.ExitStack() as opened:
             try:
                 file = opened.enter_context(os.fdopen(os.open(journal, _OPEN_FLAGS), "rb"))
@@ -176,7 +176,7 @@ def recover(folder: Path) -> None:
             status = os.fstat(file.fileno())
             is_ours = stat.S_ISREG(status.st_mode) and status.st_uid == _user()
             if not is_ours or not _try_lock(file.fileno()):
-                continue  # another user's, or of a run that goes on
+                continue  # of another user, or of a run in progress
             files, is_settled = _read(journal, file.read(_LARGEST_JOURNAL))
             with folders_locked({each.path.parent for each in files} - {folder}), signals_deferred():
                 if not is_settled and (stuck := _undo(files)) is not None:
@@ -185,11 +185,11 @@ def recover(folder: Path) -> None:
 
 
 def _read(journal: Path, text: bytes) -> tuple[list[TemporaryFile], bool]:
-    """Return the files of a set, as far as they can be trusted, and whether the set is complete or undone."""
+    """Return the trusted files of a set, and whether the set is complete or rolled back."""
     files: dict[Path, TemporaryFile] = {}
     name_of_temporary = re.compile(re.escape(journal.stem) + r"\.[0-9]+\.tmp")
     is_settled = False
-    # Behind the last break is nothing, or what could not be written before the end.
+    # Text after the last line break is an incomplete line.
     for line in text.split(b"\n")[:-1]:
         with contextlib.suppress(ValueError, TypeError):
             value = parse_json(line)
@@ -207,7 +207,7 @@ def _read(journal: Path, text: bytes) -> tuple[list[TemporaryFile], bool]:
 
 
 def _remove(files: Iterable[TemporaryFile], journal: Path) -> list[OSError]:
-    """Remove the temporary files of a run, and then its journal; return why some stay, which the next run removes."""
+    """Remove the temporary files of a run, then its journal; return why some stay, for the next run to remove."""
     failures: list[OSError] = []
     for path in (*(name for file in files for name in (file.temporary, file.previous)), journal):
         try:
@@ -228,7 +228,7 @@ def _identity_of(path: Path) -> _Identity | None:
 
 
 def _undo(files: Sequence[TemporaryFile]) -> OSError | None:
-    """Give all places back what they held before; return why that fails for one."""
+    """Restore the previous files of all paths; return why that fails for one."""
     failure = None
     for file in reversed(files):
         try:
@@ -241,7 +241,7 @@ def _undo(files: Sequence[TemporaryFile]) -> OSError | None:
 def _roll_back(file: TemporaryFile) -> None:
     """Restore the previous file of a path, unless another process has replaced it meanwhile."""
     now = _identity_of(file.path)
-    # Where there are no links, `_put_new` reserves a name by an empty file.
+    # On file systems without links, `_put_new` reserves a name by an empty file.
     is_reserved = now is not None and now[0] == 0 and os.path.lexists(file.temporary)
     if file.overwrite:
         if now in (None, file.identity) and os.path.lexists(file.previous):
@@ -263,13 +263,13 @@ def is_special(path: Path) -> bool:
 
 @contextlib.contextmanager
 def folders_locked(folders: Iterable[Path]) -> Iterator[None]:
-    """Let no other run put files in place in these folders meanwhile; OSError if one does so for very long."""
-    # In one order for all, so that two runs do not wait for each other.
+    """Lock folders against other runs that move files into place; OSError if another run holds a lock for too long."""
+    # In sorted order, so that two runs cannot deadlock.
     with contextlib.ExitStack() as locks:
         for folder in sorted(set(folders)):
             try:
                 descriptor = os.open(folder, os.O_RDONLY | getattr(os, "O_DIRECTORY", 0))
-            except OSError:  # as on Windows, or without the right to list it
+            except OSError:  # on Windows, or without permission to list it
                 continue
             locks.callback(_close, descriptor)  # which unlocks it
             end = time.monotonic() + _LOCK_TIMEOUT
@@ -282,7 +282,7 @@ def folders_locked(folders: Iterable[Path]) -> Iterator[None]:
 
 
 def _close(descriptor: int) -> None:
-    """Close a file or folder that nothing was written to since it was synchronised."""
+    """Close a file or folder that was not written to since it was synchronised."""
     with contextlib.suppress(OSError):
         os.close(descriptor)
 
@@ -308,7 +308,7 @@ def signals_deferred() -> Iterator[None]:
     if threading.current_thread() is threading.main_thread():
         for number in ENDING_SIGNALS:  # also alarms, by which the command repeats what was lost
             handler = signal.getsignal(number)
-            if handler not in (None, signal.SIG_IGN):  # None: not set from Python, so it cannot be set again
+            if handler not in (None, signal.SIG_IGN):  # None: not set from Python, so it cannot be restored
                 before[number] = handler
                 signal.signal(number, lambda received, _: waiting.append(received))
 
@@ -322,7 +322,7 @@ def signals_deferred() -> Iterator[None]:
 
 
 def _put(file: TemporaryFile, *, keep: bool) -> None:
-    """Give a file its name, and `keep` what it replaces under another one."""
+    """Move a file into place, and `keep` the replaced file under another name."""
     try:
         if not file.overwrite:
             _put_new(file.temporary, file.path)
@@ -330,7 +330,7 @@ def _put(file: TemporaryFile, *, keep: bool) -> None:
         if keep:
             try:
                 os.link(file.path, file.previous)
-            except OSError:  # where files cannot have two names
+            except OSError:  # on file systems without hard links
                 _copy(file.path, file.previous)
         file.temporary.replace(file.path)
     except OSError as error:
@@ -348,15 +348,15 @@ def _copy(path: Path, copy: Path) -> None:
 
 
 def _put_new(temporary: Path, path: Path) -> None:
-    """Give a file an unused name; FileExistsError if it exists, or appears at this moment."""
+    """Move a file to an unused path; FileExistsError if a file exists there, or appears meanwhile."""
     try:
         os.link(temporary, path)
     except FileExistsError:
         with contextlib.suppress(OSError):
-            if temporary.samefile(path):  # on NFS the link may have been made, and only the answer lost
+            if temporary.samefile(path):  # on NFS the link may exist although the reply was lost
                 return
         raise
-    except OSError:  # no file can have two names there
+    except OSError:  # the file system has no hard links
         # Only one process can make the empty file, and may then replace it.
         _close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
         try:

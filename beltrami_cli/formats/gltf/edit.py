@@ -1,4 +1,4 @@
-"""What changes in a glTF file, while the changes are collected: numbers of vertices, and images in place of others.
+"""Collect the changes of a glTF file: new vertex attributes and new images.
 
 An entry of the JSON that something else uses, too, is copied before it changes (`Edit.separate`), and only the places
 that follow the change name the copy. New bytes take the place of the old ones if nothing else reads those, otherwise
@@ -39,29 +39,28 @@ from beltrami_cli.formats.gltf.buffers import MESHOPT, View, data_uri, named_pla
 from beltrami_cli.formats.gltf.container import Container, Tree, objects, primitives_of
 from beltrami_cli.surface.records import ImageFile
 
-_ALIGNMENT = 8  # of merged buffers: more than any component needs, and what KHR extensions ask for
-VERTEX_DATA, INDEX_DATA = 34962, 34963  # what a view is for (ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER)
-Holder = tuple[int, str | None]  # a view, or the extension of one that names its compressed bytes
-Use = tuple[
-    Any, Any, Hashable
-]  # a holder, its member that is an index, and the change that the member follows
+_ALIGNMENT = 8  # of merged buffers: enough for all component types, and required by KHR extensions
+VERTEX_DATA, INDEX_DATA = 34962, 34963  # targets of views (ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER)
+Holder = tuple[int, str | None]  # a view, and the extension with its compressed bytes or None
+# An object or array, its member that is an index, and the change that applies to it.
+Use = tuple[Any, Any, Hashable]
 
 
 @dataclass
 class Edit:
-    """What changes in a file."""
+    """The changes of a file, collected until `finish`."""
 
     container: Container  # the file
-    accessors: Accessors  # its accessors and buffers, as they were
-    tree: Tree  # the JSON with all changes but the URIs of buffers, which depend on where they are written
+    accessors: Accessors  # its accessors and buffers before the changes
+    tree: Tree  # the JSON with all changes except the URIs of buffers, which depend on the output
     buffers: dict[int, bytearray] = field(default_factory=dict)  # new bytes of buffers that change or grow
-    images: dict[int, ImageFile] = field(default_factory=dict)  # new images that are files of their own
+    images: dict[int, ImageFile] = field(default_factory=dict)  # new images in separate files
     notices: list[str] = field(default_factory=list)
-    # New bytes that `finish` puts into place, by buffer and by what names them.
+    # New bytes that `finish` stores, by buffer and holder.
     _new: dict[int, dict[Holder, Bytes]] = field(default_factory=lambda: defaultdict(dict))
 
     def source(self, index: int) -> str:
-        """Return where the bytes of a buffer are, as `Buffers` does; in a data URI for one that was added."""
+        """Return the location of a buffer's bytes, as `Buffers` does; added buffers are data URIs."""
         return self.accessors.buffers.source(index) if index < len(self.accessors.buffers) else "data"
 
     def open(self, index: int) -> bytearray:
@@ -93,7 +92,7 @@ class Edit:
         return index_of
 
     def add(self, kind: str, entry: Tree) -> int:
-        """Add an entry; return its index, which nothing in the file may name yet: it would mean this one."""
+        """Add an entry, and return its index; InputError if the file, wrongly, refers to that index already."""
         entries = self.tree.setdefault(kind, [])
         if kind == "bufferViews" and len(entries) in self._named_views:
             cause = f"it names bufferViews[{len(entries)}], which is not there, so no view can be added"
@@ -106,11 +105,11 @@ class Edit:
         return set(named_views(self.container.tree))
 
     def put(self, buffer: int, holder: Holder, octets: Bytes) -> None:
-        """Have `finish` store the new bytes of a view or of its extension in a buffer."""
+        """Record new bytes of a view or its extension, which `finish` stores in a buffer."""
         self._new[self.accessors.buffers.canonical(buffer)][holder] = octets
 
     def growing_buffer(self, preferred: Iterable[int]) -> int:
-        """Return the first of some buffers that takes bytes, otherwise any that does, otherwise a new one."""
+        """Return the first of some buffers that can be extended, or else any other, or else a new one."""
         count = len(self.accessors.buffers)
         for index in [*preferred, *range(count)]:
             if self.accessors.buffers.source(index) not in ("nowhere", "decoded"):
@@ -121,14 +120,14 @@ class Edit:
         return count
 
     def finish(self) -> None:
-        """Put all new bytes into their buffers."""
+        """Store all new bytes in their buffers."""
         self._compress_again()
         for buffer, new in self._new.items():
             self._store(buffer, new)
         self._new.clear()
 
     def _compress_again(self) -> None:
-        """Compress the changed bytes of views again; where they are stored plain as well, renew them, too."""
+        """Compress the changed bytes of views again, and update their uncompressed fallbacks."""
         buffers = self.accessors.buffers
         for index, view in enumerate(self.accessors.views):
             packed = view.packed
@@ -148,13 +147,13 @@ class Edit:
                 self.open(plain)[start:end] = data
 
     def _places(self, buffer: int) -> list[tuple[Holder, View]]:
-        """Return the bytes that views and their extensions name in a buffer, or in others over the same file."""
+        """Return the byte ranges of views and their extensions in a buffer and in others of the same file."""
         lengths = [entry["byteLength"] for entry in self.tree["buffers"]]
         canonical = self.accessors.buffers.canonical
         return [each for each in named_places(self.tree, lengths) if canonical(each[1].buffer) == buffer]
 
     def _store(self, buffer: int, new: dict[Holder, Bytes]) -> None:
-        """Put new bytes into one buffer: each where old ones leave room, or at the end."""
+        """Store new bytes in a buffer: in the space of old ones where they fit, otherwise at the end."""
         vacant, data = self._released_spans(buffer, new.keys()), self.open(buffer)
         for (view, extension), octets in new.items():
             size = len(octets)
@@ -173,7 +172,7 @@ class Edit:
         self.tree["buffers"][buffer]["byteLength"] = len(data)
 
     def _released_spans(self, buffer: int, holders: Set[Holder]) -> list[tuple[int, int]]:
-        """Clear the bytes that the holders alone name, cut them off at the end, and return the free spans."""
+        """Clear the bytes that only these holders use, trim them at the end, and return the free spans."""
         places, data = self._places(buffer), self.open(buffer)
         left = [
             (part.offset, part.end)
@@ -200,7 +199,7 @@ class Edit:
 
 
 def _gaps(spans: Iterable[tuple[int, int]]) -> Iterator[tuple[int, int]]:
-    """Give the bytes between spans, from multiples of four on."""
+    """Yield the gaps between spans, aligned to four bytes."""
     at = 0
     for start, end in sorted(spans):
         if start > at:
@@ -210,25 +209,25 @@ def _gaps(spans: Iterable[tuple[int, int]]) -> Iterator[tuple[int, int]]:
 
 @dataclass(frozen=True)
 class Column:
-    """Numbers of one vertex attribute that coloured primitives share."""
+    """Values of a vertex attribute that coloured primitives share."""
 
-    accessor: Accessor  # where they are read
-    members: Set[int]  # all accessors over these numbers that primitives name as this attribute
-    users: Mapping[tuple[int, int], Primitive]  # coloured primitives that do, by mesh and index in the mesh
-    position: Accessor  # positions that they belong to
+    accessor: Accessor  # from which they are read
+    members: Set[int]  # all accessors of these values that primitives use as this attribute
+    users: Mapping[tuple[int, int], Primitive]  # coloured ones of these, by mesh and index in it
+    position: Accessor  # of the same vertices
     before: Stored  # shape (rows, width)
     after: Stored
 
 
 def exchange(edit: Edit, attribute: str, columns: Sequence[Column]) -> None:
-    """Put the new numbers of all columns of an attribute into a file."""
+    """Store the new values of all columns of an attribute."""
     changed = [n for n, each in enumerate(columns) if not np.array_equal(each.before, each.after)]
     if not changed:
         return
     uses = list(accessor_uses(edit.tree))
     shared = {holder[member] for place, holder, member in uses if place is None or member != attribute}
     is_alone = _alone(edit, columns, shared)
-    # The column that a primitive follows, or an accessor wherever this attribute is.
+    # The column of each primitive, or of an accessor wherever it is used as this attribute.
     followed: dict[Hashable, int] = {}
     for number in changed:
         column = columns[number]
@@ -255,7 +254,7 @@ def exchange(edit: Edit, attribute: str, columns: Sequence[Column]) -> None:
 
 
 def _overwrite(edit: Edit, column: Column) -> None:
-    """Put numbers where they are; of a sparse accessor each where it is read, the elements that it replaces too."""
+    """Overwrite values in place; of a sparse accessor both the base elements and their replacements."""
     accessor, rows = column.accessor, column.accessor.replaced()
     is_element, octets = np.ones(len(column.after), bool), column.after.view(np.uint8)
     is_element[rows] = False
@@ -263,7 +262,7 @@ def _overwrite(edit: Edit, column: Column) -> None:
         _elements(edit, accessor.sparse.values)[...] = octets[rows]
     if accessor.layout is not None:
         _elements(edit, accessor.layout)[is_element] = octets[is_element]
-    elif octets[is_element].any():  # no more zeros
+    elif octets[is_element].any():  # elements without a view can only be zero
         view = _put_numbers(edit, column)
         for index in column.members:
             _point_at(edit.tree["accessors"][index], view, keep_sparse=True)
@@ -274,12 +273,12 @@ def _elements(edit: Edit, layout: Layout) -> Uint8s:
 
 
 def _put_numbers(edit: Edit, column: Column) -> int:
-    """Put new numbers into a view of their own; return its index."""
+    """Store new values in a new view, and return its index."""
     octets, size = padded_elements(column.after)
     stride = octets.shape[1]
     strided = {"byteStride": stride} if stride != size else {}
     view = edit.add("bufferViews", {"target": VERTEX_DATA, **strided})
-    # Where the old numbers are, or the positions, or anywhere.
+    # Preferably in the buffer of the old values, or else of the positions.
     homes = [layout.buffer for layout in [*column.accessor.layouts, *column.position.layouts]]
     packed = [primitive.packed for primitive in column.users.values()]
     homes += [edit.accessors.views[each.integer("bufferView")].buffer for each in packed if each is not None]
@@ -288,7 +287,7 @@ def _put_numbers(edit: Edit, column: Column) -> int:
 
 
 def _detach(edit: Edit, attribute: str, column: Column) -> None:
-    """Let the coloured primitives not name a column in the data that Draco has compressed any more."""
+    """Remove a column from the attributes that the Draco data of coloured primitives provide."""
     for (mesh, part), primitive in column.users.items():
         _require_same_order(edit, primitive, attribute)
         extensions = edit.tree["meshes"][mesh]["primitives"][part]["extensions"]
@@ -296,7 +295,7 @@ def _detach(edit: Edit, attribute: str, column: Column) -> None:
 
 
 def _require_same_order(edit: Edit, primitive: Primitive, attribute: str) -> None:
-    """Raise an InputError if viewers that do not decode Draco would give the numbers to other vertices."""
+    """Raise InputError if viewers without Draco would assign the values to other vertices."""
     accessors, packed, decoded = edit.accessors, primitive.packed, primitive.indices
     plain = accessors[primitive.entry.integer("indices")]
     if packed is None or accessors[primitive.attributes.integer(attribute)].layout is None:
@@ -307,7 +306,7 @@ def _require_same_order(edit: Edit, primitive: Primitive, attribute: str) -> Non
 
 
 def _point_at(accessor: Tree, view: int, *, keep_sparse: bool = False) -> None:
-    """Let an accessor take its elements from the start of a view: all, or all but sparse ones."""
+    """Make an accessor read its elements from the start of a view: all, or all except sparse ones."""
     if not keep_sparse:
         accessor.pop("sparse", None)
     accessor["bufferView"] = view
@@ -325,8 +324,8 @@ def _update_bounds(accessor: Tree, column: Column) -> None:
 
 
 def accessor_uses(tree: Tree) -> Iterator[tuple[tuple[int, int] | None, Tree, str]]:
-    """Iterate over the members that name accessors: the primitive if it is an attribute of one, holder and key."""
-    # Primitives, objects, and the members of these that name accessors: all if none are given.
+    """Yield the references to accessors, as (primitive if it is an attribute of one, holder, key)."""
+    # Primitives, objects, and the members of these that refer to accessors; no members: all.
     holders: list[tuple[tuple[int, int] | None, Any, tuple[str, ...]]] = []
     for number, primitive in primitives_of(tree):
         holders += [(number, primitive.get("attributes"), ()), (None, primitive, ("indices",))]
@@ -342,7 +341,7 @@ def accessor_uses(tree: Tree) -> Iterator[tuple[tuple[int, int] | None, Tree, st
 
 
 def _alone(edit: Edit, columns: Sequence[Column], shared: set[int]) -> list[bool]:
-    """Return for every column of one attribute whether nothing else uses its bytes and its accessors."""
+    """Return for each column of an attribute whether its bytes and accessors have no other users."""
     # The uses of every byte are counted, once for each column and for everything else that lies there: other
     # accessors element by element (so that interleaving is not a conflict), sparse parts, and whole views that
     # serve images, extensions, or nothing that we know.
@@ -374,7 +373,7 @@ def _alone(edit: Edit, columns: Sequence[Column], shared: set[int]) -> list[bool
 
 
 def _others(tree: Tree, accessors: Accessors, members: set[int]) -> Iterator[Layout]:
-    """Iterate over the bytes of everything but the elements of the columns."""
+    """Yield the byte ranges of everything except the elements of the columns."""
     viewed = set()
     for index, accessor in enumerate(accessors.all):
         viewed.add(accessor.view)
@@ -399,7 +398,7 @@ def _whole(view: View) -> Layout:
 
 
 def merge_buffers(edit: Edit) -> bytearray:
-    """Join the bytes of all buffers that have any, and make the views point into the result."""
+    """Merge all buffers that have bytes, and make the views refer to the result."""
     tree, binary, starts = edit.tree, bytearray(), dict[int, int]()
     entries, canonical = tree.get("buffers", []), edit.accessors.buffers.canonical
     for index in range(len(entries)):
@@ -422,7 +421,7 @@ def merge_buffers(edit: Edit) -> bytearray:
                     holder["byteOffset"] = holder.get("byteOffset", 0) + start
     merged = {key: value for key, value in entries[next(iter(starts))].items() if key != "uri"}
     merged["byteLength"] = len(binary)
-    if "extensions" in merged:  # it is more than a fallback for compressed data
+    if "extensions" in merged:  # then it is not only a fallback for compressed data
         others = {key: value for key, value in merged.pop("extensions").items() if key not in MESHOPT}
         merged |= {"extensions": others} if others else {}
     tree["buffers"] = [merged, *(entries[index] for index in kept)]

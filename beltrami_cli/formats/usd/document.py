@@ -1,4 +1,4 @@
-"""USD scenes, as layers or as a package; only vertex colours and images are replaced."""
+"""USD scenes, as layers or packages, in which vertex colours and images can be replaced."""
 
 from __future__ import annotations
 
@@ -229,7 +229,7 @@ class UsdDocument(Document):
     def fingerprint(self) -> Fingerprint:
         self._compared = True
         contents = self._contents
-        if not contents.text:  # the scene was read for something else before
+        if not contents.text:  # the scene was read before, but not for a comparison
             contents = self._layers.scene(text=True)[0]
         parts = {"root layer": contents.text.encode()}
         parts |= {f"layer {name}": self._layers.contents[name] for name in self._layers.others}

@@ -1,4 +1,4 @@
-"""The images of a USD scene: where they are, and where new ones are written."""
+"""The images of a USD scene: their paths, and the paths of new ones."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from beltrami_cli.surface.records import ImageFile, Slot
 
 
 class Images:
-    """The images that a scene names."""
+    """The images that a scene refers to."""
 
     def __init__(self, contents: SceneContents, layers: Layers, name: str) -> None:
         self._contents, self._layers, self._name = contents, layers, name
-        self.paths: dict[str, str] = {}  # of images, or of sets of tiles, by their names in the scene
-        self.obstacles: dict[str, Obstacle] = {}  # why others are not read
+        self.paths: dict[str, str] = {}  # of images and tile sets, by their names in the scene
+        self.obstacles: dict[str, Obstacle] = {}  # why other images are not read, by name
         for file in dict.fromkeys([*(use.file for use in contents.uses), *contents.images.values()]):
             try:
                 self.paths[file] = layers.locate(file)
@@ -30,7 +30,7 @@ class Images:
                 self.obstacles[file] = error.obstacle
 
     def files(self) -> dict[str, str]:
-        """Return every image file by where it is named, in a slot or elsewhere."""
+        """Return every image file, by the slot or the attribute that refers to it."""
         found: dict[str, str] = {}
         for attribute, file in self._contents.images.items():
             path = self.paths.get(file)
@@ -40,7 +40,7 @@ class Images:
         return found
 
     def _attributes(self, path: str, slots: Sequence[Slot] | None = None) -> set[str]:
-        """Return the attributes that name a path, in some slots or anywhere."""
+        """Return the attributes that refer to a path, in some slots or in all places."""
         paths = self.paths
         if slots is None:
             return {name for name, file in self._contents.images.items() if paths.get(file) == path}
@@ -48,7 +48,7 @@ class Images:
         return {use.attribute for use in shown if paths.get(use.file) == path}
 
     def _replaced(self, images: NewImages) -> SlotsByPath:
-        """Return the slots in which a path, or files of a set of tiles, are replaced by the same new files."""
+        """Return the slots in which an image or a tile set is replaced by the same new files."""
 
         def paths_of(slot: Slot, file: str) -> list[str]:
             shown = [use.file for use in self._contents.uses if use.slot == slot]
@@ -58,7 +58,7 @@ class Images:
         return slots_by_path(images, paths_of)
 
     def _kept(self, images: NewImages) -> list[str]:
-        """Return the image files that something still names when others are replaced."""
+        """Return the image files that are still referred to after others are replaced."""
         slots_of: dict[str, list[Slot]] = defaultdict(list)
         for (path, _), slots in self._replaced(images).items():
             slots_of[path] += slots
@@ -76,7 +76,7 @@ class Images:
         if naming.copies and self._layers.package is None:
             kept = [*self._layers.others, *self._kept(images)]
             taken = next((file for file in kept if naming.is_taken(file)), None)
-            if taken is not None:  # other layers name the files that are copied
+            if taken is not None:  # other layers refer to the copied files
                 cause = f"there is another '{taken}' in OUTPUT's folder, and one of its files needs that name"
                 raise InputError(self._name, cause, "choose an empty folder")
         present = self._layers.package.members if self._layers.package else self.references()
@@ -102,7 +102,7 @@ class Images:
     def _new_path(
         self, path: str, new: Mapping[str, ImageFile], names: NewFiles, *, is_replaced: bool
     ) -> str:
-        """Return where an image or a set of tiles is written: in a package in its own place, if its type stays."""
+        """Return the path of a new image or tile set: in a package the old path, if the type is the same."""
         suffixes = {image.suffix for image in new.values()}
         known = {format_of(self._layers.image(file), file) for file in new}
         stays = {format_of_suffix(suffix) for suffix in suffixes} == known
@@ -116,5 +116,5 @@ class Images:
         return names.image(path, None if stays else suffix, is_replaced=is_replaced, tiles=tiles)
 
     def references(self) -> list[str]:
-        """Return the files in the folder of a scene that is not a package: other layers and images."""
+        """Return the sidecar files of a scene that is not a package: other layers and images."""
         return [*self._layers.others, *dict.fromkeys(self.files().values())]

@@ -1,4 +1,4 @@
-"""The files that a USD scene is made of, in a package or in a folder, and asking usd-core about them.
+"""The files of a USD scene, in a package or in a folder, and requests to usd-core about them.
 
 A USDZ package is a ZIP archive of stored files that start at multiples of 64 bytes.
 
@@ -36,11 +36,11 @@ from beltrami_cli.surface.worker_process import Message, temporary_folder, writi
 LAYERS = (".usd", ".usda", ".usdc")  # suffixes of files that usd-core reads
 IMAGES = (".png", ".jpg", ".jpeg", ".exr", ".avif")  # suffixes of images that a package may hold [1]_
 _SOUNDS = (".m4a", ".mp3", ".wav")
-_ALIGNMENT, _PADDING = 64, 0x1986  # the number of extra fields that only fill up
-_LOCAL_HEADER = struct.Struct("<4s5H3L2H")  # what stands in front of the name of a file
-_FIELD = struct.Struct("<2H")  # number and length of an extra field
+_ALIGNMENT, _PADDING = 64, 0x1986  # alignment in bytes, and the ID of extra fields for padding
+_LOCAL_HEADER = struct.Struct("<4s5H3L2H")  # of a ZIP entry, before the name
+_FIELD = struct.Struct("<2H")  # ID and length of an extra field
 Date = tuple[int, int, int, int, int, int]
-_DATE: Date = (1980, 1, 1, 0, 0, 0)  # the same in every run
+_DATE: Date = (1980, 1, 1, 0, 0, 0)  # fixed, so that packages are reproducible
 _UNIX = 3
 
 
@@ -62,7 +62,7 @@ class Package(Archive):
         self.layers = [member for member in self.members if member.lower().endswith(LAYERS)]
 
     def faults(self) -> list[str]:
-        """Return the violations of USDZ packing on which readers that map packages into memory fail, by sentence."""
+        """Return violations of USDZ packing, one sentence each; readers that map packages into memory fail on them."""
         found = []
         for entry in self.entries:
             *_, name_size, extra_size = _LOCAL_HEADER.unpack_from(self._data, entry.header_offset)
@@ -76,7 +76,7 @@ class Package(Archive):
         return found
 
     def packed(self, new: Mapping[str, Bytes]) -> list[Bytes]:
-        """Return a package with other files in the place of some, and the rest behind them."""
+        """Return the package with new files: replacements keep their place, others are appended."""
         contents = {member: new.get(member) or self.read(member) for member in self.members}
         return packed(contents | dict(new), {entry.filename: entry.date_time for entry in self.entries})
 
@@ -87,13 +87,13 @@ def _is_unfit(name: str) -> bool:
 
 
 def packed(files: Mapping[str, Bytes], dates: Mapping[str, Date] | None = None) -> list[Bytes]:
-    """Return files as a package, in their order."""
+    """Return a package of files in the given order."""
     stream = io.BytesIO()
     try:
         with zipfile.ZipFile(stream, "w", allowZip64=False) as package:
             for name, content in files.items():
                 entry = zipfile.ZipInfo(name, (dates or {}).get(name, _DATE))
-                entry.create_system = _UNIX  # the same everywhere
+                entry.create_system = _UNIX  # on every system, so that packages are reproducible
                 padding = -(stream.tell() + _LOCAL_HEADER.size + len(name.encode())) % _ALIGNMENT
                 padding += _ALIGNMENT if 0 < padding < _FIELD.size else 0
                 filling = padding - _FIELD.size
@@ -114,20 +114,20 @@ _UNFIT = re.compile(r"[^\w .()+-]")
 
 @dataclass
 class Layers:
-    """The layers of a scene; layers in a folder are found one by one, as other layers name them."""
+    """The layers of a scene; those in a folder are loaded one by one, as other layers refer to them."""
 
     name: str
     access: Access
     package: Package | None
     folder: ModelFolder
     root: str
-    contents: dict[str, bytes]  # by their paths from the folder of the root, the root first
+    contents: dict[str, bytes]  # by path relative to the folder of the root layer, which comes first
     refused: list[tuple[str, str]] = field(default_factory=list)
-    obstacles: dict[str, Obstacle] = field(default_factory=dict)  # why, by what the path is
+    obstacles: dict[str, Obstacle] = field(default_factory=dict)  # why files are not read, by path
 
     @classmethod
     def of(cls, data: bytes, name: str, folder: Path | None, access: Access) -> Layers:
-        """Take a package, or a root layer with a folder for the others."""
+        """Open a package, or a root layer with the folder of the others."""
         around = ModelFolder(folder, access)
         if data.startswith(b"PK"):
             package = Package(data, name, access)
@@ -149,12 +149,12 @@ class Layers:
             if "needs" not in found:
                 return SceneContents.from_json(found), arrays
             for layer, path in found["needs"]:
-                if (layer, path) in self.refused:  # it is asked for again, whatever that means
+                if (layer, path) in self.refused:  # usd-core asks for it again, so it is needed
                     raise InputError(self.name, f"its layer {path[:80]!r} cannot be left out", _EXPORT)
                 self._fetch(layer, path)
 
     def _fetch(self, layer: str, path: str) -> None:
-        """Read a layer that another names, or note that it is refused."""
+        """Read a layer that another one refers to, or record that it is refused."""
         try:
             wanted = posixpath.normpath(posixpath.join(posixpath.dirname(layer), path))
             if not wanted.lower().endswith(LAYERS):
@@ -178,7 +178,7 @@ class Layers:
         self.obstacles[path] = why
 
     def locate(self, path: str) -> str:
-        """Return the path of a file, or of a set of tiles, that the scene names; UnfitReferenceError if it is none."""
+        """Return the path of a file or tile set that the scene refers to; UnfitReferenceError if it cannot be used."""
         if self.package is None:
             found = self.folder.locate_any(path)
             if is_outside(found):
@@ -195,11 +195,11 @@ class Layers:
         return path
 
     def image(self, file: str) -> bytes:
-        """Return the content of a file that was located; InputError if it cannot be read."""
+        """Return the content of a file at a path of `locate`; InputError if it cannot be read."""
         return self.folder.content(file) if self.package is None else self.package.read(file)
 
     def ask(self, order: dict[str, Any], arrays: dict[str, Array]) -> Message:
-        """Let usd-core carry out an order on the layers."""
+        """Send a request about the layers to usd-core, and return its answer."""
         with writing_temporary_files(), temporary_folder() as folder:
             for name, data in self.contents.items():
                 path = folder / name
@@ -212,7 +212,7 @@ class Layers:
 
 
 def layer_from(text: bytes, suffix: str, name: str) -> bytes:
-    """Return the text of a layer in the form that a suffix says."""
+    """Convert a layer from text to the encoding of a suffix."""
     with temporary_folder() as folder:
         order = {"task": "convert", "suffix": suffix, "folder": str(folder)}
         question = order, {"text": np.frombuffer(text, np.uint8)}
@@ -220,7 +220,7 @@ def layer_from(text: bytes, suffix: str, name: str) -> bytes:
 
 
 class UsdError(Exception):
-    """What usd-core says of a layer."""
+    """An error that usd-core reports for a layer."""
 
 
 def _carry_out(order: dict[str, Any], arrays: dict[str, Array]) -> Message:
@@ -239,7 +239,7 @@ def _carry_out(order: dict[str, Any], arrays: dict[str, Array]) -> Message:
 
 
 def _first_message(error: str, folder: str) -> str:
-    """Return the first message of an error, without names of C++ and the folder that the layers lie in for a while."""
+    """Return the first message of an error, without C++ namespaces and the path of the temporary folder."""
     found = re.search(r" at line \d+ in file \S+ : '(.*?)'(?:\s*Error in '|\s*$)", error, re.DOTALL)
     message = error if found is None else found[1]
     return re.sub(r"pxrInternal_\w+::|" + re.escape(f"{folder}{os.sep}"), "", message)

@@ -1,4 +1,4 @@
-"""Materials of USD scenes: the images that a UsdPreviewSurface [1]_ or a MaterialX surface [2]_ shows, and where.
+"""Materials of USD scenes: the images of a UsdPreviewSurface [1]_ or a MaterialX surface [2]_, and their mappings.
 
 References
 ----------
@@ -51,7 +51,7 @@ _MAX_TRANSFORMS = 8  # transforms of texture coordinates in a chain
 
 @dataclass(frozen=True)
 class UvMapping:
-    """Which texture coordinates an image is shown at, and the affine map that moves them; it acts on rows."""
+    """The texture coordinates of an image, and the affine map that is applied to them as rows."""
 
     primvar: str
     matrix: tuple[tuple[float, ...], ...]  # (2, 2)
@@ -114,7 +114,7 @@ def read_material(material: Any) -> tuple[MaterialInputs, dict[Slot, ShownImage]
 
 
 def _has_usual_scale(slot: Slot, shown: ShownImage) -> bool:
-    """Whether materials of glTF can express the scale and bias of an image."""
+    """Whether glTF materials can express the scale and bias of an image."""
     least, most, bias = _SCALES.get(slot, _USUAL_SCALE)
     is_scale_fit = all(least <= part <= most for part in shown.scale[:3])
     return is_scale_fit and all(part == bias for part in shown.bias[:3])
@@ -133,7 +133,7 @@ def _factors(images: Mapping[Slot, ShownImage]) -> dict[str, Any]:
 
 
 def _of_materialx(material: Any) -> dict[Slot, ShownImage]:
-    """Return the images that are colours of a MaterialX surface, by slot."""
+    """Return the colour images of a MaterialX surface, by slot."""
     surface = material.ComputeSurfaceSource("mtlx")[0]
     inputs = _MTLX.get(str(surface.GetIdAttr().Get()), {}) if surface else {}
     found = {slot: _image_at(surface, name) for slot, name in inputs.items()}
@@ -157,7 +157,7 @@ def _floats(shader: Any, name: str) -> list[float]:
 
 
 def _four(shader: Any, name: str, usual: float) -> tuple[float, ...]:
-    """Return an input of four numbers; infinite if they are not known."""
+    """Return an input of four numbers, infinite if they are unknown."""
     if not _sources(shader, name):
         return (usual,) * 4
     numbers = _floats(shader, name)
@@ -165,7 +165,7 @@ def _four(shader: Any, name: str, usual: float) -> tuple[float, ...]:
 
 
 def _image_at(surface: Any, name: str) -> ShownImage | None:
-    """Return the image that an input of a surface shows; None if it shows none that is understood."""
+    """Return the image of an input of a surface; None if there is none, or it is not supported."""
     sources = _sources(surface, name)
     if not sources:
         return None
@@ -200,7 +200,7 @@ def _wraps(shader: Any, *, is_mtlx: bool) -> tuple[Wrap, Wrap]:
 
 
 def _mapping_of_materialx(shader: Any) -> UvMapping | None:
-    """Return where an image of MaterialX is shown; None if that is not understood."""
+    """Return the mapping of a MaterialX image; None if it is not supported."""
     varname = "st"  # the first set of coordinates
     for source in _sources(shader, "texcoord")[:1]:
         reader = UsdShade.Shader(source.GetPrim())
@@ -220,7 +220,7 @@ def _mapping_of_materialx(shader: Any) -> UvMapping | None:
 
 
 def _mapping_of(shader: Any) -> UvMapping | None:
-    """Return where a texture is shown, through a chain of transforms; None if that is not understood."""
+    """Return the mapping of a texture, through a chain of transforms; None if it is not supported."""
     matrix, offset = np.eye(2), np.zeros(2)
     chain, name = shader, "st"
     for _ in range(_MAX_TRANSFORMS):

@@ -1,4 +1,4 @@
-"""New values in a stored layer where the old ones stand, so that every other byte stays.
+"""Patch values in a stored layer, so that all other bytes stay unchanged.
 
 The old ones are looked for by simple means. The result is read again and compared with the intended layer, so that
 what was found in a wrong place is noticed.
@@ -25,7 +25,7 @@ _VECTOR = re.compile(rb"\([^()]*\)")
 
 
 def patched(stored: Path, layer: Any, before: Values, after: Values) -> bytes | None:
-    """Return a stored layer with values exchanged, so that it equals `layer`; None if that cannot be done in place."""
+    """Return a stored layer with new values, equal to `layer`; None if it cannot be patched."""
     pairs = zip(before[0], after[0], strict=True)
     colours = [(old, new) for old, new in pairs if not np.array_equal(old, new)]
     names = list(dict.fromkeys(zip(before[1], after[1], strict=True)))
@@ -38,7 +38,7 @@ def patched(stored: Path, layer: Any, before: Values, after: Values) -> bytes | 
 
 
 def _in_binary(data: bytes, colours: Sequence[Change]) -> bytes | None:
-    """Exchange arrays, which are stored as they are if they are of vectors."""
+    """Replace arrays of vectors, which USDC stores without compression."""
     whole = bytearray(data)
     for before, after in colours:
         old, new = before.tobytes(), after.tobytes()
@@ -50,7 +50,7 @@ def _in_binary(data: bytes, colours: Sequence[Change]) -> bytes | None:
 
 
 def _in_text(data: bytes, colours: Sequence[Change], names: Sequence[tuple[str, str]]) -> bytes | None:
-    """Exchange the vectors that changed, and names between @."""
+    """Replace the vectors that changed, and asset paths (between @)."""
     found = [(match.span(1), [*_VECTOR.finditer(match[1])]) for match in _COLOURS.finditer(data)]
     spans: Spans = {}
     for before, after in colours:
@@ -67,7 +67,7 @@ def _in_text(data: bytes, colours: Sequence[Change], names: Sequence[tuple[str, 
 
 
 def _spelled(colour: Array) -> bytes:
-    """Return the shortest numbers that are read back the same."""
+    """Return a colour as the shortest numbers that read back as the same."""
     return b"(" + b", ".join(str(value).encode() for value in colour.astype("U32").tolist()) + b")"
 
 

@@ -1,4 +1,4 @@
-"""The stage of a USD scene, opened from the layers that may be read, and the files that it names."""
+"""The stage of a USD scene, composed of the layers that may be read, and the files that it refers to."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Any
 
 from pxr import Sdf, Usd
 
-_OPEN: list[Any] = []  # layers, which USD would read again without a reference
+_OPEN: list[Any] = []  # references to layers, without which USD would close them and read them again
 
 
 class NeedsLayersError(Exception):
-    """Layers that the stage is composed of and that are not there, as (layer, path as it is written there)."""
+    """Layers that the stage needs and that are not loaded yet, as (referring layer, path as written in it)."""
 
     def __init__(self, needs: list[tuple[str, str]]) -> None:
         super().__init__()
@@ -21,7 +21,7 @@ class NeedsLayersError(Exception):
 
 
 def opened(root: str, layers: list[str], refused: list[list[str]]) -> Any:
-    """Open the stage of a layer in this folder, from the layers that are known; those refused are left out."""
+    """Open the stage of a root layer in this folder, without refused layers; NeedsLayersError if others are missing."""
     needs: list[tuple[str, str]] = []
     here = Path.cwd()
     for name in layers:
@@ -45,7 +45,7 @@ def opened(root: str, layers: list[str], refused: list[list[str]]) -> Any:
 
 
 def _without_clips(layer: Any) -> None:
-    """Take out values in further files, which are of other times than the first."""
+    """Remove value clips: files with values at other times than the first."""
 
     def take_out(path: Any) -> None:
         spec = layer.GetObjectAtPath(path)
@@ -56,12 +56,12 @@ def _without_clips(layer: Any) -> None:
 
 
 def placed(layer: str, path: str) -> str:
-    """Return where a path in a layer leads, relative to the folder of the root."""
+    """Return a path in a layer relative to the folder of the root layer."""
     return posixpath.normpath(posixpath.join(posixpath.dirname(layer), path))
 
 
 def files_of(prim: Any) -> dict[str, str]:
-    """Return the attributes of a prim that name a file, each with that file."""
+    """Return the files that a prim refers to, by attribute."""
     found = {}
     for attribute in prim.GetAuthoredAttributes():
         value: Any = attribute.Get() if attribute.GetTypeName() == "asset" else None
@@ -71,7 +71,7 @@ def files_of(prim: Any) -> dict[str, str]:
 
 
 def files_in_variants(stage: Any, layers: list[str]) -> dict[str, str]:
-    """Return the files that variants name which are not selected, each by its layer and place there."""
+    """Return the files that unselected variants refer to, by layer and path of the attribute."""
     prims = Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies())
     shown = {
         (spec.layer, spec.path)
@@ -87,7 +87,7 @@ def files_in_variants(stage: Any, layers: list[str]) -> dict[str, str]:
         spec = None if is_shown else layer.GetAttributeAtPath(path)
         value: Any = spec.default if spec and spec.HasInfo("default") else None
         if isinstance(value, Sdf.AssetPath) and value.path:
-            where = "" if layer == stage.GetRootLayer() else name  # whatever the root layer is called
+            where = "" if layer == stage.GetRootLayer() else name  # independent of the name of the root layer
             found[f"{where}{path}"] = placed(name, value.path)
 
     for name in layers:
@@ -97,7 +97,7 @@ def files_in_variants(stage: Any, layers: list[str]) -> dict[str, str]:
 
 
 def layer_of(attribute: Any) -> str:
-    """Return the layer that says the value of an attribute, relative to this folder."""
+    """Return the path of the layer that defines the value of an attribute, relative to this folder."""
     here = Path.cwd().resolve()
     for spec in attribute.GetPropertyStack():
         if spec.HasInfo("default"):

@@ -1,4 +1,4 @@
-"""A whole mesh as a new USD layer, with colours of vertices or with materials and their textures, or as a package.
+"""Write a mesh as a new USD layer or package, with vertex colours or with materials and their textures.
 
 The layer is written as text, and turned into the binary form by usd-core.
 
@@ -29,7 +29,7 @@ from beltrami_cli.surface.records import Frame, Material, MeshContents, MeshImag
 
 _BLOCK = 1 << 16  # rows written at a time
 _UNFIT = re.compile(r"\W", re.ASCII)
-# By slot: inputs of the surface, the type and output of the texture, whether it holds data.
+# By slot: inputs of the surface, type and output of the texture, whether it is data (not colours).
 _INPUTS: dict[Slot, tuple[tuple[str, str, str], ...]] = {
     "baseColor": (("diffuseColor", "color3f", "rgb"),),
     "emissive": (("emissiveColor", "color3f", "rgb"),),
@@ -95,7 +95,7 @@ def _header(name: str, frame: Frame) -> bytes:
 
 
 def _mesh(mesh: MeshContents, shown: list[bytes], notices: list[str]) -> Iterator[bytes]:
-    """Give the points that polygons use, the polygons, and their colours, texture coordinates and normals."""
+    """Yield the lines of the geometry: used points, polygons, colours, texture coordinates and normals."""
     used: Array = np.arange(len(mesh.positions))
     corners: Array = mesh.corners
     if not shown:
@@ -106,7 +106,7 @@ def _mesh(mesh: MeshContents, shown: list[bytes], notices: list[str]) -> Iterato
     yield from shown
     on = 'interpolation = "faceVarying"'
     if mesh.uv is not None:
-        # A corner without coordinates has no texture, whatever coordinates stand there.
+        # Corners without coordinates have no texture, so their values do not matter.
         uv = np.nan_to_num(mesh.uv) * [1, -1] + [0, 1]
         index_of, chosen = group_equal_rows(*uv.T)
         yield from _array("texCoord2f[] primvars:st", uv[chosen].astype(np.float32), 2, on)
@@ -118,7 +118,7 @@ def _mesh(mesh: MeshContents, shown: list[bytes], notices: list[str]) -> Iterato
 
 
 def _subsets(material_of: Int32s, names: list[str], root: str) -> Iterator[bytes]:
-    """Give which material triangles have: one for all, or a subset for each."""
+    """Yield the lines that bind materials: one for all triangles, or a subset for each."""
     shown = np.unique(material_of).tolist()
     if len(shown) == 1:
         yield f"        rel material:binding = </{root}/{names[shown[0]]}>\n".encode()
@@ -133,7 +133,7 @@ def _subsets(material_of: Int32s, names: list[str], root: str) -> Iterator[bytes
 
 
 def _material(name: str, material: Material, file_of: dict[MeshImage, str], path: str) -> str:
-    """Return a material with a UsdPreviewSurface; colours are linear light there."""
+    """Return the lines of a material with a UsdPreviewSurface, whose colours are linear light."""
     colour, emission = _linear(material.colour), _linear(material.emission)
     inputs = {
         "diffuseColor": f"color3f inputs:diffuseColor = {_row(colour)}",
@@ -144,7 +144,7 @@ def _material(name: str, material: Material, file_of: dict[MeshImage, str], path
     }
     if material.alpha == "mask":
         inputs["opacityThreshold"] = f"float inputs:opacityThreshold = {material.cutoff:.6g}"
-    # By slot, what the channels of its image are multiplied by.
+    # By slot: factors of the channels of its image.
     scales: dict[Slot, tuple[float, ...]] = {
         "baseColor": (*colour, material.opacity),
         "emissive": (*emission, 1),
@@ -192,7 +192,7 @@ def _shader(name: str, lines: Sequence[str]) -> str:
 
 
 def _colours(contents: MeshContents, notices: list[str]) -> list[bytes]:
-    """Return colours of vertices, which are linear light, and their opacity."""
+    """Return the lines of vertex colours, in linear light, and their opacity."""
     colours = linear_colours(contents, notices, "USD has them")
     on = 'interpolation = "vertex"'
     lines = [*_array("color3f[] primvars:displayColor", colours, 3, on)]
@@ -202,7 +202,7 @@ def _colours(contents: MeshContents, notices: list[str]) -> list[bytes]:
 
 
 def _array(name: str, rows: Array, width: int = 1, metadata: str = "") -> Iterator[bytes]:
-    """Give an attribute with its values, as the shortest numbers that are read back the same."""
+    """Yield the lines of an attribute, with the shortest numbers that read back as the same values."""
     yield f"        {name} = [".encode()
     for block in blocks(len(rows), _BLOCK):
         columns: list[list[str]] = rows[block].T.astype("U32").tolist()
