@@ -1,4 +1,4 @@
-"""The controls of a page that smooths, made from the declarations of parameters."""
+"""The controls of a live page, made from the declarations of parameters."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ _DECLARED = {each.name: each for each in parameters(SmoothSettings, deep=True)}
 _NAMES = ("strength", "patches", "noise", "iterations", "t", "beta", "window")
 
 CONTROLS = [_DECLARED[name] for name in _NAMES]
-"""What the controls of a page set."""
+"""Parameters with controls."""
 
 SLIDERS = {
     "strength": (STRENGTHS["gentle"], STRENGTHS["strong"], 0.05),
     "iterations": (1, 20, 1), "t": (0.5, 10, 0.1), "beta": (0, 40, 0.5), "window": (3, 31, 2),
 }  # fmt: skip
-"""Least and greatest value of controls, and step."""
+"""Minimum, maximum and step of controls."""
 
 
 def plain_settings(settings: SmoothSettings) -> SmoothSettings:
-    """Return settings with what the controls set as it is where nothing is given."""
+    """Return settings with the defaults for all parameters that have controls."""
     kernel = settings.kernel
     reset = {name: _DECLARED[name].default for name in _NAMES}
     given = [name for name in TUNABLE if name in SLIDERS and getattr(kernel, name) is not None]
@@ -36,14 +36,14 @@ def plain_settings(settings: SmoothSettings) -> SmoothSettings:
 
 
 def values_of(settings: SmoothSettings) -> dict[str, Any]:
-    """Return the first values of the controls: the parameters that are given."""
+    """Return the initial values of the controls: the given parameters."""
     given = given_values(settings)
     values = {name: given[name] for name in _NAMES if name in given}
     return {**values, "slots": list(settings.textures.slots)}
 
 
 def settings_from(plain: SmoothSettings, values: Mapping[str, Any]) -> SmoothSettings:
-    """Return settings with the values of controls; UsageError if one cannot be."""
+    """Return settings with the values of controls; UsageError if one is invalid."""
     made: dict[str, Any] = {}
     for name, value in values.items():
         if name not in (*_NAMES, "slots"):

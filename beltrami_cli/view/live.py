@@ -1,4 +1,4 @@
-"""A page on which a document is smoothed while its parameters are changed: a part at once, and then the whole.
+"""A page on which a document is smoothed while parameters are changed: first a preview of a part, then the whole.
 
 Each change is a request of its own, which ends at its next report of progress when the page asks for something else.
 """
@@ -45,21 +45,21 @@ from beltrami_cli.view.words import noise_of
 Command = Callable[[SmoothSettings, str], str]
 Part = TypeVar("Part")
 
-_WITH_PATCHES = " with patches"  # a stage of previews, after that of the kernel alone
-# Seconds after a preview in which the whole is not begun, since another change may follow.
+_WITH_PATCHES = " with patches"  # stage of previews, after the stage of the kernel alone
+# Seconds between a preview and the start of the whole, since another change may follow.
 _IDLE_SECONDS = 0.5
 _PREVIEW_SECONDS = 0.1  # seconds of smoothing in a preview
-_FIRST_RATE = 4e5  # samples times iterations a second, before any preview was timed
+_FIRST_RATE = 4e5  # samples times iterations a second, until a preview was timed
 _MIN_SAMPLES, _MAX_SAMPLES = 2_000, 400_000  # samples of a preview
 _PROGRESS_INTERVAL = 0.1  # seconds between two messages on progress
-_STEPS = 1000  # that progress counts
-_STOP_TIMEOUT = 1.0  # seconds in which work ends
-_BRIGHTEST_CHANGE = 32  # 255ths that are shown brightest first
+_STEPS = 1000  # steps of progress
+_STOP_TIMEOUT = 1.0  # seconds to wait for work to end
+_BRIGHTEST_CHANGE = 32  # 255ths: the change that is shown brightest at first
 
 
 @dataclass(frozen=True)
 class _Change:
-    """What a page asks for, and the request that it waits for."""
+    """The job of a page, and the request to answer."""
 
     settings: SmoothSettings
     layer: LayerView
@@ -68,7 +68,7 @@ class _Change:
 
 
 class Live:
-    """Answers the pages that are open on a document."""
+    """Answers the requests of all open pages of a document."""
 
     def __init__(self, source: str, settings: SmoothSettings, job: Job, command: Command) -> None:
         if source == "-":
@@ -76,7 +76,7 @@ class Live:
         self._source, self._job, self._command = source, job, command
         self._plain = plain_settings(settings)
         self._document = open_input(source, settings, job.access)
-        select(self._document, settings)  # raises if nothing is coloured
+        select(self._document, settings)  # raises an error if nothing is selected
         require_memory_to_draw([self._document], RenderSettings(), job.access)
         slots: list[Slot | None] = [*self._document.slots()] if self._document.kind != "image" else [None]
         if slots != [None] and self._document.has_vertex_colours():
@@ -85,7 +85,7 @@ class Live:
             LayerView(self._document, slot, job.access, number) for number, slot in enumerate(slots)
         ]
         self._rates = {"": _FIRST_RATE, _WITH_PATCHES: _FIRST_RATE / 5}
-        # The values that were chosen last, by the strength and the noise that they were chosen for.
+        # The values chosen last, by strength and noise.
         self._chosen: dict[tuple[float, str | None], dict[str, float]] = {}
         self._previewing, self._smoothing, self._saving = (threading.Lock() for _ in range(3))
         with decoding_cached(image_files(self._document)):
@@ -99,19 +99,19 @@ class Live:
         }
 
     def close(self) -> bool:
-        """Return whether all work has ended, as the choice of parameters does not at once."""
+        """Wait for work to end; False if that takes too long, as during the choice of parameters."""
         locks = self._previewing, self._smoothing, self._saving
         return all(lock.acquire(timeout=_STOP_TIMEOUT) for lock in locks)
 
     def answer(self, name: str, asked: dict[str, Any], request: PageRequest) -> None:
-        """Do what a page asks for, see `PageServer`."""
+        """Answer a request, see `PageServer`."""
         if name not in ("change", "save"):
             raise MalformedError
         settings = settings_from(self._plain, _part(asked, "values", dict))
         target = _part(asked, "target", str)
         command = self._command(settings, target)
         if name == "change":
-            # Requests have a thread each, but decode pictures only once.
+            # Each request has a thread, but pictures are decoded only once.
             self._with_pictures.copy().run(self._follow, asked, settings, command, request)
         else:
             self._save(settings, target, command, request, overwrite=_part(asked, "overwrite", bool))
@@ -119,7 +119,7 @@ class Live:
     def _save(
         self, settings: SmoothSettings, target: str, command: str, request: PageRequest, *, overwrite: bool
     ) -> None:
-        """Do what `smooth` does, one after the other; at the end of the program nothing half done is left."""
+        """Save a result as `smooth` does, one at a time; no file is left incomplete when the program ends."""
         if target == "-":
             raise UsageError("the output must be a file, since the page cannot show it")
         with self._saving:
@@ -142,7 +142,7 @@ class Live:
     def _follow(
         self, asked: dict[str, Any], settings: SmoothSettings, command: str, request: PageRequest
     ) -> None:
-        """Smooth the part in view, then the whole, and wait until the page asks for something else."""
+        """Smooth the part in view, then the whole, until the page sends another request."""
         layer, focus = _part(asked, "layer", int), _focus(asked)
         if not 0 <= layer < len(self._layers):
             raise MalformedError
@@ -156,7 +156,7 @@ class Live:
         request.wait()
 
     def _preview(self, change: _Change) -> None:
-        """Smooth the part in view: by the kernel at once, then with patches if the whole has these."""
+        """Smooth the part in view: first by the kernel, then with patches if the settings have them."""
         settings, slot = change.settings, change.layer.slot
         try:
             selection = select(self._document, settings)
@@ -172,7 +172,7 @@ class Live:
             raise
         except NoPreviewError as error:
             change.request.send(kind="none", reason=str(error))
-        except Exception:  # the error of the whole, which follows, is reported
+        except Exception:  # the same error is reported for the whole, which follows
             change.request.send(kind="none", reason="the part in view cannot be smoothed alone")
 
     def _preview_part(self, change: _Change, settings: SmoothSettings, stage: str) -> None:
@@ -187,7 +187,7 @@ class Live:
         change.request.send(kind="preview", patches=patches, stage=stage, seconds=spent, samples=samples)
 
     def _without_search(self, change: _Change) -> SmoothSettings:
-        """Return settings without a search: free parameters are as they were chosen last, or by the rule."""
+        """Return settings without a search: free parameters have the values chosen last, or those of the rule."""
         kernel = change.settings.kernel
         chosen = self._chosen.get((kernel.strength, kernel.noise), {})
         known = {name: chosen[name] for name in kernel.free if name in chosen}
@@ -195,12 +195,12 @@ class Live:
             kernel = dataclasses.replace(kernel, **known, free=())  # type: ignore[arg-type]
         else:
             kernel = dataclasses.replace(kernel, fast=True)
-        # So few samples gain little by more threads, and wait long for them where the machine is busy.
+        # So few samples gain little from more threads, and wait long for them on a busy machine.
         kernel = dataclasses.replace(kernel, patches="off", threads=1)
         return dataclasses.replace(change.settings, kernel=kernel)
 
     def _smooth(self, change: _Change) -> None:
-        """Smooth the whole as `smooth` does, and show it."""
+        """Smooth the whole as `smooth` does, and send it to the page."""
         request, settings = change.request, change.settings
         try:
             result, results = self._whole(change)
@@ -239,7 +239,7 @@ class Live:
         at_times = at_intervals(_PROGRESS_INTERVAL, announce)
 
         def show(label: str, share: float) -> None:
-            with self._previewing:  # previews of other pages shall not share the processors
+            with self._previewing:  # so that previews of other pages do not compete for the processors
                 request.check()
             at_times(label, round(_STEPS * share), _STEPS)
 
@@ -249,15 +249,15 @@ class Live:
 
 
 def _part(request: dict[str, Any], name: str, kind: type[Part]) -> Part:
-    """Return a part of a request, which must be of a type."""
+    """Return a value of a request, checked to be of a type."""
     value = request.get(name)
-    if type(value) is not kind:  # True is not a number
+    if type(value) is not kind:  # bool is a subclass of int
         raise MalformedError
     return value
 
 
 def _focus(request: dict[str, Any]) -> Focus:
-    """Return the focus of a request: three numbers of its origin, and three of its direction if it has one."""
+    """Return the focus of a request: origin (three numbers), and direction (three numbers) if there is one."""
     numbers = _part(request, "focus", list)
     is_number = [type(each) in (int, float) and np.isfinite(each) for each in numbers]
     if len(numbers) not in (3, 6) or not all(is_number):
@@ -267,7 +267,7 @@ def _focus(request: dict[str, Any]) -> Focus:
 
 
 def _target(source: str) -> str:
-    """Return the name that a result is first offered to be saved under."""
+    """Return the suggested name of the output."""
     path = Path(source)
     is_written = path.suffix.lower().lstrip(".") in OUTPUT_FORMATS or path.suffix.lower() in WRITABLE
     return str(path.with_name(f"{path.stem}-smooth{path.suffix if is_written else '.ply'}"))

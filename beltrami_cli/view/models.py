@@ -50,10 +50,10 @@ VERTICES = "vertex colours"
 _MIME = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg"}
 _TRIANGLES, _POINTS, _LINES = 4, 0, 1  # modes of glTF primitives
 _FULL_SCALE = 65535
-_MAX_DISTANCE = 1e9  # sizes of a model or texture; nothing so far away is visible
+_MAX_DISTANCE = 1e9  # sizes of the model or texture, beyond which nothing is visible
 _BYTE = 257  # 16-bit value of one 8-bit step
 _MIN_PICTURES = 1 << 20  # bytes of pictures, however large the meshes are
-_FILLED = 0.99  # share of the room for pictures that is aimed at: PNG adds at most 1 %
+_FILLED = 0.99  # target share of the space for pictures: PNG adds at most 1 %
 _MIN_SHARE = 1e-4  # of the width of pictures: 10,000 pixels become one
 _MIN_REACH, _MAX_REACH = 4, 128  # 255ths of full scale
 
@@ -62,12 +62,12 @@ class ModelWriter:
     """Collects the layers of a model: the textures of a slot each, the vertex colours, or an image."""
 
     def __init__(self, *, is_live: bool = False) -> None:
-        self._is_live = is_live  # colours will change to any 16-bit value
+        self._is_live = is_live  # colours will change to arbitrary 16-bit values
         self._arrays = Arrays()
         self._tree: dict[str, list[Any]] = {name: [] for name in ("scenes", "nodes", "meshes")}
         self._textures: dict[Any, int] = {}
         self._images: list[Callable[[], ImageBytes]] = []
-        self.row_of: Int64s | None = None  # rows of vertices in the file; -1: a vertex that is left out
+        self.row_of: Int64s | None = None  # rows of vertices in the glTF file; -1: omitted
         self.boxes: list[Box] = []  # of the layers of models
 
     def add(self, documents: Pair, slot: Slot | None) -> None:
@@ -107,11 +107,11 @@ class ModelWriter:
         self._scene(f"{slot} textures", nodes, middle=box.middle, pairs=pairs)
 
     def glb(self, reach: float) -> bytes:
-        """Return the file; `reach`: the change in 255ths that is shown brightest."""
+        """Return the file; `reach`: change in 255ths that is shown brightest."""
         return self._written([image() for image in self._images], reach)
 
     def packed(self, reach: float, limit: float = np.inf) -> tuple[dict[str, Any], float]:
-        """Return the file for a page, in about `limit` characters, and the share of their width that pictures keep."""
+        """Return the file for a page, of about `limit` characters, and the scale of its pictures."""
         arrays, tables = self._arrays, []  # offset, length, bytes of an element
         data = np.frombuffer(arrays.binary, np.uint8).copy()
         for accessor in arrays.accessors:
@@ -226,7 +226,7 @@ class ModelWriter:
 
 
 class Box:
-    """The box around a model but for its outliers, whose longest side becomes 1."""
+    """The bounding box of a model without outliers, whose longest side becomes 1."""
 
     def __init__(self, model: ColouredVertices | TexturedSurface) -> None:
         positions = framed(model.positions, model.faces)
@@ -240,7 +240,7 @@ class Box:
 
 
 def _finite(values: Array) -> Float64s:
-    """Replace numbers that are not finite by 0, and limit the others to a range that single precision holds."""
+    """Replace numbers that are not finite by 0, and clip the others to the range of single precision."""
     finite = np.nan_to_num(values.astype(np.float64), nan=0, posinf=0, neginf=0)
     return np.clip(finite, -_MAX_DISTANCE, _MAX_DISTANCE)
 
@@ -253,7 +253,7 @@ def _quantised(values: Float64s) -> Array:
 
 
 def _sorted(faces: Int32s, count: int) -> tuple[Int64s, Int64s]:
-    """Return vertices in an order in which neighbours are near, and the triangles of these, in order, too."""
+    """Return vertices in an order that keeps neighbours together, and their triangles, ordered likewise."""
     sides = edges_of(faces)
     ends = np.concatenate([sides, sides[:, ::-1]]).T
     graph = coo_array((np.ones(ends.shape[1], np.int8), (ends[0], ends[1])), (count, count)).tocsr()
@@ -286,7 +286,7 @@ def _png(pixels: Uint8s) -> bytes:
 
 
 def _resized(image: ImageBytes, share: float) -> ImageBytes:
-    """Return a smaller PNG file, whose sides are a share of the picture's, with averages of display values."""
+    """Return a picture, scaled down by averages of display values, as a PNG file."""
     shown = Image.fromarray(displayed_pixels(read_image(image[1], "a picture")))
     width, height = (max(1, int(share * side)) for side in shown.size)
     return "image/png", _png(np.asarray(shown.resize((width, height), Image.Resampling.BOX)))
@@ -337,7 +337,7 @@ def charts_of(surface: TexturedSurface) -> tuple[Int32s, Int64s]:
 
 
 def _ends(corners: Float64s, edges: Int64s) -> Float64s:
-    """Return both ends of edges that begin at corners of triangles, (2 K, X)."""
+    """Return both ends of edges, given by triangle and first corner, (2 K, X)."""
     face, corner = edges.T
     pairs = np.stack([corners[face, corner], corners[face, (corner + 1) % 3]], axis=1)
     return np.asarray(pairs.reshape(-1, corners.shape[2]), np.float64)

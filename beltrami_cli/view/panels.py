@@ -23,16 +23,16 @@ from beltrami_cli.view.views import Drawable, ImageView, framed
 _FRAMES = [(230, 159, 0), (0, 158, 115), (86, 180, 233), (204, 121, 167), (213, 94, 0)]
 _DARK, _LIGHT = 26, 242  # greys of letters, of 255
 _LIGHT_GROUND = 0.4  # luminance, beyond which letters are dark
-_GREY = 128 / 255  # the background where white hides the outline
+_GREY = 128 / 255  # background where the outline is invisible on white
 # Share of an outline that may be twice as close to white as to grey: beyond a lightness L* of 85.
 _MAX_LOST_SHARE = 0.25
 _FONT = "DroidSans"  # which OpenImageIO contains
 
-Draw = Callable[..., Float32s]  # of a size and a window
+Draw = Callable[..., Float32s]  # called with size and window
 
-_SAME_CAMERA = 0.1  # boxes that differ by less than this, in sizes of the first, are seen by one camera
-_COVERED = 0.98  # of a detail, at least, if there is any such place
-_STEPS = 8  # places tried along each side of a detail
+_SAME_CAMERA = 0.1  # largest difference of bounding boxes, in sizes of the first, that share a camera
+_COVERED = 0.98  # least share of a detail that the model fills, if possible
+_STEPS = 8  # positions tried along each side of a detail
 
 
 def draw_views(
@@ -67,7 +67,7 @@ def draw_panels(
     drawn = [draw(settings.size, whole) for draw in tracked(drawers, "drawing", progress)]
     (width, height), count, windows = settings.size, len(settings.crops), list[Window]()
     for crop in settings.crops:
-        if crop.centre is None:  # automatic ones are chosen in the view of the last file
+        if crop.centre is None:  # automatic details are chosen in the view of the last file
             windows.append(most_detailed_window(drawn[-1], crop.side))
             continue
         (x, y), half = crop.centre, crop.side * min(width, height) / 2
@@ -81,7 +81,7 @@ def draw_panels(
 
 
 def _drawers(views: Sequence[Drawable], settings: RenderSettings) -> list[Draw]:
-    """Return what draws each view; models that lie in one place are seen by one camera."""
+    """Return a drawing function for each view; models at the same place share a camera."""
     rotation = orientation(*settings.angles, settings.up)
     aspect = settings.size[0] / settings.size[1]
     shared: tuple[Camera, Float64s] | None = None
@@ -102,7 +102,7 @@ def _drawers(views: Sequence[Drawable], settings: RenderSettings) -> list[Draw]:
 
 
 def fixed_looks(settings: RenderSettings, *panels: Panel) -> RenderSettings:
-    """Return settings with details where they are in the first panel, and a background that suits all."""
+    """Return settings with the details of the first panel, and a background for all views."""
     crops = []
     for crop, (left, upper, right, lower) in zip(settings.crops, panels[0].windows, strict=True):
         crops.append(dataclasses.replace(crop, centre=((left + right) / 2, (upper + lower) / 2)))
@@ -127,7 +127,7 @@ def is_lost_on_white(views: Sequence[Float32s]) -> bool:
 
 
 def most_detailed_window(view: Float32s, side: float) -> Window:
-    """Return the square window, the first of equals, filled by the model, with the most varying brightness."""
+    """Return the square window filled by the model in which brightness varies most (the first of equals)."""
     height, width = view.shape[:2]
     square = max(1, round(side * min(width, height)))
     brightness = linear_to_srgb(np.clip(view[..., :3].astype(np.float64) @ LUMINANCE, 0, 1))
@@ -144,7 +144,7 @@ def most_detailed_window(view: Float32s, side: float) -> Window:
 
 
 def _sums(values: Float64s, square: int) -> Float64s:
-    """Return the sum over each square that fits, by its upper left corner."""
+    """Return the sums over all squares inside, by upper left corner."""
     table = np.pad(values, [(1, 0), (1, 0)]).cumsum(axis=0).cumsum(axis=1)
     near, far = slice(None, -square), slice(square, None)
     return np.asarray(table[far, far] - table[near, far] - table[far, near] + table[near, near])
@@ -228,7 +228,7 @@ def _draw_label(sheet: Image.Image, strip: tuple[int, int, int, int], text: str,
         words = "..." + text
     cover = OpenImageIO.ImageBuf(OpenImageIO.ImageSpec(width, depth, 1, "float"))
     x = (width - box.width) // 2 - box.xbegin
-    y = round(depth / 2 + 0.36 * height)  # the base line; small letters and capitals look centred
+    y = round(depth / 2 + 0.36 * height)  # base line: small letters and capitals look centred
     if not OpenImageIO.ImageBufAlgo.render_text(cover, x, y, words, height, _FONT, (1.0,)):
         raise ProcessingError(f"labels cannot be drawn ({error_of(cover)}); use --no-labels")
     is_light = background[3] == 0 or np.dot(background[:3], LUMINANCE) > _LIGHT_GROUND

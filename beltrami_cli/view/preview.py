@@ -1,4 +1,4 @@
-"""What the live view shows: the layers of a document, and the part in view, small enough to be smoothed at once."""
+"""Previews of the live view: the part of a layer that is in view, small enough to be smoothed at once."""
 
 from __future__ import annotations
 
@@ -41,31 +41,31 @@ from beltrami_cli.view.models import (
 
 Progress = Callable[[int, int], None]
 
-_PIECE = 320  # texels of a triangle at most, so that enough of them fit
-_MAX_PIECES = 100_000  # in a whole texture, even if they are larger then
+_PIECE = 320  # most texels of a piece of a triangle, so that many fit into a preview
+_MAX_PIECES = 100_000  # of a texture, even if pieces are then larger
 _MAX_SPLITS = 24  # each halves the longest sides
 _NO_FACES = np.zeros((0, 3), np.int32)
 _COMPRESSION_LEVEL = 1  # of zlib
-_FOCUS_RADIUS = 0.05  # of the model's size: triangles so near to the line of sight are looked at
+_FOCUS_RADIUS = 0.05  # of the model's size: distance from the line of sight of triangles in focus
 
 
 class NoPreviewError(Exception):
-    """Why no part can be shown before the whole."""
+    """The reason why there is no preview."""
 
 
 @dataclass(frozen=True)
 class Focus:
-    """The centre of a view: a ray through the model, or a place of a texture or image."""
+    """The centre of a view: a ray through the model, or a point of a texture or image."""
 
-    origin: Float64s  # (3,), or of a flat texture u, v and its number
-    direction: Float64s | None = None  # (3,), of length 1; None: the texture is seen flat
+    origin: Float64s  # (3,); of a flat texture: u, v and its index
+    direction: Float64s | None = None  # (3,), of length 1; None: a flat texture
 
 
 @dataclass(frozen=True)
 class Patch:
     """New colours of some samples: of vertices, which may have moved, or of texels of one texture."""
 
-    texture: int  # number of the texture; -1: vertices
+    texture: int  # index of the texture; -1: vertices
     rows: NDArray[np.signedinteger[Any]]  # vertices, or rows of texels
     columns: NDArray[np.signedinteger[Any]]
     colours: NDArray[np.integer[Any]]  # display values: (K, 3) of 16 bits, or (K, 4) of 8 bits
@@ -73,7 +73,7 @@ class Patch:
 
 
 class LayerView:
-    """A coloured part of a document on pages: `slot` of its textures, or None: its vertices or its pixels."""
+    """A coloured part of a document on pages: the textures of a `slot`, or (None) vertices or pixels."""
 
     def __init__(
         self, document: Document, slot: Slot | None, access: Access = DEFAULT_ACCESS, number: int = 0
@@ -83,7 +83,7 @@ class LayerView:
         self._row_of: Int64s | None = None
         self._box: Box | None = None
         self._can_move = False  # whether vertices have moved, on any page
-        # The last pixels that were sent, by texture, where they differ from the document.
+        # Pixels sent last, by texture, if they differ from the document.
         self._shown: dict[int, Uint8s] = {}
         self._pixels: ImageLayer | None = None
         self._order: tuple[bytes, Int64s] | None = None  # of triangles or points, by the last focus
@@ -94,7 +94,7 @@ class LayerView:
 
     @cached_property
     def _pieces(self) -> tuple[TexturedSurface, Float64s]:
-        """The triangles of the textures in pieces, and how many texels each covers."""
+        """The pieces of textured triangles, and the number of texels of each."""
         surface = self._document.textured(self._textures)
         sizes = [read_texture(texture).pixels.shape[1::-1] for texture in surface.textures]
         return _cut_in_pieces(surface, np.array(sizes, np.float64))
@@ -110,7 +110,7 @@ class LayerView:
         return self.slot
 
     def add_to(self, writer: ModelWriter) -> None:
-        """Put the part in a model for the viewer, with the same before and after."""
+        """Add the part to a model for the viewer, with equal colours before and after."""
         writer.add((self._document, self._document), self.slot)
         if not self._is_image:
             self._box, self._row_of = writer.boxes[-1], writer.row_of
@@ -209,7 +209,7 @@ class LayerView:
         return patches
 
     def _around(self, focus: Focus) -> Int64s:
-        """Return triangles or points in the order in which they are nearest; it is kept until the camera moves."""
+        """Return triangles or points in order of distance, cached until the camera moves."""
         key = focus.origin.tobytes() + (b"" if focus.direction is None else focus.direction.tobytes())
         if self._order is None or self._order[0] != key:
             centres = self._centres
@@ -220,12 +220,12 @@ class LayerView:
         return self._order[1]
 
     def _patched(self, patch: Patch) -> dict[str, Any]:
-        """Return a patch for the viewer, and keep what a texture looks like with it."""
+        """Return a patch for the viewer, and record the new pixels of a texture."""
         if patch.texture < 0:
             assert self._row_of is not None
             assert self._box is not None
             rows = self._row_of[patch.rows]
-            drawn = rows >= 0  # points that are nowhere are not
+            drawn = rows >= 0  # points without a position are not drawn
             kept = {"rows": rows.astype(np.uint32), "colours": patch.colours}
             if patch.places is not None:
                 kept["places"] = self._box.shares(patch.places).astype(np.float32)
@@ -247,7 +247,7 @@ class LayerView:
         return displayed_pixels(read_image(texture.data, texture.name, finite=not self._is_image))
 
     def whole(self, result: Document) -> list[dict[str, Any]]:
-        """Return the patches that show the part as it is in a result."""
+        """Return the patches that show the part of a result."""
         self._shown.clear()
         if self.slot is None and not self._is_image:
             vertices = result.coloured_vertices()
@@ -272,7 +272,7 @@ def _smooth(layer: Layer, progress: Progress | None) -> NewColours:
 
 
 def _cut(layer: ImageLayer, place: tuple[slice, slice], kernel: KernelParameters) -> ImageLayer:
-    """Return a part of an image, which begins with a block of JPEG, with other parameters."""
+    """Return a part of an image that is aligned to blocks of JPEG, with other parameters."""
     surface, noise = layer.surface, layer.noise
     if noise is not None:
         noise = noise.reshape(*layer.valid.shape, -1)[place].reshape(-1, noise.shape[1])
@@ -293,14 +293,14 @@ def _cut(layer: ImageLayer, place: tuple[slice, slice], kernel: KernelParameters
 
 
 def _window(shape: tuple[int, ...], middle: Float64s, budget: int) -> tuple[slice, slice]:
-    """Return a square of a grid with about so many cells, around a place in it."""
+    """Return a square window of a grid around a point, of about so many cells."""
     side = int(np.sqrt(budget))
     row, column = np.clip(middle - side / 2, 0, np.maximum(0, np.array(shape) - side)).astype(int).tolist()
     return slice(row, row + side), slice(column, column + side)
 
 
 def _nearest(centres: Float64s, focus: Focus) -> Int64s:
-    """Return places in the order of their distance from the first one on the line of sight."""
+    """Return points in order of distance from the first one on the line of sight."""
     middle = focus.origin
     if focus.direction is not None:
         offsets = centres - focus.origin
@@ -312,7 +312,7 @@ def _nearest(centres: Float64s, focus: Focus) -> Int64s:
 
 
 def _cut_in_pieces(surface: TexturedSurface, sizes: Float64s) -> tuple[TexturedSurface, Float64s]:
-    """Cut textured triangles into pieces of few texels; return also how many texels each piece covers.
+    """Cut textured triangles into pieces of few texels; return also the number of texels of each.
 
     `sizes`: width and height of each texture, shape (T, 2).
     """

@@ -1,4 +1,4 @@
-"""A page on what changed between two files: models to turn and compare, figures and drawings."""
+"""A page on the changes between two files: interactive models, figures and charts."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from beltrami_cli.view.models import ModelWriter
 from beltrami_cli.view.render import distinct_labels
 from beltrami_cli.view.used import used_parameters
 
-_SCALE_QUANTILE = 0.995  # of the samples, whose changes are not shown brightest
+_SCALE_QUANTILE = 0.995  # share of the samples with smaller changes than the one shown brightest
 _MAX_PAGE_BYTES = 8_000_000  # bytes of a page, unless its meshes alone are larger
 _SCALED = "Pictures have {:.0f} % of their width on the page; --full-size keeps all of it."
-_LONGEST = 768  # pixels, of a seam map
+_LONGEST = 768  # longest side of a seam map in pixels
 _WIDTH, _HEIGHT = 720, 220
 # Colours and dashes of the lines of channels: the dashes are for those who cannot distinguish the colours.
 _NAMES = {3: ("red", "green", "blue")}
@@ -50,7 +50,7 @@ def report_file(
     full_size: bool = False,
     job: Job = PLAIN_JOB,
 ) -> dict[str, Any]:
-    """Write a page on what changed between two models or images that differ in colours only; return all figures.
+    """Write a page on the changes between two models or images that differ in colours only; return all figures.
 
     Pictures are scaled down so that the page stays below 8 MB, unless `full_size`.
     """
@@ -129,7 +129,7 @@ def _figures(differing: Sequence[Measured]) -> list[dict[str, Any]]:
 
 
 def histogram(measured: Iterable[Measured], reach: float) -> dict[str, Any]:
-    """Return the lines of a drawing of how often channels changed by how much, in steps of 1/255, and its axis.
+    """Return the lines of a histogram of changes by channel, in steps of 1/255, and its axis.
 
     Of parts with different channels, the ones with most are drawn; nearly all changes are within `reach`, in 255ths.
     """
@@ -139,7 +139,7 @@ def histogram(measured: Iterable[Measured], reach: float) -> dict[str, Any]:
     counts = np.zeros((1, bins), np.int64)
     for each in measured:
         for _, reference, test in each.part.blocks():
-            # What changed by more is counted in the bins at both ends.
+            # Larger changes are counted in the first and last bin.
             places = 255 / step * (test.astype(np.float64) - reference) + bins / 2
             channels = places.clip(0, bins - 1).astype(np.int64).T
             if len(channels) > len(counts):
@@ -157,7 +157,7 @@ def histogram(measured: Iterable[Measured], reach: float) -> dict[str, Any]:
 
 
 def seam_map(measured: Measured) -> dict[str, Any] | None:
-    """Return a picture of how much a texture, `size` = (rows, columns), changed near its seams; None without seams."""
+    """Return a picture of the changes of a texture near its seams, `size` = (rows, columns); None without seams."""
     pair = measured.part
     if pair.size is None or pair.near_seams is None or not pair.near_seams.any():
         return None

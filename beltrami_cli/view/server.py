@@ -1,4 +1,4 @@
-"""Serves one page to the browsers of this machine: on loopback only, to those who know a random token.
+"""Serves a page to browsers of this machine: on the loopback interface only, protected by a random token.
 
 A page asks by POST, and is answered by one line of JSON for each event, until all is said or the page breaks the answer
 off. An open page keeps one answer open; the server ends soon after the last of them.
@@ -22,7 +22,7 @@ from typing import Any
 from beltrami_cli.errors import BeltramiError
 from beltrami_cli.formats.access import parse_json
 
-# The page itself says what it may load.
+# The page has its own content security policy.
 _HEADERS = {
     "Content-Security-Policy": "base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
     "X-Content-Type-Options": "nosniff",
@@ -33,15 +33,15 @@ _HEADERS = {
     "Cache-Control": "no-store",
 }
 _LONGEST_REQUEST = 1 << 16  # bytes
-_HEARTBEAT = 0.25  # seconds between looks at whether a page is still there
+_HEARTBEAT = 0.25  # seconds between checks of whether the page is still connected
 
 
 class MalformedError(Exception):
-    """A request that no page sends."""
+    """A request that is not from a page."""
 
 
 class GoneError(Exception):
-    """The page does not wait for the answer any more, or the program ends."""
+    """The page no longer waits for the answer, or the program ends."""
 
 
 class PageServer(ThreadingHTTPServer):
@@ -54,7 +54,7 @@ class PageServer(ThreadingHTTPServer):
     """
 
     daemon_threads = True
-    # Clients that may wait to be accepted; Linux cuts this to net.core.somaxconn.
+    # Backlog of connections; Linux limits it to net.core.somaxconn.
     request_queue_size = 1024
 
     def __init__(
@@ -67,7 +67,7 @@ class PageServer(ThreadingHTTPServer):
         self.token, self._ticket = secrets.token_urlsafe(32), secrets.token_urlsafe(32)
         self._lock = threading.Lock()
         self.answered: set[PageRequest] = set()  # requests whose answers are not yet complete
-        self.closing = threading.Event()  # when all connections are to end
+        self.closing = threading.Event()  # set when all connections are to end
 
     @property
     def address(self) -> str:
@@ -75,11 +75,11 @@ class PageServer(ThreadingHTTPServer):
 
     @property
     def first_address(self) -> str:
-        """An address that leads to the page once: others can see what a browser is started with."""
+        """A URL that works once: other users can see the arguments with which a browser is started."""
         return f"http://{self.host}/{self._ticket}"
 
     def takes_ticket(self, given: str) -> bool:
-        """Whether a ticket is the one that is valid, which it is not any more then."""
+        """Whether a ticket is valid; it can be used only once."""
         with self._lock:
             is_valid = hmac.compare_digest(given.encode(), self._ticket.encode())
             if is_valid:
@@ -101,20 +101,20 @@ class PageServer(ThreadingHTTPServer):
             self.server_close()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Drop what a browser that went away causes."""
+        """Ignore errors of closed connections."""
 
 
 class PageRequest(BaseHTTPRequestHandler):
-    """Requests on one connection, and their answers."""
+    """Answers the requests of one connection."""
 
     server: PageServer
     timeout = 60
 
     def log_message(self, *_: Any) -> None:
-        """Print nothing."""
+        """Log nothing."""
 
     def version_string(self) -> str:
-        """Say nothing of what serves."""
+        """Return the name of the program without its version."""
         return "beltrami"
 
     def do_GET(self) -> None:
@@ -144,7 +144,7 @@ class PageRequest(BaseHTTPRequestHandler):
             self.server.answered.discard(self)
 
     def send(self, **event: Any) -> None:
-        """Send an event; GoneError if the page has broken the answer off."""
+        """Send an event; GoneError if the page has closed the connection."""
         self.check()
         if self not in self.server.answered:
             self.server.answered.add(self)
@@ -155,17 +155,17 @@ class PageRequest(BaseHTTPRequestHandler):
             raise GoneError from error
 
     def check(self) -> None:
-        """Raise GoneError if the page has broken the answer off."""
+        """Raise GoneError if the page has closed the connection."""
         self.check_open()
         if self.is_gone():
             raise GoneError
 
     def is_gone(self) -> bool:
-        """Whether the page has broken the answer off."""
+        """Whether the page has closed the connection."""
         try:
             ready, _, _ = select.select([self.connection], [], [], 0)
             return bool(ready) and not self.connection.recv(1, socket.MSG_PEEK)
-        except (OSError, ValueError):  # it is reset, or closed
+        except (OSError, ValueError):  # the connection was reset or closed
             return True
 
     def check_open(self) -> None:
@@ -174,7 +174,7 @@ class PageRequest(BaseHTTPRequestHandler):
             raise GoneError
 
     def wait(self, seconds: float = math.inf) -> None:
-        """Wait until the page has broken the answer off, or some time has passed."""
+        """Wait until the page closes the connection, or some time has passed."""
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0:
             self.check()
@@ -185,7 +185,7 @@ class PageRequest(BaseHTTPRequestHandler):
             self._send(status, "application/json", json.dumps({"message": message}).encode())
 
     def _request(self) -> dict[str, Any]:
-        """Return the body of a request; MalformedError if it is truncated, or no JSON object."""
+        """Return the body of a request; MalformedError if it is truncated or not a JSON object."""
         try:
             length = int(self.headers.get("Content-Length", ""))
             if not 0 < length <= _LONGEST_REQUEST:
@@ -201,7 +201,7 @@ class PageRequest(BaseHTTPRequestHandler):
         return request
 
     def _name(self) -> str | None:
-        """Return the name that is requested; None if the request is not from a page of this server."""
+        """Return the requested name; None if the request is not from a page of this server."""
         origin, site = self.headers.get("Origin"), self.headers.get("Sec-Fetch-Site", "none")
         if self.headers.get("Host") != self.server.host or origin not in (None, f"http://{self.server.host}"):
             return None
@@ -214,7 +214,7 @@ class PageRequest(BaseHTTPRequestHandler):
         return name if not name or site in ("same-origin", "none") else None
 
     def _send(self, status: HTTPStatus, kind: str, body: bytes = b"", **more: str) -> None:
-        """Send the head of an answer and its body, or the beginning of that; it ends as the connection is closed."""
+        """Send headers and the body, or its beginning; the body ends when the connection is closed."""
         self.send_response(status)
         for header, value in {**_HEADERS, "Content-Type": kind, **more}.items():
             self.send_header(header, value)

@@ -1,4 +1,4 @@
-"""The parameters of pictures; light enough for the command line to import."""
+"""The parameters of pictures, without imports that would slow the command line down."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from beltrami_cli.layers.settings import SLOTS
 Axis = Literal["x", "y", "z"]
 Colour = tuple[float, float, float, float]  # display values and opacity from 0 to 1
 
-# Degrees to the right of the front, and upwards.
+# Directions of the eye in degrees: to the right of the front, and upwards.
 VIEWS = {
     "front": (0.0, 0.0), "back": (180.0, 0.0), "right": (90.0, 0.0), "left": (-90.0, 0.0),
     "top": (0.0, 90.0), "bottom": (0.0, -90.0), "three-quarter": (35.0, 20.0),
@@ -27,10 +27,10 @@ _MAX_DEGREES = 36000
 
 @dataclass(frozen=True)
 class Crop:
-    """A square detail that is drawn enlarged."""
+    """A square detail, drawn enlarged."""
 
     side: float = 0.2  # as a fraction of the shorter side of the view
-    # Its middle in fractions of the view's width and height, from the upper left; None: where there is most to see.
+    # Centre in fractions of the view's width and height, from the upper left; None: where brightness varies most.
     centre: tuple[float, float] | None = None
 
     @classmethod

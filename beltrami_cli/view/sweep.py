@@ -1,4 +1,4 @@
-"""Smooth a file with several sets of parameters, and show what each makes of it, on a page as results come."""
+"""Smooth a file with several sets of parameters, and show the results, on a page while they are computed."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ FIGURES = {
     "ssim": "SSIM",
     "delta_e": "Delta E 2000",
 }
-_REWRITE_FACTOR = 10  # times as long as writing the page took: until it is written again
+_REWRITE_FACTOR = 10  # time between two writes of the page, in times that the last write took
 
 
 def sweep_file(
@@ -101,7 +101,7 @@ def _check(name: str, trials: int, looks: RenderSettings | None) -> None:
 
 
 def _opened(source: str, reference: str | None, settings: SmoothSettings, job: Job) -> dict[str, Document]:
-    """Open what is shown besides the trials, by its labels."""
+    """Open the documents that are shown beside the trials, by label."""
     if reference is None:
         return {"before": open_input(source, settings, job.access)}
     truth, document = open_both((reference, source), settings, job)
@@ -167,13 +167,13 @@ class Trial:
 
 
 def best_of(trials: Sequence[Trial]) -> int | None:
-    """Return the number of the trial with the highest PSNR, or None without a reference."""
+    """Return the index of the trial with the highest PSNR; None without a reference."""
     known = [number for number, trial in enumerate(trials) if "psnr" in trial.figures]
     return max(known, key=lambda number: trials[number].figures["psnr"], default=None)
 
 
 def columns_of(trials: Sequence[Trial]) -> tuple[list[str], list[str]]:
-    """Return the parameters and figures that there are."""
+    """Return the parameters and the known figures."""
     parameters = sorted({key for trial in trials for key in trial.parameters})
     return parameters, [key for key in FIGURES if any(key in trial.figures for trial in trials)]
 
@@ -187,9 +187,9 @@ class _Sheet:
     def __init__(self, title: str, labels: Sequence[str], looks: RenderSettings, page: Output | None) -> None:
         self._title, self._labels, self._looks, self._page = title, labels, looks, page
         self._trials: list[Trial] = []
-        self._panels: list[Panel] = []  # of trials the last ones
+        self._panels: list[Panel] = []  # the panels of trials are last
         self._pictures: list[tuple[int, int, str]] = []  # width, height and address of each panel on the page
-        self._next = 0.0  # when the page is written again, so that writing takes little of the time
+        self._next = 0.0  # time of the next write of the page, so that writing takes little of the time
 
     def __enter__(self) -> _Sheet:
         return self
@@ -198,11 +198,11 @@ class _Sheet:
         if kind is None:
             self._write("")
         elif self._next:
-            with contextlib.suppress(OutputError):  # what ended it is said
+            with contextlib.suppress(OutputError):  # the error that ended the sweep is reported
                 self._write("not tried")
 
     def add(self, label: str, document: Document, progress: Progress | None = None) -> None:
-        """Draw a document; the first says where details lie, and what background it is seen on."""
+        """Draw a document; the first one determines the places of details and the background."""
         (panel,) = draw_panels([view_of(document, self._looks)], [label], self._looks, progress)
         self._looks = fixed_looks(self._looks, panel)
         self._panels.append(panel)
@@ -220,7 +220,7 @@ class _Sheet:
             self._next = time.monotonic() + _REWRITE_FACTOR * (time.monotonic() - began)
 
     def picture(self, columns: int) -> Uint8s:
-        """Arrange the views in a picture, in which the trials after the default begin in a row of their own."""
+        """Arrange the views in a picture; trials after the default begin a new row."""
         first = len(self._panels) - len(self._trials) + 1
         placed = [*self._panels[:first], *[None] * (-first % columns), *self._panels[first:]]
         placed += [None] * (-len(placed) % columns)
@@ -228,7 +228,7 @@ class _Sheet:
         return arranged(rows, self._looks.background_colour())
 
     def _write(self, state: str) -> None:
-        """Write the page; `others` is the state of trials without a result."""
+        """Write the page; `others`: state of the trials without a result."""
         if self._page is None:
             return
         parameters, found = columns_of(self._trials)

@@ -1,4 +1,4 @@
-"""Coloured triangles drawn by ray tracing, with Embree, their colours, and cameras that look at them.
+"""Drawing of coloured triangles by ray tracing with Embree; their colours, and cameras.
 
 View coordinates are x to the right, y up, z towards the eye.
 
@@ -31,17 +31,17 @@ from beltrami_cli.surface.records import TexturedSurface, Wrap
 Sheet = Float32s
 """An image in linear light with opacity, shape (H, W, 4); colours are not multiplied by it."""
 
-_MAX_EXACT_TEXEL = 1 << 13  # texels from the origin up to which single precision does
+_MAX_EXACT_TEXEL = 1 << 13  # texels from the origin up to which single precision is sufficient
 _UNTEXTURED = 0.32  # linear light of a middle grey
-_SMALLEST = 1e-13  # of the distance from the origin: smaller models are lost in rounding
-_NARROWEST = 1e-3  # degrees, below which rays are parallel
+_SMALLEST = 1e-13  # of the distance from the origin: smaller models would vanish by rounding
+_NARROWEST = 1e-3  # degrees: smaller fields of view are orthographic
 _MARGIN = 0.92  # of the shorter side of a view that a model fills
 
 
 class InterpolatedColours:
     """Linear light at vertices, (V, 3), interpolated between them."""
 
-    is_opaque = True  # whether nothing behind the surface can be seen through it
+    is_opaque = True  # whether the surface hides everything behind it
 
     def __init__(self, faces: Int32s, colours: Float64s) -> None:
         self._corners = colours.astype(np.float32)[faces]
@@ -54,7 +54,7 @@ class InterpolatedColours:
 
 
 class TextureColours:
-    """Textures, looked up bilinearly; in smaller copies of themselves where a point stands for several texels."""
+    """Textures with bilinear interpolation, and smaller copies for points that cover several texels."""
 
     def __init__(self, surface: TexturedSurface, sheets: Sequence[Sheet], areas: Float64s) -> None:
         self._surface = surface
@@ -110,7 +110,7 @@ class Pyramid:
             mine = np.flatnonzero(lower == number)
             colours[mine] = look_up(self._level(number), uv[mine], wrap, precision=np.float32)
             between = mine[part[mine, 0] > 0]
-            if len(between):  # and, to a part, in the next smaller copy
+            if len(between):  # blended with the next smaller copy
                 smaller = look_up(self._level(number + 1), uv[between], wrap, precision=np.float32)
                 colours[between] += part[between] * (smaller - colours[between])
         return colours
@@ -151,7 +151,7 @@ def part_of(window: Window, part: Window) -> Window:
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera, perspective or orthographic."""
+    """A perspective or orthographic camera."""
 
     rotation: Float64s  # (3, 3): rows are the directions of view coordinates
     place: Float64s  # (3,), view coordinates: the eye; orthographic: a point in front of the model
@@ -226,17 +226,17 @@ def fitted(positions: Float64s, rotation: Float64s, field: float, aspect: float)
 
 
 SAMPLES = 3  # rays along a side of each pixel
-AMBIENT = 0.35  # share of the light that comes from everywhere
-# Towards the lamp, in view coordinates: at the upper left, behind the eye.
+AMBIENT = 0.35  # share of ambient light
+# Direction of the lamp in view coordinates: upper left, behind the eye.
 LAMP = np.array([-0.4, 0.5, 0.77]) / np.linalg.norm([-0.4, 0.5, 0.77])
 
 _CREASE = np.cos(np.radians(40))  # smoothed normals further than this from the triangle's are not used
 # Rays at a time: arrays of more leave the processor's cache, and memory is asked for again for each of them.
 _BLOCK = 1 << 12
-_OPAQUE = 0.999  # of the light: surfaces behind are invisible
-_LAYERS = 16  # transparent surfaces behind each other
+_OPAQUE = 0.999  # opacity from which surfaces behind are invisible
+_LAYERS = 16  # most transparent surfaces along a ray
 _FACE_BYTES = 100  # that Embree takes, besides its threads
-_STEP = 1e-5  # behind a transparent surface the ray goes on, in sizes of the model
+_STEP = 1e-5  # in sizes of the model: distance behind a transparent surface at which the ray continues
 
 
 def require_embree() -> tuple[Any, Any]:
@@ -263,7 +263,7 @@ class SurfaceView:
         with memory_reserved(_FACE_BYTES * len(faces)):
             self._scene = scenes.EmbreeScene(robust=True)
             self._mesh = meshes.TriangleMesh(self._scene, self._normalised(self.positions), self.faces)
-            self._cast(positions[:1], np.array([[0.0, 0.0, 1.0]]))  # now the tree is built
+            self._cast(positions[:1], np.array([[0.0, 0.0, 1.0]]))  # builds the tree now
 
     def _cast(self, starts: Float64s, directions: Float64s) -> tuple[Int64s, Int32s, Float32s, Float64s]:
         """Return which rays hit, (K,), and the faces, barycentric weights, (K, 3), and distances of these places."""
@@ -296,7 +296,7 @@ class SurfaceView:
         return image
 
     def _covered(self, camera: Camera, size: tuple[int, int], window: Window) -> list[int]:
-        """Return the first and last column and row, exclusive, of the pixels that the surface may be seen in."""
+        """Return first and last (exclusive) column and row of the pixels that may show the surface."""
         places, depths = camera.project(self.positions)
         if not camera.is_orthographic and depths.min() <= 0:
             return [0, 0, *size]
@@ -308,7 +308,7 @@ class SurfaceView:
     def _seen(
         self, camera: Camera, starts: Float64s, directions: Float64s, pixel: float, *, lit: bool
     ) -> Float32s:  # fmt: skip
-        """Return what rays see, (K, 4), through everything transparent."""
+        """Return the light along rays, (K, 4), also through transparent surfaces."""
         seen = np.zeros((len(starts), 4), np.float32)
         active = np.arange(len(starts))
         travelled = np.zeros(len(starts))

@@ -1,4 +1,4 @@
-"""Tables of the parameters that a smoothing used, from its report."""
+"""Tables of the parameters that were used for smoothing, from its report."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import Any
 from beltrami_cli.fields import of_255
 from beltrami_cli.view.words import noise_in_words, psnr_in_words
 
-# Kernel parameters that are shown even with their defaults.
+# Kernel parameters that are shown even if they have their defaults.
 _ALWAYS_SHOWN = ("iterations", "t", "beta", "beta_growth", "metric_steps", "space")
 _NEVER_SHOWN = ("free", "given", "fast", "on", "threads", "noise")
 _WORDS = {"t": "time step, t", "on": "smoothed, --on"}
 
 
 def used_parameters(report: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return rows about the parts in a report of `smooth`, and its job; KeyError and the like if it is none."""
+    """Return rows about the parts of a report of `smooth`, and its job; KeyError and the like for other files."""
     requested = report["parameters"]
     return {
         "parts": [
@@ -37,7 +37,7 @@ def _parts(report: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
 
 
 def _kernel(requested: dict[str, Any], done: dict[str, Any]) -> Iterator[list[str]]:
-    """Give the parameters of the kernel as they were used on a part."""
+    """Yield the parameters of the kernel used for a part."""
     choice = done["choice"] or {"chosen": {}, "candidates": 0}
     used = {**requested, **choice["chosen"], "beta": done["beta"], "iterations": done["iterations"]}
     for name, value in requested.items():
@@ -60,7 +60,7 @@ def _kernel(requested: dict[str, Any], done: dict[str, Any]) -> Iterator[list[st
 
 
 def _measured(given: str | None, done: dict[str, Any]) -> Iterator[list[str]]:
-    """Give the noise of a part, its mean change, and the estimated error by which its parameters were chosen."""
+    """Yield the noise of a part, its mean change, and the estimated error of the chosen parameters."""
     how = "measured" if given is None else f"given as {given}"
     yield ["noise", noise_in_words(done, is_smoothed=done["iterations"] > 0), how]
     if wrong := done.get("wrong_samples"):
@@ -74,7 +74,7 @@ def _measured(given: str | None, done: dict[str, Any]) -> Iterator[list[str]]:
 
 
 def _given(requested: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """Give the parameters of the job outside the kernel that are not the defaults."""
+    """Yield the parameters of the job, except those of the kernel and those with default values."""
     if "on" in requested["given"]:
         yield _WORDS["on"], requested["on"]
     for group in [name for name, value in requested.items() if isinstance(value, dict)]:

@@ -38,12 +38,14 @@ _MAX_EXPONENT = 128
 _MAX_OUTLIER_SHARE = 0.01  # of the surface or the points, so that parts of some size are always framed
 _MIN_OUTLIER_GAP = 0.5  # sizes of the rest; with smaller gaps, the rest fills at least half of the view
 _RGB = ("red", "green", "blue")
-_NEIGHBOURS = 4  # on a square grid, all at one distance
-_SHARE = 0.75  # of the distance to the last of them: a little more than half the diagonal of the grid
+_NEIGHBOURS = 4  # on a square grid, all at the same distance
+_SHARE = (
+    0.75  # of the distance to the farthest neighbour: a little more than half the diagonal of a grid cell
+)
 _MAX_RADIUS_RATIO = 3.0  # times the median radius
-_LONE_RADIUS = 0.02  # radius in widths of the view of a place without neighbours
-_SMALLEST = 0.75  # radius in samples, below which points would fall between them
-_SHEET_BYTES = 22  # of a texel: four floats, and a third more in smaller copies
+_LONE_RADIUS = 0.02  # radius of a point without neighbours, in widths of the view
+_SMALLEST = 0.75  # radius in samples; smaller points would fall between samples
+_SHEET_BYTES = 22  # of a texel: four floats, and a third more for smaller copies
 
 
 class CloudView:
@@ -55,7 +57,7 @@ class CloudView:
         self._radii = disc_radii(positions)
 
     def draw(self, camera: Camera, size: tuple[int, int], window: Window, *, lit: bool) -> Float32s:
-        """Draw as `SurfaceView.draw` does; points have no normals, so that no lamp shines on them."""
+        """Draw as `SurfaceView.draw` does, but unlit: points have no normals."""
         width, height = (side * SAMPLES for side in size)
         places, depths = camera.project(self.positions)
         share = np.array([window[2] - window[0], window[3] - window[1]])
@@ -66,21 +68,21 @@ class CloudView:
         near = (depths > 0) & (at > -radii[:, None]).all(axis=1)
         near &= (at < np.array([width, height]) + radii[:, None]).all(axis=1)
         chosen = np.flatnonzero(near)
-        # The farthest first: the nearest, which is written last, stays.
+        # Farthest first, so that the nearest is written last and stays.
         chosen = chosen[np.lexsort((chosen, -depths[chosen]))]
         image = _discs(at[chosen], radii[chosen], self._colours[chosen], (width, height))
         return np.asarray(image.reshape(size[1], SAMPLES, size[0], SAMPLES, 4).mean(axis=(1, 3)), np.float32)
 
 
 class ImageView:
-    """An image, which looks the same from everywhere."""
+    """An image, which looks the same from all directions."""
 
     def __init__(self, sheet: Sheet) -> None:
         self._sheet = sheet
         sheet[..., :3] *= sheet[..., 3:]
 
     def draw(self, size: tuple[int, int], window: Window) -> Float32s:
-        """Draw a window of a view that the image fills as far as its proportions allow, see `SurfaceView.draw`."""
+        """Draw a window of a view; the image fits into the view, with its proportions; see `SurfaceView.draw`."""
         shape, begin, end = np.array(self._sheet.shape[1::-1]), np.array(window[:2]), np.array(window[2:])
         view = np.array(size) / (end - begin)
         scale = (view / shape).min()
@@ -109,7 +111,7 @@ def open_views(
     reading: SmoothSettings = DEFAULTS,
     progress: Progress | None = None,
 ) -> list[Drawable]:
-    """Read files, or "-" for standard input, as views; `reading` says how level sets are read."""
+    """Read files, or "-" for standard input, as views; `reading`: how level sets are read."""
     documents = [open_input(source, reading, access) for source in sources]
     require_memory_to_draw(documents, settings, access)
     return [view_of(document, settings) for document in tracked(documents, "reading", progress)]
@@ -118,14 +120,14 @@ def open_views(
 def require_memory_to_draw(
     documents: Sequence[Document], settings: RenderSettings, access: Access, remedy: str = ""
 ) -> None:
-    """Raise InputError if the images that are seen of documents cannot be in memory together, before one is decoded."""
+    """Raise InputError if the visible images of documents do not fit into memory together, before any is decoded."""
     if access.memory is None:
         return
     texels = largest = 0
     for document in documents:
         for data, name in image_files(document, () if settings.on == "vertices" else (settings.slot,)):
             size = measure_image(data, name)
-            if size is not None:  # else the decoder reports the fault
+            if size is not None:  # otherwise the decoder reports the error
                 texels, largest = texels + size.texels, max(largest, size.decoded)
         if _SHEET_BYTES * texels + largest > access.memory:
             cause = f"{texels / 1e6:.3g} million texels do not fit into memory to be drawn"
@@ -200,7 +202,7 @@ def light_of(vertices: ColouredVertices) -> Float64s:
 
 
 def within_reach(positions: Float64s) -> Float64s:
-    """Return positions, times a power of two if squares of areas would overflow or underflow otherwise."""
+    """Return positions, scaled by a power of two if squares of areas would overflow or underflow."""
     largest = np.max(np.abs(positions), where=np.isfinite(positions), initial=0.0)
     exponent = np.frexp(largest)[1]
     if abs(exponent) < _MAX_EXPONENT:
@@ -209,7 +211,7 @@ def within_reach(positions: Float64s) -> Float64s:
 
 
 def framed(positions: Float64s, faces: Int32s) -> Float64s:
-    """Return the finite positions by which views are framed: all but outliers, in parts that lie far from the rest."""
+    """Return the finite positions that views are framed by: without outliers, which are parts far from the rest."""
     places = within_reach(positions)
     is_finite = np.isfinite(places).all(axis=1)
     weights = vertex_areas(places, faces).astype(np.float64) if len(faces) else np.ones(len(places))
@@ -250,7 +252,7 @@ def disc_radii(positions: Float64s) -> Float64s:
 def _discs(at: Float64s, radii: Float64s, colours: Float32s, size: tuple[int, int]) -> Float32s:
     """Return discs drawn over each other, (height, width, 4); later ones are nearer and hide earlier ones."""
     width, height = size
-    front = np.full(height * width, -1, np.int64)  # the number of the disc that is seen
+    front = np.full(height * width, -1, np.int64)  # index of the visible disc
     first, heights = _cells(at[:, 1], radii, height)
     for block in runs_of(heights):
         row, disc = expanded(first[block], heights[block])
@@ -268,7 +270,7 @@ def _discs(at: Float64s, radii: Float64s, colours: Float32s, size: tuple[int, in
 
 
 def _cells(middles: Float64s, reach: Float64s, count: int) -> tuple[Int64s, Int64s]:
-    """Return the first of `count` cells whose centres are within reach of each place, and how many are."""
+    """Return the first of `count` cells whose centres are within reach of each place, and their number."""
     first = np.clip(np.ceil(middles - reach - 0.5), 0, count).astype(np.int64)
     end = np.clip(np.floor(middles + reach + 0.5), 0, count).astype(np.int64)
     return first, np.maximum(end - first, 0)

@@ -1,4 +1,4 @@
-"""What is known of noise, and of the result, in words: the same in messages, `info`, reports and the live view."""
+"""Descriptions of noise and results in words, shared by messages, `info`, reports and the live view."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _CHANNELS_OF_COLOUR = 3
 
 
 def noise_of_255(share: float) -> str:
-    """Write noise as `--noise` and `beltrami noise` take it."""
+    """Format noise as `--noise` and `beltrami noise` accept it."""
     return f"{of_255(share)}/255"
 
 
