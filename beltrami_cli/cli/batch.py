@@ -217,7 +217,7 @@ def _report_path(given: str | None, out_dir: str, inputs: Sequence[str], jobs: S
 def _workers(
     scheduler: str | None, pieces: int | None, given: Mapping[str, Any], display: Display
 ) -> Iterator[Workers | None]:
-    """Give what does the files, if neither these nor surfaces are cut and done on this machine: None then."""
+    """Yield the workers for whole files or chunks; None: processes of this machine, without chunks."""
     from beltrami_cli.batch.run import Workers, in_pieces
     from beltrami_cli.batch.workers import Processes
 

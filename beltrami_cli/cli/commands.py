@@ -29,7 +29,7 @@ _NAMES_FILES = re.compile(r"FILE|OUT\.|DIR")
 
 
 def long_name(option: click.Parameter) -> str:
-    """Return the name of an option that people know, without dashes in front."""
+    """Return the documented name of an option, without leading dashes."""
     return next((text for text in option.opts if text.startswith("--")), option.opts[0]).lstrip("-")
 
 
@@ -54,7 +54,7 @@ def options_by_name(command: click.Command) -> dict[str, click.Option]:
 
 
 def values_for(options: Mapping[str, click.Option], table: Mapping[str, object]) -> dict[str, Any]:
-    """Return values for a default map, by click's names of the options; ValueError if an option cannot have one."""
+    """Return values for a default map, by click's names of options; ValueError if one is invalid."""
     values: dict[str, Any] = {}
     for name, value in table.items():
         option = options.get(plain(name))
@@ -86,7 +86,7 @@ def _scalar(option: click.Option, value: object) -> object:
 
 
 def with_variables(command: click.Command, name: str, shared: Collection[str]) -> click.Command:
-    """Give every option of a command its variable; `shared` options also obey the variables of `smooth`.
+    """Set the environment variables of all options; `shared` options also obey the variables of `smooth`.
 
     The click library could do that alone, but would name them after arguments of functions, not after options.
     """
@@ -115,13 +115,13 @@ def refuse_unknown_variables(command: click.Command, name: str) -> None:
 
 
 def variable_in_force(option: click.Parameter) -> str:
-    """Return which of an option's variables is set."""
+    """Return the environment variable of an option that is set."""
     names = [option.envvar] if isinstance(option.envvar, str) else option.envvar or []
     return next((name for name in names if os.environ.get(name)), "")
 
 
 def variable_behind(option: click.Parameter | None, context: click.Context | None) -> str:
-    """Return which variable the value of an option comes from, if it comes from one."""
+    """Return the environment variable that the value of an option comes from, if any."""
     if option is None or context is None:
         return ""
     source = context.get_parameter_source(str(option.name))
@@ -136,7 +136,7 @@ def overwrite_at(option: str, *, overwrite: bool) -> Overwrite:
 
 
 def docs_folder() -> Path:
-    """Return where the pages of the documentation are: in the package, or in the sources that it runs from."""
+    """Return the folder of the documentation: in the package, or in the sources that it runs from."""
     package = Path(__file__).parents[1]
     installed = package / "docs"
     return installed if installed.is_dir() else package.parent / "docs"
@@ -171,12 +171,12 @@ DEFAULT_GROUP = "Options"  # the group of options without one
 
 
 def complete_files(_context: click.Context, _parameter: click.Parameter, typed: str) -> list[CompletionItem]:
-    """Let the shell complete the name of a file or folder."""
+    """Let the shell complete names of files and folders."""
     return [CompletionItem(typed, type="file")]
 
 
 class GroupedOption(click.Option):
-    """An option with the group under which `--help-all` shows it; without a group it matters daily."""
+    """An option with its group in `--help-all`; options without a group are for daily use."""
 
     def __init__(self, *arguments: Any, group: str = "", **attributes: Any) -> None:
         super().__init__(*arguments, **attributes)

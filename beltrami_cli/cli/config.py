@@ -1,4 +1,4 @@
-"""Values of options from a TOML file: which file it is, what it says for a command, and the command `beltrami config`.
+"""Values of options from a TOML file: the search for it, its values for a command, and the command `beltrami config`.
 
 A file that is merely found, and not named, may have come with someone else's archive or repository. So it sets
 parameters of the method and of how results are encoded. What reaches a network, runs code, names files to read or
@@ -36,9 +36,9 @@ from beltrami_cli.formats.access import CONFIGURATION, parse_toml, read_bounded,
 
 @dataclass(frozen=True)
 class Configuration:
-    """What a file says."""
+    """The values in a configuration file."""
 
-    path: str | None = None  # None: there is none
+    path: str | None = None  # None: no file
     is_named: bool = False  # by the user; otherwise it was found
     common: Mapping[str, object] = field(default_factory=dict)  # options for all commands that have them
     tables: Mapping[str, Mapping[str, object]] = field(default_factory=dict)  # options by command
@@ -127,18 +127,18 @@ _IGNORED_OPTIONS = frozenset({
 
 
 class UntrustedError(Exception):
-    """A file that others than the user can have written."""
+    """A file that other users may have written."""
 
 
 def may_be_found(option: click.Parameter, value: object = None) -> bool:
-    """Whether a file that was only found may set an option: not one that names a file or lifts a limit."""
+    """Whether a discovered file may set an option: not one that names a file or lifts a limit."""
     if isinstance(option, ParameterOption):
         return not option.declared.is_deliberate(value)
     return option.name in _IGNORED_OPTIONS
 
 
 def candidates() -> Iterator[Path]:
-    """Give the places of a configuration, nearest first: up to the home folder, a repository's root or a border.
+    """Yield possible paths of a configuration, nearest first: up to the home folder, a repository root or a border.
 
     None lies in a folder that must not be looked into; InputError if one cannot be.
     """
@@ -174,7 +174,7 @@ def read_found(path: Path) -> str:
 
 
 def is_for_beltrami(path: Path) -> bool:
-    """Whether a file that is not read may have been meant for this program."""
+    """Whether a rejected file may have been meant for this program."""
     if path.name == OWN_NAME:
         return True
     try:

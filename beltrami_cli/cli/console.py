@@ -30,13 +30,13 @@ NO_AREA = "no face has an area"
 
 
 def counted(number: int, noun: str) -> str:
-    """Return a number of things in words."""
+    """Return a count with its noun."""
     plural = f"{noun[:-2]}ices" if noun.endswith("vertex") else f"{noun}s"
     return f"{number} {noun if number == 1 else plural}"
 
 
 def outliers_in_words(found: dict[str, Any], noun: str) -> str:
-    """Say how many samples were wrong, and what was done to them; empty: none were."""
+    """Return a sentence on outliers and their treatment; empty if there were none."""
     if not found:
         return ""
     done = "replaced" if found["replaced"] else "kept"
@@ -57,7 +57,7 @@ def show_table(head: Sequence[str], rows: Sequence[Sequence[str]], *, err: bool 
 
 
 def table_lines(head: Sequence[str], rows: Sequence[Sequence[str]], width: int | None) -> Iterator[str]:
-    """Give the lines of a table, in which no number is broken: names stand above where lines are too short."""
+    """Yield the lines of a table without breaking numbers: if lines are too short, names get lines of their own."""
     lines = _aligned([head, *rows])
     if width is None or len(lines[0]) <= width:
         yield from lines
@@ -104,7 +104,7 @@ def lines_on(facts: dict[str, Any]) -> Iterator[str]:
 
 
 def label_of(key: str) -> str:
-    """Return what people call the value of a key of a report, or of `info`."""
+    """Return the label of a key of a report or of `info`."""
     return _LABELS.get(key, key.replace("_", " "))
 
 
@@ -113,7 +113,7 @@ def _is_empty(value: Any) -> bool:
 
 
 def _parts_in(value: Any) -> list[dict[str, Any]]:
-    """Return the record that a value is, or the records in it."""
+    """Return the records of a value: itself, or its items."""
     values = value if isinstance(value, list) else [value]
     return values if all(isinstance(each, dict) for each in values) else []
 
@@ -147,7 +147,7 @@ def _progress_in_lines() -> Callable[[str, float], None]:
 
 
 def _progress_bar(work: Work) -> Progress:
-    """Return a bar that shows some work, which is asked for ten times a second how far it is."""
+    """Return a progress bar of some work, updated ten times a second."""
     from rich.console import Console, RenderableType
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
@@ -218,7 +218,7 @@ class Messages:
 
     @contextmanager
     def progress(self) -> Iterator[Work | None]:
-        """Give what draws one bar with a label and the time left, on a terminal; or prints lines for programs."""
+        """Yield a callback that draws a bar with label and time left on a terminal, or prints lines for programs."""
         if os.environ.get("BELTRAMI_PROGRESS") == "lines":
             from beltrami_cli.jobs.progress import Share
 

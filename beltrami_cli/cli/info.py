@@ -175,7 +175,7 @@ def _put_choices_in_words(facts: dict[str, Any], settings: SmoothSettings) -> No
 
 
 def _choice(part: dict[str, Any]) -> str | None:
-    """Say what would be chosen, and by what; None: all is given."""
+    """Return a sentence on the choice of parameters; None if all are given."""
     smooth = part["smooth"]
     if "choice" in smooth and smooth["iterations"]:
         return choice_in_words(smooth["choice"])

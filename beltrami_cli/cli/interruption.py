@@ -1,4 +1,4 @@
-"""Signals that end the command: they interrupt it by an exception, so that everything is tidied up."""
+"""Signals that end the command: they raise an exception, so that everything is cleaned up."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _RESEND_DELAY = 0.05
 
 
 class Interruption(BaseException):
-    """Ctrl-C, or a request to end.
+    """Ctrl-C, or another signal to end.
 
     A KeyboardInterrupt that passes through exec, which libraries call while they are imported, makes Python kill itself
     at its end, whatever exit code was asked for.
@@ -34,7 +34,7 @@ class Interruption(BaseException):
 
 
 class Interruptible:
-    """Runs a function that signals interrupt."""
+    """Runs a function that signals can interrupt."""
 
     def __init__(self) -> None:
         self._last = -_DUPLICATE

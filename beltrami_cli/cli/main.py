@@ -68,7 +68,7 @@ class LazyGroup(click.Group):
         return list(COMMANDS)
 
     def defaults_from(self, configuration: Configuration, name: str) -> dict[str, Any]:
-        """Return what a configuration says of a command; for each file, a batch obeys the options of `smooth`, too."""
+        """Return the configured values for a command; batches also obey the options of `smooth`."""
         shared = _shared_with_smooth(name)
         for each in [name, "smooth"] if shared else [name]:
             refuse_unknown_variables(_command(each), each)

@@ -33,7 +33,7 @@ _BY_DIRECTNESS = (ParameterSource.COMMANDLINE, ParameterSource.ENVIRONMENT, Para
 
 
 class ParameterOption(GroupedOption):
-    """An option that is made from the field of a parameter."""
+    """An option made from the field of a parameter."""
 
     def __init__(self, *arguments: Any, declared: Parameter, **attributes: Any) -> None:
         super().__init__(*arguments, group="" if declared.is_daily else declared.group, **attributes)
@@ -124,7 +124,7 @@ def _given_to(record: type, values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def record_from(record: type[Record], values: Mapping[str, Any], **made: Any) -> Record:
-    """Make a record from the values of its options; fields without a value or an option have their defaults."""
+    """Make a record from the values of its options; other fields have their defaults."""
     nested: dict[str, Any] = {
         name: record_from(kind, values) for name, kind in parts(record).items() if name not in made
     }
@@ -209,7 +209,7 @@ def _kernel_from(values: Mapping[str, Any]) -> KernelParameters:
 
 
 def is_given(name: str) -> bool:
-    """Whether an option was given, and not less directly than a preset that says otherwise."""
+    """Whether an option was given at least as directly as a preset that it overrides."""
     context = click.get_current_context()
     source, preset_source = context.get_parameter_source(name), context.get_parameter_source("preset")
     if source not in _BY_DIRECTNESS:
@@ -258,7 +258,7 @@ def unwrapping(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def unwrapping_from(values: Mapping[str, Any]) -> BakeSettings | None:
-    """Make the settings of a new texture; None: none is wanted."""
+    """Make the settings of a new texture; None: no new texture."""
     if values["unwrap"]:
         return record_from(BakeSettings, values, size=values["texture_size"])
     refuse_typed(BakeSettings, "of the new texture that --unwrap makes; add --unwrap")
@@ -321,7 +321,7 @@ def refuse_typed(record: type, why: str) -> None:
 
 @contextmanager
 def reading_from(values: Mapping[str, Any], source: str, *, is_one: bool = True) -> Iterator[Access]:
-    """Give what a job on a file may read, and hold it to its memory; if `is_one`, all options must fit this file."""
+    """Yield the access of a job, with limited memory; if `is_one`, all options must apply to this file."""
     access = record_from(Access, values)
     access = dataclasses.replace(access, memory=access.memory or default_memory())
     with limited_memory(access.memory, source), requiring_effect(typed_parameters() if is_one else []):
@@ -330,7 +330,7 @@ def reading_from(values: Mapping[str, Any], source: str, *, is_one: bool = True)
 
 @contextmanager
 def job_from(values: Mapping[str, Any], source: str, messages: Messages) -> Iterator[Job]:
-    """Give how a job on a file is done, by the options that `reading`, `overwrite` and `output_format` add."""
+    """Yield the `Job` of the options that `reading`, `overwrite` and `output_format` add."""
     with reading_from(values, source) as access, messages.progress() as progress:
         yield Job(access, progress, values.get("overwrite", False), format=values.get("output_format"))
 

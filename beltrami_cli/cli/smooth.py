@@ -182,7 +182,7 @@ def level(source: str, target: str, messages: Messages, **values: Any) -> None:
 
 
 def _show_levelled(messages: Messages, reports: Sequence[LevelReport], name: str) -> None:
-    """Say of each slot what was done about exposure steps, and why nothing where nothing was."""
+    """Report for each slot what was done about exposure steps, or why nothing was done."""
     for each in reports:
         seams = f"{each.what}, {counted(each.charts, 'chart')}, {counted(each.seams, 'seam')} between them"
         if not each.levelled:

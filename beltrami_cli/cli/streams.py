@@ -1,4 +1,4 @@
-"""Standard streams that can be used whatever they were when the process was started: closed, full, or a broken pipe.
+"""Standard streams that work even if they were closed, full, or a broken pipe when the process started.
 
 The standard output carries data only: what cannot be written to it is an OutputError. What cannot be printed on the
 standard error is dropped, and the work goes on.
@@ -23,11 +23,11 @@ _INPUT, _OUTPUT, _ERROR = range(3)
 
 
 class ReaderGoneError(OutputError):
-    """The standard output is no longer read, as by `head`, which has what it wants."""
+    """The standard output is no longer read, as by `head` after its last line."""
 
 
 class _RawOutput(io.FileIO):
-    """Standard output, which fails once at most: nothing else is written after that."""
+    """Standard output that fails at most once: after a failure nothing more is written."""
 
     _is_broken = False
 
@@ -45,7 +45,7 @@ class _RawOutput(io.FileIO):
 
 
 class _RawError(io.FileIO):
-    """Standard error, which never fails."""
+    """Standard error that never fails."""
 
     def write(self, data: ReadableBuffer) -> int:
         with contextlib.suppress(OSError):
@@ -54,7 +54,7 @@ class _RawError(io.FileIO):
 
 
 def prepare_streams(*, hear_libraries: bool) -> None:
-    """Replace the standard streams by ones that can be used; unless `hear_libraries`, what decoders print is lost."""
+    """Replace the standard streams by safe ones; unless `hear_libraries`, the output of decoders is dropped."""
     _fill_descriptors()
     if sys.stdin is None:
         sys.stdin = open(_INPUT, closefd=False)  # noqa: SIM115

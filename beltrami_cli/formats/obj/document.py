@@ -46,7 +46,7 @@ from beltrami_cli.surface.records import MeshContents, Slot
 _STALE_NOTICE = (
     "The vertices moved, but the normals ('vn') are as they were; make them again, or leave them out."
 )
-_BYTES_OF_POLYPAINT = 6  # behind two digits of the mask
+_BYTES_OF_POLYPAINT = 6  # of an entry, after two digits of the mask
 
 
 class ObjDocument(Document):
@@ -118,10 +118,10 @@ class ObjDocument(Document):
         return renaming(self._materials, images, self.name, naming).sidecar_names
 
     def require_movable(self) -> None:
-        """Check nothing: any number can be exchanged in a text."""
+        """Allow any positions: numbers in text can have any value."""
 
     def has_normals_by_vertex(self) -> bool:
-        """Return False: normals are not of vertices, but of the corners of polygons."""
+        """Return False: normals belong to the corners of polygons."""
         return False
 
     def attributes(self) -> tuple[str, ...]:
@@ -192,7 +192,7 @@ class ObjDocument(Document):
 
     @cached_property
     def _statements(self) -> Statements:
-        """Its text in tokens, which take several times the memory of the text: until all that a run needs is read."""
+        """The tokens of the text, which take several times its memory and are dropped when all is read."""
         return Statements(self.data, self.name)
 
     def _forget_statements(self) -> None:

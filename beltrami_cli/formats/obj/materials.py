@@ -1,4 +1,4 @@
-"""The materials of an OBJ file: its libraries (MTL), their texture maps, and the files that these name; new ones.
+"""The materials of an OBJ file: its libraries (MTL), their texture maps, and the image files; and their replacement.
 
 References
 ----------
@@ -38,9 +38,12 @@ SLOTS: dict[str, Slot] = {
 """The slot of each map keyword; the first keyword that a material has counts."""
 
 MAP_SLOTS = tuple(dict.fromkeys(SLOTS.values()))  # the slots that maps fill
-BASE_COLOUR_ALIASES = ("map_ka", "map_d")  # maps that the base colour stands for where they show its image
-_BASE_COLOUR_COMPANIONS = (*BASE_COLOUR_ALIASES, "map_ks")  # and those that show its new image, too
-# Possessive (++), so that lines of a million blanks or digits are not tried again from each of them.
+BASE_COLOUR_ALIASES = (
+    "map_ka",
+    "map_d",
+)  # maps that are replaced with the base colour if they show its image
+_BASE_COLOUR_COMPANIONS = (*BASE_COLOUR_ALIASES, "map_ks")  # maps that get the new image of the base colour
+# Possessive (++), against quadratic time on lines of a million blanks or digits.
 _STATEMENT = re.compile(
     rb"^(?:\xef\xbb\xbf)?[ \t]*+(newmtl|(?!map_aat\b)map_\w+|bump|disp|decal|refl|norm)[ \t]++([^\r\n]*[^\s])",
     re.IGNORECASE | re.MULTILINE,
@@ -62,13 +65,13 @@ class Map:
 
     material: str
     keyword: str  # "map_kd" and so on, in lower case
-    name: str  # of the file, as the library spells it
-    start: int  # where the name stands in the library
+    name: str  # file name as spelled in the library
+    start: int  # offset of the name in the library
     end: int
     scale: tuple[float, float] = (1.0, 1.0)  # texture coordinates (v up) are multiplied by this
     offset: tuple[float, float] = (0.0, 0.0)  # and this is added
     clamped: bool = False  # whether the image is not repeated
-    channel: str = ""  # of the image, where a map of one number says which: r, g, b, m for alpha, l, z
+    channel: str = ""  # channel of the image for a scalar map (r, g, b, m for alpha, l, z), or empty
 
 
 def read_maps(text: bytes) -> tuple[list[str], list[Map]]:
@@ -119,14 +122,14 @@ class Library:
     path: str  # relative to the folder of the model
     data: bytes
     materials: frozenset[str]  # their names
-    # In file order, each with the path of its file if that can be used.
+    # In file order, each with the path of its file or None.
     maps: tuple[tuple[Map, str | None], ...]
-    # Its name in the OBJ file, and from where to where it stands there.
+    # Its name in the OBJ file, and the span of the name there.
     mentions: tuple[tuple[str, int, int], ...]
 
 
 class Materials:
-    """Existing files that an OBJ file names, directly or through its materials, from its `mtllib` statements."""
+    """Existing files that an OBJ file refers to, directly or through its materials, by its `mtllib` statements."""
 
     def __init__(self, folder: ModelFolder, statements: Sequence[tuple[bytes, int]]) -> None:
         self.paths: list[str] = []  # of regular files inside the folder, relative to it, "/" separates
@@ -145,7 +148,7 @@ class Materials:
         self._shown: dict[tuple[str, Slot], tuple[Map, str | None]] = {}
         known: set[str] = set()
         for library in self.libraries:
-            # Of materials that no library before has, the last map of the keyword that counts most.
+            # The first library with a material counts; in it, the last map of the preferred keyword.
             for keyword, slot in reversed(SLOTS.items()):
                 for found, file in library.maps:
                     if found.keyword == keyword and found.material not in known:
@@ -153,14 +156,14 @@ class Materials:
             known |= library.materials
 
     def maps_of(self, material: str) -> dict[Slot, tuple[Map, str | None]]:
-        """Return the map that a material has in each slot, and its file if that can be used."""
+        """Return the map of each slot of a material, and the path of its file or None."""
         return {slot: self._shown[material, slot] for slot in MAP_SLOTS if (material, slot) in self._shown}
 
     def obstacle(self, name: str) -> Obstacle:
         return self._unread.get(name, Obstacle("cannot be read"))
 
     def named(self, file: str) -> list[str]:
-        """Return the paths by which maps name a file: its own, and the sets that it is a tile of."""
+        """Return the paths that maps use for a file: its own, and those of its tile sets."""
         sets = [path for path, tiles in self.folder.tiles.items() if file in tiles.values()]
         return [*([file] if self.uses(file) or not sets else []), *sets]
 
@@ -182,7 +185,7 @@ class Materials:
                     yield library, found
 
     def _names(self, text: bytes, start: int) -> Iterator[tuple[str, int]]:
-        """Split the names of several libraries, which may hold blanks; yield each with its place."""
+        """Split a list of library names, which may contain blanks; yield each with its span."""
         whole = os.fsdecode(text)
         if len(whole) > 2 and whole[0] == whole[-1] == '"':
             whole, start = whole[1:-1], start + 1
@@ -214,7 +217,7 @@ class Materials:
         self.notices.append(f"{obstacle.cause}{IGNORED}")
 
     def _found(self, name: str, within: PurePosixPath) -> str | None:
-        """Return the path of a file or a set of tiles, adding it once, or None with a notice if it is not there."""
+        """Return the path of a file or tile set, and record it; None, with a notice, if it cannot be used."""
         try:
             path, instead = self.folder.locate_alike(name, within)
             notice = f"'{name}' {instead}"
@@ -236,7 +239,7 @@ class Materials:
 
 
 def _split(names: str) -> Iterator[tuple[int, int]]:
-    """Yield where each of several names of libraries stands: up to .mtl or, behind the last of these, each word."""
+    """Yield the spans of library names: up to each .mtl, and after the last of these single words."""
     at = 0
     for match in _END_OF_NAME.finditer(names):
         begin = at + len(names[at : match.end()]) - len(names[at : match.end()].lstrip())
@@ -248,7 +251,7 @@ def _split(names: str) -> Iterator[tuple[int, int]]:
 
 @dataclass(frozen=True)
 class Renaming:
-    """The new names in an OBJ file and its libraries, and the sidecar files of the output, but for the libraries."""
+    """New names in an OBJ file and its libraries, and the sidecar files of the output except the libraries."""
 
     files: NewFiles
     spans: Spans  # in the model
@@ -341,7 +344,7 @@ def _rename_others(materials: Materials, names: NewFiles, edits: dict[str, Spans
 
 
 def _spelled(found: Map, path: str, new: str, library: Library) -> bytes:
-    """Return how a library names an image that was at one path and is to be at another."""
+    """Return the name in a library of an image that moves from one path to another."""
     plain = PurePosixPath(found.name.replace("\\", "/"))
     leads_there = posixpath.normpath(PurePosixPath(library.path).parent / plain) == path
     is_plain = leads_there and ".." not in plain.parts

@@ -1,4 +1,4 @@
-"""The statements of a Wavefront OBJ file, found in bulk.
+"""The statements of a Wavefront OBJ file, parsed in bulk.
 
 References
 ----------
@@ -25,7 +25,7 @@ _INDICES = {
 
 _DIGITS = 18  # of an index, no more than an int64 can hold
 _LINE_END = re.compile(rb"[\r\n]")
-_BLOCK = 1 << 18  # indices read at a time, which bounds the memory for their digits
+_BLOCK = 1 << 18  # indices parsed at a time, which bounds the memory for their digits
 
 
 class Statements(Lines):
@@ -41,7 +41,7 @@ class Statements(Lines):
         return chosen
 
     def arguments(self, chosen: Int64s) -> tuple[Int64s, Int64s]:
-        """Return the K tokens behind the keywords of N statements, and the N + 1 offsets of each statement's."""
+        """Return the K tokens after the keywords of N statements, and their N + 1 offsets by statement."""
         firsts = self.heads[chosen] + 1
         sizes = self.stops[chosen] - firsts
         offsets = np.append(0, np.cumsum(sizes))
@@ -111,7 +111,7 @@ class Statements(Lines):
         return np.where(negative, -values, values), values == 0
 
     def rest(self, statement: int | np.int64) -> tuple[bytes, int]:
-        """Return what stands behind the keyword of a statement up to the end of its line, untouched, and where."""
+        """Return the unchanged text after the keyword of a statement, to the end of the line, and its offset."""
         begin = int(self.ends[self.heads[statement]])
         found = _LINE_END.search(self.data, begin)
         line = self.data[begin : found.start() if found else len(self.data)]

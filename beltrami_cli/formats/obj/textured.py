@@ -29,7 +29,7 @@ _MaterialMaps = dict[Slot, tuple[Map, str | None]]
 
 @dataclass(frozen=True)
 class Coordinates:
-    """What an OBJ file says about textures, polygon by polygon."""
+    """Texture coordinates and materials of the polygons of an OBJ file."""
 
     values: Float64s  # (N, 2), the `vt` statements: u to the right, v up
     corners: Int64s  # (K,) row of `values` of every corner, -1 where it has none, or none that is finite
@@ -56,7 +56,7 @@ def read_coordinates(statements: Statements, materials: Materials) -> Coordinate
 
 
 def _materials_of(statements: Statements, materials: Materials) -> tuple[list[str], Int64s]:
-    """Return all names behind `usemtl`, and which of them holds for each polygon."""
+    """Return the names of `usemtl` statements, and the index of each polygon's name."""
     switches, polygons = statements.select(b"usemtl"), statements.select(b"f")
     texts = [statements.rest(switch)[0] for switch in switches]
     known = {os.fsencode(name) for library in materials.libraries for name in library.materials}
@@ -111,7 +111,7 @@ def _shown(maps: _MaterialMaps, materials: Materials) -> Maps:
 
 
 def convert(scene: Scene, statements: Statements, scan: Scan, materials: Materials) -> MeshContents:
-    """Return a scene with groups, normals and the maps that other formats can have."""
+    """Return a scene with groups, normals and the maps that other formats support."""
     groups, group_of, lost = _groups(statements)
     lost += ["lines and points"] if "lines and points" in scan.dropped else []
     maps = [_shown(_converted_maps(materials, each.name, lost), materials) for each in scene.materials]
@@ -123,7 +123,7 @@ def convert(scene: Scene, statements: Statements, scan: Scan, materials: Materia
 
 
 def _converted_maps(materials: Materials, name: str, left_out: list[str]) -> _MaterialMaps:
-    """Return the maps of a material that other formats can have, and note the others."""
+    """Return the maps of a material that other formats support, and record the others."""
     found = materials.maps_of(name)
     normal, path = found.get("normal", (None, None))
     if normal is not None and path is not None and normal.keyword != "norm" and _is_grey(materials, path):

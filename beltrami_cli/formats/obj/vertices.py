@@ -1,4 +1,4 @@
-"""The vertices of an OBJ file, its polygons, and what else it has.
+"""The vertices and polygons of an OBJ file, and a list of its other contents.
 
 Numbers of a `v` line: six are x y z r g b, and eight x y z w r g b a. Seven are x y z r g b a, unless all such lines
 of the file have 1 as the fourth number and not all of them 1 as the seventh: then they are x y z w r g b. With three
@@ -48,7 +48,7 @@ class Vertices:
     alpha: Float64s | None  # (V,) the numbers in the file, if all coloured vertices have one
     token_starts: Int64s  # (V, 6) where positions and colours of coloured vertices stand in the file
     token_ends: Int64s
-    notice: str  # how numbers were understood that can mean two things, or empty
+    notice: str  # on the interpretation of ambiguous numbers, or empty
 
 
 def _read_vertices(statements: Statements) -> Vertices:
@@ -134,7 +134,7 @@ def _with_polypaint(polypaint: Polypaint, vertices: Vertices, statements: Statem
 
 
 def with_entries(data: bytes, starts: Int64s, colours: Float32s, changed: Bools) -> bytes:
-    """Exchange the digits of the colours that changed, (N, 3), rounded to 8 bit; every other byte stays."""
+    """Replace the digits of changed colours, (N, 3), rounded to 8 bits; other bytes stay unchanged."""
     text = np.frombuffer(data, np.uint8).copy()
     written = text[starts[:, None] + np.arange(_ENTRY)]
     digits = _LOWER if (written >= ord("a")).any() else _UPPER
@@ -148,7 +148,7 @@ def with_entries(data: bytes, starts: Int64s, colours: Float32s, changed: Bools)
 def new_positions(
     data: bytes, starts: Int64s, ends: Int64s, positions: Float64s, changed: Bools
 ) -> NewNumbers:
-    """Spell the coordinates that changed with as many decimals as the old ones, and no less than float32 has."""
+    """Format changed coordinates with the decimals of the old ones, and at least the precision of float32."""
     largest = float(np.abs(positions).max(initial=0)) or 1.0
     enough = _COORDINATE_DIGITS - 1 - int(np.floor(np.log10(largest)))
     found = most_decimals(data, starts, ends) if changed.any() else 0
@@ -172,11 +172,11 @@ class Scan:
     """The content of an OBJ file, except for texture coordinates and normals."""
 
     vertices: Vertices
-    polypaint: Polypaint | None  # where the colours stand if they are not on the lines of the vertices
+    polypaint: Polypaint | None  # colours outside the lines of the vertices, or None
     corners: Int32s  # (K,) vertices of the corners of all polygons
     offsets: Int64s  # (P + 1,) where each polygon starts
-    libraries: list[tuple[bytes, int]]  # what stands behind `mtllib` keywords, and where
-    dropped: tuple[str, ...]  # what no conversion takes over
+    libraries: list[tuple[bytes, int]]  # arguments of `mtllib` statements, and their offsets
+    dropped: tuple[str, ...]  # what conversions lose
     notices: tuple[str, ...]
 
 
@@ -211,7 +211,7 @@ def scan_file(statements: Statements) -> Scan:
 
 
 def among(corners: Int32s, offsets: Int64s, vertices: Int64s, count: int) -> tuple[Int32s, Int64s]:
-    """Keep the polygons that have all corners among some vertices, and number these from 0."""
+    """Keep the polygons whose corners are all among some vertices, and renumber these from 0."""
     row = np.full(count, -1, np.int32)
     row[vertices] = np.arange(len(vertices))
     moved = row[corners]
@@ -226,7 +226,7 @@ def read_normals(statements: Statements, corners: Int32s, count: int) -> Float64
     given = rows >= 0
     normals = np.full((count, 3), np.nan)
     vertices, found = corners[given], values[rows[given]]
-    normals[vertices[::-1]] = found[::-1]  # so that the first one of a vertex stays
+    normals[vertices[::-1]] = found[::-1]  # in reverse, so that the first normal of a vertex is kept
     differs = (normals[vertices] != found).any(axis=1)
     if differs.any():
         token = tokens[given][int(np.argmax(differs))]

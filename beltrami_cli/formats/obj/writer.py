@@ -1,4 +1,4 @@
-"""Writing a whole mesh as an OBJ file, with colours of vertices, or with materials and their textures.
+"""Write a mesh as an OBJ file, with vertex colours, or with materials and their textures.
 
 Colours have six decimals, all other numbers as many digits as they need to be read back the same.
 """
@@ -68,7 +68,7 @@ def write_obj(mesh: MeshContents, stem: str) -> Written:
 
 
 def _distinct(corners: Array) -> tuple[Array, Int64s]:
-    """Return the distinct rows of (K, C) numbers, and which of them every corner has, from 1; 0 for NaN."""
+    """Return the distinct rows of (K, C) numbers, and the index of each corner's row from 1; 0 for NaN."""
     given = ~np.isnan(corners).any(axis=1)
     number_of, first = group_equal_rows(*corners[given].T)
     numbers = np.zeros(len(corners), np.int64)
@@ -77,7 +77,7 @@ def _distinct(corners: Array) -> tuple[Array, Int64s]:
 
 
 def _polygons(mesh: MeshContents, names: list[str], indices: Int64s) -> Iterator[bytes]:
-    """Give the lines of polygons, below the names of their groups and materials; indices are of corners."""
+    """Yield the lines of polygons, after the names of their groups and materials; indices are of corners."""
     group_of, material_of = mesh.group_numbers, mesh.material_numbers
     has = np.column_stack([~polygons_with(each == 0, mesh.offsets) for each in indices[:, 1:].T])
     kinds = np.column_stack([group_of, material_of, has])
@@ -102,7 +102,7 @@ def _polygons(mesh: MeshContents, names: list[str], indices: Int64s) -> Iterator
 
 
 def _library_entry(name: str, material: Material, file_of: dict[MeshImage, str]) -> str:
-    """Return a material as a library has it; metalness and roughness as the common extension has them."""
+    """Return a material as lines of MTL, with the usual extension for metalness and roughness."""
     lines = [f"newmtl {name}", f"Kd {_numbers(material.colour)}"]
     lines += [f"Ke {_numbers(material.emission)}"] if any(material.emission) else []
     lines += [f"d {material.opacity:.6g}"] if material.opacity < 1 else []

@@ -41,7 +41,7 @@ _MEANS = "Vertices get the mean of the colours of their faces."
 class _Change:
     """New values of one property."""
 
-    places: Places  # of the property, a scalar, in all rows
+    places: Places  # positions of a scalar property in all rows
     rows: Bools  # which rows change
     values: Array  # their new values, in the property's type
 
@@ -195,7 +195,7 @@ class PlyDocument(Document):
 
     @property
     def _converted(self) -> set[str]:
-        """The properties of vertices that every conversion takes over."""
+        """The properties of vertices that all conversions keep."""
         colours = (
             {*self._properties.names, self._properties.alpha} if self.has_vertex_colours() else set[str]()
         )
@@ -288,7 +288,7 @@ class PlyDocument(Document):
 
     @cached_property
     def _measured(self) -> Float64s:
-        """Positions of a range image or of points, in which what was not measured is not finite."""
+        """Positions of a range image or of points; unmeasured ones are not finite."""
         with np.errstate(invalid="ignore"):
             columns = [self._vertices.scalars(name) for name in elements.POSITION]
             return np.column_stack(columns).astype(np.float64)
@@ -319,7 +319,7 @@ class PlyDocument(Document):
 
 
 def _patch_body(data: bytes, header: Header, changes: Sequence[_Change]) -> list[Bytes]:
-    """Exchange values in the body, at least one, each property once; every other byte stays. Return it in pieces."""
+    """Replace values in the body (at least one, each property once), and return it in pieces; other bytes stay."""
     if not header.order:
         text = data[header.end :]
         starts, ends = tokens.find_tokens(text)
@@ -339,7 +339,7 @@ def _patch_body(data: bytes, header: Header, changes: Sequence[_Change]) -> list
 
 
 def _omitted(header: Header, used: Collection[str], of_faces: Collection[str] = ()) -> tuple[str, ...]:
-    """Name what a conversion loses: elements, and properties of vertices and faces, that are not used."""
+    """Return what a conversion loses: unused elements, and unused properties of vertices and faces."""
     dropped = []
     used, of_faces = ({name.partition(" ")[0] for name in names} for names in (used, of_faces))
     for element in header.elements:

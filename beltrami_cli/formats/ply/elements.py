@@ -1,4 +1,4 @@
-"""What the elements of a PLY file mean: colours and other properties of vertices, polygons, and grids of range images.
+"""The meaning of the elements of a PLY file: colours and other properties of vertices, polygons, range image grids.
 
 References
 ----------
@@ -29,7 +29,7 @@ _LISTS = ("vertex_indices", "vertex_index")
 VERTEX_LISTS = {"face": _LISTS, "tristrips": _LISTS}
 """The lists of vertices by element, each under its two names."""
 
-# Colours and their opacity by names that are `plain`; "colour 0" is a channel of `with_channels`.
+# Names of colours and opacity, as `plain` returns them; "colour 0" is a channel of `with_channels`.
 _COLOURS = (
     (("red", "green", "blue"), "alpha"),
     (("diffuse_red", "diffuse_green", "diffuse_blue"), "diffuse_alpha"),
@@ -239,7 +239,7 @@ def read_grid(header: bytes, tables: Mapping[str, Table]) -> Int64s | None:
 
 
 def _listed(table: Table, rows: int, columns: int, vertices: int) -> Int64s:
-    """Read the element that lists a vertex, or none, for every place of the grid, row by row."""
+    """Read the element that lists a vertex or none for each grid point, row by row."""
     places, name = table.element.count, table.body.name
     if rows * columns != places:
         said = f"obj_info num_cols and num_rows say {columns} and {rows}"

@@ -1,4 +1,4 @@
-"""The elements of a PLY file as tables: what the header announces, and where every value stands in the body.
+"""The elements of a PLY file as tables: declared in the header, with the offset of each value in the body.
 
 Binary bodies and text are read in one way, by counting in units: bytes of a binary body, tokens of a text. A scalar
 takes as many units as its type has bytes (one unit, in a text), and what stands at a unit is a look into an array that
@@ -64,7 +64,7 @@ class Element:
 
 @dataclass(frozen=True)
 class Header:
-    """What a PLY file announces."""
+    """The header of a PLY file."""
 
     encoding: str  # "ascii", "binary_little_endian" or "binary_big_endian"
     elements: tuple[Element, ...]  # in file order
@@ -346,7 +346,7 @@ def _list_lengths(body: Body, element: Element, start: int) -> Int64s:
 
 
 def _walk(body: Body, element: Element, start: int, rows: int) -> Int64s:
-    """Go from list to list. Only a loop can: where a list starts depends on all lists before it."""
+    """Find the lists one by one in a loop, since the offset of a list depends on all lists before it."""
     steps, gap = [], 0
     for known in element.properties:
         size = body.size(known.count or known.type)

@@ -41,18 +41,18 @@ _OF_FACES = (
 )
 _ARTEC = ("multi_texture_vertex", "multi_texture_face")
 _ARTEC_NUMBER, _ARTEC_FACE, _ARTEC_CORNERS = "tx", "tn", "texture_vertex_indices"
-NUMBER = "texnumber"  # the property of faces that says which image they show
+NUMBER = "texnumber"  # property of faces: the index of their image
 
 
 @dataclass(frozen=True)
 class TextureComment:
     """A comment that names an image."""
 
-    name: str  # of the file, as the comment spells it
+    name: str  # file name as spelled in the comment
     path: str | None  # relative to the model's folder, if it can be used
-    start: int  # where the name stands in the PLY file
+    start: int  # offset of the name in the PLY file
     end: int
-    notice: str = ""  # a sentence on how it is used or why not, or empty
+    notice: str = ""  # a sentence on its use, or why it is not used; or empty
     obstacle: Obstacle | None = None  # why it is not used
 
 
@@ -146,7 +146,7 @@ def _numbers(
 
 
 def _artec_faces(rows: Table, polygons: int, name: str) -> Int64s:
-    """Return which polygon each row of Artec's texture faces is."""
+    """Return the polygon of each row of Artec's texture faces."""
     if _ARTEC_FACE not in rows.element.scalars:
         return np.arange(rows.element.count)
     faces = rows.scalars(_ARTEC_FACE).astype(np.int64)

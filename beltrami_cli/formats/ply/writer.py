@@ -1,4 +1,4 @@
-"""Writing a whole mesh as a little-endian PLY file: with colours, with textures, or with numbers at its vertices.
+"""Write a mesh as a little-endian PLY file: with colours, with textures, or with scalar properties of vertices.
 
 Positions become floats if that loses nothing, otherwise doubles. Colours keep 8 or 16 bit and become floats from any
 other type. They are display values, so linear ones go through the sRGB transfer function; from 8 bit they become
@@ -22,7 +22,7 @@ from beltrami_cli.surface.geometry import polygons_of, shortest_type
 from beltrami_cli.surface.records import Material, MeshContents
 
 _NAMES = {code: name for name, code in reversed(TYPES.items())}
-_INTEGERS = {"uint8": "u1", "uint16": "u2"}  # the stored types that remain as they are
+_INTEGERS = {"uint8": "u1", "uint16": "u2"}  # stored types that are kept
 _PLACES = (("x", "y", "z"), ("nx", "ny", "nz"))
 _CHANNELS = ("red", "green", "blue", "alpha")
 _MAX_CORNERS = 255  # corners that a list whose count is a uchar can have

@@ -60,17 +60,17 @@ _NAMES = "save them as positions and colours"
 
 @dataclass(frozen=True)
 class Tables:
-    """Which tables of a cloud are what, by their names, and how its points are organised."""
+    """The names of the tables of a point cloud by their meaning, and the shape of its points."""
 
     positions: str
     colours: str
     normals: str | None
-    others: tuple[str, ...]  # that have something for each point
+    others: tuple[str, ...]  # with a row for each point
     shape: tuple[int, ...]  # of the cloud, with or without a position
     channels: int  # of the colours, without opacity
     has_alpha: bool = False
     is_intensity: bool = False
-    faces: str | None = None  # then it is a mesh
+    faces: str | None = None  # table of faces, if it is a mesh
 
     @property
     def count(self) -> int:
@@ -78,7 +78,7 @@ class Tables:
 
 
 class PointsDocument(Document):
-    """Points with colours or intensities; a format says which tables there are, and reads them."""
+    """Points with colours or intensities; subclasses define the tables and read them."""
 
     @property
     @abstractmethod
@@ -90,7 +90,7 @@ class PointsDocument(Document):
 
     @abstractmethod
     def _dropped(self) -> list[str]:
-        """Return the names of tables that no other format has."""
+        """Return the names of tables that are lost on conversion."""
 
     @cached_property
     def _mesh(self) -> MeshContents:
@@ -264,7 +264,7 @@ class NpzPointsDocument(PointsDocument):
 
 
 def _find_tables(archive: NpzArchive) -> Tables:
-    """Return which arrays are what, by their names and shapes; InputError if they do not go together."""
+    """Find the meaning of arrays by names and shapes; InputError if they do not fit together."""
     positions = _required(archive, POSITION_KEYS, "positions")
     colours = _required(archive, (*_COLOUR_KEYS, *_INTENSITY_KEYS), "colours")
     shape = archive.header(positions).shape
@@ -301,7 +301,7 @@ def _goes_along(archive: NpzArchive, key: str, points: tuple[int, ...]) -> bool:
     try:
         shape = archive.header(key).shape
     except InputError:
-        return False  # other objects than arrays of numbers stay unchanged
+        return False  # objects other than arrays of numbers stay unchanged
     return shape[: len(points)] == points and len(shape) <= len(points) + 1
 
 

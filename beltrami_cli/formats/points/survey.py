@@ -107,13 +107,13 @@ def _replaced(new: Array, rgb: tuple[str, ...]) -> Columns:
 
 
 def _require_held(count: int, size: int, held: int) -> None:
-    """Raise ValueError if a number of points of a size in bytes take more than a file holds, or unpacks to."""
+    """Raise ValueError if points, by number and size in bytes, exceed what a file can hold or unpack to."""
     if count * size > held:
         raise ValueError(f"there is no room for the {count} points that it announces")
 
 
 class _Las:
-    """The points are records of the specification, and all else stays as bytes, so that nothing is lost."""
+    """LAS and LAZ: points are records of the specification; all other bytes are kept, so that nothing is lost."""
 
     _RGB = ("red", "green", "blue")
 
@@ -201,7 +201,7 @@ def _records(data: bytes, count: int, width: int) -> tuple[list[bytes], bytes]:
 
 
 class _Pcd:
-    """Names of fields in capital letters, as PDAL writes them, mean the same."""
+    """PCD; names of fields are case-insensitive, since PDAL writes capital letters."""
 
     _RGB = ("r", "g", "b"), ("red", "green", "blue")
     _PADDING = "#$%&~~"  # how pypcd4 starts the random names of fields that are called "_"
@@ -276,7 +276,7 @@ def _content(blob: Any) -> Array:
 
 
 class _E57:
-    """All scans at the places where they were taken."""
+    """E57: all scans, in their common coordinate system."""
 
     _RGB = ("colorRed", "colorGreen", "colorBlue")
     _CARTESIAN = ("cartesianX", "cartesianY", "cartesianZ")
@@ -329,7 +329,7 @@ class _E57:
         return buffers, found
 
     def _blobs(self, node: Any) -> Iterator[Any]:
-        """Give the pictures and other files within a file."""
+        """Yield the pictures and other embedded files."""
         from pye57 import libe57
         from pye57.utils import get_node
 

@@ -154,7 +154,7 @@ class _Reader(Lines):
 
 
 def _column_names(line: bytes) -> tuple[str, ...]:
-    """Return the names in a line, which may have blanks and quotes where something else separates them."""
+    """Return the names in a line; they may contain blanks and quotes if the separator is another character."""
     separator = next((each for each in (b";", b",", b"\t") if each in line), None)
     words = (word.strip(b" \t\"'")[:_MAX_SHOWN] for word in line.strip().split(separator))
     shown = (word.decode("ascii", "replace").lower() for word in words)
@@ -163,7 +163,7 @@ def _column_names(line: bytes) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class _Columns:
-    """Which columns are what: three of the position, three colours or one intensity, three of the normal or none."""
+    """The meaning of columns: three positions, three colours or one intensity, three normals or none."""
 
     position: tuple[int, ...]
     colours: tuple[int, ...]
@@ -174,7 +174,7 @@ class _Columns:
 
 
 def _is_header(words: tuple[str, ...]) -> bool:
-    """Whether words are names of columns, and not a sentence."""
+    """Whether words are names of columns instead of a sentence."""
     return {*_POSITION} <= {*words}
 
 
@@ -220,13 +220,13 @@ def _further_names(values: Float64s, name: str, is_pts: bool) -> tuple[str, ...]
 
 
 def _example_of(width: int) -> str:
-    """Return the remedy where columns are not clear, with an example of that many names."""
+    """Return the remedy for ambiguous columns, with an example of that many names."""
     names = ("x", "y", "z", "r", "g", "b", "scalar")[:width]
     return _REMEDY.format(",".join((*names, *(f"scalar{number}" for number in range(2, width - 5)))))
 
 
 def _colour_starts(points: Float64s, normals: list[int]) -> list[int]:
-    """Return the first column of each three that can be the colours; `normals` start vectors of length 1."""
+    """Return the first columns of candidates for the colours; `normals`: first columns of unit vectors."""
     if points.shape[1] < 6:
         return []
     low, high, is_whole, count = np.array([_range_of(column) for column in points[:, 3:].T]).T
@@ -257,7 +257,7 @@ def _fitting(bytes_: Bools, fractions: Bools, words: Bools, rich: Bools) -> Bool
     bytes_ = bytes_ & ~fractions
     if (bytes_ & rich).any():
         return bytes_ & rich
-    # Codes of 0 to 255 may be next to colours of another range.
+    # Codes from 0 to 255 may accompany colours of another range.
     finer = fractions & rich
     found = bytes_ | (finer if finer.any() else words & rich)
     return found if found.any() else fractions if fractions.any() else words
@@ -348,7 +348,7 @@ class TextPointsDocument(PointsDocument):
         }
 
     def access_to_copies(self) -> Access:
-        # What other colours look like must not decide which columns they are in.
+        # The values of the new colours must not influence the choice of columns.
         known = self._columns.names if self._has_colours() else self.access.columns
         return dataclasses.replace(self.access, columns=known)
 
