@@ -20,7 +20,7 @@ _USUAL_SHARE = 0.99  # of the light other than 0: single spikes of a renderer sa
 
 
 class ExchangeError(Exception):
-    """What was asked for cannot be done; the text says why."""
+    """The request cannot be fulfilled, for the reason in the text."""
 
 
 def _full_scale(colours):

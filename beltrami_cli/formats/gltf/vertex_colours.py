@@ -1,4 +1,4 @@
-"""Where the meshes of a glTF file stand, and its coloured primitives, in blocks of rows, with new numbers for them.
+"""The placements of meshes in a glTF file, and its coloured primitives as blocks of rows, which can get new values.
 
 A mesh is taken at the first node that shows it. A block is one pair of positions and colours. Primitives that use the
 same pair (the same accessors, or accessors over the same bytes) share its rows, so that every stored colour has
@@ -32,7 +32,7 @@ _STALE_NOTICE = "The vertices moved, but their {} are as they were; make them ag
 
 @dataclass(frozen=True)
 class Placement:
-    """Where a mesh is taken to be."""
+    """The placement of a mesh."""
 
     matrix: Float64s  # (4, 4), from the mesh's own space to the common one; acts on columns
     # 0: the default scene (all scenes, if none is); each other scene and unplaced mesh has its own.
@@ -224,7 +224,7 @@ class Surface:
         return accessor
 
     def notices(self) -> list[str]:
-        """Return what the user should know about what was left out."""
+        """Return notices about omitted primitives."""
         sentences = {
             "uncoloured": "{} primitive(s) without COLOR_0 are left as they are.",
             "elsewhere": "{} primitive(s) reuse colours with other positions; the colours are smoothed where "

@@ -137,7 +137,7 @@ def _encoded_by_openimageio(spec: Any, pixels: Array, known: str, name: str) -> 
 
 @contextmanager
 def reading_back() -> Iterator[None]:
-    """Let a file, just encoded, that cannot be read be an OutputError."""
+    """Raise OutputError if a new file cannot be read back."""
     try:
         yield
     except InputError as error:
@@ -145,7 +145,7 @@ def reading_back() -> Iterator[None]:
 
 
 def _require_whole(data: bytes, spec: Any, pixels: Array, known: str, name: str) -> None:
-    """Raise OutputError unless an image, just encoded, has these pixels."""
+    """Raise OutputError unless a new image reads back with these pixels."""
     import OpenImageIO
 
     config = OpenImageIO.ImageSpec()

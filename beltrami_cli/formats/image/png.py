@@ -34,7 +34,7 @@ def carried_over(source: bytes, encoded: bytes) -> bytes:
 
 
 def without_additions(encoded: bytes) -> bytes:
-    """Return an image, just encoded, without what the encoder says about it of its own accord."""
+    """Return a new image without the metadata that the encoder adds by itself."""
     kept = (chunk for kind, chunk in chunks(encoded) if kind not in _OF_THE_ENCODER)
     return b"".join([START, *kept])
 
@@ -50,7 +50,7 @@ def has_palette(data: bytes) -> bool:
 
 
 def chunks(data: bytes) -> Iterator[tuple[bytes, memoryview]]:
-    """Give the type and the whole bytes of every complete chunk, which are not copied."""
+    """Yield type and bytes (uncopied) of every complete chunk."""
     at, view, kind = len(START), memoryview(data), b""
     while at + 12 <= len(data) and kind != b"IEND":
         end, kind = at + 12 + int.from_bytes(data[at : at + 4]), data[at + 4 : at + 8]

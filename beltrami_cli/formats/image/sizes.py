@@ -1,4 +1,4 @@
-"""The size of image files, by their headers alone, and whether what is done with them fits into memory."""
+"""The sizes of image files, from their headers alone, and checks that they fit into memory."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class ImageSize:
 
 
 def measure_image(data: bytes, name: str = UNNAMED) -> ImageSize | None:
-    """Return the size of an image file without decoding it; None if it is none that can be opened."""
+    """Return the size of an image file without decoding it; None if it cannot be opened."""
     known = format_of(data, name)
     if known in EXTRA_CODECS:
         try:

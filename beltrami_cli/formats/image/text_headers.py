@@ -49,7 +49,7 @@ def _unscaled(source: bytes, encoded: bytes, old: re.Match[bytes], new: re.Match
 
 
 def has_usual_scale(data: bytes) -> bool:
-    """Return False for PFM files whose scale leaves nothing of their numbers."""
+    """Whether the scale of a PFM file is a normal number of single precision; True for other files."""
     header = _NETPBM.match(data)
     if header is None or data[1:2] not in _NETPBM_FLOATS:
         return True

@@ -1,4 +1,4 @@
-"""Writing pixels as the kind of file that they came from, or as another kind."""
+"""Write pixels in the format of the source or in another one."""
 
 from __future__ import annotations
 
@@ -212,7 +212,7 @@ def _kept_spec(picture: Picture) -> Any:
 
 
 def encoding_cost(known: str, pixels: Uint8s, again: Uint8s, name: str) -> list[str]:
-    """Say what the encoding of pixels, shape (H, W, C), has cost, if anything: their PSNR, full scale 255."""
+    """Report the loss by encoding of pixels, shape (H, W, C), if any: their PSNR, full scale 255."""
     # Also of those under an alpha of 0, which opaque materials show.
     differences = again[..., :3].astype(np.float32) - pixels[..., :3]
     error = float(np.square(differences).mean())

@@ -1,4 +1,4 @@
-"""Files of formats that are read only, as documents: coloured polygons, to be written in another format.
+"""Documents of the read-only formats OFF, STL and COLLADA: coloured polygons, to be written in another format.
 
 OFF and STL files are read here. trimesh reads the places and faces of OFF files [1]_ only: it drops all colours, and
 cuts polygons. Two bytes of every triangle of an STL file [2]_ are a colour, in two dialects. VisCAM and SolidView mark
@@ -66,7 +66,7 @@ def kind_of(data: bytes, name: str) -> str | None:
 
 
 class ReadOnlyDocument(Document):
-    """A file of a format that is not written."""
+    """A file of a read-only format."""
 
     format: str  # type: ignore[misc]  # one class reads all formats, so only an instance knows its own
 
@@ -113,7 +113,7 @@ class ReadOnlyDocument(Document):
         raise InputError(self.name, f"a {self.format.upper()} file is not written", remedy)
 
     def require_movable(self) -> None:
-        """Check nothing: the output is a new file."""
+        """Allow any positions: the output is a new file."""
 
     def facts(self) -> dict[str, object]:
         contents = self._mesh
@@ -231,7 +231,7 @@ _LEVELS = 31  # of five bits
 
 
 def _is_binary_stl(data: bytes) -> bool:
-    """Return whether a file has the length that its number of triangles asks for."""
+    """Whether the length of a file fits its number of triangles."""
     if len(data) < _STL_HEADER + 4:
         return False
     count = int.from_bytes(data[_STL_HEADER : _STL_HEADER + 4], "little")
@@ -308,7 +308,7 @@ def _refuse(*_: object) -> None:
 
 
 def _answer(_: object, question: dict[str, Array]) -> Message:
-    """Return losses, axis and unit, and the places and colours of all corners of triangles, where nodes place them."""
+    """Return losses, axis and unit, and positions and colours of all corners of triangles, transformed by nodes."""
     import collada
 
     document = collada.Collada(io.BytesIO(question["data"].tobytes()), ignore=[collada.common.DaeError])

@@ -1,4 +1,4 @@
-"""3MF files with colours of triangles or of their corners, put together as they are built.
+"""3MF files with colours of triangles or of their corners; objects are assembled as in the build.
 
 trimesh reads the places and triangles of 3MF files only: it drops every colour, of groups as of materials.
 
@@ -113,7 +113,7 @@ def _refuse(*_: object) -> None:
 
 
 class _Reading:
-    """The model while its elements come in."""
+    """The model while its elements are parsed."""
 
     def __init__(self) -> None:
         self.model = _Model()
@@ -185,7 +185,7 @@ def _colours_of(model: _Model, thing: _Object) -> Float32s:
 
 
 class _Building:
-    """Objects while they are put where they belong."""
+    """Objects while they are assembled."""
 
     def __init__(self, archive: Archive, name: str, access: Access) -> None:
         self._archive, self._name = archive, name
@@ -198,7 +198,7 @@ class _Building:
         self._colours: list[Float32s] = []
 
     def start(self) -> str:
-        """Return the member that the archive says to start with."""
+        """Return the root model file of the archive."""
         if _RELATIONSHIPS in self._archive.members:
             for relation in _TARGET.findall(self._archive.read(_RELATIONSHIPS)):
                 target = re.search(rb"""Target\s*=\s*["']/?([^"']+)["']""", relation)

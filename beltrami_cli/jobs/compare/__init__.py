@@ -1,1 +1,1 @@
-"""Two files held against each other."""
+"""Comparison of two files."""

@@ -1,4 +1,4 @@
-"""The figures that say how compared colours differ, such as CIEDE2000 and structural similarity, and limits on them.
+"""Figures of the differences of colours, such as CIEDE2000 and structural similarity, and limits on them.
 
 References
 ----------
@@ -97,7 +97,7 @@ class ComparedColours:
 
 @dataclass(frozen=True)
 class Measured:
-    """How far the samples of one part differ; `figures` joins several."""
+    """The differences of the samples of one part; `figures` combines several."""
 
     part: ComparedColours
     errors: Float32s  # (S,): the largest in any channel
@@ -189,7 +189,7 @@ def _known(values: Array, weights: Float64s | None) -> tuple[Array, Float64s | N
 
 
 def _mean(values: Array, weights: Float64s | None, power: int = 1) -> float | None:
-    """Return the mean of a power of the values that are known; None without any."""
+    """Return the mean of a power of the known values; None without any."""
     values, weights = _known(values, weights)
     total = len(values) if weights is None else weights.sum()
     factors = [values] * power + ([] if weights is None else [weights])
@@ -233,7 +233,7 @@ def _jumps(jumps: Sequence[tuple[Float64s, Float64s]]) -> dict[str, object] | No
 
 @dataclass(frozen=True)
 class Verdict:
-    """How one part kept to one limit."""
+    """The verdict on one part and one limit."""
 
     limit: str
     part: str

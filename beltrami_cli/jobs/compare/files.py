@@ -1,4 +1,4 @@
-"""Compare the colours of two files, hold the difference to limits, and draw where it is.
+"""Compare the colours of two files, check the difference against limits, and draw it.
 
 A map is a picture, or a mesh of the vertices, to look at: dark where the files are equal, bright where they differ.
 """
@@ -65,14 +65,14 @@ _SUFFIXES = (".ply", *IMAGE_SUFFIXES)
 
 @dataclass(frozen=True)
 class Moves:
-    """How far vertices are from their places in the reference, in longest sides of its bounding box."""
+    """Distances of vertices from the reference, in units of the longest side of its bounding box."""
 
     largest: float
     mean: float
 
     @property
     def is_rounding(self) -> bool:
-        """Whether the rounding of text explains them."""
+        """Whether the rounding of numbers in text explains the distances."""
         return self.largest <= ROUNDED_MOVE
 
 
@@ -158,7 +158,7 @@ def _opened_map(
 
 
 def require_samples(parts: Sequence[ComparedColours], name: str) -> None:
-    """Raise InputError if nothing can be compared, or what counts by its area has none."""
+    """Raise InputError if nothing can be compared, or parts weighted by area have none."""
     if not sum(len(part.index) for part in parts):
         raise InputError(
             name,
@@ -201,7 +201,7 @@ def _slots_of(documents: Documents) -> tuple[Slot, ...]:
 
 
 def _everything(documents: Documents, settings: SmoothSettings, notices: list[str]) -> SmoothSettings:
-    """Return settings that name all that is coloured in both models; InputError if only one has some of it."""
+    """Return settings that select all coloured parts of both models; InputError if only one model has some part."""
     slots = () if settings.on == "vertices" else _slots_of(documents)
     for slot in slots:
         _require_both(documents, [slot in document.slots() for document in documents], f"{slot} textures")
@@ -227,7 +227,7 @@ def _require_both(documents: Documents, has: list[bool], what: str) -> None:
 
 
 def _is_readable(documents: Documents, slot: Slot, notices: list[str]) -> bool:
-    """Return whether the textures of a slot can be read in both models; raise the error if only in one."""
+    """Whether the textures of a slot can be read in both models; raises the error if only in one."""
     errors = []
     for document in documents:
         try:
@@ -241,7 +241,7 @@ def _is_readable(documents: Documents, slot: Slot, notices: list[str]) -> bool:
 
 
 def moves_between(documents: Documents, selection: Selection) -> Moves:
-    """Measure how far vertices moved, in all that is compared."""
+    """Measure the distances of vertices, in all compared parts."""
     found = [np.zeros(0)]
     if selection.vertices:
         found.append(moves_of(*(document.coloured_vertices().positions for document in documents)))
@@ -253,7 +253,7 @@ def moves_between(documents: Documents, selection: Selection) -> Moves:
 
 
 def check_moves(moves: Moves, limits: Limits) -> list[Verdict]:
-    """Hold the geometry to its limit; where there is none, but others, to what rounding explains."""
+    """Check the geometry against its limit; if only other limits are given, against the rounding of text."""
     if all(allowed is None for allowed in vars(limits).values()):
         return []
     allowed = ROUNDED_MOVE if limits.max_move is None else limits.max_move
@@ -262,7 +262,7 @@ def check_moves(moves: Moves, limits: Limits) -> list[Verdict]:
 
 @dataclass(frozen=True)
 class Compared:
-    """What two documents have in common, and how far it differs."""
+    """The common parts of two documents, and their differences."""
 
     measured: list[Measured]  # the vertices first
     moves: Moves | None = None  # of the vertices of a model
@@ -274,7 +274,7 @@ class Compared:
         return [measured.part for measured in self.measured]
 
     def differing(self) -> list[Measured]:
-        """Return the parts that figures are of."""
+        """Return the parts that have figures."""
         return [measured for measured in self.measured if not measured.part.is_identical]
 
     def overall(self) -> dict[str, Any]:

@@ -109,7 +109,7 @@ def texel_areas(atlas: Atlas) -> Float64s:
 def compare_vertices(
     documents: Documents, settings: SmoothSettings, weights: Weights, *, is_extra: bool
 ) -> ComparedColours:
-    """Bring the vertex colours of two models together; `is_extra`: textures are compared, too."""
+    """Match the vertex colours of two models; `is_extra`: textures are compared, too."""
     one, other = _on_one_scale(*(document.coloured_vertices() for document in documents))
     _require_one_model(documents, (one, other))
     held = [coloured_rows(each.coloured_vertices(), in_triangles=each.kind == "volume") for each in documents]
@@ -165,7 +165,7 @@ def _on_one_scale(
 
 
 def _areas(vertices: ColouredVertices, rows: NDArray[np.intp], settings: SmoothSettings) -> Float64s:
-    """Return the area that each vertex stands for; of points, on the surface that they lie on."""
+    """Return the part of the surface area that belongs to each vertex or point."""
     if len(vertices.faces):
         return vertex_areas(vertices.positions, vertices.faces)[rows].astype(np.float64)
     surface = with_surface(only_rows(vertices, rows), settings)
@@ -173,7 +173,7 @@ def _areas(vertices: ColouredVertices, rows: NDArray[np.intp], settings: SmoothS
 
 
 def _jumps(colours: list[Float32s], place: Int32s) -> tuple[Float64s, Float64s]:
-    """Measure how far the colours of vertices at one place are from each other: mean of the channels' ranges."""
+    """Return the range of the colours of vertices at one place, as the mean over channels."""
     order = np.argsort(place, kind="stable")
     starts = np.flatnonzero(np.r_[True, place[order][1:] != place[order][:-1]])
     several = np.diff(np.r_[starts, len(order)]) > 1
@@ -187,7 +187,7 @@ def _jumps(colours: list[Float32s], place: Int32s) -> tuple[Float64s, Float64s]:
 def compare_images(
     documents: Sequence[Document], settings: SmoothSettings, access: Access
 ) -> ComparedColours:
-    """Bring the pixels of two images together that can be seen in the reference, and are finite numbers there."""
+    """Match the pixels of two images that are visible and finite in the reference."""
     names = [document.name for document in documents]
     slots = settings.textures.slots or DEFAULTS.textures.slots  # which images do without
     settings = dataclasses.replace(settings, textures=dataclasses.replace(settings.textures, slots=slots))
@@ -215,7 +215,7 @@ def compare_textures(
     documents: Documents, slot: Slot, settings: SmoothSettings, weights: Weights, access: Access,
     *, is_extra: bool,
 ) -> list[ComparedColours]:  # fmt: skip
-    """Bring textures of a slot together, each a part; `is_extra`: of equal files it is enough to say that they are."""
+    """Match the textures of a slot, each a part; `is_extra`: equal files need only a notice."""
     reference, test = documents
     surface = reference.textured(slot)
     same = _same_textures(surface, test.textured(slot), (reference.name, test.name))
@@ -248,7 +248,7 @@ def compare_textures(
 def _parts(
     one: TextureLayer, other: TextureLayer, names: Sequence[str], weights: Weights
 ) -> list[ComparedColours]:
-    """Cut two layers with one atlas in parts, texture by texture."""
+    """Split two layers with one atlas into parts by texture."""
     atlas, parts = one.atlas, list[ComparedColours]()
     areas, near = texel_areas(atlas) if weights == "area" else None, near_seams(atlas)
     (cells, before), (_, after) = (
@@ -295,7 +295,7 @@ def _require_same_size(old: Picture, new: Picture, name: str) -> None:
 
 
 def moves_of(places: Float64s, places_after: Float64s) -> Float64s:
-    """Return how far known places are apart, in sizes of the model, shape (K,)."""
+    """Return the distances of known places, in sizes of the model, shape (K,)."""
     known = np.isfinite(places).all(axis=1) & np.isfinite(places_after).all(axis=1)
     places, places_after = places[known], places_after[known]
     moves = np.asarray(np.linalg.norm(places_after - places, axis=1), np.float64)
