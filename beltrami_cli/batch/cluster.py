@@ -211,7 +211,7 @@ def _on_worker(task: Task, topic: str, key: int, client_version: str, *arguments
         state = worker.state.tasks.get(own)
         if state is None or state.state == "cancelled":
             raise _Cancelled
-        worker.log_event(topic, [key, label, done, total])
+        worker.log_event(topic, [key, str(label), done, total])  # a plain string: Dask sends no subclasses
 
     # Writable copies: arrays from Dask may be read-only, and another attempt needs them unchanged.
     values = [[np.array(each) for each in value] if isinstance(value, list) else value for value in arguments]

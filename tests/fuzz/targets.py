@@ -199,7 +199,7 @@ def read_manifest(data):
             assert Path(request.target).is_relative_to(path.parent / "out")
             # What the command puts behind the line's name.
             with contextlib.suppress(click.UsageError, UsageError, ValueError):
-                _settings(request, {})
+                _settings(request, {}, ())
 
 
 def read_record(data):

@@ -115,7 +115,7 @@ def test_a_file_of_others_is_replaced_only_if_the_command_line_names_it(kind, tm
         ((), {variable: name, **overwriting}),
         (("--overwrite",), {"BELTRAMI_CONFIG": str(configuration)}),
     ):
-        assert "no " in refused(tmp_path, *arguments, *given, code=4, said="remove it", env=variables)
+        assert "is not a " in refused(tmp_path, *arguments, *given, code=4, said="remove it", env=variables)
     if kind == "record":  # among many files, one that a model needs is named too easily
         refused(tmp_path, *arguments, OPTIONS[kind], name, "--overwrite", code=4, said="remove it")
         file.unlink()
