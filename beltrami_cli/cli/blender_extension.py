@@ -54,7 +54,7 @@ def write_blender_extension(target: str, *, overwrite: bool) -> int:
 
 
 def declared_parameters() -> Iterator[dict[str, Any]]:
-    """Give the parameters of smoothing that the extension shows, in JSON types."""
+    """Yield the parameters of smoothing that the extension shows, in JSON types."""
     for each in parameters(SmoothSettings, deep=True):
         if not each.flags or each.group not in _GROUPS or each.name in _OMITTED_OPTIONS:
             continue

@@ -83,7 +83,7 @@ def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
 
 
 def lines_on(facts: dict[str, Any]) -> Iterator[str]:
-    """Give a line for each fact, or of a report for each figure; what belongs together is indented below its name."""
+    """Yield a line for each fact, or of a report for each figure; what belongs together is indented below its name."""
     shown = {label_of(key): value for key, value in facts.items() if not _is_empty(value)}
     if isinstance(shown.get("choice"), dict):
         shown["choice"] = choice_in_words(shown["choice"])

@@ -104,7 +104,7 @@ def _parts_of(source: str, facts: dict[str, Any]) -> Iterator[list[str]]:
 
 
 def _summary(facts: dict[str, Any]) -> Iterator[str]:
-    """Give at most 20 lines: each coloured part with its noise and what smoothing it would do, then the notices."""
+    """Yield at most 20 lines: each coloured part with its noise and what smoothing it would do, then the notices."""
     rows = [("file", f"{facts['file']['name']}: {', '.join(_size_in_words(facts))}")]
     for slot in facts.get("textures", []):
         charts = f"{slot['covered']} texels in {counted(slot['charts'], 'chart')}"
@@ -144,7 +144,7 @@ def _size_in_words(facts: dict[str, Any]) -> Iterator[str]:
 
 
 def _answer(part: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """Give the noise of a part and what smoothing would do to it."""
+    """Yield the noise of a part and what smoothing would do to it."""
     if wrong := outliers_in_words(part.get("wrong_samples", {}), "sample"):
         yield "outliers", wrong
     smooth = part["smooth"]

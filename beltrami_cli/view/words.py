@@ -109,7 +109,7 @@ def _rounded(share: float) -> str:
 
 
 def _details(part: Mapping[str, Any]) -> Iterator[str]:
-    """Give the noise by channel, level and place, and how many samples share it."""
+    """Yield the noise by channel, level and place, and how many samples share it."""
     noise, model, reading = part["noise"], part["noise_model"], part["reading"]
     # If strong, more is removed than the median.
     share = (

@@ -335,7 +335,7 @@ def _colours(stored: Array) -> Array:
 
 
 def named_places(tree: Tree, lengths: Sequence[int]) -> Iterator[tuple[tuple[int, str | None], View]]:
-    """Iterate over the bytes that views and their extensions name, with the view's index and extension."""
+    """Yield the bytes that views and their extensions name, with the view's index and extension."""
     for index, view in enumerate(objects(tree.get("bufferViews"))):
         for name, holder in [(None, view), *view.get("extensions", {}).items()]:
             if not isinstance(holder, dict):

@@ -173,7 +173,7 @@ def require_structure(root: Entry) -> None:
 
 
 def objects_within(value: object) -> Iterator[Tree]:
-    """Iterate over all objects in a value, itself included."""
+    """Yield all objects in a value, itself included."""
     stack = [value]
     while stack:
         value = stack.pop()
@@ -190,7 +190,7 @@ def objects(values: object) -> list[Tree]:
 
 
 def primitives_of(tree: Tree) -> Iterator[tuple[tuple[int, int], Tree]]:
-    """Iterate over the primitives of all meshes, each with the index of its mesh and its own within the mesh."""
+    """Yield the primitives of all meshes, each with the index of its mesh and its own within the mesh."""
     for mesh, holder in enumerate(objects(tree.get("meshes"))):
         for part, primitive in enumerate(objects(holder.get("primitives"))):
             yield (mesh, part), primitive

@@ -415,7 +415,7 @@ def _placed(edit: Edit, naming: Naming, form: str, folder: ModelFolder) -> NewFi
 
 
 def _files(edit: Edit, folder: ModelFolder) -> Iterator[tuple[Tree, str, Bytes | ImageFile | None]]:
-    """Iterate over the buffers and images that are files: entry, path, and new content if it changes.
+    """Yield the buffers and images that are files: entry, path, and new content if it changes.
 
     Buffers that are data URIs get theirs.
     """

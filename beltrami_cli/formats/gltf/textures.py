@@ -240,7 +240,7 @@ def show_images(edit: Edit, images: Images, new: NewImages) -> None:
 
 
 def _image_uses(tree: Tree) -> Iterator[tuple[Any, Any]]:
-    """Iterate over the places that name images: the object or array, and its member."""
+    """Yield the places that name images: the object or array, and its member."""
     for texture in tree["textures"]:
         for holder in [texture, *objects(list(texture.get("extensions", {}).values()))]:
             if isinstance(holder.get("source"), int):

@@ -87,7 +87,7 @@ def instances(root: Entry) -> list[tuple[int, Placement, str]]:
 
 
 def _shown(root: Entry, scenes: Sequence[Entry]) -> Iterator[tuple[int, int, Float64s, Entry]]:
-    """Iterate over the nodes with a mesh, depth first: the number of the scene, the mesh, its matrix and the node."""
+    """Yield the nodes with a mesh, depth first: the number of the scene, the mesh, its matrix and the node."""
     nodes, meshes = root.entries("nodes"), root.entries("meshes")
     children = [node.integers("children", below=len(nodes)) for node in nodes]
     parent: dict[int, int] = {}

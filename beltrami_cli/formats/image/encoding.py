@@ -161,7 +161,7 @@ def _require_whole(data: bytes, spec: Any, pixels: Array, known: str, name: str)
 
 
 def _decoded(file: Any) -> Iterator[tuple[slice, Array | None]]:
-    """Give the rows of an OpenImageIO.ImageInput block by block, and their pixels; None if they cannot be read."""
+    """Yield the rows of an OpenImageIO.ImageInput block by block, and their pixels; None if they cannot be read."""
     spec = file.spec()
     if spec.tile_width:
         yield slice(None), file.read_image(spec.format)

@@ -65,7 +65,7 @@ def _index_of_pictures(segment: bytes, shift: int, growth: int) -> bytes:
 
 
 def _markers(data: bytes | memoryview) -> Iterator[tuple[int, int, int]]:
-    """Give every marker of the first picture in a JPEG file, and where its segment and scan start and end."""
+    """Yield every marker of the first picture in a JPEG file, and where its segment and scan start and end."""
     at = 2
     while at + 2 <= len(data) and data[at] == 0xFF:
         marker, end = data[at + 1], at + 2
@@ -84,7 +84,7 @@ def _markers(data: bytes | memoryview) -> Iterator[tuple[int, int, int]]:
 
 
 def segments(data: bytes | memoryview) -> Iterator[tuple[int, bytes | memoryview]]:
-    """Give the marker and the whole bytes of every segment before the scan, then the scan and all behind it."""
+    """Yield the marker and the whole bytes of every segment before the scan, then the scan and all behind it."""
     view = memoryview(data)
     for marker, start, end in _markers(view):
         if marker == _START_OF_SCAN:
@@ -94,7 +94,7 @@ def segments(data: bytes | memoryview) -> Iterator[tuple[int, bytes | memoryview
 
 
 def segment_names(data: bytes) -> Iterator[str]:
-    """Give what the segments of metadata are called."""
+    """Yield what the segments of metadata are called."""
     for marker, segment in segments(data):
         if marker == _COMMENT:
             yield "COM"

@@ -92,7 +92,7 @@ def items(data: bytes, known: str) -> dict[str, bool]:
 
 
 def _boxes(data: bytes) -> Iterator[bytes]:
-    """Give the types of the boxes of an ISO file; a bare stream of code has none."""
+    """Yield the types of the boxes of an ISO file; a bare stream of code has none."""
     at = 0
     while at + 8 <= len(data) and data[4:8] in (b"jP  ", b"JXL "):
         size, kind = int.from_bytes(data[at : at + 4]), data[at + 4 : at + 8]

@@ -41,7 +41,7 @@ def opened(data: bytes, config: Any = None, name: str = UNNAMED) -> Iterator[tup
 
 @contextmanager
 def scratch_file(data: bytes = b"", name: str = UNNAMED) -> Iterator[Path]:
-    """Give a file a name for a while: in memory on Linux, else among temporary files.
+    """Yield a file a name for a while: in memory on Linux, else among temporary files.
 
     Other processes can open it as well.
     """

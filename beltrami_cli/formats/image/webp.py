@@ -35,7 +35,7 @@ def is_lossless(data: bytes) -> bool:
 
 
 def chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
-    """Give the type and the payload of every complete chunk."""
+    """Yield the type and the payload of every complete chunk."""
     at, end = _RIFF_START, _end(data)
     while at + 8 <= end:
         size = int.from_bytes(data[at + 4 : at + 8], "little")
