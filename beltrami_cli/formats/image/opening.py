@@ -41,7 +41,7 @@ def opened(data: bytes, config: Any = None, name: str = UNNAMED) -> Iterator[tup
 
 @contextmanager
 def scratch_file(data: bytes = b"", name: str = UNNAMED) -> Iterator[Path]:
-    """Yield a file a name for a while: in memory on Linux, else among temporary files.
+    """Yield a path to the bytes of a file: in memory on Linux, elsewhere a temporary file.
 
     Other processes can open it as well.
     """
