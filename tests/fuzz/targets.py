@@ -15,7 +15,7 @@ from beltrami_cli import smooth
 from beltrami_cli.batch.item import Item
 from beltrami_cli.batch.plan import plan
 from beltrami_cli.batch.record import _read_record, is_done, is_own_output
-from beltrami_cli.cli.batch import _settings
+from beltrami_cli.cli.batch import _settings, batch
 from beltrami_cli.cli.config import load
 from beltrami_cli.cli.main import group
 from beltrami_cli.errors import BeltramiError, InputError, UsageError
@@ -198,8 +198,11 @@ def read_manifest(data):
         for request in plan([str(path)], str(path.parent / "out"), "", None):
             assert Path(request.target).is_relative_to(path.parent / "out")
             # What the command puts behind the line's name.
-            with contextlib.suppress(click.UsageError, UsageError, ValueError):
-                _settings(request, {}, ())
+            with (
+                contextlib.suppress(click.UsageError, UsageError, ValueError),
+                batch.make_context("batch", ["a.ply", "--out-dir", "out"]).scope() as context,
+            ):
+                _settings(request, context.params, ())
 
 
 def read_record(data):
