@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from beltrami_cli.batch.storage import hash_at, staged
 from beltrami_cli.errors import BeltramiError, MemoryLimitError, NoColoursError
+from beltrami_cli.flow.parameters import noise_size
 from beltrami_cli.formats.access import Access, is_url
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.output import FileSet
@@ -85,7 +86,7 @@ class Outcome:
         ]
         if self.status == "failed" or not parts:
             return None
-        noise = max((float(value) for part in parts for value in part["noise"].values()), default=0.0)
+        noise = max(map(noise_size, parts))
         is_chosen = "iterations" in report.get("parameters", {}).get("free", ())
         is_left = is_chosen and not any(part["iterations"] for part in parts)
         return noise, max(float(part["change"]["mean"]) for part in parts), is_left

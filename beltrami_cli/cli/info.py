@@ -22,6 +22,7 @@ from beltrami_cli.cli.console import (
     show_table,
 )
 from beltrami_cli.errors import BeltramiError, InputError
+from beltrami_cli.flow.parameters import noise_size
 from beltrami_cli.formats.access import is_url
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.view.words import (
@@ -90,14 +91,14 @@ def _parts_of(source: str, facts: dict[str, Any]) -> Iterator[list[str]]:
         pixels = image.get("width", 0) * image.get("height", 0)
         parts.append(("pixels" if image else "vertices", pixels or surface.get("samples"), facts))
     for what, samples, part in parts:
-        plan, noise = part.get("smooth") or {}, part.get("noise") or {}
+        plan = part.get("smooth") or {}
         iterations = plan.get("iterations")
         yield [
             source,
             str(facts["file"]["format"]),
             what,
             "" if samples is None else str(samples),
-            noise_of_255(max(noise.values(), default=0.0)),
+            noise_of_255(noise_size(part)),
             "" if iterations is None else str(iterations),
             *("" if plan.get(key) is None else f"{plan[key]:.3g}" for key in ("t", "beta")),
         ]

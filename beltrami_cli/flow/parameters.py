@@ -34,6 +34,8 @@ NEGLIGIBLE = 0.1
 # Visible noise, of full scale: with less, most samples are within a step of 8 bits of their value.
 VISIBLE = 2 * BYTE_STEP
 
+_CHANNELS_OF_COLOUR = 3
+
 _STRENGTH_RANGE = "{}, or a number between {gentle} and {strong}".format(", ".join(STRENGTHS), **STRENGTHS)
 
 # The error of distances along segments stays the same on ever finer meshes, that of fast marching shrinks: on level
@@ -361,3 +363,20 @@ PRESETS: dict[str, dict[str, object]] = {
         "beta_growth": 1.0,
     }
 }
+
+
+def noise_size(part: Mapping[str, Any]) -> float:
+    """Return the noise of a part of a report, or of `info`, as one number of full scale 1; 0: none is removed.
+
+    Where it was estimated, it is the median of the estimate: the noise by channel is what is removed, which is more.
+    """
+    noise, reading = part["noise"], part["reading"]
+    if reading is None or not any(noise.values()):
+        return root_mean_square(noise)
+    return float(reading["median"])
+
+
+def root_mean_square(noise: Mapping[str, float]) -> float:
+    """Return the root mean square of noise by channel, without that of alpha."""
+    colours = [*noise.values()][:_CHANNELS_OF_COLOUR]
+    return math.sqrt(sum(sigma**2 for sigma in colours) / max(1, len(colours)))

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 from beltrami_cli.fields import BYTE_STEP, of_255
-from beltrami_cli.flow.parameters import NEGLIGIBLE, VISIBLE
+from beltrami_cli.flow.parameters import NEGLIGIBLE, VISIBLE, noise_size, root_mean_square
 
 NO_NOISE_FOUND = "no noise detected"
 
 # Ratio of the ends of an interval of the noise from which on it is shown. Where it is less, the median is off by a
 # factor of 1.22 at most, which costs about half a decibel: see `_MORE` in flow/noise/size.py.
 _WIDE_RATIO = 1.5
-
-_CHANNELS_OF_COLOUR = 3
 
 
 def noise_of_255(share: float) -> str:
@@ -26,12 +23,10 @@ def noise_of_255(share: float) -> str:
 def noise_of(part: Mapping[str, Any]) -> str:
     """Return the noise of a part of a report, or of `info`, as a quantity, with its interval where that is wide."""
     reading = part["reading"]
-    if reading is None:
-        return noise_of_255(_root_mean_square(part["noise"]))
-    low, median, high = (reading[key] for key in ("low", "median", "high"))
-    if high <= _WIDE_RATIO * low:
-        return noise_of_255(median)
-    return f"about {_rounded(median)}/255 ({_rounded(low)} to {_rounded(high)})"
+    if reading is None or reading["high"] <= _WIDE_RATIO * reading["low"]:
+        return noise_of_255(noise_size(part))
+    low, median, high = (_rounded(reading[key]) for key in ("low", "median", "high"))
+    return f"about {median}/255 ({low} to {high})"
 
 
 def noise_in_words(part: Mapping[str, Any], *, is_smoothed: bool) -> str:
@@ -99,22 +94,15 @@ def noise_to_give(reading: Mapping[str, float]) -> str:
     return number if float(number) >= 1 else f"{number}/255"
 
 
-def _root_mean_square(noise: Mapping[str, float]) -> float:
-    colours = [*noise.values()][:_CHANNELS_OF_COLOUR]
-    return math.sqrt(sum(sigma**2 for sigma in colours) / max(1, len(colours)))
-
-
 def _rounded(share: float) -> str:
     return f"{255 * share:.0f}" if 255 * share >= 9.95 else of_255(share).removesuffix(".0")
 
 
 def _details(part: Mapping[str, Any]) -> Iterator[str]:
     """Yield the noise by channel, level and place, and how many samples share it."""
-    noise, model, reading = part["noise"], part["noise_model"], part["reading"]
+    noise, model = part["noise"], part["noise_model"]
     # If strong, more is removed than the median.
-    share = (
-        reading["median"] / _root_mean_square(noise) if reading is not None and any(noise.values()) else 1.0
-    )
+    share = noise_size(part) / root_mean_square(noise) if any(noise.values()) else 1.0
     if len(noise) > 1:
         yield ", ".join(f"{name} {of_255(share * sigma)}" for name, sigma in noise.items())
     names = {"quiet": "quiet places", "loud": "loud places"}

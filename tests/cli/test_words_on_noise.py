@@ -7,10 +7,11 @@ import re
 import numpy as np
 import pytest
 
+from batch.batches import batch
 from beltrami_cli.flow.noise.model import Reading
 from beltrami_cli.flow.noise.size import SizeWeights
 from beltrami_cli.layers.layer import describe_reading
-from beltrami_cli.view.words import noise_in_words, noise_of
+from beltrami_cli.view.words import noise_in_words, noise_of, noise_of_255
 from cli.commands import SAMPLES, beltrami, colours_in
 from formats.image_files import encode
 from oracles.pictures import photograph
@@ -113,6 +114,18 @@ def test_info_and_the_report_say_the_same_as_the_result(none, noisy, suppose):
     assert shared in said.splitlines()[-1] + "".join(said.splitlines()[:4])
     estimates = [re.findall(r"(?:predicted PSNR|no PSNR can be) .*", text) for text in (said, shown)]
     assert estimates[0] == estimates[1]
+
+
+def test_tables_have_the_same_noise_as_the_message_on_a_single_file(noisy):
+    _, part, _ = smoothed(noisy)
+    size = noise_of_255(part["reading"]["median"])
+    other = noisy.with_stem("other")
+    other.write_bytes(noisy.read_bytes())
+    listed = beltrami("info", noisy, other, text=True).stdout.splitlines()[1:]
+    done = batch(noisy, "--out-dir", noisy.parent / "many")
+    assert noise_of_255(max(part["noise"].values())) != size
+    assert [re.findall(r"[\d.]+/255", line)[0] for line in listed] == [size, size]
+    assert size in done
 
 
 def test_hidden_pixels_are_smoothed_by_the_advice(noisy):
