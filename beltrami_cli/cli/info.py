@@ -100,7 +100,7 @@ def _parts_of(source: str, facts: dict[str, Any]) -> Iterator[list[str]]:
             "" if samples is None else str(samples),
             noise_of_255(noise_size(part)),
             "" if iterations is None else str(iterations),
-            *("" if plan.get(key) is None else f"{plan[key]:.3g}" for key in ("t", "beta")),
+            *(f"{plan[key]:.3g}" if iterations and plan[key] is not None else "" for key in ("t", "beta")),
         ]
 
 

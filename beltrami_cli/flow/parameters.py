@@ -131,7 +131,8 @@ class KernelParameters:
     )  # fmt: skip
     noise: str | None = parameter(
         None,
-        "The noise if it is known: 12 (of 255), 4.7%, or a FILE with that of each sample. That of a camera is "
+        "The noise if it is known: 12 (of 255), 4.7%, or a FILE with that of each sample. For JPEG files it "
+        "is that before coding, and messages state what is left of it. That of a camera is "
         "shot:A,read:B (variance A L + B^2 of light L); frame:FILE and attribute:NAME see beltrami docs tuning.",
         kind=str, unset="estimated", metavar="S|FILE", is_daily=True, file_in=file_of_noise,
     )  # fmt: skip

@@ -144,6 +144,12 @@ def test_many_files_make_a_table_with_a_line_for_each_part(tmp_path):
         assert float(row[-1]) == pytest.approx(part["smooth"]["beta"], rel=5e-3)
 
 
+def test_the_table_has_no_kernel_for_what_is_not_smoothed(tmp_path):
+    copy_samples(tmp_path, "nonmanifold-noisy.ply", "nonmanifold-noisy.obj")
+    lines = beltrami("info", *tmp_path.iterdir(), "--noise", "0", text=True).stdout.splitlines()[1:]
+    assert [line.split()[-2:] for line in lines] == [["0.0/255", "0"]] * 2
+
+
 def test_many_files_make_a_line_of_json_each_and_what_cannot_be_read_is_said(tmp_path):
     for name in ("a.ply", "b.ply"):
         shutil.copy(SAMPLES / "nonmanifold-noisy.ply", tmp_path / name)
