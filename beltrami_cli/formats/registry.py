@@ -39,6 +39,7 @@ _UNREAD: dict[str, tuple[tuple[str, ...], bytes, str]] = {
     "Blender file": ((".blend",), rb"BLENDER", _BLENDER),
     "VTK file": ((".vtk", ".vtp", ".vtu"), rb"# vtk DataFile|(?:<\?xml[^>]*>\s*)?<VTKFile", _PARAVIEW),
     "3D Tiles file": ((".b3dm", ".i3dm", ".pnts", ".cmpt"), rb"b3dm|i3dm|pnts|cmpt", _TILES),
+    "material library": ((".mtl",), rb"\s*(?:#[^\n]*\n\s*)*newmtl\s", "give the .obj file that names it"),
     "ZIP archive": ((), rb"PK\x03\x04", _UNPACK),
     "empty ZIP archive": ((), rb"PK\x05\x06", _UNPACK),
     "gzip archive": ((), rb"\x1f\x8b", _UNPACK),

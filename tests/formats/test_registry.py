@@ -93,6 +93,8 @@ def test_images_and_volumes_are_no_models():
         (b"BLENDER-v400", "x", "Blender file"),
         (b"# vtk DataFile Version 3.0\n", "x.vtk", "VTK file, which is not read; convert it to PLY"),
         (b'<?xml version="1.0"?>\n<VTKFile type="PolyData">', "x.bin", "VTK file"),
+        (b"", "x.mtl", "material library, which is not read; give the .obj file"),
+        (b"# made by\n\n# a program\nnewmtl skin\n", "x.txt", "material library"),
         (b"b3dm\1\0\0\0", "x.b3dm", "3D Tiles file, which is not read; extract the model with: npx"),
     ],
 )  # fmt: skip
