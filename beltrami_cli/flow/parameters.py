@@ -369,7 +369,7 @@ PRESETS: dict[str, dict[str, object]] = {
 def noise_size(part: Mapping[str, Any]) -> float:
     """Return the noise of a part of a report, or of `info`, as one number of full scale 1; 0: none is removed.
 
-    Where it was estimated, it is the median of the estimate: the noise by channel is what is removed, which is more.
+    Where it was estimated, it is the median of the estimate; the noise by channel is what is removed.
     """
     noise, reading = part["noise"], part["reading"]
     if reading is None or not any(noise.values()):
