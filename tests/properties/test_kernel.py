@@ -108,11 +108,13 @@ def test_isolated_vertices_and_meshes_without_faces_stay_and_change_nothing_else
     positions, faces = surfaces.terrain(20, 25, 0.3, 1)
     random = np.random.default_rng(3)
     colours = (0.5 + 0.1 * random.standard_normal((len(positions), 3))).astype(np.float32)
-    for patches, count in (("off", 9 * len(positions)), ("on", 3)):
+    # With patches the noise is given: the last bits of its estimate, a sum over more vertices, decide ties of groups.
+    for patches, noise, count in (("off", None, 9 * len(positions)), ("on", "25/255", 3)):
+        options = {"beta": 8, "patches": patches, "noise": noise}
         strays, more = 1000 + random.random((count, 3)), random.random((count, 3))
-        plain = beltrami_cli.smooth(positions, faces, colours, beta=8, patches=patches).colours
+        plain = beltrami_cli.smooth(positions, faces, colours, **options).colours
         places, shades = np.concatenate([positions, strays]), np.concatenate([colours, more])
-        both = beltrami_cli.smooth(places, faces, shades, beta=8, patches=patches).colours
+        both = beltrami_cli.smooth(places, faces, shades, **options).colours
         assert flips(both[: len(plain)], plain)
         np.testing.assert_allclose(both[len(plain) :], more, atol=1e-6)
     nothing = beltrami_cli.smooth(positions, np.empty((0, 3), int), colours)
