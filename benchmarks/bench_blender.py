@@ -1,4 +1,4 @@
-"""A lightmap of few samples, smoothed in Blender, against one of many; `make test-blender` runs it.
+"""Compare a lightmap of few samples, smoothed in Blender, with one of many samples; `make test-blender` runs it.
 
 The picture of the documentation is drawn into the folder that BELTRAMI_PICTURES names.
 """
@@ -8,7 +8,7 @@ from pathlib import Path
 
 from blender.scenes import SIDE, bpy, choose, extension, np, numbers, of_image, psnr, scene, textured, written
 
-# Path-traced noise differs from place to place, so the strength is given and not chosen.
+# The noise of path tracing varies with the place, so parameters are given instead of estimated.
 FOR_BAKES = {"iterations": 5, "beta": 8.0}
 
 
@@ -18,7 +18,7 @@ def displayed(linear):
 
 
 def seam_jumps(item, pixels):
-    """Return how far the colours on both sides of each seam are apart, at the middle of its edges."""
+    """Return the colour difference across each edge of a seam, at its middle."""
     mesh, places = item.data, {}
     uv = numbers(mesh.uv_layers[0].uv, "vector", 2)
     for polygon in mesh.polygons:
@@ -71,7 +71,7 @@ def draw_side_by_side(scene, item, image, lightmaps, path):
 
 
 def lit_torus(scene):
-    """Return a torus below two lamps and a sky, and the image that is to show their light."""
+    """Return a torus below two lamps and a sky, and the image that their light is baked into."""
     scene.render.engine = "CYCLES"
     scene.cycles.device, scene.cycles.use_denoising = "CPU", False
     bpy.ops.mesh.primitive_plane_add(size=6, location=(0, 0, -1))

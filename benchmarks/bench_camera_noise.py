@@ -1,9 +1,9 @@
-"""Noise as cameras make it, and coarse grain, on photographs: the program without any parameter beside BM3D.
+"""Compare the defaults with BM3D on photographs with noise of cameras and coarse grain.
 
 ``python benchmarks/bench_camera_noise.py [IMAGE...]`` judges four photographs of scikit-image, and named
 images, in windows of 224 x 224. A camera counts photons in linear light on a Bayer mosaic (variance A times the light,
-plus B squared), which is demosaiced, encoded as sRGB, and stored in 8 bit or as JPEG. The truth is the same without
-noise. BM3D is told 1, 1.5 and 2.2 times the true root mean square of the noise, and the best of these counts.
+plus B squared), which is demosaiced, encoded as sRGB, and stored in 8 bit or as JPEG. The truth is the same picture
+without noise. BM3D is run with 1, 1.5 and 2.2 times the true RMS noise, and its best result is reported.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ FACTORS = (1, 1.5, 2.2)
 
 
 def main():
-    """Judge all images with all kinds of noise."""
     options = arguments(__doc__, "images", no_peers=False)
     rows = []
     for name, clean in images(options.images):
@@ -57,7 +56,7 @@ def best_of_bm3d(noisy, truth):
 
 
 def psnr(image, truth):
-    """Return the PSNR of an image as it is shown."""
+    """Return the PSNR of an image after clipping."""
     return plain_psnr(np.clip(image, 0, 1), truth)
 
 

@@ -1,8 +1,8 @@
-"""Clean pictures that plain `smooth` changes, though there is no noise to remove.
+"""Count clean pictures that `smooth` changes although there is no noise to remove.
 
 ``python benchmarks/bench_clean.py FOLDER...`` smooths up to 130 pictures of each folder by default parameters: an even
-sample of the pictures with sides of 64 to 1024 pixels. The table has how many pictures changed at all, how many have a
-PSNR below 35 and 40 dB over the pixels that are not transparent, and the worst one.
+sample of the pictures with sides of 64 to 1024 pixels. The table has the share of pictures that changed at all, the
+shares with a PSNR below 40 and 35 dB over the pixels that are not transparent, and the worst picture.
 """
 
 import tempfile
@@ -17,7 +17,6 @@ from pictures import pictures
 
 
 def main():
-    """Judge the pictures of all folders."""
     options = arguments(__doc__, "folders")
     rows = []
     for folder in options.folders:
@@ -30,7 +29,7 @@ def main():
 
 
 def psnr_after(path, before):
-    """Return the PSNR of a picture that was smoothed; infinite: it was not."""
+    """Return the PSNR of a smoothed picture against the input; infinite if it was not changed."""
     with tempfile.TemporaryDirectory() as folder:
         output = Path(folder) / path.name
         beltrami_cli.smooth_file(path, output)

@@ -1,7 +1,7 @@
-"""Judge smoothed geometry: what is left of noise in smooth parts and at creases, and how far shapes shrink.
+"""Measure the noise left in smoothed geometry, in smooth parts and at creases, and how far shapes shrink.
 
 Shapes have edges of about one unit. Errors are distances from the true surface, root mean square, in edge lengths.
-Plain is the kernel without normals in the metric (``--normal-beta 0``).
+"plain" is the kernel without normals in the metric (``--normal-beta 0``).
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ def rms(values):
 
 
 def results(positions, faces, sigma):
-    """Yield noisy positions and what smoothing makes of them."""
+    """Yield names and positions: noisy ones, and those after smoothing with and without normals in the metric."""
     noisy = positions + np.random.default_rng(3).normal(0, sigma, positions.shape)
     parameters = {"colours": np.full((len(noisy), 1), 0.5), "smooth_geometry": True}
     yield "noisy", noisy

@@ -1,9 +1,10 @@
-"""How far `beltrami level` brings charts of known exposure back: ``python benchmarks/bench_levelling.py [MODEL...]``.
+"""Measure how well `beltrami level` removes exposures of charts: ``python benchmarks/bench_levelling.py [MODEL...]``.
 
-Each chart gets a gain and an offset in each channel; then with colours that are cut off; then with a gain that falls
-off linearly over each chart. The table has by how many dB the error falls, up to one gain and offset for the whole
-model, and in brackets up to one for the charts that hang together by seams without steps: others have no common
-exposure. The last columns are the change of the model as it is, of 255, and the seconds of processor time of the fit.
+Each chart gets a gain and an offset in each channel; then also clipping; then also a gain that falls off linearly over
+the chart. The table has the decrease of the error in dB. A gain and an offset of the whole model are not counted as an
+error; in brackets, neither are those of each group of charts that are joined by seams without steps, since other charts
+have no common exposure. The last columns are the change of the original model, of 255, and the processor time of the
+fit in seconds.
 """
 
 from __future__ import annotations
@@ -23,11 +24,10 @@ NAMES = ("head-tex-clean.glb", "head-tex-noisy.glb", "torus-two-clean.gltf", "sp
          "scan-noisy.glb")  # fmt: skip
 KINDS = {"plain": {}, "clipped": {"clipped": True}, "fall-off": {"fall_off": True}}
 SEEDS = 1, 2
-JOINING = 16, 6 / 255  # samples of a seam without a step, and its median difference
+JOINING = 16, 6 / 255  # minimum number of samples of a seam without a step, and its maximum median difference
 
 
 def main():
-    """Judge all models."""
     options = arguments(__doc__, "models")
     models = options.models or [SAMPLES / name for name in NAMES]
     rows = [(path.name, *judge(ExposureScene.of(path))) for path in models]
@@ -35,7 +35,7 @@ def main():
 
 
 def judge(scene):
-    """Return the falls of the error for each kind of exposures, the change without any, and the time."""
+    """Return the decrease of the error for each kind of exposures, the change without any, and the time."""
     groups, cells, spent = joined(scene), [], []
     for kind in KINDS.values():
         falls = []
@@ -51,7 +51,7 @@ def judge(scene):
 
 
 def joined(scene):
-    """Return which texels are of charts that seams without steps join, as numbers of groups."""
+    """Return the group of each texel; charts that are joined by seams without steps form a group."""
     atlas = scene.samples.atlas
     colours = on_canvas(atlas, scene.truth.astype(np.float32))
     steps = steps_over_seams(atlas, colours, ChartPlaces.of(atlas))

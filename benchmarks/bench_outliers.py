@@ -1,8 +1,9 @@
-"""How wrong samples are told from what is thin but real: ``python benchmarks/bench_outliers.py FOLDER...``.
+"""Measure how well outliers are distinguished from thin detail: ``python benchmarks/bench_outliers.py FOLDER...``.
 
-No PNG or JPEG file of the folders has wrong samples: in how many are some found, with what values of the constants? And
-of pixels that are made black and white, or red, 0.5, 2 and 10 % of the four most colourful pictures, with and without
-noise of 10 of 255, how many are missed, and how many others are replaced?
+The PNG and JPEG files of the folders must not have outliers. For several values of the constants, the table has the
+number of files in which outliers are found. It also has the shares of missed outliers and of wrongly replaced pixels if
+0.5, 2 and 10 % of the pixels of the four most colourful pictures are made black and white, or red, with and without
+noise of 10/255.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.surface.atlas import grid_atlas
 
-LARGEST = 512  # pixels a side that are looked at
+LARGEST = 512  # pixels per side that are judged
 PHOTOGRAPHS = 4  # the most colourful ones take impulses
 TRIED = {
     "_OUTLIER_LIMIT": [(2.5, 0.1), (4, 0.1), (5, 0.1), (3, 0.07), (3, 0.15)], "_WEAK_LIMIT": [0.2, 0.5],
@@ -26,7 +27,7 @@ TRIED = {
 
 
 def found_in(image: np.ndarray) -> np.ndarray:
-    """Return which pixels of an image, shape (H, W, N), are wrong."""
+    """Return the mask of outliers that are found in an image, shape (H, W, N)."""
     atlas = grid_atlas(image.shape[:2], 2, None, np.ones(image.shape[:2], bool))
     planes = np.zeros((image.shape[2], *atlas.kind.shape), np.float32)
     planes[:, 2:-2, 2:-2] = np.moveaxis(image, 2, 0)
@@ -38,7 +39,7 @@ def found_in(image: np.ndarray) -> np.ndarray:
 
 
 def with_impulses(clean: list[np.ndarray]) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return pictures with impulses, and where these are."""
+    """Return pictures with impulses, and the masks of these."""
     rng, made = np.random.default_rng(0), []
     for image in clean:
         for share in (0.005, 0.02, 0.1):
@@ -53,7 +54,7 @@ def with_impulses(clean: list[np.ndarray]) -> list[tuple[np.ndarray, np.ndarray]
 
 
 def judge(clean: list[np.ndarray], spoiled: list[tuple[np.ndarray, np.ndarray]]) -> tuple[str, str, str]:
-    """Return how many clean pictures are changed, and the shares of wrong samples missed and of others replaced."""
+    """Return the number of clean pictures that change, and the missed and wrongly replaced pixels per impulse."""
     harmed = sum(bool(found_in(image).any()) for image in clean)
     missed = false = every = 0
     for image, where in spoiled:

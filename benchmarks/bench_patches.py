@@ -1,8 +1,8 @@
-"""The program, with nothing given, beside the kernel alone and flat denoisers, on textures and on vertices.
+"""Compare the defaults with the kernel alone and with denoisers of flat images, on textures and on vertices.
 
 ``BELTRAMI_EXTRA_MESHES=FOLDER python benchmarks/bench_patches.py`` judges samples, photographs of scikit-image,
 and the models of a folder. Cells have the PSNR over covered texels, within 4 texels of a seam, and the mean CIEDE2000.
-The program works on whole surfaces; of larger images the peers see a part, and all are judged there.
+The program works on whole surfaces. Peers get a part of larger images, and all methods are judged on this part.
 """
 
 from __future__ import annotations
@@ -31,14 +31,13 @@ from beltrami_cli.jobs.settings import NoiseSettings
 from pictures import PHOTOGRAPHS, SIDE, on_sphere, photograph
 
 SUBDIVISIONS = 6  # of the icosphere: 40,962 vertices
-MARGIN = 20  # texels around what is judged that peers see, too: half of BM3D's window
-MAX_COMPARED = 40_000  # texels of which colours are compared as they look
+MARGIN = 20  # texels around the judged part that peers also get: half of BM3D's window
+MAX_COMPARED = 40_000  # maximum number of texels for the mean CIEDE2000
 PEERS = {"bilateral": peers.bilateral, "non-local means": peers.nonlocal_means, "BM3D": peers.bm3d}
 OURS = {"`--patches off`": "off", "default": "auto"}
 
 
 def main():
-    """Judge everything; print tables with means."""
     options = arguments(
         __doc__, sigma=20, only="", jobs=os.cpu_count() or 1, no_textures=False, no_vertices=False
     )
@@ -55,7 +54,7 @@ def main():
 
 
 def rows_of(judged, methods):
-    """Return rows of figures, which go to stderr as soon as they are known, and their means."""
+    """Return rows of figures and their means; each row is printed to stderr as soon as it is known."""
     found = []
     for name, figures in judged:
         found.append((name, np.array([figures.get(method, (np.nan,) * 3) for method in methods])))
@@ -101,7 +100,7 @@ def smoothed(scene, noisy, patches):
 
 
 def smooth(source, target, patches):
-    """Smooth a file on one thread with nothing given but whether patches are used."""
+    """Smooth a file on one thread by default parameters, except for `patches`."""
     settings = beltrami_cli.SmoothSettings(parameters_with({"patches": patches, "threads": 1}))
     beltrami_cli.smooth_file(source, target, settings, job=Job(overwrite=True))
 
@@ -164,7 +163,6 @@ def judge_vertices(sigma, path):
 
 
 def vertex_colours(path):
-    """Return the colours of the vertices of a file."""
     return np.asarray(open_document(str(path)).coloured_vertices().colours)[:, :3]
 
 
@@ -174,7 +172,7 @@ def write_vertices(folder):
         image, sphere = photograph(name), icosphere(SUBDIVISIONS)
         wanted = 2 * np.sqrt(len(sphere.positions) / 2 / np.pi)  # pixels across a hemisphere
         factor = wanted / min(image.shape[:2])
-        # Means over what a vertex stands for, so that nothing aliases.
+        # Averages over the area of a vertex, which prevents aliasing.
         blurred = uniform_filter(image, (round(1 / factor), round(1 / factor), 1))
         colours = on_sphere(np.clip(zoom(blurred, (factor, factor, 1), order=1), 0, 1), sphere.positions)
         write_ply(folder / f"{name}.ply", Scene(sphere.positions, sphere.faces, colours, colours))

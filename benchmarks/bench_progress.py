@@ -1,4 +1,4 @@
-"""The processor time of each phase of progress, on a small and a large texture: `_SECONDS` of jobs/progress.py."""
+"""Measure the processor time of each phase of progress on two textures: `_SECONDS` of jobs/progress.py."""
 
 from __future__ import annotations
 

@@ -1,13 +1,13 @@
-"""The decibels lost by not knowing the noise: the one number by which reading it is judged.
+"""Measure the PSNR that is lost because the noise is estimated: the figure by which estimates are judged.
 
 ``python benchmarks/bench_regret.py [FOLDER...]`` smooths pictures, vertices, clouds and light by default parameters,
-and again told the root mean square of the noise before it was clipped. A noisy picture loses PSNR(told) -
-PSNR(default), at least 0; a clean one what the PSNR of its result lies below 42 dB. All kinds weigh alike; noisy ones
-count for 70 %, clean ones for 30 %. Noise is not found where the result is the input although telling gains more than
-0.5 dB.
+and again with the true RMS noise before clipping ("told"). The loss of a noisy picture is PSNR(told) - PSNR(default),
+at least 0. That of a clean picture is the difference of its PSNR from 42 dB if it is below. All kinds have the same
+weight; noisy kinds contribute 70 %, clean kinds 30 %. Noise counts as not found if the result is the input although the
+true noise gains more than 0.5 dB.
 
-Pictures are photographs of scikit-image on which the noise model is not trained, generated ones, and those of folders,
-which are not to be those of its training either. For example, four packages of Debian::
+Pictures are generated, photographs of scikit-image that the noise model is not trained on, and files of folders, which
+must not be training pictures either. For example, four packages of Debian::
 
     apt-get download extremetuxracer-data freedroidrpg-data torcs-data tuxpaint-stamps-default
     for package in *.deb; do dpkg-deb --extract $package build/pictures/${package%%_*}; done
@@ -27,24 +27,24 @@ from typing import Any
 import numpy as np
 from regret_scene import kinds, rms
 
-UNCHANGED = 42.0  # dB: a clean picture loses nothing
+UNCHANGED = 42.0  # dB from which on a clean picture counts as unchanged
 NOISY_SHARE = 0.7
-MISSED = 0.5  # dB that telling gains where noise is not found
-LEFT = 0.05  # dB: a result that gains less is the input
+MISSED = 0.5  # minimum gain in dB by the true noise where noise is not found
+LEFT = 0.05  # gain in dB below which a result is the input
 
 
 @dataclass(frozen=True)
 class Row:
-    """What a case loses; numbers are of 255 or in dB."""
+    """Figures of a case: noise of 255, and PSNR in dB."""
 
     kind: str
     name: str
     rms: float
-    read: float
-    given: float
-    default: float
-    told: float  # of a clean picture: that nothing is lost at
-    interval: Any  # None: none is printed
+    read: float  # estimated RMS noise
+    given: float  # PSNR of the input
+    default: float  # PSNR by default parameters
+    told: float  # PSNR with the true noise; of a clean picture: `UNCHANGED`
+    interval: Any  # None: no interval is reported
 
     @property
     def lost(self):
@@ -61,8 +61,9 @@ class Row:
 
 
 def main():
-    """Judge all kinds; print a table, and the decibels lost."""
-    parser = argparse.ArgumentParser(description="Measure what is lost by not knowing the noise.")
+    parser = argparse.ArgumentParser(
+        description="Measure the PSNR that is lost because the noise is estimated."
+    )
     parser.add_argument("folders", nargs="*", type=Path, help="with pictures that training has not seen")
     parser.add_argument("--kinds", default="", help="names, or how they begin, separated by commas")
     parser.add_argument("--quick", action="store_true", help="the fewest pictures of each kind")
@@ -86,7 +87,7 @@ def main():
 
 
 def judged(kind, case):
-    """Smooth a case by default, and told its noise."""
+    """Smooth a case by default parameters, and with its true noise."""
     result = case.smooth(case.given)
     told = UNCHANGED
     if not kind.startswith("clean"):
@@ -97,24 +98,23 @@ def judged(kind, case):
 
 
 def by_kind(rows):
-    """Return the figures of each kind."""
     figures = {}
     for kind in dict.fromkeys(row.kind for row in rows):
         own = [row for row in rows if row.kind == kind]
-        told = [row for row in own if row.interval is not None]
+        reported = [row for row in own if row.interval is not None]
         figures[kind] = {
             "pictures": len(own),
             "lost": float(np.mean([row.lost for row in own])),
             "worst": max(row.lost for row in own),
             "missed": sum(row.is_missed for row in own),
-            "hold": sum(row.holds for row in told),
-            "intervals": len(told),
+            "hold": sum(row.holds for row in reported),
+            "intervals": len(reported),
         }
     return figures
 
 
 def total(rows):
-    """Return what is lost in all, and by noisy and clean kinds; None: there are none."""
+    """Return the mean loss in all, of noisy and of clean kinds; None if there are no such kinds."""
     figures = by_kind(rows)
     clean = [each["lost"] for kind, each in figures.items() if kind.startswith("clean")]
     noisy = [each["lost"] for kind, each in figures.items() if not kind.startswith("clean")]
@@ -124,13 +124,12 @@ def total(rows):
 
 
 def show_reading(row):
-    """Print the noise of a case beside what was read, and the PSNR of the input and both results."""
+    """Print the true and the estimated noise of a case, and the PSNR of the input and of both results."""
     psnrs = f"{row.given:.1f} -> {row.default:.1f}, {row.told:.1f} told"
     print(f"{row.kind}, {row.name}: noise of {row.rms:.1f} read as {row.read:.1f}; {psnrs}", flush=True)
 
 
 def show(figures):
-    """Print the table."""
     print("| kind | pictures | dB lost | worst | not found | intervals hold |\n|---|" + "---:|" * 5)
     for kind, each in figures["kinds"].items():
         counts = f"{each['missed']} | {each['hold']} of {each['intervals']}"

@@ -1,7 +1,8 @@
-"""Time and memory of `beltrami smooth` by the number of samples: vertices of PLY files, texels of OBJ files.
+"""Measure time and memory of `beltrami smooth` by the number of samples: vertices of PLY files, texels of OBJ files.
 
-``--most N`` is up to how many samples (10,000,000 take some 16 GB). ``--plot FILE`` draws them. ``--shuffled`` has the
-vertices and faces in random order, ``--chosen`` lets the program choose parameters. One thread, five iterations.
+``--most N`` limits the number of samples (10,000,000 take about 16 GB). ``--plot FILE`` draws a plot. ``--shuffled``
+puts vertices and faces in random order. ``--chosen`` lets the program choose parameters; otherwise five iterations are
+run. All runs use one thread.
 """
 
 from __future__ import annotations
@@ -21,7 +22,6 @@ GIVEN = ["-n", "5", "-t", "2.4", "--beta", "17", "--beta-growth", "1.5", "--metr
 
 
 def main():
-    """Smooth files of every size, print and draw what they cost."""
     options = arguments(__doc__, most=COUNTS[-1], least=COUNTS[0], plot="", shuffled=False, chosen=False)
     counts = [count for count in COUNTS if options.least <= count <= options.most]
     costs = []
@@ -62,7 +62,7 @@ def write_texture(folder, count, *, shuffle):
 
 
 def cost(source, settings):
-    """Return how many samples a file has, and the CPU seconds and the peak memory of the whole command."""
+    """Return the number of samples of a file, and CPU seconds and peak memory of the whole command."""
     target = source.with_stem("smooth")
     report, seconds = smooth_apart(source, target, *settings, "--threads", "1")
     samples = sum(slot["counts"]["covered"] for slot in report["textures"])
@@ -72,7 +72,7 @@ def cost(source, settings):
 
 
 def draw(costs, path):
-    """Draw time and memory over the number of samples, with lines of proportion."""
+    """Plot time and memory against the number of samples, with lines of proportional growth."""
     import matplotlib as mpl
 
     mpl.use("Agg")

@@ -1,6 +1,6 @@
-"""Time and memory of an iteration on textures, beside a pass of OpenCV's bilateral filter: ``make bench``.
+"""Compare time and memory of an iteration on textures with a pass of OpenCV's bilateral filter: ``make bench``.
 
-All iterations start from the noisy colours. They and the peer take turns, so that a busy machine slows both.
+All iterations start from the noisy colours. They alternate with the peer, so that a busy machine slows both.
 """
 
 from __future__ import annotations
@@ -21,11 +21,10 @@ from beltrami_cli.formats.registry import open_document
 from beltrami_cli.layers.texture_layer import TextureLayer
 
 CONTRAST = 1.4  # beta times the noise
-SMALL = 128  # texels a side of what is taken off the memory
+SMALL = 128  # texels per side of the texture whose memory is subtracted
 
 
 def main():
-    """Measure time and memory."""
     options = arguments(__doc__, texels=1024, repeats=5)
     with tempfile.TemporaryDirectory() as folder:
         rows = [
@@ -66,8 +65,8 @@ def time_rows(folder, texels, repeats):
 
 
 def stage_seconds(source, *, guided):
-    """Return the CPU seconds that making the manifold takes, without decoding images, and those of an iteration."""
-    # As the peer does, without restoring averages of clipped noise.
+    """Return the CPU seconds of making the manifold, without decoding images, and of an iteration."""
+    # Averages of clipped noise are not restored, since the peer does not either.
     kernel = beltrami_cli.KernelParameters(
         iterations=1,
         t=2.4,
@@ -91,7 +90,7 @@ def stage_seconds(source, *, guided):
 
 
 def memory_row(folder, texels):
-    """Measure by how much the peak memory of a process grows with the texels that a surface covers."""
+    """Measure the growth of a process's peak memory per texel that a surface covers."""
     runs = []
     for size in (SMALL, texels):
         source, scene = folder / f"{size}.obj", textures.torus(size)

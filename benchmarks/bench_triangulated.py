@@ -1,7 +1,7 @@
-"""Time of an iteration on triangle meshes by both solvers, and quality beside other programs: ``make bench``.
+"""Measure time of an iteration on triangle meshes by both solvers, and compare quality: ``make bench``.
 
-Times are CPU time of one thread per vertex and iteration, medians of pairs of runs. ``--level 5`` uses small meshes, to
-see that everything runs.
+Times are CPU time of one thread per vertex and iteration, medians of pairs of runs. ``--level 5`` uses small meshes,
+for a quick check that everything runs.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import beltrami_cli
 from beltrami_cli import _native
 
 BETA = 5.0
-SAMPLES = (20, 50)  # a kernel
+SAMPLES = (20, 50)  # per kernel
 MAX_ITERATIONS = 30
 COLOUR_SMOOTHING = {
     "PyMeshLab Laplacian": peers.pymeshlab_smoothing,
@@ -34,7 +34,6 @@ OURS = {
 
 
 def main():
-    """Measure times and quality."""
     options = arguments(__doc__, level=7, repeats=5)
     sphere = scenes.icosphere(options.level)
     rows = [row for samples in SAMPLES for row in time_rows(sphere, samples, options.repeats)]
@@ -44,7 +43,7 @@ def main():
 
 
 def time_rows(sphere, samples, repeats):
-    """Measure an iteration by default, with two threads, and by each solver with the update of the metric."""
+    """Measure an iteration of the defaults, with two threads, and of each solver with the update of the metric."""
     count, t = len(sphere.positions), time_step_for(samples, sphere)
     what = f"{count:,} vertices, {samples} samples a kernel"
     each = [1e6 * iteration_seconds(sphere, t, threads, clock, repeats) / count for threads, clock in (
@@ -67,7 +66,7 @@ def smooth(scene, **options):
 
 
 def time_step_for(samples, scene):
-    """Return the t for which kernels hold about this many samples, to which it is almost proportional."""
+    """Return the t for which kernels have about this many samples, which are almost proportional to t."""
     t = samples / 34
     for _ in range(4):
         t *= samples / smooth(scene, metric_steps=0, iterations=1, t=t, beta=BETA).samples_per_kernel
@@ -75,7 +74,7 @@ def time_step_for(samples, scene):
 
 
 def iteration_seconds(scene, t, threads, clock, repeats):
-    """Return the time of an iteration: the median difference of runs with one and without, in turn."""
+    """Return the median difference of the times of alternating runs with one iteration and with none."""
     differences = []
     for _ in range(repeats):
         times = []
@@ -88,7 +87,7 @@ def iteration_seconds(scene, t, threads, clock, repeats):
 
 
 def solver_seconds(manifold, positions, colours, t, repeats):
-    """Return the CPU time of an iteration of a solver, without what it does once per mesh: the shortest counts."""
+    """Return the shortest CPU time of an iteration of a solver, without its work once per mesh."""
     shortest, radius = math.inf, math.sqrt(-4 * t * math.log(0.01))
     for _ in range(repeats + 1):  # regions are found in the first
         start = time.process_time()
@@ -99,7 +98,7 @@ def solver_seconds(manifold, positions, colours, t, repeats):
 
 
 def quality_rows(sphere, pattern):
-    """Measure the PSNR beside the best that other colour smoothing reaches when it is tuned on the truth."""
+    """Compare the PSNR with the best of other colour smoothing, which is tuned on the truth."""
     where = f"PSNR, {len(sphere.positions):,} vertices, {pattern}"
     yield Row(f"{where}: noisy", f"{psnr(sphere.noisy, sphere.clean):.1f} dB")
     for name, run in COLOUR_SMOOTHING.items():

@@ -1,14 +1,14 @@
-"""What the scenarios share: paths, the command in a process of its own, rows and their table.
+"""Shared by the scenarios: paths, options, tables, and running the command in its own process.
 
 ``python benchmarks/bench_*.py`` runs a scenario; each prints a table and, with ``--json FILE``, writes its rows.
-What they smooth is in `scenes.py` (vertices), `textures.py` (texels) and `pictures.py` (images and their noise), other
-programs are in `peers.py`. These stay, for what no test can say:
+Inputs are in `scenes.py` (vertices), `textures.py` (texels) and `pictures.py` (images and their noise), other programs
+in `peers.py`. The scenarios measure what tests cannot:
 
-- `regret`: what not knowing the noise loses, the one number; `clean`: what becomes of pictures without noise.
-- `patches`, `camera_noise`: quality beside other tools, for white noise on surfaces and noise that neighbours share.
+- `regret`: the PSNR lost because the noise is estimated; `clean`: changes of pictures without noise.
+- `patches`, `camera_noise`: quality against other tools, for white noise on surfaces and noise that neighbours share.
 - `triangulated`, `textures`, `scaling`: time and memory, of the solvers, of an iteration, of the whole command.
-- `geometry`, `levelling`: what moving vertices and removing exposure steps restore of a known truth.
-- `outliers`, `progress`: constants of the code, which their comments say these measure.
+- `geometry`, `levelling`: how well smoothing positions and removing exposure steps restores a known truth.
+- `outliers`, `progress`: constants of the code whose comments name these scenarios.
 - `strengths`: whether gentle, normal and strong differ on every picture.
 - `blender`: a bake in Blender itself (``make test-blender``).
 """
@@ -31,7 +31,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 
 SIGMA = 20 / 255
 
-# Prints the processor time of a command, its start included.
+# Prints the processor time of a command, including its start.
 _MEASURED = (
     "import os, resource, sys; code = os.spawnv(os.P_WAIT, sys.argv[1], sys.argv[1:]); "
     "used = resource.getrusage(resource.RUSAGE_CHILDREN); print(used.ru_utime + used.ru_stime); sys.exit(code)"
@@ -47,7 +47,7 @@ class Row:
 
 
 def arguments(doc, *options, **described):
-    """Return the options of a scenario: those that all have, and flags or numbers by name, with their defaults."""
+    """Parse the command line: common options, lists of paths, and flags or values with their defaults."""
     parser = argparse.ArgumentParser(description=doc.splitlines()[0])
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows there")
     for name in options:
@@ -59,7 +59,7 @@ def arguments(doc, *options, **described):
 
 
 def show(rows, options, header=("what", "measured")):
-    """Print rows, records or tuples, as a table in Markdown; write them if that is asked for."""
+    """Print rows, which are records or tuples, as a Markdown table; with ``--json`` also write them."""
     cells = [(row.what, row.value) if isinstance(row, Row) else row for row in rows]
     print(f"| {' | '.join(header)} |\n|{'---|' * len(header)}")
     print(*(f"| {' | '.join(map(as_text, each))} |" for each in cells), sep="\n", flush=True)
@@ -68,12 +68,11 @@ def show(rows, options, header=("what", "measured")):
 
 
 def as_text(value):
-    """Return a cell of a table."""
     return f"{value:.2f}" if isinstance(value, float) else str(value)
 
 
 def smooth_apart(source, target, *words):
-    """Run ``beltrami smooth`` in a process of its own; return its report, and its processor time in seconds."""
+    """Run ``beltrami smooth`` in its own process; return its report, and its processor time in seconds."""
     report = target.with_name("report.json")
     command = [sys.executable, "-P", "-m", "beltrami_cli", "smooth", source, target, "--quiet", "--overwrite"]
     run = subprocess.run(

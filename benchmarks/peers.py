@@ -1,4 +1,4 @@
-"""Other programs, each tuned on the truth; `PeerError` where one is not installed or cannot be loaded."""
+"""Other programs, tuned on the truth; `PeerError` is raised if one is not installed or cannot be loaded."""
 
 import importlib
 import itertools
@@ -24,7 +24,7 @@ def needed(name):
 
 
 def pymeshlab_smoothing(scene, most):
-    """Return the best PSNR of PyMeshLab's Laplacian colour smoothing over 1 to `most` iterations, and which."""
+    """Return the best PSNR of PyMeshLab's Laplacian colour smoothing over 1 to `most` iterations, and their number."""
     pymeshlab = needed("pymeshlab")
     opaque = np.column_stack([np.clip(scene.noisy, 0, 1), np.ones(len(scene.noisy))]).astype(np.float64)
     meshes, found = pymeshlab.MeshSet(), []
@@ -36,7 +36,7 @@ def pymeshlab_smoothing(scene, most):
 
 
 def open3d_smoothing(kind, scene, most):
-    """Return the best PSNR of an Open3D filter over 1 to `most` iterations on the colours, and which."""
+    """Return the best PSNR of an Open3D filter over 1 to `most` iterations on the colours, and their number."""
     open3d = needed("open3d")
     vectors = open3d.utility.Vector3dVector
     mesh = open3d.geometry.TriangleMesh(vectors(scene.positions), open3d.utility.Vector3iVector(scene.faces))
@@ -51,7 +51,7 @@ def open3d_smoothing(kind, scene, most):
 def bilateral(noisy, score, *, window=7, sigma=SIGMA):
     """Return the best scores of OpenCV's bilateral filter, iterated.
 
-    `noisy` is uint8, shape (H, W, 3); `score` gives a tuple for an image in [0, 1], and the first number is tuned for.
+    `noisy` is uint8, shape (H, W, 3); `score` returns a tuple for an image in [0, 1], whose first number is maximised.
     """
     cv2, found = opencv(), []
     image = noisy.astype(np.float32) / 255

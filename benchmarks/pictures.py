@@ -1,4 +1,4 @@
-"""Images: photographs of scikit-image, those of folders, and what noise and smoothing make of them."""
+"""Images: photographs of scikit-image and files of folders, and functions that add noise and smooth."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.surface.baking import Cells
 
 PHOTOGRAPHS = ("astronaut", "coffee", "chelsea", "immunohistochemistry")
-SIDE = 224  # of windows of images
+SIDE = 224  # pixels per side of windows of images
 CORNERS = {
     "astronaut": (20, 130),
     "coffee": (100, 150),
@@ -27,8 +27,8 @@ CORNERS = {
     "immunohistochemistry": (150, 150),
 }
 SUFFIXES = ".png", ".jpg", ".jpeg", ".tga", ".bmp", ".webp"
-SIDES = 64, 1024
-COUNT = 130
+SIDES = 64, 1024  # range of pixels per side of a picture
+COUNT = 130  # maximum number of pictures of a folder
 
 
 def photograph(name):
@@ -51,7 +51,7 @@ def on_sphere(image, directions):
 
 
 def pictures(folder):
-    """Yield pictures that are spread evenly over a folder."""
+    """Yield up to `COUNT` 8-bit pictures that are spread evenly over a folder, with their paths."""
     paths = sorted(path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES)
     every, wanted = np.arange(len(paths)) * 0.5698402909980532 % 1, COUNT  # spread evenly (M. Roberts, 2018)
     for number in np.argsort(every):
@@ -79,7 +79,7 @@ def images(paths):
 
 
 def with_noise(image, kind, **wanted):
-    """Return what `beltrami noise` makes of an image, before it is rounded."""
+    """Return an image with noise as `beltrami noise` adds it, before rounding."""
     settings, shape = NoiseSettings(kind=kind, **wanted), image.shape[:2]
     row, column = np.indices(shape).reshape(2, -1)
     none = np.zeros_like(row)
@@ -99,11 +99,11 @@ def stored(image):
 
 @dataclass(frozen=True)
 class Smoothed:
-    """What became of an image: its colours, the noise that was read in it, and the interval told for its PSNR."""
+    """A smoothed image, the estimated noise, and the predicted interval of the PSNR."""
 
     colours: Any
     noise: Any
-    interval: Any  # None: it was left as it is; []: nothing was told
+    interval: Any  # None: not smoothed; []: no prediction
 
 
 def smoothed(noisy, **parameters):
@@ -123,5 +123,5 @@ def smoothed(noisy, **parameters):
 
 
 def colours_of(image):
-    """Return an image in [0, 1], which may be a file."""
+    """Return an image in [0, 1], decoded if it is the bytes of a file."""
     return read_image(image, "an image").pixels / np.float32(255) if isinstance(image, bytes) else image

@@ -1,4 +1,4 @@
-"""Clean pictures of `bench_regret`: crops of photographs and of folders, and what is drawn."""
+"""Clean pictures of `bench_regret`: crops of photographs and of files, and generated pictures."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from scipy.ndimage import gaussian_filter
 
 from pictures import pictures
 
-SIDE, MIN_SIDE = 192, 128  # of crops, in texels
+SIDE, MIN_SIDE = 192, 128  # texels per side of crops
 
 
 def halved(image):
-    """Return the middle of a picture of half the size, in which the noise of a photograph is gone."""
+    """Return the middle of a picture downsampled to half the size, which removes the noise of a photograph."""
     rows, columns = (size // 2 * 2 for size in image.shape[:2])
     return cropped(image[:rows, :columns].reshape(rows // 2, 2, columns // 2, 2, -1).mean(axis=(1, 3)))
 

@@ -1,6 +1,6 @@
-"""What `bench_regret` judges: kinds of noise on pictures, vertices, clouds and light, and clean pictures.
+"""The cases of `bench_regret`: kinds of noise on pictures, vertices, clouds and light, and clean pictures.
 
-Noise is drawn independently of `noise_model`, so that training does not set its own examination.
+Noise is drawn by other code than that of `noise_model`, so that the network is not judged on its own training noise.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from beltrami_cli.surface.colour_values import linear_to_srgb
 from pictures import PHOTOGRAPHS, Smoothed, colours_of, on_sphere, photograph, smoothed, stored, with_noise
 
 SIGMAS = tuple(sigma / 255 for sigma in (6, 12, 20))
-PHOTONS = 25  # a texel at full scale
-RAYS = 16  # a texel of a light map
-SQUARES = 8, 12, 16  # of a chequer round the sphere
+PHOTONS = 25  # per texel at full scale
+RAYS = 16  # per texel of a lightmap
+SQUARES = 8, 12, 16  # of a chequer around the sphere
 SUBDIVISIONS = 5  # of the sphere: 10,242 vertices
-EXACT = 1e-5  # errors below this count as such: 100 dB
-OF_FOLDER = {"noisy": 2, "clean": 12}  # pictures
+EXACT = 1e-5  # minimum RMS error, which limits the PSNR to 100 dB
+OF_FOLDER = {"noisy": 2, "clean": 12}  # number of pictures
 
 
 def clipped(colours):
@@ -37,18 +37,18 @@ def clipped(colours):
 
 @dataclass(frozen=True)
 class Case:
-    """A picture as it is given, its truth and the noise between; how it is smoothed, and which samples count."""
+    """An input, its truth and noise; how it is smoothed, and which of its samples are judged."""
 
     name: str
     given: Any  # colours, or the bytes of a JPEG file
     truth: Any
-    rms: float = 0.0  # of the noise, before it is clipped: what the program is told
+    rms: float = 0.0  # of the noise before clipping
     smooth: Callable[..., Smoothed] = smoothed
     counted: Any = ...
     display: Callable[[Any], Any] = clipped
 
     def psnr(self, colours):
-        """Return the PSNR of colours, or of a file, as they are shown."""
+        """Return the PSNR of displayed colours, which may be the bytes of a file."""
         error = self.display(colours_of(colours)).astype(np.float64) - self.display(self.truth)
         return -20 * float(np.log10(max(rms(error[self.counted]), EXACT)))
 
@@ -89,17 +89,20 @@ def interleaved(*tables):
 
 
 def seeded(kind, name):
-    """Return random numbers that do not depend on what else is judged."""
+    """Return a generator that does not depend on which other cases are judged."""
     return np.random.default_rng(crc32(f"{kind} {name}".encode()))
 
 
 def strength(number):
-    """Return the strengths of noise in turn, in an order that shifts, as tables of pictures are interleaved."""
+    """Return the strength of noise of a case.
+
+    Strengths alternate in an order that shifts, since kinds of pictures alternate, too.
+    """
     return SIGMAS[(number + number // 3) % 3]
 
 
 def untouched(clean):
-    """Yield clean pictures as they are."""
+    """Yield cases of clean pictures without noise."""
     return (Case(name, stored(image), stored(image)) for name, image in clean.items())
 
 
@@ -112,7 +115,7 @@ def on_pictures(kind, noise, bases):
 
 
 def of_cameras(kind, bases, *, shot, read, blur, quality):
-    """Yield JPEG files of a camera that counts photons on a mosaic, and blurs their noise away."""
+    """Yield JPEG files of a camera that counts photons on a mosaic, and blurs the noise."""
     for number, (name, clean) in enumerate(bases.items()):
         noisy, truth = (
             gaussian_filter(
@@ -146,7 +149,7 @@ def photon(clean, sigma, random):
 
 
 def by_level(power, clean, sigma, random):
-    """Noise in proportion to a power of the level, of `sigma` at half of full scale; equal or not in all channels."""
+    """Draw noise in proportion to a power of the level, of `sigma` at half of full scale, equal in channels or not."""
     return sigma * (2 * clean) ** power * mixed(random.integers(2), clean, random)
 
 
@@ -171,7 +174,7 @@ def monochrome(clean, sigma, random):
 
 
 def in_part(clean, sigma, random):
-    """Draw noise of half as much again in a tenth of the picture, in a quarter, or in some tiles, by its strength."""
+    """Draw noise of 1.5 `sigma` in a tenth of the picture, in a quarter, or in some tiles, by the strength."""
     rows, columns = clean.shape[:2]
     where = np.zeros((rows, columns, 1))
     if sigma == SIGMAS[2]:
@@ -247,17 +250,17 @@ def coloured(kind, photographs, *, faces):
 
 
 def of_light(name, given, truth, counted=...):
-    """Return a case of linear light as halves, which is judged as it is shown."""
+    """Return a case of linear light in half precision, which is judged as sRGB."""
     given, truth = (each.astype(np.float16).astype(np.float32) for each in (given, truth))
     noise = rms((linear_to_srgb(given) - linear_to_srgb(truth))[counted])
     return Case(name, given, truth, noise, partial(smoothed, encoding="linear"), counted, linear_to_srgb)
 
 
 def light(kind, fireflies):
-    """Yield light of few rays a texel with a relative noise of a half; a share of bright texels does not count."""
+    """Yield light of few rays per texel with a relative noise of a half; a share of fireflies is not judged."""
     for seed in range(4):
         random, truth = seeded(kind, seed), rendered(seed)
-        # One ray has a relative noise of 2: so has the gamma distribution of shape a quarter.
+        # One ray has a relative noise of 2, as the gamma distribution of shape 1/4 has.
         size = (SIDE, SIDE, 3) if seed % 2 else (SIDE, SIDE, 1)
         noisy = truth * random.gamma(RAYS / 4, 4 / RAYS, size)
         hit = random.random((SIDE, SIDE)) < fireflies

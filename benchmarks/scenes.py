@@ -21,7 +21,7 @@ class Scene:
 
 
 def icosphere(subdivisions, pattern=None):
-    """Return a sphere of 10 * 4^n + 2 vertices, in the order of subdivision (not cache friendly, as real files)."""
+    """Return a sphere of 10 * 4^n + 2 vertices in the order of subdivision, which caches badly, as in real files."""
     positions, faces = surfaces.icosphere(subdivisions)
     return coloured(positions, faces, pattern or chequer)
 
@@ -39,14 +39,14 @@ def torus(rings, sides):
 
 
 def coloured(positions, faces, pattern):
-    """Return the surface with a pattern, smooth inside its regions, and noise; hardly anything would be clipped."""
+    """Return the surface with a pattern and noise; values are in a range in which noise is rarely clipped."""
     clean = pattern(positions)
     noise = SIGMA * np.random.default_rng(7).standard_normal(clean.shape)
     return Scene(positions, faces, clean.astype(np.float32), (clean + noise).astype(np.float32))
 
 
 def chequer(positions):
-    """Return light and dark regions with gradients: every border has the same strong contrast of 0.4."""
+    """Return light and dark regions with gradients; all borders have the same strong contrast of 0.4."""
     odd = np.sin(8 * positions).prod(axis=1) > 0
     return np.where(odd, 0.7, 0.3)[:, None] + 0.12 * shading(positions)
 
@@ -60,7 +60,7 @@ def patches(positions):
 
 
 def shading(positions):
-    """Return slow gradients in [-1, 1], another for each channel."""
+    """Return slow gradients in [-1, 1], different in each channel."""
     x, y, z = positions.T
     return np.column_stack([np.sin(2 * x + 0.5), np.cos(2.5 * y), np.sin(2.2 * z + 1)])
 

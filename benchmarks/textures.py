@@ -1,6 +1,6 @@
 """Textured surfaces: which texels they cover, which of them are near seams, and noise on them.
 
-The rasteriser and the seams are made here in NumPy, so that nothing is judged by the package's own atlas.
+Triangles are rasterised and seams found in NumPy, so that results do not depend on the atlas of the package.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from pictures import PHOTOGRAPHS, on_sphere, photograph
 
-NEAR = 4  # texels
-SMALLEST, LARGEST = 64, 1024  # texels a side; smaller images are palettes, larger ones are halved
-FEWEST = 20_000  # covered texels of an image that is judged
+NEAR = 4  # maximum distance in texels of a texel near a seam
+SMALLEST, LARGEST = 64, 1024  # texels per side; smaller images are palettes, larger ones are halved
+FEWEST = 20_000  # minimum number of covered texels of a judged image
 MATERIALS = ("brick", "grass", "gravel")  # photographs without a flat place, and grey
 NAMES = ("head-tex", "torus-two", "mirrored", "tiled", "sphere-exr", "scan")
 MODELS = {".obj", ".glb", ".gltf", ".ply"}
-QUADS = 24  # a side of a chart of the sphere
-SEAMS_COUNT = 3  # times as much as other texels, where a part of an image is looked for
+QUADS = 24  # per side of a chart of the sphere
+SEAMS_COUNT = 3  # weight of texels near seams in the choice of a part of an image
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def torus(size, charts=4, cuts=16):
         uv.append((inset + where) / charts)
         # The gutter continues the pattern, which is a function of place.
         back = rotated((centre - gutter) / (1 - 2 * gutter), -turn)
-        # Moved, so that no border of the pattern lies along a seam.
+        # Shifted, so that no edge of the pattern coincides with a seam.
         shades = chequer(on_torus((back + at) / charts).reshape(-1, 3) * 1.6 + (0.13, 0.09, 0.06))
         x, y = where * cell
         clean[y : y + cell, x : x + cell] = shades.reshape(cell, cell, 3)
@@ -119,7 +119,7 @@ def rotated(uv, quarters):
 
 
 def on_torus(uv):
-    """Return places on a torus, rounded so that the same place is the same number in every chart."""
+    """Return positions on a torus, rounded so that a position has the same coordinates in every chart."""
     u, v = 2 * np.pi * uv[..., 0], 2 * np.pi * uv[..., 1]
     reach = 0.7 + 0.3 * np.cos(v)
     return np.round(np.stack([reach * np.cos(u), reach * np.sin(u), 0.3 * np.sin(v)], axis=-1), 6) + 0.0
@@ -129,7 +129,7 @@ def rasterised(triangles, size):
     """Return which texels have their centre in one of the triangles (in texels), shape (H, W)."""
     width, height = size
     seen = np.zeros((height, width), bool)
-    # Whole repeats are taken off, so that far tiles cost nothing.
+    # Triangles are moved to the first tile, so that distant tiles do not cost time.
     triangles = triangles - np.floor(triangles.min(axis=1, keepdims=True) / size) * size
     low, high = (
         np.ceil(triangles.min(axis=1) - 0.5).astype(int),
@@ -240,7 +240,7 @@ def read_images(path):
 
 
 def scene_names():
-    """Return the names of what can be judged: photographs, and paths of samples and of the extra folder."""
+    """Return the names of all scenes: photographs, and paths of samples and of the extra folder."""
     samples = [min(SAMPLES.glob(f"{name}-clean.[gop][lb]*")) for name in NAMES]
     return [*PHOTOGRAPHS, *MATERIALS, *map(str, samples), *map(str, extra_models(MODELS))]
 

@@ -22,7 +22,7 @@ SIZES = (
 
 
 def configuration(files: tuple[str, ...]) -> str:
-    """Return the hash of some source files without comments and spaces."""
+    """Return the hash of source files without spaces and Python comments."""
     root = Path(__file__).parents[1]
     text = "\n".join(re.sub(r"\s+|#.*", "", (root / path).read_text(encoding="utf-8")) for path in files)
     return hashlib.sha256(text.encode()).hexdigest()

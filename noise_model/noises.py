@@ -1,4 +1,4 @@
-"""The family of noise that the model is trained on, made by one pipeline with random steps."""
+"""Noise that the network is trained on: a pipeline of steps with random parameters."""
 
 from __future__ import annotations
 
@@ -16,32 +16,35 @@ KERNELS = (
     Image.Resampling.BOX,
 )
 
-# Shares of red, green and blue in luma; texels a side of the windows of a Wiener filter, and of the noise it is told.
+# Weights of red, green and blue in luma; texels per side of the window of a Wiener filter, and of the window in which
+# the noise that it assumes is measured.
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 _WIENER_SIDE, _NOISE_SIDE = 5, 25
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """The steps from a clean picture to a noisy one, in their order; sizes of full scale 1."""
+    """The steps from a clean picture to a noisy one, in order; amplitudes are of full scale 1."""
 
     sigma: float = 0.0
-    power: float = 0.0  # of the level that the variance is proportional to
+    power: float = 0.0  # the variance is proportional to this power of the level
     floor: float = 1.0  # share of the deviation that does not depend on the level
-    correlation: float = 0.0  # of the channels, from -0.5, which has no noise in their mean
+    correlation: float = 0.0  # of the channels; at -0.5 their mean has no noise
     gains: tuple[float, float, float] = (1.0, 1.0, 1.0)
     tail: str = "normal"  # or "student", "gamma", "laplace", "binomial", "poisson"
     # Degrees of freedom, the shape of the gamma distribution, or log2 of the number of rays or photons.
     shape: float = 4.0
-    is_linear: bool = False  # added to linear light
-    grain: float = 1.0  # noise alone is enlarged by this, or shaped by a spectrum
-    spectrum: float = 0.0  # cut-off frequency of noise alone, of that of the grid; 0: all; below 0: high pass
+    is_linear: bool = False  # whether noise is added to linear light
+    grain: float = 1.0  # factor by which the noise is enlarged
+    spectrum: float = (
+        0.0  # cut-off frequency of the noise relative to the grid's; 0: none; below 0: high pass
+    )
     places: str = ""  # "halves", "chess", "blob", "blend", "part", "tiles"
     place_gain: float = 1.0
     impulses: float = 0.0  # share of samples that are black or white; below 0: only brighter
-    saturation: float = 0.0  # by which the camera increases differences of the channels after the mosaic
+    saturation: float = 0.0  # increase of the differences between channels after demosaicing
     contrast: float = 0.0  # of the tone curve, from 0 to 1
-    luma: float = 0.0  # noise that a Wiener filter of luma is told, of its variance
+    luma: float = 0.0  # noise variance that a Wiener filter of luma assumes, relative to the true one
     chroma: float = 0.0  # standard deviation of a Gaussian for chroma
     mosaic: str = ""  # "bilinear", "malvar"
     resampled: float = 1.0
@@ -51,20 +54,20 @@ class Recipe:
     transfer: str = ""  # "to linear", "to srgb": what the file stores
     codec: str = ""  # "JPEG", "WEBP", "BC1"
     quality: int = 90
-    second_quality: int = 0  # of the same compression again; 0: none
-    shifted: int = 0  # rows and columns that are cut off before
+    second_quality: int = 0  # of a second compression; 0: none
+    shifted: int = 0  # rows and columns that are cropped before the second compression
     subsampling: int = 2  # 0: none, 2: half the resolution for chroma
-    after_codec: float = 1.0  # resampled by this afterwards
-    bits: int = 8  # 0: real numbers
+    after_codec: float = 1.0  # factor of resampling after compression
+    bits: int = 8  # 0: floating point
 
 
 @dataclass(frozen=True)
 class Sample:
-    """A noisy picture; the noise in it, which may go beyond the limits; and what compression alone does."""
+    """A noisy picture, its noise before clipping, and the error of compression alone."""
 
     noisy: np.ndarray  # (R, C, 3)
     noise: np.ndarray
-    loss: np.ndarray  # of the same compression without noise
+    loss: np.ndarray  # error of the same compression without noise
 
 
 def to_linear(x):
@@ -73,14 +76,14 @@ def to_linear(x):
 
 
 def to_srgb(x):
-    """Encode as sRGB, numbers beyond the limits along with their slope there."""
+    """Encode as sRGB; the curve continues below 0 and above 1."""
     return np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 0.0031308) ** (1 / 2.4) - 0.055).astype(
         np.float32
     )
 
 
 def draw_recipe(rng: np.random.Generator) -> Recipe:
-    """Draw the steps of one noisy picture; a quarter has no noise, and half of the others at most one step more."""
+    """Draw the steps of one picture. A quarter have no noise, and half of the others at most one further step."""
     chance = rng.random
     recipe = Recipe(bits=8 if chance() < 0.9 else 0)
     if chance() < 0.76:
@@ -104,7 +107,7 @@ def draw_recipe(rng: np.random.Generator) -> Recipe:
 
 
 def draw_recipe_of_textures(rng: np.random.Generator) -> Recipe:
-    """Draw the steps that are hardest to read on a grid: compression alone after noise, and coarse grain."""
+    """Draw the noise that is hardest to read on a grid: noise that is only compressed, and coarse grain."""
     if rng.random() < 0.35:
         recipe = replace(_noise_of(rng, Recipe()), sigma=float(2 ** rng.uniform(0, 5)) / 255, is_linear=False)
         return replace(recipe, grain=float(rng.uniform(1.3, 5)), kernel=int(rng.integers(4)))
@@ -117,7 +120,7 @@ def draw_recipe_of_textures(rng: np.random.Generator) -> Recipe:
 
 
 def _with_one_step(rng: np.random.Generator, recipe: Recipe) -> Recipe:
-    """Add one step at most to noise, half of which is independent and equally strong everywhere."""
+    """Add at most one step to the noise, half of which is independent and equally strong everywhere."""
     if rng.random() < 0.5:
         is_one_of_rays = recipe.tail in ("gamma", "binomial")
         recipe = replace(
@@ -134,7 +137,7 @@ def _sigma(rng: np.random.Generator) -> float:
 
 
 def _noise_of(rng: np.random.Generator, recipe: Recipe) -> Recipe:
-    """Draw the noise that is added, by its distribution, its channels and how it depends on the level."""
+    """Draw the distribution of the added noise, its channels, and its dependence on the level."""
     chance = rng.random
     if chance() < 0.05:  # ambient occlusion is the share of rays that meet nothing
         return replace(recipe, sigma=1.0, tail="binomial", shape=float(rng.uniform(2, 9)), correlation=1.0)
@@ -156,7 +159,7 @@ def _noise_of(rng: np.random.Generator, recipe: Recipe) -> Recipe:
 
 
 def _filtered(rng: np.random.Generator, recipe: Recipe) -> Recipe:
-    """Enlarge the noise, shape its spectrum, or keep one channel of each texel and interpolate the others."""
+    """Enlarge the noise, shape its spectrum, or sample colours with a Bayer mosaic."""
     kind = rng.choice(["grain", "spectrum", "mosaic"], p=[0.33, 0.24, 0.43])
     if kind == "grain":
         return replace(recipe, grain=float(rng.uniform(1.2, 5)), kernel=int(rng.integers(4)))
@@ -186,13 +189,13 @@ def _compressed(rng: np.random.Generator, recipe: Recipe) -> Recipe:
 
 
 def of_one_channel(clean: np.ndarray, recipe: Recipe) -> tuple[np.ndarray, Recipe]:
-    """Take one channel of a picture for all, with the same noise in all."""
+    """Replace all channels by the first, with the same noise in all."""
     alike = replace(recipe, correlation=1.0, gains=(1.0, 1.0, 1.0), mosaic="")
     return np.repeat(clean[..., :1], 3, axis=2), alike
 
 
 def degrade(rng: np.random.Generator, clean: np.ndarray, recipe: Recipe) -> Sample:
-    """Make a noisy picture; the noise is what differs from the same steps without noise."""
+    """Apply a recipe to a clean picture. The noise is the difference from the same steps without noise."""
     pair = np.stack([clean, clean])  # with noise, without
     is_linear = recipe.is_linear or bool(recipe.mosaic and recipe.power)
     if is_linear:
@@ -235,7 +238,7 @@ def _saturated(pair: np.ndarray, factor: float) -> np.ndarray:
 
 
 def _denoised_in_camera(pair: np.ndarray, recipe: Recipe) -> np.ndarray:
-    """Blur chroma, and take from luma the energy of its noise, so that noise stays beside edges and on texture."""
+    """Blur chroma, and apply a Wiener filter to luma, which leaves noise near edges and on texture."""
     luma = pair @ _LUMA
     chroma = gaussian_filter(pair - luma[..., None], (0, recipe.chroma, recipe.chroma, 0))
     noise = recipe.luma * uniform_filter(np.square(luma[0] - luma[1]), _NOISE_SIDE)
@@ -246,12 +249,12 @@ def _denoised_in_camera(pair: np.ndarray, recipe: Recipe) -> np.ndarray:
 
 
 def _stored(pair: np.ndarray, recipe: Recipe) -> Sample:
-    """Round, cut off and compress a pair."""
+    """Clip, quantise and compress a pair."""
     stored = pair.clip(0, 1) if recipe.bits else pair.clip(0, None)
     if recipe.bits:
         stored = np.rint(stored * 255).astype(np.float32) / 255
     if not recipe.codec:
-        # The noise goes on where it is cut off, and has no rounding in it.
+        # The noise is taken before clipping and rounding.
         return Sample(stored[0], pair[0] - pair[1], np.zeros_like(pair[0]))
     coded, reference = np.stack([_coded(own, recipe) for own in stored]), stored[1]
     if recipe.second_quality:
@@ -333,7 +336,7 @@ def _drawn(rng: np.random.Generator, size: tuple[int, ...], recipe: Recipe) -> n
 
 
 def _mask(rng: np.random.Generator, shape: tuple[int, ...], kind: str) -> np.ndarray:
-    """Draw where noise is at its full strength, from 0 to 1."""
+    """Draw a mask of the strength of the noise, from 0 to 1."""
     y, x = np.mgrid[: shape[0], : shape[1]].astype(np.float32)
     if kind == "chess":
         side = int(rng.integers(24, 128))
@@ -344,7 +347,7 @@ def _mask(rng: np.random.Generator, shape: tuple[int, ...], kind: str) -> np.nda
             (rng.uniform(0.2, 0.8) * shape[0], rng.uniform(0.2, 0.8) * shape[1]),
         )
         mask = (y - middle[0]) * np.sin(angle) + (x - middle[1]) * np.cos(angle) > 0
-    elif kind == "part":  # of a twentieth to six tenths
+    elif kind == "part":  # a rectangle of 5 to 60 % of the picture
         sides = np.sqrt(np.exp(rng.uniform(*np.log((0.05, 0.6))))) * np.exp(
             rng.uniform(-0.7, 0.7) * np.array([1, -1])
         )
@@ -376,7 +379,7 @@ _ACROSS = np.array(
 
 
 def _demosaiced(colours: np.ndarray, method: str) -> np.ndarray:
-    """Keep one channel of each texel, in the pattern of Bayer, and interpolate the others."""
+    """Sample colours with a Bayer mosaic, and interpolate the missing channels."""
     shape = colours.shape[:2]
     seen = np.zeros((3, *shape), bool)
     seen[0, ::2, ::2] = seen[2, 1::2, 1::2] = seen[1, ::2, 1::2] = seen[1, 1::2, ::2] = True
@@ -410,7 +413,7 @@ def to_size(colours: np.ndarray, width: int, height: int, kernel: int) -> np.nda
 
 
 def _coded(colours: np.ndarray, recipe: Recipe) -> np.ndarray:
-    """Write and read a picture."""
+    """Compress and decompress a picture."""
     if recipe.codec == "BC1":
         return _in_blocks_of_four(colours)
     file, options = io.BytesIO(), {"subsampling": recipe.subsampling} if recipe.codec == "JPEG" else {}

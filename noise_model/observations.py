@@ -1,4 +1,4 @@
-"""Noisy pictures as the network sees them, with what it should read."""
+"""Training observations: features of noisy pictures, with the true noise."""
 
 from __future__ import annotations
 
@@ -17,24 +17,22 @@ from noises import Recipe, Sample, degrade, draw_recipe, draw_recipe_of_textures
 from pictures import Crop, Picture, random_picture
 
 Draw = Callable[[np.random.Generator], Recipe]
-Observed = tuple[
-    Samples, Samples | None, Samples | None
-]  # noisy colours, the noise, what compression alone does
+Observed = tuple[Samples, Samples | None, Samples | None]  # noisy colours, noise, error of compression alone
 
-SIDES = (32, 48, 64, 96, 128, 192, 256)
-SHARES = (0.06, 0.06, 0.14, 0.22, 0.24, 0.2, 0.08)
-MAX_SQUARES = 64  # of a picture
-ONE_CHANNEL = 0.12  # share of the pictures that are of one channel, or grey
-HARD = 0.2  # share of the pictures with the noise that is hardest to read
-# Of the variance of independent noise, at each scale, the last with the mean that is left.
+SIDES = (32, 48, 64, 96, 128, 192, 256)  # texels per side of a picture
+SHARES = (0.06, 0.06, 0.14, 0.22, 0.24, 0.2, 0.08)  # of pictures, by side
+MAX_SQUARES = 64  # per picture
+ONE_CHANNEL = 0.12  # share of the pictures that have one channel, or are grey
+HARD = 0.2  # share of the pictures with noise of `draw_recipe_of_textures`
+# Shares of the scales in the variance of independent noise. The last value is the share of the remaining means.
 OF_SCALES = np.array([0.75, 0.1875, 0.046875, 0.015625])
-FEWEST_DETAILS = 3 * SIDE**2 / 16  # of the finest cells that a picture must hold
-CORRELATED = 1.0  # noise from which its correlation is to be read, in steps of 8 bits
+FEWEST_DETAILS = 3 * SIDE**2 / 16  # minimum number of details of the finest cells in a picture
+CORRELATED = 1.0  # minimum noise whose correlation is trained, in 8-bit steps
 
 
 @dataclass(frozen=True)
 class Observation:
-    """The features of a picture, and the truth; what is not known is NaN."""
+    """The features of a picture, and the true noise; unknown values are NaN."""
 
     squares: np.ndarray  # (P, F)
     even: np.ndarray  # (F,)
@@ -45,7 +43,6 @@ class Observation:
 
 
 def random_observation(rng: np.random.Generator, crops: list[Crop]) -> Observation | None:
-    """Make one for training."""
     found = random_samples(rng, crops, _draw_recipe)
     return None if found is None else observed(*found)
 
@@ -57,7 +54,7 @@ def _draw_recipe(rng: np.random.Generator) -> Recipe:
 def random_samples(
     rng: np.random.Generator, crops: list[Crop], draw: Draw, picture: Picture = random_picture
 ) -> Observed | None:
-    """Draw noisy colours, their noise and the loss of compression."""
+    """Draw noisy colours, their noise, and the error of compression alone."""
     crop = crops[rng.integers(len(crops))]
     recipe, side = draw(rng), int(rng.choice(SIDES, p=SHARES))
     wanted = int(np.ceil(side / min(1, recipe.resampled * recipe.after_codec))) + 8
@@ -88,13 +85,13 @@ def _window(sample: Sample, top: int, left: int, side: int) -> Sample:
 
 
 def observe(sample: Sample, filled: np.ndarray | None = None) -> Observation | None:
-    """Observe a picture, or return None where too little of it is filled."""
+    """Return the observation of a picture, or None if too little of it is filled."""
     found = in_squares(sample, np.ones(sample.noisy.shape[:2], bool) if filled is None else filled)
     return None if found is None else observed(*found)
 
 
 def in_squares(sample: Sample, filled: np.ndarray) -> Observed | None:
-    """Cut noisy colours, noise and loss into squares; None where none is filled."""
+    """Cut noisy colours, noise and loss into squares; None if no square is filled."""
     planes = np.moveaxis(sample.noisy, 2, 0)
     grid = Grid(filled[: planes.shape[1], : planes.shape[2]], MAX_SQUARES)
     if not grid.filled.any() or not grid.count:
@@ -108,7 +105,7 @@ def in_squares(sample: Sample, filled: np.ndarray) -> Observed | None:
 
 
 def observed(seen: Samples, noise: Samples | None, loss: Samples | None) -> Observation | None:
-    """Observe neighbourhoods of noisy colours, of the noise, and of what compression alone does; None: nothing."""
+    """Return the observation of noisy colours, given their noise and loss; None if there are too few details."""
     cells = seen.cells()
     products = [0.0 * own.products for own in cells]
     for part, sign in ((noise, 1), (loss, -1)):
@@ -147,7 +144,7 @@ def covariance_of(cells: Cells) -> np.ndarray:
 
 
 def _by_square(noise: list[Cells]) -> np.ndarray:
-    """Return the noise of each neighbourhood, in the finer two scales."""
+    """Return the noise of each neighbourhood in the finest two scales, as log2(deviation + OFFSET)."""
     total = sum(np.einsum("kpn,pn->p", own.products[:3], own.freedom) for own in noise[:2])
     count = 3 * sum(own.freedom.sum(axis=1) for own in noise[:2])
     return np.where(count > 0, log_of(total / np.maximum(count, 1)), np.nan)

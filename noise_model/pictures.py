@@ -1,7 +1,7 @@
-"""Clean pictures to train on: files of Debian packages and Python packages, and what is drawn from them.
+"""Clean training pictures: files of Debian and Python packages, and pictures that are drawn from them.
 
-Photographs are reduced two to four times, so that their own noise is gone; textures are taken as they are. Files are
-split into training, validation and test by a hash of their names, so that variants of one picture stay together.
+Photographs are downsampled two to four times, which removes their own noise. Textures are used unchanged. Files are
+split into training, validation and test by a hash of their names, which keeps variants of one picture together.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from scipy.spatial import cKDTree
 
 Image.MAX_IMAGE_PIXELS = None
 
-Picture = Callable[[np.random.Generator, np.ndarray], np.ndarray]  # from a crop
+Picture = Callable[[np.random.Generator, np.ndarray], np.ndarray]  # makes a clean picture from a crop
 
 SIDE = 288  # of crops, in texels
 CROPS = {"photograph": 10, "texture": 1}  # of each file
 PHOTOGRAPHS = "wallpapers", "backgrounds", "sklearn", "skimage"
-# Surfaces that scikit-image shows in close-up are textures; its pictures that the benchmarks use are left out.
+# Pictures of scikit-image that count as textures; and those that are excluded, since the benchmarks use them.
 SURFACES = {"brick", "grass", "gravel", "text", "page", "logo", "color", "phantom", "horse"}
 BENCHMARKED = {"astronaut", "coffee", "chelsea", "ihc", "motorcycle_right"}
-PAINTED = 5, 40  # texels between edges
+PAINTED = 5, 40  # range of texels between edges of paint
 PARTS = {8: "validation", 9: "test"}  # last digit of the hash; all others: "training"
 
 
 @dataclass(frozen=True)
 class Crop:
-    """A clean crop, shape (R, C, 3) in 8 bits, of a file and a kind."""
+    """A clean 8-bit crop of a file, shape (R, C, 3)."""
 
     name: str
     kind: str
@@ -49,7 +49,7 @@ def folders_of_packages() -> list[Path]:
 
 
 def part_of(path: Path) -> str:
-    """Return which part of the data a file belongs to, by the name that variants share."""
+    """Return the part of the data that a file belongs to, by the name that its variants share."""
     names = path.parts
     name = names[names.index("contents") - 1] if "contents" in names else path.stem.lower()
     return PARTS.get(int(hashlib.sha256(name.encode()).hexdigest(), 16) % 10, "training")
@@ -100,7 +100,7 @@ def random_picture(rng: np.random.Generator, pixels: np.ndarray, paint: float = 
 
 
 def drawn(rng: np.random.Generator, pixels: np.ndarray) -> np.ndarray:
-    """Draw a clean picture from a crop: mostly itself, else what games and scans hold besides photographs."""
+    """Return the crop itself, or a picture made from it of another kind that games and scans contain."""
     height, width = pixels.shape[:2]
     choice, picture = rng.random(), Image.fromarray(pixels)
     if choice < 0.66:
@@ -169,7 +169,7 @@ def drawn(rng: np.random.Generator, pixels: np.ndarray) -> np.ndarray:
 
 
 def painted(rng: np.random.Generator, height: int, width: int) -> np.ndarray:
-    """Draw paint with hard edges everywhere: chequers, stripes, cells of a Voronoi diagram, overlapping labels."""
+    """Draw hard-edged paint: chequers, stripes, cells of a Voronoi diagram, overlapping labels."""
     colours = rng.random((int(rng.integers(2, 9)), 3)).astype(np.float32)
     size, angle = float(np.exp(rng.uniform(*np.log(PAINTED)))), rng.uniform(0, np.pi)
     y, x = np.mgrid[:height, :width]
@@ -198,7 +198,7 @@ def painted(rng: np.random.Generator, height: int, width: int) -> np.ndarray:
 
 
 def varied(rng: np.random.Generator, colours: np.ndarray) -> np.ndarray:
-    """Change brightness, contrast, hues and direction, to 8 bits again."""
+    """Vary brightness, contrast, hue and orientation, and quantise to 8 bits."""
     if rng.random() < 0.5:
         colours = colours.swapaxes(0, 1)
     colours = colours[:, :, rng.permutation(3)]

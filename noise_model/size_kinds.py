@@ -1,4 +1,4 @@
-"""The noise that sizes are read on, besides that of the network, and pictures that it lies on."""
+"""Noise and pictures that the second network is trained on, besides those of the first."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Kind = Callable[[np.random.Generator, Recipe], Recipe]
 
 
 def draw_recipe_of_sizes(rng: np.random.Generator) -> Recipe:
-    """Draw the steps for reading sizes: half as for the network, the others of kinds that even cells do not show."""
+    """Draw noise of which half is as for the first network, and half is of kinds that even cells do not show."""
     choice, chance = rng.random(), rng.random
     if choice < 0.5:
         recipe = draw_recipe(rng)
@@ -39,9 +39,9 @@ def draw_recipe_of_sizes(rng: np.random.Generator) -> Recipe:
 
 
 def draw_recipe_of_cameras(rng: np.random.Generator) -> Recipe:
-    """Draw weak noise as cameras leave it: denoised, sharpened and compressed, and often compressed again or reduced.
+    """Draw weak noise as in files of cameras: denoised, sharpened, compressed, often downsampled or compressed twice.
 
-    It ranges from base sensitivity to ISO 6400; a seventh of the pictures has none.
+    It ranges from base sensitivity to ISO 6400; a seventh of the pictures have none.
     """
     shot, read = (float(np.exp(rng.uniform(*np.log(ends)))) for ends in ((2e-4, 0.02), (7e-4, 0.012)))
     sigma = float(np.sqrt(shot / 2 + read**2))  # at half the light
@@ -62,7 +62,7 @@ def draw_recipe_of_cameras(rng: np.random.Generator) -> Recipe:
 
 
 def draw_recipe_on_slopes(rng: np.random.Generator) -> Recipe:
-    """Draw noise that plain colours show entirely, so that its size is read exactly."""
+    """Draw noise for pictures without detail, on which its size can be read exactly."""
     kinds: dict[Kind, float] = {
         _shared_by_channels: 0.2, _opposite: 0.25, _of_chroma: 0.2, _in_parts: 0.1, _by_level: 0.075, _photons: 0.075,
         lambda rng, plain: Recipe(): 0.1,
@@ -150,14 +150,14 @@ def _shared_by_channels(rng, plain):
 
 @dataclass(frozen=True)
 class Family:
-    """So many rows of noise on pictures."""
+    """A kind of noise on a kind of pictures, and its number of training rows."""
 
     draw: Draw
     picture: Picture
     rows: int
 
 
-# Each family has seeds of its own, so that the rows of the others stay when one is added at the end.
+# Each family has its own seeds, so that a family added at the end does not change the rows of the others.
 FAMILIES = {
     "grid": (
         Family(draw_recipe_of_sizes, partial(random_picture, paint=0.06), 20_000),

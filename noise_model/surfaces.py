@@ -1,4 +1,4 @@
-"""Noisy colours of vertices to train on: pictures sampled at the vertices of flat meshes and point clouds."""
+"""Noisy colours of vertices for training: pictures sampled at the vertices of flat meshes and point clouds."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from noises import Recipe, Sample, degrade, draw_recipe, of_one_channel
 from observations import ONE_CHANNEL, Draw, Observation, Observed, observed
 from pictures import Crop, Picture, random_picture
 
-SIZES = 250, 20_000  # samples of a surface
-SURFACES = 96  # that pictures are sampled on
-DENSITIES = 0.1, 3.0  # samples a texel
-SIDES = 12, 280  # texels of a picture
+SIZES = 250, 20_000  # range of samples per surface
+SURFACES = 96  # number of surfaces that pictures are sampled on
+DENSITIES = 0.1, 3.0  # range of samples per texel
+SIDES = 12, 280  # range of texels per side of a picture
 STRETCHED, MOST_STRETCHED = 0.4, 5.0  # share of surfaces, and the ratio of the densities along their axes
 ON_VERTICES = 0.6  # share of surfaces whose noise was added to samples instead of pictures
 SEED = 51
@@ -26,7 +26,7 @@ SEED = 51
 
 @cache
 def surface(number: int) -> tuple[VertexClusters, np.ndarray]:
-    """Return a surface, and where its samples are in a square of side 1, ascending along the first axis."""
+    """Return a surface, and the positions of its samples in the unit square, ascending along the first axis."""
     rng = np.random.default_rng([SEED, number])
     count = int(np.exp(rng.uniform(*np.log(SIZES))))
     kind = rng.choice(["jittered", "jittered", "random", "triangles", "squares", "cloud"])
@@ -55,7 +55,6 @@ def surface(number: int) -> tuple[VertexClusters, np.ndarray]:
 
 
 def random_observation(rng: np.random.Generator, crops: list[Crop]) -> Observation | None:
-    """Make one for training."""
     found = random_samples(rng, crops, draw_recipe)
     return None if found is None else observed(*found)
 
@@ -63,7 +62,7 @@ def random_observation(rng: np.random.Generator, crops: list[Crop]) -> Observati
 def random_samples(
     rng: np.random.Generator, crops: list[Crop], draw: Draw, picture: Picture = random_picture
 ) -> Observed | None:
-    """Draw noisy colours, their noise and the loss of compression."""
+    """Draw noisy colours, their noise, and the error of compression alone."""
     clusters, places = surface(int(rng.integers(SURFACES)))
     density = np.exp(rng.uniform(*np.log(DENSITIES)))
     pixels = crops[rng.integers(len(crops))].pixels
@@ -90,7 +89,7 @@ def sampled(
     *,
     is_on_vertices: bool,
 ) -> Sample:
-    """Degrade a picture and sample it, at the nearest texels or between four, or add the noise to the samples."""
+    """Degrade a picture and sample it by nearest or bilinear lookups, or add the noise to the samples."""
     of_picture = replace(recipe, sigma=0.0, impulses=0.0) if is_on_vertices else recipe
     sample, order = degrade(rng, picture, of_picture), int(rng.integers(2))
     at = places.T * (np.array(sample.noisy.shape[:2])[:, None] - 1)
@@ -110,7 +109,7 @@ def _sampled(picture: np.ndarray, at: np.ndarray, order: int) -> np.ndarray:
 
 
 def of_vertices(recipe: Recipe) -> Recipe:
-    """Return the steps that need no grid."""
+    """Return a recipe of only those steps that do not need a grid."""
     return Recipe(
         recipe.sigma, recipe.power, recipe.floor, recipe.correlation, recipe.gains, recipe.tail, recipe.shape,
         recipe.is_linear, places=recipe.places, place_gain=recipe.place_gain, impulses=recipe.impulses,
@@ -119,13 +118,13 @@ def of_vertices(recipe: Recipe) -> Recipe:
 
 
 def observe(sample: Sample, clusters: VertexClusters) -> Observation | None:
-    """Observe a surface, or return None where it is too small."""
+    """Return the observation of a surface, or None if it is too small."""
     found = in_clusters(sample, clusters)
     return None if found is None else observed(*found)
 
 
 def in_clusters(sample: Sample, clusters: VertexClusters) -> Observed | None:
-    """Cut noisy colours, noise and loss into clusters; None where the surface is too small."""
+    """Cut noisy colours, noise and loss into clusters; None if the surface is too small."""
     if not clusters.count:
         return None
     noisy, noise, loss = (

@@ -1,9 +1,9 @@
-"""Judge the network on pictures that it has not seen, by kind of noise.
+"""Measure the error of the network by kind of noise, on pictures that it was not trained on.
 
 ``python noise_model/table.py FOLDER...`` prints, for each kind, the mean absolute log2 of the ratio of reading and
 truth, and the share of readings within 30 %; of clean pictures, how many are read as more than 4 of 255, and the
-largest reading. Kinds are judged on grids, and some on surfaces. The truth is the root mean square of the noise before
-it was cut off at black and white.
+largest reading. Kinds are judged on grids, and some on surfaces. The truth is the RMS noise before
+clipping.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from noises import Recipe, Sample, degrade
 from surfaces import sampled, surface
 
 SIDE, CASES, SEED = 192, 44, 7
-LEAST_NOISE = 4 / 255  # that must not be read from clean pictures
+FALSE_POSITIVE = 4 / 255  # reading from which a clean picture counts as misread
 
 
 def _log(rng, low, high):
@@ -120,7 +120,7 @@ def truth_of(sample: Sample) -> float:
 def judged(readings: np.ndarray, truths: np.ndarray, is_clean: bool) -> str:
     """Return a cell of the table."""
     if is_clean:
-        return f"{np.mean(readings > LEAST_NOISE):.1%}; {255 * readings.max():.1f}"
+        return f"{np.mean(readings > FALSE_POSITIVE):.1%}; {255 * readings.max():.1f}"
     ratio = np.log2((255 * readings + OFFSET) / (255 * truths + OFFSET))
     return (
         f"{np.abs(ratio).mean():.2f} / {np.mean(np.abs(readings / np.maximum(truths, 1e-9) - 1) < 0.3):.0%}"

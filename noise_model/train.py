@@ -1,7 +1,7 @@
 """Train the network that reads noise, print how well it reads, and write its weights.
 
 ``python noise_model/train.py FOLDER...`` takes clean pictures from folders of unpacked packages; `make noise-model`
-fetches them. Training needs NumPy alone. The weights in the package were trained so.
+fetches them. Training needs NumPy alone. This command made the weights in the package.
 """
 
 from __future__ import annotations
@@ -35,34 +35,33 @@ from beltrami_cli.flow.noise.network import (
 from configuration import NETWORK, configuration
 from observations import Observation
 
-# Of the repository, not of an installed package.
+# The folder of the repository, not of an installed package.
 WEIGHTS = Path(__file__).parents[1] / "beltrami_cli/flow/noise"
 OBSERVATIONS = {"grid": 140_000, "cluster": 60_000, "validation": 4_000}
 CHUNK = 2_000  # observations that are made together
-FIRST_SEED = 300  # of training; those below served to choose features and layers
+FIRST_SEED = 300  # of training; lower seeds served to choose features and layers
 EPOCHS, BATCH, RATE, DECAY = 12, 96, 2e-3, 0.1
 SEED = 49
 KINDS = {"grid": observations.random_observation, "cluster": surfaces.random_observation}
-LARGEST_GRADIENT = 1.0  # norm
+LARGEST_GRADIENT = 1.0  # maximum norm
 WARM_UP = 500  # steps until the rate is at its height
 ROWS = 100_000  # of features that are standardised at a time
-# What the heads count for in the loss.
+# Weights of the heads in the loss.
 COUNTED = {"total": 3.0, "deviations": 2.0, "correlations": 2.0, "places": 0.5}
 
 
 class Node:
-    """A value of the network and the gradient of the loss by it."""
+    """A value of the network, and the gradient of the loss with respect to it."""
 
     def __init__(self, value):
         self.value, self.gradient = value, None
 
     def add(self, gradient):
-        """Add to the gradient."""
         self.gradient = gradient if self.gradient is None else self.gradient + gradient
 
 
 class Tape(Layers):
-    """The operations of the network, recorded to go back over."""
+    """The operations of the network, recorded for backpropagation."""
 
     def __init__(self, weights):
         super().__init__(weights)
@@ -88,7 +87,7 @@ class Tape(Layers):
         return self._record(value, back)
 
     def dropped(self, rows, is_dropped):
-        """Leave out values, and enlarge the others for it."""
+        """Apply dropout: set values to 0, and scale the others up to preserve the mean."""
         kept = (~is_dropped / (1 - np.mean(is_dropped))).astype(np.float32)
         return self._record(rows.value * kept, lambda gradient: rows.add(gradient * kept))
 
@@ -123,7 +122,7 @@ class Tape(Layers):
         return self._record(super().join([part.value for part in parts]), back)
 
     def go_back(self):
-        """Find the gradients of the weights, once those of the results are known."""
+        """Propagate the gradients of the outputs back to the weights."""
         for step in reversed(self.steps):
             step()
 
@@ -147,7 +146,7 @@ def make_observations(job: tuple[str, str, int, int, list[Path]]) -> Batches:
 
 
 class Batches:
-    """Observations side by side, in half precision."""
+    """Concatenated observations; the features of squares are in half precision."""
 
     def __init__(self, kind: str, observations: list[Observation]) -> None:
         self.kind = kind
@@ -162,7 +161,7 @@ class Batches:
         self.parts["total"] = self.parts["total"][:, None]
 
     def extend(self, others: list[Batches]) -> None:
-        """Take the observations of others, too."""
+        """Append the observations of others."""
         every = [self, *others]
         self.counts = np.concatenate([own.counts for own in every])
         self.starts = np.append(0, np.cumsum(self.counts))
@@ -185,14 +184,14 @@ class Batches:
             block[:] = weights.standardised("squares", block.astype(np.float32))
 
     def take(self, chosen: np.ndarray, weights: Weights) -> tuple[tuple, dict, dict]:
-        """Return what `read` takes of some observations, the truths, and the candidates."""
+        """Return the arguments of `read` for some observations, the truths, and the candidates."""
         rows = np.concatenate([np.arange(self.starts[own], self.starts[own + 1]) for own in chosen])
         counts, even = self.counts[chosen], self.parts["even"][chosen]
         starts = np.append(0, np.cumsum(counts)[:-1])
         given = self.parts["squares"][rows].astype(np.float32), starts, weights.standardised("even", even)
         candidates = candidates_of(even, self.parts["quiet"][rows], starts, self.kind)
         truths = {name: self.parts[name][chosen] for name in ("total", "deviations", "correlations")}
-        # Squares are read by how they differ from their mean, which may be all that is uncertain.
+        # Squares are read relative to their mean, since often only the mean is uncertain.
         places = self.parts["places"][rows]
         means = np.add.reduceat(np.nan_to_num(places), starts) / np.maximum(
             np.add.reduceat(np.isfinite(places), starts, dtype=np.float32), 1
@@ -207,7 +206,7 @@ def losses(
     candidates: dict[str, np.ndarray],
     counted: dict[str, float],
 ) -> tuple[dict[str, float], dict[str, np.ndarray]]:
-    """Return the loss of each head, and its gradient: pinball losses of quantiles; of correlations, squares."""
+    """Return the loss of each head and its gradient: pinball losses of quantiles, squared errors of correlations."""
     values, gradients = {}, {}
     for name, own in found.items():
         truth, known = truths[name], np.isfinite(truths[name])
@@ -231,7 +230,7 @@ def losses(
 
 
 def _through_mixture(gradient, read_as, outputs, candidates):
-    """Return the gradient by the outputs from that by what is read as their mixture with candidates."""
+    """Return the gradient of the outputs from that of the readings, in which they are combined with candidates."""
     own, weights = split_mixture(outputs, candidates)
     toward = [
         (gradient * (part[..., None] - read_as)).sum(axis=-1) for part in np.moveaxis(candidates, -1, 0)
@@ -262,11 +261,11 @@ def initial(
 def slopes_of(
     chosen: np.ndarray, data: Batches, weights: Weights
 ) -> tuple[dict[str, float], dict[str, np.ndarray]]:
-    """Return the losses of some observations, and their gradients by the weights."""
+    """Return the losses of some observations, and the gradients of the weights."""
     (squares, starts, *others), truths, candidates = data.take(chosen, weights)
     tape = Tape(weights.layers)
     found = read(tape, Node(squares), starts, *map(Node, others))
-    del found["context"]  # of which the outputs are made
+    del found["context"]  # an intermediate value without a loss
     outputs = {name: own.value for name, own in found.items()}
     values, gradients = losses(outputs, truths, candidates, COUNTED)
     for name, own in found.items():
@@ -315,7 +314,7 @@ def descend(layers, moments, gradients, rate, step) -> None:
 
 
 def save(weights: Weights, path: Path) -> None:
-    """Write a file of weights; eight binary digits are enough, and compress better."""
+    """Write a file of weights, rounded to eight significant bits, which compress better."""
     arrays: dict[str, np.ndarray] = {}
     for name, values in weights.layers.items():
         digits, exponents = np.frexp(values)

@@ -1,7 +1,7 @@
 """Train the network that reads the size of noise from the removal curve, and judge it.
 
 ``python noise_model/train_sizes.py FOLDER...`` needs the weights of `train.py`, whose readings are a part of the
-evidence. It prints what misreading costs in dB of PSNR, by the probability of no noise up to which noise is removed.
+evidence. It prints the PSNR lost by misreadings, for several limits of the probability of no noise.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from size_kinds import FAMILIES
 from train import WEIGHTS, Node, Tape, crops_of, descend
 
 SAMPLES = {"grid": observations.random_samples, "cluster": surfaces.random_samples}
-TEST_ROWS = 1_000  # of each family
+TEST_ROWS = 1_000  # per family
 CHUNK = 500
 EPOCHS, BATCH, RATE = 40, 128, 2e-3
 SEED = 77
 DROPPED = 0.1  # share of the units of a layer, in training
 WIDTH = 0.12  # standard deviation of the labels, in log2 of the strength
-# Noise that is certainly none, and certainly some, in steps of 8 bits: that of rounding is 0.29.
+# Noise up to which there is certainly none, and from which there is certainly some, in 8-bit steps. Rounding has 0.29.
 NONE, SOME = 0.2, 0.8
 
 
 def make_rows(job: tuple[str, str, int, int, int, list[Path]]) -> list[np.ndarray]:
-    """Draw samples; return evidence, first readings, and the truth: root mean squares in steps of 8 bits."""
+    """Draw samples; return evidence, first readings, and the true RMS noise in 8-bit steps."""
     kind, part, number, seed, count, roots = job
     family = FAMILIES[kind][number]
     crops, weights = crops_of(tuple(roots), part), weights_of(kind)
@@ -59,7 +59,7 @@ def make_rows(job: tuple[str, str, int, int, int, list[Path]]) -> list[np.ndarra
 
 
 def labels_of(truth: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Return the probabilities that are to be read."""
+    """Return the target probabilities."""
     logs = np.log2((truth + OFFSET) / (first + OFFSET)).clip(EDGES[0] + WIDTH, EDGES[-1] - WIDTH)
     shares = np.diff(ndtr((EDGES - logs[:, None]) / WIDTH), axis=1)
     none = np.clip((SOME - truth) / (SOME - NONE), 0, 1)[:, None]
@@ -107,17 +107,16 @@ def train(rows: np.ndarray, first: np.ndarray, truth: np.ndarray) -> SizeWeights
     return weights
 
 
-# What it costs in dB to tell log2 of a ratio of the noise, measured on 26 crops of photographs and a game's atlas.
+# PSNR in dB that is lost if the given noise differs from the true noise by a factor, by log2 of the factor; measured on
+# 26 crops of photographs and a game's atlas.
 RATIOS = (-6, -2, -1.2, -0.62, -0.23, 0, 0.26, 0.49, 0.77, 1.32, 2.5)
 COSTS = (5.4, 4.5, 3.2, 1.8, 0.5, 0.05, 0, 0.6, 1.4, 3, 6)
-HARMLESS, TAKEN = (
-    42,
-    0.45,
-)  # dB to the input, and the share of what is told that kernels take of clean pictures
+# Harmless PSNR to a clean input in dB, and the share of the given noise that kernels remove from clean pictures.
+HARMLESS, TAKEN = 42, 0.45
 
 
 def judge(weights: SizeWeights, rows: np.ndarray, first: np.ndarray, truth: np.ndarray) -> None:
-    """Print what misreading costs."""
+    """Print the PSNR lost by misreadings, and how often noise is missed or found in clean pictures."""
     probabilities = weights.read(rows).astype(np.float64)
     sizes = [
         Size(own, row[0], row[1:] / max(1e-12, row[1:].sum()))
@@ -167,7 +166,6 @@ def train_kind(kind: str, roots: list[Path], options: argparse.Namespace) -> Non
 
 
 def save(weights: SizeWeights, path: Path) -> None:
-    """Write a file of weights."""
     arrays = {name: own.astype(np.float16) for name, own in weights.layers.items()}
     parts = {"means": weights.means, "scales": weights.scales}
     np.savez_compressed(path, **arrays, **parts, configuration=np.array(weights.configuration))

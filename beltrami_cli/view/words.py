@@ -11,7 +11,7 @@ from beltrami_cli.flow.parameters import NEGLIGIBLE, VISIBLE, noise_size, root_m
 NO_NOISE_FOUND = "no noise detected"
 
 # Ratio of the ends of an interval of the noise from which on it is shown. Where it is less, the median is off by a
-# factor of 1.22 at most, which costs about half a decibel: see `_MORE` in flow/noise/size.py.
+# factor of 1.22 at most, which costs about half a decibel: see `_REMOVED_PER_MEDIAN` in flow/noise/model.py.
 _WIDE_RATIO = 1.5
 
 

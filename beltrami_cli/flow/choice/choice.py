@@ -44,15 +44,15 @@ _MAX_BEFORE_PATCHES = 2.0
 
 # Weight of smoothness for noise that neighbours share. Low quantiles underestimate such noise, and kernels keep its
 # coarse steps as if they were edges. Enlarged pictures gain 0.9 dB by this weight, and JPEG pictures 0.5 dB.
-_SHARED_BY_NEIGHBOURS = 1.5
+_SHARED_NOISE_WEIGHT = 1.5
 
 # Error of predictions in dB with a certainty of 90 %, if the noise is known. Together with the uncertainty of the noise
 # it makes intervals that hold 70 of 74 results of `benchmarks/bench_regret.py`, and 94 of 126 with pictures of four
-# packages. A larger value would make most intervals wider than `_WIDEST`.
+# packages. A larger value would make most intervals wider than `_MAX_INTERVAL_WIDTH`.
 _PREDICTION_ERROR = 2.5
 
 # A prediction is reported if its interval is at most this wide, in dB.
-_WIDEST = 8.0
+_MAX_INTERVAL_WIDTH = 8.0
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Prediction:
 
     @property
     def is_useful(self) -> bool:
-        return self.most - self.least <= _WIDEST and self.least >= self.before
+        return self.most - self.least <= _MAX_INTERVAL_WIDTH and self.least >= self.before
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ def choose(
     metric_sigma = manifold.noise.sigma[manifold.metric_channels]
     scale = choose_beta(metric_sigma, 1.0) * manifold.unit if len(metric_sigma) else 0.0
     grid = _grid(parameters, manifold.search_range, scale, manifold.beta)
-    weight = (_SHARED_BY_NEIGHBOURS if trial.correlated else 1.0) * parameters.strength
+    weight = (_SHARED_NOISE_WEIGHT if trial.correlated else 1.0) * parameters.strength
     risks = RiskEstimate.on(trial, manifold.noise.sigma, manifold.noise.stabiliser)
     search = Search(risks, grid, risks.noise, weight, tick)
     best = search.run()

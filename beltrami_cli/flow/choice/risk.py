@@ -1,4 +1,4 @@
-"""The error of smoothed colours against the noise-free colours, estimated without knowing these, and where it is.
+"""An estimate of the error of smoothed colours that does not need the noise-free colours.
 
 Stein's unbiased risk estimate: for y = x + noise of variance sigma^2, and any smooth map f,
 
@@ -67,7 +67,7 @@ class RiskEstimate:
     trial: SampleTrial
     noisy: Float32s  # the scored colours, shape (S, N)
     variance: Float64s  # of the noise
-    counts: Float32s | float  # factors of squared errors: these count as they are in the colours as given
+    counts: Float32s | float  # factors from squared errors of stabilised colours to those of the input
     weights: tuple[Float64s, ...]  # from the response to each stack of signs to the divergence
     size: np.float32  # of the perturbation
 

@@ -12,7 +12,7 @@ from beltrami_cli.flow.manifolds.manifold import Step
 from beltrami_cli.flow.parameters import MAX_GROWTH
 
 # Improvements below this share of the noise variance are due to chance: some 0.1 dB of a good result.
-_WORTH_MOVING = 5e-4
+_MIN_IMPROVEMENT = 5e-4
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Search:
     ) -> None:
         self.tried: dict[Schedule, Risk] = {}
         self._estimate, self._grid, self._tick = estimate, grid, tick
-        self._gain, self._weight = _WORTH_MOVING * noise, weight
+        self._gain, self._weight = _MIN_IMPROVEMENT * noise, weight
         self._least: dict[Place, float] = {}
         self._regularised_states: dict[Schedule, State] = {}
 

@@ -1,4 +1,4 @@
-"""Clusters of some 400 vertices as neighbourhoods: the fifth level of `vertex_graph`."""
+"""Neighbourhoods of meshes and point clouds: clusters of about 400 vertices, the fifth level of `vertex_graph`."""
 
 from __future__ import annotations
 
@@ -15,28 +15,32 @@ from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, Samples, Scal
 from beltrami_cli.flow.noise.pilot import smoothed_graph
 from beltrami_cli.flow.vertex_graph import Graph, levels_of
 
-# Blocks of consecutive samples that are read of a large surface, and samples of each.
+# Maximum number of blocks of consecutive samples that are read from a large surface, and samples per block.
 _MAX_BLOCKS, _BLOCK = 16, 4096
 
-# Samples of a neighbourhood that is read, unless all are smaller; and of the smallest that can be.
+# A neighbourhood has at least `_ENOUGH` samples, or half as many as the largest one if that is less, but never fewer
+# than `_LEAST`.
 _ENOUGH, _LEAST = 64, 16
 
-# Samples of the smallest surfaces of the training: with fewer, paint cannot be distinguished from noise.
+# Number of samples of the smallest training surfaces. With fewer, hard-edged paint is not distinguishable from noise.
 _FEWEST = 256
 
-# Scales whose residuals are described: at coarser ones, slopes are no larger than what else there is.
+# Number of scales whose residuals, which are free of slopes, are features. At coarser scales slopes are not larger than
+# other details.
 _SCALES_OF_RESIDUALS = 2
 
-# Spacings over which the noise of neighbourhoods, some twenty across, is evened out at their borders.
+# Width in sample spacings over which variances of adjacent neighbourhoods are blended. Neighbourhoods are about twenty
+# spacings wide.
 _SPREAD = 4.0
 
-# Neighbours of a part whose residual counts; fewer: a border, where their mean leans to one side.
+# Minimum number of neighbours of a part whose residual is used. Parts with fewer lie at a border, and the mean of their
+# neighbours is on one side of them.
 _NEIGHBOURS = 3
 
 
 @dataclass(frozen=True)
 class ClusterScale(Scale):
-    """Clusters of parts."""
+    """A scale whose cells are clusters of parts."""
 
     parents: Int64s  # the cell of each part
     tile: Int64s  # the neighbourhood of each cell
@@ -45,7 +49,7 @@ class ClusterScale(Scale):
 
     @cached_property
     def _samples(self) -> Float64s:
-        """The samples of each cell; at least 1."""
+        """Number of samples in each cell, at least 1."""
         return np.maximum(self.sums(self.counts), 1)
 
     def sums(self, values: Array) -> Float64s:
@@ -73,19 +77,19 @@ class ClusterScale(Scale):
 
     @cached_property
     def across(self) -> tuple[Int64s, Int64s, Int64s]:
-        """Neighbouring parts in different cells, one and other, and the neighbourhood of one, in both directions."""
+        """Pairs of neighbouring parts in different cells, in both orders, and the neighbourhood of the first part."""
         one, other = self.edges[np.diff(self.parents[self.edges], axis=1)[:, 0] != 0].T
         ends = np.concatenate([one, other])
         return ends, np.concatenate([other, one]), self.tile[self.parents[ends]]
 
     @cached_property
     def degree(self) -> Int64s:
-        """How many neighbours each part has."""
+        """Number of neighbours of each part."""
         return np.bincount(self.edges.ravel(), minlength=len(self.parents)).astype(np.int64)
 
     @cached_property
     def of_residuals(self) -> Float64s:
-        """The deviation of independent noise in what each part differs by from the mean of its neighbours."""
+        """Standard deviation of independent noise in the difference of each part from the mean of its neighbours."""
         around = self.sums_around(1 / self.counts) / np.maximum(self.degree, 1) ** 2
         return np.asarray(np.sqrt(1 / self.counts + around), np.float64)
 
@@ -97,14 +101,17 @@ class ClusterScale(Scale):
 
 @dataclass(frozen=True)
 class VertexClusters(Neighbourhoods):
-    """Samples joined by edges; those that follow each other must lie together."""
+    """Clusters of samples that are joined by edges.
+
+    Consecutive samples must be close to each other, since a large surface is read in blocks of these.
+    """
 
     graph: Graph
     kind: ClassVar[str] = "cluster"
 
     @cached_property
     def chosen(self) -> Int64s:
-        """The samples that are read, ascending: blocks of a large surface, in neighbourhoods that are large enough."""
+        """Indices of the samples that are read, ascending: those in large neighbourhoods of the blocks."""
         return self._cut[0]
 
     @property
@@ -126,7 +133,7 @@ class VertexClusters(Neighbourhoods):
         kept = counts >= max(_LEAST, min(_ENOUGH, counts.max(initial=0) / 2))
         kept &= counts[kept].sum() >= _FEWEST
         number = np.where(kept, np.cumsum(kept) - 1, -1)
-        # Of each level, the clusters in neighbourhoods that are read, with new numbers.
+        # The neighbourhood of each cluster by level, and consecutive numbers of the clusters that are read.
         tiles = [number[levels[-1].members[level.centres]] for level in levels]
         renumbered = [np.where(own >= 0, np.cumsum(own >= 0) - 1, -1) for own in tiles]
         found = []
@@ -153,7 +160,7 @@ class VertexClusters(Neighbourhoods):
         return np.asarray(np.abs(samples.colours - means).sum(axis=1), np.float32)
 
     def described(self, samples: Samples) -> list[Array]:
-        """Describe how many samples and neighbours there are."""
+        """Return features of the number of samples, and of the number of neighbours per sample."""
         degree = np.bincount(self.graph.edges.ravel(), minlength=self.graph.size)[self.chosen]
         return [np.log2(self.counts) / 4, self.means(degree[None])[0] / 4]
 
@@ -184,7 +191,7 @@ class VertexClusters(Neighbourhoods):
         return np.stack(columns, axis=1).astype(np.float32)
 
     def _residuals(self, samples: Samples, number: int) -> Float32s:
-        """Return mean products of the residuals of the parts of each cell; of details where there are none."""
+        """Return the mean products of the residuals in each cell, or those of details in cells without residuals."""
         scale, values = self.scales[number], in_components(samples.means[number])
         inside = scale.degree >= _NEIGHBOURS
         differences = [own - scale.sums_around(own) / np.maximum(scale.degree, 1) for own in values]
@@ -218,7 +225,7 @@ class VertexClusters(Neighbourhoods):
 
 
 def _some_samples(graph: Graph) -> tuple[Int64s, Graph]:
-    """Choose blocks of samples, evenly spread, with the edges between them; all samples if there are no more."""
+    """Choose evenly spread blocks of samples and the edges among these; a small surface is kept whole."""
     if graph.size <= _BLOCK * _MAX_BLOCKS:
         return np.arange(graph.size), graph
     first = np.linspace(0, graph.size - _BLOCK, _MAX_BLOCKS).astype(np.int64)
@@ -231,7 +238,7 @@ def _some_samples(graph: Graph) -> tuple[Int64s, Graph]:
 
 
 def _ranks_within(groups: Int64s) -> Int64s:
-    """Return the place of each item among those of its group."""
+    """Return the rank of each item within its group."""
     order = np.argsort(groups, kind="stable")
     counts = np.bincount(groups)
     ranks = np.empty(len(groups), np.int64)

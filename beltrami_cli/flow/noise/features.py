@@ -4,8 +4,8 @@ A neighbourhood is a square of 32 x 32 cells of a grid, or a cluster of vertices
 hold independent noise with the same variance; textures and filtered noise grow from scale to scale. Details are
 described for the mean of three channels and two differences of channels, which are orthonormal as well.
 
-`neighbourhoods` measures the details of cells. What follows does not depend on the order of the channels, which are
-sorted by the energy of their finest details.
+`neighbourhoods` measures the details of cells. It sorts channels by the energy of their finest details, so that
+features do not depend on the order of the input.
 """
 
 from __future__ import annotations
@@ -22,41 +22,41 @@ SCALES = 4
 # The mean of three channels and two differences, orthonormal.
 COMPONENTS = (np.array([[1, 1, 1], [1, 0, -1], [1, -2, 1]]) / np.sqrt([[3], [2], [6]])).astype(np.float32)
 
-# Pairs of components whose products are measured: first the squares.
+# Pairs of components whose products are measured. Squares come first.
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
-# How the products of pairs of components add up to the squares of each channel.
+# Weights by which products of component pairs add up to the square of each channel.
 _OF_CHANNELS = np.stack([COMPONENTS[k] * COMPONENTS[m] * (1 if k == m else 2) for k, m in PAIRS])
 
-# Neighbourhoods that are read of a large picture; at most half as many were seen in training.
+# Maximum number of neighbourhoods that are read from a picture. Training pictures have at most half as many.
 MAX_SQUARES = 128
 
-# Steps of 8 bits.
+# Number of 8-bit steps in full scale.
 STEPS = np.float32(255)
 
-# Shares of the cells of a neighbourhood, and of its blocks of cells, whose energies are described.
+# Quantiles of the energies of cells in a neighbourhood, and of its blocks of cells, that are features.
 _QUANTILES = (0.1, 0.25, 0.5, 0.75, 0.9)
 _QUANTILES_OF_BLOCKS = (0.0, 0.25)
 
-# Shares of all cells, the most even ones, whose energies are described together.
+# Shares of the most even cells of a picture whose mean energies are features.
 EVEN_SHARES = (0.01, 0.05, 0.25)
 
-# The share of them that shows the covariance of the noise.
+# Share of the most even cells in which the covariance of the noise is measured.
 _EVEN_SHARE = 0.25
 
-# The share whose residuals are described, too.
+# Share of the most even cells whose residuals are also features.
 _SHARE_OF_RESIDUALS = 0.05
 
-# Shares of the blocks of a picture whose energies are described.
+# Quantiles of the energies of blocks in a picture that are features.
 _SHARES_OF_BLOCKS = (0.01, 0.05, 0.2, 0.5)
 
-# Cells where more of the samples are at a limit of the colours are not counted as even, since their noise is cut off.
+# Maximum share of clipped samples around an even cell. Clipping reduces the noise.
 _MAX_CUT_OFF = 0.05
 
-# Energies of noise that is invisible in 8 bits, in units of a step of 8 bits; for logarithms.
+# Energy that is added before a logarithm is taken, in squared 8-bit steps. Noise of this energy is invisible in 8 bits.
 FLOOR = 0.01
 
-# A squared detail, in steps of 8 bits, below which a cell is constant: the least of 8-bit pictures is 1 / 4.
+# Energy below which a cell is constant, in squared 8-bit steps. The smallest squared detail of 8-bit pictures is 1 / 4.
 _CONSTANT = 0.01
 
 
@@ -65,12 +65,10 @@ class Cells:
     """The details of one scale in P neighbourhoods of up to n cells and m blocks of cells."""
 
     products: Float32s  # mean products of the components' details in each cell, by `PAIRS`, shape (6, P, n)
-    freedom: Float32s  # details in each cell, shape (P, n); 0: there is no cell
-    blocks: (
-        Float32s  # mean squares by component in blocks of cells, shape (3, P, m); infinite: there is no block
-    )
-    unevenness: Float32s  # energy of the next two scales around a cell, shape (P, n); infinite: not known
-    cut_off: Float32s  # share of samples at a limit of the colours around a cell, shape (P, n)
+    freedom: Float32s  # details in each cell, shape (P, n); 0: no cell
+    blocks: Float32s  # mean squares by component in blocks of cells, shape (3, P, m); infinite: no block
+    unevenness: Float32s  # energy of the next two scales around a cell, shape (P, n); infinite: unknown
+    cut_off: Float32s  # share of clipped samples around a cell, shape (P, n)
     fourth: Float32s  # mean fourth power of the details by component, shape (P, 3)
     others: Float32s  # features that only this kind of neighbourhood has, shape (P, F)
     # Mean products of residuals, which are free of slopes, in each cell, shape (6, P, n); None: not measured.
@@ -79,7 +77,7 @@ class Cells:
 
     @property
     def is_valid(self) -> Bools:
-        """Which cells there are."""
+        """Mask of existing cells, shape (P, n)."""
         return self.freedom > 0
 
 
@@ -92,7 +90,7 @@ def describe(described: Float32s, cells: Sequence[Cells]) -> Float32s:
 
 
 def _describe_scale(cells: Cells) -> list[Float32s]:
-    """Describe the details of one scale, by component; and by channel, how components vary together."""
+    """Return features of one scale: energies by component and by channel, and correlations of components."""
     energy, valid = np.moveaxis(cells.products[:3], 0, 1), cells.is_valid[:, None]
     count = np.maximum(valid.sum(axis=2), 1)
     mean = np.maximum(energy.sum(axis=2, where=valid) / count, 1e-9)
@@ -112,7 +110,7 @@ def _describe_scale(cells: Cells) -> list[Float32s]:
 
 
 def _describe_quiet(cells: Cells) -> list[Float32s]:
-    """Describe the quieter half of the cells: the energy of each channel, and the correlation of components."""
+    """Return features of the quieter half of the cells: the energy by channel, and correlations of components."""
     total = np.where(cells.is_valid, cells.products[:3].sum(axis=0), np.inf)
     middle = np.maximum(cells.is_valid.sum(axis=1) - 1, 0) // 2
     median = np.take_along_axis(np.sort(total, axis=1), middle[:, None], axis=1)
@@ -122,10 +120,10 @@ def _describe_quiet(cells: Cells) -> list[Float32s]:
 
 
 def describe_even_cells(cells: Sequence[Cells]) -> Float32s:
-    """Describe the most even cells and blocks of a picture at each scale, shape (F,).
+    """Return features of the most even cells and blocks of a picture at each scale, shape (F,).
 
-    Cells are even where details of the next two scales are small. Independent noise is independent of these, so that
-    its energy there is an unbiased estimate.
+    Cells are even where the details of the next two scales are small. The noise in a cell does not depend on these, so
+    its energy in even cells is an unbiased estimate.
     """
     found = [np.log2([len(cells[0].freedom)])]
     for own in cells:
@@ -143,9 +141,10 @@ def describe_even_cells(cells: Sequence[Cells]) -> Float32s:
 
 
 def _even_by_neighbourhood(cells: Cells, whole: Bools) -> Float32s:
-    """Describe the energy of components in the even quarter of each neighbourhood, which noise by place does not bias.
+    """Return features of the even quarter of each neighbourhood, which are unbiased if noise depends on the place.
 
-    That is its mean, median and lower quartile over the neighbourhoods, as logarithms of deviations, shape (9,).
+    They are the mean, median and lower quartile of the energy of components over the neighbourhoods, as logarithms of
+    deviations, shape (9,).
     """
     some = whole.any(axis=1)
     if not some.any():
@@ -163,8 +162,8 @@ def _even_by_neighbourhood(cells: Cells, whole: Bools) -> Float32s:
 def even_covariances(cells: Sequence[Cells], chosen: Bools, variances: Float64s) -> tuple[Float64s, Float64s]:
     """Return the covariance of components in the even cells of some neighbourhoods, shape (SCALES, 3, 3).
 
-    It is divided by the relative variance of each neighbourhood, shape (P,). The second result is how many details of
-    each component show it, shape (SCALES,).
+    It is divided by the relative variance of each neighbourhood, shape (P,). The second result is the number of details
+    by scale that it was measured from, shape (SCALES,).
     """
     found, counts = np.zeros((SCALES, 3, 3)), np.zeros(SCALES)
     for scale, own in enumerate(cells):
@@ -181,7 +180,10 @@ def even_covariances(cells: Sequence[Cells], chosen: Bools, variances: Float64s)
 
 
 def _known_cells(cells: Cells, chosen: Bools | bool = True) -> tuple[Bools, Bools]:
-    """Return the cells whose unevenness is known, and the ones of them that were not cut off; (P, n) each."""
+    """Return masks of shape (P, n): cells with a known unevenness, and those of them that are not clipped.
+
+    A condition that too few cells meet is dropped.
+    """
     valid = cells.is_valid & chosen
     known = valid & np.isfinite(cells.unevenness)
     known = known if known.any() else valid
@@ -190,7 +192,7 @@ def _known_cells(cells: Cells, chosen: Bools | bool = True) -> tuple[Bools, Bool
 
 
 def _describe_even(cells: Cells, whole: Bools) -> list[Float32s]:
-    """Describe the most even of some cells."""
+    """Return features of the most even cells in the mask `whole`."""
     products, freedom, unevenness = cells.products[:, whole], cells.freedom[whole], cells.unevenness[whole]
     found, ranked = [], np.sort(unevenness)
     for share in EVEN_SHARES:
@@ -199,7 +201,7 @@ def _describe_even(cells: Cells, whole: Bools) -> list[Float32s]:
             size = (9 if cells.is_grid else 14) + (0 if residuals is None else 9)
             found.append(np.full(size, log_deviation(0)))
             continue
-        # Cells of one coarser cell are equally even: all of them count.
+        # Cells within one coarser cell are equally even, so ties are included.
         even = unevenness <= ranked[int(share * (len(ranked) - 1))]
         own, weights = products[:, even], freedom[even]
         means = np.einsum("kn,n->k", own, weights)[None] / weights.sum()
@@ -215,13 +217,13 @@ def _describe_even(cells: Cells, whole: Bools) -> list[Float32s]:
 
 
 def _variances_and_correlations(means: Float32s) -> list[Float32s]:
-    """Describe mean products, shape (1, 6): variances of components and channels, correlations of components."""
+    """Return features of mean products, shape (1, 6): variances of components and channels, and correlations."""
     variances = [log_deviation(part[0]) for part in (means[:, :3], _variances_of_channels(means))]
     return [*variances, _correlations(means)[0]]
 
 
 def symmetric(products: Array) -> Array:
-    """Return matrices of products, shape (..., 3, 3)."""
+    """Return symmetric matrices, shape (..., 3, 3), from products of `PAIRS`, shape (..., 6)."""
     found = np.empty((*products.shape[:-1], 3, 3), products.dtype)
     for number, (one, other) in enumerate(PAIRS):
         found[..., one, other] = found[..., other, one] = products[..., number]
@@ -229,12 +231,12 @@ def symmetric(products: Array) -> Array:
 
 
 def _variances_of_channels(products: Float32s) -> Float32s:
-    """Return the variances of channels, by the mean products of components, shape (P, 6)."""
+    """Return the variances of channels from the mean products of components, shape (P, 6)."""
     return np.asarray(np.einsum("pk,kc->pc", products, _OF_CHANNELS), np.float32)
 
 
 def _correlations(products: Float32s) -> Float32s:
-    """Return the correlations of three components by their mean products, shape (P, 6)."""
+    """Return the correlations of three components from their mean products, shape (P, 6)."""
     deviations = np.sqrt(products[:, :3] + FLOOR)
     pairs = PAIRS[3:]
     both = np.stack([deviations[:, k] * deviations[:, m] for k, m in pairs], axis=1)
@@ -242,7 +244,7 @@ def _correlations(products: Float32s) -> Float32s:
 
 
 def _quantiles(values: Float32s, shares: Sequence[float]) -> list[Float32s]:
-    """Return quantiles along the last axis among finite values, as logarithms of deviations."""
+    """Return quantiles of the finite values along the last axis, as logarithms of deviations."""
     ordered = np.sort(values, axis=-1)
     last = np.isfinite(ordered).sum(axis=-1, keepdims=True) - 1
     places = np.maximum(np.rint(np.array(shares) * last), 0).astype(np.intp)
@@ -251,5 +253,5 @@ def _quantiles(values: Float32s, shares: Sequence[float]) -> list[Float32s]:
 
 
 def log_deviation(variance: Array | float) -> Float32s:
-    """Return log2 of deviations in steps of 8 bits, with a floor well below a step."""
+    """Return log2 of the deviation for a variance in squared 8-bit steps, with a floor far below one step."""
     return np.asarray(np.log2(np.maximum(variance, 0) + FLOOR) / 2, np.float32)

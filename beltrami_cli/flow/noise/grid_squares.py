@@ -1,4 +1,4 @@
-"""Squares of a grid as neighbourhoods; flips and quarter turns of squares change nothing."""
+"""Neighbourhoods of a grid: squares, with features that are invariant under flips and quarter turns."""
 
 from __future__ import annotations
 
@@ -14,37 +14,37 @@ from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, Samples, Scal
 from beltrami_cli.flow.noise.pilot import smoothed_squares
 from beltrami_cli.surface import large_arrays
 
-# Cells per side of a square: the least with four cells at the coarsest scale.
+# Cells per side of a square: the smallest side with 2 x 2 cells at the coarsest scale.
 SIDE = 2 ** (SCALES + 1)
 
-# Share of its cells that a square must hold, or as many as the fullest square.
+# Minimum share of filled cells in a square. If no square has that many, the fullest squares are read.
 MIN_FILLED_SHARE = 0.5
 
-# Powers of the plastic number: rows and columns times these, less whole numbers, spread evenly in two dimensions
+# Inverse powers of the plastic number. The fractional parts of row and column times these are spread evenly
 # (M. Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018).
 _PLASTIC = 1.3247179572447460 ** -np.arange(1.0, 3.0)
 
-# Cells a side of a tile, whose 48 details by component show the deviation of noise within a tenth.
+# Cells per side of a tile. Its 48 details per component determine the deviation of the noise within a tenth.
 _TILE = 8
 
-# The quantile of the tiles of a square that is free of texture; and what it is of white noise of variance 1, for the
-# quieter of two components and for the quietest of three, by simulation.
+# Quantile of the energies of tiles in a square that is assumed to be free of texture; and its value for white noise of
+# variance 1, found by simulation, for the quieter of two components and for the quietest of three.
 _QUIET = 0.3
 _OF_NOISE = {2: 0.795, 3: 0.754}
 
-# Share of the variance of the noisiest component, above which another one has noise, too.
+# Share of the largest variance of a component above which another component has noise, too.
 _NOISY = 0.1
 
-# Cells a side of a block of JPEG, its cosine waves, and their bands, by the sum of both frequencies.
+# Cells per side of a JPEG block, its cosine basis, and the band of each coefficient, by the sum of both frequencies.
 _JPEG = 8
 _COSINES = np.cos(np.pi / _JPEG * (np.arange(_JPEG) + 0.5) * np.arange(_JPEG)[:, None]).astype(np.float32)
 _COSINES *= np.sqrt(np.where(np.arange(_JPEG) > 0, 2, 1) / _JPEG).astype(np.float32)[:, None]
 _BANDS: Int64s = np.digitize(np.add.outer(np.arange(_JPEG), np.arange(_JPEG)), (1, 3, 5, 8))
 
-# Waves of luma below this are 0: rounding to 8 bits leaves them a deviation of 0.2.
+# Magnitude below which a coefficient of luma counts as 0: rounding to 8 bits gives coefficients a deviation of 0.2.
 _ZERO_WAVE = 0.75
 
-# Shares of red, green and blue in the luma of JPEG.
+# Weights of red, green and blue in the luma of JPEG.
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 
 
@@ -53,10 +53,10 @@ class SquareScale(Scale):
     """Cells of 2 x 2 parts in squares, row by row."""
 
     side: int  # cells
-    present: Bools | None  # which parts of the squares there are, shape (P, 2 * side, 2 * side); None: all
+    present: Bools | None  # mask of existing parts, shape (P, 2 * side, 2 * side); None: all
 
     def quarters(self, values: Array) -> list[Array]:
-        """Return the four parts of each cell, shape (..., P, side, side) each; 0: there is none."""
+        """Return the four parts of each cell, shape (..., P, side, side) each; 0 where a part is missing."""
         squares = laid_out(values, self.present, 2 * self.side)
         return [squares[..., i::2, j::2] for i in (0, 1) for j in (0, 1)]
 
@@ -100,7 +100,7 @@ def laid_out(values: Array, present: Bools | None, side: int) -> Array:
 
 @dataclass(frozen=True)
 class Grid(Neighbourhoods):
-    """Up to so many squares of the cells of a grid that are filled, shape (R, C)."""
+    """At most `most` squares of a grid, given the mask of its filled cells, shape (R, C)."""
 
     filled: Bools
     most: int = MAX_SQUARES
@@ -118,16 +118,16 @@ class Grid(Neighbourhoods):
 
     @cached_property
     def _squares(self) -> Bools:
-        """Which cells of the squares are filled, shape (P, SIDE, SIDE)."""
+        """Mask of the filled cells in each square, shape (P, SIDE, SIDE)."""
         return self._cut_out(self.filled)
 
     @cached_property
     def _present(self) -> Bools | None:
-        """The same; None: all."""
+        """The mask `_squares`; None: all cells are filled."""
         return None if self._squares.all() else self._squares
 
     def _cut_out(self, plane: Array) -> Array:
-        """Return the squares of a plane; 0 beyond its border."""
+        """Return the squares of a plane, with 0 beyond its border."""
         found = np.zeros((len(self.corners), SIDE, SIDE), plane.dtype)
         for square, (row, column) in zip(found, self.corners, strict=True):
             own = plane[row : row + SIDE, column : column + SIDE]
@@ -139,7 +139,7 @@ class Grid(Neighbourhoods):
         whole, present, found = self._squares, self._present, []
         for number in range(SCALES + 1):
             whole = np.logical_and.reduce([whole[:, i::2, j::2] for i in (0, 1) for j in (0, 1)])
-            is_whole, samples = whole.ravel(), np.full(1, 4.0**number, np.float32)  # the same in all
+            is_whole, samples = whole.ravel(), np.full(1, 4.0**number, np.float32)  # equal in all parts
             freedom = np.float32(3) * is_whole
             found.append(SquareScale(samples, freedom, is_whole, whole.shape[-1], present))
             present = None
@@ -168,7 +168,7 @@ class Grid(Neighbourhoods):
         return np.asarray(np.abs(a - b - c + d).sum(axis=(1, 2, 3), where=is_whole), np.float32)
 
     def described(self, samples: Samples) -> list[Array]:
-        """Describe filling, steps between JPEG blocks, and how many values there are."""
+        """Return features of the number of values, of filling, and of JPEG: steps between blocks, and coefficients."""
         squares = laid_out(samples.colours, self._present, SIDE)
         shown = squares if self._present is None else np.where(self._squares, squares, np.float32(-1))
         ordered = np.sort(shown.reshape(3, self.count, -1), axis=2)
@@ -182,7 +182,7 @@ class Grid(Neighbourhoods):
         ]
 
     def _steps_of_jpeg(self, means: Float32s) -> Float32s:
-        """Return by how much steps between blocks of 8 x 8 exceed all others."""
+        """Return log2 of the ratio of steps at the borders of 8 x 8 blocks to steps everywhere."""
         excess = np.zeros(len(means), np.float32)
         for axis in (1, 2):
             both = np.moveaxis(self._squares, axis, -1)
@@ -194,7 +194,7 @@ class Grid(Neighbourhoods):
         return excess
 
     def described_cells(self, samples: Samples, number: int) -> tuple[Float32s, Float32s, None]:
-        """Return the fourth power of details, how they depend on the direction, and their correlation."""
+        """Return the mean fourth power of details, and features of their anisotropy and correlation."""
         scale = self.scales[number]
         values = samples.details[number].reshape(3, 3, self.count, scale.side, scale.side)
         is_whole = scale.is_whole.reshape(values.shape[2:])
@@ -254,16 +254,16 @@ class Grid(Neighbourhoods):
 
 
 def _stretched(rows: Float64s, count: int, factor: int) -> Float64s:
-    """Interpolate rows of cells at the middles of `count` smaller ones, `factor` of which make one."""
+    """Interpolate rows of cells at the centres of `count` smaller cells, `factor` of which span one cell."""
     middles = (np.arange(count) + 0.5) / factor - 0.5
     return np.stack([np.interp(middles, np.arange(len(row)), row) for row in rows])
 
 
 def quiet_energies(samples: Samples, variances: Float64s) -> Float64s | None:
-    """Return the energy of quiet tiles of each square of a grid, relative to the noise of components, shape (P,).
+    """Return the energy of quiet tiles in each square of a grid, relative to the noise of components, shape (P,).
 
-    That of the quietest component counts, which texture hardly has. None: only one has noise, and nothing shows which
-    of its energy is texture. NaN: squares that lack cells show less than there is.
+    The quietest component is used, since it has the least texture. The result is None if only one component has noise,
+    which then cannot be distinguished from texture, and NaN for squares that lack cells.
     """
     noisy = np.flatnonzero(variances > _NOISY * variances.max())
     if len(noisy) < 2:
@@ -278,16 +278,17 @@ def quiet_energies(samples: Samples, variances: Float64s) -> Float64s | None:
 
 
 def _waves_of_jpeg(luma: Float32s, filled: Bools) -> list[Float32s]:
-    """Describe the cosine waves of blocks of 8 x 8, which JPEG rounds to multiples of steps, by their frequency.
+    """Return features of the cosine coefficients of 8 x 8 blocks by band; JPEG rounds these to multiples of a step.
 
-    That is how many of them are 0, their median, and the least of all others: nearly the step.
+    The features are the median magnitude, the lowest tenth of the nonzero magnitudes, which is close to the step, and
+    the share of zeros.
     """
     shape = len(luma), SIDE // _JPEG, _JPEG, SIDE // _JPEG, _JPEG
     across = np.einsum("vj,paibj->paibv", _COSINES, luma.reshape(shape))
     waves = np.abs(np.einsum("ui,paibv->puvab", _COSINES, across))
     is_whole: Bools = np.asarray(filled.reshape(shape).all(axis=(2, 4)))
     found = []
-    for band in range(1, _BANDS.max() + 1):  # the mean of a block is no wave
+    for band in range(1, _BANDS.max() + 1):  # band 0 is the mean of a block
         own = waves[:, band == _BANDS]
         own = np.where(is_whole[:, None], own, np.inf).reshape(len(luma), -1)
         ordered, known = np.sort(own, axis=1), np.isfinite(own).sum(axis=1)
@@ -300,8 +301,8 @@ def _waves_of_jpeg(luma: Float32s, filled: Bools) -> list[Float32s]:
 
 
 def choose_corners(filled: Bools, most: int = MAX_SQUARES) -> Int64s:
-    """Choose the squares to be read, by the row and column of their first cell, shape (P, 2)."""
-    # Squares begin with the first filled cell, as blocks of a JPEG picture do.
+    """Choose the squares to read; return row and column of their first cells, shape (P, 2)."""
+    # Squares are aligned with the first filled cell, as the blocks of a JPEG picture are.
     first = [int(filled.any(axis=axis).argmax()) for axis in (1, 0)]
     filled = filled[first[0] :, first[1] :]
     down, across = (np.arange(0, size, SIDE) for size in filled.shape)

@@ -1,15 +1,15 @@
-"""The noise of colours: an immutable value that kernels, patches and all estimates take.
+"""The noise model: an immutable value that kernels, patches and all estimates take.
 
-Neighbouring samples may share noise, which is described by covariances of its Haar details, scale by scale. The Haar
-transform splits a grid into the details of single cells, of means of 2 x 2 cells, of 4 x 4, and so on [1]_; on meshes
-clusters of some four vertices stand for squares. Independent noise has the same variance in all of them. Noise that
-was stored, scaled or compressed has less in the finer ones, and channels share it. Covariances have the shape
-(L, N, N): of N channels in the details of single samples, of means of some four and so on, the last for all coarser
-ones, in units in which they are equal for independent noise.
+Neighbouring samples may share noise. The model therefore has a covariance of the channels for each scale of Haar
+details. The Haar transform splits a grid into the details of single cells, of means of 2 x 2 cells, of 4 x 4, and so on
+[1]_; on meshes, clusters of about four vertices replace squares. Independent noise has the same variance at all scales.
+Noise that was filtered, scaled or compressed has less at the finer scales, and its channels are correlated. Covariances
+of N channels have the shape (L, N, N): of the details of single samples, of means of about four, and so on. The last
+one holds for all coarser scales. In their units they are equal for independent noise.
 
 Noise of cameras depends on the level: shot noise grows with light, and the encoding of colours stretches the dark. With
-sigma(s) at the level s, the transformation with the derivative 1 / sigma(s) makes it 1 everywhere [2]_. It is scaled so
-that 0 and full scale stay, and limits at which noise was cut off keep their places.
+sigma(s) at the level s, the transformation with the derivative 1 / sigma(s) makes it 1 everywhere [2]_. It is scaled to
+map 0 and full scale to themselves, which preserves the limits at which noise was clipped.
 
 References
 ----------
@@ -45,11 +45,11 @@ COLOURS = 3
 # Probability of no noise above which colours are not changed, and from which on there is certainly no noise. By
 # `noise_model/train_sizes.py`, 0.3 instead of 0.2 gains 0.06 dB on noisy grids of the usual kinds and 0.13 dB on those
 # of cameras, and loses 0.04 dB on clean ones.
-MOST_NONE, _CERTAIN = 0.3, 0.95
+MAX_NO_NOISE_PROBABILITY, _CERTAINLY_NO_NOISE = 0.3, 0.95
 
-# Factor of the removed noise to its median. Noisy pictures lost 0.53 dB against a known noise, and 0.72 dB with a
+# Ratio of the removed noise to its median. Noisy pictures lost 0.53 dB against a known noise, and 0.72 dB with a
 # factor of 1, by benchmarks/bench_regret.py: underestimated noise is kept as edges.
-_MORE = 1.1
+_REMOVED_PER_MEDIAN = 1.1
 
 # Beta times sigma: the distance of colours at which the first kernel should decay, in units of the noise. A search over
 # vertex colours and textures at sigma 20 of 255, with t = 2.4, a growth of 2, two regularised and three plain
@@ -60,19 +60,19 @@ _BETA_SIGMA = 0.8
 _DESCRIBED_LEVELS = {"dark": 0.1, "middle": 0.5, "bright": 0.9}
 
 # Quantiles of the relative variance at which quiet and loud places are described.
-_QUIET, _LOUD = 0.05, 0.95
+_QUIET_QUANTILE, _LOUD_QUANTILE = 0.05, 0.95
 
 # Number of steps of a transformation table.
-_STEPS = 1024
+_TABLE_STEPS = 1024
 
 # Number of levels at which the noise of a camera is tabulated.
-_LEVELS = 65
+_CAMERA_LEVELS = 65
 
 # Minimum relative standard deviation of samples, as a divisor of colours.
-_LEAST_RELATIVE = 0.05
+_MIN_RELATIVE_SIGMA = 0.05
 
 # Rows processed at a time where each needs temporary memory.
-_ROWS = 64
+_BLOCK_ROWS = 64
 
 
 @dataclass(frozen=True)
@@ -88,16 +88,16 @@ class Reading:
     @property
     def is_likely(self) -> bool:
         """Whether there is noise to remove, given the harm to clean colours."""
-        return self.none <= MOST_NONE
+        return self.none <= MAX_NO_NOISE_PROBABILITY
 
     def assumed(self, strength: float) -> float:
         """Return the size to remove: the lower end of the interval if gentle, the upper end if strong.
 
         It is 0 where no noise is likely enough, unless the strength is high.
         """
-        low, median = (self.low, _MORE * self.median) if self.is_likely else (0.0, 0.0)
+        low, median = (self.low, _REMOVED_PER_MEDIAN * self.median) if self.is_likely else (0.0, 0.0)
         # No noise counts as 0, so that the upper end may be 0.
-        high = max(median, self.high) if self.none < _CERTAIN else 0.0
+        high = max(median, self.high) if self.none < _CERTAINLY_NO_NOISE else 0.0
         return float(np.interp(strength, tuple(STRENGTHS.values()), (low, median, high)))
 
     @property
@@ -236,7 +236,7 @@ class NoiseModel:
             for name, level in _DESCRIBED_LEVELS.items():
                 found[name] = float(self.stabiliser.sigma_at(level, sigma))
         if self.relative is not None:
-            quiet, loud = np.quantile(self.relative, (_QUIET, _LOUD))
+            quiet, loud = np.quantile(self.relative, (_QUIET_QUANTILE, _LOUD_QUANTILE))
             found |= {
                 "quiet": self.overall * float(np.sqrt(quiet)),
                 "loud": self.overall * float(np.sqrt(loud)),
@@ -250,9 +250,9 @@ class VarianceStabiliser:
     def __init__(
         self, levels: Float64s, relative: Float64s, samples: Float64s, full_scale: float = 1.0
     ) -> None:
-        self._levels = np.linspace(0, full_scale, _STEPS + 1)
+        self._levels = np.linspace(0, full_scale, _TABLE_STEPS + 1)
         inverse = 1 / np.interp(self._levels, levels, relative)
-        steps = (inverse[1:] + inverse[:-1]) / (2 * _STEPS)
+        steps = (inverse[1:] + inverse[:-1]) / (2 * _TABLE_STEPS)
         self.scale = 1 / float(steps.sum())
         """Standard deviation of stabilised noise whose relative standard deviation is 1."""
         self._stable = np.append(0, np.cumsum(steps)) * (self.scale * full_scale)
@@ -263,7 +263,7 @@ class VarianceStabiliser:
     @classmethod
     def of_camera(cls, shot: float, read: float) -> VarianceStabiliser:
         """Make the transformation for shot and read noise of a camera, in sRGB colours."""
-        levels = np.linspace(0, 1, _LEVELS) ** 2  # denser where the sRGB curve is steep
+        levels = np.linspace(0, 1, _CAMERA_LEVELS) ** 2  # denser where the sRGB curve is steep
         light = srgb_to_linear(levels).astype(np.float64)
         slopes = np.maximum(np.gradient(light, levels), 1 / 12.92)
         sigma = np.sqrt(shot * light + read**2) / slopes
@@ -319,7 +319,7 @@ def relative_to_mean(deviations: Float32s) -> tuple[Float32s, Float64s]:
     mean = np.mean(np.square(sigma))
     if not mean > 0:
         return np.ones((len(deviations), 1), np.float32), sigma
-    relative = np.maximum(variances.mean(axis=1, keepdims=True) / mean, _LEAST_RELATIVE**2)
+    relative = np.maximum(variances.mean(axis=1, keepdims=True) / mean, _MIN_RELATIVE_SIGMA**2)
     return relative.astype(np.float32), sigma
 
 
@@ -361,7 +361,7 @@ def draw_model(covariances: Float64s, shape: tuple[int, int], random: np.random.
     if noise.shape[1:] == shape:
         return noise
     cropped: Float32s = large_arrays.empty((len(noise), *shape), np.float32)
-    for rows in large_arrays.blocks(shape[0], _ROWS):
+    for rows in large_arrays.blocks(shape[0], _BLOCK_ROWS):
         cropped[:, rows] = noise[:, rows, : shape[1]]
     return cropped
 
@@ -371,7 +371,7 @@ def _with_details(noise: Float32s, details: list[Float32s], size: np.float32) ->
     channels, rows, columns = noise.shape
     finer: Float32s = large_arrays.empty((channels, 2 * rows, 2 * columns), np.float32)
     cells = finer.reshape(channels, rows, 2, columns, 2)
-    for block in large_arrays.blocks(rows, _ROWS):
+    for block in large_arrays.blocks(rows, _BLOCK_ROWS):
         own = noise[:, block]
         across, down, both = (detail[:, block] / size for detail in details)
         cells[:, block, 0, :, 0] = own + across + down + both
@@ -386,7 +386,7 @@ def mixed_signs(covariance: Float64s, shape: Sequence[int], random: np.random.Ge
     root = root_of(covariance)
     signs = large_arrays.random_signs((len(root), *shape), random)
     mixed: Float32s = large_arrays.empty(signs.shape, np.float32)
-    for rows in large_arrays.blocks(shape[0], _ROWS):
+    for rows in large_arrays.blocks(shape[0], _BLOCK_ROWS):
         # Not with BLAS, whose idle threads keep spinning.
         mixed[:, rows] = np.einsum("ij,jrc->irc", root, signs[:, rows].astype(np.float32))
     return mixed

@@ -1,8 +1,9 @@
 """Colours in neighbourhoods, and the details of their cells, scale by scale.
 
-A neighbourhood is a square of 32 x 32 cells of a grid, or a cluster of some 400 vertices. Some four samples form a
-cell, some four of these cells one of the next scale, and so on. The details of a cell are the differences of its parts
-from their mean, weighted so that independent noise has the same variance in all of them: on a grid the Haar details.
+A neighbourhood is a square of 32 x 32 cells of a grid, or a cluster of about 400 vertices. About four samples
+form a cell, about four of these cells form a cell of the next scale, and so on. The details of a cell are the
+differences of its parts from their mean, weighted so that independent noise has the same variance in all details. On a
+grid they are the Haar details.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from beltrami_cli.flow.noise.features import (
 )
 from beltrami_cli.surface import large_arrays
 
-# A neighbourhood and those around it, on a grid of squares.
+# Number of neighbourhoods that are compared at one place: 3 x 3 squares on a grid.
 _AROUND = 9
 
 
@@ -35,8 +36,8 @@ class Scale(ABC):
     """Parts (samples, or cells of the scale below) and the cells that they form."""
 
     counts: Array  # samples of each part
-    freedom: Array  # details in each cell; 0: a single part
-    is_whole: Bools  # cells that lack no part
+    freedom: Array  # number of details in each cell; 0: a cell of one part
+    is_whole: Bools  # mask of cells that lack no part
 
     @abstractmethod
     def sums(self, values: Array) -> Array:
@@ -52,7 +53,7 @@ class Scale(ABC):
 
     @abstractmethod
     def details(self, fine: Array, coarse: Array) -> Array:
-        """Return the details by the means of parts and of their cells, shape (N, ...)."""
+        """Return the details, given the means of parts and of their cells, shape (N, ...)."""
 
     @abstractmethod
     def sums_of_details(self, values: Array) -> Array:
@@ -64,7 +65,7 @@ class Scale(ABC):
 
 
 class Neighbourhoods(ABC):
-    """Neighbourhoods of the samples of a surface that are read."""
+    """The neighbourhoods of a surface from which noise is read."""
 
     kind: ClassVar[str]
     precision: ClassVar[type] = np.float64  # of means of samples
@@ -72,7 +73,7 @@ class Neighbourhoods(ABC):
     @property
     @abstractmethod
     def scales(self) -> Sequence[Scale]:
-        """The cells of all scales, and of the next one, which shows where the last one is even."""
+        """All scales, and one coarser scale that shows where the last one is even."""
 
     @property
     @abstractmethod
@@ -81,7 +82,7 @@ class Neighbourhoods(ABC):
 
     @abstractmethod
     def chosen_of(self, planes: Float32s) -> Float32s:
-        """Return the samples that are read, shape (N, n)."""
+        """Return the values of planes at the samples that are read, shape (N, n)."""
 
     @abstractmethod
     def energies_for_order(self, samples: Samples) -> Float32s:
@@ -89,35 +90,35 @@ class Neighbourhoods(ABC):
 
     @abstractmethod
     def described(self, samples: Samples) -> list[Array]:
-        """Return features of each neighbourhood, shape (P,), that only this kind of neighbourhood has."""
+        """Return features of each neighbourhood, shape (P,) each, that are specific to its kind."""
 
     @abstractmethod
     def described_cells(self, samples: Samples, number: int) -> tuple[Float32s, Float32s, Float32s | None]:
-        """Return what only this kind of neighbourhood has of a scale: `fourth`, `others` and `residuals` of `Cells`."""
+        """Return the fields of `Cells` that depend on the kind: `fourth`, `others` and `residuals`."""
 
     @abstractmethod
     def pilot(self, colours: Float32s, variances: Float32s) -> Float32s:
-        """Return a quick estimate of the clean colours of the samples that are read, see `pilot`.
+        """Return the pilot of the samples that are read: a quick estimate of their clean colours, see `pilot.py`.
 
-        Colours have the shape (3, n), and variances of the noise, the mean of the channels, (n,) or (1,).
+        Colours have the shape (3, n). Variances of the noise are means over the channels, shape (n,), or (1,) for all.
         """
 
     @abstractmethod
     def product_of_neighbours(self, values: Float32s) -> float:
-        """Return the mean product of neighbouring samples and of channels, of shape (3, n)."""
+        """Return the mean product of neighbouring samples over all channels; values have the shape (3, n)."""
 
     @abstractmethod
     def over_samples(self, variances: Float64s, parts: Float64s) -> Float32s:
         """Return the variance at each sample relative to its mean, a stack of one channel.
 
         `parts` are the variances of the parts of neighbourhoods, in the order of the last scale. Where they are NaN,
-        and where nothing was read, the nearest neighbourhood counts.
+        and where nothing was read, the variance of the nearest neighbourhood is used.
         """
 
     @property
     @abstractmethod
     def centres(self) -> Float64s:
-        """Where the neighbourhoods are, shape (P, D)."""
+        """Positions of the neighbourhoods, shape (P, D)."""
 
     def nearest(self, places: Float64s) -> Int64s:
         """Return the neighbourhood nearest to each place."""
@@ -132,18 +133,18 @@ class Neighbourhoods(ABC):
 
     @cached_property
     def around(self) -> Int64s:
-        """Each neighbourhood and those around it, shape (P, K)."""
+        """Indices of each neighbourhood and of those nearest to it, shape (P, K)."""
         squares = np.square(self.centres[:, None] - self.centres).sum(axis=2)
         return np.argsort(squares, axis=1, kind="stable")[:, :_AROUND]
 
     @cached_property
     def counts(self) -> Int64s:
-        """The samples in each neighbourhood."""
+        """Number of samples in each neighbourhood."""
         return np.bincount(self.tiles).astype(np.int64)
 
     @property
     def count(self) -> int:
-        """How many neighbourhoods there are."""
+        """Number of neighbourhoods."""
         return len(self.counts)
 
     def means(self, rows: Array) -> Float32s:
@@ -151,7 +152,7 @@ class Neighbourhoods(ABC):
         return np.stack([np.bincount(self.tiles, own) / self.counts for own in rows]).astype(np.float32)
 
     def cut(self, planes: Float32s, order: Int64s | None = None) -> Samples:
-        """Return the samples of three channels that are read."""
+        """Return the samples that are read from three channels; by default `order` sorts these by energy."""
         samples = Samples(self, self.chosen_of(planes) * STEPS, np.arange(3))
         if order is None:
             order = np.argsort(self.energies_for_order(samples), kind="stable")
@@ -164,15 +165,15 @@ class Samples:
 
     where: Neighbourhoods
     colours: Float32s  # shape (3, n), in steps of 8 bits
-    order: Int64s  # the channels as they were given, in the order that they have here
+    order: Int64s  # index of each channel in the input
 
     @property
     def is_cut_off(self) -> Bools:
-        """Which samples are at a limit of the colours."""
+        """Mask of clipped samples, which are at a limit of the colours."""
         return (self.colours <= 0) | (self.colours >= STEPS)
 
     def cut_off(self) -> Float32s:
-        """Return the share of the samples at a limit in each neighbourhood, of the worst channel, shape (P,)."""
+        """Return the share of clipped samples in each neighbourhood, in the worst channel, shape (P,)."""
         shares: Float32s = self.where.means(self.is_cut_off).max(axis=0)
         return shares
 
@@ -199,7 +200,7 @@ class Samples:
     @cached_property
     def details(self) -> list[Array]:
         """The details of the components of each scale, shape (3, ...)."""
-        # By channel first: differences of equal colours are exactly 0.
+        # Details are computed by channel first, so that those of equal colours are exactly 0.
         return [
             in_components(scale.details(*means))
             for scale, means in zip(self.where.scales, pairwise(self.means), strict=True)
@@ -215,7 +216,7 @@ class Samples:
         ]
 
     def cells(self) -> list[Cells]:
-        """Return the details at each scale."""
+        """Return the measured cells of each scale."""
         scales, found, is_grid = self.where.scales, [], self.where.kind == "grid"
         cut_off = np.zeros(0) if is_grid else self.is_cut_off.mean(axis=0, dtype=np.float64)
         for number, (scale, above) in enumerate(pairwise(scales)):
@@ -242,7 +243,7 @@ class Samples:
         return found
 
     def unevenness(self, number: int) -> Array:
-        """Return the energy of the next two scales around each cell of a scale; infinite: not known."""
+        """Return the energy of the next two scales around each cell of a scale; infinite where it is unknown."""
         above, *further = self.where.scales[number + 1 : number + 3]
         totals = [3 * own[:3].sum(axis=0) for own in self.products[number + 1 : number + 3]]
         if further:

@@ -1,9 +1,9 @@
 """The network that reads noise from features of squares, and its weights.
 
-Each square goes through two layers; their mean, largest and smallest outputs over all squares describe the picture,
+Each square goes through two layers; the mean, maximum and minimum of its outputs over all squares describe the picture,
 together with its most even cells. From this context the network reads the noise of the picture and of each square, both
-as quantiles of the logarithm of the deviation. The noise of the picture is a weighted
-mean of what its even cells show and of what the network reads by itself. The network chooses the weights.
+as quantiles of the logarithm of the deviation. The noise of the picture is a weighted mean of candidates, which are
+measured in its even cells, and of the network's own reading. The network chooses the weights.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from beltrami_cli.arrays import Array, Float32s, Int64s
 from beltrami_cli.flow.noise.features import EVEN_SHARES, FLOOR, SCALES
 from beltrami_cli.flow.noise.model import covariance_of_cells
 
-# Deviations are read as log2(deviation + this), both in steps of 8 bits: rounding to these has a deviation of 0.29.
+# The network reads log2(deviation + OFFSET), in 8-bit steps. Rounding to 8 bits has a deviation of 0.29.
 OFFSET = 0.3
 
-# Quantiles that are read of the noise of the picture, and of all other readings.
+# Quantiles of the noise of the picture, and of all other readings.
 TOTAL_QUANTILES = (0.05, 0.3, 0.5, 0.95)
 QUANTILES = (0.05, 0.5, 0.95)
 
-# Units of the layers. Clusters have fewer, so that the weights of both stay small.
+# Number of units in each layer. Those for clusters are smaller, which keeps the files of weights small.
 WIDTHS = {
     "grid": {"square 1": 112, "square 2": 56, "whole 1": 112, "whole 2": 64, "place 1": 32},
     "cluster": {"square 1": 88, "square 2": 44, "whole 1": 88, "whole 2": 56, "place 1": 24},
 }
-# Candidates, and the network's own reading.
+# Number of estimates that are combined: the candidates, and the network's own reading.
 _MIXED = {"total": len(EVEN_SHARES) + 8, "deviations": len(EVEN_SHARES) + 10, "relative": 3}
 OUTPUTS = {
     "total": len(TOTAL_QUANTILES) + _MIXED["total"],
@@ -41,38 +41,43 @@ OUTPUTS = {
     "place 2": len(QUANTILES) + _MIXED["relative"],
 }
 
-# Features count by their standard deviations from the mean, up to this many.
+# Limit at which standardised features are clipped, in standard deviations.
 MAX_STANDARDISED = 6.0
 
-# Where the features of even cells have log2 of the deviations of components, by scale and by share of the cells.
+# Index of the first of three features of even cells that are log2 of the deviations of components, by scale and by
+# share of the cells.
 _FIRST_OF_EVEN = {
     "grid": [[first + own for own in (0, 9, 18)] for first in (2, 30, 58, 86)],
     "cluster": [[3, 17, 40], [68, 82, 105], [133, 147, 161], [189, 203, 217]],
 }
 
-# Where the features of neighbourhoods have log2 of the deviations of channels in the quieter half of the finest cells.
+# Index of the first of three features of neighbourhoods that are log2 of the deviations of channels in the quieter half
+# of the finest cells.
 _FIRST_OF_QUIET = {"grid": 69, "cluster": 62}
 
 Value = TypeVar("Value")
 
 
 class Layers(Generic[Value]):
-    """The operations of the network; training records them to find gradients."""
+    """The operations of the network; training records them to compute gradients."""
 
     def __init__(self, weights: dict[str, Float32s]) -> None:
         self.weights = weights
 
     def dense(self, rows: Any, name: str, *, is_last: bool = False) -> Any:
-        """Multiply rows by a matrix, add a bias, and cut off below 0 unless the layer is the last."""
+        """Multiply rows by a matrix, add a bias, and clip at 0 except in the last layer."""
         result = self.product(rows, self.weights[f"{name}.matrix"]) + self.weights[f"{name}.bias"]
         return result if is_last else np.maximum(result, 0)
 
     def product(self, rows: Any, matrix: Float32s) -> Any:
-        """Multiply rows by a matrix; not by BLAS, whose results depend on the processor and whose threads spin on."""
+        """Multiply rows by a matrix.
+
+        BLAS is not used, since its results depend on the processor and its idle threads keep spinning.
+        """
         return np.einsum("ni,io->no", rows, matrix)
 
     def pool(self, rows: Any, starts: Int64s) -> Any:
-        """Return the mean, largest and smallest of runs of rows."""
+        """Return the mean, maximum and minimum of runs of rows."""
         counts = np.diff(np.append(starts, len(rows)))[:, None]
         least, most = np.minimum.reduceat(rows, starts), np.maximum.reduceat(rows, starts)
         return np.concatenate([np.add.reduceat(rows, starts) / counts, most, least], axis=1)
@@ -87,15 +92,16 @@ class Layers(Generic[Value]):
 
 
 def read(layers: Layers[Any], squares: Any, starts: Int64s, even: Any) -> dict[str, Any]:
-    """Read the noise of N pictures from standardised features of all their squares, one picture after the other.
+    """Read the noise of N pictures.
 
-    `even` describes pictures, shape (N, F).
+    `squares` are the standardised features of the squares of all pictures. Those of a picture begin at its entry in
+    `starts`. `even` are the features of pictures, shape (N, F).
     """
     counts = np.diff(np.append(starts, len(getattr(squares, "value", squares))))
     inner = layers.dense(layers.dense(squares, "square 1"), "square 2")
     whole = layers.join([layers.pool(inner, starts), even])
     context = layers.dense(layers.dense(whole, "whole 1"), "whole 2")
-    # Where noise is plain to see, readings are nearly linear in the features of even cells.
+    # One layer suffices: where noise is obvious, readings are nearly linear in the features of even cells.
     found = {
         name: layers.dense(context, name, is_last=True) for name in ("total", "deviations", "correlations")
     }
@@ -105,10 +111,10 @@ def read(layers: Layers[Any], squares: Any, starts: Int64s, even: Any) -> dict[s
 
 
 def mixed(outputs: Array, candidates: Array) -> Array:
-    """Return Q readings as means of M candidates and of the network's own readings, weighted as it says.
+    """Combine M candidates and the network's own readings to Q readings, by weights that the network chooses.
 
-    Outputs have the shape (..., Q + M + 1): own readings, and the logarithms of the weights, the last that of the own
-    ones. Candidates have the shape (..., M).
+    Outputs have the shape (..., Q + M + 1): own readings, then logarithms of the weights, of which the last belongs to
+    the own readings. Candidates have the shape (..., M).
     """
     own, weights = split_mixture(outputs, candidates)
     mean: Array = (weights[..., :-1] * candidates).sum(axis=-1)[..., None] + weights[..., -1:] * own
@@ -116,14 +122,14 @@ def mixed(outputs: Array, candidates: Array) -> Array:
 
 
 def split_mixture(outputs: Array, candidates: Array) -> tuple[Array, Array]:
-    """Return own readings, shape (..., Q), and weights, shape (..., M + 1)."""
+    """Return the network's own readings, shape (..., Q), and the weights, shape (..., M + 1)."""
     count = outputs.shape[-1] - candidates.shape[-1] - 1
     weights = np.exp(outputs[..., count:] - outputs[..., count:].max(axis=-1, keepdims=True))
     return outputs[..., :count], weights / weights.sum(axis=-1, keepdims=True)
 
 
 def readings(found: dict[str, Array], candidates: dict[str, Array]) -> dict[str, Array]:
-    """Return quantiles, and correlations, from the outputs of `read` and what `candidates_of` returns."""
+    """Return the outputs of `read`, with those that `candidates_of` estimates combined with the candidates."""
     read_as = {
         name: mixed(found[name].reshape(*own.shape[:-1], -1), own).reshape(len(own), -1)
         for name, own in candidates.items()
@@ -138,10 +144,10 @@ def quiet_of(squares: Float32s, kind: str) -> Float32s:
 
 
 def candidates_of(even: Float32s, quiet: Float32s, starts: Int64s, kind: str) -> dict[str, Array]:
-    """Return what features show as log2(deviation + OFFSET), candidates along the last axis.
+    """Return candidate estimates of log2(deviation + OFFSET), along the last axis.
 
-    Of all even cells, shape (N, 1, M), and by scale and component, (N, 12, M); relative to the mean of a picture, by
-    neighbourhood, (P, 1, M).
+    "total", shape (N, 1, M), and "deviations" by scale and component, shape (N, 12, M), are measured in even cells.
+    "places", shape (P, 1, M), are those of neighbourhoods relative to the mean of their picture.
     """
     of_squares = log_of(4.0**quiet - FLOOR).mean(axis=1)
     counts = np.diff(np.append(starts, len(quiet)))
@@ -151,16 +157,16 @@ def candidates_of(even: Float32s, quiet: Float32s, starts: Int64s, kind: str) ->
 
 
 def _candidates_of_even(even: Float32s, kind: str) -> dict[str, Array]:
-    """Return what even cells show as log2(deviation + OFFSET): of all, shape (N, 1, M), and by scale, (N, 12, M).
+    """Return the candidates "total" and "deviations" from the features of even cells.
 
-    Each scale and component has its deviation by share of the cells, that of the finest scale, and those of the
-    differences of channels at its scale and at the finest: textures have the least of them, and independent noise is
-    the same in all.
+    The candidates of a scale and component are its deviation by share of the cells, that of the finest scale, and those
+    of the differences of channels at its scale and at the finest. Differences of channels have the least texture, and
+    independent noise has the same deviation in all of them.
     """
     columns = np.array(_FIRST_OF_EVEN[kind])
     by_share = even[:, columns[..., None] + np.arange(3)]
     by_place = even[:, -SCALES * 9 :].reshape(len(even), SCALES, 3, 3)
-    # Of all even cells, and of those of each neighbourhood; shape (N, SCALES, 6, 3).
+    # Variances by share of all even cells, and by statistic over the neighbourhoods, shape (N, SCALES, 6, 3).
     variances = np.maximum(4.0 ** np.concatenate([by_share, by_place], axis=2) - FLOOR, 0)
     total = covariance_of_cells(np.moveaxis(variances.mean(axis=3), 1, 0))
     usual = variances[:, :, [len(EVEN_SHARES) - 1, len(EVEN_SHARES)]]
@@ -174,13 +180,13 @@ def _candidates_of_even(even: Float32s, kind: str) -> dict[str, Array]:
 
 
 def log_of(variance: Array) -> Array:
-    """Return what is read of a variance in steps of 8 bits squared."""
+    """Return log2(deviation + OFFSET) for a variance in squared 8-bit steps."""
     return np.log2(np.sqrt(np.maximum(variance, 0)) + OFFSET)
 
 
 @dataclass(frozen=True)
 class Weights:
-    """The weights, how features are standardised, and the hash of the configuration that they were trained by."""
+    """The weights, the standardisation of features, and the hash of the configuration they were trained with."""
 
     layers: dict[str, Float32s]
     means: dict[str, Float32s]
@@ -194,7 +200,7 @@ class Weights:
 
     @classmethod
     def load(cls, path: Any) -> Weights:
-        """Read the file that training wrote."""
+        """Read a file of weights that training wrote."""
         parts: dict[str, dict[str, Float32s]] = {"layer": {}, "mean": {}, "scale": {}}
         with path.open("rb") as stream, np.load(stream) as arrays:
             for key in arrays.files:

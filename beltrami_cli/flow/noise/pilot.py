@@ -1,7 +1,8 @@
 """A quick estimate of the clean colours in neighbourhoods, whose residual shows the structure of the noise.
 
-The pilot averages neighbouring samples with weights that fall to 0 at differences which noise hardly reaches, so that
-edges stay. It is no result, but it is even where the picture is, and its levels are nearly free of noise.
+The pilot averages neighbouring samples. Weights fall to 0 at differences that noise rarely reaches, so edges are
+preserved. The pilot is too coarse for a result, but it is even where the picture is even, and its levels are nearly
+free of noise.
 """
 
 from __future__ import annotations

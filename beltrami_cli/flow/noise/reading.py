@@ -18,7 +18,7 @@ from beltrami_cli.flow.noise import features
 from beltrami_cli.flow.noise.features import COMPONENTS, SCALES, STEPS, even_covariances
 from beltrami_cli.flow.noise.model import (
     COLOURS,
-    MOST_NONE,
+    MAX_NO_NOISE_PROBABILITY,
     NoiseModel,
     Reading,
     VarianceStabiliser,
@@ -39,7 +39,7 @@ from beltrami_cli.flow.noise.network import (
 )
 from beltrami_cli.flow.noise.size import Size, evidence, removal_curve, size_weights
 from beltrami_cli.flow.noise.structure import (
-    MAX_SHARE_CUT_OFF,
+    MAX_CLIPPED_SHARE,
     Residual,
     Structure,
     even_covariance,
@@ -68,11 +68,11 @@ _MAX_CORRELATION_OF_NEIGHBOURS = 0.12
 _DETAILS_OF_READING = 26
 
 # Number of samples of the smallest training pictures; with fewer, hard-edged paint is not distinguishable from noise.
-_FEWEST = 256
+_MIN_SAMPLES = 256
 
-# If values exceed full scale, as with light, this quantile becomes full scale. If less than this share of them is at
-# least 0, or at most full scale, values are not levels, and are shifted.
-_BRIGHT = 0.99
+# If values exceed full scale, as with light, this quantile becomes full scale. If the opposite quantile is outside
+# of [0, 1], values are not levels, and are shifted by it.
+_FULL_SCALE_QUANTILE = 0.99
 
 
 def estimate_noise(
@@ -86,8 +86,8 @@ def estimate_noise(
 ) -> NoiseModel:
     """Estimate the noise of channels, as far as it is not given.
 
-    If it `varies`, its dependence on level and place is estimated too. A higher strength assumes more noise. `measured`
-    is noise given for each sample: relative variances, and sigma by channel.
+    With `varies`, its dependence on level and place is estimated too. A higher strength assumes more noise. `measured`
+    is noise that is given for each sample: relative variances, and sigma by channel.
     """
     if measured is None and given is not None and given.is_by_level:
         stabiliser = VarianceStabiliser.of_camera(given.shot, given.read)
@@ -140,7 +140,7 @@ def read_noise(
 ) -> NoiseModel:
     """Read the noise of channels on a grid, shape (N, R, C), or of vertices, shape (N, S).
 
-    If it `varies`, its dependence on level and place is read too. `sigma` is the RMS noise of the colours, if known.
+    With `varies`, its dependence on level and place is read too. `sigma` is the RMS noise of the colours, if known.
     `weights` of the network default to those of the package.
     """
     weights, count = weights or weights_of(where.kind), len(planes)
@@ -156,7 +156,7 @@ def read_noise(
     colours = sizes[: 1 if together else None]
     structure = Structure.even(where)
     if varies and all(own.sigma for own in colours):
-        # Two colours both have the structure of the first.
+        # Two channels are read separately, and both get the structure of the first.
         first, are_levels = colours[0], all(own.are_levels for own in colours)
         structure = structure_of(
             first.residual, first.sigma, first.places, len(first.order), are_levels=are_levels
@@ -231,8 +231,8 @@ class _Colours:
     def covariances(self, structure: Structure) -> tuple[Float64s, float]:
         """Return the covariances of stabilised channels by scale, and the ratio of the noise to `sigma`.
 
-        Components have the covariance of the pilot's residual. It lacks most of the noise that neighbours share, for
-        which the network is trusted as far as even cells have that much energy.
+        Components have the covariance of the pilot's residual. It lacks most of the noise that neighbours share.
+        Such noise has the covariances that the network reads, as far as even cells have that much energy.
         """
         if not self.sigma:
             return np.zeros((SCALES, len(self.order), len(self.order))), 1.0
@@ -249,7 +249,7 @@ class _Colours:
         total = float(np.trace(covariance_of_cells(found))) if finest.any() else 0.0
         found = found * (COLOURS * size**2 / total) if total else 0 * found
         if total and is_shared:
-            is_whole = self.samples.cut_off() < MAX_SHARE_CUT_OFF
+            is_whole = self.samples.cut_off() < MAX_CLIPPED_SHARE
             combined = _combined(
                 found, *even_covariances(residual.samples.cells(), is_whole, structure.places)
             )
@@ -259,7 +259,7 @@ class _Colours:
         return np.asarray(np.einsum("kc,lkm,md->lcd", mixing, found, mixing), np.float64), factor
 
     def _is_shared(self, residual: Residual) -> bool:
-        """Whether neighbours share the noise, by the network or, if uncertain, by the residual."""
+        """Whether neighbours share noise, by the network or, if it is uncertain, by the residual."""
         difference = difference_of_scales(self.components)
         if difference > _CERTAIN_DIFFERENCE_OF_SCALES:
             return True
@@ -271,7 +271,7 @@ def _combined(components: Float64s, measured: Float64s, counts: Float64s) -> Flo
     """Return the weighted mean of the covariance of components as read, and as measured in even cells.
 
     Plain colours show the noise more exactly than the network reads it. The weight of even cells grows with their
-    number of details, and falls the more their energy exceeds what is read, since that is texture.
+    number of details, and decreases if their energy exceeds the reading, since the excess is texture.
     """
     shares = shares_of_noise(*(np.einsum("lkk->lk", own) for own in (components, measured)))
     shares *= (counts / (counts + _DETAILS_OF_READING))[:, None]
@@ -282,7 +282,7 @@ def _combined(components: Float64s, measured: Float64s, counts: Float64s) -> Flo
 
 
 def _read_size(planes: Float32s, where: Neighbourhoods, weights: Weights) -> _Colours:
-    """Read the noise of three channels, or of one channel repeated three times."""
+    """Read the noise of three channels, or of one channel, which is repeated three times."""
     samples = where.cut(np.broadcast_to(planes, (COLOURS, *planes.shape[1:])))
     samples, scale, are_levels = _in_full_scale(samples)
     found, candidates = read_network(samples, weights)
@@ -293,9 +293,9 @@ def _read_size(planes: Float32s, where: Neighbourhoods, weights: Weights) -> _Co
     size = size_weights(where.kind).size(row[0], float(first[0]))
     order = np.argsort(samples.order)[: len(planes)]
     places = _medians(found["places"])
-    if len(where.tiles) < _FEWEST:
+    if len(where.tiles) < _MIN_SAMPLES:
         size = dataclasses.replace(size, none=1.0)
-    sigma = size.quantile(0.5) if size.none <= MOST_NONE else 0.0
+    sigma = size.quantile(0.5) if size.none <= MAX_NO_NOISE_PROBABILITY else 0.0
     return _Colours(samples, order, size, sigma, _components(found), places, scale, are_levels)
 
 
@@ -330,11 +330,11 @@ def _medians(quantiles: Array) -> Float64s:
 def _in_full_scale(samples: Samples) -> tuple[Samples, float, bool]:
     """Scale colours to [0, 1]; return them, the full scale, and whether they are levels, which start in [0, 1]."""
     values = samples.colours / STEPS
-    low, high = np.quantile(values, (1 - _BRIGHT, _BRIGHT))
+    low, high = np.quantile(values, (1 - _FULL_SCALE_QUANTILE, _FULL_SCALE_QUANTILE))
     shift = 0.0 if 0 <= low <= 1 else float(low)
     scale = max(1.0, float(high) - shift) if values.max(initial=0) > 1 + shift else 1.0
     if shift == 0 and scale == 1:
         return samples, scale, True
     values = (values - np.float32(shift)) * (STEPS / np.float32(scale))
-    # Values beyond are seldom noise; single samples must not hide the noise of all others.
+    # Values beyond full scale are rarely noise. Without clipping, single samples would hide the noise of all others.
     return dataclasses.replace(samples, colours=values.clip(0, STEPS)), scale, shift == 0

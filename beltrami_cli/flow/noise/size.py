@@ -1,9 +1,9 @@
 """The size of the noise as a distribution: whether there is any, and how strong it is.
 
-The evidence is what the network of the squares reads, and the removal curve: the root mean square of what pilots take
-that are told noise of 1, 1.7, ... 64 steps of 8 bits. The curve bends at the noise, where texture rises evenly, and
-shows noise below hard edges, where few cells are even. A second small network turns both into the probability that
-there is no noise, and into probabilities of its strength relative to the first reading.
+The evidence is the reading of the first network, and the removal curve: the root mean square of what a pilot removes if
+it assumes noise of 1, 1.7, ... 64 8-bit steps. The curve bends at the true noise, whereas that of texture rises evenly.
+It also shows noise between hard edges, where few cells are even. A second small network turns both into the probability
+that there is no noise, and into probabilities of its strength relative to the first reading.
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ from beltrami_cli.flow.noise.features import COMPONENTS, FLOOR
 from beltrami_cli.flow.noise.neighbourhoods import Samples
 from beltrami_cli.flow.noise.network import MAX_STANDARDISED, OFFSET, Layers
 
-# Noise that pilots are told, in steps of 8 bits; and where the curve is described, in log2 of that by the first
-# reading.
+# Noise that pilots assume, in 8-bit steps; and the positions at which the curve is sampled, as log2 of the ratio to the
+# first reading.
 LADDER = 2.0 ** np.arange(0, 6.01, 0.75)
 PLACES = np.array([-2, -1.25, -0.5, 0, 0.5, 1.25, 2, 3])
 
-# Borders of the bins of log2 of the strength relative to the first reading.
+# Edges of the bins of log2 of the strength relative to the first reading.
 EDGES = np.concatenate([np.arange(-6, -2, 0.5), np.arange(-2, 2.01, 0.2), np.arange(2.5, 6.01, 0.5)])
 
-# Quantiles of the energies of cells of 64 samples that are described.
+# Quantiles of the energies of cells of 64 samples that are features.
 _QUANTILES = (0.1, 0.3, 0.9)
 
-# The layers, and the units of all but the last.
+# The layers, and the number of units of all but the last.
 LAYERS = ("size 1", "size 2", "size 3")
 WIDTHS = (96, 48)
 
 
 def removal_curve(samples: Samples) -> Float32s:
-    """Return statistics of what pilots take, by the noise that they are told, shape (len(LADDER), 8).
+    """Return statistics of what pilots remove, by the noise that they assume, shape (len(LADDER), 8).
 
-    These are log2 of deviations relative to what is told, of components and of quiet, usual and loud cells; the
-    correlation of neighbours; and how heavy the tails are.
+    These are log2 of deviations relative to the assumed noise, for components and for quiet, usual and loud cells; the
+    correlation of neighbours; and a measure of heavy tails.
     """
     where, rows = samples.where, []
     for told in LADDER:
@@ -62,11 +62,12 @@ def removal_curve(samples: Samples) -> Float32s:
 def evidence(
     context: Array, quantiles: Array, candidates: Array, curves: Array, counts: Array
 ) -> tuple[Float32s, Float64s]:
-    """Return what sizes are read from, shape (N, F), and the first readings, shape (N,), in steps of 8 bits.
+    """Return the input of the second network, shape (N, F), and the first readings, shape (N,), in 8-bit steps.
 
-    `quantiles` and `candidates` are readings of the network, as log2(deviation + OFFSET); `counts` neighbourhoods. A
-    first reading is the network's. If that is more than the noise of rounding, it is at least the least candidate:
-    noise that the network has not seen, as of opposite sign in two channels, shows in even cells.
+    `quantiles` and `candidates` are readings of the first network, as log2(deviation + OFFSET); `counts` are numbers of
+    neighbourhoods. A first reading is the median of the first network. If it exceeds the noise of rounding, it is
+    raised to the smallest candidate: even cells show noise that the network was not trained on, such as noise of
+    opposite sign in two channels.
     """
     read, least = (
         np.maximum(2.0 ** logs.astype(np.float64) - OFFSET, 0)
@@ -86,21 +87,21 @@ def evidence(
 
 @dataclass(frozen=True)
 class Size:
-    """The distribution of the size of noise, in steps of 8 bits."""
+    """The distribution of the size of noise, in 8-bit steps."""
 
     first: float  # reading that bins are relative to
-    none: float  # probability that there is none
-    shares: Float64s  # probabilities of the bins between `EDGES`, if there is any
+    none: float  # probability that there is no noise
+    shares: Float64s  # probabilities of the bins between `EDGES`, given that there is noise
 
     def quantile(self, share: float) -> float:
-        """Return the size that noise stays below with a probability, if there is any."""
+        """Return a quantile of the size, given that there is noise."""
         sums = np.append(0, np.cumsum(self.shares))
         return max(0.0, float(2 ** np.interp(share, sums, EDGES) * (self.first + OFFSET)) - OFFSET)
 
 
 @dataclass(frozen=True)
 class SizeWeights:
-    """The weights of the second network, and how its evidence is standardised."""
+    """The weights of the second network, and the standardisation of its evidence."""
 
     layers: dict[str, Float32s]
     means: Float32s
@@ -121,13 +122,13 @@ class SizeWeights:
         return np.asarray(shares / shares.sum(axis=1, keepdims=True))
 
     def size(self, row: Float32s, first: float) -> Size:
-        """Read one size."""
+        """Return the size for one row of evidence and its first reading."""
         none, *shares = self.read(row[None])[0].astype(np.float64)
         return Size(first, float(none), np.array(shares) / max(1e-12, sum(shares)))
 
     @classmethod
     def load(cls, path: Any) -> SizeWeights:
-        """Read the file that training wrote."""
+        """Read a file of weights that training wrote."""
         with path.open("rb") as stream, np.load(stream) as arrays:
             layers = {
                 name: arrays[name].astype(np.float32) for name in arrays.files if name.startswith(LAYERS)

@@ -19,54 +19,54 @@ from beltrami_cli.flow.noise.grid_squares import quiet_energies
 from beltrami_cli.flow.noise.model import VarianceStabiliser
 from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, Samples
 
-# Noise assumed by the pilot relative to the noise: from 1.5 on it removes nine tenths of white noise.
-_TOLD = 1.5
+# Ratio of the noise that the pilot assumes to the noise. From 1.5 on it removes nine tenths of white noise.
+_ASSUMED_NOISE = 1.5
 
-# Bins of the pilot's level, and their middles.
-_LEVELS = 16
-_MIDDLES = (np.arange(_LEVELS) + 0.5) / _LEVELS
+# Number of bins of the pilot's level, and their centres.
+_LEVEL_BINS = 16
+_MIDDLES = (np.arange(_LEVEL_BINS) + 0.5) / _LEVEL_BINS
 
 # Share of the most even blocks of a level or neighbourhood, and of the most even cells.
 _EVEN_SHARE = 0.5
 
 # Minimum number of blocks of a level, and number of blocks that the mean counts as: the variance of a block of 15
 # details is known to a third.
-_FEWEST_BLOCKS, _PRIOR_BLOCKS = 8, 2
+_MIN_BLOCKS, _PRIOR_BLOCKS = 8, 2
 
-# Share of samples at a limit above which the noise of a block is clipped.
-_MAX_CUT_OFF = 0.05
+# Maximum share of clipped samples in a block whose noise is measured.
+_MAX_CLIPPED_IN_BLOCK = 0.05
 
 # Minimum relative variance of a level or place, as a divisor.
-_LEAST = 1e-3
+_MIN_RELATIVE_VARIANCE = 1e-3
 
-# Relative variance to which energies are rounded.
-_ROUNDED = 0.01
+# Relative variance that is added to energies, since these are rounded.
+_RELATIVE_ROUNDING = 0.01
 
 # Ratio of deviations above which levels or places differ. Between places, it reaches 1.12 on twelve pictures with white
 # noise, and is 1.25 to 2.4 for blends of two exposures.
 MIN_RATIO = 1.25
 
 # Ratio of deviance required of a structure with more freedom. Level and place are often correlated, as where a noisy
-# part is brighter; then the one that explains less is left out.
-_WORTH = 2 / 3
+# part is brighter; then the one that explains less is omitted.
+_MAX_DEVIANCE_RATIO = 2 / 3
 
 # Minimum share of quieter, and of noisier, neighbourhoods for places to differ; smaller shares are explained by the
 # residual.
-_SHARE_OF_PLACES = 0.1
+_MIN_SHARE = 0.1
 
 # Ratio of variances of the noisiest and the quietest adjacent neighbourhood above which noise ends there. With the
 # square of `MIN_RATIO`, ramps in pictures of 180 texels lose 0.4 dB by benchmarks/bench_regret.py.
-_END = 25
+_MIN_RATIO_AT_BORDER = 25
 
 # Relative variance below which a neighbourhood is quiet, and its residual mostly texture.
-_QUIET = 0.25
+_MAX_QUIET_VARIANCE = 0.25
 
 # Exponent of the share of energy in quiet tiles or even cells that is trusted as noise. With 1, texture is taken for
 # white noise, which costs 0.2 dB of PSNR.
-_TRUST = 3
+_TRUST_EXPONENT = 3
 
-# Share of samples at a limit above which the noise of a neighbourhood is underestimated.
-MAX_SHARE_CUT_OFF = 0.01
+# Share of clipped samples from which on the noise of a neighbourhood is underestimated.
+MAX_CLIPPED_SHARE = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +94,7 @@ class Residual:
     @classmethod
     def of(cls, samples: Samples, variances: Float32s) -> Residual:
         """Compute the pilot that removes noise of some variances, in squared steps of 8 bits."""
-        colours = samples.where.pilot(samples.colours, np.float32(_TOLD**2) * variances)
+        colours = samples.where.pilot(samples.colours, np.float32(_ASSUMED_NOISE**2) * variances)
         return cls(
             samples,
             dataclasses.replace(samples, colours=colours),
@@ -126,7 +126,7 @@ class Residual:
         around = _energies(self.pilot, 2) + above[1].spread(_energies(self.pilot, 3))
         uneven = within + above[0].spread(around) / 2
         cut_off = coarse.means(fine.means(self.samples.is_cut_off.max(axis=0).astype(np.float64)))
-        used = coarse.is_whole & (freedom > 2) & (cut_off <= _MAX_CUT_OFF)
+        used = coarse.is_whole & (freedom > 2) & (cut_off <= _MAX_CLIPPED_IN_BLOCK)
         return Blocks(
             coarse.padded(self.pilot.means[2], np.inf),
             coarse.padded(energies, np.inf),
@@ -158,7 +158,7 @@ def even_covariance(residual: Residual, variances: Float64s) -> Float64s:
     finest = residual.samples.where.scales[0]
     unevenness = residual.pilot.unevenness(0) + residual.pilot.products[0][:3].sum(axis=0)
     uneven = finest.padded(np.where(finest.is_whole & (finest.freedom > 0), unevenness, np.inf), np.inf)
-    known = np.isfinite(uneven) & (variances > _QUIET)[:, None]
+    known = np.isfinite(uneven) & (variances > _MAX_QUIET_VARIANCE)[:, None]
     energies = finest.padded(residual.samples.products[0][:3].sum(axis=0))
     if not known.any() or np.median(energies[known]) == 0:  # most cells are constant: no noise
         return np.zeros((3, 3))
@@ -180,18 +180,18 @@ class LevelCurve:
     @classmethod
     def of(cls, blocks: Blocks, channels: int) -> LevelCurve | None:
         """Measure even blocks of a number of channels; None if fewer than two levels have enough blocks."""
-        sums, counts, known = np.zeros(_LEVELS), np.zeros(_LEVELS), blocks.is_known
+        sums, counts, known = np.zeros(_LEVEL_BINS), np.zeros(_LEVEL_BINS), blocks.is_known
         for levels, energies in zip(blocks.levels[:channels], blocks.energies[:channels], strict=True):
-            bins = np.clip(levels[known] / STEPS * _LEVELS, 0, _LEVELS - 1).astype(np.intp)
+            bins = np.clip(levels[known] / STEPS * _LEVEL_BINS, 0, _LEVEL_BINS - 1).astype(np.intp)
             chosen = _most_even(bins, blocks.unevenness[known])
             of_channel = np.mean(energies[known][chosen]) if chosen.any() else 0.0
             if of_channel > 0:
-                sums += np.bincount(bins[chosen], energies[known][chosen] / of_channel, _LEVELS)
-                counts += np.bincount(bins[chosen], minlength=_LEVELS)
-        enough = counts >= _FEWEST_BLOCKS
+                sums += np.bincount(bins[chosen], energies[known][chosen] / of_channel, _LEVEL_BINS)
+                counts += np.bincount(bins[chosen], minlength=_LEVEL_BINS)
+        enough = counts >= _MIN_BLOCKS
         if np.count_nonzero(enough) < 2:
             return None
-        variances = np.maximum((sums + _PRIOR_BLOCKS) / (counts + _PRIOR_BLOCKS), _LEAST)
+        variances = np.maximum((sums + _PRIOR_BLOCKS) / (counts + _PRIOR_BLOCKS), _MIN_RELATIVE_VARIANCE)
         return cls(_MIDDLES[enough], variances[enough], counts[enough])
 
     @property
@@ -270,7 +270,7 @@ class Structure:
         quiet = np.where(places <= np.sqrt(least * most)[:, None], energies, 0).max(axis=1)
         shares = (inner - last.spread(quiet)) / np.maximum(last.spread(loud - quiet), 1e-9)
         found = last.spread(least) + shares.clip(0, 1) * last.spread(most - least)
-        is_even = last.spread(most <= _END * least) | (parts[1] == 0)
+        is_even = last.spread(most <= _MIN_RATIO_AT_BORDER * least) | (parts[1] == 0)
         return np.asarray(np.where(is_even, np.nan, found), np.float64)
 
 
@@ -308,14 +308,16 @@ def structure_of(
     if curve is not None and curve.differs:
         best = min(best, trial(Structure(curve, even.places)), key=lambda own: own.deviance)
     by_place = trial(Structure(None, _with_quiet_tiles(residual, 4.0**places, sigma)))
-    low, high = np.quantile(np.median(places[where.around], axis=1), (_SHARE_OF_PLACES, 1 - _SHARE_OF_PLACES))
+    low, high = np.quantile(np.median(places[where.around], axis=1), (_MIN_SHARE, 1 - _MIN_SHARE))
     is_wide = high - low > np.log2(MIN_RATIO)
-    if by_place.deviance <= best.deviance if is_wide else by_place.deviance < _WORTH * best.deviance:
+    is_better = by_place.deviance <= best.deviance
+    is_much_better = by_place.deviance < _MAX_DEVIANCE_RATIO * best.deviance
+    if is_better if is_wide else is_much_better:
         best = by_place
     if curve is not None and curve.differs:
         relative = _of_mean_1(4.0 ** (places - _logs_of_level(blocks, curve)))
         both = trial(Structure(curve, relative))
-        if both.deviance < _WORTH * best.deviance:
+        if both.deviance < _MAX_DEVIANCE_RATIO * best.deviance:
             best = both
     return best.structure
 
@@ -337,7 +339,7 @@ def _with_quiet_tiles(residual: Residual, variances: Float64s, sigma: float) -> 
         )
     if energies is not None:
         # Clipped squares show less noise than there is.
-        is_known = np.isfinite(energies) & (residual.samples.cut_off() < MAX_SHARE_CUT_OFF)
+        is_known = np.isfinite(energies) & (residual.samples.cut_off() < MAX_CLIPPED_SHARE)
         energies = np.where(is_known, energies, variances)
         shares = shares_of_noise(variances, energies)
         variances = _of_mean_1(shares * energies + (1 - shares) * variances)
@@ -347,11 +349,11 @@ def _with_quiet_tiles(residual: Residual, variances: Float64s, sigma: float) -> 
 def shares_of_noise(variances: Float64s, energies: Float64s) -> Float64s:
     """Return the share of energies that is trusted to be noise, given the variances read."""
     most = np.maximum(np.maximum(variances, energies), np.finfo(np.float64).tiny)
-    return np.asarray((variances / most) ** _TRUST, np.float64)
+    return np.asarray((variances / most) ** _TRUST_EXPONENT, np.float64)
 
 
 def _of_mean_1(variances: Float64s) -> Float64s:
-    variances = np.maximum(variances, _LEAST * variances.mean())
+    variances = np.maximum(variances, _MIN_RELATIVE_VARIANCE * variances.mean())
     return np.asarray(variances / variances.mean(), np.float64)
 
 
@@ -374,7 +376,7 @@ def _deviance(blocks: Blocks, structure: Structure) -> float:
     if not even.any():
         return 0.0
     # Without noise, blocks have no energy at all.
-    expected = np.broadcast_to(structure.places[:, None], even.shape)[even] + _ROUNDED
-    own = (ratios[even] / max(1e-9, float(ratios[even].mean())) + _ROUNDED) / expected
+    expected = np.broadcast_to(structure.places[:, None], even.shape)[even] + _RELATIVE_ROUNDING
+    own = (ratios[even] / max(1e-9, float(ratios[even].mean())) + _RELATIVE_ROUNDING) / expected
     own /= own.mean()
     return float(np.mean(own - np.log(own) - 1))

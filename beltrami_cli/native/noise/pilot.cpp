@@ -6,7 +6,7 @@
 namespace beltrami::noise {
 namespace {
 
-// The three channels of a sample and its limit, or the sums of weighted differences and of weights: together in memory.
+// The channels of a sample and its limit, or the sums of weighted differences and of weights, adjacent in memory.
 struct alignas(16) Row {
   std::array<float, channels> colours;
   float last;
@@ -23,7 +23,7 @@ void add_pairs(const std::vector<Row>& samples, std::span<const std::array<std::
       squared += difference[k] * difference[k];
     }
     const float limit = std::max((one.last + other.last) * scale, least_limit);
-    // The minimum of two variables: at a constant compilers branch, and noise is hard to predict.
+    // The minimum of two variables: for a constant, compilers make a branch, which noise makes unpredictable.
     const float nearness = (limit - std::min(squared, limit)) / limit, weight = nearness * nearness;
     Row &to_one = sums[static_cast<std::size_t>(first)], &to_other = sums[static_cast<std::size_t>(second)];
     for (std::size_t k = 0; k < channels; ++k) {

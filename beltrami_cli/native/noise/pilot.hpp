@@ -1,5 +1,5 @@
-// A quick estimate of clean colours: passes over the nearest neighbours, whose weights fall to 0 at differences that noise
-// hardly reaches (J. Tukey's biweight).
+// A quick estimate of clean colours by passes over the nearest neighbours. Their weights fall to 0 at differences that
+// noise rarely reaches (J. Tukey's biweight).
 #pragma once
 
 #include <array>
@@ -13,15 +13,15 @@ namespace beltrami::noise {
 
 constexpr std::size_t channels = 3;
 
-// The noise that is left halves with each pass, and its variance falls to a quarter.
+// The remaining noise halves with each pass, so its variance falls to a quarter.
 constexpr int passes = 3;
 constexpr float left_by_pass = 0.25F;
 
-// Squared difference of three channels, in units of the noise variance, at which a weight is 0. Differences of independent
-// noise have a mean of 6, and exceed 24 in one of 200 pairs.
+// Squared difference of three channels, in units of the noise variance, from which on weights are 0. Differences of
+// independent noise have a mean of 6, and exceed 24 in one of 200 pairs.
 constexpr float max_square = 24;
 
-// Least limit of squared differences, so that it can be divided by.
+// Minimum limit of squared differences, as a divisor.
 constexpr float least_limit = 1e-6F;
 
 // The variance of the noise at each sample, or one for all.
@@ -44,7 +44,7 @@ struct PilotSquares {
 BELTRAMI_DECLARE_VARIANTS(
     void smooth_padded_squares(const PilotSquares& squares, const float* colours, float* pilot))
 
-// Writes the pilot of planes of squares; what it writes at cells that are not filled has no meaning.
+// Writes the pilot of planes of squares. Values at cells that are not filled are unspecified.
 void smooth_squares(const PilotSquares& squares, const float* colours, float* pilot);
 
 // Writes the pilot of planes of `count` samples joined by edges, whose ends must be below `count`.
