@@ -18,9 +18,9 @@ from harness import psnr as plain_psnr
 from beltrami_cli.jobs.noise import jpeg_file
 from pictures import colours_of, images, smoothed, stored, with_noise
 
-CAMERAS = ((0.002, 0.005), (0.01, 0.01), (0.03, 0.02))
-GRAINS = ((2, 6), (2, 12), (3, 6), (3, 12), (4, 6), (4, 12))
-FACTORS = (1, 1.5, 2.2)
+CAMERAS = ((0.002, 0.005), (0.01, 0.01), (0.03, 0.02))  # A and B
+GRAINS = ((2, 6), (2, 12), (3, 6), (3, 12), (4, 6), (4, 12))  # size in pixels, sigma of 255
+FACTORS = (1, 1.5, 2.2)  # of the sigma that BM3D is given
 
 
 def main():
@@ -37,7 +37,7 @@ def main():
 
 
 def cases(clean):
-    """Yield each kind of noise: its name, the noisy image, or the bytes of a JPEG file, and the truth."""
+    """Yield for each kind of noise its name, the noisy image or the bytes of a JPEG file, and the truth."""
     truth = with_noise(clean, "camera", shot=0.0, read=0.0)
     for seed, (shot, read) in enumerate(CAMERAS):
         noisy = with_noise(clean, "camera", shot=shot, read=read, seed=seed)

@@ -10,8 +10,8 @@ from harness import arguments, show
 import beltrami_cli
 from oracles import surfaces
 
-SIGMAS = (0.1, 0.2, 0.3)
-SIDE = 40
+SIGMAS = (0.1, 0.2, 0.3)  # edge lengths
+SIDE = 40  # edge lengths of the cube
 
 
 def rms(values):

@@ -24,7 +24,8 @@ NAMES = ("head-tex-clean.glb", "head-tex-noisy.glb", "torus-two-clean.gltf", "sp
          "scan-noisy.glb")  # fmt: skip
 KINDS = {"plain": {}, "clipped": {"clipped": True}, "fall-off": {"fall_off": True}}
 SEEDS = 1, 2
-JOINING = 16, 6 / 255  # minimum number of samples of a seam without a step, and its maximum median difference
+# A seam has no step if its median difference is at most this, over at least so many samples.
+MAX_STEP, MIN_SAMPLES = 6 / 255, 16
 
 
 def main():
@@ -60,10 +61,7 @@ def joined(scene):
     pairs = []
     for seam in np.unique(steps.seams):
         rows = steps.seams == seam
-        if (
-            steps.counts[rows].sum() >= JOINING[0]
-            and np.abs(np.median(step[rows], axis=0)).max() < JOINING[1]
-        ):
+        if steps.counts[rows].sum() >= MIN_SAMPLES and np.abs(np.median(step[rows], axis=0)).max() < MAX_STEP:
             pairs.append(steps.ends[rows][0])
     ends = np.array(pairs, int).reshape(-1, 2)
     graph = coo_array((np.ones(len(ends)), ends.T), shape=(atlas.charts,) * 2)

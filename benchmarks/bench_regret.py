@@ -27,10 +27,10 @@ from typing import Any
 import numpy as np
 from regret_scene import kinds, rms
 
-UNCHANGED = 42.0  # dB from which on a clean picture counts as unchanged
-NOISY_SHARE = 0.7
-MISSED = 0.5  # minimum gain in dB by the true noise where noise is not found
-LEFT = 0.05  # gain in dB below which a result is the input
+CLEAN_PSNR = 42.0  # dB from which on a clean picture counts as unchanged
+NOISY_SHARE = 0.7  # weight of the noisy kinds in the loss
+MIN_MISSED_GAIN = 0.5  # minimum gain in dB by the true noise where noise is not found
+MIN_GAIN = 0.05  # gain in dB below which a result is the input
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Row:
     read: float  # estimated RMS noise
     given: float  # PSNR of the input
     default: float  # PSNR by default parameters
-    told: float  # PSNR with the true noise; of a clean picture: `UNCHANGED`
+    told: float  # PSNR with the true noise; of a clean picture: `CLEAN_PSNR`
     interval: Any  # None: no interval is reported
 
     @property
@@ -52,7 +52,7 @@ class Row:
 
     @property
     def is_missed(self):
-        return self.rms > 0 and self.default - self.given < LEFT and self.lost > MISSED
+        return self.rms > 0 and self.default - self.given < MIN_GAIN and self.lost > MIN_MISSED_GAIN
 
     @property
     def holds(self):
@@ -89,7 +89,7 @@ def main():
 def judged(kind, case):
     """Smooth a case by default parameters, and with its true noise."""
     result = case.smooth(case.given)
-    told = UNCHANGED
+    told = CLEAN_PSNR
     if not kind.startswith("clean"):
         told = case.psnr(case.smooth(case.given, noise=f"{100 * case.rms:.4f}%").colours)
     read = 255 * rms(result.noise)
@@ -100,13 +100,13 @@ def judged(kind, case):
 def by_kind(rows):
     figures = {}
     for kind in dict.fromkeys(row.kind for row in rows):
-        own = [row for row in rows if row.kind == kind]
-        reported = [row for row in own if row.interval is not None]
+        of_kind = [row for row in rows if row.kind == kind]
+        reported = [row for row in of_kind if row.interval is not None]
         figures[kind] = {
-            "pictures": len(own),
-            "lost": float(np.mean([row.lost for row in own])),
-            "worst": max(row.lost for row in own),
-            "missed": sum(row.is_missed for row in own),
+            "pictures": len(of_kind),
+            "lost": float(np.mean([row.lost for row in of_kind])),
+            "worst": max(row.lost for row in of_kind),
+            "missed": sum(row.is_missed for row in of_kind),
             "hold": sum(row.holds for row in reported),
             "intervals": len(reported),
         }

@@ -29,7 +29,7 @@ ROOT = Path(__file__).resolve().parents[1]
 SAMPLES = ROOT / "sample_data"
 sys.path.insert(0, str(ROOT / "tests"))
 
-SIGMA = 20 / 255
+SIGMA = 20 / 255  # noise of the generated scenes
 
 # Prints the processor time of a command, including its start.
 _MEASURED = (

@@ -7,7 +7,7 @@ import time
 import numpy as np
 from harness import SIGMA, psnr
 
-MAX_ITERATIONS = 8
+MAX_ITERATIONS = 8  # of the bilateral filter
 
 
 class PeerError(Exception):

@@ -20,6 +20,7 @@ from beltrami_cli.surface.baking import Cells
 
 PHOTOGRAPHS = ("astronaut", "coffee", "chelsea", "immunohistochemistry")
 SIDE = 224  # pixels per side of windows of images
+# Top and left of the window of a photograph.
 CORNERS = {
     "astronaut": (20, 130),
     "coffee": (100, 150),

@@ -9,6 +9,7 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import convolve, gaussian_filter, median_filter, uniform_filter
 
+# Kernels of resampling, by number.
 KERNELS = (
     Image.Resampling.BILINEAR,
     Image.Resampling.BICUBIC,

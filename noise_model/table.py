@@ -22,45 +22,47 @@ from beltrami_cli.flow.noise.reading import read_noise
 from noises import Recipe, Sample, degrade
 from surfaces import sampled, surface
 
-SIDE, CASES, SEED = 192, 44, 7
+SIDE, CASES, SEED = 192, 44, 7  # texels per side, and noisy pictures of each kind
 FALSE_POSITIVE = 4 / 255  # reading from which a clean picture counts as misread
 
 
-def _log(rng, low, high):
+def _log_uniform(rng, low, high):
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
 def _camera(rng, method="bilinear", **others):
-    shot, read = _log(rng, 0.002, 0.03), rng.uniform(0.005, 0.02)
+    shot, read = _log_uniform(rng, 0.002, 0.03), rng.uniform(0.005, 0.02)
     sigma = float(np.sqrt(shot / 2 + read**2))  # at half the light
     return Recipe(sigma, power=1, floor=read / sigma, is_linear=True, mosaic=method, **others)
 
 
 KINDS: dict[str, Callable[[np.random.Generator], Recipe]] = {
-    "white, sigma 2 to 50": lambda rng: Recipe(_log(rng, 2, 50) / 255),
+    "white, sigma 2 to 50": lambda rng: Recipe(_log_uniform(rng, 2, 50) / 255),
     "camera (shot and read noise, mosaic, sRGB)": _camera,
     "grain of 1.3 to 5 texels": lambda rng: Recipe(
-        _log(rng, 2, 25) / 255, grain=rng.uniform(1.3, 5), kernel=int(rng.integers(3))
+        _log_uniform(rng, 2, 25) / 255, grain=rng.uniform(1.3, 5), kernel=int(rng.integers(3))
     ),
     "white, then JPEG 60 to 98": lambda rng: Recipe(
-        _log(rng, 2, 30) / 255, codec="JPEG", quality=int(rng.integers(60, 99))
+        _log_uniform(rng, 2, 30) / 255, codec="JPEG", quality=int(rng.integers(60, 99))
     ),
     "camera, then JPEG 75 to 98": lambda rng: _camera(rng, codec="JPEG", quality=int(rng.integers(75, 99))),
     "enlarged 1.2 to 2.5 times": lambda rng: Recipe(
-        _log(rng, 3, 40) / 255, resampled=rng.uniform(1.2, 2.5), kernel=int(rng.integers(2))
+        _log_uniform(rng, 3, 40) / 255, resampled=rng.uniform(1.2, 2.5), kernel=int(rng.integers(2))
     ),
-    "white, equal in all channels": lambda rng: Recipe(_log(rng, 2, 40) / 255, correlation=1),
-    "white, channels correlated by 0.7": lambda rng: Recipe(_log(rng, 2, 40) / 255, correlation=0.7),
+    "white, equal in all channels": lambda rng: Recipe(_log_uniform(rng, 2, 40) / 255, correlation=1),
+    "white, channels correlated by 0.7": lambda rng: Recipe(_log_uniform(rng, 2, 40) / 255, correlation=0.7),
     "baked light: heavy tails, grows with light, equal": lambda rng: Recipe(
-        _log(rng, 0.02, 0.2), 2, 0, 1, tail="gamma", shape=_log(rng, 2, 20), is_linear=True
+        _log_uniform(rng, 0.02, 0.2), 2, 0, 1, tail="gamma", shape=_log_uniform(rng, 2, 20), is_linear=True
     ),
     "camera, Malvar mosaic, sharpened": lambda rng: _camera(rng, "malvar", sharpened=rng.uniform(0.4, 1.5)),
     "two exposures blended": lambda rng: Recipe(
-        _log(rng, 4, 40) / 255, places="blend", place_gain=rng.uniform(0.1, 0.6)
+        _log_uniform(rng, 4, 40) / 255, places="blend", place_gain=rng.uniform(0.1, 0.6)
     ),
-    "half of the picture noisy": lambda rng: Recipe(_log(rng, 4, 40) / 255, places="halves", place_gain=0.2),
+    "half of the picture noisy": lambda rng: Recipe(
+        _log_uniform(rng, 4, 40) / 255, places="halves", place_gain=0.2
+    ),
     "residue of a low-pass filter": lambda rng: Recipe(
-        _log(rng, 2, 20) / 255, spectrum=rng.uniform(0.15, 0.6), correlation=0.5
+        _log_uniform(rng, 2, 20) / 255, spectrum=rng.uniform(0.15, 0.6), correlation=0.5
     ),
     "none": lambda rng: Recipe(),
     "none, but JPEG": lambda rng: Recipe(codec="JPEG", quality=int(rng.integers(50, 99))),
@@ -113,12 +115,12 @@ def cases_on_surfaces(crops: list[pictures.Crop], kind: str) -> Iterator[tuple[V
 
 
 def truth_of(sample: Sample) -> float:
-    """Return the RMS noise."""
+    """Return the RMS noise, without the error of compression alone."""
     return float(np.sqrt(max(0.0, np.mean(sample.noise**2) - np.mean(sample.loss**2))))
 
 
 def judged(readings: np.ndarray, truths: np.ndarray, is_clean: bool) -> str:
-    """Return a cell of the table."""
+    """Return a cell of the table: errors of readings, or false readings of clean pictures."""
     if is_clean:
         return f"{np.mean(readings > FALSE_POSITIVE):.1%}; {255 * readings.max():.1f}"
     ratio = np.log2((255 * readings + OFFSET) / (255 * truths + OFFSET))

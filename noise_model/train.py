@@ -37,10 +37,10 @@ from observations import Observation
 
 # The folder of the repository, not of an installed package.
 WEIGHTS = Path(__file__).parents[1] / "beltrami_cli/flow/noise"
-OBSERVATIONS = {"grid": 140_000, "cluster": 60_000, "validation": 4_000}
+OBSERVATIONS = {"grid": 140_000, "cluster": 60_000, "validation": 4_000}  # maximum number for validation
 CHUNK = 2_000  # observations that are made together
 FIRST_SEED = 300  # of training; lower seeds served to choose features and layers
-EPOCHS, BATCH, RATE, DECAY = 12, 96, 2e-3, 0.1
+EPOCHS, BATCH, RATE, DECAY = 12, 96, 2e-3, 0.1  # of Adam; the rate is its maximum
 SEED = 49
 KINDS = {"grid": observations.random_observation, "cluster": surfaces.random_observation}
 LARGEST_GRADIENT = 1.0  # maximum norm

@@ -26,8 +26,8 @@ from train import WEIGHTS, Node, Tape, crops_of, descend
 
 SAMPLES = {"grid": observations.random_samples, "cluster": surfaces.random_samples}
 TEST_ROWS = 1_000  # per family
-CHUNK = 500
-EPOCHS, BATCH, RATE = 40, 128, 2e-3
+CHUNK = 500  # rows that are made together
+EPOCHS, BATCH, RATE = 40, 128, 2e-3  # of Adam; the rate is its maximum
 SEED = 77
 DROPPED = 0.1  # share of the units of a layer, in training
 WIDTH = 0.12  # standard deviation of the labels, in log2 of the strength
