@@ -371,7 +371,7 @@ def noise_size(part: Mapping[str, Any]) -> float:
 
     Where it was estimated, it is the median of the estimate; the noise by channel is what is removed.
     """
-    noise, reading = part["noise"], part["reading"]
+    noise, reading = part["noise"], part.get("reading")  # which older records of a batch do not have
     if reading is None or not any(noise.values()):
         return root_mean_square(noise)
     return float(reading["median"])

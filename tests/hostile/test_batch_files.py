@@ -121,6 +121,7 @@ CRAFTED = {
     "part of a report": {"report": {"vertices": 5}},
     "noise": {"report": {"vertices": {"noise": {"red": "much"}, "change": {"mean": 0}}}},
     "change": {"report": {"vertices": {"noise": {}, "change": {}}}},
+    "reading": {"report": {"vertices": {"noise": {"red": 0.1}, "reading": 5, "change": {"mean": 0}}}},
     "large change": {"report": {"vertices": {"noise": {}, "change": {"mean": 10**400}}}},
     "textures": {"report": {"textures": {}}},
     "warnings": {"report": {"warnings": [5]}},
