@@ -290,7 +290,7 @@ _TYPED: ContextVar[Sequence[Parameter]] = ContextVar("_TYPED", default=())
 
 @contextmanager
 def requiring_effect(typed: Sequence[Parameter]) -> Iterator[None]:
-    """Let `require_effect` refuse parameters that were typed for one input; those of several inputs may fit some."""
+    """Let `require_effect` refuse parameters that were typed for a single input; with several, they may fit some."""
     token = _TYPED.set(typed)
     try:
         yield

@@ -89,7 +89,7 @@ class Batch:
         return outcomes
 
     def _work(self, waiting: deque[int], workers: Workers, *, is_last: bool) -> deque[int]:
-        """Run the waiting items; return those that need more memory, unless this is the last attempt (`is_last`)."""
+        """Run the waiting items. Unless `is_last`, return those that need more memory."""
         larger: deque[int] = deque()
         in_work = set[int]()
         with contextlib.closing(workers.pool) as pool:

@@ -68,7 +68,7 @@ def filesystem(url: str) -> tuple[Any, str]:
     try:
         files, path = url_to_fs(url)
     except (ImportError, ValueError) as error:
-        remedy = "install what is missing, or check the URL"
+        remedy = "install the package that it needs, or check the URL"
         raise InputError(url, f"cannot be opened ({error})", remedy) from error
     return files, path
 
@@ -155,7 +155,7 @@ class Stage:
         self.read: dict[str, str] = {}
 
     def bring(self, path: Path) -> None:
-        """Download a file to the path at which it is looked for, if it exists beside the source."""
+        """Download a sidecar file of the source, if it exists, to the path where it is expected."""
         if not path.is_relative_to(self._inside) or path.exists():
             return
         files, there = filesystem(self._url_of(path))

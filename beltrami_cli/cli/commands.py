@@ -248,7 +248,7 @@ class HelpfulCommand(click.Command):
         write_notes(formatter, text if self._is_full(ctx) else self._first_examples(text, ctx))
 
     def _first_examples(self, text: str, context: click.Context) -> str:
-        """Return the first examples, with whole commands, that take no option but those of the short help."""
+        """Return the first complete examples that use only options of the short help."""
         head, title, *lines = text.partition("\n\n")[0].split("\n")
         shown = {name for option in self.option_groups(context)[DEFAULT_GROUP] for name in option.opts}
         chosen: list[str] = []

@@ -1,4 +1,4 @@
-"""What is shown to the user: messages, tables and progress, on the standard error."""
+"""Messages, tables and progress for the user, on standard error."""
 
 from __future__ import annotations
 

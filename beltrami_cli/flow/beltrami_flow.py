@@ -96,7 +96,7 @@ def _iterate(manifold: Manifold, stacks: list[Float32s], steps: Sequence[Step], 
 
 
 class _Stages:
-    """Progress over several stages, each of which goes through `size` samples for a number of iterations."""
+    """Progress over several stages, each with a number of iterations over `size` samples."""
 
     def __init__(self, progress: Callable[[int, int], None] | None, iterations: int, size: int) -> None:
         self._progress, self._total, self._size, self._before = progress, iterations * size, size, 0

@@ -300,6 +300,7 @@ class OutputFormat:
 
 def choose_format(document: Document, target: str, chosen: str | None) -> OutputFormat:
     """Choose the output format by option, by the output's name, or as the source; UsageError if it is unknown."""
+    from beltrami_cli.formats.image.file_formats import FORMATS as IMAGE_FORMATS
     from beltrami_cli.formats.image.file_formats import format_of_suffix
 
     if document.kind == "image":
@@ -312,9 +313,10 @@ def choose_format(document: Document, target: str, chosen: str | None) -> Output
         name = wanted
     elif target == "-" or not wanted:
         name = usual
-    elif format_of_suffix(f".{wanted}") is not None:
+    elif (image := format_of_suffix(f".{wanted}")) is not None:
         cause = f".{wanted} is an image format, but {document.name} is a model"
-        drawn = f"beltrami render {document.name} {target} draws it"
+        picture = target if IMAGE_FORMATS[image].writable else Path(target).with_suffix(".png")
+        drawn = f"beltrami render {document.name} {picture} draws it"
         raise UsageError(f"{cause}; {drawn}, or end the name in .{usual}", target)
     else:
         known = ", ".join("." + f for f in OUTPUT_FORMATS)

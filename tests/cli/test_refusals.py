@@ -85,6 +85,7 @@ REFUSED = [
     ("smooth @knot-noisy.ply kept/there.ply/x.ply", 4, "kept/there.ply is not a folder; choose another place"),
     (f"smooth @knot-noisy.ply kept/{300 * 'x'}.ply", 4, ".ply: no file can be called so (File name too long)"),
     ("smooth @knot-noisy.ply picture.png", 2, "picture.png draws it"),
+    ("smooth @knot-noisy.ply picture.fits", 2, "picture.png draws it"),
     ("smooth @knot-noisy.ply out.ply --report nowhere/r.json", 4, "nowhere"),
     ("smooth @knot-noisy.ply - --report -", 4, "would mix with OUTPUT"),
     ("bake @nonmanifold-noisy.ply - --to texture --json", 4, "would mix with OUTPUT"),
