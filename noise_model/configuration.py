@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import re
 from pathlib import Path
@@ -22,7 +23,22 @@ SIZES = (
 
 
 def configuration(files: tuple[str, ...]) -> str:
-    """Return the hash of source files without spaces and Python comments."""
+    """Return the hash of the code in source files."""
     root = Path(__file__).parents[1]
-    text = "\n".join(re.sub(r"\s+|#.*", "", (root / path).read_text(encoding="utf-8")) for path in files)
+    text = "\n".join(code_of((root / path).read_text(encoding="utf-8"), Path(path).suffix) for path in files)
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+def code_of(text: str, suffix: str) -> str:
+    """Return source text without comments, docstrings and white space; it does not depend on the version of Python."""
+    if suffix != ".py":
+        return re.sub(r"\s+|//.*", "", text)
+    lines = text.splitlines()
+    for node in ast.walk(ast.parse(text)):
+        if (
+            isinstance(node, ast.Expr)
+            and isinstance(node.value, ast.Constant)
+            and node.value.value is not ...
+        ):
+            lines[node.lineno - 1 : node.end_lineno] = [""] * (node.end_lineno - node.lineno + 1)
+    return re.sub(r"\s+|#.*", "", "\n".join(lines))

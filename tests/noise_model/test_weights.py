@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from beltrami_cli.flow.noise import network, size
-from configuration import NETWORK, SIZES, configuration
+from configuration import NETWORK, SIZES, code_of, configuration
 
 KINDS = "grid", "cluster"
 MOST_BYTES = 400 * 1024  # of all weights
@@ -15,6 +15,17 @@ MOST_BYTES = 400 * 1024  # of all weights
 def test_weights_belong_to_the_configuration(kind):
     assert network.weights_of(kind).configuration == configuration(NETWORK), "run `make noise-model`"
     assert size.size_weights(kind).configuration == configuration(SIZES), "run `make noise-model`"
+
+
+@pytest.mark.parametrize(
+    ("suffix", "code", "worded", "other"),
+    [
+        (".py", "a = 1\nb = 2", '"""A."""\na = 1  # B\n"""\nC\n"""\n\nb = 2\n', "a = 1\nb = 3"),
+        (".hpp", "#include <array>\nint a;", "// A\n#include <array>\nint a;  // B", "#include <vector>\nint a;"),
+    ],
+)  # fmt: skip
+def test_the_configuration_depends_on_code_and_not_on_words(suffix, code, worded, other):
+    assert code_of(worded, suffix) == code_of(code, suffix) != code_of(other, suffix)
 
 
 def test_weights_are_small():
