@@ -14,7 +14,7 @@ from harness import arguments, show
 from beltrami_cli.flow.corrections import outliers
 from beltrami_cli.flow.manifolds.grid_geometry import CanvasSamples
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.formats.image.picture import full_scale_one
+from beltrami_cli.formats.image.decoded_image import full_scale_one
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.surface.atlas import grid_atlas
 

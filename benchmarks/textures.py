@@ -17,7 +17,7 @@ from scipy.ndimage import distance_transform_edt, uniform_filter
 
 from beltrami_cli.errors import BeltramiError
 from beltrami_cli.formats.image import read_texture, to_float, write_image
-from beltrami_cli.formats.image.picture import new_picture
+from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.noise import noise_file
@@ -223,7 +223,7 @@ def write_obj(path, scene, pixels):
         name = f"{path.stem}-{number}.png"
         materials.append(f"newmtl m{number}\nmap_Kd {name}\n")
         values = np.ascontiguousarray(image, np.uint8)
-        path.with_name(name).write_bytes(write_image(new_picture(values, name), values).data)
+        path.with_name(name).write_bytes(write_image(new_image(values, name), values).data)
         lines.append(f"usemtl m{number}")
         for face in np.flatnonzero(scene.texture_of == number):
             a, b, c = corner[face]

@@ -18,7 +18,7 @@ BYTE = 255.0
 _GREY = "Grey is written as equal red, green and blue."
 _BRIGHTEST = 16.0  # four stops above white: float colours beyond are taken to be of 0..255
 
-# Full scales of 8, 10, 12 and 16 bit, and for intensities of 14 bit. Colours up to 16383 may be a dark 16-bit picture,
+# Full scales of 8, 10, 12 and 16 bit, and for intensities of 14 bit. Colours up to 16383 may be a dark 16-bit image,
 # which 14 bit would make four times too bright in another format; in 16 bit, colours up to 4095 would be nearly black.
 _COLOUR_SCALES = (BYTE, 1023.0, 4095.0, 65535.0)
 INTEGER_SCALES = (BYTE, 1023.0, 4095.0, 16383.0, 65535.0)

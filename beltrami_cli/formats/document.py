@@ -29,7 +29,7 @@ from beltrami_cli.errors import InputError, NoColoursError, Obstacle
 from beltrami_cli.formats.access import DEFAULT_ACCESS, Access
 from beltrami_cli.formats.changes import NO_IMAGES, Changes, Naming, NewImages, PlannedImages, Written
 from beltrami_cli.formats.comparison import Fingerprint
-from beltrami_cli.formats.image import Picture
+from beltrami_cli.formats.image import DecodedImage
 from beltrami_cli.surface import records
 from beltrami_cli.surface.geometry import triangulate
 from beltrami_cli.surface.records import ColouredVertices
@@ -89,7 +89,7 @@ class Document(ABC):
     def _channels(self) -> tuple[str, ...]:
         return ("red", "green", "blue")
 
-    def picture(self) -> Picture:
+    def image(self) -> DecodedImage:
         """Return the image that it holds, always the same record; InputError if it is none."""
         raise InputError(self.name, "it is a model, and no image")
 

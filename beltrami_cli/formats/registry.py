@@ -315,8 +315,8 @@ def choose_format(document: Document, target: str, chosen: str | None) -> Output
         name = usual
     elif (image := format_of_suffix(f".{wanted}")) is not None:
         cause = f".{wanted} is an image format, but {document.name} is a model"
-        picture = target if IMAGE_FORMATS[image].writable else Path(target).with_suffix(".png")
-        drawn = f"beltrami render {document.name} {picture} draws it"
+        drawing = target if IMAGE_FORMATS[image].writable else Path(target).with_suffix(".png")
+        drawn = f"beltrami render {document.name} {drawing} draws it"
         raise UsageError(f"{cause}; {drawn}, or end the name in .{usual}", target)
     else:
         known = ", ".join("." + f for f in OUTPUT_FORMATS)

@@ -305,9 +305,9 @@ def _alpha_mode(data: bytes, name: str) -> AlphaMode:
     size = measure_image(data)
     if size is None or size.channels not in (2, 4):
         return "opaque"
-    picture = read_image(data, name, finite=False)
-    opacity = picture.pixels[..., picture.alpha or 0]
+    image = read_image(data, name, finite=False)
+    opacity = image.pixels[..., image.alpha or 0]
     most = np.iinfo(opacity.dtype).max if opacity.dtype.kind == "u" else 1
-    if picture.alpha is None or not (opacity < most).any():
+    if image.alpha is None or not (opacity < most).any():
         return "opaque"
     return "mask" if np.isin(opacity, (0, most)).all() else "blend"

@@ -130,10 +130,10 @@ def with_suffixes(mesh: MeshContents, suffixes: Collection[str]) -> tuple[MeshCo
     new_of, notices = dict[MeshImage, MeshImage](), list[str]()
     for image in mesh.images:
         if suffixes and image.file.suffix not in suffixes:
-            picture = read_image(image.file.data, image.name)
-            file = write_image(picture, picture.pixels, suffix=_FALLBACK_SUFFIX)
+            decoded = read_image(image.file.data, image.name)
+            file = write_image(decoded, decoded.pixels, suffix=_FALLBACK_SUFFIX)
             new_of[image] = dataclasses.replace(image, file=file)
-            notices += losses(picture, _FALLBACK_SUFFIX)
+            notices += losses(decoded, _FALLBACK_SUFFIX)
     if new_of:
         held = ", ".join(suffix[1:] for suffix in suffixes)
         notices.append(f"Textures written as PNG, since the format holds {held} only: {len(new_of)}.")

@@ -13,7 +13,7 @@ from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.fields import override
 from beltrami_cli.flow.manifolds.guides import Guide, centred
 from beltrami_cli.formats.colours import quantised
-from beltrami_cli.formats.image.picture import Picture, array_picture
+from beltrami_cli.formats.image.decoded_image import DecodedImage, array_image
 from beltrami_cli.layers.image_surface import ImageSurface
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.records import (
@@ -333,7 +333,7 @@ def _numbers(values: ArrayLike, name: str, shape: tuple[int | str, ...], kinds: 
     return array
 
 
-def textures_of(images: Sequence[Array], encoding: Encoding) -> list[Picture]:
+def textures_of(images: Sequence[Array], encoding: Encoding) -> list[DecodedImage]:
     """Take textures: numbers as for `colour_table`, grey or RGB, with opacity or without."""
     require_choice("encoding", encoding)
     pictures = []
@@ -348,5 +348,5 @@ def textures_of(images: Sequence[Array], encoding: Encoding) -> list[Picture]:
             if not np.isfinite(pixels).all():
                 raise InputError(name, "some of its values are not finite", "repair it")
         stored = "float16" if kind == np.float16 else str(pixels.dtype)
-        pictures.append(array_picture(pixels, name, encoding, stored))
+        pictures.append(array_image(pixels, name, encoding, stored))
     return pictures

@@ -19,8 +19,8 @@ from beltrami_cli.arrays import Array, Bools
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import Picture, read_image
-from beltrami_cli.formats.image.picture import full_scale_one
+from beltrami_cli.formats.image import DecodedImage, read_image
+from beltrami_cli.formats.image.decoded_image import full_scale_one
 from beltrami_cli.formats.image.sizes import measure_image, require_memory
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
@@ -292,7 +292,7 @@ def _of_images(
     return f"{names}: on the surface {on}; in the gutter {off}", True
 
 
-def _cleared(before: Picture, after: Picture) -> int:
+def _cleared(before: DecodedImage, after: DecodedImage) -> int:
     """Count the pixels under an alpha of 0 whose colours are gone, as encoders clear them: without exception."""
     if before.alpha is None or after.alpha is None:
         return 0

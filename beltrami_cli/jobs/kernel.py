@@ -18,7 +18,7 @@ from beltrami_cli.flow.manifolds.grid_manifold import GridManifold
 from beltrami_cli.flow.manifolds.manifold import SampledKernel
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.image import write_image
-from beltrami_cli.formats.image.picture import new_picture
+from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.ply.writer import write_scalars_as_ply
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.output import Output
@@ -205,4 +205,4 @@ def _picture(
     drawn = [np.where(filled[..., None], panel, 1.0).repeat(_ZOOM, 0).repeat(_ZOOM, 1) for panel in panels]
     gap = np.ones((len(drawn[0]), _GAP, 3))
     pixels = as_bytes(np.hstack([drawn[0], gap, drawn[1], gap, drawn[2]]))
-    return Written([write_image(new_picture(pixels, "kernel"), pixels, suffix=suffix).data])
+    return Written([write_image(new_image(pixels, "kernel"), pixels, suffix=suffix).data])

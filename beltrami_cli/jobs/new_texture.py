@@ -14,8 +14,8 @@ from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.conversion import vertex_mesh
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import Picture, read_texture, to_float, without_alpha, write_image
-from beltrami_cli.formats.image.picture import new_picture
+from beltrami_cli.formats.image import DecodedImage, read_texture, to_float, without_alpha, write_image
+from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.registry import write_mesh
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.progress import Progress
@@ -73,7 +73,7 @@ class NewTexture:
 
     def encoded(self, suffix: str | None = None, jpeg_quality: int = 98, *, small: bool = False) -> ImageFile:
         """Return the texture as a file, PNG by default; options as for `write_image`."""
-        picture = new_picture(self.pixels, "the new texture")
+        picture = new_image(self.pixels, "the new texture")
         return write_image(picture, self.pixels, suffix=suffix, jpeg_quality=jpeg_quality, small=small)
 
     def surface(self) -> TexturedSurface:
@@ -230,7 +230,9 @@ def _lost_of_textured(document: Document) -> tuple[str, ...]:
     return (*found, *mesh.left_out, *document.hidden_places())
 
 
-def _lost_of_textures(document: Document, old: TexturedSurface, pictures: list[Picture]) -> tuple[str, ...]:
+def _lost_of_textures(
+    document: Document, old: TexturedSurface, pictures: list[DecodedImage]
+) -> tuple[str, ...]:
     what = f"{document.format.upper()} content other than triangles and the base colour"
     notices = [f"{what} is not in the new file.", *(f"Nor are {each}." for each in document.hidden_places())]
     if bare := int((old.texture_of < 0).sum()):
@@ -248,7 +250,7 @@ def texels_of(surface: TexturedSurface, sizes: Int64s) -> float:
     return float(np.abs(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]).sum() / 2)
 
 
-def as_rgba(picture: Picture) -> Float32s:
+def as_rgba(picture: DecodedImage) -> Float32s:
     """Return a picture as red, green, blue and opacity of full scale 1."""
     values = without_alpha(picture, to_float(picture))
     colour = values[..., [*picture.colour] * (3 // len(picture.colour))]
@@ -356,11 +358,11 @@ def _colours_from_textures(document: Document) -> tuple[MeshContents, tuple[str,
     return contents, tuple(notices)
 
 
-def _encoding(pictures: Sequence[Picture]) -> Encoding:
+def _encoding(pictures: Sequence[DecodedImage]) -> Encoding:
     return "linear" if all(picture.encoding == "linear" for picture in pictures) else "srgb"
 
 
-def _corner_colours(surface: TexturedSurface, pictures: Sequence[Picture]) -> tuple[Float64s, Float64s]:
+def _corner_colours(surface: TexturedSurface, pictures: Sequence[DecodedImage]) -> tuple[Float64s, Float64s]:
     """Return red, green, blue and alpha at every corner, white where there is no texture, and their noise."""
     texture_of = np.repeat(surface.texture_of, 3)
     uv = surface.uv.reshape(-1, 2)

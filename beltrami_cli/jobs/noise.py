@@ -25,7 +25,7 @@ from beltrami_cli.flow.manifolds.canvas import on_canvas
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.parameters import Space
 from beltrami_cli.formats.image import write_image
-from beltrami_cli.formats.image.picture import new_picture
+from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.image.writing import noise_losses
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
@@ -291,7 +291,7 @@ def as_jpeg(shown: Float32s, quality: int) -> Float32s:
 def jpeg_file(shown: Float32s, quality: int) -> bytes:
     """Return the JPEG file of display values, (H, W, 1 or 3), with colour at half the resolution."""
     pixels = np.rint(255 * np.clip(shown, 0, 1)).astype(np.uint8)
-    new = new_picture(np.ascontiguousarray(np.broadcast_to(pixels, (*pixels.shape[:2], 3))), "a picture")
+    new = new_image(np.ascontiguousarray(np.broadcast_to(pixels, (*pixels.shape[:2], 3))), "a picture")
     new.spec.attribute("jpeg:subsampling", "4:2:0")
     picture = dataclasses.replace(new, format="jpeg", suffix=".jpg")
     return write_image(picture, new.pixels, jpeg_quality=quality).data

@@ -17,8 +17,8 @@ from beltrami_cli.flow.manifolds.guides import Guide, centred
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import Access, is_there, read_source
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import Picture, read_image, read_texture
-from beltrami_cli.formats.image.picture import full_scale_one
+from beltrami_cli.formats.image import DecodedImage, read_image, read_texture
+from beltrami_cli.formats.image.decoded_image import full_scale_one
 from beltrami_cli.formats.image.sizes import require_memory
 from beltrami_cli.formats.registry import document_of
 from beltrami_cli.layers.picture_layer import PictureColours
@@ -83,7 +83,7 @@ def read_table(path: str, rows: int, model: str, access: Access) -> Float64s:
     return numbers
 
 
-def read_map(path: str, picture: Picture, access: Access) -> Float32s:
+def read_map(path: str, picture: DecodedImage, access: Access) -> Float32s:
     """Read the numbers of a picture's pixels, shape (H * W, G)."""
     image = read_of_size(path, picture, access, "recoloured")
     channels = [i for i in range(image.pixels.shape[2]) if i != image.alpha]
@@ -91,7 +91,7 @@ def read_map(path: str, picture: Picture, access: Access) -> Float32s:
     return numbers.reshape(-1, numbers.shape[2])
 
 
-def read_of_size(path: str, picture: Picture, access: Access, work: str) -> Picture:
+def read_of_size(path: str, picture: DecodedImage, access: Access, work: str) -> DecodedImage:
     """Read an image with the size of a picture; `work`: see `require_memory`."""
     data = read_source(path, access)
     require_memory([(path, data)], access, work)
@@ -108,7 +108,7 @@ def _exists(path: str) -> bool:
 
 
 def read_guide_images(
-    picture: Picture, valid: Bools, settings: SmoothSettings, access: Access
+    picture: DecodedImage, valid: Bools, settings: SmoothSettings, access: Access
 ) -> tuple[Guide, ...]:
     """Read all guides for an image, one row per pixel."""
     guides = []
@@ -130,7 +130,7 @@ class GuidedTexels:
 
     document: Document
     surface: TexturedSurface
-    pictures: Sequence[Picture]
+    pictures: Sequence[DecodedImage]
     atlas: Atlas
     settings: SmoothSettings
     access: Access
@@ -215,7 +215,7 @@ _FRAME_WINDOW = 17
 
 
 def noise_of_pixels(
-    kernel: KernelParameters, pictures: Sequence[Picture], pixels: Int64s | Bools, access: Access
+    kernel: KernelParameters, pictures: Sequence[DecodedImage], pixels: Int64s | Bools, access: Access
 ) -> Float32s | None:
     """Read the standard deviations of all pixels, one row per pixel; None if no file is given."""
     given = kernel.given_noise

@@ -20,7 +20,7 @@ from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.plan import Plan
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import Picture, is_exact, label_of
+from beltrami_cli.formats.image import DecodedImage, is_exact, label_of
 from beltrami_cli.formats.image.conversion import upright
 from beltrami_cli.formats.image.jpeg import read_jpeg_tables
 from beltrami_cli.layers.guides import noise_of_pixels, read_guide_images
@@ -57,7 +57,7 @@ class ImageLayer(PictureLayer):
         `colours_only` leaves out channels that are not colours, unless settings name them.
         """
         require_effect(["images"], document.name, binding_parameters(settings))
-        picture, chosen = with_chosen_layer(document.picture(), settings)
+        picture, chosen = with_chosen_layer(document.image(), settings)
         only = colours_only or picture.names_colours
         colours = PictureColours.of([picture], "baseColor", chosen, is_image=True, colours_only=only)
         surface = read_surface(picture, settings.image, access)
@@ -88,7 +88,7 @@ class ImageLayer(PictureLayer):
         )  # fmt: skip
 
     @property
-    def picture(self) -> Picture:
+    def picture(self) -> DecodedImage:
         return self.pictures[0]
 
     @property

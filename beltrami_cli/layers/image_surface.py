@@ -16,8 +16,8 @@ from beltrami_cli.flow.manifolds.grid_manifold import ColouredCanvas
 from beltrami_cli.flow.manifolds.guides import Guide
 from beltrami_cli.flow.parameters import KernelParameters, Space
 from beltrami_cli.formats.access import Access
-from beltrami_cli.formats.image import Picture
-from beltrami_cli.formats.image.picture import full_scale_one
+from beltrami_cli.formats.image import DecodedImage
+from beltrami_cli.formats.image.decoded_image import full_scale_one
 from beltrami_cli.layers.guides import read_of_size
 from beltrami_cli.layers.settings import ImageSettings
 from beltrami_cli.surface.atlas import grid_atlas
@@ -58,7 +58,7 @@ class ImageSurface:
         return "plane" if self.positions is None else "positions"
 
 
-def read_surface(picture: Picture, wanted: ImageSettings, access: Access) -> ImageSurface:
+def read_surface(picture: DecodedImage, wanted: ImageSettings, access: Access) -> ImageSurface:
     """Read the images of a picture's surface and holes; InputError if one does not fit the picture."""
     heights = positions = None
     valid = np.ones(picture.pixels.shape[:2], bool)
@@ -79,7 +79,7 @@ def read_surface(picture: Picture, wanted: ImageSettings, access: Access) -> Ima
     return ImageSurface(heights, positions, valid, tuple(notices))
 
 
-def _read(path: str, picture: Picture, access: Access, notices: list[str]) -> Picture:
+def _read(path: str, picture: DecodedImage, access: Access, notices: list[str]) -> DecodedImage:
     """Read an image with the size of the picture; append notices about it to `notices`."""
     read = read_of_size(path, picture, access, "mapped")
     notices += read.notices
@@ -90,7 +90,7 @@ def _read(path: str, picture: Picture, access: Access, notices: list[str]) -> Pi
     return read
 
 
-def _height_of(picture: Picture) -> NDArray[np.float64]:
+def _height_of(picture: DecodedImage) -> NDArray[np.float64]:
     lower = [channel.lower() for channel in picture.channels]
     named = next((lower.index(name) for name in _HEIGHTS if name in lower), None)
     colour_channels = [channel for channel in range(len(lower)) if channel != picture.alpha]
@@ -102,7 +102,7 @@ def _height_of(picture: Picture) -> NDArray[np.float64]:
     return full_scale_one(picture.pixels[..., column]).astype(np.float64)
 
 
-def _positions_of(picture: Picture) -> NDArray[np.float64]:
+def _positions_of(picture: DecodedImage) -> NDArray[np.float64]:
     """Return the channels x, y and z, or red, green and blue, or else the only three channels."""
     lower = [channel.lower() for channel in picture.channels]
     columns = [lower.index(name) for name in "xyz" if name in lower]
@@ -122,7 +122,7 @@ def _triangles(rows: int, columns: int) -> NDArray[np.int32]:
     return np.stack([at, at + 1, at + columns], axis=1).astype(np.int32)
 
 
-def _opaque(picture: Picture) -> NDArray[np.bool_]:
+def _opaque(picture: DecodedImage) -> NDArray[np.bool_]:
     """Return where a map has values: where its own alpha is not 0."""
     if picture.alpha is None:
         return np.ones(picture.pixels.shape[:2], bool)

@@ -24,8 +24,8 @@ from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.noise.model import Reading
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.plan import Plan
-from beltrami_cli.formats.image import Picture, is_unchanged, losses, write_image
-from beltrami_cli.formats.image.picture import as_stored
+from beltrami_cli.formats.image import DecodedImage, is_unchanged, losses, write_image
+from beltrami_cli.formats.image.decoded_image import as_stored
 from beltrami_cli.layers.settings import COLOUR_SLOTS, LevelSettings, SmoothSettings, TextureSettings
 from beltrami_cli.surface.atlas import Indices, store_integers
 from beltrami_cli.surface.baking import Cells
@@ -273,7 +273,12 @@ class Change:
 
 
 def store(
-    picture: Picture, table: Array, pixels: Indices, values: Float32s, channels: Sequence[int], threads: int
+    picture: DecodedImage,
+    table: Array,
+    pixels: Indices,
+    values: Float32s,
+    channels: Sequence[int],
+    threads: int,
 ) -> Change:
     """Write values of full scale 1, shape (K, M), to M channels of K pixels in place, clipped and rounded once."""
     if table.dtype.kind == "f":
@@ -300,7 +305,7 @@ def dithered(values: Float32s, texels: Indices, width: int) -> Float32s:
 
 
 def rewritten(
-    picture: Picture, pixels: Array, wanted: TextureSettings, suffix: str | None, *, as_data: bool
+    picture: DecodedImage, pixels: Array, wanted: TextureSettings, suffix: str | None, *, as_data: bool
 ) -> tuple[ImageFile, list[str]]:
     """Encode new pixels like a picture's own file, or in another format; return the file and notices.
 

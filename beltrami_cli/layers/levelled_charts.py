@@ -10,7 +10,7 @@ import numpy as np
 from beltrami_cli.arrays import Bools, Float32s, Int64s
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import Picture
+from beltrami_cli.formats.image import DecodedImage
 from beltrami_cli.layers.layer import LevelReport
 from beltrami_cli.layers.settings import LevelSettings
 from beltrami_cli.levelling.correction import Levelled, level_canvas, level_mesh
@@ -29,7 +29,7 @@ Chart = tuple[Texture, dict[str, object]]  # of a chart with texels: texture, an
 
 
 def level_charts(
-    what: str, planes: Float32s, atlas: Atlas, textures: Sequence[Texture], pictures: Sequence[Picture],
+    what: str, planes: Float32s, atlas: Atlas, textures: Sequence[Texture], pictures: Sequence[DecodedImage],
     wanted: LevelSettings, spans: Sequence[int],
 ) -> LevelReport:  # fmt: skip
     """Remove exposure steps from colours on a canvas, in place; `spans` as in `level_canvas`."""
@@ -52,7 +52,7 @@ def level_photographs(
     return colours, _report(what, found, change, [{"chart": part} for part in range(len(found.groups))])
 
 
-def _charts_of(atlas: Atlas, textures: Sequence[Texture], pictures: Sequence[Picture]) -> list[Chart]:
+def _charts_of(atlas: Atlas, textures: Sequence[Texture], pictures: Sequence[DecodedImage]) -> list[Chart]:
     """Return for each chart its texture, and its number, centre texel and number of texels there."""
     areas = np.bincount(atlas.chart_of, minlength=max(1, atlas.charts))
     texel, charts = np.zeros(len(areas), np.int64), list[Chart]()

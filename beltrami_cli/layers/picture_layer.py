@@ -19,11 +19,10 @@ from beltrami_cli.flow.manifolds.grid_manifold import ColouredCanvas, GridManifo
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.parameters import Space
 from beltrami_cli.flow.plan import Plan
-from beltrami_cli.formats.image import Picture, check_writable
+from beltrami_cli.formats.image import DecodedImage, check_writable
 from beltrami_cli.formats.image.channels import coloured_layers, colours_and_alpha, layers_of
 from beltrami_cli.formats.image.conversion import upright
-from beltrami_cli.formats.image.jpeg import JpegTables
-from beltrami_cli.formats.image.picture import (
+from beltrami_cli.formats.image.decoded_image import (
     full_scale_one,
     is_associated,
     require_colours,
@@ -31,6 +30,7 @@ from beltrami_cli.formats.image.picture import (
     with_colours_of,
     without_alpha,
 )
+from beltrami_cli.formats.image.jpeg import JpegTables
 from beltrami_cli.formats.image.writing import colours_in_file, is_kept
 from beltrami_cli.layers.layer import Change, Layer, choose_channels, dithered, store
 from beltrami_cli.layers.settings import COLOUR_SLOTS, SmoothSettings
@@ -56,7 +56,7 @@ class PictureLayer(Layer):
 
     names: tuple[str, ...]
     settings: SmoothSettings
-    pictures: Sequence[Picture]
+    pictures: Sequence[DecodedImage]
     tables: Sequence[JpegTables | None]  # of each picture; None: not a JPEG file
     colours: PictureColours
     atlas: Atlas | None = None  # None: not a texture
@@ -167,7 +167,7 @@ class PictureColours:
 
     @classmethod
     def of(
-        cls, pictures: Sequence[Picture], slot: Slot, settings: SmoothSettings, *,
+        cls, pictures: Sequence[DecodedImage], slot: Slot, settings: SmoothSettings, *,
         is_image: bool = False, colours_only: bool = False,
     ) -> PictureColours:  # fmt: skip
         """Choose the channels.
@@ -208,11 +208,11 @@ class PictureColours:
             hides=slot in COLOUR_SLOTS and not smoothes_alpha, is_normal=slot == "normal",
         )  # fmt: skip
 
-    def working(self, picture: Picture, pixels: Int64s) -> Float32s:
+    def working(self, picture: DecodedImage, pixels: Int64s) -> Float32s:
         """Convert some pixels (row * width + column) of a picture to the working space, shape (T, N)."""
         return self._working(picture, np.take(_table(picture), pixels, axis=0))
 
-    def normalised(self, pictures: Sequence[Picture]) -> PictureColours:
+    def normalised(self, pictures: Sequence[DecodedImage]) -> PictureColours:
         """Return the conversion with a unit of the colours, or of further channels if no colour is sampled."""
         plain, first = dataclasses.replace(self, space="data", unit=1.0), len(self.kept) or None
         unit = unit_of_pictures(
@@ -221,11 +221,11 @@ class PictureColours:
         )  # fmt: skip
         return dataclasses.replace(self, unit=unit)
 
-    def shown(self, picture: Picture, stored: Array) -> Float32s:
+    def shown(self, picture: DecodedImage, stored: Array) -> Float32s:
         """Convert the written channels of some pixels, shape (K, C), to the working space."""
         return self._working(picture, stored)[:, self.written]
 
-    def _working(self, picture: Picture, stored: Array) -> Float32s:
+    def _working(self, picture: DecodedImage, stored: Array) -> Float32s:
         pixels = self._straight(picture, full_scale_one(stored))
         colours = to_space(self._widened(picture, pixels), picture.encoding, self.space, self.unit)
         columns = [colours if len(self.kept) == self.width else colours[:, self.kept]]
@@ -237,11 +237,11 @@ class PictureColours:
         columns[1:] = (column / self._unit_of_others(picture) for column in columns[1:])
         return columns[0] if len(columns) == 1 else np.concatenate(columns, axis=1)
 
-    def _unit_of_others(self, picture: Picture) -> np.float32:
+    def _unit_of_others(self, picture: DecodedImage) -> np.float32:
         # The ratios of differences between channels of all kinds are preserved.
         return np.float32(unit_in_space(self.unit, picture.encoding, self.space))
 
-    def finite(self, picture: Picture) -> Bools:
+    def finite(self, picture: DecodedImage) -> Bools:
         """Return the pixels with finite numbers in all sampled channels, as a mask of shape (H, W)."""
         if picture.pixels.dtype.kind != "f":
             return np.ones(picture.pixels.shape[:2], bool)
@@ -249,14 +249,14 @@ class PictureColours:
         sampled += [picture.alpha] if self.has_alpha and picture.alpha is not None else []
         return np.asarray(np.isfinite(picture.pixels[..., sampled]).all(axis=2))
 
-    def hidden(self, picture: Picture, pixels: Int64s | slice) -> Bools:
+    def hidden(self, picture: DecodedImage, pixels: Int64s | slice) -> Bools:
         """Return which pixels (row * width + column) of a picture supply no colour."""
         table = _table(picture)
         if picture.alpha is None or not self.hides:
             return np.zeros(table[pixels, 0].shape, bool)
         return ~supplies_colour(picture, table[pixels, picture.alpha])
 
-    def columns(self, picture: Picture) -> list[int]:
+    def columns(self, picture: DecodedImage) -> list[int]:
         """Return the channels of a picture that change."""
         is_grey, first = len(picture.colour) == 1, len(self.kept)
         colours = {picture.colour[0 if is_grey else i]: None for i in self.changing}
@@ -265,7 +265,7 @@ class PictureColours:
         opacity = [picture.alpha] if self.has_alpha and picture.alpha is not None else []
         return [*colours, *others, *opacity]
 
-    def stored(self, picture: Picture, table: Array, pixels: Indices, samples: Float32s) -> Float32s:
+    def stored(self, picture: DecodedImage, table: Array, pixels: Indices, samples: Float32s) -> Float32s:
         """Convert samples, shape (K, N), to the values of `columns`, of full scale 1.
 
         Conversion to the working space and back is not exact, so an unchanged sample keeps its number.
@@ -287,7 +287,7 @@ class PictureColours:
         after = np.concatenate([colours, others], axis=1)[:, : len(columns)]
         return np.where(moved[:, first : first + len(columns)], after, before[:, columns])
 
-    def _colours(self, picture: Picture, values: Float32s, new: Float32s) -> Float32s:
+    def _colours(self, picture: DecodedImage, values: Float32s, new: Float32s) -> Float32s:
         """Convert new colours of pixels with old `values` of full scale 1, shape (K, C), to stored values."""
         whole = self._widened(picture, self._straight(picture, values))
         working = to_space(whole, picture.encoding, self.space, self.unit).copy()
@@ -304,28 +304,28 @@ class PictureColours:
             stored *= values[:, picture.alpha, None]
         return stored[:, self.changing] if len(picture.colour) == 3 else stored.mean(axis=1, keepdims=True)
 
-    def opacity(self, picture: Picture) -> Float32s | None:
+    def opacity(self, picture: DecodedImage) -> Float32s | None:
         """Return the opacity that multiplies a picture's colours but not its samples, shape (H, W), or None."""
         return full_scale_one(picture.pixels[..., picture.alpha]) if self._is_divided(picture) else None
 
-    def _is_divided(self, picture: Picture) -> bool:
+    def _is_divided(self, picture: DecodedImage) -> bool:
         # If alpha is averaged too, the samples are multiplied by it already.
         return self.hides and self.space != "data" and is_associated(picture)
 
-    def _straight(self, picture: Picture, pixels: Float32s) -> Float32s:
+    def _straight(self, picture: DecodedImage, pixels: Float32s) -> Float32s:
         return without_alpha(picture, pixels) if self._is_divided(picture) else pixels
 
-    def _widened(self, picture: Picture, pixels: Float32s) -> Float32s:
+    def _widened(self, picture: DecodedImage, pixels: Float32s) -> Float32s:
         every = tuple(range(pixels.shape[1]))
         colours = pixels if picture.colour == every else pixels[:, list(picture.colour)]
         return np.repeat(colours, self.width, axis=1) if colours.shape[1] < self.width else colours
 
 
-def _table(picture: Picture) -> Array:
+def _table(picture: DecodedImage) -> Array:
     return picture.pixels.reshape(-1, picture.pixels.shape[2])
 
 
-def _further_channels(picture: Picture, names: Sequence[str]) -> dict[str, int]:
+def _further_channels(picture: DecodedImage, names: Sequence[str]) -> dict[str, int]:
     """Return the channels of a picture that are neither colours nor opacity, by name."""
     known = dict.fromkeys(names, -1)
     for channel, name in enumerate(picture.channels):
@@ -335,7 +335,7 @@ def _further_channels(picture: Picture, names: Sequence[str]) -> dict[str, int]:
     return {name: channel for name, channel in known.items() if channel >= 0}
 
 
-def with_chosen_layer(picture: Picture, settings: SmoothSettings) -> tuple[Picture, SmoothSettings]:
+def with_chosen_layer(picture: DecodedImage, settings: SmoothSettings) -> tuple[DecodedImage, SmoothSettings]:
     """Return a picture with the colours of the layer that `settings.channels` chooses, if any.
 
     In the returned settings, the channels of that layer have the names of colours.
@@ -361,7 +361,7 @@ def with_chosen_layer(picture: Picture, settings: SmoothSettings) -> tuple[Pictu
     return picture, dataclasses.replace(settings, channels=tuple(chosen))
 
 
-def _chosen_layer(picture: Picture, layers: dict[str, str], words: Sequence[str]) -> str | None:
+def _chosen_layer(picture: DecodedImage, layers: dict[str, str], words: Sequence[str]) -> str | None:
     """Return the first layer that a word names, or whose colour it names; None if words only name colours."""
     if any(name.startswith(word) for word in words for name in COLOURS):
         return None

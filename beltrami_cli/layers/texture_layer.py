@@ -23,7 +23,7 @@ from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.plan import Plan
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import Picture, read_texture
+from beltrami_cli.formats.image import DecodedImage, read_texture
 from beltrami_cli.formats.image.jpeg import JpegTables, read_jpeg_tables
 from beltrami_cli.layers import layer
 from beltrami_cli.layers.guides import GuidedTexels, noise_of_pixels
@@ -78,7 +78,7 @@ class TextureLayer(PictureLayer):
     def read(
         cls, surface: TexturedSurface, slot: Slot, settings: SmoothSettings, *,
         guided: tuple[Document, Access] | None = None, shared: Collection[str] = (), part: str = "",
-        decoded: Sequence[Picture] | None = None,
+        decoded: Sequence[DecodedImage] | None = None,
     ) -> TextureLayer:  # fmt: skip
         """Decode the textures of a surface, unless they are `decoded`, and lay out their charts.
 
@@ -271,7 +271,7 @@ def _manifold_alone(textures: TextureLayer, index: int) -> GridManifold:
     return grid_manifold(canvas, estimate_on_canvas(canvas))
 
 
-def atlas_of(surface: TexturedSurface, pictures: Sequence[Picture], kernel: KernelParameters) -> Atlas:
+def atlas_of(surface: TexturedSurface, pictures: Sequence[DecodedImage], kernel: KernelParameters) -> Atlas:
     """Make the atlas of pictures, extended over seams by the reach of a kernel."""
     sizes = [(picture.pixels.shape[1], picture.pixels.shape[0]) for picture in pictures]
     return build_atlas(surface, sizes, canvas_margin(kernel), kernel.thread_count)
@@ -312,7 +312,7 @@ def only_textures(surface: TexturedSurface, kept: list[int]) -> TexturedSurface:
 
 
 def _without_transparent(
-    atlas: Atlas, colours: PictureColours, pictures: Sequence[Picture], textures: Sequence[Texture]
+    atlas: Atlas, colours: PictureColours, pictures: Sequence[DecodedImage], textures: Sequence[Texture]
 ) -> Atlas:
     """Remove the owned cells of transparent texels, which supply no colour, from the atlas."""
     pairs = zip(pictures, textures, strict=True)
@@ -328,7 +328,7 @@ def _without_transparent(
 
 
 def texel_colours(
-    colours: PictureColours, pictures: Sequence[Picture], atlas: Atlas, block: slice
+    colours: PictureColours, pictures: Sequence[DecodedImage], atlas: Atlas, block: slice
 ) -> Float32s:
     """Return the colours of a block of owned cells in the working space, shape (T, N)."""
     texels = atlas.owned_texels[block]
@@ -338,7 +338,7 @@ def texel_colours(
     return table
 
 
-def all_texel_colours(colours: PictureColours, pictures: Sequence[Picture], atlas: Atlas) -> Float32s:
+def all_texel_colours(colours: PictureColours, pictures: Sequence[DecodedImage], atlas: Atlas) -> Float32s:
     """Return the colours of all owned cells, converted block by block."""
     table = large_arrays.empty((len(atlas.owned_texels), len(colours.names)), np.float32)
     for block in large_arrays.blocks(len(table)):

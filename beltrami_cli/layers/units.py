@@ -8,7 +8,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Int64s
 from beltrami_cli.formats.colours import BYTE, INTEGER_SCALES, holds_bytes
-from beltrami_cli.formats.image import Picture
+from beltrami_cli.formats.image import DecodedImage
 from beltrami_cli.surface.records import ColouredVertices
 
 # Number of samples for the quantiles of a unit: the 0.99 quantile is between those of 0.9892 and 0.9908 in 95 of 100
@@ -48,7 +48,7 @@ def unit_of_vertices(vertices: ColouredVertices, channels: Sequence[int], *, are
 
 
 def unit_of_pictures(
-    pictures: Sequence[Picture], values_of: Callable[[Picture, Int64s], Float32s], *, are_data: bool
+    pictures: Sequence[DecodedImage], values_of: Callable[[DecodedImage, Int64s], Float32s], *, are_data: bool
 ) -> float:
     """Return the common unit of pictures; `values_of` returns their stored colours at pixels."""
     if len({picture.encoding for picture in pictures}) != 1:

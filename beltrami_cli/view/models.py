@@ -33,8 +33,8 @@ from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, gl
 from beltrami_cli.formats.gltf.edit import INDEX_DATA
 from beltrami_cli.formats.gltf.textures import WRAPS
 from beltrami_cli.formats.gltf.writer import Arrays
-from beltrami_cli.formats.image import Picture
-from beltrami_cli.formats.image.picture import is_associated
+from beltrami_cli.formats.image import DecodedImage
+from beltrami_cli.formats.image.decoded_image import is_associated
 from beltrami_cli.formats.image.reading import read_image, read_texture
 from beltrami_cli.layers.settings import COLOUR_SLOTS
 from beltrami_cli.surface.colour_values import VIRIDIS, as_bytes, linear_to_srgb
@@ -74,7 +74,7 @@ class ModelWriter:
         """Add the textures of a slot, the vertex colours, or the image of two documents that differ in colours."""
         if documents[0].kind == "image":
             images = [
-                self._texture(texture, partial(image_of, texture, "baseColor", each.picture))
+                self._texture(texture, partial(image_of, texture, "baseColor", each.image))
                 for each in documents
                 for texture in textures_of(each, None)
             ]
@@ -272,7 +272,7 @@ def textures_of(document: Document, slot: Slot | None) -> tuple[Texture, ...]:
     return (Texture("", document.name, document.data),)
 
 
-def image_of(texture: Texture, slot: Slot, picture: Callable[[], Picture] | None = None) -> ImageBytes:
+def image_of(texture: Texture, slot: Slot, picture: Callable[[], DecodedImage] | None = None) -> ImageBytes:
     """Return the MIME type and bytes of a texture: its own if browsers show its format, or else a PNG file."""
     mime = next((mime for mark, mime in _MIME.items() if texture.data.startswith(mark)), None)
     if mime is not None:
@@ -292,7 +292,7 @@ def _resized(image: ImageBytes, share: float) -> ImageBytes:
     return "image/png", _png(np.asarray(shown.resize((width, height), Image.Resampling.BOX)))
 
 
-def displayed_pixels(picture: Picture, *, is_data: bool = False) -> Uint8s:
+def displayed_pixels(picture: DecodedImage, *, is_data: bool = False) -> Uint8s:
     """Return a picture as display values with opacity, (H, W, 4), see `sheet_of`."""
     pixels = picture.pixels
     if pixels.dtype != np.uint8 or is_associated(picture):

@@ -14,8 +14,8 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import require_effect
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.image import check_writable, format_of_suffix, write_image
+from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.image.file_formats import FORMATS
-from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.output import Output
 from beltrami_cli.view.panels import draw_views
@@ -71,7 +71,7 @@ def picture_suffix(target: str, looks: RenderSettings, alternatives: str = "") -
     suffix = ".png" if target == "-" else Path(target).suffix.lower()
     if format_of_suffix(suffix) is None:
         raise UsageError(f"its extension is of no image format; call it .png{alternatives}", target)
-    known = check_writable(new_picture(np.zeros((64, 64, 3), np.uint8), target), suffix)  # of any size
+    known = check_writable(new_image(np.zeros((64, 64, 3), np.uint8), target), suffix)  # of any size
     if looks.background == "transparent" and not FORMATS[known].alpha:
         raise UsageError(f"{suffix} files have no transparent background; choose .png, or a colour", target)
     return suffix
@@ -79,5 +79,5 @@ def picture_suffix(target: str, looks: RenderSettings, alternatives: str = "") -
 
 def encoded(picture: Uint8s, target: str, suffix: str) -> Written:
     """Return a picture as the file that it is written as."""
-    file = write_image(new_picture(picture, target), picture, suffix=suffix, small=True)
+    file = write_image(new_image(picture, target), picture, suffix=suffix, small=True)
     return Written(main=[file.data])

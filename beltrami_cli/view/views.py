@@ -11,8 +11,8 @@ from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, MemoryLimitError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import Picture, read_texture, to_float, without_alpha
-from beltrami_cli.formats.image.picture import full_scale_one, is_associated
+from beltrami_cli.formats.image import DecodedImage, read_texture, to_float, without_alpha
+from beltrami_cli.formats.image.decoded_image import full_scale_one, is_associated
 from beltrami_cli.formats.image.sizes import measure_image
 from beltrami_cli.jobs.progress import Progress, tracked
 from beltrami_cli.jobs.recolour import open_input
@@ -137,7 +137,7 @@ def require_memory_to_draw(
 def view_of(document: Document, settings: RenderSettings) -> Drawable:
     """Return the view of an image, or else of the textures, the vertex colours or the points of a document."""
     if document.kind == "image":
-        return ImageView(sheet_of(document.picture()))
+        return ImageView(sheet_of(document.image()))
     slot: Slot = settings.slot  # type: ignore[assignment]
     has_texture = slot in document.slots()
     if has_texture and settings.on == "auto":
@@ -168,7 +168,7 @@ def image_files(document: Document, slots: Collection[str] = SLOTS) -> list[tupl
     return [(texture.data, texture.name) for texture in textures]
 
 
-def sheet_of(picture: Picture, *, is_data: bool = False) -> Float32s:
+def sheet_of(picture: DecodedImage, *, is_data: bool = False) -> Float32s:
     """Return an image in linear light with opacity, (H, W, 4); data are shown as if they were display values."""
     channels = picture.colour if len(picture.colour) == 3 else picture.colour[:1] * 3
     pixels = picture.pixels

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from beltrami_cli.formats.image import read_image, write_image
-from beltrami_cli.formats.image.picture import new_picture
+from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.registry import open_document
 from cli.commands import SAMPLES, beltrami, copy_samples
 from cli.pictures import coloured_file
@@ -78,7 +78,7 @@ def test_vertices_stay_split_only_where_a_seam_is_a_real_edge(tmp_path):
     for right, count, expected in ((105, 6, [102.5] * 2), (200, 8, [100, 100, 200, 200])):
         pixels = np.full((20, 40, 3), 100, np.uint8)
         pixels[:, 20:] = right
-        (tmp_path / "a.png").write_bytes(write_image(new_picture(pixels, "a"), pixels).data)
+        (tmp_path / "a.png").write_bytes(write_image(new_image(pixels, "a"), pixels).data)
         result = tmp_path / f"{right}.ply"
         said = beltrami("bake", source, result, "--to", "vertices").stderr
         assert b"Not converted: texture coordinates; textures; materials; lines and points.\n" in said

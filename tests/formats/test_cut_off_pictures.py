@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from beltrami_cli.errors import OutputError
+from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.image.file_formats import FORMATS
-from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.image.writing import write_image
 
@@ -40,7 +40,7 @@ def files_of_at_most(size):
 def test_a_picture_that_is_cut_off_is_refused(suffix, in_memory, monkeypatch):
     if not in_memory:
         monkeypatch.delattr(os, "memfd_create", raising=False)
-    picture = new_picture(NOISE, "skin.png")
+    picture = new_image(NOISE, "skin.png")
     whole = write_image(picture, NOISE, suffix=suffix).data
     own = read_image(whole, f"skin{suffix}")
     for convert, source in ((suffix, picture), (None, own)):
@@ -62,4 +62,4 @@ def test_a_temporary_file_that_cannot_be_read_names_the_picture(monkeypatch):
 
     monkeypatch.setattr(Path, "read_bytes", fail)
     with pytest.raises(OutputError, match=r"skin\.png: .* cannot be read back"):
-        write_image(new_picture(NOISE, "skin.png"), NOISE)
+        write_image(new_image(NOISE, "skin.png"), NOISE)

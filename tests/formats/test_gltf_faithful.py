@@ -11,8 +11,8 @@ import pytest
 
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.image import write_image
+from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, missing_package
-from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.settings import SLOTS, SmoothSettings, TextureSettings
 from formats.gltf_comparison import (
@@ -92,7 +92,7 @@ def with_colours(arrangement):
 
 def with_extension(known, *, fallback):
     pixels = noise("uint8", 3, 16, 16)
-    data = write_image(new_picture(pixels, "x"), pixels, suffix=f".{known}").data
+    data = write_image(new_image(pixels, "x"), pixels, suffix=f".{known}").data
     model = with_better_image(known, data, photo(1) if fallback else None)
     model.tree["accessors"][0] |= {"min": [0, 0, 0], "max": [1, 1, 0]}
     return model

@@ -18,7 +18,7 @@ from PIL import Image
 from beltrami_cli import smooth_file
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.image import check_writable, losses, read_image, to_float, write_image
-from beltrami_cli.formats.image.picture import new_picture
+from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.image.sizes import ImageSize, measure_image
 from beltrami_cli.jobs.noise import jpeg_file
 from beltrami_cli.layers.layer import store
@@ -220,13 +220,13 @@ def shown(picture, as_data):
     [(".pfm", 3, b"PF"), (".ppm", 1, b"P6"), (".pgm", 1, b"P5"), (".pnm", 1, b"P5"), (".pnm", 3, b"P6")],
 )
 def test_files_hold_what_their_extension_says(suffix, channels, start):
-    picture = new_picture(noise("uint8", channels, 32, 32), "x")
+    picture = new_image(noise("uint8", channels, 32, 32), "x")
     assert write_image(picture, picture.pixels, suffix=suffix).data.startswith(start)
 
 
 @pytest.mark.parametrize("suffix", [*SUFFIXES.values(), ".pfm", ".ppm"])
 def test_a_single_pixel_is_read_back(suffix):
-    picture = new_picture(np.full((1, 1, 3), 200, np.uint8), "x")
+    picture = new_image(np.full((1, 1, 3), 200, np.uint8), "x")
     file = write_image(picture, picture.pixels, suffix=suffix)
     again = shown(read_image(file.data, f"x{suffix}"), as_data=False)
     np.testing.assert_allclose(again, 200 / 255, atol=2 / 255)

@@ -14,7 +14,7 @@ from PIL import Image, ImageCms
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.image import check_writable, extra_codecs, losses, read_image, write_image
-from beltrami_cli.formats.image.picture import new_picture
+from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.image.sizes import measure_image
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.inspect import check_files
@@ -55,14 +55,14 @@ def file_of(known, channels=3, **options):
 
         filled = np.dstack([pixels, np.full(pixels.shape[:2], 255, np.uint8)])[..., :4]
         return alktx2.encode_raw_rgba_to_ktx2(filled.tobytes(), 32, 32, channels == 4, **options)
-    return write_image(new_picture(pixels, "x"), pixels, suffix=f".{known}").data
+    return write_image(new_image(pixels, "x"), pixels, suffix=f".{known}").data
 
 
 @pytest.mark.parametrize("channels", [3, 4])
 @pytest.mark.parametrize("known", BOTH)
 def test_what_is_written_is_read_again_and_its_cost_is_told(known, channels):
     pixels = phantom(channels)
-    file = write_image(new_picture(pixels, "skin"), pixels, suffix=f".{known}")
+    file = write_image(new_image(pixels, "skin"), pixels, suffix=f".{known}")
     again = read_image(file.data, f"skin.{known}")
     assert (again.format, again.pixels.shape, file.suffix) == (known, pixels.shape, f".{known}")
     size = measure_image(file.data)
@@ -156,7 +156,7 @@ def test_without_its_package_a_texture_is_left_as_it_is_and_the_package_is_named
     with pytest.raises(InputError, match=r"need the package a package; install it with: .*pip install"):
         read_image(image, f"x.{known}")
     with pytest.raises(UsageError, match=r"the package a package is needed; install it with: .*pip install"):
-        write_image(new_picture(phantom(), "x"), phantom(), suffix=f".{known}")
+        write_image(new_image(phantom(), "x"), phantom(), suffix=f".{known}")
 
 
 HEADERS = {
@@ -359,7 +359,7 @@ def slopes():
 @pytest.mark.parametrize("known", [*BOTH, "webp"])
 def test_lossy_encoders_change_hidden_colours_as_little_as_others(known):
     pixels = slopes()
-    written = write_image(new_picture(pixels, "x"), pixels, suffix=f".{known}")
+    written = write_image(new_image(pixels, "x"), pixels, suffix=f".{known}")
     errors = np.square(read_image(written.data, f"x.{known}").pixels.astype(float) - pixels)[..., :3]
     hidden, seen = errors[:, :32], errors[:, 32:]  # both of the same colours
     assert hidden.mean() < 2 * seen.mean() + 1

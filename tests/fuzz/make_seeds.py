@@ -16,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from beltrami_cli.batch.item import Outcome
 from beltrami_cli.formats.image import write_image
-from beltrami_cli.formats.image.picture import new_picture
+from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.usd.layers import packed as as_package
 from formats.gltf_comparison import with_better_image
 from formats.gltf_compressed import GRID, draco_model, meshopt_model
@@ -148,7 +148,7 @@ def image_seeds(chance: np.random.Generator) -> dict[str, bytes]:
 
 
 def stored_as(kind: str) -> bytes:
-    return write_image(new_picture(PIXELS, "x"), PIXELS, suffix=f".{kind}").data
+    return write_image(new_image(PIXELS, "x"), PIXELS, suffix=f".{kind}").data
 
 
 def other_seeds() -> dict[str, dict[str, bytes]]:

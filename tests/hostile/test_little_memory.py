@@ -27,11 +27,11 @@ def outcome(job, mebibytes):
 """
 CODEC = """
 from beltrami_cli.formats.image import read_image, write_image
-from beltrami_cli.formats.image.picture import new_picture
+from beltrami_cli.formats.image.decoded_image import new_image
 slopes = np.linspace(0, 255, 1024 * 1024 * 4).reshape(1024, 1024, 4).astype(np.uint8)
 def encoded(pixels):
     if {codec!r} != "etc1s":
-        return write_image(new_picture(pixels, "x"), pixels, suffix={suffix!r}).data
+        return write_image(new_image(pixels, "x"), pixels, suffix={suffix!r}).data
     import alktx2
     return alktx2.encode_raw_rgba_to_ktx2(pixels.tobytes(), *pixels.shape[:2], True, codec="etc1s", srgb=True)
 small = read_image(encoded(slopes[:32, :32]), "x" + {suffix!r})

@@ -9,7 +9,7 @@ import numpy as np
 from beltrami_cli.flow.beltrami_flow import smooth_in_place
 from beltrami_cli.flow.manifolds.canvas import canvas_colours, on_canvas
 from beltrami_cli.formats.image import read_image, write_image
-from beltrami_cli.formats.image.picture import new_picture
+from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.smoothing import unsmoothed
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings, TextureSettings
@@ -58,7 +58,7 @@ class ExposureScene:
         images = samples.encode(canvas_colours(samples.atlas, planes)).images
         for texture in surface.textures:
             png = read_image(images["baseColor", texture.key].data, texture.name)
-            new = new_picture(png.pixels, texture.name)
+            new = new_image(png.pixels, texture.name)
             new.spec.attribute("jpeg:subsampling", subsampling)
             jpeg = replace(new, format="jpeg", suffix=".jpg")
             file = write_image(jpeg, png.pixels, jpeg_quality=quality)

@@ -1,7 +1,7 @@
 """Images: every pixel through OpenImageIO, every byte of metadata carried over.
 
-A file becomes a `Picture` in `reading`, by what `file_formats`, `opening`, `sizes` and `channels` know; `writing` makes
-a file of new pixels, by `conversion` and `encoding`. What else files hold is in a module for each format: `png`,
+A file becomes a `DecodedImage` in `reading`, by what `file_formats`, `opening`, `sizes` and `channels` know; `writing`
+makes a file of new pixels, by `conversion` and `encoding`. What else files hold is in a module for each format: `png`,
 `jpeg`, `webp`, `bitmaps`, `exr`, `text_headers`, `tiff_tags`, `exif`, `extra_codecs`. `metadata` calls them by format,
 and `lost_metadata` names what is lost.
 """
@@ -9,6 +9,7 @@ and `lost_metadata` names what is lost.
 from __future__ import annotations
 
 from beltrami_cli.formats.image.conversion import losses
+from beltrami_cli.formats.image.decoded_image import DecodedImage, is_unchanged, to_float, without_alpha
 from beltrami_cli.formats.image.file_formats import (
     WRITABLE,
     format_of,
@@ -17,12 +18,11 @@ from beltrami_cli.formats.image.file_formats import (
     label_of,
     suffix_for,
 )
-from beltrami_cli.formats.image.picture import Picture, is_unchanged, to_float, without_alpha
 from beltrami_cli.formats.image.reading import read_image, read_texture
 from beltrami_cli.formats.image.writing import check_writable, is_exact, write_image
 
 __all__ = [
-    "WRITABLE", "Picture", "check_writable", "format_of", "format_of_suffix",
+    "WRITABLE", "DecodedImage", "check_writable", "format_of", "format_of_suffix",
     "is_exact", "is_image", "is_unchanged", "label_of", "losses", "read_image", "read_texture", "suffix_for",
     "to_float", "without_alpha", "write_image",
 ]  # fmt: skip

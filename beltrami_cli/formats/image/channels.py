@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-# Last parts of the names of layers with the final picture: in Blender, in Arnold and V-Ray, in Nuke.
+# Last parts of the names of layers with the final image: in Blender, in Arnold and V-Ray, in Nuke.
 _FINAL_LAYERS = ("combined", "beauty", "rgba")
 
 

@@ -1,4 +1,4 @@
-"""A picture as another format holds it: channels, types and turned pixels, and notices of losses."""
+"""An image as another format holds it: channels, types and turned pixels, and notices of losses."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ import numpy as np
 
 from beltrami_cli.arrays import Array
 from beltrami_cli.formats.image import jpeg
-from beltrami_cli.formats.image.exif import FORMATS_WITH_EXIF
-from beltrami_cli.formats.image.file_formats import FORMATS, format_of_suffix, label_of
-from beltrami_cli.formats.image.picture import (
+from beltrami_cli.formats.image.decoded_image import (
     TYPES,
-    Picture,
+    DecodedImage,
     as_stored,
     full_scale_one,
     is_associated,
     without_alpha,
 )
+from beltrami_cli.formats.image.exif import FORMATS_WITH_EXIF
+from beltrami_cli.formats.image.file_formats import FORMATS, format_of_suffix, label_of
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
 
@@ -30,50 +30,50 @@ TECHNICAL = (
     "rla:", "gif:", "psd:", "compression", "planarconfig", "textureformat",
     "hdrgm:", "Container:", "Item:", "rdf:",  # of a gain map, which stays behind
 )  # fmt: skip
-_TURNED_BY_TAGS = FORMATS_WITH_EXIF  # which programs that show pictures obey
+_TURNED_BY_TAGS = FORMATS_WITH_EXIF  # which programs that show images obey
 
 
-def losses(picture: Picture, suffix: str) -> tuple[str, ...]:
-    """Return notices of losses and changes when a picture is written with the suffix of another format."""
+def losses(image: DecodedImage, suffix: str) -> tuple[str, ...]:
+    """Return notices of losses and changes when an image is written with the suffix of another format."""
     known = format_of_suffix(suffix)
-    if known is None or known == picture.format:
+    if known is None or known == image.format:
         return ()
-    traits, name, label = FORMATS[known], picture.name, suffix.lower().lstrip(".").upper()
-    source, stored = _finest(picture, known), _type_in(_finest(picture, known), known)
+    traits, name, label = FORMATS[known], image.name, suffix.lower().lstrip(".").upper()
+    source, stored = _finest(image, known), _type_in(_finest(image, known), known)
     found = []
-    if picture.alpha is not None and not traits.alpha:
+    if image.alpha is not None and not traits.alpha:
         found.append(f"{name}: {label} has no alpha, which is dropped.")
-    if len(picture.channels) > len(picture.colour) + (picture.alpha is not None) and not _holds_any(known):
+    if len(image.channels) > len(image.colour) + (image.alpha is not None) and not _holds_any(known):
         found.append(f"{name}: {label} holds colours and alpha only; other channels are dropped.")
-    if len(picture.parts) > 1:
+    if len(image.parts) > 1:
         found.append(
-            f"{name}: {label} holds one part only; all but {picture.parts[picture.part or 0]} are dropped."
+            f"{name}: {label} holds one part only; all but {image.parts[image.part or 0]} are dropped."
         )
-    if known == "openexr" and _has_hidden_colours(picture):
+    if known == "openexr" and _has_hidden_colours(image):
         found.append(f"{name}: {label} multiplies colours by alpha, so those under an alpha of 0 are lost.")
-    if jpeg.further_pictures(picture.source):
+    if jpeg.further_images(image.source):
         dropped = (
             "what follows it in the JPEG file is dropped (a gain map for HDR displays, previews, a video)"
         )
-        found.append(f"{name}: {label} holds one picture; {dropped}.")
-    if _needs_three(picture, known):
+        found.append(f"{name}: {label} holds one image; {dropped}.")
+    if _needs_three(image, known):
         found.append(f"{name}: {label} has no such grey; it becomes equal red, green and blue.")
-    if picture.encoding == "linear" and stored.startswith("uint"):
+    if image.encoding == "linear" and stored.startswith("uint"):
         found.append(f"{name}: floats become {_BITS[stored]}-bit integers in {label}, clipped to 0..1.")
     elif _BITS[stored] < _BITS[source]:
         found.append(f"{name}: {_BITS[source]}-bit samples become {_BITS[stored]}-bit ones in {label}.")
-    if stored.startswith("uint") and picture.pixels.dtype.kind == "f" and np.isnan(picture.pixels).any():
+    if stored.startswith("uint") and image.pixels.dtype.kind == "f" and np.isnan(image.pixels).any():
         found.append(f"{name}: NaN becomes 0 in {label}.")
     if known in _INEXACT:
         found.append(f"{name}: {label} is not exact, so untouched colours change slightly as well.")
     return tuple(found)
 
 
-def upright(picture: Picture, pixels: Array, suffix: str | None) -> tuple[Array, list[str]]:
+def upright(image: DecodedImage, pixels: Array, suffix: str | None) -> tuple[Array, list[str]]:
     """Turn pixels as they are to be seen, if another format has no tag that says so; return also a notice."""
     known = None if suffix is None else format_of_suffix(suffix)
-    turned = picture.spec.get_int_attribute("Orientation", 1)  # by EXIF, 1 to 8
-    if known in (None, picture.format, *_TURNED_BY_TAGS) or turned not in range(2, 9):
+    turned = image.spec.get_int_attribute("Orientation", 1)  # by EXIF, 1 to 8
+    if known in (None, image.format, *_TURNED_BY_TAGS) or turned not in range(2, 9):
         return pixels, []
     if turned in (5, 6, 7, 8):
         pixels = pixels.swapaxes(0, 1)
@@ -81,36 +81,36 @@ def upright(picture: Picture, pixels: Array, suffix: str | None) -> tuple[Array,
         pixels = pixels[:, ::-1]
     if turned in (3, 4, 7, 8):
         pixels = pixels[::-1]
-    what = "has no tag that says how a picture is turned, so the pixels are turned"
-    return pixels, [f"{picture.name}: {label_of(known)} {what}."]
+    what = "has no tag that says how an image is turned, so the pixels are turned"
+    return pixels, [f"{image.name}: {label_of(known)} {what}."]
 
 
-def converted(picture: Picture, pixels: Array, known: str, *, as_data: bool) -> tuple[Array, Any]:
+def converted(image: DecodedImage, pixels: Array, known: str, *, as_data: bool) -> tuple[Array, Any]:
     """Return pixels as another format stores them, and their OpenImageIO.ImageSpec for it."""
     # Unless they are data, colours become linear light in floats and sRGB in integers.
-    stored = _type_in(_finest(picture, known), known)
-    kept = _kept_channels(picture, known)
-    values = without_alpha(picture, full_scale_one(pixels))[:, :, kept]
-    colour = [kept.index(channel) for channel in picture.colour]
-    alpha = kept.index(picture.alpha) if picture.alpha in kept else None
-    if not as_data and picture.encoding == "linear" and stored.startswith("uint"):
+    stored = _type_in(_finest(image, known), known)
+    kept = _kept_channels(image, known)
+    values = without_alpha(image, full_scale_one(pixels))[:, :, kept]
+    colour = [kept.index(channel) for channel in image.colour]
+    alpha = kept.index(image.alpha) if image.alpha in kept else None
+    if not as_data and image.encoding == "linear" and stored.startswith("uint"):
         values[:, :, colour] = linear_to_srgb(np.maximum(values[:, :, colour], 0))
-    if not as_data and picture.encoding == "srgb" and stored.startswith("float"):
+    if not as_data and image.encoding == "srgb" and stored.startswith("float"):
         values[:, :, colour] = srgb_to_linear(values[:, :, colour])
     if known == "openexr" and alpha is not None:  # where alpha is always multiplied in
         values[:, :, colour] *= values[:, :, [alpha]]
-    names = [picture.channels[channel] for channel in kept]
+    names = [image.channels[channel] for channel in kept]
     if known != "openexr":  # elsewhere channels have no names of their own, but roles
-        names[:] = [_role(picture, channel) for channel in kept]
-    if _needs_three(picture, known):
+        names[:] = [_role(image, channel) for channel in kept]
+    if _needs_three(image, known):
         values = values[:, :, [colour[0]] * 3 + ([alpha] if alpha is not None else [])]
         names = ["R", "G", "B", *(["A"] if alpha is not None else [])]
-    return as_stored(values, stored), _spec(picture, values.shape, names, stored, known)
+    return as_stored(values, stored), _spec(image, values.shape, names, stored, known)
 
 
-def _finest(picture: Picture, known: str) -> str:
+def _finest(image: DecodedImage, known: str) -> str:
     """Return the type of the channels that another format takes over, the finest if they differ."""
-    return max((picture.kinds[channel] for channel in _kept_channels(picture, known)), key=_BITS.__getitem__)
+    return max((image.kinds[channel] for channel in _kept_channels(image, known)), key=_BITS.__getitem__)
 
 
 def _type_in(stored: str, known: str) -> str:
@@ -127,28 +127,28 @@ def _holds_any(known: str) -> bool:
     return known in ("tiff", "openexr")
 
 
-def _kept_channels(picture: Picture, known: str) -> list[int]:
+def _kept_channels(image: DecodedImage, known: str) -> list[int]:
     """Return the channels that a format holds, colours and alpha first."""
-    alpha = [picture.alpha] if picture.alpha is not None and FORMATS[known].alpha else []
-    first = [*picture.colour, *alpha]
-    further = [channel for channel in range(len(picture.channels)) if channel not in first]
+    alpha = [image.alpha] if image.alpha is not None and FORMATS[known].alpha else []
+    first = [*image.colour, *alpha]
+    further = [channel for channel in range(len(image.channels)) if channel not in first]
     return [*first, *further] if _holds_any(known) else first
 
 
-def _role(picture: Picture, channel: int) -> str:
+def _role(image: DecodedImage, channel: int) -> str:
     """Return R, G, B, Y or A for a colour or alpha, and the name of any other channel."""
-    if channel == picture.alpha:
+    if channel == image.alpha:
         return "A"
-    if channel not in picture.colour:
-        return picture.channels[channel]
-    return "RGB"[picture.colour.index(channel)] if len(picture.colour) == 3 else "Y"
+    if channel not in image.colour:
+        return image.channels[channel]
+    return "RGB"[image.colour.index(channel)] if len(image.colour) == 3 else "Y"
 
 
-def _needs_three(picture: Picture, known: str) -> bool:
-    return len(_kept_channels(picture, known)) not in FORMATS[known].channels and len(picture.colour) == 1
+def _needs_three(image: DecodedImage, known: str) -> bool:
+    return len(_kept_channels(image, known)) not in FORMATS[known].channels and len(image.colour) == 1
 
 
-def _spec(picture: Picture, shape: tuple[int, ...], names: list[str], stored: str, known: str) -> Any:
+def _spec(image: DecodedImage, shape: tuple[int, ...], names: list[str], stored: str, known: str) -> Any:
     import OpenImageIO
 
     height, width, channels = shape
@@ -158,15 +158,15 @@ def _spec(picture: Picture, shape: tuple[int, ...], names: list[str], stored: st
         name.encode(errors="surrogateescape").decode(errors="replace") for name in names
     )
     # Copied one by one from Python, integers of 16 bits are lost, and texts that are not UTF-8 cannot be.
-    spec.extra_attribs = picture.spec.extra_attribs
+    spec.extra_attribs = image.spec.extra_attribs
     # By patterns: names that are not UTF-8 cannot be given from Python.
     for pattern in (*(f"{prefix}.*" for prefix in TECHNICAL), "ICCProfile", "chromaticities"):
         spec.erase_attribute(pattern)
     if known not in _TURNED_BY_TAGS:
         spec.erase_attribute("Orientation")
-    profile = picture.spec.getattribute("ICCProfile")
-    fits = picture.encoding == "srgb" and stored.startswith("uint")
-    if profile is not None and fits and channels - ("A" in names) == len(picture.colour):
+    profile = image.spec.getattribute("ICCProfile")
+    fits = image.encoding == "srgb" and stored.startswith("uint")
+    if profile is not None and fits and channels - ("A" in names) == len(image.colour):
         spec.attribute("ICCProfile", OpenImageIO.TypeDesc(f"uint8[{len(profile)}]"), profile)
     if "A" in names:
         spec.alpha_channel = names.index("A")
@@ -175,9 +175,9 @@ def _spec(picture: Picture, shape: tuple[int, ...], names: list[str], stored: st
     return spec
 
 
-def _has_hidden_colours(picture: Picture) -> bool:
+def _has_hidden_colours(image: DecodedImage) -> bool:
     """Whether there are colours under an alpha of 0 that is not multiplied into them."""
-    if picture.alpha is None or is_associated(picture):
+    if image.alpha is None or is_associated(image):
         return False
-    parts = (picture.pixels[rows] for rows in large_arrays.blocks(len(picture.pixels), _ROWS))
-    return any(bool(part[part[..., picture.alpha] == 0][:, list(picture.colour)].any()) for part in parts)
+    parts = (image.pixels[rows] for rows in large_arrays.blocks(len(image.pixels), _ROWS))
+    return any(bool(part[part[..., image.alpha] == 0][:, list(image.colour)].any()) for part in parts)

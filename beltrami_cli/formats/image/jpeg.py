@@ -1,4 +1,4 @@
-"""JPEG files: segments and what follows the first picture, which are carried over; tables of steps; the encoder.
+"""JPEG files: segments and what follows the first image, which are carried over; tables of steps; the encoder.
 
 References
 ----------
@@ -24,7 +24,7 @@ _START_OF_SCAN, _END_OF_IMAGE = 0xDA, 0xD9
 _APP0, APP1, _APP14, _APP15, _COMMENT = 0xE0, 0xE1, 0xEE, 0xEF, 0xFE
 # But Adobe's segment, which says how these very samples are coded.
 _METADATA = (_COMMENT, *range(_APP0, _APP14), _APP15)
-_MPF = b"MPF\0"  # the mark of an index of pictures
+_MPF = b"MPF\0"  # the mark of an index of images
 _MP_ENTRIES = 0xB002  # tag of its entries
 _MP_ENTRY = 16  # bytes of one
 _PLAIN_MARKERS = (0x01, *range(0xD0, 0xDA))  # markers without a segment
@@ -34,20 +34,20 @@ _LONGEST_SEGMENT = 0xFFFF - 2  # bytes in a segment of JPEG, whose length counts
 
 
 def carried_over(source: bytes, encoded: bytes) -> bytes:
-    """Return an encoded JPEG with the metadata of another one, and what follows its first picture."""
+    """Return an encoded JPEG with the metadata of another one, and what follows its first image."""
     metadata = [bytes(segment) for marker, segment in segments(source) if marker in _METADATA]
     pixels = [segment for marker, segment in segments(encoded) if marker not in _METADATA]
-    picture, size = encoded[:2] + b"".join([*metadata, *pixels]), _end(source)
-    growth = len(picture) - size
+    image, size = encoded[:2] + b"".join([*metadata, *pixels]), _end(source)
+    growth = len(image) - size
     for index in metadata:
         if index[4 : 4 + len(_MPF)] == _MPF:
-            shift = growth + source.index(index) - picture.index(index)
-            picture = picture.replace(index, _index_of_pictures(index, shift, growth), 1)
-    return picture + source[size:]
+            shift = growth + source.index(index) - image.index(index)
+            image = image.replace(index, _index_of_images(index, shift, growth), 1)
+    return image + source[size:]
 
 
-def _index_of_pictures(segment: bytes, shift: int, growth: int) -> bytes:
-    """Return the index of the pictures in a JPEG file [2]_ whose first one has grown, with the others shifted."""
+def _index_of_images(segment: bytes, shift: int, growth: int) -> bytes:
+    """Return the index of the images in a JPEG file [2]_ whose first one has grown, with the others shifted."""
     tiff, order = bytearray(segment[4 + len(_MPF) :]), "<" if segment[8:10] == b"II" else ">"
     try:
         at = struct.unpack_from(f"{order}I", tiff, 4)[0]
@@ -56,7 +56,7 @@ def _index_of_pictures(segment: bytes, shift: int, growth: int) -> bytes:
         entries = next((size, place) for tag, _, size, place in fields if tag == _MP_ENTRIES)
         for at in range(entries[1], entries[1] + entries[0], _MP_ENTRY):
             length, offset = struct.unpack_from(f"{order}II", tiff, at + 4)
-            # Offsets count from the head of the index; that of the first picture is 0.
+            # Offsets count from the head of the index; that of the first image is 0.
             moved = (length, offset + shift) if offset else (length + growth, 0)
             struct.pack_into(f"{order}II", tiff, at + 4, *moved)
     except (struct.error, StopIteration):  # no index that a program could follow
@@ -65,7 +65,7 @@ def _index_of_pictures(segment: bytes, shift: int, growth: int) -> bytes:
 
 
 def _markers(data: bytes | memoryview) -> Iterator[tuple[int, int, int]]:
-    """Yield every marker of the first picture in a JPEG file, and where its segment and scan start and end."""
+    """Yield every marker of the first image in a JPEG file, and where its segment and scan start and end."""
     at = 2
     while at + 2 <= len(data) and data[at] == 0xFF:
         marker, end = data[at + 1], at + 2
@@ -119,18 +119,18 @@ def with_segment(encoded: bytes, marker: int, payload: bytes) -> bytes:
 
 
 def _end(data: bytes) -> int:
-    """Return where the first picture of a JPEG file ends."""
+    """Return where the first image of a JPEG file ends."""
     return next((end for marker, _, end in _markers(data) if marker == _END_OF_IMAGE), len(data))
 
 
-def first_picture(data: bytes) -> bytes:
-    """Return a JPEG file without what follows its first picture: a gain map, previews, a video; others as they are."""
-    # With a gain map, OpenImageIO would read the brighter picture that HDR displays make of both, in floats.
+def first_image(data: bytes) -> bytes:
+    """Return a JPEG file without what follows its first image: a gain map, previews, a video; others as they are."""
+    # With a gain map, OpenImageIO would read the brighter image that HDR displays make of both, in floats.
     return data[: _end(data)] if data.startswith(_START) else data
 
 
-def further_pictures(data: bytes) -> bytes:
-    """Return what follows the first picture of a JPEG file, padding aside; of other files nothing."""
+def further_images(data: bytes) -> bytes:
+    """Return what follows the first image of a JPEG file, padding aside; of other files nothing."""
     return data[_end(data) :].strip(b"\0") if data.startswith(_START) else b""
 
 
@@ -142,7 +142,7 @@ _RGB = [*b"RGB"]  # identifiers of components that are not luma and chroma
 class JpegTables:
     """Steps of the DCT coefficients of luma and of chroma, and the pixels that a sample of chroma spans."""
 
-    steps: Float64s  # shape (1, 8, 8) of grey pictures, or (2, 8, 8)
+    steps: Float64s  # shape (1, 8, 8) of grey images, or (2, 8, 8)
     span: tuple[int, int]  # rows, columns: 1 or 2 each
 
 
@@ -153,7 +153,7 @@ def is_progressive(data: bytes) -> bool:
 
 
 def read_jpeg_tables(data: bytes | memoryview) -> JpegTables | None:
-    """Read the tables of a grey or YCbCr picture; None of any other, or if they are damaged."""
+    """Read the tables of a grey or YCbCr image; None of any other, or if they are damaged."""
     header = _header(data)
     if header is None or not header.layer:
         return None

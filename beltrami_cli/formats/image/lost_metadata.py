@@ -1,4 +1,4 @@
-"""Which metadata of a picture a file that is written from it does not have."""
+"""Which metadata of an image a file that is written from it does not have."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import numpy as np
 
 from beltrami_cli.formats.image import extra_codecs, metadata, tiff_tags
 from beltrami_cli.formats.image.conversion import TECHNICAL
+from beltrami_cli.formats.image.decoded_image import DecodedImage
 from beltrami_cli.formats.image.encoding import reading_back, unwritten
 from beltrami_cli.formats.image.exif import exif_of
 from beltrami_cli.formats.image.file_formats import label_of
 from beltrami_cli.formats.image.opening import opened
-from beltrami_cli.formats.image.picture import Picture
 
 # Attributes of OpenImageIO about samples in a file's own format.
 _STORAGE = ("oiio:", "compression", "ICCProfile:", "bmp:")
@@ -33,36 +33,36 @@ _KEEPING_METADATA = (
 )  # whose metadata are carried over as bytes
 
 
-def lost_metadata(picture: Picture, data: bytes, known: str) -> tuple[str, ...]:
-    """Return a notice that names the metadata of a picture that a file of a format, made from it, does not have."""
-    is_own = known == picture.format
+def lost_metadata(image: DecodedImage, data: bytes, known: str) -> tuple[str, ...]:
+    """Return a notice that names the metadata of an image that a file of a format, made from it, does not have."""
+    is_own = known == image.format
     try:
-        items = metadata.items(picture.source, picture.format)
+        items = metadata.items(image.source, image.format)
         if is_own:
             lost = items.keys() - metadata.items(data, known).keys()
         else:
             lost = {name for name, is_read in items.items() if not is_read}
         if not is_own or known not in _KEEPING_METADATA:
-            lost |= _lost_attributes(picture, data, known)
+            lost |= _lost_attributes(image, data, known)
     except metadata.DAMAGED:
-        return (f"{picture.name}: its metadata are damaged, and only a part of them is kept.",)
+        return (f"{image.name}: its metadata are damaged, and only a part of them is kept.",)
     if not lost:
         return ()
-    return (f"{picture.name}: these metadata are not kept in {label_of(known)}: {', '.join(sorted(lost))}.",)
+    return (f"{image.name}: these metadata are not kept in {label_of(known)}: {', '.join(sorted(lost))}.",)
 
 
-def _lost_attributes(picture: Picture, data: bytes, known: str) -> set[str]:
+def _lost_attributes(image: DecodedImage, data: bytes, known: str) -> set[str]:
     """Return the names of the attributes in OpenImageIO's view that the new file lacks."""
     now = set[str]()
     if known not in extra_codecs.EXTRA_CODECS:
-        with reading_back(), opened(data, name=picture.name) as (file, _):
+        with reading_back(), opened(data, name=image.name) as (file, _):
             if file is None:
-                raise unwritten(picture.name, known, "it is not read back")
+                raise unwritten(image.name, known, "it is not read back")
             now = {each.name.lower() for each in file.spec().extra_attribs}
     exif, new_exif = (
-        tiff_tags.exif_tags(exif_of(*each)) for each in ((picture.source, picture.format), (data, known))
+        tiff_tags.exif_tags(exif_of(*each)) for each in ((image.source, image.format), (data, known))
     )
-    technical = _STORAGE if known == picture.format else (*TECHNICAL, "thumbnail_")
+    technical = _STORAGE if known == image.format else (*TECHNICAL, "thumbnail_")
     # In another format OpenImageIO calls some of EXIF otherwise, or does not read them.
     seen = (*technical, *_OF_EXIF) if exif and new_exif else technical
     lost = {
@@ -70,7 +70,7 @@ def _lost_attributes(picture: Picture, data: bytes, known: str) -> set[str]:
     }
     return lost | {
         each.name
-        for each in picture.spec.extra_attribs
+        for each in image.spec.extra_attribs
         if not each.name.startswith(seen) and each.name.lower() not in now and not _is_default(each)
     }
 

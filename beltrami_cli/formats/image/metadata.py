@@ -23,7 +23,7 @@ _PNG_STRUCTURE = ("tRNS", "acTL", "fcTL", "fdAT")  # other notices tell what bec
 _PNG_READ = ("tEXt", "zTXt", "iTXt", "pHYs", "eXIf", "iCCP", "gAMA", "cHRM", "sRGB", "cICP", "tIME", "oFFs")
 _BMP_PROFILES = (b"KNIL", b"DEBM")  # in another file, or behind the pixels; by the header of version 5
 _PROFILE_HEADER = 124  # bytes of it
-# Another notice reports that the pictures of an index (MPF) are dropped.
+# Another notice reports that the images of an index (MPF) are dropped.
 _JPEG_READ = ("JFIF", "MPF", "Exif", "http://ns.adobe.com/xap/1.0/", "ICC_PROFILE", "Photoshop 3.0", "COM")
 _HEADER_BOX = b"jp2h"
 # That hold pixels, or how they are stored, in JPEG 2000 and JPEG XL.

@@ -11,7 +11,7 @@ from typing import Any
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image.channels import colour_part
 from beltrami_cli.formats.image.file_formats import FORMATS
-from beltrami_cli.formats.image.jpeg import first_picture
+from beltrami_cli.formats.image.jpeg import first_image
 
 _MIN_JPEG_XL = 128  # bytes without which OpenImageIO does not recognise it
 UNNAMED = "an image"
@@ -25,7 +25,7 @@ def opened(data: bytes, config: Any = None, name: str = UNNAMED) -> Iterator[tup
 
     if data.startswith(FORMATS["jpegxl"].signatures):
         data = data.ljust(_MIN_JPEG_XL, b"\0")
-    with scratch_file(first_picture(data), name=name) as path:
+    with scratch_file(first_image(data), name=name) as path:
         arguments = (str(path),) if config is None else (str(path), config)
         file = OpenImageIO.ImageInput.open(*arguments)
         if file is None:

@@ -13,10 +13,10 @@ import numpy as np
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image import bitmaps, png, webp
+from beltrami_cli.formats.image.decoded_image import STORED, DecodedImage, described
 from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, decoded, measured
 from beltrami_cli.formats.image.file_formats import READABLE, format_of, label_of, plugin_of
 from beltrami_cli.formats.image.opening import error_of, opened, seek_colours
-from beltrami_cli.formats.image.picture import STORED, Picture, described
 from beltrami_cli.formats.image.text_headers import has_usual_scale
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.records import Texture
@@ -32,7 +32,7 @@ _COMPRESSIONS_OF_TIFF = ("", "none", "lzw", "zip", "packbits")  # that OpenImage
 _WHOLE_BYTES = (8, 16, 32)
 _EXPORT = "export it as RGB or grey with 8 or 16 bits, or as floats"
 
-_CACHE: ContextVar[dict[tuple[bytes, str, bool], Picture | None]] = ContextVar("pictures")
+_CACHE: ContextVar[dict[tuple[bytes, str, bool], DecodedImage | None]] = ContextVar("images")
 
 
 @contextmanager
@@ -45,16 +45,16 @@ def decoding_cached(files: Iterable[tuple[bytes, str]]) -> Iterator[None]:
         _CACHE.reset(token)
 
 
-def read_image(data: bytes, name: str, *, finite: bool = True) -> Picture:
+def read_image(data: bytes, name: str, *, finite: bool = True) -> DecodedImage:
     """Decode an image file; InputError if it is damaged or unsupported, or, with `finite`, not finite."""
     kept, key = _CACHE.get({}), (data, name, finite)
-    picture = kept.get(key) or _decoded(*key)
+    image = kept.get(key) or _decoded(*key)
     if key in kept:
-        kept[key] = picture
-    return picture
+        kept[key] = image
+    return image
 
 
-def read_texture(texture: Texture, data: bytes | None = None) -> Picture:
+def read_texture(texture: Texture, data: bytes | None = None) -> DecodedImage:
     """Decode a texture, or another image in its stead; errors name the model, too."""
     try:
         return read_image(texture.data if data is None else data, texture.name)
@@ -63,7 +63,7 @@ def read_texture(texture: Texture, data: bytes | None = None) -> Picture:
         raise type(error)(texture.model or error.name, cause, error.remedy) from error
 
 
-def _decoded(data: bytes, name: str, finite: bool) -> Picture:
+def _decoded(data: bytes, name: str, finite: bool) -> DecodedImage:
     import OpenImageIO
 
     known = format_of(data, name)
@@ -98,7 +98,7 @@ def _decoded(data: bytes, name: str, finite: bool) -> Picture:
     pixels = pixels.reshape(spec.height, spec.width, spec.nchannels)
     is_alpha_empty = known in ("bmp", "targa") and spec.nchannels in (2, 4) and not pixels[..., -1].any()
     if is_alpha_empty:
-        # Programs that make these files leave the byte for opacity empty where a picture has none.
+        # Programs that make these files leave the byte for opacity empty where an image has none.
         pixels[..., -1] = np.iinfo(pixels.dtype).max
         notices += (f"{name} has an opacity of 0 everywhere, which is taken for none.",)
     if pixels.dtype.kind == "f":
@@ -107,11 +107,11 @@ def _decoded(data: bytes, name: str, finite: bool) -> Picture:
         if unfit:
             cause = f"{unfit} of its values are not finite numbers"
             raise InputError(name, cause, "repair or export it again")
-    picture = described(data, name, known, spec, large_arrays.kept(pixels), notices)
-    return replace(picture, parts=tuple(parts), part=part, is_alpha_empty=is_alpha_empty)
+    image = described(data, name, known, spec, large_arrays.kept(pixels), notices)
+    return replace(image, parts=tuple(parts), part=part, is_alpha_empty=is_alpha_empty)
 
 
-def _read_extra(data: bytes, name: str, known: str) -> Picture:
+def _read_extra(data: bytes, name: str, known: str) -> DecodedImage:
     import OpenImageIO
 
     spec = OpenImageIO.ImageSpec(*measured(data, known, name), "uint8")

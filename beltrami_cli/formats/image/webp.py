@@ -30,7 +30,7 @@ def is_animated(data: bytes) -> bool:
 
 
 def is_lossless(data: bytes) -> bool:
-    """Whether the (first) picture is coded without loss."""
+    """Whether the (first) image is coded without loss."""
     return any(kind == b"VP8L" or b"VP8L" in payload[16:40] for kind, payload in chunks(data))
 
 

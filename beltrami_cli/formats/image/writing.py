@@ -13,11 +13,11 @@ from beltrami_cli.arrays import Array, Uint8s
 from beltrami_cli.errors import InputError, UsageError, install_hint
 from beltrami_cli.formats.image import bitmaps, extra_codecs, jpeg, metadata, png, tiff_tags, webp
 from beltrami_cli.formats.image.conversion import converted
+from beltrami_cli.formats.image.decoded_image import TYPES, DecodedImage, full_scale_one
 from beltrami_cli.formats.image.encoding import LOSSY_EXR, described, encoded, reading_back, unwritten
 from beltrami_cli.formats.image.exif import FORMATS_WITH_EXIF, carry_exif
 from beltrami_cli.formats.image.file_formats import FORMATS, format_of_suffix, label_of
 from beltrami_cli.formats.image.lost_metadata import lost_metadata
-from beltrami_cli.formats.image.picture import TYPES, Picture, full_scale_one
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.records import ImageFile
@@ -26,22 +26,22 @@ _ROWS = 64  # that are compared at a time
 _KEEPING_BYTES = ("png", "jpeg", "webp")  # formats whose metadata are carried over as bytes
 
 
-def is_exact(picture: Picture) -> bool:
-    """Whether a picture written in its own format keeps the values that are not changed."""
-    if picture.format == "webp":
-        return webp.is_lossless(picture.source)
-    if picture.format in ("jpeg", *extra_codecs.EXTRA_CODECS):
+def is_exact(image: DecodedImage) -> bool:
+    """Whether an image written in its own format keeps the values that are not changed."""
+    if image.format == "webp":
+        return webp.is_lossless(image.source)
+    if image.format in ("jpeg", *extra_codecs.EXTRA_CODECS):
         return False
-    return picture.spec.get_string_attribute("compression") not in LOSSY_EXR
+    return image.spec.get_string_attribute("compression") not in LOSSY_EXR
 
 
-def noise_losses(picture: Picture, suffix: str | None, remedy: str) -> tuple[str, ...]:
+def noise_losses(image: DecodedImage, suffix: str | None, remedy: str) -> tuple[str, ...]:
     """Return a notice if noise is written in the image's own format, and that is not exact."""
-    if suffix is not None or is_exact(picture):
+    if suffix is not None or is_exact(image):
         return ()
-    kind = label_of(picture.format)
+    kind = label_of(image.format)
     what = "is not exact and takes some of the noise away, most of all in hues"
-    return (f"{picture.name}: {kind} {what}; {remedy}",)
+    return (f"{image.name}: {kind} {what}; {remedy}",)
 
 
 # Single fields of the profile would be kept as well; samples of fewer bits would lose the new values. One image is
@@ -56,7 +56,7 @@ _FROM_TOP = 0x20  # bit of byte 17 of a TGA file: the first row is the top one
 
 
 def write_image(
-    picture: Picture,
+    image: DecodedImage,
     pixels: Array,
     *,
     suffix: str | None = None,
@@ -64,66 +64,66 @@ def write_image(
     small: bool = False,  # spend time on a smaller file
     as_data: bool = False,  # normals and the like, whose numbers no change of encoding may touch
 ) -> ImageFile:
-    """Encode new pixels of a picture as the file that it came from, or in another format."""
+    """Encode new pixels of an image as the file that it came from, or in another format."""
     # PNG, TIFF, TGA, BMP, lossless WebP and floats keep every value, also under an alpha of 0. What came as lossy WebP
     # stays so, since lossless files are several times as large.
-    known = check_writable(picture, suffix)
+    known = check_writable(image, suffix)
     if known in extra_codecs.EXTRA_CODECS:
-        return _write_extra(picture, pixels, known, jpeg_quality, as_data=as_data)
-    if known != picture.format:
-        values, spec = converted(picture, pixels, known, as_data=as_data)
-        data = encoded(spec, values, known, picture.name, jpeg_quality, small=small)
+        return _write_extra(image, pixels, known, jpeg_quality, as_data=as_data)
+    if known != image.format:
+        values, spec = converted(image, pixels, known, as_data=as_data)
+        data = encoded(spec, values, known, image.name, jpeg_quality, small=small)
         data = png.without_additions(data) if known == "png" else data
         if known in FORMATS_WITH_EXIF:  # OpenImageIO writes some fields of it
-            data, made = described(data, spec, known, picture.name)
-            data = carry_exif(picture.source, picture.format, data, known, made)
-        notices = [*lost_metadata(picture, data, known)]
+            data, made = described(data, spec, known, image.name)
+            data = carry_exif(image.source, image.format, data, known, made)
+        notices = [*lost_metadata(image, data, known)]
         if known == "webp":
-            again = _decoded(data, picture.name)
-            notices += encoding_cost(known, values, again, picture.name)
+            again = _decoded(data, image.name)
+            notices += encoding_cost(known, values, again, image.name)
         return ImageFile(data, FORMATS[known].suffixes[0], tuple(notices))
     notices = []
-    if picture.is_alpha_empty:
+    if image.is_alpha_empty:
         pixels = pixels.copy()
         pixels[..., -1] = 0
-    if known == "png" and png.has_palette(picture.source):
-        notices.append(f"{picture.name} has a palette, which becomes full colours.")
-    spec = _bare_spec(picture) if known in _KEEPING_BYTES else _kept_spec(picture)
-    exact = is_exact(picture)
+    if known == "png" and png.has_palette(image.source):
+        notices.append(f"{image.name} has a palette, which becomes full colours.")
+    spec = _bare_spec(image) if known in _KEEPING_BYTES else _kept_spec(image)
+    exact = is_exact(image)
     encode = partial(
-        encoded, spec, known=known, name=picture.name, quality=jpeg_quality, small=small, lossless=exact
+        encoded, spec, known=known, name=image.name, quality=jpeg_quality, small=small, lossless=exact
     )
     data = encode(pixels)
-    if known == "targa" and (data[17] ^ picture.source[17]) & _FROM_TOP:
+    if known == "targa" and (data[17] ^ image.source[17]) & _FROM_TOP:
         # OpenImageIO puts the top row first in runs, and last otherwise; engines may expect one order of all files.
         turned = bytearray(encode(pixels[::-1]))
         turned[17] ^= _FROM_TOP
         data = bytes(turned)
     if not exact:
-        again = _decoded(data, picture.name)
-        if _square_error(again, pixels) > _square_error(picture.pixels, pixels) > 0:
+        again = _decoded(data, image.name)
+        if _square_error(again, pixels) > _square_error(image.pixels, pixels) > 0:
             what = f"coded as {label_of(known)} again, it would be further from the result than it is"
-            notice = f"{picture.name} stays as it is: {what}; a format without loss would hold the result."
-            return ImageFile(picture.source, picture.suffix, (notice,))
+            notice = f"{image.name} stays as it is: {what}; a format without loss would hold the result."
+            return ImageFile(image.source, image.suffix, (notice,))
         if known == "webp":
-            notices = encoding_cost(known, pixels, again, picture.name)
-    return _with_metadata(picture, data, notices)
+            notices = encoding_cost(known, pixels, again, image.name)
+    return _with_metadata(image, data, notices)
 
 
-def is_kept(picture: Picture, file: ImageFile) -> bool:
-    """Whether a file, written by `write_image`, has all new values of a picture: in its own format, without loss."""
-    is_own = format_of_suffix(file.suffix) == format_of_suffix(picture.suffix)
-    return is_own and is_exact(picture) and picture.format != "hdr"
+def is_kept(image: DecodedImage, file: ImageFile) -> bool:
+    """Whether a file, written by `write_image`, has all new values of an image: in its own format, without loss."""
+    is_own = format_of_suffix(file.suffix) == format_of_suffix(image.suffix)
+    return is_own and is_exact(image) and image.format != "hdr"
 
 
-def colours_in_file(picture: Picture, file: ImageFile, *, as_data: bool) -> tuple[Array, Array]:
-    """Return the colours of a picture, shape (H, W, K), as they were and as a file has them, in the file's encoding."""
+def colours_in_file(image: DecodedImage, file: ImageFile, *, as_data: bool) -> tuple[Array, Array]:
+    """Return the colours of an image, shape (H, W, K), as they were and as a file has them, in the file's encoding."""
     with reading_back():
-        again = read_image(file.data, str(PurePosixPath(picture.name).with_suffix(file.suffix)))
-    if again.format == picture.format:
-        return picture.pixels[..., picture.colour], again.pixels[..., picture.colour]
+        again = read_image(file.data, str(PurePosixPath(image.name).with_suffix(file.suffix)))
+    if again.format == image.format:
+        return image.pixels[..., image.colour], again.pixels[..., image.colour]
     after = again.pixels[..., again.colour]
-    return converted(picture, picture.pixels, again.format, as_data=as_data)[0][..., : after.shape[2]], after
+    return converted(image, image.pixels, again.format, as_data=as_data)[0][..., : after.shape[2]], after
 
 
 def _decoded(data: bytes, name: str) -> Array:
@@ -138,75 +138,75 @@ def _square_error(some: Array, others: Array) -> float:
     )
 
 
-def _with_metadata(picture: Picture, encoded: bytes, notices: list[str]) -> ImageFile:
-    """Return pixels, encoded in the format that a picture has, with its metadata, and a notice of lost metadata."""
+def _with_metadata(image: DecodedImage, encoded: bytes, notices: list[str]) -> ImageFile:
+    """Return pixels, encoded in the format that an image has, with its metadata, and a notice of lost metadata."""
     data = encoded
     try:
-        data = metadata.carry_over(picture.source, encoded, picture.format, picture.part or 0)
+        data = metadata.carry_over(image.source, encoded, image.format, image.part or 0)
     except metadata.DAMAGED as error:
-        if len(picture.parts) > 1:
+        if len(image.parts) > 1:
             cause = "the table of its parts is damaged"
-            raise InputError(picture.name, cause, "export it again") from error
-    return ImageFile(data, picture.suffix, (*notices, *lost_metadata(picture, data, picture.format)))
+            raise InputError(image.name, cause, "export it again") from error
+    return ImageFile(data, image.suffix, (*notices, *lost_metadata(image, data, image.format)))
 
 
-def check_writable(picture: Picture, suffix: str | None) -> str:
-    """Return the format of a suffix (None: the picture's own); UsageError if it cannot hold this image."""
-    known = picture.format if suffix is None else format_of_suffix(suffix)
+def check_writable(image: DecodedImage, suffix: str | None) -> str:
+    """Return the format of a suffix (None: the image's own); UsageError if it cannot hold this image."""
+    known = image.format if suffix is None else format_of_suffix(suffix)
     missing = extra_codecs.missing_package(known) if known in extra_codecs.EXTRA_CODECS else None
     if known is not None and missing is not None:
-        cause = f"{picture.name}: to write {label_of(known)} the package {missing} is needed"
+        cause = f"{image.name}: to write {label_of(known)} the package {missing} is needed"
         raise UsageError(f"{cause}; {install_hint(extra_codecs.EXTRA)}")
-    if known is not None and len(picture.colour) > max(FORMATS[known].channels):
+    if known is not None and len(image.colour) > max(FORMATS[known].channels):
         cause = f"{label_of(known)} holds grey only, but the image has colours"
-        raise UsageError(f"{picture.name}: {cause}; choose .ppm")
+        raise UsageError(f"{image.name}: {cause}; choose .ppm")
     what = label_of(known) if known is not None else suffix
-    if known == picture.format == "bmp" and not bitmaps.is_plain_bmp(picture.source):
+    if known == image.format == "bmp" and not bitmaps.is_plain_bmp(image.source):
         what = "BMP with a palette, 16 bits or a header of OS/2"
     elif known is not None and FORMATS[known].writable:
         return known
-    raise UsageError(f"{picture.name}: images cannot be written as {what}; choose {_CHOICES}")
+    raise UsageError(f"{image.name}: images cannot be written as {what}; choose {_CHOICES}")
 
 
-def _write_extra(picture: Picture, pixels: Array, known: str, quality: int, *, as_data: bool) -> ImageFile:
-    source, values = picture.source, pixels
-    if known != picture.format:
-        source, values = b"", converted(picture, pixels, known, as_data=as_data)[0]
+def _write_extra(image: DecodedImage, pixels: Array, known: str, quality: int, *, as_data: bool) -> ImageFile:
+    source, values = image.source, pixels
+    if known != image.format:
+        source, values = b"", converted(image, pixels, known, as_data=as_data)[0]
     quality = min(max(quality, 1), 100)
     try:
         data = extra_codecs.encoded(known, values, quality, source, as_data=as_data)
     except extra_codecs.FAILURES as error:
-        raise unwritten(picture.name, known, str(error)) from None
+        raise unwritten(image.name, known, str(error)) from None
     with reading_back():
-        again = extra_codecs.decoded(data, known, picture.name)[0]
-    cost = encoding_cost(known, values, again, picture.name)
-    return ImageFile(data, FORMATS[known].suffixes[0], (*cost, *lost_metadata(picture, data, known)))
+        again = extra_codecs.decoded(data, known, image.name)[0]
+    cost = encoding_cost(known, values, again, image.name)
+    return ImageFile(data, FORMATS[known].suffixes[0], (*cost, *lost_metadata(image, data, known)))
 
 
-def _bare_spec(picture: Picture) -> Any:
+def _bare_spec(image: DecodedImage) -> Any:
     import OpenImageIO
 
-    height, width, channels = picture.pixels.shape
-    spec = OpenImageIO.ImageSpec(width, height, channels, TYPES[picture.stored])
+    height, width, channels = image.pixels.shape
+    spec = OpenImageIO.ImageSpec(width, height, channels, TYPES[image.stored])
     spec.attribute("oiio:UnassociatedAlpha", 1)
-    subsampling = picture.spec.get_string_attribute("jpeg:subsampling")
+    subsampling = image.spec.get_string_attribute("jpeg:subsampling")
     spec.attribute("jpeg:subsampling", subsampling or "4:4:4")
-    if picture.format == "jpeg" and jpeg.is_progressive(picture.source):
+    if image.format == "jpeg" and jpeg.is_progressive(image.source):
         spec.attribute("jpeg:progressive", 1)
     return spec
 
 
-def _kept_spec(picture: Picture) -> Any:
-    spec = picture.spec.copy()
+def _kept_spec(image: DecodedImage) -> Any:
+    spec = image.spec.copy()
     for prefix in _OMITTED_METADATA:
         spec.erase_attribute(f"{prefix}.*")
-    if picture.format == "tiff":  # whose tags are copied from the source
+    if image.format == "tiff":  # whose tags are copied from the source
         for attribute in list(spec.extra_attribs):
             if not attribute.name.startswith(_STORAGE_IN_TIFF):
                 spec.erase_attribute(attribute.name)
-        if tiff_tags.is_big(picture.source):
+        if tiff_tags.is_big(image.source):
             spec.attribute("tiff:bigtiff", 1)
-    if picture.format not in ("tiff", "openexr"):  # Those two store, and say, whether alpha is multiplied in.
+    if image.format not in ("tiff", "openexr"):  # Those two store, and say, whether alpha is multiplied in.
         spec.attribute("oiio:UnassociatedAlpha", 1)
     return spec
 

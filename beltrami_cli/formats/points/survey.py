@@ -329,7 +329,7 @@ class _E57:
         return buffers, found
 
     def _blobs(self, node: Any) -> Iterator[Any]:
-        """Yield the pictures and other embedded files."""
+        """Yield the images and other embedded files."""
         from pye57 import libe57
         from pye57.utils import get_node
 

@@ -22,7 +22,7 @@ from beltrami_cli.flow.parameters import Weights
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import write_image
-from beltrami_cli.formats.image.picture import new_picture
+from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.ply.writer import write_scalars_as_ply
 from beltrami_cli.jobs.compare.figures import (
     ComparedColours,
@@ -370,7 +370,7 @@ def draw_map(parts: Sequence[Measured], model: Document, target: str) -> tuple[W
     for panel in panels:
         pixels[: len(panel), left : left + panel.shape[1]] = panel
         left += panel.shape[1] + _GAP
-    return Written([write_image(new_picture(pixels, target), pixels, suffix=suffix).data]), scale
+    return Written([write_image(new_image(pixels, target), pixels, suffix=suffix).data]), scale
 
 
 def _draw_vertices(measured: Measured, amounts: Float64s, scale: float, document: Document) -> Written:

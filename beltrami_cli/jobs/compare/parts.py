@@ -15,8 +15,8 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.flow.parameters import Weights
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import Picture, read_texture
-from beltrami_cli.formats.image.picture import full_scale_one
+from beltrami_cli.formats.image import DecodedImage, read_texture
+from beltrami_cli.formats.image.decoded_image import full_scale_one
 from beltrami_cli.formats.image.sizes import require_memory
 from beltrami_cli.jobs.compare.figures import ComparedColours, Pair
 from beltrami_cli.layers.image_layer import ImageLayer
@@ -139,7 +139,7 @@ def compare_vertices(
     )  # fmt: skip
 
 
-def _opacity(picture: Picture) -> Float32s | None:
+def _opacity(picture: DecodedImage) -> Float32s | None:
     return None if picture.alpha is None else full_scale_one(picture.pixels[..., picture.alpha])
 
 
@@ -193,7 +193,7 @@ def compare_images(
     settings = dataclasses.replace(settings, textures=dataclasses.replace(settings.textures, slots=slots))
     images = [(document.name, document.data) for document in documents]
     require_memory(images, access, "compared")
-    _require_same_size(documents[0].picture(), documents[1].picture(), names[1])
+    _require_same_size(documents[0].image(), documents[1].image(), names[1])
     samples = [ImageLayer.read(document, settings, access, colours_only=True) for document in documents]
     one, other, valid = samples[0].colours, samples[1].colours, samples[0].valid
     pictures = [each.picture for each in samples]
@@ -282,12 +282,12 @@ def _parts(
 
 
 def _both_colours(
-    one: tuple[PictureColours, Picture], other: tuple[PictureColours, Picture], pixels: Indices
+    one: tuple[PictureColours, DecodedImage], other: tuple[PictureColours, DecodedImage], pixels: Indices
 ) -> Pair:
     return one[0].working(one[1], pixels), other[0].working(other[1], pixels)
 
 
-def _require_same_size(old: Picture, new: Picture, name: str) -> None:
+def _require_same_size(old: DecodedImage, new: DecodedImage, name: str) -> None:
     sizes = [f"{picture.pixels.shape[1]} x {picture.pixels.shape[0]}" for picture in (old, new)]
     if sizes[0] != sizes[1]:
         cause = f"it has {sizes[1]} pixels, but {old.name} {sizes[0]}"

@@ -15,7 +15,7 @@ from markupsafe import Markup
 
 from beltrami_cli.arrays import Uint8s
 from beltrami_cli.formats.image import write_image
-from beltrami_cli.formats.image.picture import new_picture
+from beltrami_cli.formats.image.decoded_image import new_image
 
 PAGES = (".html", ".htm")
 """Extensions of pages."""
@@ -78,4 +78,4 @@ def data_address(picture: Uint8s) -> str:
 
 def png_of(picture: Uint8s) -> bytes:
     """Return the picture as a PNG file."""
-    return write_image(new_picture(picture, "a picture"), picture, suffix=".png").data
+    return write_image(new_image(picture, "a picture"), picture, suffix=".png").data

@@ -30,7 +30,7 @@ _MIN_STEPS = 16  # of opacity, for colours of 4 bits
 
 
 @dataclass(frozen=True)
-class Picture:
+class DecodedImage:
     """A decoded image file."""
 
     name: str
@@ -72,15 +72,15 @@ class Picture:
 
 def described(
     data: bytes, name: str, known: str, spec: Any, pixels: Array, notices: tuple[str, ...] = ()
-) -> Picture:
-    """Return pixels and their OpenImageIO.ImageSpec as the picture in a file (data) of a format (known)."""
+) -> DecodedImage:
+    """Return pixels and their OpenImageIO.ImageSpec as the image in a file (data) of a format (known)."""
     kinds = tuple(STORED[str(kind)] for kind in (spec.channelformats or [spec.format] * spec.nchannels))
     channels = tuple(spec.channelnames)
     if known == "targa" and len(channels) == 2:  # OpenImageIO calls grey and alpha red and green there.
         channels = ("Y", "A")
     layer = colour_layer(channels)
     colour, alpha = colours_and_alpha(channels, layer)
-    return Picture(
+    return DecodedImage(
         name=name,
         pixels=pixels,
         channels=channels,
@@ -98,34 +98,34 @@ def described(
     )
 
 
-def with_colours_of(picture: Picture, layer: str) -> Picture:
-    """Return a picture with the colours and the alpha of another layer of its file."""
-    colour, alpha = colours_and_alpha(picture.channels, layer)
-    return replace(picture, layer=layer, colour=colour, alpha=alpha, stored=picture.kinds[colour[0]])
+def with_colours_of(image: DecodedImage, layer: str) -> DecodedImage:
+    """Return an image with the colours and the alpha of another layer of its file."""
+    colour, alpha = colours_and_alpha(image.channels, layer)
+    return replace(image, layer=layer, colour=colour, alpha=alpha, stored=image.kinds[colour[0]])
 
 
-def require_colours(picture: Picture, remedy: str) -> None:
+def require_colours(image: DecodedImage, remedy: str) -> None:
     """Raise InputError if it is ambiguous which layer or part of an EXR file holds the colours."""
-    if picture.part is None:
-        cause = f"it has the parts {', '.join(picture.parts)}, and several could be the colours"
-        raise InputError(picture.name, cause, "save the one to be smoothed as a file of its own")
-    if picture.layer is not None:
+    if image.part is None:
+        cause = f"it has the parts {', '.join(image.parts)}, and several could be the colours"
+        raise InputError(image.name, cause, "save the one to be smoothed as a file of its own")
+    if image.layer is not None:
         return
-    coloured = coloured_layers(picture.channels)
+    coloured = coloured_layers(image.channels)
     if coloured:
         cause = f"its colours could be the layers {' or '.join(coloured)}"
     else:
-        named = [layer for layer in layers_of(picture.channels) if layer]
+        named = [layer for layer in layers_of(image.channels) if layer]
         cause = f"none of its layers {', '.join(named)} has red, green and blue"
-    raise InputError(picture.name, cause, remedy)
+    raise InputError(image.name, cause, remedy)
 
 
-def new_picture(pixels: Array, name: str) -> Picture:
+def new_image(pixels: Array, name: str) -> DecodedImage:
     """Describe new sRGB pixels of uint8 or uint16, RGB or RGBA with unassociated alpha, as a PNG without metadata."""
-    return replace(array_picture(pixels, name, "srgb", str(pixels.dtype)), format="png", suffix=".png")
+    return replace(array_image(pixels, name, "srgb", str(pixels.dtype)), format="png", suffix=".png")
 
 
-def array_picture(pixels: Array, name: str, encoding: Encoding, stored: str) -> Picture:
+def array_image(pixels: Array, name: str, encoding: Encoding, stored: str) -> DecodedImage:
     """Describe pixels that no file holds, grey or RGB, with unassociated alpha or without."""
     import OpenImageIO
 
@@ -136,42 +136,42 @@ def array_picture(pixels: Array, name: str, encoding: Encoding, stored: str) -> 
     return replace(described(b"", name, "array", spec, pixels), encoding=encoding)
 
 
-def to_float(picture: Picture) -> Float32s:
+def to_float(image: DecodedImage) -> Float32s:
     """Return all channels, shape (H, W, C), as `full_scale_one` does."""
-    return full_scale_one(picture.pixels)
+    return full_scale_one(image.pixels)
 
 
-def is_associated(picture: Picture) -> bool:
+def is_associated(image: DecodedImage) -> bool:
     """Whether alpha is multiplied into the stored colours, as it is in EXR files and may be in TIFF files."""
-    if picture.alpha is None or picture.format not in ("openexr", "tiff"):
+    if image.alpha is None or image.format not in ("openexr", "tiff"):
         return False
-    return not (picture.format == "tiff" and picture.spec.get_int_attribute("oiio:UnassociatedAlpha"))
+    return not (image.format == "tiff" and image.spec.get_int_attribute("oiio:UnassociatedAlpha"))
 
 
-def without_alpha(picture: Picture, values: Float32s) -> Float32s:
+def without_alpha(image: DecodedImage, values: Float32s) -> Float32s:
     """Return channels of full scale 1, shape (..., C), with colours divided by alpha, except where it is nearly 0."""
-    if not is_associated(picture):
+    if not is_associated(image):
         return values
     straight = values.copy()
-    opacity = values[..., picture.alpha]
-    for channel in picture.colour:
+    opacity = values[..., image.alpha]
+    for channel in image.colour:
         np.divide(values[..., channel], opacity, out=straight[..., channel], where=opacity >= _MIN_OPACITY)
     return straight
 
 
-def supplies_colour(picture: Picture, opacity: Array) -> Bools:
+def supplies_colour(image: DecodedImage, opacity: Array) -> Bools:
     """Return from their stored opacity which pixels have a colour: all but transparent ones."""
-    if not is_associated(picture):
+    if not is_associated(image):
         return np.asarray(opacity != 0)
     steps = np.inf if opacity.dtype.kind == "f" else np.iinfo(opacity.dtype).max
     share = full_scale_one(opacity)
     return np.asarray((share >= max(_MIN_OPACITY, _MIN_STEPS / steps)) & np.isfinite(share))
 
 
-def is_unchanged(picture: Picture, pixels: Array) -> bool:
-    """Whether pixels, shape (H, W, C), are all as in the picture."""
+def is_unchanged(image: DecodedImage, pixels: Array) -> bool:
+    """Whether pixels, shape (H, W, C), are all as in the image."""
     # Some rows at a time: most differ in the first ones, and a whole table of booleans is large.
-    return all(np.array_equal(pixels[rows], picture.pixels[rows]) for rows in blocks(len(pixels), _ROWS))
+    return all(np.array_equal(pixels[rows], image.pixels[rows]) for rows in blocks(len(pixels), _ROWS))
 
 
 def full_scale_one(pixels: Array) -> Float32s:
