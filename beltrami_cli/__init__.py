@@ -25,16 +25,16 @@ if TYPE_CHECKING:
     from beltrami_cli.jobs.arrays import smooth as smooth
     from beltrami_cli.jobs.arrays import smooth_image as smooth_image
     from beltrami_cli.jobs.arrays import smooth_textured as smooth_textured
+    from beltrami_cli.jobs.bake import BakeReport as BakeReport
+    from beltrami_cli.jobs.bake import bake_file as bake_file
+    from beltrami_cli.jobs.check import CheckReport as CheckReport
+    from beltrami_cli.jobs.check import check_files as check_files
     from beltrami_cli.jobs.compare.files import Comparison as Comparison
     from beltrami_cli.jobs.compare.files import compare_files as compare_files
-    from beltrami_cli.jobs.inspect import CheckReport as CheckReport
-    from beltrami_cli.jobs.inspect import check_files as check_files
     from beltrami_cli.jobs.inspect import inspect_file as inspect_file
     from beltrami_cli.jobs.job import Job as Job
     from beltrami_cli.jobs.level import LevelFileReport as LevelFileReport
     from beltrami_cli.jobs.level import level_file as level_file
-    from beltrami_cli.jobs.new_texture import BakeReport as BakeReport
-    from beltrami_cli.jobs.new_texture import bake_file as bake_file
     from beltrami_cli.jobs.noise import NoiseReport as NoiseReport
     from beltrami_cli.jobs.noise import noise_file as noise_file
     from beltrami_cli.jobs.settings import BakeSettings as BakeSettings
@@ -60,11 +60,12 @@ _NAMES_IN = {
     "formats.access": "Access",
     "jobs.array_arguments": "MeshArrays",
     "jobs.arrays": "ImageResult SmoothResult TexturedResult smooth smooth_image smooth_textured",
+    "jobs.bake": "BakeReport bake_file",
+    "jobs.check": "CheckReport check_files",
     "jobs.compare.files": "Comparison compare_files",
-    "jobs.inspect": "CheckReport check_files inspect_file",
+    "jobs.inspect": "inspect_file",
     "jobs.job": "Job",
     "jobs.level": "LevelFileReport level_file",
-    "jobs.new_texture": "BakeReport bake_file",
     "jobs.noise": "NoiseReport noise_file",
     "jobs.settings": "BakeSettings Limits NoiseSettings",
     "jobs.smooth": "smooth_file",

@@ -206,7 +206,9 @@ def _report_path(given: str | None, out_dir: str, inputs: Sequence[str], jobs: S
             raise UsageError(f"the report is a file of this machine; {remedy}")
         path = str(Path(without_scheme(out_dir)) / "batch.jsonl")
     if path == "-":
-        raise OutputError(path, "the report is a file, so that a run can go on from it", "name a file")
+        raise UsageError(
+            "--report cannot be standard output (-), since a later run goes on from it; name a file"
+        )
     named = (name for job in jobs for name in (job.source, job.target, *job.settings.input_files()))
     if Path(path).resolve() in {Path(other).resolve() for other in (*inputs, *named)}:
         raise OutputError(path, "the report would replace a file of the batch", "choose another name")

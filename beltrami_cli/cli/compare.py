@@ -16,8 +16,8 @@ from beltrami_cli.jobs.settings import Limits
 from beltrami_cli.layers.settings import SmoothSettings
 
 if TYPE_CHECKING:
-    from beltrami_cli.jobs.compare.figures import Verdict
     from beltrami_cli.jobs.compare.files import Comparison
+    from beltrami_cli.jobs.compare.limits import Verdict
     from beltrami_cli.jobs.output import Output
 
 _COLUMNS = (
@@ -178,6 +178,10 @@ _ONE_SCALAR = {
 }
 
 
+# Differences that are listed without -v, those besides colours first: more are of two files that are not a pair.
+_LISTED = 10
+
+
 @command("check", before="BEFORE", after="AFTER")
 @options.as_json
 @options.options_of(SmoothSettings, only=("channels",), changed=_ONE_SCALAR)
@@ -186,7 +190,7 @@ _ONE_SCALAR = {
 @options.verbose
 def check(before: str, after: str, as_json: bool, quiet: bool, verbose: int, **reading: Any) -> int:
     """List what differs between two files of a format, to prove that AFTER is BEFORE with other colours."""
-    from beltrami_cli.jobs.inspect import check_files
+    from beltrami_cli.jobs.check import check_files
     from beltrami_cli.jobs.job import Job
 
     with options.reading_from(reading, before) as access:
@@ -195,9 +199,14 @@ def check(before: str, after: str, as_json: bool, quiet: bool, verbose: int, **r
     if as_json:
         click.echo(json.dumps({**asdict(report), "faithful": report.faithful}, indent=2))
     elif not quiet:
-        for difference in report.differences:
+        listed = report.differences
+        if not verbose and len(listed) > _LISTED:
+            listed = sorted(listed, key=lambda each: each.of_colour)[:_LISTED]
+        for difference in listed:
             mark = "colour" if difference.of_colour else "OTHER"
             click.echo(printable(f"{mark:>6}  {difference.what}: {difference.detail}"))
+        if more := len(report.differences) - len(listed):
+            click.echo(f"{more:>6}  more; -v lists all")
         click.echo(_summary(sum(not each.of_colour for each in report.differences), len(report.differences)))
     return 0 if report.faithful else 1
 

@@ -258,7 +258,7 @@ def bake(source: str, target: str, to: BakeTo, messages: Messages, **values: Any
     settings = options.record_from(BakeSettings, values)
     if to == "vertices":
         options.refuse_typed(BakeSettings, "of the new texture that --to texture makes; leave it out")
-    from beltrami_cli.jobs.new_texture import bake_file
+    from beltrami_cli.jobs.bake import bake_file
 
     report = _written(values, (source, target), messages, partial(bake_file, source, target, to, settings))
     messages.warn_of(report.input, report.warnings)

@@ -1,39 +1,23 @@
-"""New textures of meshes, from vertex colours or textures; and `bake`, which moves colours to a texture or back."""
+"""New textures of meshes, from vertex colours or from their textures."""
 
 from __future__ import annotations
 
-import dataclasses
-import os
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
+from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.conversion import vertex_mesh
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import DecodedImage, read_texture, to_float, without_alpha, write_image
 from beltrami_cli.formats.image.decoded_image import new_image
-from beltrami_cli.formats.registry import write_mesh
-from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.progress import Progress
-from beltrami_cli.jobs.recolour import FileReport, begin
 from beltrami_cli.jobs.settings import BakeSettings
-from beltrami_cli.layers.selection import Selection
-from beltrami_cli.layers.settings import DEFAULTS, BakeTo
-from beltrami_cli.surface.baking import (
-    bake,
-    interpolated,
-    look_up,
-    noise_around,
-    overlap,
-    texels_for_vertices,
-)
+from beltrami_cli.surface.baking import bake, interpolated, look_up, overlap, texels_for_vertices
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.surface.geometry import triangulate
-from beltrami_cli.surface.grouping import group_equal_rows, group_places
 from beltrami_cli.surface.records import (
     Encoding,
     Frame,
@@ -48,7 +32,6 @@ from beltrami_cli.surface.records import (
 from beltrami_cli.surface.unwrap import Unwrapped, require_few_faces, unwrap
 
 Depth = type[np.uint8] | type[np.uint16]
-
 _ON_A_LEVEL = 0.05  # of an 8-bit step: numbers this close to levels are taken for 8-bit values
 _SHARED = 0.01  # share of texels at several places that rounding at chart boundaries may cause
 
@@ -221,15 +204,6 @@ def _lost_contents(contents: MeshContents) -> list[str]:
     return notices
 
 
-def _lost_of_textured(document: Document) -> tuple[str, ...]:
-    """Return what a textured model has besides triangles and the base colour."""
-    mesh = document.textured_mesh()
-    has_normals = mesh.corner_normals is not None or mesh.normals is not None
-    found = ["texture coordinates", "textures", "materials", *(["normals"] if has_normals else [])]
-    found += ["vertex colours"] if mesh.colours.size else []
-    return (*found, *mesh.left_out, *document.hidden_places())
-
-
 def _lost_of_textures(
     document: Document, old: TexturedSurface, pictures: list[DecodedImage]
 ) -> tuple[str, ...]:
@@ -267,131 +241,3 @@ def _as_srgb(values: Float64s, encoding: Encoding) -> Float64s:
 
 def _rounded(values: Float64s, dtype: Depth) -> Array:
     return np.rint(np.clip(values, 0, 1) * np.iinfo(dtype).max).astype(dtype)
-
-
-_DEFAULTS = BakeSettings()
-_INVISIBLE_STEP = (
-    8 / 255
-)  # a step that can hardly be seen, and that texels of several triangles' colours make anyway
-_SIGMAS = 4 * np.sqrt(2)  # of the difference of two noisy values
-_MEDIAN = 1.4826  # from the median magnitude to the standard deviation
-_FINENESS = ("uint8", "uint16", "float16", "float32")
-
-
-@dataclass(frozen=True, kw_only=True)
-class BakeReport(FileReport):
-    """What was done to a file; `dataclasses.asdict` gives JSON types.
-
-    Attributes
-    ----------
-    counts, texture : dict, str
-        How many triangles, charts or coloured vertices were written, and what kind of texture; empty if none was.
-    input, output, format, parameters, stages, peak_memory, written, warnings
-        As for `SmoothReport`.
-    """
-
-    counts: dict[str, int]
-    texture: str
-
-
-def bake_file(
-    source: str | os.PathLike[str],
-    target: str | os.PathLike[str],
-    to: BakeTo,
-    settings: BakeSettings = _DEFAULTS,
-    job: Job = PLAIN_JOB,
-) -> BakeReport:
-    """Write a new file whose colours are in a texture, or in the vertices."""
-    file = begin(os.fspath(source), os.fspath(target), DEFAULTS, job, models_only=True)
-    document, kind = file.document, file.format.name
-    with file.watch.stage("read"):
-        stem = file.reserve_new(".png" if to == "texture" else None)
-    notices: tuple[str, ...]
-    with file.watch.stage("bake"):
-        if to == "texture":
-            made = texture_from_vertices(document, settings, job.progress)
-            counts = {"triangle": len(made.faces), **({} if made.charts is None else {"chart": made.charts})}
-            written, notices, texture = (
-                write_mesh(made.mesh(made.encoded()), kind, stem),
-                made.notices,
-                made.in_words,
-            )
-        else:
-            Selection(document, DEFAULTS, file.job.access, slots=("baseColor",)).require_memory()
-            contents, notices = _colours_from_textures(document)
-            counts = {"coloured vertex": len(contents.positions), "triangle": len(contents.offsets) - 1}
-            written, texture = write_mesh(contents, kind, stem), ""
-    done = {**vars(file.write(written, notices)), "parameters": {"to": to, **dataclasses.asdict(settings)}}
-    return BakeReport(**done, counts=counts, texture=texture)
-
-
-def _colours_from_textures(document: Document) -> tuple[MeshContents, tuple[str, ...]]:
-    """Return the base colour at every vertex."""
-    # Where a seam runs through a vertex each side is looked up, and if they agree within the noise the vertex has
-    # their mean. Otherwise there is a real colour edge, and the vertex stays split.
-    surface = document.textured("baseColor")
-    pictures = [read_texture(texture) for texture in surface.textures]
-    corners, textured = surface.faces.ravel(), np.repeat(surface.texture_of >= 0, 3)
-    values, noise = _corner_colours(surface, pictures)
-    place = group_places(surface.positions, surface.space_of, surface.faces)[0][corners]
-    uv = np.where(textured[:, None], surface.uv.reshape(-1, 2), 0.0)
-    side, _ = group_equal_rows(place, np.repeat(surface.texture_of, 3), *uv.T)
-    split = (_spread(values, place, textured) > _INVISIBLE_STEP + _SIGMAS * noise).any(axis=1)[place]
-    vertex_of, first = group_equal_rows(place, np.where(split, side, -1))
-    colours = _mean(values, vertex_of, textured, len(first))
-    contents = MeshContents(
-        positions=surface.positions[corners[first]],
-        corners=vertex_of,
-        offsets=np.arange(0, len(corners) + 1, 3, dtype=np.int64),
-        colours=colours[:, :3],
-        encoding=_encoding(pictures),
-        stored=max((picture.stored for picture in pictures), key=_FINENESS.index),
-        alpha=colours[:, 3] if any(picture.alpha is not None for picture in pictures) else None,
-        left_out=_lost_of_textured(document),
-        frame=document.frame,
-    )
-    notices, bare = [], int((~textured).sum()) // 3
-    if split.any():
-        notices = [f"{int(split.sum())} corners lie at real colour edges, where vertices stay split."]
-    if bare:
-        notices.append(f"{bare} triangles have no texture; their own vertices are white.")
-    return contents, tuple(notices)
-
-
-def _encoding(pictures: Sequence[DecodedImage]) -> Encoding:
-    return "linear" if all(picture.encoding == "linear" for picture in pictures) else "srgb"
-
-
-def _corner_colours(surface: TexturedSurface, pictures: Sequence[DecodedImage]) -> tuple[Float64s, Float64s]:
-    """Return red, green, blue and alpha at every corner, white where there is no texture, and their noise."""
-    texture_of = np.repeat(surface.texture_of, 3)
-    uv = surface.uv.reshape(-1, 2)
-    values, residues = np.ones((len(uv), 4)), np.zeros((len(uv), 4))
-    common = _encoding(pictures)
-    for index, picture in enumerate(pictures):
-        in_texture = texture_of == index
-        image, wrap = as_rgba(picture), surface.textures[index].wrap
-        found = look_up(image, uv[in_texture], wrap, None if picture.alpha is None else 3)
-        if picture.encoding != common:
-            found[:, :3] = linear_to_srgb(found[:, :3])
-        values[in_texture], residues[in_texture] = found, noise_around(image, uv[in_texture], wrap)
-    known = residues[texture_of >= 0]
-    return values, _MEDIAN * np.median(np.abs(known), axis=0) if len(known) else np.zeros(4)
-
-
-def _spread(values: Float64s, place: Int32s, textured: Bools) -> Float64s:
-    """Return the range of the textured corners at each place, shape (places, 4)."""
-    low = np.full((int(place.max()) + 1, 4), np.inf)
-    high = -low
-    np.minimum.at(low, place[textured], values[textured])
-    np.maximum.at(high, place[textured], values[textured])
-    return np.maximum(np.where(np.isfinite(low), high - low, 0), 0)
-
-
-def _mean(values: Float64s, vertex_of: Int32s, textured: Bools, count: int) -> Float32s:
-    """Return the mean over the corners of each vertex; those without texture count only where there are no others."""
-    any_textured = np.bincount(vertex_of[textured], minlength=count) > 0
-    used = textured | ~any_textured[vertex_of]
-    weight = np.bincount(vertex_of[used], minlength=count)
-    sums = [np.bincount(vertex_of[used], column, count) for column in values[used].T]
-    return (np.stack(sums, axis=1) / weight[:, None]).astype(np.float32)

@@ -10,7 +10,7 @@ import pytest
 import beltrami_cli
 from beltrami_cli.flow.manifolds.canvas import canvas_colours, on_canvas
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.jobs.inspect import check_files
+from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.job import PLAIN_JOB
 from beltrami_cli.jobs.recolour import ColourFilter, recolour
 from beltrami_cli.layers.layer import dithered

@@ -100,6 +100,7 @@ REFUSED = [
     ("bake @nonmanifold-noisy.ply - --to texture", 4, "<stdout>: there is no folder for its sidecar files; "),
     ("batch @nonmanifold-noisy.ply --out-dir out --suffix=/x", 2, "/x"),
     ("batch @nonmanifold-noisy.ply --out-dir memory://x", 2, "name it with --report"),
+    ("batch @nonmanifold-noisy.ply --out-dir out --report -", 2, "name a file"),
     # values
     ("smooth @terrain-noisy.ply out.ply --bogus", 2, "--bogus"),
     ("smooth @terrain-noisy.ply out.ply --gutter ²", 2, "gutter"),

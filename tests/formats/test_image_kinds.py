@@ -17,7 +17,7 @@ from beltrami_cli.formats.image import check_writable, extra_codecs, losses, rea
 from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.image.sizes import measure_image
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.jobs.inspect import check_files
+from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
 from formats.gltf_comparison import EXTENSIONS, with_better_image

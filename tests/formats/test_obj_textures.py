@@ -10,7 +10,7 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.changes import Naming
 from beltrami_cli.formats.obj.document import ObjDocument
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.jobs.inspect import check_files
+from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.surface.records import ImageFile

@@ -7,7 +7,7 @@ from beltrami_cli.errors import InputError, NoColoursError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.points.text_document import TextPointsDocument
 from beltrami_cli.formats.registry import open_bytes
-from beltrami_cli.jobs.inspect import check_files
+from beltrami_cli.jobs.check import check_files
 from formats.gltf_files import patched
 
 RGB = ("red", "green", "blue")

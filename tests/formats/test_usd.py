@@ -8,9 +8,9 @@ import pytest
 from beltrami_cli.errors import InputError, NoColoursError
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.formats.usd.layers import layer_from
-from beltrami_cli.jobs.inspect import check_files
+from beltrami_cli.jobs.bake import bake_file
+from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.job import Job
-from beltrami_cli.jobs.new_texture import bake_file
 from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.settings import EmbeddingSettings

@@ -15,7 +15,7 @@ from beltrami_cli.formats.changes import Naming
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.formats.usd.layers import Package, layer_from
-from beltrami_cli.jobs.inspect import check_files
+from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
 from cli.commands import beltrami, refused

@@ -35,7 +35,7 @@ from beltrami_cli.errors import BeltramiError, InputError, NoColoursError
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.jobs.inspect import check_files
+from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.settings import SmoothSettings

@@ -9,7 +9,7 @@ import pytest
 
 from batch.batches import without_workers
 from beltrami_cli.formats.image import read_image
-from beltrami_cli.jobs.compare.files import is_map
+from beltrami_cli.jobs.compare.maps import is_map
 from beltrami_cli.jobs.smoothing import is_report
 from beltrami_cli.view.before_after import is_preview
 from cli.commands import SAMPLES, beltrami, copy_samples, refused

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.changes import Naming
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.jobs.inspect import check_files
+from beltrami_cli.jobs.check import check_files
 from cli.commands import SAMPLES, beltrami, copy_samples
 from formats.ply_files import ENCODINGS, Table, build, coloured
 from hostile.textured_models import KINDS, OTHER, PICTURE, write_model
@@ -205,3 +205,15 @@ def test_the_command_lists_and_exits_as_it_says(tmp_path):
     assert "OTHER  elements vertex, face: differs from its byte" in run.stdout
     assert run.stdout.endswith("\n1 thing besides colours differs\n")
     assert check(after, "-q", code=1).stdout == ""
+
+
+def test_of_many_differences_those_besides_colours_are_listed_first_and_all_are_counted():
+    check = partial(
+        beltrami, "check", SAMPLES / "head-tex-noisy.glb", SAMPLES / "scan-noisy.glb", text=True, code=1
+    )
+    *differences, more, total = check().stdout.splitlines()
+    *every, same_total = check("-v").stdout.splitlines()
+    assert len(differences) < len(every)
+    assert set(differences) < set(every)
+    assert more.split() == [str(len(every) - len(differences)), "more;", "-v", "lists", "all"]
+    assert total == same_total == f"{sum('OTHER' in line for line in every)} things besides colours differ"

@@ -5,16 +5,9 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from beltrami_cli.jobs.compare.figures import (
-    _BLOCK,
-    ComparedColours,
-    cie_lab,
-    delta_e_2000,
-    figures,
-    measure,
-    structural_similarity,
-)
-from beltrami_cli.jobs.compare.parts import texel_areas
+from beltrami_cli.jobs.compare.figures import _BLOCK, ComparedColours, figures, measure
+from beltrami_cli.jobs.compare.seams import texel_areas
+from beltrami_cli.jobs.compare.similarity import cie_lab, delta_e_2000, structural_similarity
 from beltrami_cli.surface.atlas import build_atlas
 from beltrami_cli.surface.geometry import triangle_areas
 from jobs.cut_boards import BOARD

@@ -9,9 +9,9 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_bytes, open_document
-from beltrami_cli.jobs.inspect import check_files
+from beltrami_cli.jobs.bake import bake_file
+from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.job import Job
-from beltrami_cli.jobs.new_texture import bake_file
 from beltrami_cli.jobs.noise import noise_file
 from beltrami_cli.jobs.settings import BakeSettings, NoiseSettings
 from beltrami_cli.jobs.smooth import smooth_file

@@ -6,7 +6,7 @@ from scipy.stats import kstest
 
 from beltrami_cli.fields import amount, sure_amount
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.jobs.inspect import check_files
+from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.noise import NoiseTargets, add_noise, noise_file
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.layers.settings import SmoothSettings, TextureSettings

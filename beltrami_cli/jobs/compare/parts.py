@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
+from beltrami_cli.arrays import Float32s, Float64s, Int32s
 from beltrami_cli.errors import InputError
 from beltrami_cli.flow.parameters import Weights
 from beltrami_cli.formats.access import Access
@@ -19,6 +19,13 @@ from beltrami_cli.formats.image import DecodedImage, read_texture
 from beltrami_cli.formats.image.decoded_image import full_scale_one
 from beltrami_cli.formats.image.sizes import require_memory
 from beltrami_cli.jobs.compare.figures import ComparedColours, Pair
+from beltrami_cli.jobs.compare.same_model import (
+    Documents,
+    matching_textures,
+    require_one_model,
+    require_same_size,
+)
+from beltrami_cli.jobs.compare.seams import near_seams, seam_steps, texel_areas
 from beltrami_cli.layers.image_layer import ImageLayer
 from beltrami_cli.layers.layer import choose_channels
 from beltrami_cli.layers.picture_layer import PictureColours
@@ -26,84 +33,13 @@ from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.layers.texture_layer import TextureLayer, choose_textures, texel_colours
 from beltrami_cli.layers.vertex_layer import coloured_rows, only_rows, with_surface
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import (
-    EMPTY,
-    REACH,
-    Atlas,
-    Indices,
-    at_seam,
-    lines_over_seams,
-    texels_by_texture,
-    within,
-)
+from beltrami_cli.surface.atlas import Indices, texels_by_texture
 from beltrami_cli.surface.colour_values import to_space
 from beltrami_cli.surface.geometry import vertex_areas
 from beltrami_cli.surface.grouping import group_places
-from beltrami_cli.surface.records import ColouredVertices, Slot, Texture, TexturedSurface
+from beltrami_cli.surface.records import ColouredVertices, Slot
 
-Documents = tuple[Document, Document]
-
-# Distance from a seam that counts as near, in texels.
-_SEAM_DISTANCE = 4
-_CELLS = 1 << 14  # whose areas are measured at a time, in the processor's cache
 _STEP = 0.75 / 255  # of opacity, which 8 bits store
-# Texture coordinates of two files of one model may differ by this much, and vertices by this part of its size: text
-# is often rounded to six digits.
-_ROUNDING = 1e-5
-ROUNDED_MOVE = 2e-5
-_ONE_MODEL_REMEDY = "compare two files of one model"
-
-
-def near_seams(atlas: Atlas) -> Bools:
-    """Return which owned cells are within 4 texels of a seam, shape (T,)."""
-    at_border = np.zeros(atlas.kind.shape, bool)
-    for inner, *_ in lines_over_seams(atlas, 1):
-        at_border.reshape(-1)[inner] = True
-    # Charts are further apart on the canvas than this reaches.
-    return within(at_border, _SEAM_DISTANCE - 1).reshape(-1)[atlas.owned_cells]
-
-
-def seam_steps(atlas: Atlas, colours: Callable[[Indices], Float32s]) -> tuple[Int64s, Float64s]:
-    """Return the owned cells at seams and the jump there, mean over channels; `colours` reads cells by their rows."""
-    # The colours of three texels on a line across the seam are extrapolated to it, from both sides.
-    lines = np.concatenate([np.stack(line) for line in lines_over_seams(atlas, REACH)], axis=1)
-    cells = np.searchsorted(atlas.owned_cells, lines[0])
-    steps = np.empty(len(cells))
-    for block in large_arrays.blocks(len(cells), large_arrays.SCATTERED):
-        values = [colours(np.searchsorted(atlas.owned_cells, inner)) for inner in lines[:REACH, block]]
-        for here, beyond in zip(values, lines[REACH:, block], strict=True):
-            halo = np.searchsorted(atlas.halo_cells, beyond)
-            # Cells that are owned no more have the weight 0.
-            taps = np.minimum(
-                np.searchsorted(atlas.owned_cells, atlas.halo_taps[halo]), len(atlas.owned_cells) - 1
-            )
-            tapped = colours(taps.reshape(-1)).reshape(*taps.shape, -1)
-            np.subtract(np.einsum("ht,htn->hn", atlas.halo_weights[halo], tapped), here, out=here)
-        steps[block] = np.abs(at_seam(values)).mean(axis=1)
-    return cells, steps
-
-
-def texel_areas(atlas: Atlas) -> Float64s:
-    """Return the surface area of each owned cell, shape (T,), in the surface's own unit squared."""
-    columns, filled = atlas.kind.shape[1], atlas.kind.reshape(-1) != EMPTY
-    squared_lengths = atlas.squared_lengths[:3].reshape(3, -1)
-    areas = np.empty(len(atlas.owned_cells))
-    for block in large_arrays.blocks(len(areas), _CELLS):
-        total, count = np.zeros((2, block.stop - block.start))
-        # The mean of the squares of four cells around it; all cells around an owned one lie on the canvas.
-        for offset in (0, 1, columns, columns + 1):
-            first = atlas.owned_cells[block] - offset
-            # A parallelogram: |a x b|^2 = |a|^2 |b|^2 - (a . b)^2, where a . b follows from |a + b|^2.
-            a, b, c = squared_lengths[:, first].astype(np.float64)
-            known = np.isfinite(a + b + c)
-            for corner in (0, 1, columns, columns + 1):
-                known &= filled[first + corner]
-            a, b, c = np.where(known, (a, b, c), 0)
-            total += np.sqrt(np.maximum(a * b - ((c - a - b) / 2) ** 2, 0))
-            count += known
-        areas[block] = np.divide(total, count, out=np.full(len(total), np.nan), where=count > 0)
-    measured = np.isfinite(areas)
-    return np.where(measured, areas, areas[measured].mean() if measured.any() else 1.0)
 
 
 def compare_vertices(
@@ -111,7 +47,7 @@ def compare_vertices(
 ) -> ComparedColours:
     """Match the vertex colours of two models; `is_extra`: textures are compared, too."""
     one, other = _on_one_scale(*(document.coloured_vertices() for document in documents))
-    _require_one_model(documents, (one, other))
+    require_one_model(documents, (one, other))
     held = [coloured_rows(each.coloured_vertices(), in_triangles=each.kind == "volume") for each in documents]
     rows = np.intersect1d(held[0], held[1])
     channels, space = choose_channels(one.channels, settings, "the colours have").changing, settings.space
@@ -193,7 +129,7 @@ def compare_images(
     settings = dataclasses.replace(settings, textures=dataclasses.replace(settings.textures, slots=slots))
     images = [(document.name, document.data) for document in documents]
     require_memory(images, access, "compared")
-    _require_same_size(documents[0].image(), documents[1].image(), names[1])
+    require_same_size(documents[0].image(), documents[1].image(), names[1])
     samples = [ImageLayer.read(document, settings, access, colours_only=True) for document in documents]
     one, other, valid = samples[0].colours, samples[1].colours, samples[0].valid
     pictures = [each.picture for each in samples]
@@ -218,7 +154,7 @@ def compare_textures(
     """Match the textures of a slot, each a part; `is_extra`: equal files need only a notice."""
     reference, test = documents
     surface = reference.textured(slot)
-    same = _same_textures(surface, test.textured(slot), (reference.name, test.name))
+    same = matching_textures(surface, test.textured(slot), (reference.name, test.name))
     chosen = choose_textures(surface, settings.textures)
     olds, textures = chosen.textures, [same[texture.key] for texture in chosen.textures]
     count = Counter(texture.name for texture in olds)
@@ -237,7 +173,7 @@ def compare_textures(
     one = TextureLayer.read(chosen, slot, settings)
     pictures = [read_texture(texture) for texture in textures]
     for old, new in zip(one.pictures, pictures, strict=True):
-        _require_same_size(old, new, f"{test.name}: {new.name}")
+        require_same_size(old, new, f"{test.name}: {new.name}")
     colours = PictureColours.of(pictures, slot, settings)
     if colours.names != one.names:
         cause = f"its {slot} textures have {', '.join(colours.names)}, but {', '.join(one.names)} before"
@@ -285,81 +221,3 @@ def _both_colours(
     one: tuple[PictureColours, DecodedImage], other: tuple[PictureColours, DecodedImage], pixels: Indices
 ) -> Pair:
     return one[0].working(one[1], pixels), other[0].working(other[1], pixels)
-
-
-def _require_same_size(old: DecodedImage, new: DecodedImage, name: str) -> None:
-    sizes = [f"{picture.pixels.shape[1]} x {picture.pixels.shape[0]}" for picture in (old, new)]
-    if sizes[0] != sizes[1]:
-        cause = f"it has {sizes[1]} pixels, but {old.name} {sizes[0]}"
-        raise InputError(name, cause, "compare images of one size")
-
-
-def moves_of(places: Float64s, places_after: Float64s) -> Float64s:
-    """Return the distances of known places, in sizes of the model, shape (K,)."""
-    known = np.isfinite(places).all(axis=1) & np.isfinite(places_after).all(axis=1)
-    places, places_after = places[known], places_after[known]
-    moves = np.asarray(np.linalg.norm(places_after - places, axis=1), np.float64)
-    if not len(places):
-        return moves
-    # Coordinates of a small model far from the origin are rounded by more.
-    size = float(np.ptp(places, axis=0).max()) + float(np.abs(places).max()) * 1e-2
-    return moves / size if size > 0 else np.where(moves > 0, np.inf, 0.0)
-
-
-def _require_one_model(documents: Documents, vertices: tuple[ColouredVertices, ColouredVertices]) -> None:
-    """Raise InputError if two models differ in more than colours and positions."""
-    one, other = vertices
-    names = documents[0].name, documents[1].name
-    counts = len(one.positions), len(other.positions)
-    if counts[0] != counts[1]:
-        cause = f"it has {counts[1]} coloured vertices, but {names[0]} {counts[0]}"
-        raise InputError(names[1], cause, _ONE_MODEL_REMEDY)
-    faces, others = map(_triangles, documents)
-    _require_as_many(faces, others, names)
-    if not np.array_equal(faces, others):
-        first = int((faces != others).any(axis=1).argmax())
-        raise InputError(
-            names[1], f"its triangle {first} is another than that of {names[0]}", _ONE_MODEL_REMEDY
-        )
-    if one.channels != other.channels:
-        channels = [", ".join(each.channels) for each in vertices]
-        cause = f"its channels are {channels[1]}, but {names[0]} has {channels[0]}"
-        raise InputError(names[1], cause, "compare files with the same channels")
-    if not len(one.faces) and moves_of(one.positions, other.positions).max(initial=0) > ROUNDED_MOVE:
-        raise InputError(names[1], f"its points are at other places than in {names[0]}", _ONE_MODEL_REMEDY)
-
-
-def _triangles(document: Document) -> Int32s:
-    """Return the triangles of a model, shape (F, 3); of a level set those without colours too."""
-    if document.kind == "volume":
-        return document.contents().corners.reshape(-1, 3)
-    return document.coloured_vertices().faces
-
-
-def _require_as_many(faces: Int32s, others: Int32s, names: tuple[str, str]) -> None:
-    if len(faces) != len(others):
-        cause = f"it has {len(others)} triangles, but {names[0]} {len(faces)}"
-        raise InputError(names[1], cause, _ONE_MODEL_REMEDY)
-
-
-def _same_textures(
-    surface: TexturedSurface, other: TexturedSurface, names: tuple[str, str]
-) -> dict[str, Texture]:
-    """Return the textures of the other surface by the keys that they have in the one."""
-    # Vertices may be split, and numbered, otherwise: corners are one by their texture coordinates, and their places are
-    # measured as moves.
-    _require_as_many(surface.faces, other.faces, names)
-    if len(surface.textures) != len(other.textures):
-        cause = f"it has {len(other.textures)} textures, but {names[0]} {len(surface.textures)}"
-        raise InputError(names[1], cause, _ONE_MODEL_REMEDY)
-    used = surface.texture_of >= 0
-    # The numbers that textures have in the other, where they may be in another order; that of no texture first.
-    number_of = np.arange(-1, len(other.textures))
-    number_of[surface.texture_of + 1] = other.texture_of
-    same = number_of[0] == -1 and len(np.unique(number_of)) == len(number_of)
-    same &= np.array_equal(number_of[surface.texture_of + 1], other.texture_of)
-    if not same or not np.allclose(surface.uv[used], other.uv[used], rtol=0, atol=_ROUNDING):
-        cause = f"its texture coordinates differ from {names[0]}"
-        raise InputError(names[1], cause, _ONE_MODEL_REMEDY)
-    pairs = zip(surface.textures, number_of[1:].tolist(), strict=True)
-    return {texture.key: other.textures[number] for texture, number in pairs}

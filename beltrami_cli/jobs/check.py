@@ -1,0 +1,182 @@
+"""The differences between a file and the result of smoothing it; only colours and images may differ."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache, partial
+from typing import TypeVar
+
+import numpy as np
+
+from beltrami_cli.arrays import Array, Bools
+from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.formats.access import Access
+from beltrami_cli.formats.document import Document
+from beltrami_cli.formats.image import DecodedImage, read_image
+from beltrami_cli.formats.image.decoded_image import full_scale_one
+from beltrami_cli.formats.image.sizes import measure_image, require_memory
+from beltrami_cli.formats.registry import open_document
+from beltrami_cli.jobs.job import PLAIN_JOB, Job
+from beltrami_cli.surface import large_arrays
+from beltrami_cli.surface.atlas import build_atlas, texels_by_texture
+from beltrami_cli.surface.records import Texture
+
+Value = TypeVar("Value")
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Something that differs."""
+
+    what: str  # its place in the file
+    detail: str  # how it differs
+    of_colour: bool  # whether it is a colour or an image, which may differ
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """The outcome of a comparison; `dataclasses.asdict` gives JSON types.
+
+    Attributes
+    ----------
+    before, after, format : str
+        Paths of the files, and their format.
+    differences : list of Difference
+        "what" differs, how ("detail"), and whether it is "of_colour" and so allowed.
+    faithful : bool
+        Whether nothing but colours and images differs.
+    """
+
+    before: str
+    after: str
+    format: str
+    differences: list[Difference]
+
+    @property
+    def faithful(self) -> bool:
+        return all(difference.of_colour for difference in self.differences)
+
+
+def check_files(
+    before: str | os.PathLike[str], after: str | os.PathLike[str], job: Job = PLAIN_JOB
+) -> CheckReport:
+    """Compare a file with what was made of it, in the same format."""
+    original = open_document(os.fspath(before), job.access)
+    documents = [original, open_document(os.fspath(after), original.access_to_copies())]
+    formats = [document.format for document in documents]
+    if formats[0] != formats[1]:
+        kinds = [f"{document.name} is {document.format}" for document in documents]
+        raise UsageError(f"{' and '.join(kinds)}; give two of one format")
+    old, new = (document.fingerprint() for document in documents)
+    found = _between(old.colours, new.colours, _of_colours)
+    visible = cache(partial(_visible_texels, original))
+    found += _between(old.images, new.images, lambda one, other: _of_images(one, other, visible, job.access))
+    found += _between(old.parts, new.parts, _of_parts)
+    faults = [fault for fault in new.faults if fault not in old.faults]
+    found += [Difference("package", fault, of_colour=False) for fault in faults]
+    return CheckReport(documents[0].name, documents[1].name, formats[0], found)
+
+
+def _visible_texels(document: Document) -> dict[bytes, Bools]:
+    """Find the texels of each texture, by its content, that lie on the surface; shapes (H, W)."""
+    visible: dict[bytes, Bools] = {}
+    for slot in document.slots():
+        try:
+            surface = document.textured(slot)
+        except InputError:
+            continue
+        sizes = [measure_image(texture.data, texture.name) for texture in surface.textures]
+        known = [(size.width, size.height) for size in sizes if size is not None]
+        if len(known) < len(sizes):  # Such a texture can be compared, but not be laid out.
+            continue
+        atlas = build_atlas(surface, known, margin=1)
+        for index, _, texels in texels_by_texture(atlas.texture_offsets, atlas.owned_texels):
+            empty = np.zeros(known[index][::-1], bool)
+            visible.setdefault(surface.textures[index].data, empty).flat[texels] = True
+    return visible
+
+
+def _between(
+    old: Mapping[str, Value],
+    new: Mapping[str, Value],
+    differ: Callable[[Value, Value], tuple[str, bool] | None],
+) -> list[Difference]:
+    """Compare what two files hold by its place; `differ` says how, and whether in colour, or None."""
+    found = []
+    for what in {**old, **new}:
+        if what in old and what in new:
+            difference = differ(old[what], new[what])
+        else:
+            difference = "is new" if what in new else "is missing", False
+        if difference is not None:
+            found.append(Difference(what, *difference))
+    return found
+
+
+def _of_colours(before: Array, after: Array) -> tuple[str, bool] | None:
+    if before.shape != after.shape:
+        return f"{before.shape} became {after.shape}", False
+    return None if np.array_equal(before, after) else (_amount(before, after), True)
+
+
+def _amount(before: Array, after: Array) -> str:
+    """Say how many rows of colours differ, and by how much; integers are shares of the largest of their type."""
+    if np.array_equal(before, after):
+        return f"none of {len(before)} differ"
+    rows, total, largest = 0, 0.0, 0.0
+    for block in large_arrays.blocks(len(before)):
+        change = np.abs(full_scale_one(after[block]).astype(np.float64) - full_scale_one(before[block]))
+        rows += int(np.count_nonzero(change.any(axis=1)))
+        total, largest = total + float(change.sum()), max(largest, float(change.max()))
+    mean = 255 * total / before.size
+    return f"{rows} of {len(before)} differ, by {mean:.2f}/255 on average and {255 * largest:.1f}/255 at most"
+
+
+def _of_images(
+    old: Texture, new: Texture, visible: Callable[[], Mapping[bytes, Bools]], access: Access
+) -> tuple[str, bool] | None:
+    if old.data == new.data:
+        return None
+    require_memory([(old.name, old.data), (new.name, new.data)], access)
+    try:
+        before, after = read_image(old.data, old.name), read_image(new.data, new.name)
+    except InputError as error:
+        return f"{old.name} and {new.name} differ, and {error}", False
+    names = old.name if old.name == new.name else f"{old.name}, now {new.name}"
+    sizes = [f"{len(p.pixels[0])} x {len(p.pixels)} pixels" for p in (before, after)]
+    if sizes[0] != sizes[1]:
+        return f"{names}: {sizes[0]} became {sizes[1]}", False
+    if cleared := _cleared(before, after):
+        return f"{names}: {cleared} pixels under an alpha of 0 lost their colours, which became 0", False
+    kinds = [f"{p.stored} {'/'.join(p.channels)} in {p.format}" for p in (before, after)]
+    if kinds[0] != kinds[1]:
+        return f"{names}: {kinds[0]} became {kinds[1]}", True
+    mask = visible().get(old.data)
+    if mask is None:
+        amount = _amount(*(p.pixels.reshape(-1, len(p.channels)) for p in (before, after)))
+        return f"{names}: pixels, {amount}", True
+    on, off = (_amount(before.pixels[part], after.pixels[part]) for part in (mask, ~mask))
+    return f"{names}: on the surface {on}; in the gutter {off}", True
+
+
+def _cleared(before: DecodedImage, after: DecodedImage) -> int:
+    """Count the pixels under an alpha of 0 whose colours are gone, as encoders clear them: without exception."""
+    if before.alpha is None or after.alpha is None:
+        return 0
+    hidden = (before.pixels[..., before.alpha] == 0) & (after.pixels[..., after.alpha] == 0)
+    old, new = (picture.pixels[hidden][:, list(picture.colour)] for picture in (before, after))
+    return 0 if new.any() else int(np.count_nonzero(old.any(axis=1)))
+
+
+def _of_parts(old: bytes, new: bytes) -> tuple[str, bool] | None:
+    """Say where two parts begin to differ: by the line in text, otherwise by the byte."""
+    if old == new:
+        return None
+    length = min(len(old), len(new))
+    differing = np.flatnonzero(np.frombuffer(old, np.uint8, length) != np.frombuffer(new, np.uint8, length))
+    at = int(differing[0]) if differing.size else length
+    if b"\n" in old and old[: at + 80].isascii():
+        return f"differs from its line {old.count(10, 0, at) + 1} on", False
+    return f"differs from its byte {at} on, {len(old)} bytes against {len(new)}", False

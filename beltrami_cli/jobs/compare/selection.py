@@ -1,0 +1,81 @@
+"""Which coloured parts of two files are compared."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.fields import require_effect
+from beltrami_cli.jobs.compare.same_model import Documents
+from beltrami_cli.layers.selection import Selection, absent_slots, select
+from beltrami_cli.layers.settings import DEFAULTS, SLOTS, SmoothSettings
+from beltrami_cli.surface.records import Slot
+
+
+def choose_parts(documents: Documents, settings: SmoothSettings) -> tuple[Selection, list[str]]:
+    """Choose the compared parts, by default all coloured ones; return notices on all others."""
+    kinds = ["an image" if document.kind == "image" else "a model" for document in documents]
+    if kinds[0] != kinds[1]:
+        cause = f"it is {kinds[1]}, but {documents[0].name} is {kinds[0]}"
+        raise InputError(documents[1].name, cause, "compare two files of one kind")
+    if documents[0].kind == "image":
+        selection = Selection(documents[0], settings, documents[0].access, image=True)
+        require_effect(selection.kinds, documents[0].name)
+        return selection, []
+    notices: list[str] = []
+    chosen = settings if settings.textures.slots else _everything(documents, settings, notices)
+    selection = select(documents[0], chosen)
+    notices += absent_slots(documents[0], chosen) if selection.slots else []
+    uncompared = [f"{slot} textures" for slot in _slots_of(documents) if slot not in selection.slots]
+    if not selection.vertices and any(document.has_vertex_colours() for document in documents):
+        uncompared.insert(0, "vertex colours")
+    if settings.textures.names or settings.textures.materials:
+        uncompared.append("textures that --texture and --material leave out")
+    if settings.channels is not None:
+        uncompared.append("other channels")
+    return selection, [*notices, *([f"not compared: {', '.join(uncompared)}"] if uncompared else [])]
+
+
+def _slots_of(documents: Documents) -> tuple[Slot, ...]:
+    known = {slot for document in documents for slot in document.slots()}
+    return tuple(sorted(known, key=SLOTS.index))
+
+
+def _everything(documents: Documents, settings: SmoothSettings, notices: list[str]) -> SmoothSettings:
+    """Return settings that select all coloured parts of both models; InputError if only one model has some part."""
+    slots = () if settings.on == "vertices" else _slots_of(documents)
+    for slot in slots:
+        _require_both(documents, [slot in document.slots() for document in documents], f"{slot} textures")
+    slots = tuple(slot for slot in slots if _is_readable(documents, slot, notices))
+    has_globs = bool(settings.textures.names or settings.textures.materials)
+    vertices = settings.on != "texture" and not (settings.on == "auto" and has_globs and slots)
+    if vertices and slots:
+        coloured = [document.has_vertex_colours() for document in documents]
+        _require_both(documents, coloured, "vertex colours")
+        vertices = settings.on == "both" or all(coloured)
+    textures = dataclasses.replace(settings.textures, slots=slots or DEFAULTS.textures.slots)
+    on = settings.on
+    if slots:
+        on = "both" if vertices else "texture"
+    return dataclasses.replace(settings, on=on, textures=textures)
+
+
+def _require_both(documents: Documents, has: list[bool], what: str) -> None:
+    if has[0] != has[1]:
+        names = [documents[not has[0]].name, documents[has[0]].name]
+        cause = f"it has no {what}, but {names[0]} has"
+        raise InputError(names[1], cause, "choose what both have with --slots or --on")
+
+
+def _is_readable(documents: Documents, slot: Slot, notices: list[str]) -> bool:
+    """Whether the textures of a slot can be read in both models; raises the error if only in one."""
+    errors = []
+    for document in documents:
+        try:
+            document.textured(slot)
+        except InputError as error:
+            errors.append(error)
+    if len(errors) == 1:
+        raise errors[0]
+    notices += [f"not compared: {slot} textures, because {error.cause}" for error in errors[:1]]
+    return not errors
