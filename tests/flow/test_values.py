@@ -10,7 +10,8 @@ from beltrami_cli.flow.estimation import estimate_on_canvas, estimate_on_mesh
 from beltrami_cli.flow.manifolds.grid_manifold import ColouredCanvas, grid_manifold
 from beltrami_cli.flow.manifolds.manifold import Step
 from beltrami_cli.flow.manifolds.mesh_manifold import ColouredMesh, mesh_manifold
-from beltrami_cli.flow.noise.model import COLOURS, NoiseModel, VarianceStabiliser
+from beltrami_cli.flow.noise.model import NoiseModel
+from beltrami_cli.flow.noise.stabiliser import COLOURS, VarianceStabiliser
 from beltrami_cli.flow.parameters import parameters_with
 from beltrami_cli.flow.plan import choose_parameters
 from beltrami_cli.surface.atlas import grid_atlas

@@ -9,9 +9,9 @@ import pytest
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 
+from beltrami_cli.flow.noise.drawing import draw_model
 from beltrami_cli.flow.noise.features import MAX_SQUARES
 from beltrami_cli.flow.noise.grid_squares import SIDE, Grid, choose_corners
-from beltrami_cli.flow.noise.model import draw_model
 from beltrami_cli.flow.noise.reading import read_noise
 from flow.noisy_surfaces import by_camera
 from oracles.pictures import photograph

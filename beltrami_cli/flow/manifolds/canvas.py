@@ -14,8 +14,8 @@ from beltrami_cli.flow.manifolds.domain import CoarseLevel, Mixing, Stack
 from beltrami_cli.flow.manifolds.grid_gaussian import gaussian_taps, guide_radius
 from beltrami_cli.flow.manifolds.grid_geometry import colours_at
 from beltrami_cli.flow.manifolds.new_colours import NewColours
+from beltrami_cli.flow.noise.drawing import mixed_signs
 from beltrami_cli.flow.noise.grid_squares import Grid
-from beltrami_cli.flow.noise.model import mixed_signs
 from beltrami_cli.flow.noise.reading import read_noise
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface import large_arrays

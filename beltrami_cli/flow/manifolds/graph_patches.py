@@ -14,7 +14,7 @@ from beltrami_cli.flow.chunks import Figures
 from beltrami_cli.flow.manifolds.blocks import in_blocks
 from beltrami_cli.flow.manifolds.domain import CoarseLevel, Mixing, Stack
 from beltrami_cli.flow.manifolds.trials import random_signs
-from beltrami_cli.flow.noise.model import root_of
+from beltrami_cli.flow.noise.drawing import root_of
 from beltrami_cli.flow.vertex_graph import Graph, Level, levels_of
 from beltrami_cli.surface import large_arrays
 

@@ -33,7 +33,7 @@ from beltrami_cli.flow.manifolds.moving_positions import GeometryParameters, Mov
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.manifolds.search_range import ON_MESHES, RULE_ON_MESHES
 from beltrami_cli.flow.manifolds.trials import choose_patches, fingerprints, random_signs, wanted_probes
-from beltrami_cli.flow.noise.model import draw_noise_of_clusters
+from beltrami_cli.flow.noise.drawing import draw_noise_of_clusters
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.vertex_graph import Graph, levels_of
 from beltrami_cli.surface import large_arrays

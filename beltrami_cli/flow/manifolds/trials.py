@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
-from beltrami_cli.flow.noise.model import NoiseModel, draw_model
+from beltrami_cli.flow.noise.drawing import draw_model
+from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, OWNED, ROWS, Atlas, Indices, refresh_halo
 

@@ -220,6 +220,24 @@ class Grid(Neighbourhoods):
         squares = smoothed_squares(laid_out(colours, present, SIDE), present, variances)
         return squares.reshape(len(colours), -1) if present is None else squares[:, present]
 
+    def quiet_energies(self, samples: Samples, variances: Float64s) -> Float64s | None:
+        """Return the energies of quiet tiles in the quietest component, which has the least texture.
+
+        They are unknown if only one component has noise, which then cannot be distinguished from texture.
+        """
+        noisy = np.flatnonzero(variances > _NOISY * variances.max())
+        if len(noisy) < 2:
+            return None
+        finest = self.scales[0]
+        energies = finest.padded(samples.products[0][noisy] / variances[noisy, None])
+        tiles = (
+            energies.reshape(len(noisy), -1, *2 * (SIDE // _TILE, _TILE // 2)).mean(axis=(3, 5)).min(axis=0)
+        )
+        ordered = np.sort(tiles.reshape(len(tiles), -1), axis=1).astype(np.float64)
+        is_whole = finest.padded(finest.is_whole).all(axis=1)
+        quiet = ordered[:, int(_QUIET * (ordered.shape[1] - 1))] / _OF_NOISE[len(noisy)]
+        return np.where(is_whole, quiet, np.nan)
+
     def product_of_neighbours(self, values: Float32s) -> float:
         squares, filled, total, count = laid_out(values, self._present, SIDE), self._squares, 0.0, 0
         for one, other in ((np.s_[..., 1:, :], np.s_[..., :-1, :]), (np.s_[..., 1:], np.s_[..., :-1])):
@@ -257,24 +275,6 @@ def _stretched(rows: Float64s, count: int, factor: int) -> Float64s:
     """Interpolate rows of cells at the centres of `count` smaller cells, `factor` of which span one cell."""
     middles = (np.arange(count) + 0.5) / factor - 0.5
     return np.stack([np.interp(middles, np.arange(len(row)), row) for row in rows])
-
-
-def quiet_energies(samples: Samples, variances: Float64s) -> Float64s | None:
-    """Return the energy of quiet tiles in each square of a grid, relative to the noise of components, shape (P,).
-
-    The quietest component is used, since it has the least texture. The result is None if only one component has noise,
-    which then cannot be distinguished from texture, and NaN for squares that lack cells.
-    """
-    noisy = np.flatnonzero(variances > _NOISY * variances.max())
-    if len(noisy) < 2:
-        return None
-    scale = samples.where.scales[0]
-    energies = scale.padded(samples.products[0][noisy] / variances[noisy, None])
-    tiles = energies.reshape(len(noisy), -1, *2 * (SIDE // _TILE, _TILE // 2)).mean(axis=(3, 5)).min(axis=0)
-    ordered = np.sort(tiles.reshape(len(tiles), -1), axis=1).astype(np.float64)
-    is_whole = scale.padded(scale.is_whole).all(axis=1)
-    quiet = ordered[:, int(_QUIET * (ordered.shape[1] - 1))] / _OF_NOISE[len(noisy)]
-    return np.where(is_whole, quiet, np.nan)
 
 
 def _waves_of_jpeg(luma: Float32s, filled: Bools) -> list[Float32s]:

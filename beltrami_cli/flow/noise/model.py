@@ -7,40 +7,24 @@ Noise that was filtered, scaled or compressed has less at the finer scales, and 
 of N channels have the shape (L, N, N): of the details of single samples, of means of about four, and so on. The last
 one holds for all coarser scales. In their units they are equal for independent noise.
 
-Noise of cameras depends on the level: shot noise grows with light, and the encoding of colours stretches the dark. With
-sigma(s) at the level s, the transformation with the derivative 1 / sigma(s) makes it 1 everywhere [2]_. It is scaled to
-map 0 and full scale to themselves, which preserves the limits at which noise was clipped.
-
 References
 ----------
 .. [1] S. Mallat, "A theory for multiresolution signal decomposition: the wavelet representation", IEEE Trans. Pattern
    Analysis and Machine Intelligence 11(7), 1989, doi:10.1109/34.192463
-.. [2] M. Makitalo, A. Foi, "Optimal inversion of the generalized Anscombe transformation for Poisson-Gaussian noise",
-   IEEE Trans. Image Processing 22(1), 2013. https://doi.org/10.1109/TIP.2012.2202675
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Float32s, Float64s
+from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.fields import BYTE_STEP
+from beltrami_cli.flow.noise.stabiliser import COLOURS, VarianceStabiliser
 from beltrami_cli.flow.parameters import NEGLIGIBLE, STRENGTHS, VISIBLE
-from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.colour_values import srgb_to_linear
-
-if TYPE_CHECKING:
-    from beltrami_cli.flow.vertex_graph import Level
-
-# Red, green and blue share a curve by level; other channels are not levels.
-COLOURS = 3
 
 # Probability of no noise above which colours are not changed, and from which on there is certainly no noise. By
 # `noise_model/train_sizes.py`, 0.3 instead of 0.2 gains 0.06 dB on noisy grids of the usual kinds and 0.13 dB on those
@@ -62,17 +46,8 @@ _DESCRIBED_LEVELS = {"dark": 0.1, "middle": 0.5, "bright": 0.9}
 # Quantiles of the relative variance at which quiet and loud places are described.
 _QUIET_QUANTILE, _LOUD_QUANTILE = 0.05, 0.95
 
-# Number of steps of a transformation table.
-_TABLE_STEPS = 1024
-
-# Number of levels at which the noise of a camera is tabulated.
-_CAMERA_LEVELS = 65
-
 # Minimum relative standard deviation of samples, as a divisor of colours.
 _MIN_RELATIVE_SIGMA = 0.05
-
-# Rows processed at a time where each needs temporary memory.
-_BLOCK_ROWS = 64
 
 
 @dataclass(frozen=True)
@@ -121,9 +96,8 @@ class NoiseModel:
 
     covariances: Float64s  # at each scale, shape (L, N, N)
     stabiliser: VarianceStabiliser | None = None
-    relative: Float32s | None = (
-        None  # variance by its mean, a stack of one channel; None: the same everywhere
-    )
+    # Variance of each sample by its mean, a stack of one channel; None: the same everywhere.
+    relative: Float32s | None = None
     reading: Reading | None = None  # None: the noise is given
 
     @classmethod
@@ -244,74 +218,6 @@ class NoiseModel:
         return {**found, "grain": self.grain}
 
 
-class VarianceStabiliser:
-    """Stabilising transformation for noise of a relative sigma at ascending levels, each of some samples."""
-
-    def __init__(
-        self, levels: Float64s, relative: Float64s, samples: Float64s, full_scale: float = 1.0
-    ) -> None:
-        self._levels = np.linspace(0, full_scale, _TABLE_STEPS + 1)
-        inverse = 1 / np.interp(self._levels, levels, relative)
-        steps = (inverse[1:] + inverse[:-1]) / (2 * _TABLE_STEPS)
-        self.scale = 1 / float(steps.sum())
-        """Standard deviation of stabilised noise whose relative standard deviation is 1."""
-        self._stable = np.append(0, np.cumsum(steps)) * (self.scale * full_scale)
-        self._stable[-1] = full_scale
-        self.growth = float(np.sqrt(np.average(np.square(relative / self.scale), weights=samples)))
-        """Root mean square factor by which small differences grow when they are transformed back."""
-
-    @classmethod
-    def of_camera(cls, shot: float, read: float) -> VarianceStabiliser:
-        """Make the transformation for shot and read noise of a camera, in sRGB colours."""
-        levels = np.linspace(0, 1, _CAMERA_LEVELS) ** 2  # denser where the sRGB curve is steep
-        light = srgb_to_linear(levels).astype(np.float64)
-        slopes = np.maximum(np.gradient(light, levels), 1 / 12.92)
-        sigma = np.sqrt(shot * light + read**2) / slopes
-        return cls(levels, np.maximum(sigma, sigma.max() / 1000), np.ones(len(sigma)))
-
-    @cached_property
-    def _slopes(self) -> Float64s:
-        return np.diff(self._levels) / np.diff(self._stable)
-
-    def stabilised(self, channels: Float32s) -> Float32s:
-        """Return transformed channels, which are along the first axis."""
-        stable = large_arrays.copy_of(channels)
-        self.stabilise_in_place(stable)
-        return stable
-
-    def stabilise_in_place(self, channels: Float32s) -> None:
-        """Transform channels along the first axis."""
-        self._each(channels, self._levels, self._stable)
-
-    def restore_in_place(self, channels: Float32s) -> None:
-        """Apply the inverse transformation."""
-        self._each(channels, self._stable, self._levels)
-
-    def slopes(self, channels: Float32s) -> Float32s:
-        """Return the derivative of the inverse transformation at stabilised channels."""
-        factors = np.ones_like(channels)
-        for own, plane in zip(factors, channels[:COLOURS], strict=False):
-            own[:] = np.interp(plane, (self._stable[1:] + self._stable[:-1]) / 2, self._slopes)
-        return factors
-
-    def sigma_at(self, level: Array | float, sigma: float) -> Float64s:
-        """Return sigma at levels of colour, given that of stabilised colours."""
-        slopes = np.interp(level, (self._levels[1:] + self._levels[:-1]) / 2, self._slopes)
-        return np.asarray(sigma * slopes, np.float64)
-
-    def _each(self, channels: Float32s, before: Float64s, after: Float64s) -> None:
-        first, last = (
-            (after[at] - after[at - 1]) / (before[at] - before[at - 1]) for at in (1, len(before) - 1)
-        )
-        rows = max(1, large_arrays.BLOCK // max(1, int(np.prod(channels.shape[2:]))))
-        for block in large_arrays.blocks(channels.shape[1], rows):
-            for plane in channels[:COLOURS, block]:
-                within = np.interp(plane, before, after)
-                # Extrapolate with the slopes at the limits.
-                within += np.minimum(plane, 0) * first + np.maximum(plane - before[-1], 0) * last
-                plane[...] = within
-
-
 def relative_to_mean(deviations: Float32s) -> tuple[Float32s, Float64s]:
     """Split deviations, shape (S, K), into variances relative to their mean, shape (S, 1), and sigma by channel."""
     variances = np.square(deviations, dtype=np.float64)
@@ -348,67 +254,3 @@ def covariance_of_cells(covariances: Float64s) -> Float64s:
 def sigma_of_covariances(covariances: Float64s) -> Float64s:
     """Return sigma of single cells' noise, per channel, from covariances of shape (L, N, N)."""
     return np.sqrt(np.maximum(np.diag(covariance_of_cells(covariances)), 0))
-
-
-def draw_model(covariances: Float64s, shape: tuple[int, int], random: np.random.Generator) -> Float32s:
-    """Draw noise, shape (N, *shape), of the given covariances of Haar details, shape (L, N, N)."""
-    levels = len(covariances)
-    noise = mixed_signs(covariances[-1], [-(-size // 2**levels) for size in shape], random)
-    noise /= np.float32(2**levels)
-    for level in reversed(range(levels)):
-        details = [mixed_signs(covariances[level], noise.shape[1:], random) for _ in range(3)]
-        noise = _with_details(noise, details, np.float32(2 ** (level + 1)))
-    if noise.shape[1:] == shape:
-        return noise
-    cropped: Float32s = large_arrays.empty((len(noise), *shape), np.float32)
-    for rows in large_arrays.blocks(shape[0], _BLOCK_ROWS):
-        cropped[:, rows] = noise[:, rows, : shape[1]]
-    return cropped
-
-
-def _with_details(noise: Float32s, details: list[Float32s], size: np.float32) -> Float32s:
-    """Upsample noise to twice as many rows and columns, and add details divided by `size`."""
-    channels, rows, columns = noise.shape
-    finer: Float32s = large_arrays.empty((channels, 2 * rows, 2 * columns), np.float32)
-    cells = finer.reshape(channels, rows, 2, columns, 2)
-    for block in large_arrays.blocks(rows, _BLOCK_ROWS):
-        own = noise[:, block]
-        across, down, both = (detail[:, block] / size for detail in details)
-        cells[:, block, 0, :, 0] = own + across + down + both
-        cells[:, block, 0, :, 1] = own - across + down - both
-        cells[:, block, 1, :, 0] = own + across - down - both
-        cells[:, block, 1, :, 1] = own - across - down + both
-    return finer
-
-
-def mixed_signs(covariance: Float64s, shape: Sequence[int], random: np.random.Generator) -> Float32s:
-    """Draw white noise with a covariance of the channels, shape (N, *shape)."""
-    root = root_of(covariance)
-    signs = large_arrays.random_signs((len(root), *shape), random)
-    mixed: Float32s = large_arrays.empty(signs.shape, np.float32)
-    for rows in large_arrays.blocks(shape[0], _BLOCK_ROWS):
-        # Not with BLAS, whose idle threads keep spinning.
-        mixed[:, rows] = np.einsum("ij,jrc->irc", root, signs[:, rows].astype(np.float32))
-    return mixed
-
-
-def root_of(covariance: Float64s) -> Float32s:
-    """Return the symmetric square root of a covariance."""
-    values, vectors = np.linalg.eigh(covariance)
-    root: Float32s = ((vectors * np.sqrt(np.maximum(values, 0))) @ vectors.T).astype(np.float32)
-    return root
-
-
-def draw_noise_of_clusters(covariances: Float64s, levels: Sequence[Level], signs: Float32s) -> Float32s:
-    """Draw the noise on clusters instead, from independent signs of samples for each level."""
-    noise: Float32s = np.zeros(signs.shape[1:], np.float32)
-    for number, (level, own) in enumerate(zip(levels, signs, strict=True)):
-        root = root_of(covariances[min(number, len(covariances) - 1)])
-        drawn = np.einsum("ij,sj->si", root, own[level.centres]) / np.sqrt(level.counts)[:, None]
-        if number + 1 < len(levels):  # details: differences from the mean of the next level
-            above, held = levels[number + 1], drawn * level.counts[:, None]
-            parents = above.members[level.centres]
-            sums = np.stack([np.bincount(parents, column, above.graph.size) for column in held.T], axis=1)
-            drawn -= (sums / above.counts[:, None])[parents].astype(np.float32)
-        noise += drawn[level.members]
-    return noise

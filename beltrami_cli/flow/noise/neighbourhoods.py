@@ -103,6 +103,13 @@ class Neighbourhoods(ABC):
         Colours have the shape (3, n). Variances of the noise are means over the channels, shape (n,), or (1,) for all.
         """
 
+    def quiet_energies(self, samples: Samples, variances: Float64s) -> Float64s | None:
+        """Return the energy of quiet parts of each neighbourhood, relative to the noise of components, shape (P,).
+
+        NaN marks neighbourhoods that lack samples. The result is None if such parts cannot be distinguished.
+        """
+        return None
+
     @abstractmethod
     def product_of_neighbours(self, values: Float32s) -> float:
         """Return the mean product of neighbouring samples over all channels; values have the shape (3, n)."""

@@ -17,11 +17,9 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.noise import features
 from beltrami_cli.flow.noise.features import COMPONENTS, SCALES, STEPS, even_covariances
 from beltrami_cli.flow.noise.model import (
-    COLOURS,
     MAX_NO_NOISE_PROBABILITY,
     NoiseModel,
     Reading,
-    VarianceStabiliser,
     covariance_of_cells,
     sigma_of_covariances,
 )
@@ -37,15 +35,10 @@ from beltrami_cli.flow.noise.network import (
     readings,
     weights_of,
 )
+from beltrami_cli.flow.noise.residual import Residual
 from beltrami_cli.flow.noise.size import Size, evidence, removal_curve, size_weights
-from beltrami_cli.flow.noise.structure import (
-    MAX_CLIPPED_SHARE,
-    Residual,
-    Structure,
-    even_covariance,
-    shares_of_noise,
-    structure_of,
-)
+from beltrami_cli.flow.noise.stabiliser import COLOURS, VarianceStabiliser
+from beltrami_cli.flow.noise.structure import MAX_CLIPPED_SHARE, Structure, shares_of_noise, structure_of
 from beltrami_cli.flow.parameters import GivenNoise
 
 # Relative difference of the covariances of the finest two scales above which neighbours share noise. It is at most 0.29
@@ -243,7 +236,7 @@ class _Colours:
         if structure.curve is not None:
             stabiliser = structure.curve.stabiliser(self.full_scale)
             residual, size = residual.stabilised(stabiliser, step), size * stabiliser.scale
-        finest = even_covariance(residual, structure.places)
+        finest = residual.even_covariance(structure.places)
         is_shared = self._is_shared(residual)
         found = self.components if is_shared else np.repeat(finest[None], SCALES, axis=0)
         total = float(np.trace(covariance_of_cells(found))) if finest.any() else 0.0
