@@ -1,10 +1,8 @@
-"""How work ends early: the exceptions that beltrami raises, each with its exit code, and signals that end a process."""
+"""The exceptions that beltrami raises, each with its exit code and a message of one line."""
 
 from __future__ import annotations
 
-import os
 import shlex
-import signal
 import sys
 from typing import NamedTuple
 
@@ -88,34 +86,3 @@ class OutputError(FileError):
     """The output cannot be written, or must not be."""
 
     exit_code = 4
-
-
-# Signals whose default is not to end a process, that cannot be caught, or that mean faults in native code,
-# which would fault again and again if Python handled them.
-_NOT_ENDING = (
-    "SIGCHLD", "SIGCONT", "SIGINFO", "SIGTSTP", "SIGTTIN", "SIGTTOU", "SIGURG", "SIGWINCH",
-    "SIGKILL", "SIGSTOP",
-    "SIGBUS", "SIGEMT", "SIGFPE", "SIGILL", "SIGSEGV", "SIGSYS", "SIGTRAP",
-)  # fmt: skip
-ENDING_SIGNALS = frozenset(
-    map(int, signal.valid_signals() - {getattr(signal, each, 0) for each in _NOT_ENDING})
-)
-
-
-_PR_SET_PDEATHSIG = 1  # of <sys/prctl.h>
-
-
-def end_with_parent(parent: int, number: int = signal.SIGKILL) -> None:
-    """End this process by a signal when the one that started it, whose number is given, is gone; on Linux alone."""
-    if sys.platform == "linux":
-        import ctypes
-
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
-        if os.getppid() != parent:  # it was gone before
-            os.kill(os.getpid(), number)
-
-
-def unhandled_signals() -> set[int]:
-    """Return the signals that would end this process; ignored ones, as under nohup, are left out."""
-    ends = (signal.SIG_DFL, signal.default_int_handler)
-    return {number for number in ENDING_SIGNALS if signal.getsignal(number) in ends}

@@ -16,7 +16,7 @@ from beltrami_cli.flow.manifolds.grid_geometry import CanvasSamples
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.image.decoded_image import full_scale_one
 from beltrami_cli.formats.image.reading import read_image
-from beltrami_cli.surface.atlas import grid_atlas
+from beltrami_cli.surface.grid_atlas import grid_atlas
 
 LARGEST = 512  # pixels per side that are judged
 PHOTOGRAPHS = 4  # the most colourful ones take impulses

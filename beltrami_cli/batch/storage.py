@@ -19,7 +19,7 @@ from urllib.parse import unquote
 
 from beltrami_cli.errors import InputError, OutputError, install_hint
 from beltrami_cli.formats.access import is_file, is_there, is_url, open_regular
-from beltrami_cli.surface.worker_process import temporary_folder
+from beltrami_cli.surface.temporary_files import temporary_folder
 
 _LOCAL_URL = re.compile(r"(?:file|local)://", re.IGNORECASE)
 # Protocols whose files appear only when complete; otherwise files are uploaded under another name and renamed.

@@ -22,9 +22,10 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, Protocol
 
-from beltrami_cli.errors import ProcessingError, end_with_parent, unhandled_signals
+from beltrami_cli.errors import ProcessingError
 from beltrami_cli.formats.image.opening import scratch_file
 from beltrami_cli.jobs.progress import at_intervals
+from beltrami_cli.signals import end_with_parent, unhandled_signals
 
 _TERMINATION_TIMEOUT = 5.0  # seconds: enough to remove files that were not finished
 _PROGRESS_INTERVAL = 0.1  # seconds between two messages on progress

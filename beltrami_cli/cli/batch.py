@@ -17,11 +17,12 @@ from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import GroupedOption, command, complete_files, options_by_name, values_for
 from beltrami_cli.cli.console import Messages, printable, show_table
 from beltrami_cli.errors import OutputError, ProcessingError, UsageError
-from beltrami_cli.fields import of_255, parameters, without_effect
+from beltrami_cli.fields import parameters, without_effect
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import Access, is_file, is_url
 from beltrami_cli.jobs.progress import Label, Work
 from beltrami_cli.layers.settings import SmoothSettings
+from beltrami_cli.quantities import of_255
 from beltrami_cli.surface.memory import default_memory
 
 if TYPE_CHECKING:

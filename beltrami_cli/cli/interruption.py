@@ -11,7 +11,7 @@ from collections.abc import Callable
 from types import FrameType
 from typing import ClassVar
 
-from beltrami_cli.errors import unhandled_signals
+from beltrami_cli.signals import unhandled_signals
 
 _DUPLICATE = 1.0  # seconds in which another signal is the same wish, and would only disturb the tidying
 # Seconds until a signal is sent again whose exception was dropped: longer than most destructors take.

@@ -25,7 +25,8 @@ from beltrami_cli.cli.commands import (
 from beltrami_cli.cli.console import printable
 from beltrami_cli.cli.interruption import Interruptible, Interruption
 from beltrami_cli.cli.streams import ReaderGoneError, prepare_streams
-from beltrami_cli.errors import BeltramiError, InputError, end_with_parent
+from beltrami_cli.errors import BeltramiError, InputError
+from beltrami_cli.signals import end_with_parent
 
 if TYPE_CHECKING:
     from beltrami_cli.cli.config import Configuration

@@ -15,10 +15,10 @@ from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import command, complete_files, overwrite_at
 from beltrami_cli.cli.console import NO_AREA, Messages, counted, lines_on, outliers_in_words, output_name
 from beltrami_cli.errors import OutputError, UsageError
-from beltrami_cli.fields import of_255, show_size
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.settings import BakeSettings, NoiseSettings
 from beltrami_cli.layers.settings import DEFAULTS, BakeTo, LevelSettings, SmoothSettings
+from beltrami_cli.quantities import of_255, show_size
 from beltrami_cli.view.words import advice_in_words, doubt_in_words, noise_of, reason_in_words
 
 if TYPE_CHECKING:

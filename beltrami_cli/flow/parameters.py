@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, get_args
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.fields import BYTE_STEP, check, described, parameter, sure_amount
+from beltrami_cli.fields import check, described, parameter
+from beltrami_cli.quantities import BYTE_STEP, sure_amount
 
 Weights = Literal["uniform", "area"]
 Units = Literal["spacing", "world"]

@@ -20,7 +20,8 @@ from pathlib import Path
 from typing import Any, BinaryIO, ClassVar
 
 from beltrami_cli.errors import InputError, MemoryLimitError
-from beltrami_cli.fields import Checked, names_in, parameter, show_size, size_in
+from beltrami_cli.fields import Checked, parameter
+from beltrami_cli.quantities import names_in, show_size, size_in
 
 # Without O_NONBLOCK, opening a FIFO without a writer would wait for ever.
 _OPEN_FLAGS = (

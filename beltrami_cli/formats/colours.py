@@ -12,7 +12,8 @@ from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError, NoColoursError
 from beltrami_cli.surface.colour_values import limits_of, linear_to_srgb, srgb_to_linear
 from beltrami_cli.surface.grouping import group_equal_rows
-from beltrami_cli.surface.records import ColouredVertices, Frame, MeshContents, require_finite, require_single
+from beltrami_cli.surface.precision import require_finite, require_single
+from beltrami_cli.surface.records import ColouredVertices, Frame, MeshContents
 
 BYTE = 255.0
 _GREY = "Grey is written as equal red, green and blue."

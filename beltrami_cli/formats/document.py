@@ -31,7 +31,7 @@ from beltrami_cli.formats.changes import NO_IMAGES, Changes, Naming, NewImages, 
 from beltrami_cli.formats.comparison import Fingerprint
 from beltrami_cli.formats.image import DecodedImage
 from beltrami_cli.surface import records
-from beltrami_cli.surface.geometry import triangulate
+from beltrami_cli.surface.polygons import triangulate
 from beltrami_cli.surface.records import ColouredVertices
 
 

@@ -19,7 +19,7 @@ from beltrami_cli.formats.new_files import TileSets
 from beltrami_cli.formats.textured_mesh import MaterialMaps, bare_polygons, shown_materials
 from beltrami_cli.formats.tile_names import tile_name
 from beltrami_cli.surface import tiling
-from beltrami_cli.surface.geometry import polygons_of, polygons_with, triangulate_corners
+from beltrami_cli.surface.polygons import polygons_of, polygons_with, triangulate_corners
 from beltrami_cli.surface.records import (
     AlphaMode,
     ImageFile,

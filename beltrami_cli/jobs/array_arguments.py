@@ -16,15 +16,8 @@ from beltrami_cli.formats.colours import quantised
 from beltrami_cli.formats.image.decoded_image import DecodedImage, array_image
 from beltrami_cli.layers.image_surface import ImageSurface
 from beltrami_cli.layers.settings import SmoothSettings
-from beltrami_cli.surface.records import (
-    ColouredVertices,
-    Encoding,
-    Texture,
-    TexturedSurface,
-    check_scale,
-    require_finite,
-    require_single,
-)
+from beltrami_cli.surface.precision import check_scale, require_finite, require_single
+from beltrami_cli.surface.records import ColouredVertices, Encoding, Texture, TexturedSurface
 
 _ARRAYS = "the arrays"  # as messages call them
 # Positions, triangles and colours of a TriangleMesh and a PointCloud of Open3D, and where tensor-based ones have them.

@@ -19,9 +19,9 @@ from beltrami_cli.jobs.recolour import FileReport, begin
 from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.layers.selection import Selection
 from beltrami_cli.layers.settings import DEFAULTS, BakeTo
-from beltrami_cli.surface.baking import look_up, noise_around
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.surface.grouping import group_equal_rows, group_places
+from beltrami_cli.surface.lookups import look_up, noise_around
 from beltrami_cli.surface.records import Encoding, MeshContents, TexturedSurface
 
 _DEFAULTS = BakeSettings()

@@ -15,9 +15,11 @@ from beltrami_cli.formats.image import DecodedImage, read_texture, to_float, wit
 from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.jobs.progress import Progress
 from beltrami_cli.jobs.settings import BakeSettings
-from beltrami_cli.surface.baking import bake, interpolated, look_up, overlap, texels_for_vertices
+from beltrami_cli.surface.baking import bake, interpolated, texels_for_vertices
 from beltrami_cli.surface.colour_values import linear_to_srgb
-from beltrami_cli.surface.geometry import triangulate
+from beltrami_cli.surface.coverage import overlap
+from beltrami_cli.surface.lookups import look_up
+from beltrami_cli.surface.polygons import triangulate
 from beltrami_cli.surface.records import (
     Encoding,
     Frame,

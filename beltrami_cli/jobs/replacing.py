@@ -26,9 +26,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
-from beltrami_cli.errors import ENDING_SIGNALS
 from beltrami_cli.formats.access import parse_json
 from beltrami_cli.jobs.file_rights import PRIVATE, take_over
+from beltrami_cli.signals import ENDING_SIGNALS
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.changes import Bytes

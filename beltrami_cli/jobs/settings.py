@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal, get_args
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.fields import Checked, amount, check, described, parameter, share_in, sure_amount
+from beltrami_cli.fields import Checked, check, described, parameter
+from beltrami_cli.quantities import amount, share_in, sure_amount
 
 _SMALLEST_SIDE, _LARGEST_SIDE = 16, 16384  # of a texture: less is of no use, graphics cards take no more
 

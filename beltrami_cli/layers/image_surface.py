@@ -20,8 +20,8 @@ from beltrami_cli.formats.image import DecodedImage
 from beltrami_cli.formats.image.decoded_image import full_scale_one
 from beltrami_cli.layers.guides import read_of_size
 from beltrami_cli.layers.settings import ImageSettings
-from beltrami_cli.surface.atlas import grid_atlas
-from beltrami_cli.surface.records import check_scale
+from beltrami_cli.surface.grid_atlas import grid_atlas
+from beltrami_cli.surface.precision import check_scale
 
 Pixels = NDArray[np.int64]
 

@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
+from beltrami_cli.arrays import Array, Float32s, Float64s, Indices, Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import FlowResult
 from beltrami_cli.flow.choice.choice import Choice
@@ -27,8 +27,8 @@ from beltrami_cli.flow.plan import Plan
 from beltrami_cli.formats.image import DecodedImage, is_unchanged, losses, write_image
 from beltrami_cli.formats.image.decoded_image import as_stored
 from beltrami_cli.layers.settings import COLOUR_SLOTS, LevelSettings, SmoothSettings, TextureSettings
-from beltrami_cli.surface.atlas import Indices, store_integers
 from beltrami_cli.surface.baking import Cells
+from beltrami_cli.surface.colour_values import store_integers
 from beltrami_cli.surface.large_arrays import blocks, kept_bytes
 from beltrami_cli.surface.records import ColouredVertices, ImageFile, Slot
 

@@ -10,7 +10,7 @@ from typing import Self
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Bools, Float32s, Int64s
+from beltrami_cli.arrays import Array, Bools, Float32s, Indices, Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Resources
 from beltrami_cli.flow.corrections.coded_picture import CodedPicture
@@ -36,7 +36,7 @@ from beltrami_cli.layers.layer import Change, Layer, choose_channels, dithered, 
 from beltrami_cli.layers.settings import COLOUR_SLOTS, SmoothSettings
 from beltrami_cli.layers.units import unit_of_pictures
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import Atlas, Indices, texels_by_texture
+from beltrami_cli.surface.atlas import Atlas, texels_by_texture
 from beltrami_cli.surface.colour_values import from_space, to_space, unit_in_space
 from beltrami_cli.surface.records import ImageFile, Slot
 

@@ -26,10 +26,10 @@ from beltrami_cli.formats.image.sizes import measure_image, require_memory, size
 from beltrami_cli.layers.layer import Layer
 from beltrami_cli.layers.settings import SLOTS, SmoothSettings, binding_parameters
 from beltrami_cli.layers.texture_layer import TextureLayer, choose_textures, only_textures
-from beltrami_cli.surface.geometry import coarse_rounding
 from beltrami_cli.surface.grouping import group_places
 from beltrami_cli.surface.large_arrays import arrays_in_files
-from beltrami_cli.surface.records import Slot, TexturedSurface, check_scale
+from beltrami_cli.surface.precision import check_scale, coarse_rounding
+from beltrami_cli.surface.records import Slot, TexturedSurface
 
 if TYPE_CHECKING:
     from beltrami_cli.layers.vertex_layer import VertexLayer

@@ -18,15 +18,14 @@ from beltrami_cli.fields import (
     described,
     given_parameters,
     named_files,
-    names_in,
     parameter,
     parameters,
     part,
     parts,
-    share_in,
 )
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters, Space
 from beltrami_cli.formats.access import is_file
+from beltrami_cli.quantities import names_in, share_in
 
 Target = Literal["auto", "vertices", "texture", "both"]
 AlphaMode = Literal["keep", "smooth"]

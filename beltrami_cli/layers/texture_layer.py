@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatch
 from functools import partial
@@ -11,7 +11,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
+from beltrami_cli.arrays import Array, Bools, Float32s, Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import FlowResult
 from beltrami_cli.flow.estimation import estimate_on_canvas
@@ -31,18 +31,9 @@ from beltrami_cli.layers.layer import LevelReport, SlotReport
 from beltrami_cli.layers.picture_layer import PictureColours, PictureLayer
 from beltrami_cli.layers.settings import COLOUR_SLOTS, LevelSettings, SmoothSettings, TextureSettings
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import (
-    ROWS,
-    Atlas,
-    Indices,
-    build_atlas,
-    fill_gutter,
-    nearest_covered,
-    texels_by_texture,
-    within,
-    without_owned,
-)
+from beltrami_cli.surface.atlas import Atlas, build_atlas, texels_by_texture, without_owned
 from beltrami_cli.surface.baking import Cells
+from beltrami_cli.surface.gutters import fill_gutter, keep_foreign_texels, within
 from beltrami_cli.surface.records import ImageFile, Slot, Texture, TexturedSurface
 
 _UNCOVERED_NOTICE = (
@@ -53,9 +44,6 @@ _UNSEEN_NOTICE = (
 )
 # Percentage of texels with several places; smaller ones are due to rounding at the borders of charts.
 _WORTH_REPORTING = 1.0
-
-# A step between two texels has the noise of both. It is real if it exceeds so many deviations of the removed noise.
-_REAL_STEP = 3.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -212,7 +200,7 @@ class TextureLayer(PictureLayer):
         covered, known, rows = self._gutter_rows(index, pixels.shape[:2], new, gutter)
         beyond = NewColours.of(new.beyond[rows])
         self._fill(pixels, index, new.beyond_places[rows], beyond.take, is_dithered=is_dithered)
-        _keep_foreign_texels(
+        keep_foreign_texels(
             picture.pixels, pixels, covered, known, partial(self.colours.shown, picture),
             width=gutter, lone=self._of_picture(self.atlas.lone_texels, index)[1], threads=threads,
         )  # fmt: skip
@@ -344,73 +332,3 @@ def all_texel_colours(colours: PictureColours, pictures: Sequence[DecodedImage],
     for block in large_arrays.blocks(len(table)):
         table[block] = texel_colours(colours, pictures, atlas, block)
     return table
-
-
-def _keep_foreign_texels(
-    old: Array, new: Array, covered: Bools, known: Bools, shown: Callable[[Array], Float32s], *,
-    width: int, lone: Indices, threads: int,
-) -> None:  # fmt: skip
-    """Restore the old colours of texels around charts that do not extend the adjacent chart, in place.
-
-    A texel extends its chart if its old step to the nearest covered texel was, except for noise, the same as the new
-    one, or if there was no step; it is then filled from that texel. Other texels are background, the border of a colour
-    on the chart's border, or belong to another chart, material or model. Single texels of those may resemble the chart,
-    so half of the uncovered texels around must extend it too. For `lone` texels it is unknown which part of the surface
-    they show.
-
-    `old`, `new`: pixels before and after, (H, W, C), which `shown` converts to colours. Texels that are `known`, (H,
-    W), are not filled later.
-    """
-    rows, new_rows, is_known = old.reshape(covered.size, -1), new.reshape(covered.size, -1), known.reshape(-1)
-    limit = _REAL_STEP * _rms_change_at_borders(rows, new_rows, covered, shown)
-    candidates, continues = np.flatnonzero(is_known), np.zeros(covered.shape, bool)
-    for texels, nearest in nearest_covered(covered, width + 1 if width else 0, threads=threads):
-        for block in large_arrays.blocks(len(texels), large_arrays.CACHED):
-            here, there = texels[block], nearest[block]
-            step = shown(rows[here]) - shown(rows[there])
-            is_halo = is_known[here]
-            halo = here[is_halo]
-            now = shown(new_rows[halo]) - shown(new_rows[there[is_halo]])
-            follows = _rms_over_channels(step[is_halo] - now) <= limit
-            is_known[halo] = follows
-            has_no_step = _rms_over_channels(step) <= limit
-            has_no_step[is_halo] |= follows
-            continues.reshape(-1)[here] = has_no_step
-    continues &= _is_half(continues, ~covered)
-    continues.reshape(-1)[lone] = False
-    stays = ~(continues | covered)
-    restored = candidates[stays.reshape(-1)[candidates]]
-    new_rows[restored] = rows[restored]
-    known[stays] = True
-
-
-def _is_half(marked: Bools, counted: Bools) -> Bools:
-    """Return where at least half of the counted texels in a 3 x 3 window are marked, including the centre."""
-    found = np.empty(marked.shape, bool)
-    for rows in large_arrays.blocks(len(marked), ROWS):
-        first = max(0, rows.start - 1)
-        # Sums of slices: importing the filters of SciPy takes longer than smoothing a small texture.
-        balance = np.pad(
-            2 * marked[first : rows.stop + 1].astype(np.int8) - counted[first : rows.stop + 1], 1
-        )
-        balance = balance[:-2] + balance[1:-1] + balance[2:]
-        balance = balance[:, :-2] + balance[:, 1:-1] + balance[:, 2:]
-        found[rows] = balance[rows.start - first :][: rows.stop - rows.start] >= 0
-    return found
-
-
-def _rms_change_at_borders(
-    old: Array, new: Array, covered: Bools, shown: Callable[[Array], Float32s]
-) -> float:
-    """Return the RMS change of the texels at the borders of charts."""
-    edge = np.flatnonzero(covered & within(~covered, 1))
-    total = 0.0
-    for block in large_arrays.blocks(len(edge), large_arrays.CACHED):
-        change = shown(new[edge[block]]) - shown(old[edge[block]])
-        total += float(np.square(_rms_over_channels(change)).sum())
-    return float(np.sqrt(total / max(1, len(edge))))
-
-
-def _rms_over_channels(differences: Float32s) -> Float64s:
-    """Return the root mean square over the channels."""
-    return np.asarray(np.sqrt(np.square(differences, dtype=np.float64).mean(axis=1)))

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
+from beltrami_cli.arrays import Array, Float32s, Float64s, Indices, Int32s, Int64s
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.beltrami_flow import FlowResult
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Resources
@@ -44,13 +44,12 @@ from beltrami_cli.layers.layer import (
 from beltrami_cli.layers.levelled_charts import level_photographs
 from beltrami_cli.layers.settings import LevelSettings, SmoothSettings
 from beltrami_cli.layers.units import unit_of_vertices
-from beltrami_cli.surface.atlas import Indices
 from beltrami_cli.surface.colour_values import from_space, to_space, unit_in_space
 from beltrami_cli.surface.geometry import bounds, count_topology
-from beltrami_cli.surface.grouping import VertexSampling, sample_vertices
 from beltrami_cli.surface.large_arrays import blocks, copy_of, kept
-from beltrami_cli.surface.reconstruction import faces_of_points
+from beltrami_cli.surface.points import faces_of_points
 from beltrami_cli.surface.records import ColouredVertices, SampledSurface
+from beltrami_cli.surface.sampling import VertexSampling, sample_vertices
 
 # Number of kernels for an estimate of the mean number of samples, accurate to a few per cent within milliseconds.
 _PROBED_KERNELS = 1000

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-from beltrami_cli.fields import BYTE_STEP
+from beltrami_cli.arrays import Bools, Float32s, Float64s, Indices, Int32s, Int64s
 from beltrami_cli.levelling.exposures import (
     VISIBLE,
     Exposures,
@@ -32,10 +31,12 @@ from beltrami_cli.levelling.steps import (
     steps_over_seams,
     weighted_median,
 )
+from beltrami_cli.quantities import BYTE_STEP
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import OWNED, ROWS, Atlas, Indices, refresh_halo, within
+from beltrami_cli.surface.atlas import OWNED, Atlas, refresh_halo
 from beltrami_cli.surface.colour_values import limits_of
 from beltrami_cli.surface.grouping import connected
+from beltrami_cli.surface.gutters import within
 
 Samples = Callable[[Int64s], tuple[Float32s, Indices, Float64s]]
 
@@ -194,7 +195,7 @@ def level_mesh(
 def mixed_cells(atlas: Atlas, spans: Sequence[int]) -> Int64s:
     """Return the owned cells (flat indices) so close to a border of a chart that a decoder mixed their hue."""
     found, (rows, columns), reach = [np.zeros(0, np.int64)], atlas.kind.shape, max(spans)
-    for band in large_arrays.blocks(rows, ROWS):
+    for band in large_arrays.blocks(rows, large_arrays.ROWS):
         first = max(0, band.start - reach)
         owned = atlas.kind[first : band.stop + reach] == OWNED
         near = owned & within(~owned, reach)

@@ -32,10 +32,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from beltrami_cli.arrays import Bools, Float64s, Int64s
-from beltrami_cli.fields import BYTE_STEP
+from beltrami_cli.arrays import Bools, Float64s, Indices, Int64s
 from beltrami_cli.levelling.steps import PARTS, STRETCH, Steps, deviations, weighted_median
-from beltrami_cli.surface.atlas import Indices
+from beltrami_cli.quantities import BYTE_STEP
 from beltrami_cli.surface.grouping import connected
 
 # Expected deviations of gains and offsets of cameras; and, if gains vary linearly over charts, also of tilts.

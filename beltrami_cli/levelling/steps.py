@@ -7,12 +7,13 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-from beltrami_cli.fields import BYTE_STEP
+from beltrami_cli.arrays import Bools, Float32s, Float64s, Indices, Int32s, Int64s
+from beltrami_cli.quantities import BYTE_STEP
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import Atlas, Indices, at_seam, lines_over_seams, refresh_halo
+from beltrami_cli.surface.atlas import Atlas, at_seam, lines_over_seams, refresh_halo
 from beltrami_cli.surface.colour_values import limits_of
-from beltrami_cli.surface.grouping import connected, edges_of
+from beltrami_cli.surface.geometry import edges_of
+from beltrami_cli.surface.grouping import connected
 
 # Side of the blocks of cells over which steps are averaged, doubled until there are few enough stretches.
 STRETCH = 4

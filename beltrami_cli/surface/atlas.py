@@ -1,4 +1,4 @@
-"""An atlas as a manifold: the charts of textures, continued over their seams, or one regular image; and its gutter.
+"""An atlas as a manifold: the charts of textures on one canvas, continued over their seams.
 
 Charts lie on one canvas of R x C cells, so that cells next to each other are neighbours on the surface. A cell is OWNED
 where it is the place of a texel: each covered texel of the textures is one owned cell. It is HALO where it continues a
@@ -18,20 +18,16 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from beltrami_cli._native import build_atlas as build_native_atlas
-from beltrami_cli._native import nearest_marked, store_colours
-from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int8s, Int32s, Int64s, Uint8s
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Indices, Int8s, Int32s, Int64s, Uint8s
 from beltrami_cli.errors import ProcessingError
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.grouping import group_places
 from beltrami_cli.surface.records import TexturedSurface
-
-Indices: TypeAlias = NDArray[np.signedinteger[Any]]
 
 EMPTY, OWNED, HALO = 0, 1, 2
 # Weights of the least-squares line through values 1/2, 3/2 and 5/2 texels from a seam, evaluated at the seam.
@@ -215,85 +211,6 @@ def _build(surface: TexturedSurface, sizes: Sequence[tuple[int, int]], margin: i
         raise ProcessingError(f"{error}; use smaller textures") from error
 
 
-ROWS = 256  # of an image, processed at a time
-
-# Row and column offsets of the neighbours in `Atlas`: right, below, below right, below left.
-STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))
-
-
-def grid_atlas(shape: tuple[int, int], margin: int, positions: Float64s | None, valid: Bools) -> Atlas:
-    """Lay out an image, shape (H, W), as one chart without seams, with a border of at least `margin` empty cells."""
-    margin += margin % 2  # as charts are: squares of 2 x 2 cells begin at even pixels
-    # Invalid pixels and non-finite positions, shape (H, W, M), are holes. Without positions, pixels lie on a plane at a
-    # spacing of 1. Nothing crosses a hole, and holes that touch at corners form a closed barrier.
-    filled = valid if positions is None else valid & np.isfinite(positions).all(axis=2)
-    kind = large_arrays.zeros((shape[0] + 2 * margin, shape[1] + 2 * margin), np.uint8)
-    inside = slice(margin, margin + shape[0]), slice(margin, margin + shape[1])
-    for rows in large_arrays.blocks(shape[0], ROWS):
-        kind[inside][rows][filled[rows]] = OWNED
-    measure = partial(_measure_grid, filled, margin, positions)
-    texels = large_arrays.find(filled, True)
-    nothing = np.zeros(0, np.int64)
-    return Atlas(
-        kind=kind,
-        lengths=large_arrays.Droppable(measure(), measure),
-        owned=owned_of(kind),
-        owned_texels=texels,
-        texture_offsets=np.array([0, shape[0] * shape[1]], np.int64),
-        cut_cells=nothing, halo_cells=nothing,
-        gutter_cells=nothing, gutter_texels=nothing, border_texels=nothing, lone_texels=nothing,
-        halo_taps=np.zeros((0, 4), np.int64),
-        halo_weights=np.zeros((0, 4), np.float32),
-        halo_seams=np.zeros(0, np.int32),
-        chart_of=large_arrays.zeros(len(texels), np.int8),
-        charts=1, seams=0, seam_edges=0, covered=len(texels), overlapped=0,
-    )  # fmt: skip
-
-
-def _measure_grid(filled: Bools, margin: int, positions: Float64s | None) -> Float32s:
-    height, width = filled.shape
-    lengths: Float32s = large_arrays.empty((len(STEPS), height + 2 * margin, width + 2 * margin), np.float32)
-    for rows in large_arrays.blocks(lengths.shape[1], ROWS):
-        lengths[:, rows] = np.inf
-    inside = lengths[:, margin : margin + height, margin : margin + width]
-    for rows in large_arrays.blocks(height, ROWS):
-        below = slice(rows.start, rows.stop + 1)  # with the row in which edges of the last row end
-        places = None if positions is None else positions[below]
-        for plane, step in zip(inside[:, below], STEPS, strict=True):
-            _measure(plane, step, filled[below], places)
-    return lengths
-
-
-def _measure(plane: Float32s, step: tuple[int, int], filled: Bools, positions: Float64s | None) -> None:
-    """Write the squared lengths of the edges in one direction; those at holes remain infinite."""
-    here, there = ends_of(step)
-    edges = filled[here] & filled[there]
-    if 0 not in step:  # a hole beside a diagonal removes one of its two triangles
-        edges &= filled[here[0], there[1]] | filled[there[0], here[1]]
-    if positions is None:
-        plane[here][edges] = step[0] ** 2 + step[1] ** 2
-        return
-    total = np.zeros(edges.shape)
-    # The background of a map may be at the limit of float: an infinite length, which nothing crosses.
-    with np.errstate(over="ignore"):
-        for column in np.moveaxis(positions, 2, 0):
-            # Subtract before rounding, since maps may be far from the origin.
-            steps = np.subtract(column[there], column[here], out=np.zeros(edges.shape), where=edges)
-            total += np.square(steps)
-        np.copyto(plane[here], total, where=edges, casting="same_kind")
-
-
-def ends_of(step: tuple[int, int]) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
-    """Return slices of the cells at which edges of a direction start and end."""
-    down, right = step
-    rows = slice(None, -down or None), slice(down, None)
-    if right >= 0:
-        columns = slice(None, -right or None), slice(right, None)
-    else:
-        columns = slice(-right, None), slice(None, right)
-    return (rows[0], columns[0]), (rows[1], columns[1])
-
-
 def at_seam(values: Sequence[Array]) -> Float64s:
     """Extrapolate three cells on a line, nearest first, to the seam; return a single cell unchanged."""
     if len(values) == 1:
@@ -317,78 +234,3 @@ def lines_over_seams(atlas: Atlas, reach: int) -> list[list[Int64s]]:
             fits &= inside & (owned if number < reach else beyond)[np.where(inside, cells, 0)]
         found.append([cells[fits] for cells in line])
     return found
-
-
-ROWS = 512  # of a texture, processed at a time
-
-
-def fill_gutter(
-    pixels: Array, covered: Bools, width: int | None, known: Bools | None = None,
-    threads: int = 1, channels: Sequence[int] | None = None, opacity: Float32s | None = None,
-) -> None:  # fmt: skip
-    """Fill texels around charts, in place, with the colour of the nearest covered texel."""
-    # `width`: maximum distance in texels; None: unlimited. `known`: uncovered texels that already have their colours,
-    # as from beyond a seam, and are not filled. `opacity`: alpha by which colours are multiplied, replaced by that of
-    # the new texel; not 0 where covered.
-    table = pixels.reshape(-1, pixels.shape[2])
-    visible = None if opacity is None else opacity.reshape(-1)
-    for texels, nearest in nearest_covered(covered, width, known, threads):
-        share = None if visible is None else visible[texels] / visible[nearest]
-        for channel in range(pixels.shape[2]) if channels is None else channels:
-            found = table[nearest, channel]
-            table[texels, channel] = found if share is None else _scaled(found, share)
-
-
-def nearest_covered(
-    covered: Bools, width: int | None, left_out: Bools | None = None, threads: int = 1
-) -> Iterator[tuple[Int64s, Int64s]]:
-    """Yield, band by band, uncovered texels and the nearest covered texel of each within the width."""
-    reach = sum(covered.shape) if width is None else width
-    for band in large_arrays.blocks(len(covered), max(ROWS, reach)):
-        target = ~covered[band]
-        if left_out is not None:
-            target &= ~left_out[band]
-        if not target.any():
-            continue
-        first, last = max(0, band.start - reach), band.stop + reach
-        wanted = np.zeros(covered[first:last].shape, bool)
-        wanted[band.start - first : band.stop - first] = target
-        texels, nearest = nearest_marked(np.ascontiguousarray(covered[first:last]), wanted, reach, threads)
-        offset = first * covered.shape[1]
-        yield texels + offset, nearest + offset
-
-
-def _scaled(colours: Array, share: Float32s) -> Array:
-    scaled = colours * share
-    if colours.dtype.kind != "f":
-        scaled = np.minimum(np.rint(scaled), np.iinfo(colours.dtype).max)
-    return scaled.astype(colours.dtype)
-
-
-def store_integers(
-    table: Array, pixels: Indices, values: Float32s, channels: Sequence[int], threads: int
-) -> tuple[float, float, float]:
-    """Write values to integer pixels, in place; return sum, sum of squares and maximum of the changes."""
-    # Values beyond full scale are clipped, and NaN becomes 0.
-    rows, columns = np.ascontiguousarray(values), np.array(channels, np.int32)
-    total, squares, largest = store_colours(table, pixels, rows, columns, threads)
-    one = float(np.iinfo(table.dtype).max)
-    return total / one, squares / one**2, largest / one
-
-
-def within(covered: Bools, reach: int) -> Bools:
-    """Return a mask of the cells at most `reach` rows and columns from a covered cell."""
-    near, known = covered, 0
-    while known < reach:
-        # Dilate by shifted copies. The step is the largest that leaves no gap between them, also at the edges of the
-        # canvas, where half of the neighbourhood is outside.
-        step = min(known + 1, reach - known)
-        for axis in (0, 1):
-            ahead, behind = [slice(None), slice(None)], [slice(None), slice(None)]
-            ahead[axis], behind[axis] = slice(step, None), slice(None, -step)
-            grown = near.copy()
-            grown[*ahead] |= near[*behind]
-            grown[*behind] |= near[*ahead]
-            near = grown
-        known += step
-    return near

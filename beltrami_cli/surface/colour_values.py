@@ -1,15 +1,18 @@
-"""Numeric colours: sRGB transfer function, colour spaces, limits, and colour maps."""
+"""Numeric colours: sRGB transfer function, colour spaces, limits, colour maps, and storage as integers."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Uint8s
+from beltrami_cli._native import store_colours
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Indices, Uint8s
 from beltrami_cli.errors import UsageError
-from beltrami_cli.surface.records import Encoding, require_finite
+from beltrami_cli.surface.precision import require_finite
+from beltrami_cli.surface.records import Encoding
 
 _SLOPE = 12.92  # of the linear segment near black
 _OFFSET = 0.055
@@ -147,3 +150,14 @@ def _require_three(colours: Float32s) -> None:
             f"the space oklab needs red, green and blue, but there are {colours.shape[1]} channels; "
             "choose --space srgb, linear or data"
         )
+
+
+def store_integers(
+    table: Array, pixels: Indices, values: Float32s, channels: Sequence[int], threads: int
+) -> tuple[float, float, float]:
+    """Write values to integer pixels, in place; return sum, sum of squares and maximum of the changes."""
+    # Values beyond full scale are clipped, and NaN becomes 0.
+    rows, columns = np.ascontiguousarray(values), np.array(channels, np.int32)
+    total, squares, largest = store_colours(table, pixels, rows, columns, threads)
+    one = float(np.iinfo(table.dtype).max)
+    return total / one, squares / one**2, largest / one

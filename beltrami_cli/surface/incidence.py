@@ -9,12 +9,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Int32s, Int64s
 from beltrami_cli.surface import large_arrays
-
-
-def entries(offsets: Int64s, rows: Array) -> tuple[Int64s, Int64s]:
-    """Return the positions of all entries of some rows, row after row, and their number in each row."""
-    starts, counts = offsets[rows], offsets[rows + 1] - offsets[rows]
-    return np.arange(int(counts.sum())) + np.repeat(starts - (np.cumsum(counts) - counts), counts), counts
+from beltrami_cli.surface.ranges import entries
 
 
 class RowsOfSamples:

@@ -23,6 +23,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from beltrami_cli.arrays import Array, Int8s
 from beltrami_cli.errors import OutputError
+from beltrami_cli.surface.temporary_files import unwritable
 
 AnyArray = TypeVar("AnyArray", bound=np.ndarray[Any, Any])
 
@@ -34,6 +35,9 @@ CACHED = 1 << 16
 
 SCATTERED = 1 << 14
 """The same of samples that lie all over the arrays, each on a page of its own, or 64 KB that are read with it."""
+
+ROWS = 512
+"""Rows of an image that passes over it take at a time."""
 
 # Share of the remaining memory for arrays in memory; the rest is for blocks of them.
 _SHARE = 3 / 4
@@ -139,8 +143,6 @@ def kept_bytes(data: bytes) -> bytes | memoryview:
 def _in_file(limit: _Limit, size: int) -> Array:
     """Return an array of bytes in an anonymous file."""
     import tempfile
-
-    from beltrami_cli.surface.worker_process import unwritable
 
     try:
         with tempfile.TemporaryFile(dir=limit.folder) as file:

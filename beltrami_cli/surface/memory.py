@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from beltrami_cli.errors import MemoryLimitError
-from beltrami_cli.fields import show_size
+from beltrami_cli.quantities import show_size
 
 _MIN_MEMORY = 1 << 26  # bytes that a command needs in any case
 _STATUS = Path("/proc/self/status")

@@ -23,7 +23,7 @@ from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s
 from beltrami_cli.errors import InputError, ProcessingError
 from beltrami_cli.surface.geometry import centred, triangle_areas
 from beltrami_cli.surface.grouping import group_places
-from beltrami_cli.surface.records import require_finite
+from beltrami_cli.surface.precision import require_finite
 from beltrami_cli.surface.worker_process import Message, WorkerError, ask, serve
 
 Progress = Callable[[int, int], None] | None

@@ -1,6 +1,6 @@
 """A module of this package in a separate process, which can be killed whatever its libraries do.
 
-It reads a question from standard input and writes the answer to standard output. Also temporary folders.
+It reads a question from standard input and writes the answer to standard output.
 """
 
 from __future__ import annotations
@@ -12,16 +12,14 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from beltrami_cli.arrays import Array
-from beltrami_cli.errors import OutputError, end_with_parent
 from beltrami_cli.import_path import safe_environment
+from beltrami_cli.signals import end_with_parent
 
 Message = tuple[Any, dict[str, Array]]
 """Words, as JSON has them, and arrays by name."""
@@ -36,34 +34,6 @@ class WorkerError(Exception):
     def __init__(self, cause: str, code: int) -> None:
         super().__init__(cause)
         self.code = code
-
-
-@contextmanager
-def writing_temporary_files() -> Iterator[None]:
-    """Convert errors of writing files, such as on a full disk, to OutputError."""
-    try:
-        yield
-    except OSError as error:
-        raise unwritable(error.strerror or str(error)) from error
-
-
-@contextmanager
-def temporary_folder() -> Iterator[Path]:
-    """Make a temporary folder for this context; OutputError if it cannot be made."""
-    from tempfile import TemporaryDirectory
-
-    with ExitStack() as stack:
-        with writing_temporary_files():
-            # The work is complete when the folder is removed, so a failed removal is ignored.
-            made = TemporaryDirectory(prefix="beltrami-", ignore_cleanup_errors=True)
-            folder = stack.enter_context(made)
-        yield Path(folder)
-
-
-def unwritable(cause: str) -> OutputError:
-    """Return the error that temporary files cannot be written."""
-    remedy = "free space, or name another folder in the variable TMPDIR"
-    return OutputError("temporary files", f"cannot be written ({cause})", remedy)
 
 
 def ask(

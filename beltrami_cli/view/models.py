@@ -38,7 +38,8 @@ from beltrami_cli.formats.image.decoded_image import is_associated
 from beltrami_cli.formats.image.reading import read_image, read_texture
 from beltrami_cli.layers.settings import COLOUR_SLOTS
 from beltrami_cli.surface.colour_values import VIRIDIS, as_bytes, linear_to_srgb
-from beltrami_cli.surface.grouping import connected, edges_of, group_equal_rows, group_places
+from beltrami_cli.surface.geometry import edges_of
+from beltrami_cli.surface.grouping import connected, group_equal_rows, group_places
 from beltrami_cli.surface.records import ColouredVertices, Slot, Texture, TexturedSurface
 from beltrami_cli.view.pages import png_of
 from beltrami_cli.view.views import disc_radii, framed, light_of, sheet_of

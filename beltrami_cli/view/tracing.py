@@ -21,10 +21,10 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import ProcessingError, install_hint
-from beltrami_cli.surface.baking import look_up
-from beltrami_cli.surface.geometry import unit_vectors, vertex_normals
-from beltrami_cli.surface.grouping import group_equal_rows, without_unused
+from beltrami_cli.surface.geometry import unit_vectors, vertex_normals, without_unused
+from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.large_arrays import blocks
+from beltrami_cli.surface.lookups import look_up
 from beltrami_cli.surface.memory import memory_reserved
 from beltrami_cli.surface.records import TexturedSurface, Wrap
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from beltrami_cli.fields import of_255
+from beltrami_cli.quantities import of_255
 from beltrami_cli.view.words import noise_in_words, psnr_in_words
 
 # Kernel parameters that are shown even if they have their defaults.

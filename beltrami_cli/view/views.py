@@ -17,10 +17,10 @@ from beltrami_cli.formats.image.sizes import measure_image
 from beltrami_cli.jobs.progress import Progress, tracked
 from beltrami_cli.jobs.recolour import open_input
 from beltrami_cli.layers.settings import COLOUR_SLOTS, DEFAULTS, SLOTS, SmoothSettings
-from beltrami_cli.surface.baking import expanded, runs_of
 from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.geometry import triangle_areas, vertex_areas
 from beltrami_cli.surface.grouping import connected, group_equal_rows
+from beltrami_cli.surface.ranges import expanded, runs_of
 from beltrami_cli.surface.records import ColouredVertices, Slot
 from beltrami_cli.view.settings import RenderSettings
 from beltrami_cli.view.tracing import (

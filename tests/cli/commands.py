@@ -14,7 +14,7 @@ import click
 import pytest
 
 from beltrami_cli.cli.main import group, main
-from beltrami_cli.errors import unhandled_signals
+from beltrami_cli.signals import unhandled_signals
 from hostile.folders import snapshot
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"

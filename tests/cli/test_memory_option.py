@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.fields import show_size, size_in
 from beltrami_cli.jobs import smoothing
+from beltrami_cli.quantities import show_size, size_in
 from beltrami_cli.surface import memory
 from beltrami_cli.surface.memory import default_memory, limited_memory
 from cli.commands import beltrami, run_command

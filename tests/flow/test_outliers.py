@@ -12,7 +12,7 @@ from beltrami_cli.flow.decoding import plan_on_canvas
 from beltrami_cli.flow.manifolds.grid_geometry import CanvasSamples
 from beltrami_cli.flow.parameters import KernelParameters, parameters_with
 from beltrami_cli.layers.image_surface import ImageSurface, canvas_of_image
-from beltrami_cli.surface.atlas import grid_atlas
+from beltrami_cli.surface.grid_atlas import grid_atlas
 from oracles import surfaces
 from properties.textured_planes import Board, smooth_image, smoothed
 

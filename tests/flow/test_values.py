@@ -14,7 +14,7 @@ from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.flow.noise.stabiliser import COLOURS, VarianceStabiliser
 from beltrami_cli.flow.parameters import parameters_with
 from beltrami_cli.flow.plan import choose_parameters
-from beltrami_cli.surface.atlas import grid_atlas
+from beltrami_cli.surface.grid_atlas import grid_atlas
 from flow.split_surfaces import SURFACE
 from flow.test_correlated_noise import phantom
 

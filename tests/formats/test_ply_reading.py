@@ -12,7 +12,7 @@ from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.changes import Naming
 from beltrami_cli.formats.ply.document import PlyDocument
 from beltrami_cli.formats.registry import open_bytes, open_document
-from beltrami_cli.surface.geometry import dual
+from beltrami_cli.surface.polygons import dual
 from beltrami_cli.surface.records import ImageFile
 from formats.gltf_files import joined, patched
 from formats.ply_files import ENCODINGS, Table, build, coloured

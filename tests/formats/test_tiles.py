@@ -17,7 +17,7 @@ from beltrami_cli.jobs.inspect import inspect_file
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.settings import SmoothSettings
-from beltrami_cli.surface.baking import look_up
+from beltrami_cli.surface.lookups import look_up
 from formats.image_files import encode, saved
 from formats.tile_files import GIVEN, SIDE, TILES, obj_text, part, phantom, sheet, tiled_model
 

@@ -15,7 +15,7 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.formats.volume import is_volume, read_colours, read_volume
-from beltrami_cli.surface.reconstruction import GridColours, NearColours
+from beltrami_cli.surface.level_sets import GridColours, NearColours
 from formats.volume_files import header_only, lattice_fields, npz, npz_of_members, nrrd_file
 
 RANDOM = np.random.default_rng(7)

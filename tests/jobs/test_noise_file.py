@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from beltrami_cli.fields import amount, sure_amount
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.noise import NoiseTargets, add_noise, noise_file
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
+from beltrami_cli.quantities import amount, sure_amount
 from cli.commands import SAMPLES, beltrami
 from formats.image_files import encode, stored
 from jobs.cut_boards import cut, write_board

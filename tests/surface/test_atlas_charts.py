@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import maximum_filter
 
-from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED, build_atlas, grid_atlas, within
+from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED, build_atlas
+from beltrami_cli.surface.grid_atlas import grid_atlas
+from beltrami_cli.surface.gutters import within
 from oracles.textured import cube, quads, shown_texels, strips, textured
 
 RIGHT = 0

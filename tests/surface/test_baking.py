@@ -9,17 +9,10 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from beltrami_cli import _native
-from beltrami_cli.surface.atlas import fill_gutter
-from beltrami_cli.surface.baking import (
-    bake,
-    border_faces,
-    cover,
-    interpolated,
-    look_up,
-    noise_around,
-    overlap,
-    texels_for_vertices,
-)
+from beltrami_cli.surface.baking import bake, interpolated, texels_for_vertices
+from beltrami_cli.surface.coverage import border_faces, cover, overlap
+from beltrami_cli.surface.gutters import fill_gutter
+from beltrami_cli.surface.lookups import look_up, noise_around
 from beltrami_cli.surface.unwrap import unwrap
 from oracles import surfaces
 

@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from beltrami_cli.surface.atlas import store_integers
-from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
+from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear, store_integers
 
 values = st.floats(-8.0, 8.0, allow_nan=False)
 

@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 
 import beltrami_cli
 from beltrami_cli.surface import grouping
-from beltrami_cli.surface.grouping import group_equal_rows, group_places, sample_vertices
+from beltrami_cli.surface.grouping import group_equal_rows, group_places
 from beltrami_cli.surface.records import ColouredVertices
+from beltrami_cli.surface.sampling import sample_vertices
 from oracles import surfaces
 
 SIDE = 12  # vertices

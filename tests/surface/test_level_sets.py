@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from beltrami_cli.surface import reconstruction
-from beltrami_cli.surface.reconstruction import (
+from beltrami_cli.surface import level_sets
+from beltrami_cli.surface.level_sets import (
     GridColours,
     Lattice,
     NearColours,
@@ -107,7 +107,7 @@ def test_a_surface_that_no_known_cell_holds_is_empty():
 
 @pytest.mark.parametrize("slab", [1, 100, 1 << 22])
 def test_crossings_are_counted_alike_in_slabs_and_at_once(slab, monkeypatch):
-    monkeypatch.setattr(reconstruction, "SLAB", slab)
+    monkeypatch.setattr(level_sets, "SLAB", slab)
     values = RANDOM.standard_normal((9, 7, 8))
     values[RANDOM.random(values.shape) < 0.1] = np.nan
     count = 0
@@ -116,7 +116,7 @@ def test_crossings_are_counted_alike_in_slabs_and_at_once(slab, monkeypatch):
         count += int((a * b < 0).sum())
     assert find_crossings(values, 0.3).count == count
     without_slabs, _ = triangulated(values, 0.3)
-    monkeypatch.setattr(reconstruction, "SLAB", 1 << 22)
+    monkeypatch.setattr(level_sets, "SLAB", 1 << 22)
     np.testing.assert_array_equal(triangulated(values, 0.3)[0], without_slabs)
 
 

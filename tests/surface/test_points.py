@@ -9,9 +9,9 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import Delaunay
 from scipy.spatial.transform import Rotation
 
-from beltrami_cli.surface.grouping import sample_vertices
-from beltrami_cli.surface.reconstruction import faces_of_points, triangulate_points
+from beltrami_cli.surface.points import faces_of_points, triangulate_points
 from beltrami_cli.surface.records import ColouredVertices
+from beltrami_cli.surface.sampling import sample_vertices
 from oracles import surfaces
 
 

@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.surface.geometry import triangulate, unit_vectors
+from beltrami_cli.surface.geometry import unit_vectors
+from beltrami_cli.surface.polygons import triangulate
 
 
 def cut(points, *polygons):

@@ -26,7 +26,6 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.arrays import Float64s
-from beltrami_cli.fields import BYTE_STEP
 from beltrami_cli.flow.choice.risk import Risk, RiskEstimate
 from beltrami_cli.flow.choice.search import Grid, Schedule, Search
 from beltrami_cli.flow.manifolds.domain import LOG
@@ -34,6 +33,7 @@ from beltrami_cli.flow.manifolds.manifold import Manifold, SampleTrial
 from beltrami_cli.flow.manifolds.search_range import Rule, SearchRange
 from beltrami_cli.flow.noise.model import NoiseModel, choose_beta, overall_noise
 from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.quantities import BYTE_STEP
 
 # Candidate values of beta times the noise.
 _CONTRASTS = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)

@@ -15,12 +15,11 @@ from typing import Protocol
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Indices, Int64s
 from beltrami_cli.flow.manifolds.manifold import Outliers
 from beltrami_cli.flow.noise.stabiliser import COLOURS
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import Indices
 
 # By benchmarks/bench_outliers.py: at most 1 of 194 pictures of games and scikit-image is changed with any of the values
 # in brackets. "Missed" and "false": shares of pixels set to black, white or red, with and without noise of 10 of 255.

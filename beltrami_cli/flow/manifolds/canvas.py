@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Uint8s
+from beltrami_cli.arrays import Bools, Float32s, Float64s, Indices, Int32s, Uint8s
 from beltrami_cli.flow.chunks import Chunking, Figures, Rectangle, Resources, chunks_of_canvas, grown
 from beltrami_cli.flow.manifolds.domain import CoarseLevel, Mixing, Stack
 from beltrami_cli.flow.manifolds.grid_gaussian import gaussian_taps, guide_radius
@@ -19,7 +19,7 @@ from beltrami_cli.flow.noise.grid_squares import Grid
 from beltrami_cli.flow.noise.reading import read_noise
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED, Atlas, Indices, refresh_halo
+from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED, Atlas, refresh_halo
 
 # The paper's scheme searches the support of an obtuse quadrant up to this many cells away.
 FURTHEST_SUPPORT = 10

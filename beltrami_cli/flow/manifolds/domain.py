@@ -9,10 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import ClassVar, Protocol
 
-from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Uint8s
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Indices, Uint8s
 from beltrami_cli.flow.manifolds.blocks import block_rows, in_parallel
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.surface.atlas import Indices
 
 Stack = Float32s
 

@@ -11,7 +11,8 @@ import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Int32s, Int64s, Uint8s
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import EMPTY, STEPS, Atlas, ends_of
+from beltrami_cli.surface.atlas import EMPTY, Atlas
+from beltrami_cli.surface.grid_atlas import STEPS, ends_of
 
 # Rows per block for steps that need temporary memory. The rounding of sums depends on it.
 SUMMED_ROWS = 64

@@ -9,23 +9,14 @@ from typing import ClassVar, TypeAlias
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Bools, Float32s, Int64s, Uint8s
+from beltrami_cli.arrays import Array, Bools, Float32s, Indices, Int64s, Uint8s
 from beltrami_cli.flow.chunks import Rectangle
 from beltrami_cli.flow.manifolds.domain import ENOUGH_STEPS, Geometry, KernelWork, Stack
 from beltrami_cli.flow.manifolds.grid_gaussian import SUMMED_ROWS, GridGaussian
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import (
-    EMPTY,
-    HALO,
-    OWNED,
-    STEPS,
-    Atlas,
-    Indices,
-    ends_of,
-    owned_of,
-    refresh_halo,
-)
+from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED, Atlas, owned_of, refresh_halo
+from beltrami_cli.surface.grid_atlas import STEPS, ends_of
 
 # Rows and columns around a halo cell in which cells with the same texel are searched: enough for a chart up to seven
 # times as fine as the chart beyond the seam.

@@ -16,14 +16,14 @@ from typing import ClassVar, Protocol, TypeAlias
 import numpy as np
 
 from beltrami_cli._native import SegmentManifold, TriangulatedManifold, vertex_order
-from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Indices, Int32s, Int64s, Uint8s
 from beltrami_cli.flow.chunks import Resources
 from beltrami_cli.flow.manifolds.domain import ENOUGH_STEPS, Domain, Geometry, KernelWork, Stack
 from beltrami_cli.flow.manifolds.trials import fingerprints
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.vertex_graph import PASS_SCALE, PASS_VARIANCE, Graph, MeshGaussian
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import OWNED, Indices
+from beltrami_cli.surface.atlas import OWNED
 from beltrami_cli.surface.geometry import (
     distinct_edges,
     edges_in_space,

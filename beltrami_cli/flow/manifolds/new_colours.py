@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from beltrami_cli.arrays import Bools, Float32s, Float64s
-from beltrami_cli.surface.atlas import Indices
+from beltrami_cli.arrays import Bools, Float32s, Float64s, Indices
 
 
 @dataclass(frozen=True)

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Indices, Int32s, Int64s
 from beltrami_cli.flow.noise.drawing import draw_model
 from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import EMPTY, OWNED, ROWS, Atlas, Indices, refresh_halo
+from beltrami_cli.surface.atlas import EMPTY, OWNED, Atlas, refresh_halo
 
 # Number of samples for which one perturbation suffices, and maximum number of perturbations for fewer samples.
 _ENOUGH_SAMPLES, _MAX_PROBES = 5_000, 4
@@ -130,7 +130,7 @@ def perturbations(count: int, atlas: Atlas, noise: NoiseModel) -> list[Array]:
         size = np.float32(np.sqrt(np.mean(np.square(noise.sigma))))
         drawn = [draw_model(noise.covariances, shape, random) for _ in range(count)]
     for planes in drawn:
-        for rows in large_arrays.blocks(len(atlas.kind), ROWS):
+        for rows in large_arrays.blocks(len(atlas.kind), large_arrays.ROWS):
             if not noise.is_independent:
                 planes[:, rows] /= size
             planes[:, rows][:, atlas.kind[rows] == EMPTY] = 0

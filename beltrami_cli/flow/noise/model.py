@@ -22,9 +22,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s
-from beltrami_cli.fields import BYTE_STEP
 from beltrami_cli.flow.noise.stabiliser import COLOURS, VarianceStabiliser
 from beltrami_cli.flow.parameters import NEGLIGIBLE, STRENGTHS, VISIBLE
+from beltrami_cli.quantities import BYTE_STEP
 
 # Probability of no noise above which colours are not changed, and from which on there is certainly no noise. By
 # `noise_model/train_sizes.py`, 0.3 instead of 0.2 gains 0.06 dB on noisy grids of the usual kinds and 0.13 dB on those

@@ -22,8 +22,8 @@ from beltrami_cli.errors import install_hint
 from beltrami_cli.formats.changes import Bytes
 from beltrami_cli.formats.gltf.buffers import Buffers, View, read_views
 from beltrami_cli.formats.gltf.container import Entry
-from beltrami_cli.surface.geometry import unrolled
-from beltrami_cli.surface.records import require_finite
+from beltrami_cli.surface.polygons import unrolled
+from beltrami_cli.surface.precision import require_finite
 
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 """NumPy types of glTF's componentType."""

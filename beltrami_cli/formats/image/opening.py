@@ -55,7 +55,7 @@ def scratch_file(data: bytes = b"", name: str = UNNAMED) -> Iterator[Path]:
             with suppress(OSError):  # its content is not needed any more
                 os.close(descriptor)
     else:
-        from beltrami_cli.surface.worker_process import temporary_folder
+        from beltrami_cli.surface.temporary_files import temporary_folder
 
         with temporary_folder() as folder:
             path = folder / "image"

@@ -14,7 +14,7 @@ import numpy as np
 from beltrami_cli.arrays import Bools, Float64s, Int64s
 from beltrami_cli.formats.tokens import Lines, without_comments
 from beltrami_cli.surface.large_arrays import blocks
-from beltrami_cli.surface.records import fits_single
+from beltrami_cli.surface.precision import fits_single
 
 _INDICES = {
     b"v": (0, "vertex", "is not a vertex index"),

@@ -20,7 +20,8 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.colours import quantised
 from beltrami_cli.formats.obj.statements import Statements
 from beltrami_cli.formats.tokens import NewNumbers, most_decimals
-from beltrami_cli.surface.geometry import polygons_of, polygons_with, unit_vectors
+from beltrami_cli.surface.geometry import unit_vectors
+from beltrami_cli.surface.polygons import polygons_of, polygons_with
 
 _SIZES = (3, 4, 5, 6, 7, 8)
 _WITH_COLOURS, _WITH_ALPHA_OR_WEIGHT, _WITH_ALPHA_AND_WEIGHT = 6, 7, 8  # numbers of a vertex with colours

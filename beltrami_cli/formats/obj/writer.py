@@ -16,9 +16,10 @@ from beltrami_cli.formats.colours import display_colours
 from beltrami_cli.formats.conversion import not_converted
 from beltrami_cli.formats.textured_mesh import image_names, lost_repetition, material_names, plain_name
 from beltrami_cli.formats.tokens import number_lines
-from beltrami_cli.surface.geometry import polygons_with, shortest_type
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.large_arrays import blocks
+from beltrami_cli.surface.polygons import polygons_with
+from beltrami_cli.surface.precision import shortest_type
 from beltrami_cli.surface.records import Material, MeshContents, MeshImage, Slot
 
 _BLOCK = 1 << 16  # lines made at a time, which bounds the memory that their tokens take

@@ -31,8 +31,10 @@ from beltrami_cli.formats.ply.tables import (
     with_channels,
 )
 from beltrami_cli.formats.scene import Scene
-from beltrami_cli.surface.geometry import dual, unit_vectors
-from beltrami_cli.surface.records import MeshContents, MovedVertices, Slot, require_single
+from beltrami_cli.surface.geometry import unit_vectors
+from beltrami_cli.surface.polygons import dual
+from beltrami_cli.surface.precision import require_single
+from beltrami_cli.surface.records import MeshContents, MovedVertices, Slot
 
 _MEANS = "Vertices get the mean of the colours of their faces."
 

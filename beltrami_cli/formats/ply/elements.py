@@ -20,8 +20,8 @@ from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, NoColoursError
 from beltrami_cli.formats.colours import full_scale, integer_scale, intensity_scale
 from beltrami_cli.formats.ply.tables import COLOUR_PROPERTIES, Header, Table, plain
-from beltrami_cli.surface.geometry import unrolled
-from beltrami_cli.surface.records import require_finite, require_single
+from beltrami_cli.surface.polygons import unrolled
+from beltrami_cli.surface.precision import require_finite, require_single
 
 POSITION = ("x", "y", "z")
 NORMAL = ("nx", "ny", "nz")

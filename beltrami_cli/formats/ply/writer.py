@@ -18,7 +18,8 @@ from beltrami_cli.formats.colours import display_colours, quantised
 from beltrami_cli.formats.conversion import not_converted
 from beltrami_cli.formats.ply.tables import TYPES, values_in_bytes
 from beltrami_cli.formats.textured_mesh import bare_polygons, image_names, lost_repetition
-from beltrami_cli.surface.geometry import polygons_of, shortest_type
+from beltrami_cli.surface.polygons import polygons_of
+from beltrami_cli.surface.precision import shortest_type
 from beltrami_cli.surface.records import Material, MeshContents
 
 _NAMES = {code: name for name, code in reversed(TYPES.items())}

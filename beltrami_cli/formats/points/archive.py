@@ -45,8 +45,9 @@ from beltrami_cli.formats.colours import (
 from beltrami_cli.formats.comparison import Fingerprint
 from beltrami_cli.formats.conversion import not_converted
 from beltrami_cli.formats.document import Document
-from beltrami_cli.surface.geometry import shortest_type, triangulate
-from beltrami_cli.surface.records import MeshContents, require_single
+from beltrami_cli.surface.polygons import triangulate
+from beltrami_cli.surface.precision import require_single, shortest_type
+from beltrami_cli.surface.records import MeshContents
 
 _COLOUR_KEYS = ("colours", "colors", "rgb", "rgba", "point_colours", "point_colors")
 _INTENSITY_KEYS = ("intensity", "intensities")

@@ -40,7 +40,7 @@ from beltrami_cli.formats.tokens import (
     without_comments,
     without_tokens,
 )
-from beltrami_cli.surface.geometry import shortest_type
+from beltrami_cli.surface.precision import shortest_type
 from beltrami_cli.surface.records import MeshContents
 
 RGB, NORMAL = ("red", "green", "blue"), ("nx", "ny", "nz")

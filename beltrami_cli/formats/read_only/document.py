@@ -43,7 +43,8 @@ from beltrami_cli.formats.colours import (
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.foreign_library import ForeignLibrary, serve_files
 from beltrami_cli.formats.tokens import Lines, without_comments
-from beltrami_cli.surface.records import Frame, MeshContents, require_single
+from beltrami_cli.surface.precision import require_single
+from beltrami_cli.surface.records import Frame, MeshContents
 from beltrami_cli.surface.worker_process import Message
 
 _STARTS_XML = re.compile(rb"(?:\xef\xbb\xbf)?\s*<|\xff\xfe<|\xfe\xff\0<")  # UTF-8 or UTF-16

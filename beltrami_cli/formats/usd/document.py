@@ -22,15 +22,8 @@ from beltrami_cli.formats.scene import SLOTS, Scene, ShownMap
 from beltrami_cli.formats.usd.contents import MaterialInputs, SceneContents
 from beltrami_cli.formats.usd.images import Images
 from beltrami_cli.formats.usd.layers import Layers
-from beltrami_cli.surface.records import (
-    AlphaMode,
-    Frame,
-    Material,
-    MeshContents,
-    Slot,
-    require_finite,
-    require_single,
-)
+from beltrami_cli.surface.precision import require_finite, require_single
+from beltrami_cli.surface.records import AlphaMode, Frame, Material, MeshContents, Slot
 
 _COUNTS = {
     "instanced": "{} mesh(es) are instances of others; each is smoothed once, at its first place",

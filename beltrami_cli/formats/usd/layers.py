@@ -31,7 +31,8 @@ from beltrami_cli.formats.foreign_library import ForeignLibrary, serve_files
 from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError, is_outside
 from beltrami_cli.formats.tile_names import found_tiles, has_token
 from beltrami_cli.formats.usd.contents import SceneContents
-from beltrami_cli.surface.worker_process import Message, temporary_folder, writing_temporary_files
+from beltrami_cli.surface.temporary_files import temporary_folder, writing_temporary_files
+from beltrami_cli.surface.worker_process import Message
 
 LAYERS = (".usd", ".usda", ".usdc")  # suffixes of files that usd-core reads
 IMAGES = (".png", ".jpg", ".jpeg", ".exr", ".avif")  # suffixes of images that a package may hold [1]_

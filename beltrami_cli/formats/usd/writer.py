@@ -22,9 +22,9 @@ from beltrami_cli.formats.conversion import not_converted
 from beltrami_cli.formats.textured_mesh import image_names, material_names, normals_of_corners, plain_name
 from beltrami_cli.formats.usd.layers import layer_from, packed
 from beltrami_cli.surface.colour_values import srgb_to_linear
-from beltrami_cli.surface.geometry import shortest_type
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.large_arrays import blocks
+from beltrami_cli.surface.precision import shortest_type
 from beltrami_cli.surface.records import Frame, Material, MeshContents, MeshImage, Slot
 
 _BLOCK = 1 << 16  # rows written at a time

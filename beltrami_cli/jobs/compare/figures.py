@@ -9,11 +9,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Bools, Float32s, Float64s
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Indices
 from beltrami_cli.flow.parameters import Space
 from beltrami_cli.jobs.compare.similarity import colour_differences, structural_similarity
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import Indices
 
 Pair = tuple[Float32s, Float32s]  # the same samples, or means of them, in reference and test
 # Samples that are worked on at a time: three channels in double precision stay in the processor's cache, and below

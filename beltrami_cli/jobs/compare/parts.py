@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Float32s, Float64s, Int32s
+from beltrami_cli.arrays import Float32s, Float64s, Indices, Int32s
 from beltrami_cli.errors import InputError
 from beltrami_cli.flow.parameters import Weights
 from beltrami_cli.formats.access import Access
@@ -33,7 +33,7 @@ from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.layers.texture_layer import TextureLayer, choose_textures, texel_colours
 from beltrami_cli.layers.vertex_layer import coloured_rows, only_rows, with_surface
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import Indices, texels_by_texture
+from beltrami_cli.surface.atlas import texels_by_texture
 from beltrami_cli.surface.colour_values import to_space
 from beltrami_cli.surface.geometry import vertex_areas
 from beltrami_cli.surface.grouping import group_places

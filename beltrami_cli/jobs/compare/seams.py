@@ -6,9 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
+from beltrami_cli.arrays import Bools, Float32s, Float64s, Indices, Int64s
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import EMPTY, REACH, Atlas, Indices, at_seam, lines_over_seams, within
+from beltrami_cli.surface.atlas import EMPTY, REACH, Atlas, at_seam, lines_over_seams
+from beltrami_cli.surface.gutters import within
 
 # Distance from a seam that counts as near, in texels.
 _SEAM_DISTANCE = 4

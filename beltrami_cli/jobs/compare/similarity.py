@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from beltrami_cli.arrays import Bools, Float32s, Float64s
 from beltrami_cli.flow.parameters import Space
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import within
 from beltrami_cli.surface.colour_values import srgb_to_linear
+from beltrami_cli.surface.gutters import within
 
 # Linear sRGB -> XYZ [2]; rows add up to the white point.
 _XYZ = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])

@@ -17,10 +17,11 @@ from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.formats.registry import open_bytes
 from beltrami_cli.formats.volume import read_colours, read_volume, require_package
 from beltrami_cli.layers.settings import Inside, LevelSetSettings
-from beltrami_cli.surface import reconstruction
-from beltrami_cli.surface.records import ColouredVertices, Encoding, MeshContents, require_single
+from beltrami_cli.surface import level_sets
+from beltrami_cli.surface.precision import require_single
+from beltrami_cli.surface.records import ColouredVertices, Encoding, MeshContents
 
-Source = reconstruction.GridColours | reconstruction.NearColours
+Source = level_sets.GridColours | level_sets.NearColours
 
 # More crossed grid edges are due to noise or a wrong level; marching cubes counts in 32 bits.
 MAX_CROSSINGS = 1 << 26
@@ -28,7 +29,7 @@ _BYTES_OF_VOXEL = 16  # value in double precision, colour, and memory of marchin
 
 
 def _find_colours(
-    volume: reconstruction.Volume, path: str | None, name: str, access: Access, max_size: int
+    volume: level_sets.Volume, path: str | None, name: str, access: Access, max_size: int
 ) -> tuple[Source, str]:
     """Return the colours of a level set, from its file or the file at `path`, and the name of that file."""
     if path is None:
@@ -41,21 +42,21 @@ def _find_colours(
     colours = read_colours(data, path, ModelFolder(folder, access), max_size)
     if colours is None:
         found = open_bytes(data, path, folder, access).coloured_vertices()
-        colours = reconstruction.NearColours(found.positions, found.colours, found.encoding, found.stored)
+        colours = level_sets.NearColours(found.positions, found.colours, found.encoding, found.stored)
     return colours, path
 
 
 def _colours_at(
-    source: Source, lattice: reconstruction.Lattice, known: Bools, positions: Float64s, threads: int
+    source: Source, lattice: level_sets.Lattice, known: Bools, positions: Float64s, threads: int
 ) -> Float64s:
     """Return the stored colours of vertices, shape (V, C); voxels that are not `known` supply none."""
-    if isinstance(source, reconstruction.GridColours):
+    if isinstance(source, level_sets.GridColours):
         own = source.lattice
         same = source.samples.shape[:3] == known.shape
         same = same and np.array_equal(own.axes, lattice.axes) and np.array_equal(own.origin, lattice.origin)
-        return reconstruction.interpolate_colours(source, positions, known if same else None)
+        return level_sets.interpolate_colours(source, positions, known if same else None)
     voxel = float(np.linalg.norm(lattice.axes, axis=1).max())
-    return reconstruction.nearest_colours(source, positions, voxel, threads)
+    return level_sets.nearest_colours(source, positions, voxel, threads)
 
 
 def _scaled(
@@ -67,7 +68,7 @@ def _scaled(
     require_single(samples, name, "the colour of sample", holes=True)
     kind = source.samples.dtype.name
     notices: list[str] = []
-    if isinstance(source, reconstruction.NearColours) and source.stored:
+    if isinstance(source, level_sets.NearColours) and source.stored:
         scale, notice = 1.0, ""
     elif kind in ("uint8", "uint16"):
         scale, notice = integer_scale(int(source.samples.max(initial=0)), kind)
@@ -133,17 +134,17 @@ def read_level_set(
         "unknown_voxels": int(known.size - np.count_nonzero(known)),
     }
     vertices, faces = _triangulated(volume, known, level, settings.inside, name)
-    positions = reconstruction.places(volume.lattice, vertices)
+    positions = level_sets.places(volume.lattice, vertices)
     source, where = _find_colours(volume, settings.colours, name, access, max_voxels)
     values = _colours_at(source, volume.lattice, known, positions, threads)
-    found = reconstruction.has_colour(values)
+    found = level_sets.has_colour(values)
     if not found.any():
         raise InputError(where, "none of its colours is on the surface", "check the spacings and origins")
     colours, alpha, notices = _scaled(source, values, found, where)
     names = ("red", "green", "blue") if colours.shape[1] == 3 else ("grey",)
     encoding: Encoding = "srgb"
     stored = source.samples.dtype.name
-    if isinstance(source, reconstruction.NearColours):
+    if isinstance(source, level_sets.NearColours):
         encoding, stored = source.encoding, source.stored or stored
     whole = np.ascontiguousarray(faces[found[faces].all(axis=1)])  # triangles whose corners have colours
     offsets = np.arange(0, faces.size + 1, 3, dtype=np.int64)
@@ -160,7 +161,7 @@ def read_level_set(
 
 
 def _triangulated(
-    volume: reconstruction.Volume, known: Bools, level: float, inside: Inside, name: str
+    volume: level_sets.Volume, known: Bools, level: float, inside: Inside, name: str
 ) -> tuple[Float64s, Int32s]:
     """Return the surface in units of the grid, facing outwards in space."""
     values = volume.values
@@ -168,13 +169,13 @@ def _triangulated(
         4 * values.shape[1] * values.shape[2] > np.iinfo(np.int32).max
     ):  # marching cubes counts four per sample
         raise InputError(name, f"the grid of {values.shape} is too large in y and z", "cut it in pieces")
-    crossings = reconstruction.find_crossings(values, level, known)
+    crossings = level_sets.find_crossings(values, level, known)
     if crossings.count > MAX_CROSSINGS:
         cause = f"the surface at level {level:g} cuts {crossings.count} edges of the grid, as noise does"
         raise InputError(name, cause, "choose another --iso, or smooth the values first")
     vertices, faces = np.empty((0, 3)), np.empty((0, 3), np.int32)
     if crossings.count:
-        vertices, faces = reconstruction.triangulate_level_set(values, level, crossings, known)
+        vertices, faces = level_sets.triangulate_level_set(values, level, crossings, known)
     if not len(faces):
         low, high = _range(values, known)
         cause = f"there is no surface at level {level:g}; the values go from {low:g} to {high:g}"
