@@ -30,6 +30,7 @@ from beltrami_cli.formats.access import DEFAULT_ACCESS, Access
 from beltrami_cli.formats.changes import NO_IMAGES, Changes, Naming, NewImages, PlannedImages, Written
 from beltrami_cli.formats.comparison import Fingerprint
 from beltrami_cli.formats.image import DecodedImage
+from beltrami_cli.formats.image.reading import KeptImage
 from beltrami_cli.surface import records
 from beltrami_cli.surface.polygons import triangulate
 from beltrami_cli.surface.records import ColouredVertices
@@ -229,7 +230,7 @@ class Document(ABC):
     ) -> Self:
         """Return a copy to look at, but not to patch, with other vertex colours (None: the same) and image files."""
         made = copy(self)
-        made.notices, made.obstacles, made._textured = [], [], {}
+        made.notices, made.obstacles, made._textured = [], [], {**self._textured}
         if vertices is not None:
             made._coloured_vertices = vertices  # in place of what the property would cache
         for slot in dict.fromkeys(slot for slot, _ in images):
@@ -241,6 +242,15 @@ class Document(ABC):
                     for each in surface.textures
                 ),
             )
+        return made
+
+    def keeping_images(self) -> Self:
+        """Return the same document, which decodes each texture only once, for work on it again and again."""
+        made = copy(self)
+        made._textured = {slot: self.textured(slot) for slot in self.readable(self.slots())}
+        for slot, surface in made._textured.items():
+            textures = tuple(replace(each, content=KeptImage(each)) for each in surface.textures)
+            made._textured[slot] = replace(surface, textures=textures)
         return made
 
     def fingerprint(self) -> Fingerprint:

@@ -5,7 +5,6 @@ Each change is a request of its own, which ends at its next report of progress w
 
 from __future__ import annotations
 
-import contextvars
 import dataclasses
 import json
 import threading
@@ -22,7 +21,6 @@ from beltrami_cli.fields import override
 from beltrami_cli.flow.parameters import TUNABLE
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import WRITABLE
-from beltrami_cli.formats.image.reading import decoding_cached
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.progress import Share, at_intervals
@@ -39,7 +37,7 @@ from beltrami_cli.view.preview import Focus, LayerView, NoPreviewError
 from beltrami_cli.view.server import GoneError, MalformedError, PageRequest
 from beltrami_cli.view.settings import RenderSettings
 from beltrami_cli.view.used import used_parameters
-from beltrami_cli.view.views import image_files, require_memory_to_draw
+from beltrami_cli.view.views import require_memory_to_draw
 from beltrami_cli.view.words import noise_of
 
 Command = Callable[[SmoothSettings, str], str]
@@ -75,9 +73,10 @@ class Live:
             raise UsageError("MODEL is opened again and again, so it must be a file and not a pipe")
         self._source, self._job, self._command = source, job, command
         self._plain = plain_settings(settings)
-        self._document = open_input(source, settings, job.access)
-        select(self._document, settings)  # raises an error if nothing is selected
-        require_memory_to_draw([self._document], RenderSettings(), job.access)
+        document = open_input(source, settings, job.access)
+        select(document, settings)  # raises an error if nothing is selected
+        require_memory_to_draw([document], RenderSettings(), job.access)
+        self._document = document.keeping_images()
         slots: list[Slot | None] = [*self._document.slots()] if self._document.kind != "image" else [None]
         if slots != [None] and self._document.has_vertex_colours():
             slots.append(None)
@@ -88,8 +87,6 @@ class Live:
         # The values chosen last, by strength and noise.
         self._chosen: dict[tuple[float, str | None], dict[str, float]] = {}
         self._previewing, self._smoothing, self._saving = (threading.Lock() for _ in range(3))
-        with decoding_cached(image_files(self._document)):
-            self._with_pictures = contextvars.copy_context()
         writer = ModelWriter(is_live=True)
         for layer in self._layers:
             layer.add_to(writer)
@@ -111,8 +108,7 @@ class Live:
         target = _part(asked, "target", str)
         command = self._command(settings, target)
         if name == "change":
-            # Each request has a thread, but pictures are decoded only once.
-            self._with_pictures.copy().run(self._follow, asked, settings, command, request)
+            self._follow(asked, settings, command, request)
         else:
             self._save(settings, target, command, request, overwrite=_part(asked, "overwrite", bool))
 

@@ -18,8 +18,8 @@ from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import DEFAULT_ACCESS, Access
 from beltrami_cli.formats.document import Document
+from beltrami_cli.formats.image import read_texture
 from beltrami_cli.formats.image.jpeg import CODED_TOGETHER
-from beltrami_cli.formats.image.reading import read_image, read_texture
 from beltrami_cli.jobs.smoothing import smooth_layer
 from beltrami_cli.layers.image_layer import ImageLayer
 from beltrami_cli.layers.image_surface import ImageSurface
@@ -28,7 +28,7 @@ from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.layers.texture_layer import TextureLayer, choose_textures
 from beltrami_cli.layers.vertex_layer import GridLayer, MeshLayer, VertexLayer, only_rows
 from beltrami_cli.surface.geometry import triangle_areas
-from beltrami_cli.surface.records import ColouredVertices, Slot, Texture, TexturedSurface
+from beltrami_cli.surface.records import ColouredVertices, Slot, TexturedSurface
 from beltrami_cli.view.models import (
     Box,
     ModelWriter,
@@ -232,8 +232,7 @@ class LayerView:
             packed = {name: packed_array(own[drawn], _COMPRESSION_LEVEL) for name, own in kept.items()}
             return {"layer": self._number, **packed}
         if patch.texture not in self._shown:
-            texture = textures_of(self._document, self.slot)[patch.texture]
-            self._shown[patch.texture] = self._displayed(texture)
+            self._shown[patch.texture] = self._displayed(self._document, patch.texture)
         pixels = self._shown[patch.texture]
         pixels[patch.rows, patch.columns] = patch.colours
         top, left = int(patch.rows.min()), int(patch.columns.min())
@@ -243,8 +242,10 @@ class LayerView:
             "width": part.shape[1], "height": part.shape[0], "pixels": packed_array(part, _COMPRESSION_LEVEL),
         }  # fmt: skip
 
-    def _displayed(self, texture: Texture) -> Uint8s:
-        return displayed_pixels(read_image(texture.data, texture.name, finite=not self._is_image))
+    def _displayed(self, document: Document, index: int) -> Uint8s:
+        if self._is_image:
+            return displayed_pixels(document.image())
+        return displayed_pixels(read_texture(textures_of(document, self.slot)[index]))
 
     def whole(self, result: Document) -> list[dict[str, Any]]:
         """Return the patches that show the part of a result."""
@@ -259,8 +260,8 @@ class LayerView:
         found = []
         for index, (before, after) in enumerate(zip(old, new, strict=True)):
             if after.data != before.data:
-                self._shown[index] = self._displayed(after)
-            mime, data = image_of(after, self.slot or "baseColor")
+                self._shown[index] = self._displayed(result, index)
+            mime, data = image_of(after, self.slot or "baseColor", result.image if self._is_image else None)
             source = f"data:{mime};base64,{base64.b64encode(data).decode()}"
             found.append({"layer": self._number, "texture": index, "source": source})
         return found

@@ -18,7 +18,6 @@ from beltrami_cli.errors import OutputError, UsageError
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image.reading import decoding_cached
 from beltrami_cli.jobs.compare.files import compare_documents, open_both, require_samples
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.output import Output
@@ -30,7 +29,7 @@ from beltrami_cli.view.pages import PAGES, data_address, page_from
 from beltrami_cli.view.panels import Panel, arranged, draw_panels, fixed_looks
 from beltrami_cli.view.render import encoded, picture_suffix
 from beltrami_cli.view.settings import MAX_PIXELS, RenderSettings
-from beltrami_cli.view.views import image_files, require_memory_to_draw, view_of
+from beltrami_cli.view.views import require_memory_to_draw, view_of
 
 Tried = tuple[dict[str, float], SmoothSettings]
 
@@ -74,8 +73,8 @@ def sweep_file(
         labels = [Trial(parameters, {}).label for parameters, _ in trials]
         sheet = _Sheet(f"Sweep of {Path(source).name}", labels, looks, output if is_page else None)
     done: list[Trial] = []
-    kept = [file for each in opened.values() for file in image_files(each)]
-    with sheet or contextlib.nullcontext(), decoding_cached(kept):
+    opened = {label: document.keeping_images() for label, document in opened.items()}
+    with sheet or contextlib.nullcontext():
         if sheet is not None:
             for label, shown in opened.items():
                 sheet.add(label, shown)

@@ -10,10 +10,12 @@ from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.gltf.document import GltfDocument
+from beltrami_cli.formats.image import read_texture
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.layers.settings import SLOTS
 from formats.gltf_files import JPEG, KTX2, Model, Textured, picture
 from formats.gltf_showcase import showcase
+from formats.image_files import encode
 
 TRIANGLE = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "<f4")
 
@@ -219,6 +221,19 @@ def test_every_slot_is_read_from_every_container(tmp_path, form, place, slot):
     for other in set(SLOTS) - {slot}:
         with pytest.raises(InputError, match=f"no {other} texture"):
             document.textured(other)
+
+
+def test_a_document_that_keeps_images_decodes_each_once_until_it_is_replaced(tmp_path):
+    images = [encode(np.full((2, 2, 3), level, np.uint8), "png") for level in (1, 2)]
+    model = Textured()
+    square(model, model.material("skin", baseColor=model.texture(model.image(images[0]))))
+    document = open_document(str(model.written_to(tmp_path))).keeping_images()
+    (texture,) = document.textured("baseColor").textures
+    assert read_texture(texture) is read_texture(texture)
+    (new,) = (
+        document.with_colours(None, {("baseColor", texture.key): images[1]}).textured("baseColor").textures
+    )
+    assert not np.array_equal(read_texture(new).pixels, read_texture(texture).pixels)
 
 
 def test_all_triangles_are_there_and_one_image_is_one_texture(tmp_path):

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -32,30 +30,25 @@ _COMPRESSIONS_OF_TIFF = ("", "none", "lzw", "zip", "packbits")  # that OpenImage
 _WHOLE_BYTES = (8, 16, 32)
 _EXPORT = "export it as RGB or grey with 8 or 16 bits, or as floats"
 
-_CACHE: ContextVar[dict[tuple[bytes, str, bool], DecodedImage | None]] = ContextVar("images")
 
+class KeptImage:
+    """The content of a texture whose decoded image is kept, for work that needs it again and again."""
 
-@contextmanager
-def decoding_cached(files: Iterable[tuple[bytes, str]]) -> Iterator[None]:
-    """Within this context and thread, decode these image files, given with their names, only once."""
-    token = _CACHE.set({(data, name, finite): None for data, name in files for finite in (False, True)})
-    try:
-        yield
-    finally:
-        _CACHE.reset(token)
+    def __init__(self, texture: Texture) -> None:
+        self._texture = texture
 
+    def __call__(self) -> bytes:
+        return self._texture.data
 
-def read_image(data: bytes, name: str, *, finite: bool = True) -> DecodedImage:
-    """Decode an image file; InputError if it is damaged or unsupported, or, with `finite`, not finite."""
-    kept, key = _CACHE.get({}), (data, name, finite)
-    image = kept.get(key) or _decoded(*key)
-    if key in kept:
-        kept[key] = image
-    return image
+    @cached_property
+    def image(self) -> DecodedImage:
+        return read_texture(self._texture)
 
 
 def read_texture(texture: Texture, data: bytes | None = None) -> DecodedImage:
-    """Decode a texture, or another image in its stead; errors name the model, too."""
+    """Decode a texture, whose `data` may have been read already; errors name the model, too."""
+    if isinstance(texture.content, KeptImage):
+        return texture.content.image
     try:
         return read_image(texture.data if data is None else data, texture.name)
     except InputError as error:
@@ -63,7 +56,8 @@ def read_texture(texture: Texture, data: bytes | None = None) -> DecodedImage:
         raise type(error)(texture.model or error.name, cause, error.remedy) from error
 
 
-def _decoded(data: bytes, name: str, finite: bool) -> DecodedImage:
+def read_image(data: bytes, name: str, *, finite: bool = True) -> DecodedImage:
+    """Decode an image file; InputError if it is damaged or unsupported, or, with `finite`, not finite."""
     import OpenImageIO
 
     known = format_of(data, name)
