@@ -4,37 +4,32 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
-from functools import partial
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from click.core import ParameterSource
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.commands import GroupedOption, command, complete_files, options_by_name, values_for
+from beltrami_cli.cli.batch_display import Display
+from beltrami_cli.cli.batch_items import items_for
+from beltrami_cli.cli.commands import GroupedOption, command, complete_files
 from beltrami_cli.cli.console import Messages, printable, show_table
+from beltrami_cli.cli.parameter_options import record_from, typed_parameters
 from beltrami_cli.errors import OutputError, ProcessingError, UsageError
-from beltrami_cli.fields import parameters, without_effect
+from beltrami_cli.fields import without_effect
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.formats.access import Access, is_file, is_url
-from beltrami_cli.jobs.progress import Label, Work
-from beltrami_cli.layers.settings import SmoothSettings
+from beltrami_cli.formats.access import Access, is_url
 from beltrami_cli.quantities import of_255
 from beltrami_cli.surface.memory import default_memory
 
 if TYPE_CHECKING:
-    from beltrami_cli.batch.item import Attempt, Item, Outcome
+    from beltrami_cli.batch.item import Item, Outcome
     from beltrami_cli.batch.plan import Request
     from beltrami_cli.batch.run import Workers
 
-SHARED_WITH_SMOOTH = {*options.SMOOTHING, *options.UNWRAPPING, "columns"}
-"""The options of `smooth` that change its result, which a manifest can give for each file."""
-
 _CLUSTER = "Many machines"
-# The kinds of input that parts of a report tell.
+# The kind of input of each part of a report.
 _KINDS = {"vertices": "vertex colours", "image": "images", "textures": "textures", "new_texture": "textures"}
 
 
@@ -97,8 +92,9 @@ def batch(
     from beltrami_cli.batch.storage import make_folder_of
 
     start = time.monotonic()
+    processes, memory = given["at_once"] or KernelParameters().thread_count, record_from(Access, given).memory
     requests = plan(inputs, out_dir, given["suffix"], given["output_format"])
-    jobs = _jobs_for(requests, given, overwrite=overwrite)
+    jobs = items_for(requests, given, overwrite=overwrite)
     if pieces is not None and (moved := [job for job in jobs if job.settings.embedding.smooth_geometry]):
         remedy = "leave out --pieces, or --smooth-geometry"
         raise UsageError(f"{moved[0].source}: vertices are not moved in pieces; {remedy}")
@@ -108,34 +104,20 @@ def batch(
     path = _report_path(report_path, out_dir, inputs, jobs)
     with messages.progress() as work:
         display = Display(jobs, messages, work)
-        with _workers(scheduler, pieces, given, display) as workers:
+        with _workers(scheduler, pieces, given["at_once"], memory, display) as workers:
             if report_path is None:
                 make_folder_of(path)
             record = Record(path, resume=given["resume"], overwrite=overwrite)
             batch = Batch(jobs, record, display, fail_fast=given["fail_fast"])
-            outcomes = batch.run(_at_once(given), _memory(given) or default_memory(), workers)
-    if not messages.quiet:
-        show_table(("output", "result", "time", "noise", "change"), list(map(_row, outcomes)), err=True)
-    kinds = {kind for part, kind in _KINDS.items() for each in outcomes if (each.report or {}).get(part)}
-    typed = [each for each in options.typed_parameters() if {*each.of} <= {*_KINDS.values()}]
-    for each in without_effect(typed, kinds) if kinds else ():
-        messages.warn(f"{each.flag} had no effect on any file, as it is for {' and '.join(each.of)}")
+            outcomes = batch.run(processes, memory or default_memory(), workers)
+    _show_outcomes(outcomes, messages)
     messages.say(f"{_counts(outcomes)} in {time.monotonic() - start:.1f} s; report: {path}")
     if lost := sum(outcome.status == "failed" for outcome in outcomes):
         remedy = "fix or remove them, and run the same command again with --resume"
         raise ProcessingError(f"{lost} of {len(outcomes)} files failed; {remedy}")
 
 
-def _at_once(given: Mapping[str, Any]) -> int:
-    return given["at_once"] or KernelParameters().thread_count
-
-
-def _memory(given: Mapping[str, Any]) -> int | None:
-    return options.record_from(Access, given).memory
-
-
 def _show_plan(requests: Sequence[Request], *, resume: bool, overwrite: bool) -> None:
-
     is_there = {each.target: not is_url(each.target) and Path(each.target).exists() for each in requests}
     for each in requests:
         notes = [", ".join(f"{name} {value}" for name, value in each.options.items())]
@@ -145,55 +127,6 @@ def _show_plan(requests: Sequence[Request], *, resume: bool, overwrite: bool) ->
     taken = 0 if overwrite or resume else sum(is_there.values())
     refused = f"; {taken} of them would fail, since OUTPUT exists (--overwrite, --resume)" if taken else ""
     click.echo(f"{len(requests)} files would be smoothed; nothing is done (dry run){refused}", err=True)
-
-
-def _jobs_for(requests: Iterable[Request], values: dict[str, Any], *, overwrite: bool) -> list[Item]:
-    common = _item_from(values)
-    # What a preset takes the place of is not given.
-    given = {name for name in SHARED_WITH_SMOOTH if options.is_given(name)}
-    jobs = []
-    for request in requests:
-        try:
-            item = _settings(request, values, given) if request.options else common
-        except (click.UsageError, UsageError, ValueError) as error:
-            cause = error.format_message() if isinstance(error, click.UsageError) else str(error)
-            raise UsageError(f"{request.origin}: {cause}") from error
-        how = {"overwrite": overwrite, "skip_uncoloured": values["skip_uncoloured"]}
-        outside = values["allow_outside"]
-        jobs.append(replace(item, source=request.source, target=request.target, outside=outside, **how))
-    return jobs
-
-
-def _item_from(values: dict[str, Any]) -> Item:
-    """Return the item that the values of options describe, without its files."""
-    from beltrami_cli.batch.item import Item
-
-    columns = options.record_from(Access, values).columns
-    return Item("", "", options.settings_from(values), options.unwrapping_from(values), columns=columns)
-
-
-def _settings(request: Request, values: Mapping[str, Any], given: Collection[str]) -> Item:
-    """Return the item of a file with options of its own, besides the `given` ones for all files."""
-    command = click.get_current_context().command
-    known = {n: each for n, each in options_by_name(command).items() if each.name in SHARED_WITH_SMOOTH}
-    given_values = values_for(known, request.options)
-
-    def next_to_manifest(name: str, *, may_be_other: bool) -> str:
-        path = request.folder / name
-        return name if may_be_other and not is_file(path) else str(path)
-
-    for each in parameters(SmoothSettings, deep=True):
-        if each.name in given_values:  # files are relative to the manifest; guides may be something else
-            renamed = partial(next_to_manifest, may_be_other=each.repeatable)
-            given_values[each.name] = each.with_files(given_values[each.name], renamed)
-    with click.Context(command).scope() as context:
-        context.params = {name: values[name] for name in SHARED_WITH_SMOOTH}
-        for name in given:
-            context.set_parameter_source(name, ParameterSource.DEFAULT_MAP)
-        for name in given_values:  # overrides the options for all files, also with a preset
-            context.set_parameter_source(name, ParameterSource.COMMANDLINE)
-            context.params[name] = known[name].process_value(context, given_values[name])
-        return _item_from(context.params)
 
 
 def _report_path(given: str | None, out_dir: str, inputs: Sequence[str], jobs: Sequence[Item]) -> str:
@@ -218,13 +151,13 @@ def _report_path(given: str | None, out_dir: str, inputs: Sequence[str], jobs: S
 
 @contextlib.contextmanager
 def _workers(
-    scheduler: str | None, pieces: int | None, given: Mapping[str, Any], display: Display
+    scheduler: str | None, pieces: int | None, at_once: int | None, memory: int | None, display: Display
 ) -> Iterator[Workers | None]:
     """Yield the workers for whole files or chunks; None: processes of this machine, without chunks."""
     from beltrami_cli.batch.run import Workers, in_pieces
     from beltrami_cli.batch.workers import Processes
 
-    at_once, memory = given["at_once"], _memory(given)
+    processors = KernelParameters().thread_count
     with contextlib.ExitStack() as stack:
         client: Any = None
         if scheduler is not None:
@@ -234,10 +167,10 @@ def _workers(
             if not client.nthreads():
                 display.messages.say(f"{scheduler} has no workers yet; the files wait for them")
         if pieces is not None:
+            processes = at_once or processors
             # On a cluster, a second chunk is on its way to each worker.
-            many = min(pieces, _at_once(given))
-            pool = OnDask(client, at_once, per_worker=2) if client else Processes(many)
-            threads = None if client else min(_at_once(given), KernelParameters().thread_count)
+            pool = OnDask(client, at_once, per_worker=2) if client else Processes(min(pieces, processes))
+            threads = None if client else min(processes, processors)
             stack.enter_context(contextlib.closing(pool))
             yield in_pieces(pool, pieces, memory or default_memory(), display.advanced, threads)
         elif client:
@@ -248,60 +181,20 @@ def _workers(
             yield None
 
 
+def _show_outcomes(outcomes: Sequence[Outcome], messages: Messages) -> None:
+    """Print the table, and warnings of options that had no effect on any file."""
+    if not messages.quiet:
+        show_table(("output", "result", "time", "noise", "change"), list(map(_row, outcomes)), err=True)
+    kinds = {kind for part, kind in _KINDS.items() for each in outcomes if (each.report or {}).get(part)}
+    typed = [each for each in typed_parameters() if {*each.of} <= {*_KINDS.values()}]
+    for each in without_effect(typed, kinds) if kinds else ():
+        messages.warn(f"{each.flag} had no effect on any file, as it is for {' and '.join(each.of)}")
+
+
 def _counts(outcomes: Sequence[Outcome]) -> str:
     states = [outcome.status for outcome in outcomes]
     kinds = ("done", "skipped", "uncoloured", "failed", "not started")
     return ", ".join(f"{states.count(kind)} {kind}" for kind in kinds if kind in states)
-
-
-_FILES, _STEPS = "files", 1000  # what progress counts, and its steps for each
-
-
-class Display:
-    """Shows how far all files are together; prints failures at once."""
-
-    def __init__(self, jobs: Sequence[Item], messages: Messages, work: Work | None) -> None:
-        self._jobs, self.messages, self._work = jobs, messages, work
-        self._finished = self._skipped = 0
-        self._shares: dict[int, float] = {}  # of the files in work that are done
-        if work is not None:
-            work.expect([(_FILES, float(len(jobs)))])
-        self._show()
-
-    def advanced(self, key: int, label: str, done: int, total: int) -> None:
-        self._shares[key] = done / total
-        self._show()
-
-    def _show(self) -> None:
-        # Files that are skipped take no time, and say nothing about that of others.
-        count, done = len(self._jobs), self._finished - self._skipped + sum(self._shares.values())
-        if self._work is not None:
-            label = Label(f"{self._finished} of {count} {_FILES}", _FILES)
-            # What remains of a file whose work is done, such as reading it back, takes some time too.
-            steps, whole = round(_STEPS * done), _STEPS * (count - self._skipped)
-            self._work(label, steps if self._finished == count else min(steps, whole - 1), whole)
-
-    def postponed(self, key: int) -> None:
-        self._shares.pop(key, None)
-        if self.messages.verbose:
-            self.messages.show(f"{self._jobs[key].source}: wants more than its share of memory, so it waits")
-
-    def finished(self, key: int, attempt: Attempt) -> None:
-        self._shares.pop(key, None)
-        outcome = attempt.outcome
-        self._finished += 1
-        self._skipped += outcome.status == "skipped"
-        self._show()
-        if attempt.traceback and self.messages.verbose >= 2:
-            self.messages.show(*attempt.traceback.splitlines())
-        if outcome.status == "failed":  # also with --quiet, as every error
-            self.messages.show(f"failed: {outcome.error}")
-        elif not self.messages.quiet:
-            warnings = (outcome.report or {}).get("warnings", ()) if outcome.status == "done" else ()
-            self.messages.show(*(f"warning: {outcome.input}: {text}" for text in warnings))
-            if self.messages.verbose:
-                pieces = f", in {attempt.pieces} pieces" if attempt.pieces else ""
-                self.messages.show(f"{outcome.status}: {outcome.output}, {outcome.seconds:.1f} s{pieces}")
 
 
 def _row(outcome: Outcome) -> list[str]:

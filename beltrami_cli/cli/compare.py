@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.commands import command, complete_files, overwrite_at
-from beltrami_cli.cli.console import Messages, counted, printable, show_table
+from beltrami_cli.cli.commands import command, complete_files
+from beltrami_cli.cli.console import Messages, printable, show_table
+from beltrami_cli.cli.parameter_options import options_of, record_from
 from beltrami_cli.flow.parameters import KernelParameters, Weights
 from beltrami_cli.jobs.settings import Limits
 from beltrami_cli.layers.settings import SmoothSettings
@@ -38,9 +39,9 @@ _JUNIT_HEAD = _XML + f'<testsuite name="{_SUITE}"'.encode()
 
 
 @command("compare", reference="REFERENCE", test="TEST")
-@options.options_of(Limits)
-@options.options_of(KernelParameters, only=("weights",), changed=options.COMPARED)
-@options.options_of(SmoothSettings, only=options.COLOURS, changed=options.COMPARED)
+@options_of(Limits)
+@options_of(KernelParameters, only=("weights",), changed=options.COMPARED)
+@options_of(SmoothSettings, only=options.COLOURS, changed=options.COMPARED)
 @options.as_json
 @click.option(
     "--map", "map_to", metavar="OUT.png|OUT.ply", shell_complete=complete_files,
@@ -66,8 +67,8 @@ def compare(
     settings = options.compared_from(values)
     from beltrami_cli.jobs.compare.files import compare_files
 
-    limits = options.record_from(Limits, values)
-    replaced = overwrite_at("map_to", overwrite=overwrite)
+    limits = record_from(Limits, values)
+    replaced = options.overwrite_at("map_to", overwrite=overwrite)
     junit = None if junit_to is None else _open_junit(junit_to, (reference, test), overwrite=overwrite)
     with options.job_from(values, reference, messages) as job:
         comparison = compare_files(
@@ -97,7 +98,7 @@ def _open_junit(path: str, reads: tuple[str, str], *, overwrite: bool) -> Output
     from beltrami_cli.jobs.output import Output
 
     return Output(
-        path, overwrite=overwrite_at("junit_to", overwrite=overwrite), what="JUnit report",
+        path, overwrite=options.overwrite_at("junit_to", overwrite=overwrite), what="JUnit report",
         is_own=lambda head: head.startswith(_JUNIT_HEAD), is_text=True, reads=reads,
     )  # fmt: skip
 
@@ -171,48 +172,3 @@ def _worst(worst: dict[str, Any]) -> str:
     looks = "" if worst["delta_e"] is None else f", Delta E {worst['delta_e']:.1f}"
     change = f"({', '.join(before)}) became ({', '.join(after)})"
     return f"{place}, off by {255 * worst['error']:.1f}/255{looks}: {change}"
-
-
-_ONE_SCALAR = {
-    "channels": {"help": "The scalar of the vertices of PLY files that was smoothed, such as quality."}
-}
-
-
-# Differences that are listed without -v, those besides colours first: more are of two files that are not a pair.
-_LISTED = 10
-
-
-@command("check", before="BEFORE", after="AFTER")
-@options.as_json
-@options.options_of(SmoothSettings, only=("channels",), changed=_ONE_SCALAR)
-@options.reading
-@options.quiet
-@options.verbose
-def check(before: str, after: str, as_json: bool, quiet: bool, verbose: int, **reading: Any) -> int:
-    """List what differs between two files of a format, to prove that AFTER is BEFORE with other colours."""
-    from beltrami_cli.jobs.check import check_files
-    from beltrami_cli.jobs.job import Job
-
-    with options.reading_from(reading, before) as access:
-        channels = options.record_from(SmoothSettings, reading).channels or ()
-        report = check_files(before, after, Job(replace(access, channels=channels)))
-    if as_json:
-        click.echo(json.dumps({**asdict(report), "faithful": report.faithful}, indent=2))
-    elif not quiet:
-        listed = report.differences
-        if not verbose and len(listed) > _LISTED:
-            listed = sorted(listed, key=lambda each: each.of_colour)[:_LISTED]
-        for difference in listed:
-            mark = "colour" if difference.of_colour else "OTHER"
-            click.echo(printable(f"{mark:>6}  {difference.what}: {difference.detail}"))
-        if more := len(report.differences) - len(listed):
-            click.echo(f"{more:>6}  more; -v lists all")
-        click.echo(_summary(sum(not each.of_colour for each in report.differences), len(report.differences)))
-    return 0 if report.faithful else 1
-
-
-def _summary(others: int, differences: int) -> str:
-    if others:
-        verb = "differs" if others == 1 else "differ"
-        return f"{counted(others, 'thing')} besides colours {verb}"
-    return "nothing else differs" if differences else "nothing differs"

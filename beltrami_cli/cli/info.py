@@ -11,16 +11,8 @@ import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import command
-from beltrami_cli.cli.console import (
-    NO_AREA,
-    Messages,
-    counted,
-    lines_on,
-    outliers_in_words,
-    output_name,
-    printable,
-    show_table,
-)
+from beltrami_cli.cli.console import Messages, printable, show_table
+from beltrami_cli.cli.phrases import NO_AREA, counted, lines_on, outliers_in_words
 from beltrami_cli.errors import BeltramiError, InputError
 from beltrami_cli.flow.parameters import noise_size
 from beltrami_cli.formats.access import is_url
@@ -185,41 +177,3 @@ def _choice(part: dict[str, Any]) -> str | None:
     if doubt_in_words(part, is_smoothed=False):  # which the noise is described by
         return "nothing to smooth"
     return f"nothing to smooth: {reason_in_words(part)}{advice_in_words(part)}"
-
-
-# Parameters that concern the averages, while this command looks at the kernel only.
-_OF_WRITING = (
-    "clipping", "gutter", "image_suffix", "jpeg_quality", "small", "smooth_geometry", "normal_beta", "level_seams",
-)  # fmt: skip
-
-
-@command("kernel", source="FILE", target="OUTPUT")
-@click.option(
-    "--at", required=True, metavar="INDEX|X,Y,Z|[GLOB:]U,V|X,Y",
-    help="Which sample: a vertex by its index or a position near it, a texel by texture coordinates, or a pixel of an "
-    "image by column and row. Indices, columns and rows count from 0.",
-)  # fmt: skip
-@click.option(
-    "--iteration", type=click.IntRange(1), default=1, show_default=True, metavar="K",
-    help="Kernel of this iteration; the iterations before it are run.",
-)  # fmt: skip
-@options.options_of(SmoothSettings, without=_OF_WRITING)
-@options.preset
-@options.writing
-def kernel(source: str, target: str, at: str, iteration: int, messages: Messages, **smoothing: Any) -> None:
-    """Write the geodesic distances and the weights of one kernel of FILE as a mesh, an image or a table."""
-    settings = options.settings_from(smoothing)
-    from beltrami_cli.jobs.kernel import kernel_file
-
-    with options.job_from(smoothing, source, messages) as job:
-        shown = kernel_file(source, target, at, settings, iteration=iteration, job=job)
-    sample_count = len(shown.table["distance"])
-    furthest = f"{shown.table['distance'].max():.3g} of {shown.radius:.3g}"
-    messages.say(
-        f"{output_name(target)}: kernel of the {shown.at} in iteration {iteration} of {shown.iterations}, "
-        f"{counted(sample_count, 'sample')} up to {furthest} away, beta {shown.beta:.3g}"
-    )
-    if shown.cut_short:
-        messages.warn(
-            f"{source}: the kernel was cut short at {sample_count} samples; lower -t, or raise --max-samples"
-        )

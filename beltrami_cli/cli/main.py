@@ -13,25 +13,19 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from beltrami_cli.cli.commands import (
-    complete_files,
-    notes_on,
-    refuse_unknown_variables,
-    spelled,
-    variable_behind,
-    with_variables,
-    write_notes,
-)
+from beltrami_cli.cli.commands import complete_files, write_notes
 from beltrami_cli.cli.console import printable
+from beltrami_cli.cli.documentation import notes_on
 from beltrami_cli.cli.interruption import Interruptible, Interruption
+from beltrami_cli.cli.option_names import refuse_unknown_variables, spelled, variable_behind, with_variables
 from beltrami_cli.cli.streams import ReaderGoneError, prepare_streams
 from beltrami_cli.errors import BeltramiError, InputError
 from beltrami_cli.signals import end_with_parent
 
 if TYPE_CHECKING:
-    from beltrami_cli.cli.config import Configuration
+    from beltrami_cli.cli.configuration import Configuration
 
-# The summaries fit a line of 80 columns.
+# Names of commands, each of which is a function of the module of its name, and summaries that fit 80 columns.
 COMMANDS = {
     "bake": "Move colours from vertices to a texture, or back.",
     "batch": "Smooth many files at the same time.",
@@ -50,12 +44,6 @@ COMMANDS = {
     "sweep": "Smooth with many settings, and show all results together.",
     "view": "Show a model in the browser, and smooth it there.",
 }
-
-# The modules of commands that are not called as their command; a module is imported when its command is asked for.
-_MODULES = {
-    "bake": "smooth", "check": "compare", "docs": "manual", "kernel": "info", "level": "smooth", "noise": "smooth",
-    "render": "pictures", "report": "pictures", "sweep": "pictures", "view": "pictures",
-}  # fmt: skip
 
 _ALIASES = {"denoise": "smooth"}
 
@@ -125,7 +113,7 @@ class LazyGroup(click.Group):
 @click.pass_context
 def group(context: click.Context, config_path: str | None) -> None:
     """Smooth the colours of 3-D meshes: on the surface itself, keeping edges."""
-    from beltrami_cli.cli.config import load
+    from beltrami_cli.cli.configuration import load
 
     context.obj = load(config_path)
     name = context.invoked_subcommand
@@ -135,8 +123,7 @@ def group(context: click.Context, config_path: str | None) -> None:
 
 def _command(name: str) -> click.Command:
     function = name.replace("-", "_")
-    module = importlib.import_module(f"beltrami_cli.cli.{_MODULES.get(name, function)}")
-    command: click.Command = getattr(module, function)
+    command: click.Command = getattr(importlib.import_module(f"beltrami_cli.cli.{function}"), function)
     command.short_help = COMMANDS[name]
     return with_variables(command, name, _shared_with_smooth(name))
 
@@ -145,7 +132,7 @@ def _shared_with_smooth(name: str) -> Collection[str]:
     """Return the options that a command inherits from `smooth`, so that both write equal files."""
     if name != "batch":
         return ()
-    from beltrami_cli.cli.batch import SHARED_WITH_SMOOTH
+    from beltrami_cli.cli.batch_items import SHARED_WITH_SMOOTH
 
     return SHARED_WITH_SMOOTH
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import click
 
-from beltrami_cli.cli.commands import DEFAULT_GROUP, HELP_ALL, command, docs_folder
+from beltrami_cli.cli.commands import DEFAULT_GROUP, HELP_ALL
 from beltrami_cli.cli.main import COMMANDS, group
 
 _ENVIRONMENT = (
@@ -26,37 +26,6 @@ _EXIT_STATUS = (
     ("0", "Done."), ("1", "Processing failed, or a limit is broken."), ("2", "Wrong usage."),
     ("3", "An input is unreadable or not fit."), ("4", "An output is not writable."), ("130", "Interrupted."),
 )  # fmt: skip
-_OMITTED_PAGES = {"index", "changelog"}  # they consist of links and of another file
-_MARKS = re.compile(r"^<!--.*-->\n", re.MULTILINE)
-
-
-def pages() -> dict[str, Path]:
-    """Return the topics and their files."""
-    return {path.stem: path for path in sorted(docs_folder().glob("*.md")) if path.stem not in _OMITTED_PAGES}
-
-
-def page_text(path: Path) -> str:
-    """Return a page as Markdown without the marks for scripts."""
-    return _MARKS.sub("", path.read_text(encoding="utf-8"))
-
-
-@command("docs")
-@click.argument("topic", type=click.Choice(list(pages())), metavar="[TOPIC]", required=False)
-def docs(topic: str | None) -> None:
-    """Show a page of the documentation, formatted on a terminal and as Markdown elsewhere; or list the pages."""
-    if topic is None:
-        for name, path in pages().items():
-            click.echo(f"{name:<16}{page_text(path).partition('# ')[2].splitlines()[0]}")
-    elif not sys.stdout.isatty():
-        click.echo(page_text(pages()[topic]), nl=False)
-    else:
-        from rich.console import Console
-        from rich.markdown import Markdown
-
-        console = Console()
-        with console.capture() as formatted:
-            console.print(Markdown(page_text(pages()[topic]), hyperlinks=False))
-        click.echo_via_pager(formatted.get())
 
 
 class _Roff(click.HelpFormatter):

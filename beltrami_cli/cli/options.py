@@ -1,153 +1,41 @@
-"""Options from the fields of parameter records, the records back from the options' values, and options of files."""
+"""Options that several commands share, and what their values make: settings, access and jobs."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import wraps
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
-from click.shell_completion import CompletionItem
 
-from beltrami_cli.cli.commands import GroupedOption, variable_behind
+from beltrami_cli.cli.commands import GroupedOption
 from beltrami_cli.cli.console import Messages
+from beltrami_cli.cli.parameter_options import (
+    destination,
+    options_of,
+    record_from,
+    refuse_typed,
+    typed_parameters,
+    values_given_to,
+)
 from beltrami_cli.errors import UsageError
-from beltrami_cli.fields import REQUIRED, Parameter, parameters, parts, requiring_effect
+from beltrami_cli.fields import parameters, requiring_effect
 from beltrami_cli.flow.parameters import PRESETS, KernelParameters, parameters_with
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.settings import BakeSettings
-from beltrami_cli.layers.settings import IMAGE_FORMATS, SmoothSettings, TextureSettings, given_values
+from beltrami_cli.layers.settings import IMAGE_FORMATS, SmoothSettings, TextureSettings
 from beltrami_cli.surface.memory import default_memory, limited_memory
 
-Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
-
-Record = TypeVar("Record")
+if TYPE_CHECKING:
+    from beltrami_cli.jobs.output import Overwrite
 
 # Where the value of an option can come from that is not its default.
 _BY_DIRECTNESS = (ParameterSource.COMMANDLINE, ParameterSource.ENVIRONMENT, ParameterSource.DEFAULT_MAP)
-
-
-class ParameterOption(GroupedOption):
-    """An option made from the field of a parameter."""
-
-    def __init__(self, *arguments: Any, declared: Parameter, **attributes: Any) -> None:
-        super().__init__(*arguments, group="" if declared.is_daily else declared.group, **attributes)
-        self.declared = declared
-
-
-class _Value(click.ParamType):  # type: ignore[type-arg]  # generic only in newer versions
-    """What the field of a parameter allows; text that it parses stays text, as configuration files have it."""
-
-    def __init__(self, declared: Parameter) -> None:
-        self._declared = declared
-        # Errors name the option, which may be called otherwise than the field.
-        self._named = dataclasses.replace(declared, name=declared.flag)
-        self.name = {int: "integer", float: "float"}.get(declared.kind, "text")
-
-    def shell_complete(
-        self, ctx: click.Context, param: click.Parameter, incomplete: str
-    ) -> list[CompletionItem]:
-        return [CompletionItem(word) for word in self._declared.words if word.startswith(incomplete)]
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the value, or its text; UsageError if it is out of its range."""
-        declared = self._declared
-        kind: Any = {int: click.INT, float: click.FLOAT}.get(declared.kind, click.STRING)
-        try:
-            made = kind.convert(value, param, ctx) if declared.parse is None else parsed(declared, str(value))
-            self._named.check((made,) if declared.repeatable else made)
-        except UsageError as error:
-            variable = variable_behind(param, ctx)
-            origin = f" (from the environment: {variable})" if variable else ""
-            raise UsageError(f"{error}{origin}") from None
-        return made if declared.parse is None else str(value)
-
-
-def options_of(
-    record: type,
-    only: Collection[str] | None = None,
-    without: Collection[str] = (),
-    changed: Mapping[str, Mapping[str, Any]] | None = None,
-) -> Decorator:
-    """Return a decorator that adds the options of a record; `changed`: attributes of parameters that differ."""
-    chosen = [
-        dataclasses.replace(each, **(changed or {}).get(each.name, {}))
-        for each in parameters(record, deep=True)
-        if each.flags and (only is None or each.name in only) and each.name not in without
-    ]
-    return adding(chosen)
-
-
-def adding(parameters: Sequence[Parameter]) -> Decorator:
-    """Return a decorator that adds the options of parameters."""
-
-    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
-        for declared in reversed(parameters):
-            command = _option_of(declared)(command)
-        return command
-
-    return decorate
-
-
-def _option_of(declared: Parameter) -> Decorator:
-    attributes: dict[str, Any] = {}
-    if declared.kind is bool:
-        attributes = {"is_flag": True, "default": declared.default}
-    elif declared.choices and declared.parse is None:
-        attributes = {"type": click.Choice(declared.choices)}
-    else:
-        attributes = {"type": _Value(declared), "metavar": declared.metavar}
-    if declared.repeatable:
-        attributes["multiple"] = True
-    elif declared.default is REQUIRED:
-        attributes["required"] = True
-    elif not declared.unset and declared.default is not None:
-        attributes["default"] = declared.show(declared.default) if declared.parse else declared.default
-    return click.option(
-        *declared.flags, cls=ParameterOption, declared=declared, help=_help(declared), **attributes
-    )
-
-
-def _given_to(record: type, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of the parameters of a record, by their names, that options have a value for."""
-    given = ((each, values.get(_destination(each))) for each in parameters(record))
-    return {
-        each.name: tuple(parsed(each, text) for text in value) if each.repeatable else parsed(each, value)
-        for each, value in given
-        if value not in (None, ())
-    }
-
-
-def record_from(record: type[Record], values: Mapping[str, Any], **made: Any) -> Record:
-    """Make a record from the values of its options; other fields have their defaults."""
-    nested: dict[str, Any] = {
-        name: record_from(kind, values) for name, kind in parts(record).items() if name not in made
-    }
-    return record(**{**_given_to(record, values), **nested, **made})
-
-
-def parsed(declared: Parameter, text: str) -> Any:
-    """Make the value of a parameter from the text of its option."""
-    if declared.parse is None:
-        return text
-    try:
-        return declared.parse(text)
-    except ValueError as error:
-        raise UsageError(f"{declared.flag} {error}") from None
-
-
-def _destination(declared: Parameter) -> str:
-    """Return the name that click has for the option of a parameter; empty if there is none."""
-    last = declared.flags[-1] if declared.flags else ""
-    return next(
-        filter(str.isidentifier, declared.flags), last.partition("/")[0].lstrip("-").replace("-", "_")
-    )
-
 
 preset = click.option(
     "--preset", type=click.Choice(sorted(PRESETS)), cls=GroupedOption, group=KernelParameters.group,
@@ -161,7 +49,7 @@ def smoothing(command: Callable[..., Any]) -> Callable[..., Any]:
     return options_of(SmoothSettings)(preset(command))
 
 
-SMOOTHING = ("preset", *filter(None, map(_destination, parameters(SmoothSettings, deep=True))))
+SMOOTHING = ("preset", *filter(None, map(destination, parameters(SmoothSettings, deep=True))))
 """The names that click has for the options that `smoothing` adds."""
 
 
@@ -170,37 +58,9 @@ def settings_from(values: Mapping[str, Any]) -> SmoothSettings:
     return record_from(SmoothSettings, values, kernel=_kernel_from(values))
 
 
-def words_of(settings: SmoothSettings, preset: str | None = None) -> list[str]:
-    """Return the options that `settings_from` makes such settings of, as they are typed."""
-    usual: dict[str, Any] = dict(PRESETS[preset]) if preset else {}
-    words, given = ["--preset", preset] if preset else [], given_values(settings)
-    for record in (settings, *(getattr(settings, name) for name in parts(settings))):
-        for declared in parameters(record):
-            value, default = getattr(record, declared.name), usual.get(declared.name, declared.default)
-            is_given = value != default if preset else declared.name in given
-            if is_given and declared.flags:
-                words += _typed(declared, value)
-    return words
-
-
-def _typed(declared: Parameter, value: Any) -> list[str]:
-    flag = declared.flags[0].partition("/")[0]
-    if declared.kind is bool:
-        return [flag]
-    if declared.repeatable:
-        return [word for each in value for word in (flag, _in_short(each))]
-    if declared.several:
-        return [flag, ",".join(map(_in_short, value)) or "none"]
-    return [flag, _in_short(value) if declared.parse is None else declared.show(value)]
-
-
-def _in_short(value: Any) -> str:
-    return str(int(value)) if isinstance(value, float) and value.is_integer() else str(value)
-
-
 def _kernel_from(values: Mapping[str, Any]) -> KernelParameters:
     preset: dict[str, Any] = dict(PRESETS[values["preset"]]) if values["preset"] else {}
-    found = _given_to(KernelParameters, values)
+    found = values_given_to(KernelParameters, values)
     given = preset | {name: found[name] for name in found if is_given(name) or name not in preset}
     if given["units"] == "world" and not is_given("t"):
         raise UsageError("--units world needs -t, in squared units of the file")
@@ -292,31 +152,13 @@ def messages(command: Callable[..., Any]) -> Callable[..., Any]:
     return quiet(verbose(with_messages))
 
 
+reading = options_of(Access)
+"""Adds the options that `reading_from` takes."""
+
+
 def writing(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options of reading and replacing files, for `job_from`, and the options of `messages`."""
     return reading(overwrite(messages(command)))
-
-
-reading = options_of(Access)
-"""Adds all options that `reading_from` takes."""
-
-
-def typed_parameters() -> list[Parameter]:
-    """Return the parameters whose options stand on the command line."""
-    context = click.get_current_context()
-    return [
-        option.declared
-        for option in context.command.params
-        if isinstance(option, ParameterOption)
-        and context.get_parameter_source(str(option.name)) is ParameterSource.COMMANDLINE
-    ]
-
-
-def refuse_typed(record: type, why: str) -> None:
-    """Raise UsageError if an option of a record stands on the command line, where it has no effect."""
-    for each in typed_parameters():
-        if each.group == getattr(record, "group", ""):
-            raise UsageError(f"{each.flag} is {why}")
 
 
 @contextmanager
@@ -335,10 +177,8 @@ def job_from(values: Mapping[str, Any], source: str, messages: Messages) -> Iter
         yield Job(access, progress, values.get("overwrite", False), format=values.get("output_format"))
 
 
-def _help(declared: Parameter) -> str:
-    notes = [f"in {declared.unit}"] if declared.unit else []
-    if declared.default_in_words:
-        notes.append(f"default: {declared.default_in_words}")
-    if declared.kind in (int, float) and (declared.low, declared.high) != (None, None):
-        notes.append(declared.range)
-    return f"{declared.help}  [{'; '.join(notes)}]" if notes else declared.help
+def overwrite_at(option: str, *, overwrite: bool) -> Overwrite:
+    """Whether a file may be replaced: what this program did not write only if the command line itself says so."""
+    sources = [click.get_current_context().get_parameter_source(name) for name in (option, "overwrite")]
+    is_direct = all(source is ParameterSource.COMMANDLINE for source in sources)
+    return "own" if overwrite and not is_direct else overwrite

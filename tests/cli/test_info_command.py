@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from beltrami_cli import SmoothSettings, inspect_file
-from beltrami_cli.cli.commands import notes_on
-from beltrami_cli.cli.console import label_of
+from beltrami_cli.cli.documentation import notes_on
+from beltrami_cli.cli.phrases import label_of
 from beltrami_cli.fields import override
 from beltrami_cli.layers.settings import SLOTS
 from cli.commands import SAMPLES, beltrami, colours_in, copy_samples

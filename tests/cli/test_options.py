@@ -7,6 +7,7 @@ from functools import partial
 import pytest
 
 from beltrami_cli.cli import options
+from beltrami_cli.cli.parameter_options import ParameterOption, record_from
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import override, parameters
 from beltrami_cli.jobs.settings import BakeSettings, Limits, NoiseSettings
@@ -41,7 +42,7 @@ def test_of_a_list_in_parts_none_is_dropped(option):
 
 
 def option_for(name, declared):
-    of_parameters = (each for each in command(name).params if isinstance(each, options.ParameterOption))
+    of_parameters = (each for each in command(name).params if isinstance(each, ParameterOption))
     return next((each for each in of_parameters if each.declared.name == declared.name), None)
 
 
@@ -82,7 +83,7 @@ def test_files_that_parameters_name_are_guarded_and_named_by_users_only(declared
 @pytest.mark.parametrize("record", [SmoothSettings, BakeSettings, RenderSettings, Limits])
 def test_options_that_are_not_given_make_the_record_as_it_is_by_default(record):
     name = next(name for name, made in RECORDS.items() if isinstance(made, record))
-    make = options.settings_from if record is SmoothSettings else partial(options.record_from, record)
+    make = options.settings_from if record is SmoothSettings else partial(record_from, record)
     context = values_of(name)
     with context.scope():
         assert make(context.params) == record()

@@ -60,7 +60,9 @@ REFUSED = [
     ("smoth clean.ply", 2, "Did you mean smooth?"),
     ("scan.ply clean.ply", 2, "beltrami smooth scan.ply OUTPUT"),
     ("frob clean.ply", 2, "'frob'.\n"),
-    ("docs tunning", 2, "'tuning'"),
+    ("docs tunning", 2, "Did you mean tuning?"),
+    ("docs noise", 2, "Did you mean commands or method or tuning?"),  # which have such headings
+    ("batch . --out-dir out --json", 2, "The JSON goes into a file: --report FILE.jsonl"),
     # inputs
     ("smooth missing.ply out.ply", 3, "missing.ply"),
     ("smooth . out.ply", 3, "it is a folder"),

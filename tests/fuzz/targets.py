@@ -15,8 +15,9 @@ from beltrami_cli import smooth
 from beltrami_cli.batch.item import Item
 from beltrami_cli.batch.plan import plan
 from beltrami_cli.batch.record import _read_record, is_done, is_own_output
-from beltrami_cli.cli.batch import _settings, batch
-from beltrami_cli.cli.config import load
+from beltrami_cli.cli.batch import batch
+from beltrami_cli.cli.batch_items import item_with
+from beltrami_cli.cli.configuration import load
 from beltrami_cli.cli.main import group
 from beltrami_cli.errors import BeltramiError, InputError, UsageError
 from beltrami_cli.formats.access import Access
@@ -202,7 +203,7 @@ def read_manifest(data):
                 contextlib.suppress(click.UsageError, UsageError, ValueError),
                 batch.make_context("batch", ["a.ply", "--out-dir", "out"]).scope() as context,
             ):
-                _settings(request, context.params, ())
+                item_with(request, context.params, ())
 
 
 def read_record(data):

@@ -6,9 +6,9 @@ import os
 import click
 import pytest
 
-from beltrami_cli.cli.commands import long_name
-from beltrami_cli.cli.config import load, may_be_found
+from beltrami_cli.cli.configuration import load, may_be_found
 from beltrami_cli.cli.main import COMMANDS, group
+from beltrami_cli.cli.option_names import long_name
 from beltrami_cli.errors import UsageError
 from cli.commands import SAMPLES, beltrami, command
 

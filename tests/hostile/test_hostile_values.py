@@ -10,7 +10,7 @@ import click
 import pytest
 
 from batch.batches import without_workers
-from beltrami_cli.cli.batch import SHARED_WITH_SMOOTH
+from beltrami_cli.cli.batch_items import SHARED_WITH_SMOOTH
 from beltrami_cli.cli.main import COMMANDS as ALL
 from cli.commands import beltrami, command
 from small_models import COLOURED, ply

@@ -8,7 +8,7 @@ import click
 import numpy as np
 import pytest
 
-from beltrami_cli.cli import options, smooth
+from beltrami_cli.cli import options, smooth, view
 from beltrami_cli.fields import override
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import DEFAULT_ACCESS
@@ -45,7 +45,7 @@ def parsed(words):
 )  # fmt: skip
 def test_the_command_gives_the_settings_that_it_was_made_of(words):
     settings, preset = parsed(shlex.split(words)), "paper" if "paper" in words else None
-    assert parsed(options.words_of(settings, preset)) == settings
+    assert parsed(view.words_of(settings, preset)) == settings
     assert settings_from(plain_settings(settings), values_of(settings)) == settings
 
 

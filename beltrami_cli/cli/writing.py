@@ -1,0 +1,95 @@
+"""How commands write OUTPUT, with a report and a preview if they are asked for: all files or none."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, replace
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from beltrami_cli.cli import options
+from beltrami_cli.cli.commands import complete_files
+from beltrami_cli.cli.console import Messages
+from beltrami_cli.errors import OutputError, UsageError
+from beltrami_cli.jobs.job import Job
+from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
+
+if TYPE_CHECKING:
+    from beltrami_cli.jobs.output import Output
+    from beltrami_cli.jobs.recolour import FileReport
+    from beltrami_cli.view.before_after import Preview
+
+Report = TypeVar("Report", bound="FileReport")
+
+_dry_run = click.option("--dry-run", is_flag=True, help="Compute and report, but write no OUTPUT.")
+_report = click.option(
+    "--report",
+    "report_path",
+    metavar="FILE.json",
+    shell_complete=complete_files,
+    help="Write parameters, counts and changes; - prints them.",
+)
+_preview = click.option(
+    "--preview", "preview_path", metavar="FILE.png", shell_complete=complete_files,
+    help="Draw INPUT and OUTPUT side by side, with a detail; `beltrami render` draws others.",
+)  # fmt: skip
+
+
+def reporting(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options of a report."""
+    return options.as_json(_report(command))
+
+
+def report_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options of a dry run, a report and a preview."""
+    return _dry_run(reporting(_preview(command)))
+
+
+def run_and_write(
+    values: Mapping[str, Any], ends: tuple[str, str], messages: Messages, carry_out: Callable[[Job], Report],
+    settings: SmoothSettings = DEFAULTS,
+) -> Report:  # fmt: skip
+    """Carry out a job from INPUT to OUTPUT, and put all that it writes in place together; `settings`: for a preview."""
+    from beltrami_cli.formats.changes import Written
+    from beltrami_cli.jobs.output import FileSet
+
+    with options.job_from(values, ends[0], messages) as job, FileSet(ends) as files:
+        job = replace(job, dry_run=values.get("dry_run", False), files=files)
+        named = dict.fromkeys([values["report_path"], "-" if values["as_json"] else None])
+        report_files = [_open_report(path, ends[1], job) for path in named if path is not None]
+        preview = _open_preview(values.get("preview_path"), ends, settings, job)
+        report = carry_out(job if preview is None else replace(job, check=preview.check))
+        if preview is not None:
+            preview.draw()
+        for file in report_files:
+            file.write(Written(main=[(json.dumps(asdict(report), indent=2) + "\n").encode()]))
+        files.commit()
+    return report
+
+
+def _open_report(path: str, target: str, job: Job) -> Output:
+    """Check that a report can be written, before anything is computed."""
+    from beltrami_cli.jobs.output import Output
+    from beltrami_cli.jobs.smoothing import is_report
+
+    if path == target == "-":
+        raise OutputError("<stdout>", "the report would mix with OUTPUT", "name a file for one of them")
+    replaced = options.overwrite_at("report_path", overwrite=job.overwrite)
+    return Output(path, overwrite=replaced, is_text=True, what="report", is_own=is_report, files=job.files)
+
+
+def _open_preview(
+    path: str | None, names: tuple[str, str], settings: SmoothSettings, job: Job
+) -> Preview | None:
+    """Check that a preview of INPUT and OUTPUT can be drawn, if one is wanted, before anything is computed."""
+    if path is None:
+        return None
+    from beltrami_cli.view.before_after import Preview
+
+    if job.dry_run:
+        raise UsageError("--preview draws OUTPUT, which --dry-run does not write")
+    assert job.files is not None
+    replaced = options.overwrite_at("preview_path", overwrite=job.overwrite)
+    return Preview(path, *names, settings, job.access, overwrite=replaced, files=job.files)
