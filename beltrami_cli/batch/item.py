@@ -19,9 +19,9 @@ from beltrami_cli.errors import BeltramiError, MemoryLimitError, NoColoursError
 from beltrami_cli.flow.parameters import noise_size
 from beltrami_cli.formats.access import Access, is_url
 from beltrami_cli.jobs.job import Job
-from beltrami_cli.jobs.output import FileSet
 from beltrami_cli.jobs.progress import Progress, Share
 from beltrami_cli.jobs.settings import BakeSettings
+from beltrami_cli.jobs.writing.output import FileSet
 from beltrami_cli.surface.memory import limited_memory
 
 if TYPE_CHECKING:

@@ -22,7 +22,7 @@ from beltrami_cli.formats.access import (
     unreadable,
 )
 from beltrami_cli.formats.changes import Written
-from beltrami_cli.jobs.output import Output
+from beltrami_cli.jobs.writing.output import Output
 
 _HEAD = re.compile(rb'\{"input": ".*", "output": ".*", "status": "')
 _START = b'{"input": "'

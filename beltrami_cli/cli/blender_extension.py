@@ -37,7 +37,7 @@ def write_blender_extension(target: str, *, overwrite: bool) -> int:
     """Write the extension as a .zip file; return the number of its parameters."""
     # Later, since these need NumPy, and manual pages are written where only what builds the package is installed.
     from beltrami_cli.formats.changes import Written
-    from beltrami_cli.jobs.output import Output
+    from beltrami_cli.jobs.writing.output import Output
 
     output = Output(target, overwrite=overwrite, what="extension")
     declared = list(declared_parameters())

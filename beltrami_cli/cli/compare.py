@@ -19,7 +19,7 @@ from beltrami_cli.layers.settings import SmoothSettings
 if TYPE_CHECKING:
     from beltrami_cli.jobs.compare.files import Comparison
     from beltrami_cli.jobs.compare.limits import Verdict
-    from beltrami_cli.jobs.output import Output
+    from beltrami_cli.jobs.writing.output import Output
 
 _COLUMNS = (
     "part", "samples", "PSNR dB", "SSIM", "dE mean", "dE 95 %", "dE worst", "seams: dB", "seams: dE", "jump /255",
@@ -95,7 +95,7 @@ def compare(
 
 def _open_junit(path: str, reads: tuple[str, str], *, overwrite: bool) -> Output:
     """Check that a JUnit report can be written, before anything is computed."""
-    from beltrami_cli.jobs.output import Output
+    from beltrami_cli.jobs.writing.output import Output
 
     return Output(
         path, overwrite=options.overwrite_at("junit_to", overwrite=overwrite), what="JUnit report",

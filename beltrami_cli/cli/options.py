@@ -32,7 +32,7 @@ from beltrami_cli.layers.settings import IMAGE_FORMATS, SmoothSettings, TextureS
 from beltrami_cli.surface.memory import default_memory, limited_memory
 
 if TYPE_CHECKING:
-    from beltrami_cli.jobs.output import Overwrite
+    from beltrami_cli.jobs.writing.output import Overwrite
 
 # Where the value of an option can come from that is not its default.
 _BY_DIRECTNESS = (ParameterSource.COMMANDLINE, ParameterSource.ENVIRONMENT, ParameterSource.DEFAULT_MAP)

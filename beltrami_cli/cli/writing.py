@@ -17,8 +17,8 @@ from beltrami_cli.jobs.job import Job
 from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
 
 if TYPE_CHECKING:
-    from beltrami_cli.jobs.output import Output
     from beltrami_cli.jobs.recolour import FileReport
+    from beltrami_cli.jobs.writing.output import Output
     from beltrami_cli.view.before_after import Preview
 
 Report = TypeVar("Report", bound="FileReport")
@@ -53,7 +53,7 @@ def run_and_write(
 ) -> Report:  # fmt: skip
     """Carry out a job from INPUT to OUTPUT, and put all that it writes in place together; `settings`: for a preview."""
     from beltrami_cli.formats.changes import Written
-    from beltrami_cli.jobs.output import FileSet
+    from beltrami_cli.jobs.writing.output import FileSet
 
     with options.job_from(values, ends[0], messages) as job, FileSet(ends) as files:
         job = replace(job, dry_run=values.get("dry_run", False), files=files)
@@ -71,8 +71,8 @@ def run_and_write(
 
 def _open_report(path: str, target: str, job: Job) -> Output:
     """Check that a report can be written, before anything is computed."""
-    from beltrami_cli.jobs.output import Output
     from beltrami_cli.jobs.smoothing import is_report
+    from beltrami_cli.jobs.writing.output import Output
 
     if path == target == "-":
         raise OutputError("<stdout>", "the report would mix with OUTPUT", "name a file for one of them")

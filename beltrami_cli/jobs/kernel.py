@@ -21,8 +21,8 @@ from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.ply.writer import write_scalars_as_ply
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
-from beltrami_cli.jobs.output import Output
 from beltrami_cli.jobs.recolour import open_input
+from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.layers.layer import Layer, SampledVertices
 from beltrami_cli.layers.selection import select
 from beltrami_cli.layers.settings import DEFAULTS, IMAGE_SUFFIXES, SmoothSettings

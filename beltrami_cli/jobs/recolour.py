@@ -33,8 +33,9 @@ from beltrami_cli.formats.image_document import ImageDocument
 from beltrami_cli.formats.registry import OutputFormat, choose_format
 from beltrami_cli.formats.textured_mesh import with_images, with_suffixes
 from beltrami_cli.jobs.job import Job
-from beltrami_cli.jobs.output import Output, shared_files
 from beltrami_cli.jobs.progress import phases_of
+from beltrami_cli.jobs.writing.output import Output
+from beltrami_cli.jobs.writing.shared_files import shared_files
 from beltrami_cli.layers.layer import Layer, StoredColours, all_images
 from beltrami_cli.layers.selection import Selection, select
 from beltrami_cli.layers.settings import SmoothSettings

@@ -12,7 +12,7 @@ from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.file_formats import is_image
 from beltrami_cli.formats.image.png import packed_chunk
-from beltrami_cli.jobs.output import FileSet, Output, Overwrite
+from beltrami_cli.jobs.writing.output import FileSet, Output, Overwrite
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.view.panels import draw_views
 from beltrami_cli.view.render import encoded, picture_suffix

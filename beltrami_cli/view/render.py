@@ -17,7 +17,7 @@ from beltrami_cli.formats.image import check_writable, format_of_suffix, write_i
 from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.image.file_formats import FORMATS
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
-from beltrami_cli.jobs.output import Output
+from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.view.panels import draw_views
 from beltrami_cli.view.settings import DEFAULT_RENDER, MAX_PIXELS, RenderSettings
 from beltrami_cli.view.views import ImageView, open_views

@@ -17,8 +17,8 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.jobs.compare.figures import Measured, figures
 from beltrami_cli.jobs.compare.files import ALL_SLOTS, Compared, compare_documents, open_both
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
-from beltrami_cli.jobs.output import Output
 from beltrami_cli.jobs.progress import Progress, tracked
+from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.colour_values import as_bytes, colour_by_value
 from beltrami_cli.surface.records import Slot

@@ -26,8 +26,8 @@ from beltrami_cli.formats.registry import (
 )
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.noise import noise_file
-from beltrami_cli.jobs.output import Output
 from beltrami_cli.jobs.settings import NoiseSettings
+from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.layers.settings import SLOTS, SmoothSettings, TextureSettings
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.surface.records import MeshContents

@@ -49,7 +49,7 @@ def child(target, at, number, arguments, loaded):
     """
     from beltrami_cli.cli import main as command
     from beltrami_cli.formats.changes import Written
-    from beltrami_cli.jobs.output import Output
+    from beltrami_cli.jobs.writing.output import Output
 
     def job(**_):
         output = Output(target, overwrite=True)

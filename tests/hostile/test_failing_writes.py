@@ -12,8 +12,8 @@ import pytest
 
 from beltrami_cli.errors import OutputError
 from beltrami_cli.formats.changes import Written
-from beltrami_cli.jobs import replacing
-from beltrami_cli.jobs.output import Output
+from beltrami_cli.jobs.writing.journal import recover
+from beltrami_cli.jobs.writing.output import Output
 from cli.commands import COMMAND, SAMPLES, refused, run_command
 from formats.image_files import encode
 from hostile.folders import snapshot
@@ -108,7 +108,7 @@ def test_a_system_call_that_fails_from_some_moment_on(call, has_old, tmp_path, m
     runs = attempts(tmp_path, monkeypatch, call, errno.EIO, has_old=has_old, for_good=True)
     for folder, expected, _ in runs:
         # Changes that could not be undone are undone by the next run, as soon as that is possible again.
-        replacing.recover(folder)
+        recover(folder)
         folders = {"maps"} - set(expected)  # which may stay, without files
         after = snapshot(folder)
         assert {path: content for path, content in after.items() if path not in folders} == expected, folder
@@ -145,7 +145,7 @@ def test_only_a_set_of_this_user_in_this_folder_is_undone(tmp_path):
     lines = [f'["{name}", "{target}", false, {put}]' for name, target in itertools.product(names, targets)]
     lines += ["[" * 1000, "{}", "[1, 2, 3, 4]", '["a", "b"]', "null", '"x"', '["\\u0000", "a", true, null]']
     (folder / f"{stem}.tmp").write_text("\n".join(lines) + "\n")
-    replacing.recover(folder)
+    recover(folder)
     assert outside.read_text() == "precious"
     assert sorted(path.name for path in folder.iterdir()) == ["link"]
 

@@ -15,8 +15,8 @@ from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.job import Job
-from beltrami_cli.jobs.output import Output
 from beltrami_cli.jobs.smooth import smooth_file
+from beltrami_cli.jobs.writing.output import Output
 from cli.commands import beltrami
 from formats.image_files import encode
 from formats.tile_files import tiled_model

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from beltrami_cli.jobs.replacing import signals_deferred
+from beltrami_cli.jobs.writing.locks import signals_deferred
 from cli.commands import beltrami
 from formats.tile_files import tiled_model
 from hostile.textured_models import OTHER, PICTURE, write_model
@@ -233,7 +233,7 @@ from pathlib import Path
 from beltrami_cli.batch.workers import Channel, Order, serve
 from beltrami_cli.formats.image.opening import scratch_file
 from beltrami_cli.formats.changes import Written
-from beltrami_cli.jobs.output import FileSet, Output
+from beltrami_cli.jobs.writing.output import FileSet, Output
 
 def work(progress):
     with FileSet() as files:

@@ -9,7 +9,7 @@ import pytest
 
 from beltrami_cli.errors import OutputError
 from beltrami_cli.formats.changes import Written
-from beltrami_cli.jobs.output import Output
+from beltrami_cli.jobs.writing.output import Output
 
 pytestmark = pytest.mark.skipif(
     not hasattr(os, "setxattr") or os.geteuid() != 0, reason="only root can act for several users"

@@ -14,12 +14,12 @@ import pytest
 
 from beltrami_cli.errors import OutputError
 from beltrami_cli.formats.changes import Written
-from beltrami_cli.jobs import replacing
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.noise import noise_file
-from beltrami_cli.jobs.output import FileSet, Output
-from beltrami_cli.jobs.replacing import recover
 from beltrami_cli.jobs.settings import NoiseSettings
+from beltrami_cli.jobs.writing import locks
+from beltrami_cli.jobs.writing.journal import recover
+from beltrami_cli.jobs.writing.output import FileSet, Output
 from cli.commands import COMMAND, SAMPLES
 from hostile.folders import snapshot
 from hostile.textured_models import KINDS, PICTURE, write_model
@@ -29,7 +29,7 @@ WRITER = """
 import sys
 from beltrami_cli.errors import OutputError
 from beltrami_cli.formats.changes import Written
-from beltrami_cli.jobs.output import Output
+from beltrami_cli.jobs.writing.output import Output
 
 if sys.argv[3] == "no links":
     import errno, os
@@ -41,15 +41,15 @@ if sys.argv[3] == "no links":
 overwrite = sys.argv[3] == "overwrite"
 if overwrite:  # so slowly that each would meet the other
     import time
-    from beltrami_cli.jobs import replacing
+    from beltrami_cli.jobs.writing import journal
 
-    put = replacing._put
+    put = journal.put
 
     def put_slowly(*arguments, **options):
         put(*arguments, **options)
         time.sleep(0.02)
 
-    replacing._put = put_slowly
+    journal.put = put_slowly
 output = Output(sys.argv[1], overwrite=overwrite)
 if overwrite:
     output.replaceable = frozenset(["a.mtl", "maps/a.png"])
@@ -145,7 +145,7 @@ def test_of_two_that_replace_a_new_output_the_last_one_wins(kind, tmp_path, monk
 
 
 def test_a_run_that_waits_for_another_for_too_long_leaves_all_as_it_was(tmp_path, monkeypatch):
-    monkeypatch.setattr(replacing, "_LOCK_TIMEOUT", 0.1)
+    monkeypatch.setattr(locks, "_LOCK_TIMEOUT", 0.1)
     (tmp_path / "out.obj").write_text("old")
     output = Output(str(tmp_path / "out.obj"), overwrite=True)
     descriptor = os.open(tmp_path, os.O_RDONLY)
@@ -189,7 +189,7 @@ FILES = Written([b"new"], {"a.mtl": b"new", "maps/a.png": b"new"})
 STAGING = """
 import sys
 from beltrami_cli.formats.changes import Written
-from beltrami_cli.jobs.output import FileSet, Output
+from beltrami_cli.jobs.writing.output import FileSet, Output
 with FileSet() as files:
     Output(sys.argv[1], overwrite=True, files=files).write(
         Written([b"new"], {"a.mtl": b"new", "maps/a.png": b"new"}))

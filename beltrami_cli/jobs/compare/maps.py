@@ -15,7 +15,7 @@ from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.ply.writer import write_scalars_as_ply
 from beltrami_cli.jobs.compare.figures import ComparedColours, Measured
-from beltrami_cli.jobs.output import Output, Overwrite
+from beltrami_cli.jobs.writing.output import Output, Overwrite
 from beltrami_cli.layers.settings import IMAGE_SUFFIXES, SmoothSettings
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.colour_values import as_bytes, colour_by_value

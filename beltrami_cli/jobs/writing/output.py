@@ -3,37 +3,28 @@
 They are checked for collisions before anything is computed, written under temporary names in the folders of their
 targets, and put in place together: all or none. A name that must be free is taken by an operation that fails if it is
 not, so of two simultaneous runs only one succeeds.
-
-Other models in the output's folder that refer to a file which is replaced are named in a notice. The heads of their
-files are searched for its name, and not parsed, so that a folder of large models takes little time.
 """
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
-import filecmp
-import logging
 import os
-import re
 import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from itertools import takewhile
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Literal
-from urllib.parse import quote
 
 from beltrami_cli.errors import OutputError
-from beltrami_cli.formats.access import DEFAULT_ACCESS, Access, is_url, read_regular
-from beltrami_cli.formats.registry import OUTPUT_FORMATS, READ_ONLY
-from beltrami_cli.jobs import replacing
-from beltrami_cli.jobs.file_rights import take_over
+from beltrami_cli.formats.access import Access, is_url
+from beltrami_cli.jobs.writing.journal import recover
+from beltrami_cli.jobs.writing.locks import signals_deferred
+from beltrami_cli.jobs.writing.transaction import Transaction
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.changes import Bytes, Written
 
-LOG = logging.getLogger(__name__)
 # "own": only files with the signature of this program.
 Overwrite = bool | Literal["own"]
 _SIGNATURE_BYTES = 1 << 16  # bytes searched for the signature
@@ -66,7 +57,7 @@ class Output:
             raise OutputError(what, "its name is empty", "name a file, or - for standard output")
         if is_url(target):
             raise OutputError(target, "it is a URL, which batch alone writes to", "name a file")
-        self.is_device = not self.is_stdout and replacing.is_special(Path(target))
+        self.is_device = not self.is_stdout and is_special(Path(target))
         # A link is followed, so that its target is replaced and the link stays; links to pipes lead nowhere.
         self.path = Path(target if self.is_device else os.path.realpath(target))
         # None for standard output and devices, which take one file only.
@@ -109,6 +100,9 @@ class Output:
             self._check_file(self.folder / name)
         self.files.check()
 
+    def may_replace(self, path: Path) -> bool:
+        return self.overwrite and path in {self.path, *(self.path.parent / name for name in self.replaceable)}
+
     def write(self, written: Written) -> None:
         """Write all files, under temporary names if it is in a set; on OutputError all files are as before."""
         if not self._is_alone:
@@ -122,7 +116,7 @@ class Output:
     def _stage(self, written: Written) -> None:
         self.check_sidecars(written.sidecars)
         if self.folder is None:
-            self.files.streams.append(lambda: self._write_stream(written.main))
+            self.files.add_stream(lambda: self._write_stream(written.main))
             return
         files = {self.folder / name: [data] for name, data in written.sidecars.items()}
         self.files.stage(self, {**files, self.path: written.main})
@@ -174,9 +168,9 @@ class Output:
                 raise OutputError(self.target, f"the folder {name} does not exist", "make it first")
             if not folder.is_dir():
                 raise OutputError(self.target, f"{name} is not a folder", "choose another place")
-            with replacing.signals_deferred(), tempfile.TemporaryFile(dir=folder):
+            with signals_deferred(), tempfile.TemporaryFile(dir=folder):
                 pass  # it is writable
-            replacing.recover(folder)
+            recover(folder)
         except OSError as error:
             cause = f"the folder {name} cannot be written to ({error.strerror})"
             raise OutputError(self.target, cause, "choose another folder") from error
@@ -191,41 +185,26 @@ class Output:
 
 
 class FileSet:
-    """The files that one run writes; as a context manager it removes those that were not moved into place."""
+    """The files that one run writes; as a context manager it removes those that were not moved into place.
 
-    # `reads`: inputs, which only the result may replace: OUTPUT may be INPUT, but a report may not.
+    `reads`: inputs, which only the result may replace: OUTPUT may be INPUT, but a report may not.
+    """
 
     def __init__(self, reads: Iterable[str] = ()) -> None:
         self._outputs: list[Output] = []
-        self._reads = {replacing.canonical_path(Path(name)) for name in reads if name != "-"}
+        self._reads = {canonical_path(Path(name)) for name in reads if name != "-"}
         self._guarded: set[str] = set()
-        self._staged: dict[Path, replacing.TemporaryFile] = {}
+        self._transaction = Transaction()
         self._names: dict[Path, str] = {}  # for messages
-        self._replacing: dict[Path, Output] = {}  # outputs that replace files, by path
-        # Writes to standard output and devices, before files are moved into place.
-        self.streams: list[Callable[[], None]] = []
-        self._journal: replacing.Journal | None = None
-        self._made_folders: list[Path] = []  # innermost first
+        self._overwriting: dict[Path, Output] = {}  # outputs that may replace files, by the paths of these
+        self._streams: list[Callable[[], None]] = []
 
     def __enter__(self) -> FileSet:
         return self
 
     def __exit__(self, *error: object) -> None:
-        with replacing.signals_deferred():
-            self._remove_temporary()
-            for folder in self._made_folders:
-                with contextlib.suppress(OSError):  # it may contain other files by now
-                    folder.rmdir()
-            self._made_folders.clear()
-        self.streams.clear()
-
-    def _remove_temporary(self) -> None:
-        """Remove the temporary files; it is not a failure if some stay, since all outputs are complete."""
-        stay = [] if self._journal is None else self._journal.close()
-        self._journal = None
-        self._staged.clear()
-        for error in stay:
-            LOG.warning("the temporary file %s cannot be removed (%s)", error.filename, error.strerror)
+        self._transaction.close()
+        self._streams.clear()
 
     def add(self, output: Output) -> None:
         """Add an output to the set; OutputError if it collides with another one."""
@@ -234,7 +213,7 @@ class FileSet:
 
     def guard(self, names: Iterable[str]) -> None:
         """Protect files, such as guides, from being replaced."""
-        self._guarded |= {replacing.canonical_path(Path(name)) for name in names}
+        self._guarded |= {canonical_path(Path(name)) for name in names}
         self.check()
 
     def watching(self, access: Access) -> Access:
@@ -243,7 +222,7 @@ class FileSet:
         def note(path: Path, data: bytes) -> None:
             if access.note is not None:
                 access.note(path, data)
-            self._reads.add(replacing.canonical_path(path))
+            self._reads.add(canonical_path(path))
             self.check()
 
         return dataclasses.replace(access, note=note)
@@ -251,8 +230,8 @@ class FileSet:
     def with_staged_files(self, access: Access) -> Access:
         """Return an access that reads temporary files as if they were already in place."""
         instead = {
-            Path(os.path.realpath(path.parent), path.name): staged.temporary
-            for path, staged in self._staged.items()
+            Path(os.path.realpath(path.parent), path.name): temporary
+            for path, temporary in self._transaction.temporary_files().items()
         }
         return dataclasses.replace(access, note=None, instead=instead)
 
@@ -261,7 +240,7 @@ class FileSet:
         taken: dict[str, str] = {}
         for output in sorted(self._outputs, key=lambda each: not each.is_result):
             for name, path in output.paths():
-                place = replacing.canonical_path(path)
+                place = canonical_path(path)
                 if place in taken:
                     raise _collision(output, name, taken[place])
                 if place in self._guarded or (place in self._reads and not output.is_result):
@@ -269,76 +248,63 @@ class FileSet:
                 taken[place] = output.what if name == output.target else f"a sidecar file of {output.what}"
 
     def stage(self, output: Output, files: Mapping[Path, Iterable[Bytes]]) -> None:
+        """Write files of an output under temporary names."""
         from beltrami_cli.surface.large_arrays import release_pages
 
-        output_paths = {output.path, *(output.path.parent / name for name in output.replaceable)}
-        # The journal is where the next run with the same OUTPUT looks first.
-        main = min(
-            (each for each in self._outputs if each.folder is not None), key=lambda each: not each.is_result
-        )
+        # The next run with the same OUTPUT looks for the journal in its folder.
+        folder = self._main().path.parent
         self._names |= {path: name for name, path in output.paths()}
         for path, pieces in files.items():
-            may_replace = output.overwrite and path in output_paths
+            if output.overwrite:
+                self._overwriting[path] = output
             try:
-                if self._journal is None:
-                    with replacing.folders_locked([main.path.parent]), replacing.signals_deferred():
-                        self._journal = replacing.Journal(main.path.parent)
-                self._make_folder(path.parent)
-                self._staged[path] = self._journal.write_aside(path, pieces, overwrite=may_replace)
-                if output.overwrite:
-                    self._replacing[path] = output
+                overwrite = output.may_replace(path)
+                self._transaction.stage(path, pieces, overwrite=overwrite, journal_in=folder)
             except OSError as error:
                 raise _unwritable(output.target, error) from error
             release_pages()
 
-    def _make_folder(self, folder: Path) -> None:
-        missing = takewhile(lambda each: not each.exists(), (folder, *folder.parents))
-        self._made_folders = [*missing, *self._made_folders]
-        folder.mkdir(parents=True, exist_ok=True)
+    def add_stream(self, write: Callable[[], None]) -> None:
+        """Have `write` called, to standard output or a device, before files are moved into place."""
+        self._streams.append(write)
 
     def keep_equal(self) -> None:
         """Keep existing files that have the same bytes; OutputError if one differs."""
-        self._replacing.clear()
-        for path, staged in list(self._staged.items()):
-            try:
-                if path.exists():
-                    if not filecmp.cmp(path, staged.temporary, shallow=False):
-                        raise _existing(self._names[path])
-                    del self._staged[path]
-                    continue
-            except OSError as error:
-                raise _unwritable(self._names[path], error) from error
-            self._staged[path] = dataclasses.replace(staged, overwrite=False)
+        self._overwriting.clear()
+        try:
+            self._transaction.keep_equal()
+        except OSError as error:
+            raise self._failure(error) from error
 
     def commit(self) -> None:
         """Move all files into place; OutputError if that fails, with all files as before."""
-        for write in self.streams:
+        for write in self._streams:
             write()
         # Files come before the files that refer to them, so OUTPUT is last.
-        ranks = {output.path: output.is_result for output in self._outputs}
-        order = sorted(self._staged, key=lambda path: (path in ranks, ranks.get(path, False), str(path)))
+        is_result = {output.path: output.is_result for output in self._outputs}
         try:
-            with replacing.folders_locked(path.parent for path in order), replacing.signals_deferred():
-                if self._journal is not None:
-                    self._journal.rename_all([self._replacing_newer(self._staged[path]) for path in order])
-                self._made_folders.clear()
-                self._remove_temporary()
+            self._transaction.commit(
+                order=lambda path: (path in is_result, is_result.get(path, False), str(path)),
+                may_replace=self._is_of_newer_output,
+            )
         except OSError as error:
-            blamed = next((path for path in order if str(path) == error.filename), order[-1])
-            if isinstance(error, FileExistsError):
-                raise _existing(self._names[blamed]) from error
-            raise _unwritable(self._names[blamed], error) from error
-        self.streams.clear()
+            raise self._failure(error) from error
+        self._streams.clear()
 
-    def _replacing_newer(self, file: replacing.TemporaryFile) -> replacing.TemporaryFile:
-        """Allow a file to replace one that another run with the same OUTPUT has written meanwhile."""
-        output = self._replacing.get(file.path)
-        if file.overwrite or output is None or not os.path.lexists(file.path):
-            return file
-        if file.path not in {output.path.parent / name for name in output.references()}:
-            return file
-        take_over(file.path, file.temporary)
-        return dataclasses.replace(file, overwrite=True)
+    def _is_of_newer_output(self, path: Path) -> bool:
+        """Whether another run with the same OUTPUT has written a file meanwhile, which this run may replace."""
+        output = self._overwriting.get(path)
+        return output is not None and path in {output.path.parent / name for name in output.references()}
+
+    def _main(self) -> Output:
+        """Return OUTPUT, or else the first output that is a file."""
+        return min(
+            (each for each in self._outputs if each.folder is not None), key=lambda each: not each.is_result
+        )
+
+    def _failure(self, error: OSError) -> OutputError:
+        name = self._names.get(Path(error.filename or ""), self._main().target)
+        return _existing(name) if isinstance(error, FileExistsError) else _unwritable(name, error)
 
 
 def _collision(output: Output, name: str, other: str) -> OutputError:
@@ -354,40 +320,12 @@ def _unwritable(name: str, error: OSError) -> OutputError:
     return OutputError(name, f"cannot be written ({error.strerror})", "free space or choose another place")
 
 
-# Number of files of a folder that are searched.
-_MAX_FILES = 1000
-# Bytes of each file. OBJ and PLY list their files before the vertices; materials and the JSON of glTF are short,
-# unless buffers are written into them.
-_HEAD = 1 << 18
+def canonical_path(path: Path) -> str:
+    """Return the path that all names of a file share: absolute, without links, in one case."""
+    place = os.path.normcase(os.path.realpath(path.parent) + os.sep + path.name)
+    return place.casefold() if sys.platform == "darwin" else place
 
 
-def shared_files(folder: Path, target: Path, names: Iterable[str]) -> list[str]:
-    """Return a notice if models in a folder, other than the target, refer to existing files of these names."""
-    replaced, heads = [name for name in names if os.path.lexists(folder / name)], dict[str, bytes]()
-    if not replaced:
-        return []
-    files = list[str]()
-    with contextlib.suppress(OSError), os.scandir(folder) as entries:  # some folders must not be listed
-        files = sorted(entry.name for entry in entries if _may_refer(entry.name))
-    for name in files[:_MAX_FILES]:
-        with contextlib.suppress(OSError):
-            heads[name] = read_regular(folder / name, DEFAULT_ACCESS, _HEAD)
-    others = {target.name, *replaced}
-    libraries = [name for name in _naming(heads, replaced) if name.endswith(".mtl") and name not in others]
-    users = [name for name in _naming(heads, [*replaced, *libraries]) if name not in {*others, *libraries}]
-    what = f"replaced {', '.join(replaced)}, which other models in the folder show, too"
-    return [f"{what}: {', '.join(users)}."] if users else []
-
-
-def _may_refer(name: str) -> bool:
-    suffix = Path(name).suffix.lower().removeprefix(".")
-    return suffix in (*OUTPUT_FORMATS, "mtl", *READ_ONLY)
-
-
-def _naming(heads: Mapping[str, bytes], names: Iterable[str]) -> list[str]:
-    """Return the files that contain one of some names as a whole word; in URIs they may be percent-encoded."""
-    spelled = sorted({os.fsencode(each) for name in names for each in (name, quote(name))})
-    named = re.compile(rb"(?:^|[\s\"'@>]|\./)(?:" + b"|".join(map(re.escape, spelled)) + rb")(?=$|[\s\"'@<])")
-    # The expression alone takes 10 ms for the head of a binary file.
-    holding = {name: head for name, head in heads.items() if any(each in head for each in spelled)}
-    return [name for name, head in holding.items() if named.search(head)]
+def is_special(path: Path) -> bool:
+    """Whether a path is neither a file nor a folder, such as a device or a pipe."""
+    return os.access(path, os.F_OK) and not (path.is_file() or path.is_dir())

@@ -1,4 +1,4 @@
-"""Write files under temporary names and move them into place: the steps of `output.FileSet`.
+"""Write files under temporary names and move them into place: the steps of a `Transaction`.
 
 A run that writes files has a journal, `.beltrami-ID.tmp` in OUTPUT's folder, which it keeps locked. It names the
 temporary files, `.beltrami-ID.N.tmp`, each in its target's folder. Before several files are put in place it lists them,
@@ -14,21 +14,17 @@ import errno
 import json
 import os
 import re
-import shutil
-import signal
 import stat
-import sys
-import threading
-import time
 import zlib
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
 from beltrami_cli.formats.access import parse_json
-from beltrami_cli.jobs.file_rights import PRIVATE, take_over
-from beltrami_cli.signals import ENDING_SIGNALS
+from beltrami_cli.jobs.writing.file_rights import PRIVATE, take_over
+from beltrami_cli.jobs.writing.locks import close, folders_locked, signals_deferred, try_lock
+from beltrami_cli.jobs.writing.placing import TemporaryFile, identity_of, put, undo
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.changes import Bytes
@@ -40,28 +36,7 @@ _user = getattr(os, "geteuid", int)  # 0 where there are no users
 _OPEN_FLAGS = (
     os.O_RDWR | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 )
-
 _BLOCK = 1 << 20  # bytes read back at a time
-_LOCK_TIMEOUT, _LOCK_POLL = 30.0, 0.02  # seconds that a run waits for another, and between two attempts
-
-
-# Size and modification time: a file keeps them when it is linked, renamed, or moved to another file system.
-_Identity = tuple[int, int]
-
-
-@dataclass(frozen=True)
-class TemporaryFile:
-    """A file under a temporary name, its final path, and whether it may replace a file there."""
-
-    temporary: Path
-    path: Path
-    overwrite: bool = False
-    identity: _Identity | None = None  # None: it is not yet being moved into place
-
-    @property
-    def previous(self) -> Path:
-        """The path of the replaced file until the set is complete."""
-        return self.temporary.with_suffix(".previous.tmp")
 
 
 class Journal:
@@ -74,7 +49,7 @@ class Journal:
         self._path = folder / f".beltrami-{os.urandom(6).hex()}.tmp"
         self._files, self._is_needed = list[TemporaryFile](), False
         self._descriptor = os.open(self._path, _OPEN_FLAGS | os.O_CREAT | os.O_EXCL, 0o600)
-        _try_lock(self._descriptor)
+        try_lock(self._descriptor)
 
     def write_aside(self, path: Path, pieces: Iterable[Bytes], *, overwrite: bool) -> TemporaryFile:
         """Write a file under a temporary name, with the rights of a new file, or of the file that it replaces."""
@@ -97,23 +72,23 @@ class Journal:
         """Move all files into place, in this order, or none; OSError names the file that failed."""
         if len(files) < 2:  # a single rename is atomic
             for file in files:
-                _put(file, keep=False)
+                put(file, keep=False)
             return
         done = list[TemporaryFile]()
         for number, file in enumerate(files):
             replaces = file.overwrite and os.path.lexists(file.path)
-            files[number] = replace(file, identity=_identity_of(file.temporary), overwrite=replaces)
+            files[number] = replace(file, identity=identity_of(file.temporary), overwrite=replaces)
             self._list(files[number])
         os.fsync(self._descriptor)
         try:
             for file in files:
-                _put(file, keep=True)
+                put(file, keep=True)
                 done.append(file)
             if not os.fstat(self._descriptor).st_nlink:
                 raise OSError(errno.ESTALE, "another run has removed its temporary files")
             self._write(_COMMITTED)
         except BaseException as error:
-            if (stuck := _undo(done)) is not None:
+            if (stuck := undo(done)) is not None:
                 self._is_needed = True
                 state = f"{stuck.filename} stays until the next run with this output ({stuck.strerror})"
                 raise OSError(errno.EIO, f"{error}; {state}") from error
@@ -125,7 +100,7 @@ class Journal:
 
     def close(self) -> list[OSError]:
         """Remove the temporary files, unless the next run needs them to roll back; return why some stay."""
-        _close(self._descriptor)
+        close(self._descriptor)
         return [] if self._is_needed else _remove(self._files, self._path)
 
     def _list(self, file: TemporaryFile) -> None:
@@ -175,11 +150,11 @@ def recover(folder: Path) -> None:
                 continue
             status = os.fstat(file.fileno())
             is_ours = stat.S_ISREG(status.st_mode) and status.st_uid == _user()
-            if not is_ours or not _try_lock(file.fileno()):
+            if not is_ours or not try_lock(file.fileno()):
                 continue  # of another user, or of a run in progress
-            files, is_settled = _read(journal, file.read(_LARGEST_JOURNAL))
+            files, is_committed = _read(journal, file.read(_LARGEST_JOURNAL))
             with folders_locked({each.path.parent for each in files} - {folder}), signals_deferred():
-                if not is_settled and (stuck := _undo(files)) is not None:
+                if not is_committed and (stuck := undo(files)) is not None:
                     raise stuck
                 _remove(files, journal)
 
@@ -188,13 +163,13 @@ def _read(journal: Path, text: bytes) -> tuple[list[TemporaryFile], bool]:
     """Return the trusted files of a set, and whether the set is complete or rolled back."""
     files: dict[Path, TemporaryFile] = {}
     name_of_temporary = re.compile(re.escape(journal.stem) + r"\.[0-9]+\.tmp")
-    is_settled = False
+    is_committed = False
     # Text after the last line break is an incomplete line.
     for line in text.split(b"\n")[:-1]:
         with contextlib.suppress(ValueError, TypeError):
             value = parse_json(line)
             if value is _COMMITTED:
-                is_settled = True
+                is_committed = True
                 continue
             name, target, overwrite, put = value
             temporary, identity = journal.parent / name, None if put is None else tuple(put)
@@ -203,7 +178,7 @@ def _read(journal: Path, text: bytes) -> tuple[list[TemporaryFile], bool]:
             is_witnessed = any(map(os.path.lexists, (file.temporary, file.previous)))
             if name_of_temporary.fullmatch(temporary.name) and (is_witnessed or "/" not in name):
                 files[temporary] = file
-    return list(files.values()), is_settled
+    return list(files.values()), is_committed
 
 
 def _remove(files: Iterable[TemporaryFile], journal: Path) -> list[OSError]:
@@ -217,150 +192,3 @@ def _remove(files: Iterable[TemporaryFile], journal: Path) -> list[OSError]:
             if os.path.lexists(path):
                 failures.append(error)
     return failures
-
-
-def _identity_of(path: Path) -> _Identity | None:
-    try:
-        status = path.lstat()
-    except FileNotFoundError:
-        return None
-    return status.st_size, status.st_mtime_ns
-
-
-def _undo(files: Sequence[TemporaryFile]) -> OSError | None:
-    """Restore the previous files of all paths; return why that fails for one."""
-    failure = None
-    for file in reversed(files):
-        try:
-            _roll_back(file)
-        except OSError as error:
-            failure = error
-    return failure
-
-
-def _roll_back(file: TemporaryFile) -> None:
-    """Restore the previous file of a path, unless another process has replaced it meanwhile."""
-    now = _identity_of(file.path)
-    # On file systems without links, `_put_new` reserves a name by an empty file.
-    is_reserved = now is not None and now[0] == 0 and os.path.lexists(file.temporary)
-    if file.overwrite:
-        if now in (None, file.identity) and os.path.lexists(file.previous):
-            file.previous.replace(file.path)
-    elif file.identity is not None and (now == file.identity or is_reserved):
-        file.path.unlink()
-
-
-def canonical_path(path: Path) -> str:
-    """Return the path that all names of a file share: absolute, without links, in one case."""
-    place = os.path.normcase(os.path.realpath(path.parent) + os.sep + path.name)
-    return place.casefold() if sys.platform == "darwin" else place
-
-
-def is_special(path: Path) -> bool:
-    """Whether a path is neither a file nor a folder, such as a device or a pipe."""
-    return os.access(path, os.F_OK) and not (path.is_file() or path.is_dir())
-
-
-@contextlib.contextmanager
-def folders_locked(folders: Iterable[Path]) -> Iterator[None]:
-    """Lock folders against other runs that move files into place; OSError if another run holds a lock for too long."""
-    # In sorted order, so that two runs cannot deadlock.
-    with contextlib.ExitStack() as locks:
-        for folder in sorted(set(folders)):
-            try:
-                descriptor = os.open(folder, os.O_RDONLY | getattr(os, "O_DIRECTORY", 0))
-            except OSError:  # on Windows, or without permission to list it
-                continue
-            locks.callback(_close, descriptor)  # which unlocks it
-            end = time.monotonic() + _LOCK_TIMEOUT
-            while _try_lock(descriptor) is False:
-                if time.monotonic() > end:
-                    cause = f"another run has been putting files in place there for {_LOCK_TIMEOUT:.0f} s"
-                    raise OSError(errno.EBUSY, cause, str(folder))
-                time.sleep(_LOCK_POLL)
-        yield
-
-
-def _close(descriptor: int) -> None:
-    """Close a file or folder that was not written to since it was synchronised."""
-    with contextlib.suppress(OSError):
-        os.close(descriptor)
-
-
-def _try_lock(descriptor: int) -> bool | None:
-    """Lock a file or folder until it is closed; False if another process has locked it, None if there are no locks."""
-    try:
-        import fcntl
-
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except (ImportError, OSError):  # Windows, and some file systems
-        return None
-    return True
-
-
-@contextlib.contextmanager
-def signals_deferred() -> Iterator[None]:
-    """Defer signals that end the process."""
-    waiting: list[int] = []
-    before: dict[int, signal._HANDLER] = {}
-    if threading.current_thread() is threading.main_thread():
-        for number in ENDING_SIGNALS:  # also alarms, by which the command repeats what was lost
-            handler = signal.getsignal(number)
-            if handler not in (None, signal.SIG_IGN):  # None: not set from Python, so it cannot be restored
-                before[number] = handler
-                signal.signal(number, lambda received, _: waiting.append(received))
-
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-        for number in waiting:
-            signal.raise_signal(number)
-
-
-def _put(file: TemporaryFile, *, keep: bool) -> None:
-    """Move a file into place, and `keep` the replaced file under another name."""
-    try:
-        if not file.overwrite:
-            _put_new(file.temporary, file.path)
-            return
-        if keep:
-            try:
-                os.link(file.path, file.previous)
-            except OSError:  # on file systems without hard links
-                _copy(file.path, file.previous)
-        file.temporary.replace(file.path)
-    except OSError as error:
-        error.filename = str(file.path)
-        raise
-
-
-def _copy(path: Path, copy: Path) -> None:
-    """Copy a file with its rights and times."""
-    _close(os.open(copy, os.O_CREAT | os.O_EXCL | os.O_WRONLY, PRIVATE))
-    shutil.copyfile(path, copy)
-    take_over(path, copy)
-    status = path.stat()
-    os.utime(copy, ns=(status.st_atime_ns, status.st_mtime_ns))
-
-
-def _put_new(temporary: Path, path: Path) -> None:
-    """Move a file to an unused path; FileExistsError if a file exists there, or appears meanwhile."""
-    try:
-        os.link(temporary, path)
-    except FileExistsError:
-        with contextlib.suppress(OSError):
-            if temporary.samefile(path):  # on NFS the link may exist although the reply was lost
-                return
-        raise
-    except OSError:  # the file system has no hard links
-        # Only one process can make the empty file, and may then replace it.
-        _close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
-        try:
-            temporary.replace(path)
-        except OSError:
-            path.unlink()
-            raise
