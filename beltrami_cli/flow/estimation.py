@@ -6,13 +6,13 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s
 from beltrami_cli.flow.corrections.outliers import fill_outliers
-from beltrami_cli.flow.manifolds.canvas import fill_canvas, find_colour_jumps, halo_beyond, on_canvas
+from beltrami_cli.flow.manifolds.canvas import fill_canvas, on_canvas
 from beltrami_cli.flow.manifolds.grid_gaussian import SUMMED_ROWS
-from beltrami_cli.flow.manifolds.grid_geometry import CanvasSamples
 from beltrami_cli.flow.manifolds.grid_manifold import CanvasColours, ColouredCanvas
 from beltrami_cli.flow.manifolds.manifold import Outliers
-from beltrami_cli.flow.manifolds.mesh_geometry import MeshSamples
 from beltrami_cli.flow.manifolds.mesh_manifold import ColouredMesh, MeshColours
+from beltrami_cli.flow.manifolds.seams import find_colour_jumps, halo_beyond
+from beltrami_cli.flow.manifolds.surroundings import CanvasSurroundings, MeshSurroundings
 from beltrami_cli.flow.noise.clusters import VertexClusters
 from beltrami_cli.flow.noise.grid_squares import Grid
 from beltrami_cli.flow.noise.model import NoiseModel, relative_to_mean
@@ -24,7 +24,9 @@ from beltrami_cli.surface.atlas import EMPTY, refresh_halo, without_halo
 def estimate_on_mesh(mesh: ColouredMesh) -> MeshColours:
     """Fill the outliers of the colours, estimate the noise of the other samples, and stabilise its variance."""
     wanted, geometry = mesh.parameters, mesh.geometry
-    channels, outliers = fill_outliers(mesh.colours.T, MeshSamples(geometry), wanted, is_light=mesh.is_light)
+    channels, outliers = fill_outliers(
+        mesh.colours.T, MeshSurroundings(geometry), wanted, is_light=mesh.is_light
+    )
     graph = geometry.graph(channels.T, mesh.resources)
     noise = estimate_noise(
         channels, VertexClusters(graph), wanted.given_noise,
@@ -40,7 +42,7 @@ def estimate_on_canvas(canvas: ColouredCanvas) -> CanvasColours:
     """Put colours on the canvas, fill outliers, estimate the noise of the other cells, and stabilise its variance."""
     wanted, atlas, is_light = canvas.parameters, canvas.atlas, canvas.light is not None
     planes = fill_canvas(atlas, canvas.channels, canvas.colours_of)
-    planes, outliers = fill_outliers(planes, CanvasSamples(atlas), wanted, is_light=is_light)
+    planes, outliers = fill_outliers(planes, CanvasSurroundings(atlas), wanted, is_light=is_light)
     if outliers is not None:
         refresh_halo(planes, atlas)
     measured = None

@@ -30,6 +30,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from beltrami_cli._native import blend_residual, blend_share_within, blend_terms
 from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.flow.corrections.clipping import ClippedChannels, normal_tables
 from beltrami_cli.flow.manifolds.blocks import block_rows, for_blocks, in_blocks, in_parallel
@@ -128,8 +129,6 @@ def _mix_in_place(
     responses: tuple[Float32s, Float32s],
 ) -> tuple[float, float]:
     """Blend the second result into the first; return the sum of the weights and of the gain."""
-    from beltrami_cli._native import blend_terms
-
     colours, signs, _, divisors = noisy
     regions, relative = manifold.regions, relative_variance(manifold)
     stacks = [
@@ -199,8 +198,6 @@ def _noisy_means(
     results: tuple[Float32s, Float32s],
 ) -> _NoisyMeans:
     """Compute the means of noisy colours and their residual to the first result; the second result is overwritten."""
-    from beltrami_cli._native import blend_residual, blend_share_within
-
     axis, relatives = manifold.geometry.axis, relative_variance(manifold)
     (colours, signs, size, divisors), (before, memory) = noisy, results
     means, probe = level.means(colours), size * level.means(signs)

@@ -20,7 +20,7 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli._native import SurfacePatches
+from beltrami_cli._native import PATCH_BLOCK_SIZE, SurfacePatches, neighbour_means
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunk, Chunking, Resources, runs
 from beltrami_cli.surface import large_arrays
@@ -93,8 +93,6 @@ class Graph:
 
     def _part(self, samples: Int32s, first: int, last: int) -> Graph:
         """Return the subgraph of some samples, ascending, in which groups start only in [first, last)."""
-        from beltrami_cli._native import PATCH_BLOCK_SIZE
-
         starts = (samples >= first) & (samples < last)
         return dataclasses.replace(
             self, positions=self.positions[samples], edges=self._edges_of_samples.among(samples)[0],
@@ -229,8 +227,6 @@ class MeshGaussian:
         return cls(edges, weights, total, gain, threads)
 
     def smooth(self, colours: Float32s) -> Float32s:
-        from beltrami_cli._native import neighbour_means
-
         return neighbour_means(colours, self.edges, self.weights, self.total, self.threads)
 
 

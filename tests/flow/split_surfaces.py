@@ -38,7 +38,7 @@ def noisy(count):
 def textured_plan(parameters, resources=IN_ONE_PIECE):
     """Texels with seams, slits and a guide."""
     size = SIDE * TEXELS + 2
-    atlas = build_atlas(cut_plane("aslant", True), [(size, size)], parameters.window // 2 + 3, 1)
+    atlas = build_atlas(cut_plane("aslant", True), [(size, 2 * size)], parameters.window // 2 + 3, 1)
     colours = noisy(len(atlas.owned_cells))
     guide = Guide("guide", colours[::-1, :1].copy(), 1.5)
     return texel_plan(atlas, colours, parameters, guides=[guide], metric_channels=[0, 2], resources=resources)

@@ -11,9 +11,10 @@ import beltrami_cli
 from beltrami_cli.flow.choice.choice import Choice, _predicted
 from beltrami_cli.flow.choice.risk import PERTURBATION, Risk, RiskEstimate
 from beltrami_cli.flow.choice.search import Grid, Search
+from beltrami_cli.flow.manifolds.fingerprints import fingerprints, random_signs
 from beltrami_cli.flow.manifolds.manifold import Step
 from beltrami_cli.flow.manifolds.search_range import RULE_ON_GRIDS, RULE_ON_MESHES
-from beltrami_cli.flow.manifolds.trials import TRIED_VERTICES, choose_patches, fingerprints, random_signs
+from beltrami_cli.flow.manifolds.trial_patches import TRIED_VERTICES, choose_patches
 from beltrami_cli.flow.noise.model import NoiseModel, Reading
 from beltrami_cli.flow.parameters import STRENGTHS, TUNABLE, KernelParameters
 from cli.commands import SAMPLES, beltrami

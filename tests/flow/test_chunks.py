@@ -13,7 +13,6 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.flow import chunks
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunking, Resources, in_turn
 from beltrami_cli.flow.decoding import plan_on_canvas
-from beltrami_cli.flow.manifolds import grid_manifold
 from beltrami_cli.flow.manifolds.guides import Guide
 from beltrami_cli.flow.manifolds.manifold import Step
 from beltrami_cli.flow.manifolds.mesh_manifold import samples_per_kernel
@@ -63,10 +62,8 @@ class Sent:
 
 @pytest.fixture(autouse=True, scope="module")
 def small_chunks():
-    """Cut surfaces however small they are, and average few rows at a time."""
+    """Cut surfaces however small they are."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(grid_manifold, "ROW_BLOCK_CELLS", 1)
-        patch.setattr(grid_manifold, "CELLS_PER_THREAD", 1)
         patch.setattr(chunks, "MIN_CELLS", 1)
         patch.setattr(chunks, "MIN_SAMPLES", 1)
         yield

@@ -28,7 +28,7 @@ import numpy as np
 from beltrami_cli.arrays import Float64s
 from beltrami_cli.flow.choice.risk import Risk, RiskEstimate
 from beltrami_cli.flow.choice.search import Grid, Schedule, Search
-from beltrami_cli.flow.manifolds.domain import LOG
+from beltrami_cli.flow.manifolds.kernel_work import LOG
 from beltrami_cli.flow.manifolds.manifold import Manifold, SampleTrial
 from beltrami_cli.flow.manifolds.search_range import Rule, SearchRange
 from beltrami_cli.flow.noise.model import NoiseModel, choose_beta, overall_noise
@@ -124,7 +124,7 @@ def choose(
     metric_sigma = manifold.noise.sigma[manifold.metric_channels]
     scale = choose_beta(metric_sigma, 1.0) * manifold.unit if len(metric_sigma) else 0.0
     grid = _grid(parameters, manifold.search_range, scale, manifold.beta)
-    weight = (_SHARED_NOISE_WEIGHT if trial.correlated else 1.0) * parameters.strength
+    weight = (_SHARED_NOISE_WEIGHT if manifold.noise.is_shared else 1.0) * parameters.strength
     risks = RiskEstimate.on(trial, manifold.noise.sigma, manifold.noise.stabiliser)
     search = Search(risks, grid, risks.noise, weight, tick)
     best = search.run()
@@ -132,7 +132,7 @@ def choose(
     chosen, given = _with_schedule(manifold, parameters, best)
     return chosen, Choice(
         given, psnr=psnr, error=error, gain=gain, candidates=len(search.tried), samples=trial.samples,
-        correlated=trial.correlated,
+        correlated=manifold.noise.is_shared,
         predicted=_predicted(search.tried[best], risks.noise, manifold.noise, patches=parameters.takes_patches),
     )  # fmt: skip
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import logging
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -11,15 +9,12 @@ from typing import ClassVar, Protocol
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Indices, Uint8s
 from beltrami_cli.flow.manifolds.blocks import block_rows, in_parallel
-from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.flow.manifolds.kernel_work import KernelWork
 
 Stack = Float32s
 
 # Number of steps between neighbours whose median is within 0.3 % of that of all.
 ENOUGH_STEPS = 200_000
-
-LOG = logging.getLogger(__name__)
-"""Says how much work is ahead, before it starts."""
 
 
 class Samples(ABC):
@@ -34,7 +29,7 @@ class Samples(ABC):
 
     @abstractmethod
     def planes(self, count: int) -> Float32s:
-        """Return zeros, along the first axis."""
+        """Zeros, along the first axis."""
 
 
 class Domain(Samples):
@@ -58,16 +53,16 @@ class Domain(Samples):
         """Average planes over the surface, nearly by a Gaussian of standard deviation `width`."""
 
     def means_of_rows(self, planes: Float32s, rows: slice) -> tuple[slice, Float32s]:
-        """Return the means of planes for some rows, whole multiples of `side`, and the rows of the result."""
+        """Return the means of planes for some rows, whole multiples of `side`, preceded by the rows of the result."""
         return rows, planes
 
     def gathered(self, count: int, terms: Callable[[slice], Float32s], like: Array, threads: int) -> Float32s:
-        """Return means of `count` terms, a function of rows, over the domain; `like`: a stack of all samples."""
+        """Return the means of `count` terms, a function of rows, over the domain; `like`: a stack of all samples."""
         planes = self.planes(count)
 
         def gather(rows: slice) -> None:
-            own, means = self.means_of_rows(terms(rows), rows)
-            planes[:, own] = means
+            rows_of_means, means = self.means_of_rows(terms(rows), rows)
+            planes[:, rows_of_means] = means
 
         in_parallel(gather, threads, ((rows,) for rows in block_rows(like, self.side)))
         return planes
@@ -129,7 +124,7 @@ class Geometry(Samples):
 
     @abstractmethod
     def steps(self, stack: Stack) -> Float32s:
-        """Return differences of a stack between neighbouring samples, shape (K, G)."""
+        """Differences of a stack between neighbouring samples, shape (K, G)."""
 
     @abstractmethod
     def single(self, marked: Bools) -> Bools:
@@ -153,38 +148,6 @@ class Geometry(Samples):
         """Free memory that only reading and writing of colours uses; it is computed again if needed."""
 
 
-class KernelWork:
-    """Workload of kernels that a window bounds, as on a grid."""
-
-    def __init__(self, kernels: int, unit: float) -> None:
-        self.kernels = kernels
-        self._unit = unit or 1.0
-
-    @property
-    def has_uniform_density(self) -> bool:
-        """Whether the best parameters of parts of the surface are the best for the whole."""
-        return True
-
-    def bounded(self, parameters: KernelParameters) -> KernelParameters:
-        """Reduce the samples per kernel where the density requires it, unless the user set the limit."""
-        return parameters
-
-    def samples(self, parameters: KernelParameters) -> float:
-        """Return an upper bound of the number of samples in all kernels of an iteration."""
-        return self.kernels * min(self._on_even_surface(parameters), parameters.window**2)
-
-    def announce(self, parameters: KernelParameters) -> None:
-        LOG.info(
-            "%d samples are averaged in each of %d iterations, with at most some %.2g million neighbours in all",
-            self.kernels, parameters.iterations, parameters.iterations * self.samples(parameters) / 1e6,
-        )  # fmt: skip
-
-    def _on_even_surface(self, parameters: KernelParameters) -> float:
-        """Return the samples per kernel on equilateral triangles, each of which has an area of sqrt(3) / 4."""
-        circle, of_sample = math.pi * (parameters.radius / self._unit) ** 2, math.sqrt(3) / 2
-        return 1 + circle / of_sample
-
-
 class CoarseLevel(Domain):
     """Means of groups of neighbouring samples, which are the samples of a coarser surface."""
 
@@ -192,8 +155,7 @@ class CoarseLevel(Domain):
     """The variance of the noise of each mean, relative to this."""
 
     @abstractmethod
-    def means(self, stack: Float32s) -> Float32s:
-        """Return the means of a stack."""
+    def means(self, stack: Stack) -> Stack: ...
 
     @abstractmethod
     def collaborate(self, noisy: Stack, pilot: Stack, mixing: Mixing, *, shared: bool = False) -> Stack:

@@ -13,7 +13,7 @@ from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.flow.chunks import Figures
 from beltrami_cli.flow.manifolds.blocks import in_blocks
 from beltrami_cli.flow.manifolds.domain import CoarseLevel, Mixing, Stack
-from beltrami_cli.flow.manifolds.trials import random_signs
+from beltrami_cli.flow.manifolds.fingerprints import random_signs
 from beltrami_cli.flow.noise.drawing import root_of
 from beltrami_cli.flow.vertex_graph import Graph, Level, levels_of
 from beltrami_cli.surface import large_arrays
@@ -70,7 +70,7 @@ def _sums_of_patches(
 
 
 def clusters_for(samples: Graph, most: int, relative: Float32s | None) -> list[Clusters]:
-    """Return up to `most` levels of clusters, fine to coarse, as long as there are enough clusters."""
+    """Make up to `most` levels of clusters, fine to coarse, as long as there are enough clusters."""
     found: list[Clusters] = []
     variances = np.ones((samples.size, 1), np.float32) if relative is None else relative
     for level in islice(levels_of(samples), 1, most + 1):

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from beltrami_cli._native import convolve
 from beltrami_cli.arrays import Bools, Float32s, Int32s, Int64s, Uint8s
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, Atlas
@@ -19,7 +20,7 @@ SUMMED_ROWS = 64
 
 
 def gaussian_taps(scale: float) -> Float32s:
-    """Return the weights of a Gaussian with a standard deviation in cells, shape (2 reach + 1,), of sum 1."""
+    """Weights of a Gaussian with a standard deviation in cells, shape (2 reach + 1,), of sum 1."""
     # Beyond 2.5 standard deviations lies one per cent of a Gaussian.
     reach = max(1, int(np.ceil(2.5 * scale - 0.5)))
     taps = np.exp(-(np.arange(-reach, reach + 1) ** 2) / (2 * scale**2))
@@ -27,7 +28,7 @@ def gaussian_taps(scale: float) -> Float32s:
 
 
 def guide_radius(scale: float) -> int:
-    """Return the reach of a `GridGaussian` to each side in cells."""
+    """Reach of a `GridGaussian` to each side in cells."""
     return len(gaussian_taps(scale)) // 2 if scale > 0 else 0
 
 
@@ -99,8 +100,6 @@ def _partial_totals(
 def _convolved(planes: Float32s, taps: Float32s, reachable: Bools | None, threads: int) -> Float32s:
     """Convolve planes; if the unreachable cells are given, stop at them."""
     if reachable is None:
-        from beltrami_cli._native import convolve
-
         return convolve(planes, taps, threads)
     along = [_convolve_up_to_holes(plane, reachable, taps) for plane in planes]
     return np.stack([_convolve_up_to_holes(plane.T, reachable.T, taps).T for plane in along])
@@ -186,7 +185,7 @@ def _window(shape: tuple[int, int], cells: Int64s, reach: int) -> tuple[Int64s, 
 
 
 def _connected_cells(atlas: Atlas, cells: Int64s, reach: int) -> Bools:
-    """Return which cells of each window are connected to its centre by edges, shape (K, W)."""
+    """Which cells of each window are connected to its centre by edges, shape (K, W)."""
     side = 2 * reach + 1
     window, inside = _window(atlas.kind.shape, cells, reach)
     filled = (inside & (atlas.kind.reshape(-1)[window] != EMPTY)).reshape(-1, side, side)

@@ -9,14 +9,16 @@ from typing import ClassVar, TypeAlias
 
 import numpy as np
 
+from beltrami_cli._native import halo_repeats as count_repeats
+from beltrami_cli._native import local_scale
 from beltrami_cli.arrays import Array, Bools, Float32s, Indices, Int64s, Uint8s
 from beltrami_cli.flow.chunks import Rectangle
-from beltrami_cli.flow.manifolds.domain import ENOUGH_STEPS, Geometry, KernelWork, Stack
+from beltrami_cli.flow.manifolds.domain import ENOUGH_STEPS, Geometry, Stack
 from beltrami_cli.flow.manifolds.grid_gaussian import SUMMED_ROWS, GridGaussian
+from beltrami_cli.flow.manifolds.kernel_work import KernelWork
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED, Atlas, owned_of, refresh_halo
-from beltrami_cli.surface.grid_atlas import STEPS, ends_of
 
 # Rows and columns around a halo cell in which cells with the same texel are searched: enough for a chart up to seven
 # times as fine as the chart beyond the seam.
@@ -79,7 +81,7 @@ class GridGeometry(Geometry):
         return self.atlas.kind[None]
 
     def cut(self, samples: Cells, inside: Bools) -> GridGeometry:
-        """Return a part, shape (R', C'); `inside`: mask of cells that have a kernel."""
+        """Cut out cells, shape (R', C'); `inside`: mask of those that have a kernel."""
         kind = pick(self.atlas.kind, samples).copy()
         kind[(kind == OWNED) & ~inside] = HALO
         lengths = large_arrays.Droppable(pick(self.atlas.squared_lengths, samples))
@@ -102,7 +104,7 @@ class GridGeometry(Geometry):
         return colours_at(stack, samples)
 
     def steps(self, stack: Stack) -> Float32s:
-        """Return differences between neighbours along rows, in evenly spread rows, shape (K, G)."""
+        """Differences between neighbours along rows, in evenly spread rows, shape (K, G)."""
         owned = self.atlas.kind == OWNED
         rows = np.arange(0, len(owned), max(1, int(np.count_nonzero(owned)) // ENOUGH_STEPS))
         both = owned[rows, :-1] & owned[rows, 1:]
@@ -129,49 +131,8 @@ class GridGeometry(Geometry):
         return planes
 
 
-@dataclass(frozen=True)
-class CanvasSamples:
-    """The owned cells of a canvas and their neighbours; halo cells stand for the owned cells they show."""
-
-    atlas: Atlas
-
-    @property
-    def samples(self) -> Indices:
-        return self.atlas.owned_cells
-
-    def around(self, samples: Indices, reach: int) -> Int64s:
-        """Return the owned cells within `reach` rows and columns of each cell, shape (B, W), padded by -1."""
-        atlas, steps = self.atlas, np.arange(-reach, reach + 1)
-        cell = np.asarray(samples, np.int64)[:, None]
-        others = (steps[:, None] * atlas.kind.shape[1] + steps).reshape(-1)
-        cells: Int64s = cell + others[others != 0]
-        kind = atlas.kind.reshape(-1).take(cells, mode="clip")
-        if len(atlas.halo_cells):
-            halo = kind == HALO
-            cells[halo] = atlas.halo_nearest[np.searchsorted(atlas.halo_cells, cells[halo])]
-        cells[(kind == EMPTY) | (cells == cell)] = -1
-        return cells
-
-    def standing_out(self, planes: Float32s, least: Float32s) -> Indices:
-        """Return the owned cells that differ from five of eight neighbours by more than `least` in a channel."""
-        kind, found = self.atlas.kind, [np.zeros(0, np.int64)]
-        for rows in large_arrays.blocks(len(kind), max(1, large_arrays.CACHED // kind.shape[1])):
-            around, stands_out = slice(max(0, rows.start - 1), rows.stop + 1), np.zeros(1, bool)
-            for plane, enough in zip(planes[:, around], least, strict=True):
-                count = np.zeros(plane.shape, np.uint8)
-                for step in STEPS:
-                    here, there = ends_of(step)
-                    differ = np.abs(plane[here] - plane[there]) > enough
-                    count[here] += differ
-                    count[there] += differ
-                stands_out = stands_out | (count > 4)
-            own = stands_out[rows.start - around.start :][: rows.stop - rows.start] & (kind[rows] == OWNED)
-            found.append(np.flatnonzero(own) + rows.start * kind.shape[1])
-        return np.concatenate(found)
-
-
 def pick(planes: Array, samples: Cells) -> Array:
-    """Return cells of planes; rows and rectangles are views, not copies."""
+    """Cells of planes; rows and rectangles are views, not copies."""
     if isinstance(samples, slice):
         return planes[..., samples, :]
     if isinstance(samples, tuple):
@@ -185,7 +146,7 @@ def pick(planes: Array, samples: Cells) -> Array:
 
 
 def colours_at(planes: Float32s, cells: Indices) -> Float32s:
-    """Return the colours of K cells (flat indices) in planes of shape (N, R, C) as an array of shape (K, N)."""
+    """Return the colours of K cells (flat indices) in planes, shape (N, R, C), one row per cell."""
     colours = large_arrays.empty((len(cells), len(planes)), np.float32)
     for block in large_arrays.blocks(len(cells)):
         for k, plane in enumerate(planes):
@@ -194,7 +155,7 @@ def colours_at(planes: Float32s, cells: Indices) -> Float32s:
 
 
 def _with_fixed_halo(part: Atlas, whole: Atlas, cells: Int64s) -> Atlas:
-    """Return the atlas of a part of another, whose halo is refreshed elsewhere."""
+    """Complete the atlas of a part of another, whose halo is refreshed elsewhere."""
     kind = part.kind
     kind[cells == whole.kind.size - 1] = EMPTY  # cells of the margin and beyond the canvas
     cut = np.zeros(whole.kind.size, bool)
@@ -209,9 +170,7 @@ def _with_fixed_halo(part: Atlas, whole: Atlas, cells: Int64s) -> Atlas:
 
 
 def _local_scales(atlas: Atlas, window: int) -> Float32s:
-    """Return the factor of squared lengths that scales the local spacing to 1, float32, shape (R, C)."""
-    from beltrami_cli._native import local_scale
-
+    """Return the factor of squared lengths that scales the local spacing to 1, shape (R, C)."""
     rows, reach = atlas.kind.shape[0], window // 2
     scales = large_arrays.empty(atlas.kind.shape, np.float32)
     for band in large_arrays.blocks(rows, SUMMED_ROWS):
@@ -232,13 +191,11 @@ def _mean_spacing(atlas: Atlas, scale: Float32s) -> float:
 
 def halo_repeats(atlas: Atlas, threads: int) -> Uint8s | None:
     """Return the number of cells that show each cell's texel, shape (R, C); None if all texels are shown once."""
-    from beltrami_cli._native import halo_repeats as count
-
     if not len(atlas.halo_cells):
         return None
     cells, sources = (np.ascontiguousarray(of, np.int64) for of in (atlas.halo_cells, atlas.halo_nearest))
     rows, columns = atlas.kind.shape
     repeats = large_arrays.kept(
-        count(rows, columns, cells, sources, atlas.halo_seams, _REPEATS_REACH, threads)
+        count_repeats(rows, columns, cells, sources, atlas.halo_seams, _REPEATS_REACH, threads)
     )
     return repeats if repeats.max(initial=1) > 1 else None

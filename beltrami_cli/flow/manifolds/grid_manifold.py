@@ -13,21 +13,14 @@ from typing import cast
 
 import numpy as np
 
+from beltrami_cli._native import grid_distances, smooth_grid
 from beltrami_cli.arrays import Array, Bools, Float32s, Int64s
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunk, Figures, Rectangle, Resources, chunks_of_canvas
-from beltrami_cli.flow.manifolds.canvas import (
-    FURTHEST_SUPPORT,
-    Squares,
-    canvas_colours,
-    collaborate_on_canvas,
-    end_at_seams_in_place,
-    kernel_margin,
-    on_canvas,
-    squares_for,
-)
+from beltrami_cli.flow.manifolds.canvas import FURTHEST_SUPPORT, canvas_colours, kernel_margin, on_canvas
 from beltrami_cli.flow.manifolds.domain import Gaussian, Mixing, Stack
 from beltrami_cli.flow.manifolds.grid_gaussian import GridGaussian, guide_radius
 from beltrami_cli.flow.manifolds.grid_geometry import Cells, GridGeometry, pick
+from beltrami_cli.flow.manifolds.grid_patches import Squares, collaborate_on_canvas, largest_side
 from beltrami_cli.flow.manifolds.guides import Guide, GuideStack
 from beltrami_cli.flow.manifolds.manifold import (
     Averaged,
@@ -39,26 +32,21 @@ from beltrami_cli.flow.manifolds.manifold import (
     Step,
     at_step,
     kernel_values,
+    wanted_probes,
 )
 from beltrami_cli.flow.manifolds.new_colours import NewColours
+from beltrami_cli.flow.manifolds.seams import end_at_seams_in_place
 from beltrami_cli.flow.manifolds.search_range import ON_GRIDS, RULE_ON_GRIDS
-from beltrami_cli.flow.manifolds.trials import (
-    choose_blocks,
-    perturbations,
-    tried_cells,
-    wanted_probes,
-    with_halo,
-)
+from beltrami_cli.flow.manifolds.trial_blocks import choose_blocks, perturbations, tried_cells, with_halo
 from beltrami_cli.flow.parameters import KernelParameters, Space
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, OWNED, Atlas, refresh_halo
 
-# Number of cells of a row block, of some 90 bytes each; more if many threads share it.
-ROW_BLOCK_CELLS = 1 << 18
-CELLS_PER_THREAD = 1 << 16
-
 # Row blocks end at borders of tiles, so that no tile is cut.
-TILE_ROWS = 32
+_TILE_ROWS = 32
+
+# Number of threads for which a row block has cells at least.
+_MIN_THREADS = 4
 
 # Widest window that the sweeps support; wider windows use fast marching with a heap.
 _WIDEST_SWEEP = 15
@@ -119,6 +107,8 @@ class GridManifold(Manifold):
 
     geometry: GridGeometry
     jumps: int = 0  # number of seams over which colours jump, where kernels stop
+    changes_stacks: bool = True  # average large canvases in place, row block by row block
+    cells_per_thread: int = 1 << 16  # of a row block, which takes some 90 bytes per cell
 
     def measure(self, colours: Stack, step: Step, gaussian: Gaussian | None = None) -> Metric:
         """Prepare the metric, eq. (1), which averaging then induces row block by row block."""
@@ -127,9 +117,9 @@ class GridManifold(Manifold):
     def average(
         self, stacks: list[Stack], metric: Metric, progress: Callable[[int], None] | None = None
     ) -> Averaged:
-        """Average the channels by eq. (9), in place unless there is one block, or in chunks."""
+        """Average the channels by eq. (9): in place if there are several row blocks, or in chunks."""
         grid, wanted = self.geometry, self.resources.chunking
-        if wanted is None or self.is_in_one_block:
+        if wanted is None:
             return self._average_rows(stacks, metric, progress)
         after = [grid.planes(len(stack)) for stack in stacks]
         operation = partial(_average_chunk, step=metric.step, channels=metric.channels)
@@ -146,8 +136,8 @@ class GridManifold(Manifold):
         """Average row block by row block, see `average`."""
         grid, threads = self.geometry, self.parameters.thread_count
         (rows, columns), margin = grid.atlas.kind.shape, kernel_margin(self.parameters)
-        blocks = row_blocks(rows, columns, margin, threads)
-        if self.is_in_one_block or len(blocks) < 2:
+        blocks = row_blocks(rows, columns, margin, self.cells_per_thread * max(_MIN_THREADS, threads))
+        if not self.changes_stacks or len(blocks) < 2:
             after, samples = self._apply_kernel(stacks, metric, progress)
             refresh_halo(after, grid.atlas)
             return Averaged(_split(after, stacks), samples)
@@ -185,7 +175,7 @@ class GridManifold(Manifold):
         wanted, margin = self.resources.chunking, kernel_margin(self.parameters)
         kind = self.geometry.atlas.kind
         assert wanted is not None
-        return chunks_of_canvas(self._part, kind == OWNED, wanted.count, TILE_ROWS, margin, margin)
+        return chunks_of_canvas(self._part, kind == OWNED, wanted.count, _TILE_ROWS, margin, margin)
 
     def _part(self, around: Rectangle, own: Rectangle) -> tuple[GridManifold, Rectangle]:
         inside = np.zeros_like(self.geometry.atlas.kind[around], bool)
@@ -200,8 +190,6 @@ class GridManifold(Manifold):
         self, stacks: Sequence[Stack], metric: Metric, progress: Callable[[int], None] | None
     ) -> tuple[Float32s, int]:
         """Average stacks, colours first, in one pass; return also the number of samples in all kernels."""
-        from beltrami_cli._native import smooth_grid
-
         parameters, grid = at_step(self.parameters, metric.step), self.geometry
         distances, beta = self._channels(stacks[0][: metric.channels], metric.step, metric.gaussian)
         planes = [plane for stack in stacks for plane in stack]
@@ -237,9 +225,7 @@ class GridManifold(Manifold):
     def _distances(
         self, metric: Float32s, beta: float, parameters: KernelParameters, centre: tuple[int, int]
     ) -> Float32s:
-        """Return the distances within the window of a cell, infinite beyond the kernel's radius."""
-        from beltrami_cli._native import grid_distances
-
+        """Distances within the window of a cell, infinite beyond the kernel's radius."""
         grid, reach = self.geometry, parameters.window // 2
         # Include supports, and the neighbours that determine the metric and its scale. Stencils of a whole canvas take
         # long.
@@ -273,21 +259,25 @@ class GridManifold(Manifold):
         return large_arrays.Droppable(None, lambda: perturbations(1, atlas, noise)[0])
 
     def levels(self, most: int, tick: Callable[[], None] | None = None) -> list[Squares]:
-        return squares_for(
-            self.geometry.atlas, self.parameters, most, self.noise.relative, self.resources, tick
-        )
+        grid, largest = self.geometry, largest_side(self.geometry.atlas, self.parameters)
+        sides = (2**level for level in range(1, most + 1))
+        return [
+            Squares(grid.atlas, side, grid.threads, self.noise.relative, self.resources.chunking, tick)
+            for side in sides
+            if side <= largest
+        ]
 
     @property
     def regions(self) -> Squares:
         """Squares of the finest level of plain colours, averaged over 6 cells."""
         grid, side = self.geometry, 2 ** min(self.plain_levels)
-        return Squares(grid.atlas, side, grid.threads, None, IN_ONE_PIECE, width=6 / side)
+        return Squares(grid.atlas, side, grid.threads, width=6 / side)
 
     def trial(self) -> SampleTrial:
         atlas, planes, parameters = self.geometry.atlas, self.colours, self.parameters
         budget = tried_cells(atlas)
         if len(atlas.owned_cells) <= budget:
-            part, scored = dataclasses.replace(self, is_in_one_block=True), atlas.owned_cells
+            part, scored = dataclasses.replace(self, resources=IN_ONE_PIECE), atlas.owned_cells
         else:
             reach = parameters.window // 2 + guide_radius(parameters.metric_scale)
             cells, core = choose_blocks(atlas, budget, reach)
@@ -296,25 +286,12 @@ class GridManifold(Manifold):
             planes[:, part.geometry.atlas.kind == EMPTY] = 0
             scored = np.flatnonzero(core & (part.geometry.atlas.kind == OWNED))
         drawn = perturbations(wanted_probes(len(scored)), part.geometry.atlas, self.noise)
-        signs = np.array(drawn, np.float32)
-        return SampleTrial(part, planes, signs, scored, correlated=self.noise.is_shared)
+        part = dataclasses.replace(part, changes_stacks=False)
+        return SampleTrial(part, planes, np.array(drawn, np.float32), scored)
 
     def cut(self, samples: Cells, inside: Bools) -> GridManifold:
-        """Return a part without colours, see `GridGeometry.cut`."""
-        noise = self.noise
-        if noise.relative is not None:
-            noise = dataclasses.replace(noise, relative=pick(noise.relative, samples))
-        return dataclasses.replace(
-            self,
-            geometry=self.geometry.cut(samples, inside),
-            colours=self.colours[:0],
-            noise=noise,
-            guides=tuple(
-                dataclasses.replace(guide, stack=pick(guide.stack, samples)) for guide in self.guides
-            ),
-            resources=IN_ONE_PIECE,
-            is_in_one_block=True,
-        )
+        """Cut out a part without its colours, see `GridGeometry.cut`."""
+        return self._part_of(self.geometry.cut(samples, inside), lambda stack: pick(stack, samples))
 
     def new_colours(self) -> NewColours:
         return self._with_outliers(
@@ -337,15 +314,14 @@ def _average_chunk(
 ) -> tuple[list[Float32s], Figures]:
     manifold, core = part
     parameters = dataclasses.replace(manifold.parameters, threads=threads)
-    manifold = dataclasses.replace(manifold, parameters=parameters, is_in_one_block=False)
+    manifold = dataclasses.replace(manifold, parameters=parameters)
     done = manifold._average_rows(stacks, manifold.measure(stacks[0][:channels], step), None)
     return [stack[core] for stack in done.stacks], (done.samples, 0)
 
 
-def row_blocks(rows: int, columns: int, margin: int, threads: int) -> list[slice]:
-    """Return the rows averaged at a time; each block depends only on adjacent blocks."""
-    wanted = max(ROW_BLOCK_CELLS, CELLS_PER_THREAD * threads) // max(1, columns)
-    height = -(-max(wanted, margin, 1) // TILE_ROWS) * TILE_ROWS
+def row_blocks(rows: int, columns: int, margin: int, cells: int) -> list[slice]:
+    """Return the rows averaged at a time, of at least so many cells; each block depends only on adjacent blocks."""
+    height = -(-max(cells // max(1, columns), margin, 1) // _TILE_ROWS) * _TILE_ROWS
     return [slice(top, min(rows, top + height)) for top in range(0, rows, height)]
 
 

@@ -14,7 +14,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
@@ -30,6 +30,9 @@ from beltrami_cli.surface.large_arrays import Droppable
 
 if TYPE_CHECKING:
     from beltrami_cli.flow.manifolds.moving_positions import MovingPositions
+
+# Number of samples for which one perturbation suffices, and maximum number of perturbations for fewer samples.
+_ENOUGH_SAMPLES, _MAX_PROBES = 5_000, 4
 
 
 @dataclass(frozen=True)
@@ -89,7 +92,6 @@ class Manifold(ABC):
     metric_channels: list[int] | slice
     guides: tuple[GuideStack, ...] = ()
     moving: MovingPositions | None = None  # positions that are smoothed along with the colours
-    is_in_one_block: bool = False  # averaged in one pass, whatever its size; stacks are not changed
     outliers: Outliers | None = None  # that were filled
     resources: Resources = IN_ONE_PIECE
 
@@ -147,7 +149,7 @@ class Manifold(ABC):
 
     @abstractmethod
     def levels(self, most: int, tick: Callable[[], None] | None = None) -> Sequence[CoarseLevel]:
-        """Return up to `most` levels, fine to coarse, each with means of about four samples of the previous one."""
+        """Make up to `most` levels, fine to coarse, each with means of about four samples of the previous one."""
 
     @property
     @abstractmethod
@@ -160,7 +162,18 @@ class Manifold(ABC):
 
     @abstractmethod
     def new_colours(self) -> NewColours:
-        """Return the colours, read block by block, with those beyond seams, to be written to the document."""
+        """Return the colours, read block by block, and their extension beyond seams, to be written to the document."""
+
+    def _part_of(self, geometry: Geometry, pick: Callable[[Stack], Stack], **changes: Any) -> Self:
+        """Replace the geometry by that of some samples, which `pick` takes from stacks; without colours."""
+        noise = self.noise
+        if noise.relative is not None:
+            noise = dataclasses.replace(noise, relative=pick(noise.relative))
+        guides = tuple(dataclasses.replace(guide, stack=pick(guide.stack)) for guide in self.guides)
+        return dataclasses.replace(
+            self, geometry=geometry, colours=self.colours[:0], noise=noise, guides=guides,
+            resources=IN_ONE_PIECE, **changes,
+        )  # fmt: skip
 
     def _with_outliers(self, new: NewColours, order: Array | None = None) -> NewColours:
         """Restore the outliers in new colours, whose samples are in an order, if outliers are kept."""
@@ -228,7 +241,6 @@ class SampleTrial:
     start: Stack  # the noisy colours
     signs: Float32s  # stacks like `start`
     scored_samples: Int64s | None
-    correlated: bool = False  # neighbours share noise, and so do the perturbations
 
     @property
     def samples(self) -> int:
@@ -252,13 +264,18 @@ class SampleTrial:
         return state if self.scored_samples is None else self.part.geometry.take(state, self.scored_samples)
 
 
+def wanted_probes(samples: int) -> int:
+    """Return the number of stacks of signs that estimate the divergence on this many samples."""
+    return min(_MAX_PROBES, -(-_ENOUGH_SAMPLES // max(1, samples)))
+
+
 def at_step(parameters: KernelParameters, step: Step) -> KernelParameters:
-    """Return the parameters with the time step of an iteration, which determines the radius of kernels."""
+    """Set the time step of an iteration, which determines the radius of kernels."""
     return parameters if step.t == parameters.t else dataclasses.replace(parameters, t=step.t)
 
 
 def kernel_values(distances: Float32s, t: float) -> Float32s:
-    """Return exp(-d^2 / (4 t)), eq. (8)."""
+    """exp(-d^2 / (4 t)), eq. (8)."""
     return np.asarray(np.exp(-np.square(distances.astype(np.float64)) / (4 * t)), np.float32)
 
 

@@ -1,9 +1,4 @@
-"""The geometry of a triangulated surface; its samples are sorted for cache locality.
-
-On a surface with regular connectivity, the number of samples in a kernel is proportional to its area. It is far larger
-around a hub, which is a vertex of very high valence, and where connectivity is irregular, as with vertices joined at
-random, which are all a few edges apart. The kernels there are bounded.
-"""
+"""The geometry of a triangulated surface; its samples are sorted for cache locality."""
 
 from __future__ import annotations
 
@@ -16,10 +11,11 @@ from typing import ClassVar, Protocol, TypeAlias
 import numpy as np
 
 from beltrami_cli._native import SegmentManifold, TriangulatedManifold, vertex_order
-from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Indices, Int32s, Int64s, Uint8s
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Indices, Int32s, Uint8s
 from beltrami_cli.flow.chunks import Resources
-from beltrami_cli.flow.manifolds.domain import ENOUGH_STEPS, Domain, Geometry, KernelWork, Stack
-from beltrami_cli.flow.manifolds.trials import fingerprints
+from beltrami_cli.flow.manifolds.domain import ENOUGH_STEPS, Domain, Geometry, Stack
+from beltrami_cli.flow.manifolds.fingerprints import fingerprints, quantised
+from beltrami_cli.flow.manifolds.kernel_work import MeshWork
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.vertex_graph import PASS_SCALE, PASS_VARIANCE, Graph, MeshGaussian
 from beltrami_cli.surface import large_arrays
@@ -31,26 +27,9 @@ from beltrami_cli.surface.geometry import (
     mean_side,
     vertex_areas,
 )
-from beltrami_cli.surface.incidence import Neighbours, RowsOfSamples
+from beltrami_cli.surface.incidence import RowsOfSamples
 from beltrami_cli.surface.large_arrays import kept
 from beltrami_cli.surface.records import SampledSurface
-
-# Minimum valence of a hub; poles of spheres and caps of cylinders have fewer edges.
-_HUB = 512
-
-# Number of samples in kernels around hubs from which on they take seconds.
-_MAX_NEAR_HUBS = 1_000_000
-
-# Minimum number of joined vertices, since small meshes take no time, and bound of (V - E + F) / V below which
-# connectivity is irregular. On surfaces V - E + F is about 0, whatever their handles and borders.
-_SMALL_MESH, _IRREGULAR = 1_000, -1 / 4
-
-# Bound of kernels there, as a multiple of the number of samples on an even surface.
-_MAX_EXCESS = 2
-
-# Quantisation of colours, far above their rounding, for the choice of signs and of the patches that start groups.
-_COARSE = np.float32(256)
-
 
 Core: TypeAlias = SegmentManifold | TriangulatedManifold
 
@@ -143,7 +122,7 @@ class MeshGeometry(Geometry, Domain):
         """Return the graph of the samples, with priorities from the colours."""
         joined, places = self._is_joined(), kept(_in_three_dimensions(self.positions))
         axes = _axes(places, colours) if joined.all() else _axes(places[joined], colours[joined])
-        priorities = kept(fingerprints(coarse(colours), self.edges))
+        priorities = kept(fingerprints(quantised(colours), self.edges))
         return Graph(places, self.edges, priorities, axes, self.threads, resources=resources)
 
     def scaled_lengths(self, edges: Int32s) -> Float32s:
@@ -155,7 +134,7 @@ class MeshGeometry(Geometry, Domain):
         return np.asarray(lengths, np.float32)
 
     def cut(self, samples: Array) -> MeshGeometry:
-        """Return the part with some samples, ascending."""
+        """Cut out some samples, ascending."""
         (faces, _), (edges, rows) = (each.among(samples) for each in self._rows)
         scales, weights = self.scales, self.weights
         return dataclasses.replace(
@@ -222,47 +201,11 @@ class MeshGeometry(Geometry, Domain):
         return joined
 
 
-class MeshSamples:
-    """The samples of a mesh and their neighbours; at hubs, only the first neighbours."""
-
-    _MOST = 8  # neighbours of one sample: regular meshes have six
-
-    def __init__(self, mesh: MeshGeometry) -> None:
-        self.samples: Indices = np.arange(mesh.size)
-        self._edges = mesh.edges
-        self._neighbours = Neighbours(mesh.size, mesh.edges, mesh.scaled_lengths)
-
-    def around(self, samples: Indices, reach: int) -> Int64s:
-        """Return the samples within `reach` edges of each sample, shape (B, W), once per path to them."""
-        near = self._neighbours.first(samples, self._MOST)
-        if reach == 1:
-            return near
-        further = self._neighbours.first(np.maximum(near, 0).reshape(-1), self._MOST)
-        further = np.where(near[..., None] >= 0, further.reshape(*near.shape, -1), -1).reshape(len(near), -1)
-        further[further == np.asarray(samples)[:, None]] = -1
-        return np.concatenate([near, further], axis=1)
-
-    def standing_out(self, planes: Float32s, least: Float32s) -> Indices:
-        """Return the samples that differ from most neighbours by more than `least` in a channel."""
-        size, stands_out = len(self.samples), np.zeros(len(self.samples), bool)
-        degrees = np.bincount(self._edges.reshape(-1), minlength=size)
-        for plane, enough in zip(planes, least, strict=True):
-            differ = np.abs(np.subtract(*plane[self._edges.T])) > enough
-            stands_out |= 2 * np.bincount(self._edges[differ].reshape(-1), minlength=size) > degrees
-        return np.flatnonzero(stands_out)
-
-
 def rank_in(order: Int32s) -> Int32s:
     """Return the position of each sample in an order of all samples."""
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order), dtype=rank.dtype)
     return rank
-
-
-def coarse(colours: Stack) -> Float32s:
-    """Quantise colours, for the choice of signs and of the patches that start groups."""
-    steps = np.multiply(colours, _COARSE, dtype=np.float32)
-    return np.round(steps, out=steps)
 
 
 def _in_three_dimensions(positions: Float64s) -> Float64s:
@@ -277,54 +220,10 @@ def _in_three_dimensions(positions: Float64s) -> Float64s:
 
 
 def _axes(positions: Float64s, colours: Float32s) -> Float64s:
-    """Return two directions that rotate with the model, shape (2, 3): to brighter and to more intense colours."""
+    """Two directions that rotate with the model, shape (2, 3): to brighter and to more intense colours."""
     if not len(positions):
         return np.eye(3)[:2]
     offsets = positions - positions.mean(axis=0)
     level = colours.sum(axis=1, dtype=np.float64)
     level -= level.mean()
     return np.stack([np.einsum("i,ij->j", weights, offsets) for weights in (level, level**2)])
-
-
-def _find_hubs(size: int, edges: Int32s) -> Bools:
-    return np.asarray(np.bincount(edges.ravel(), minlength=size) > _HUB)
-
-
-def without_hubs(size: int, edges: Int32s) -> Int32s:
-    """Return the edges that do not end at a hub."""
-    hubs = _find_hubs(size, edges)
-    return edges[~hubs[edges].any(axis=1)] if hubs.any() else edges
-
-
-class MeshWork(KernelWork):
-    """Workload of kernels on triangles, which grows with hubs and irregular connectivity."""
-
-    def __init__(self, kernels: int, unit: float, edges: Int32s, faces: int) -> None:
-        super().__init__(kernels, unit)
-        degrees = np.bincount(edges.ravel(), minlength=kernels)
-        joined = int(np.count_nonzero(degrees))
-        self._is_irregular = joined >= _SMALL_MESH and joined - len(edges) + faces < _IRREGULAR * joined
-        self._hub_degrees = degrees[degrees > _HUB]
-        self._edges = edges
-
-    @property
-    def has_uniform_density(self) -> bool:
-        """Whether connectivity is regular, and most samples are not next to hubs."""
-        near_hubs = np.count_nonzero(_find_hubs(self.kernels, self._edges)[self._edges])
-        return not self._is_irregular and bool(near_hubs <= self.kernels / 2)
-
-    def bounded(self, parameters: KernelParameters) -> KernelParameters:
-        """Bound kernels around hubs and of irregular connectivity by twice their size on an even surface."""
-        if parameters.max_samples != KernelParameters.max_samples:
-            return parameters
-        near_hubs = np.square(self._hub_degrees.astype(np.float64)).sum()
-        if not self._is_irregular and near_hubs < _MAX_NEAR_HUBS:
-            return parameters
-        most = math.ceil(_MAX_EXCESS * self._on_even_surface(parameters))
-        return dataclasses.replace(parameters, max_samples=min(parameters.max_samples, most))
-
-    def samples(self, parameters: KernelParameters) -> float:
-        """Return an upper bound of the number of samples in all kernels of an iteration."""
-        near_hubs = self.kernels if self._is_irregular else min(int(self._hub_degrees.sum()), self.kernels)
-        each = min(self._on_even_surface(parameters), parameters.max_samples)
-        return (self.kernels - near_hubs) * each + near_hubs * min(parameters.max_samples, self.kernels)

@@ -15,8 +15,10 @@ from beltrami_cli._native import PATCH_BLOCK_SIZE
 from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunk, Chunking, Figures, Resources, runs
 from beltrami_cli.flow.manifolds.domain import Gaussian, Mixing, Stack
+from beltrami_cli.flow.manifolds.fingerprints import fingerprints, quantised, random_signs
 from beltrami_cli.flow.manifolds.graph_patches import Clusters, clusters_for, collaborate_on_graph
 from beltrami_cli.flow.manifolds.guides import Guide, GuideStack
+from beltrami_cli.flow.manifolds.kernel_work import without_hubs
 from beltrami_cli.flow.manifolds.manifold import (
     Averaged,
     Manifold,
@@ -27,12 +29,13 @@ from beltrami_cli.flow.manifolds.manifold import (
     Step,
     at_step,
     kernel_values,
+    wanted_probes,
 )
-from beltrami_cli.flow.manifolds.mesh_geometry import Core, MeshGeometry, coarse, rank_in, without_hubs
+from beltrami_cli.flow.manifolds.mesh_geometry import Core, MeshGeometry, rank_in
 from beltrami_cli.flow.manifolds.moving_positions import GeometryParameters, MovingPositions
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.manifolds.search_range import ON_MESHES, RULE_ON_MESHES
-from beltrami_cli.flow.manifolds.trials import choose_patches, fingerprints, random_signs, wanted_probes
+from beltrami_cli.flow.manifolds.trial_patches import choose_patches
 from beltrami_cli.flow.noise.drawing import draw_noise_of_clusters
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.vertex_graph import Graph, levels_of
@@ -170,11 +173,11 @@ class MeshManifold(Manifold):
     @property
     def _whole(self) -> MeshManifold:
         """The manifold without chunks, whose metric is of all samples."""
-        return dataclasses.replace(self, is_in_one_block=True)
+        return dataclasses.replace(self, resources=IN_ONE_PIECE)
 
     @property
     def _chunking(self) -> Chunking | None:
-        if self.is_in_one_block or self.moving is not None:
+        if self.moving is not None:
             return None
         return self.resources.chunking_of_mesh(self.geometry.size, self.geometry.threads)
 
@@ -209,7 +212,7 @@ class MeshManifold(Manifold):
         return dataclasses.replace(part, geometry=dataclasses.replace(part.geometry, threads=1)), kept
 
     def kernel_at(self, sample: int, step: Step) -> SampledKernel:
-        """Return the kernel of a sample, numbered in the caller's order."""
+        """Return the kernel of a sample, which is numbered in the caller's order."""
         parameters, mesh = at_step(self.parameters, step), self.geometry
         core = self.core_with(self._whole.measure(self.colours, step))
         (source,) = np.flatnonzero(mesh.order == sample)
@@ -230,7 +233,7 @@ class MeshManifold(Manifold):
 
     def perturbation(self) -> Droppable[Array]:
         """Draw random signs that depend only on nearby colours."""
-        return Droppable(self._perturbations(coarse(self.colours), self.graph.priorities, 1)[0])
+        return Droppable(self._perturbations(quantised(self.colours), self.graph.priorities, 1)[0])
 
     def levels(self, most: int, tick: Callable[[], None] | None = None) -> list[Clusters]:
         del tick
@@ -246,28 +249,16 @@ class MeshManifold(Manifold):
         # A patch that reached a hub would contain all vertices around it.
         patches = choose_patches(colours, around, without_hubs(size, edges))
         signs = self._perturbations(colours, around, wanted_probes(int(np.count_nonzero(patches.scored))))
-        part, samples = dataclasses.replace(self, is_in_one_block=True), patches.samples
+        part, samples = self._whole, patches.samples
         if len(samples) < size:
             part, colours, signs = self.cut(samples), colours[samples], signs[:, samples]
         scored = np.flatnonzero(patches.scored) if not patches.scored.all() else None
-        return SampleTrial(part, colours, signs, scored, correlated=self.noise.is_shared)
+        return SampleTrial(part, colours, signs, scored)
 
     def cut(self, samples: Array) -> MeshManifold:
-        """Return the part with some samples, ascending, without colours."""
-        noise = self.noise
-        if noise.relative is not None:
-            noise = dataclasses.replace(noise, relative=noise.relative[samples])
-        return dataclasses.replace(
-            self,
-            geometry=self.geometry.cut(samples),
-            colours=self.colours[:0],
-            noise=noise,
-            guides=tuple(dataclasses.replace(guide, stack=guide.stack[samples]) for guide in self.guides),
-            moving=None,
-            graph=_NO_GRAPH,
-            resources=IN_ONE_PIECE,
-            is_in_one_block=True,
-        )
+        """Cut out some samples, ascending, without their colours."""
+        geometry = self.geometry.cut(samples)
+        return self._part_of(geometry, lambda stack: stack[samples], moving=None, graph=_NO_GRAPH)
 
     def new_colours(self) -> NewColours:
         mesh, moving = self.geometry, self.moving
@@ -332,5 +323,5 @@ def samples_per_kernel(manifold: MeshManifold, kernels: int, step: Step) -> floa
     own, size = at_step(manifold.parameters, step), manifold.geometry.size
     core = manifold.core_with(manifold._whole.measure(manifold.colours, step))
     sources = np.linspace(0, size - 1, min(kernels, size), dtype=int)
-    held = [len(core.distances(int(source), own.radius, own.max_samples)[0]) for source in sources]
-    return float(np.mean(held))
+    counts = [len(core.distances(int(source), own.radius, own.max_samples)[0]) for source in sources]
+    return float(np.mean(counts))

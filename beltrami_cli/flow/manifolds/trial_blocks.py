@@ -1,0 +1,103 @@
+"""Blocks of a canvas on which parameters are tried, and random perturbations of their colours."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from beltrami_cli.arrays import Array, Bools, Indices, Int64s
+from beltrami_cli.flow.noise.drawing import draw_model
+from beltrami_cli.flow.noise.model import NoiseModel
+from beltrami_cli.surface import large_arrays
+from beltrami_cli.surface.atlas import EMPTY, OWNED, Atlas, refresh_halo
+
+# Cells on which parameters are tried, as a share of all, so that trying takes no longer than smoothing: some sixty
+# iterations are tried, each twice. With twice as many, the default results on thirteen textures with noise of 20 of 255
+# differ by 0.00 dB on average, and by 0.09 dB at most.
+# With twice the most the risk is known to a tenth of a dB or better.
+_TRIED_CELLS = {"share": 1 / 50, "least": 20_000, "most": 50_000}
+
+# Side of the core of a block in cells; only the core is evaluated.
+_CORE_SIDE = 64
+
+# Width of the rim in cells. Iterations spread errors inwards from a block's border; most of a kernel's weight lies
+# within this distance.
+_RIM_CELLS = 8
+
+# An arbitrary seed; a fixed one makes the choice reproducible.
+_SEED = 20
+
+
+def tried_cells(atlas: Atlas) -> int:
+    """Return the number of cells on which parameters are tried, which may exceed the number of cells."""
+    return int(
+        np.clip(len(atlas.owned_cells) * _TRIED_CELLS["share"], _TRIED_CELLS["least"], _TRIED_CELLS["most"])
+    )
+
+
+def choose_blocks(atlas: Atlas, budget: int, reach: int) -> tuple[Int64s, Bools]:
+    """Choose evenly spread blocks: their cells, and which are in a core, shape (blocks * side, side)."""
+    rows, columns = atlas.kind.shape
+    across = np.arange(0, columns, _CORE_SIDE)
+    bands = (atlas.kind[top : top + _CORE_SIDE] == OWNED for top in range(0, rows, _CORE_SIDE))
+    totals = np.cumsum([np.add.reduceat(band.sum(axis=0), across) for band in bands])
+    wanted = max(1, budget // _CORE_SIDE**2)
+    chosen = np.unique(np.searchsorted(totals, (np.arange(wanted) + 0.5) * totals[-1] / wanted))
+    top, left = np.divmod(chosen, -(-columns // _CORE_SIDE))
+    margin = _RIM_CELLS + reach
+    side = np.arange(-margin, _CORE_SIDE + margin)
+    row = (top[:, None] * _CORE_SIDE + side)[:, :, None]
+    column = (left[:, None] * _CORE_SIDE + side)[:, None, :]
+    on_canvas = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+    # Cells beyond the canvas get the flat index of its last cell, which is in the margin.
+    cells = np.where(on_canvas, row * columns + column, atlas.kind.size - 1).reshape(-1, len(side))
+    inside = (side >= 0) & (side < _CORE_SIDE)
+    core = np.tile(inside[:, None] & inside, (len(chosen), 1))
+    return cells.astype(np.int64), core
+
+
+def with_halo(part: Atlas, whole: Atlas, cells: Int64s, core: Bools) -> Atlas:
+    """Complete the atlas of some cells of `whole` by the halo cells whose owned cells are included."""
+    # A cell in several blocks is taken from the block whose core contains it.
+    owned = part.owned_cells
+    order = np.lexsort([~core.reshape(-1)[owned], cells.reshape(-1)[owned]])
+    owned = owned[order]
+    mirrored = np.flatnonzero(part.kind != EMPTY)
+    rank = _rank(whole.halo_cells, cells.reshape(-1)[mirrored])
+    mirrored, rank = mirrored[rank >= 0], rank[rank >= 0]
+    place = _rank(cells.reshape(-1)[owned], whole.halo_taps[rank])
+    taps = np.where(place >= 0, owned[place], -1) if len(owned) else place
+    complete = np.all((taps >= 0) | (whole.halo_weights[rank] == 0), axis=1)
+    return dataclasses.replace(
+        part,
+        halo_cells=mirrored[complete],
+        halo_taps=np.maximum(taps[complete], 0).astype(np.int64),
+        halo_weights=whole.halo_weights[rank[complete]],
+        halo_seams=whole.halo_seams[rank[complete]],
+    )
+
+
+def _rank(ascending: Indices, wanted: Indices) -> Int64s:
+    """Index of each number in an ascending list, the first of equal ones; -1 if absent."""
+    if not len(ascending):
+        return np.full(wanted.shape, -1, np.int64)
+    rank = np.minimum(np.searchsorted(ascending, wanted), len(ascending) - 1)
+    return np.where(ascending[rank] == wanted, rank, -1)
+
+
+def perturbations(count: int, atlas: Atlas, noise: NoiseModel) -> list[Array]:
+    """Draw random planes like the noise: independent signs as bytes, or correlated noise."""
+    random, shape = np.random.default_rng(_SEED), atlas.kind.shape
+    if noise.is_independent:
+        drawn = [*large_arrays.random_signs((count, len(noise.sigma), *shape), random)]
+    else:
+        size = np.float32(np.sqrt(np.mean(np.square(noise.sigma))))
+        drawn = [draw_model(noise.covariances, shape, random) for _ in range(count)]
+    for planes in drawn:
+        for rows in large_arrays.blocks(len(atlas.kind), large_arrays.ROWS):
+            if not noise.is_independent:
+                planes[:, rows] /= size
+            planes[:, rows][:, atlas.kind[rows] == EMPTY] = 0
+        refresh_halo(planes, atlas)
+    return drawn
