@@ -29,9 +29,9 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from beltrami_cli.arrays import Array, Float64s, Int32s, Int64s, Uint8s
 from beltrami_cli.formats.document import Document
+from beltrami_cli.formats.gltf.buffers import INDEX_DATA
 from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, glb_pieces
-from beltrami_cli.formats.gltf.edit import INDEX_DATA
-from beltrami_cli.formats.gltf.textures import WRAPS
+from beltrami_cli.formats.gltf.images import WRAPS
 from beltrami_cli.formats.gltf.writer import Arrays
 from beltrami_cli.formats.image import DecodedImage
 from beltrami_cli.formats.image.decoded_image import is_associated

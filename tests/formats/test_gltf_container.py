@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.changes import Naming
-from beltrami_cli.formats.gltf.container import parsed, revised
 from beltrami_cli.formats.gltf.document import GltfDocument
+from beltrami_cli.formats.gltf.json_text import parsed, revised
 from formats.gltf_compressed import DRACO, decompressed, draco_model, meshopt_model
 from formats.gltf_files import Model, Textured, coloured, joined, picture, unpacked
 from formats.gltf_showcase import showcase

@@ -386,7 +386,7 @@ def test_primitives_over_the_same_positions_bring_their_vertices_alone(tmp_path)
 
 @pytest.mark.parametrize("reason", ["missing", "outside", "web", "coordinates", "no image", "packed", "dds"])
 def test_what_cannot_be_read_is_reported_and_left_out(tmp_path, reason, monkeypatch):
-    monkeypatch.setattr("beltrami_cli.formats.gltf.textures.missing_package", lambda known: "alktx2")
+    monkeypatch.setattr("beltrami_cli.formats.gltf.images.missing_package", lambda known: "alktx2")
     model = Textured("file")
     broken = model.image(picture(1, KTX2 if reason == "packed" else JPEG), "gone.png")
     uris = {"outside": "../gone.png", "web": "https://example.org/gone.png", "missing": "elsewhere.png"}

@@ -148,7 +148,7 @@ def test_without_its_package_a_texture_is_left_as_it_is_and_the_package_is_named
     plain = model.texture(model.image(encode(phantom(), "png")))
     model.triangles(SQUARE + 2, SQUARE[:, :2], model.material(baseColor=plain))
     source, image = model.written_to(tmp_path), file_of(known)
-    for module in ("beltrami_cli.formats.gltf.textures", extra_codecs.__name__):
+    for module in ("beltrami_cli.formats.gltf.images", extra_codecs.__name__):
         monkeypatch.setattr(f"{module}.missing_package", lambda known: "a package")
     document = open_document(str(source))
     assert len(document.textured("baseColor").textures) == 1

@@ -14,7 +14,8 @@ from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.changes import Naming
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.formats.usd.layers import Package, layer_from
+from beltrami_cli.formats.usd.layers import layer_from
+from beltrami_cli.formats.usd.package import Package
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file

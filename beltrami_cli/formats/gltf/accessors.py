@@ -1,28 +1,21 @@
-"""Accessors: descriptions checked against their views, numbers decoded from bytes, and what primitives draw of them.
+"""Accessors: descriptions checked against their views, and numbers decoded from bytes.
 
 A stride need not be a multiple of four and elements need not be aligned: what the specification forbids there can
-still be read in only one way. Draco [1]_ compresses whole primitives; their accessors are decoded when needed.
-
-References
-----------
-.. [1] KHR_draco_mesh_compression, in the registry of glTF extensions.
+still be read in only one way.
 """
 
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s, Uint8s
-from beltrami_cli.errors import install_hint
+from beltrami_cli.arrays import Float32s, Float64s, Int64s, Uint8s
 from beltrami_cli.formats.changes import Bytes
 from beltrami_cli.formats.gltf.buffers import Buffers, View, read_views
-from beltrami_cli.formats.gltf.container import Entry
-from beltrami_cli.surface.polygons import unrolled
+from beltrami_cli.formats.gltf.entries import Entry
 from beltrami_cli.surface.precision import require_finite
 
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -30,12 +23,6 @@ COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5
 
 SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 """Components of one element by glTF's type."""
-
-DRACO = "KHR_draco_mesh_compression"  # extension of a primitive
-_DRACO_MAGIC = b"DRACO"
-_DRACO_MESH = b"\1"  # the kind of geometry, after the magic and the version
-
-TRIANGLES, _STRIP, _FAN = 4, 5, 6  # drawing modes with faces; 0 to 3 are points and lines
 
 # Corners, for all slots together: a byte is an index at least, and vertices take a dozen each.
 _MIN_DRAWN, _MAX_DRAWN = 1 << 20, 16
@@ -151,10 +138,7 @@ class Accessors:
         self.buffers = buffers
         self.views = read_views(root, buffers)
         self.all = [_accessor(entry, self.views, buffers) for entry in root.entries("accessors")]
-        self._decoded: dict[Hashable, Accessor] = {}  # by Draco
-        self._meshes: dict[int, Any] = {}
         self._drawn = 0
-        self._root = root
 
     def __len__(self) -> int:
         return len(self.all)
@@ -162,76 +146,12 @@ class Accessors:
     def __getitem__(self, index: int) -> Accessor:
         return self.all[index]
 
-    @cached_property
-    def meshes(self) -> list[list[Primitive]]:
-        """The primitives of every mesh."""
-        return [
-            [Primitive(each, self) for each in mesh.entries("primitives")]
-            for mesh in self._root.entries("meshes")
-        ]
-
-    def decoded_attribute(self, packed: Entry, name: str, described: Accessor) -> Accessor:
-        """Return an attribute that Draco has compressed."""
-        view, mesh = self._draco(packed)
-        number = packed.entry("attributes").integer(name)
-        key = view, number, described.component.str, described.shape, described.normalised
-        if key not in self._decoded:
-            data = (each["data"] for each in mesh.attributes if each["unique_id"] == number)
-            numbers = next(data, None)
-            if numbers is None:
-                cause = f"is {number}, but there is no such attribute in the data"
-                raise packed.entry("attributes").fault(name, cause)
-            self._add(key, described, _fitted(np.asarray(numbers), described))
-        return self._decoded[key]
-
-    def decoded_indices(self, packed: Entry, described: Accessor) -> Accessor:
-        """Return the triangles that Draco has compressed."""
-        view, mesh = self._draco(packed)
-        if (view, "faces") not in self._decoded:
-            numbers = np.asarray(mesh.faces).astype("<u4").reshape(-1, 1)
-            if not len(numbers):
-                raise packed.fault("bufferView", "holds no triangles")
-            scalar = replace(described, shape="SCALAR", width=1, normalised=False)
-            self._add((view, "faces"), scalar, numbers)
-        return self._decoded[view, "faces"]
-
-    def _draco(self, packed: Entry) -> tuple[int, Any]:
-        """Return a view that Draco has compressed, and its mesh, which is decoded once."""
-        view = packed.integer("bufferView", below=len(self.views))
-        if view not in self._meshes:
-            self._meshes[view] = _draco_mesh(packed, self.buffers.viewed(self.views[view]))
-        return view, self._meshes[view]
-
-    def _add(self, key: Hashable, described: Accessor, numbers: Stored) -> None:
-        """Add decoded numbers, shape (n, width), with the description of an accessor."""
-        octets = numbers.tobytes()
-        buffer = self.buffers.add(lambda: octets)
-        size, count = numbers.dtype.itemsize * numbers.shape[1], len(numbers)
-        layout = Layout(buffer, 0, size, size, count)
-        bare = replace(described, view=None, sparse=None, is_decoded=True)
-        self._decoded[key] = replace(bare, component=numbers.dtype, count=count, layout=layout)
-
     def count_drawn(self, primitive: Entry, corners: int) -> None:
         """Count the corners that primitives draw, and refuse far more than bytes: small files can repeat them."""
         self._drawn += corners
         if self._drawn > _MIN_DRAWN + _MAX_DRAWN * self.buffers.bytes_read:
             cause = f"with it, {self._drawn} corners are drawn of {self.buffers.bytes_read} bytes"
             raise primitive.fault("", cause, "the same triangles are used again and again: export each once")
-
-
-def _fitted(numbers: Array, accessor: Accessor) -> Stored:
-    """Return decoded numbers, shape (n, width), in the type of their accessor."""
-    if numbers.shape != (accessor.count, accessor.width):
-        found = f"{numbers.shape[0]} elements of {numbers.shape[-1]} numbers"
-        cause = f"is {accessor.count} of {accessor.width}, but {found} were decoded"
-        raise accessor.entry.fault("count", cause)
-    fitted = numbers.astype(accessor.component)
-    if (numbers.dtype.kind == "f") != (fitted.dtype.kind == "f") or (
-        numbers.dtype.kind != "f" and not np.array_equal(numbers, fitted)
-    ):
-        cause = f"does not fit the decoded numbers of {numbers.dtype.name}"
-        raise accessor.entry.fault("componentType", cause)
-    return fitted
 
 
 def element_bytes(data: Bytes | Uint8s, layout: Layout) -> Uint8s:
@@ -306,91 +226,3 @@ def _sparse(entry: Entry, views: Sequence[View], size: int, count: int) -> Spars
     first, second = (part.integer("bufferView", below=len(views)) for part in (where, what))
     indices = _layout(where, views[first], first, index_type.itemsize, replaced)
     return Sparse(indices, index_type, _layout(what, views[second], second, size, replaced))
-
-
-def _draco_mesh(packed: Entry, data: bytes) -> Any:
-    try:
-        import DracoPy
-    except ImportError:
-        cause = f"to decode {DRACO}, the package DracoPy is needed"
-        raise packed.fault("", cause, install_hint("beltrami-cli[draco]")) from None
-    # Points could claim to be any number, and would be given the memory for it.
-    if data[:5] == _DRACO_MAGIC and data[7:8] != _DRACO_MESH:
-        raise packed.fault("bufferView", "holds points, not triangles")
-    try:
-        return DracoPy.decode(data)
-    except (DracoPy.FileTypeException, TypeError, ValueError) as error:
-        raise packed.fault("bufferView", f"holds damaged data ({error})") from None
-
-
-class Primitive:
-    """A primitive of a mesh; where Draco has compressed it, its accessors are the decoded ones."""
-
-    def __init__(self, entry: Entry, accessors: Accessors) -> None:
-        self.entry, self._accessors = entry, accessors
-        self.attributes, extensions = entry.entry("attributes"), entry.entry("extensions")
-        self.packed = extensions.entry(DRACO) if DRACO in extensions else None
-
-    def __contains__(self, name: str) -> bool:
-        return name in self.attributes
-
-    def accessor(self, name: str) -> Accessor:
-        """Return an attribute."""
-        accessor = self._accessors[self.attributes.integer(name, below=len(self._accessors))]
-        if self.packed is None or name not in self.packed.entry("attributes"):
-            return accessor
-        return self._accessors.decoded_attribute(self.packed, name, accessor)
-
-    def fitting(self, name: str, shape: str, count: int | None = None) -> Accessor:
-        """Return an attribute: of a shape, of so many elements if it is said, and no large integers."""
-        accessor = self.accessor(name)
-        wanted = accessor.count if count is None else count
-        if (accessor.shape, accessor.count) != (shape, wanted) or accessor.component.name == "uint32":
-            cause = f"is {accessor.count} {accessor.shape} of {accessor.component.name}, not {wanted} {shape}"
-            raise self.attributes.fault(name, cause)
-        return accessor
-
-    def position(self) -> Accessor:
-        """Return the positions, whose bytes are there."""
-        accessor = self.fitting("POSITION", "VEC3")
-        accessor.require_bytes()
-        return accessor
-
-    @property
-    def mode(self) -> int:
-        """The drawing mode of the indices: triangles if it is missing, or if strips were decoded."""
-        mode = self.entry.integer("mode", below=7, default=TRIANGLES)
-        return mode if self.packed is None else TRIANGLES
-
-    @property
-    def indices(self) -> Accessor | None:
-        if self.packed is None and "indices" not in self.entry:
-            return None
-        accessor = self._accessors[self.entry.integer("indices", below=len(self._accessors))]
-        return accessor if self.packed is None else self._accessors.decoded_indices(self.packed, accessor)
-
-    def drawing_key(self) -> Hashable:
-        """Return equal keys for primitives that draw their vertices in the same way."""
-        return self.mode, self.indices and self.indices.identity
-
-    def triangles(self, count: int) -> Int64s:
-        """Return the triangles, shape (F, 3), as vertex indices in [0, count), with glTF's winding."""
-        indices = self.indices
-        self._accessors.count_drawn(self.entry, count if indices is None else indices.count)
-        corners = np.arange(count)
-        if indices is not None:
-            if indices.shape != "SCALAR" or indices.component.kind != "u":
-                cause = f"is {indices.shape} of {indices.component.name}, not indices"
-                raise self.entry.fault("indices", cause)
-            corners = indices.stored()[:, 0].astype(np.int64)
-            if corners.max() >= count:
-                cause = f"names vertex {corners.max()}, but there are only {count}"
-                raise self.entry.fault("indices", cause)
-        if self.mode == TRIANGLES:
-            return corners[: len(corners) // 3 * 3].reshape(-1, 3)
-        if self.mode == _STRIP:
-            return unrolled(corners, np.array([0, len(corners)]))
-        if self.mode != _FAN or len(corners) < 3:
-            return np.empty((0, 3), np.int64)
-        first = np.arange(len(corners) - 2)
-        return corners[np.stack([first + 1, first + 2, np.zeros_like(first)], axis=1)]

@@ -1,46 +1,31 @@
-"""Collect the changes of a glTF file: new vertex attributes and new images.
+"""The changes of a glTF file, collected until they are stored in its buffers.
 
 An entry of the JSON that something else uses, too, is copied before it changes (`Edit.separate`), and only the places
 that follow the change name the copy. New bytes take the place of the old ones if nothing else reads those, otherwise
-free bytes or the end of the buffer (`Edit.put`); no other view ever moves.
-
-Numbers of vertices are overwritten where they are if nothing else uses their bytes, and get a new view otherwise.
-Attributes that Draco has compressed always get one, in the order in which decoders give the vertices: encoding a mesh
-again would move its vertices and change their order. The compressed data stays as it is; the primitive just does not
-name these numbers in it any more. Views that meshoptimizer has compressed are compressed again, which loses nothing.
+free bytes or the end of the buffer (`Edit.put`); no other view ever moves. Views that meshoptimizer has compressed are
+compressed again, which loses nothing.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Hashable, Iterable, Iterator, Set
 from copy import deepcopy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import chain
 from typing import Any
 
-import numpy as np
-
-from beltrami_cli.arrays import Uint8s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.changes import Bytes
-from beltrami_cli.formats.gltf.accessors import (
-    DRACO,
-    Accessor,
-    Accessors,
-    Layout,
-    Primitive,
-    Stored,
-    element_bytes,
-    padded_elements,
-)
-from beltrami_cli.formats.gltf.buffers import MESHOPT, View, data_uri, named_places, named_views, repacked
-from beltrami_cli.formats.gltf.container import Container, Tree, objects, primitives_of
+from beltrami_cli.formats.gltf.accessors import Accessors
+from beltrami_cli.formats.gltf.buffers import View, named_places, named_views
+from beltrami_cli.formats.gltf.container import Container
+from beltrami_cli.formats.gltf.entries import Tree, objects
+from beltrami_cli.formats.gltf.meshopt import MESHOPT, repacked
+from beltrami_cli.formats.gltf.uris import data_uri
 from beltrami_cli.surface.records import ImageFile
 
 _ALIGNMENT = 8  # of merged buffers: enough for all component types, and required by KHR extensions
-VERTEX_DATA, INDEX_DATA = 34962, 34963  # targets of views (ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER)
 Holder = tuple[int, str | None]  # a view, and the extension with its compressed bytes or None
 # An object or array, its member that is an index, and the change that applies to it.
 Use = tuple[Any, Any, Hashable]
@@ -52,12 +37,15 @@ class Edit:
 
     container: Container  # the file
     accessors: Accessors  # its accessors and buffers before the changes
-    tree: Tree  # the JSON with all changes except the URIs of buffers, which depend on the output
+    tree: Tree = field(init=False)  # the JSON with all changes but the URIs of buffers, which `output` adds
     buffers: dict[int, bytearray] = field(default_factory=dict)  # new bytes of buffers that change or grow
     images: dict[int, ImageFile] = field(default_factory=dict)  # new images in separate files
     notices: list[str] = field(default_factory=list)
     # New bytes that `finish` stores, by buffer and holder.
     _new: dict[int, dict[Holder, Bytes]] = field(default_factory=lambda: defaultdict(dict))
+
+    def __post_init__(self) -> None:
+        self.tree = self.container.copy_of_tree()
 
     def source(self, index: int) -> str:
         """Return the location of a buffer's bytes, as `Buffers` does; added buffers are data URIs."""
@@ -205,196 +193,6 @@ def _gaps(spans: Iterable[tuple[int, int]]) -> Iterator[tuple[int, int]]:
         if start > at:
             yield at, start
         at = max(at, end + -end % 4)
-
-
-@dataclass(frozen=True)
-class Column:
-    """Values of a vertex attribute that coloured primitives share."""
-
-    accessor: Accessor  # from which they are read
-    members: Set[int]  # all accessors of these values that primitives use as this attribute
-    users: Mapping[tuple[int, int], Primitive]  # coloured ones of these, by mesh and index in it
-    position: Accessor  # of the same vertices
-    before: Stored  # shape (rows, width)
-    after: Stored
-
-
-def exchange(edit: Edit, attribute: str, columns: Sequence[Column]) -> None:
-    """Store the new values of all columns of an attribute."""
-    changed = [n for n, each in enumerate(columns) if not np.array_equal(each.before, each.after)]
-    if not changed:
-        return
-    uses = list(accessor_uses(edit.tree))
-    shared = {holder[member] for place, holder, member in uses if place is None or member != attribute}
-    is_alone = _alone(edit, columns, shared)
-    # The column of each primitive, or of an accessor wherever it is used as this attribute.
-    followed: dict[Hashable, int] = {}
-    for number in changed:
-        column = columns[number]
-        if column.accessor.is_decoded:
-            _detach(edit, attribute, column)
-            followed |= dict.fromkeys(column.users, number)
-        elif is_alone[number]:
-            _overwrite(edit, column)
-            for index in column.members:
-                _update_bounds(edit.tree["accessors"][index], column)
-        else:
-            followed |= dict.fromkeys(column.members, number)
-    changes: list[Use] = []
-    for place, holder, member in uses:
-        is_attribute = place is not None and member == attribute
-        change = followed.get(place, followed.get(holder[member])) if is_attribute else None
-        changes.append((holder, member, change))
-    views: dict[int, int] = {}
-    for (_, number), index in edit.separate("accessors", changes).items():
-        if number not in views:
-            views[number] = _put_numbers(edit, columns[number])
-        _point_at(edit.tree["accessors"][index], views[number])
-        _update_bounds(edit.tree["accessors"][index], columns[number])
-
-
-def _overwrite(edit: Edit, column: Column) -> None:
-    """Overwrite values in place; of a sparse accessor both the base elements and their replacements."""
-    accessor, rows = column.accessor, column.accessor.replaced()
-    is_element, octets = np.ones(len(column.after), bool), column.after.view(np.uint8)
-    is_element[rows] = False
-    if accessor.sparse is not None:
-        _elements(edit, accessor.sparse.values)[...] = octets[rows]
-    if accessor.layout is not None:
-        _elements(edit, accessor.layout)[is_element] = octets[is_element]
-    elif octets[is_element].any():  # elements without a view can only be zero
-        view = _put_numbers(edit, column)
-        for index in column.members:
-            _point_at(edit.tree["accessors"][index], view, keep_sparse=True)
-
-
-def _elements(edit: Edit, layout: Layout) -> Uint8s:
-    return element_bytes(edit.open(edit.accessors.buffers.canonical(layout.buffer)), layout)
-
-
-def _put_numbers(edit: Edit, column: Column) -> int:
-    """Store new values in a new view, and return its index."""
-    octets, size = padded_elements(column.after)
-    stride = octets.shape[1]
-    strided = {"byteStride": stride} if stride != size else {}
-    view = edit.add("bufferViews", {"target": VERTEX_DATA, **strided})
-    # Preferably in the buffer of the old values, or else of the positions.
-    homes = [layout.buffer for layout in [*column.accessor.layouts, *column.position.layouts]]
-    packed = [primitive.packed for primitive in column.users.values()]
-    homes += [edit.accessors.views[each.integer("bufferView")].buffer for each in packed if each is not None]
-    edit.put(edit.growing_buffer(homes), (view, None), octets.tobytes())
-    return view
-
-
-def _detach(edit: Edit, attribute: str, column: Column) -> None:
-    """Remove a column from the attributes that the Draco data of coloured primitives provide."""
-    for (mesh, part), primitive in column.users.items():
-        _require_same_order(edit, primitive, attribute)
-        extensions = edit.tree["meshes"][mesh]["primitives"][part]["extensions"]
-        del extensions[DRACO]["attributes"][attribute]
-
-
-def _require_same_order(edit: Edit, primitive: Primitive, attribute: str) -> None:
-    """Raise InputError if viewers without Draco would assign the values to other vertices."""
-    accessors, packed, decoded = edit.accessors, primitive.packed, primitive.indices
-    plain = accessors[primitive.entry.integer("indices")]
-    if packed is None or accessors[primitive.attributes.integer(attribute)].layout is None:
-        return
-    if decoded is None or not np.array_equal(plain.stored(), decoded.stored()):
-        cause = "holds vertices in another order than its uncompressed fallback"
-        raise packed.fault("bufferView", cause, "remove one of the two, and smooth the other")
-
-
-def _point_at(accessor: Tree, view: int, *, keep_sparse: bool = False) -> None:
-    """Make an accessor read its elements from the start of a view: all, or all except sparse ones."""
-    if not keep_sparse:
-        accessor.pop("sparse", None)
-    accessor["bufferView"] = view
-    if "byteOffset" in accessor:
-        accessor["byteOffset"] = 0
-
-
-def _update_bounds(accessor: Tree, column: Column) -> None:
-    for key, reduce in (("min", np.min), ("max", np.max)):
-        bounds: Any = accessor.get(key)
-        if isinstance(bounds, list) and len(bounds) == column.after.shape[1]:
-            was, now = reduce(column.before, axis=0), reduce(column.after, axis=0)
-            for component in np.nonzero(was != now)[0]:
-                bounds[component] = now[component].item()
-
-
-def accessor_uses(tree: Tree) -> Iterator[tuple[tuple[int, int] | None, Tree, str]]:
-    """Yield the references to accessors, as (primitive if it is an attribute of one, holder, key)."""
-    # Primitives, objects, and the members of these that refer to accessors; no members: all.
-    holders: list[tuple[tuple[int, int] | None, Any, tuple[str, ...]]] = []
-    for number, primitive in primitives_of(tree):
-        holders += [(number, primitive.get("attributes"), ()), (None, primitive, ("indices",))]
-        holders += [(None, target, ()) for target in objects(primitive.get("targets"))]
-    for animation in objects(tree.get("animations")):
-        holders += [(None, each, ("input", "output")) for each in objects(animation.get("samplers"))]
-    holders += [(None, skin, ("inverseBindMatrices",)) for skin in objects(tree.get("skins"))]
-    for extensions in objects([node.get("extensions") for node in objects(tree.get("nodes"))]):
-        holders += [(None, each.get("attributes"), ()) for each in objects(list(extensions.values()))]
-    for place, holder, keys in holders:
-        if isinstance(holder, dict):
-            yield from ((place, holder, key) for key in keys or holder if isinstance(holder.get(key), int))
-
-
-def _alone(edit: Edit, columns: Sequence[Column], shared: set[int]) -> list[bool]:
-    """Return for each column of an attribute whether its bytes and accessors have no other users."""
-    # The uses of every byte are counted, once for each column and for everything else that lies there: other
-    # accessors element by element (so that interleaving is not a conflict), sparse parts, and whole views that
-    # serve images, extensions, or nothing that we know.
-    accessors = edit.accessors
-
-    def canonical(layout: Layout) -> Layout:
-        return replace(layout, buffer=accessors.buffers.canonical(layout.buffer))
-
-    own = [[canonical(layout) for layout in column.accessor.layouts] for column in columns]
-    members = {member for column in columns for member in column.members}
-    other_layouts = [canonical(layout) for layout in _others(edit.container.tree, accessors, members)]
-    ranges = [(layout.buffer, layout.start, layout.end) for layout in chain(*own)]
-    buffer, start, end = np.array(ranges, np.int64).reshape(-1, 3).T
-    used = [
-        layout
-        for layout in [*chain(*own), *other_layouts]
-        if ((buffer == layout.buffer) & (start < layout.end) & (layout.start < end)).any()
-    ]
-    counts = {n: np.zeros(max(each.end for each in used if each.buffer == n), np.uint8) for n, *_ in ranges}
-    for layout in used:
-        uses = element_bytes(counts[layout.buffer], layout)
-        uses[...] = np.minimum(uses + 1, 2)
-    return [
-        bool(layouts)
-        and not column.members & shared
-        and all((element_bytes(counts[layout.buffer], layout) == 1).all() for layout in layouts)
-        for column, layouts in zip(columns, own, strict=True)
-    ]
-
-
-def _others(tree: Tree, accessors: Accessors, members: set[int]) -> Iterator[Layout]:
-    """Yield the byte ranges of everything except the elements of the columns."""
-    viewed = set()
-    for index, accessor in enumerate(accessors.all):
-        viewed.add(accessor.view)
-        if accessor.layout is not None and index not in members:
-            yield accessor.layout
-        if accessor.sparse is not None:
-            viewed |= {accessor.entry.value["sparse"][part]["bufferView"] for part in ("indices", "values")}
-            yield accessor.sparse.indices
-            if index not in members:
-                yield accessor.sparse.values
-    named = set(named_views({key: value for key, value in tree.items() if key != "accessors"}))
-    for index, view in enumerate(accessors.views):
-        if index in named or index not in viewed:
-            yield _whole(view)
-    for (index, extension), view in named_places(tree, accessors.buffers.lengths):
-        if extension is not None or accessors.views[index].packed is not None:
-            yield _whole(view)
-
-
-def _whole(view: View) -> Layout:
-    return Layout(view.buffer, view.offset, view.length, view.length, 1)
 
 
 def merge_buffers(edit: Edit) -> bytearray:

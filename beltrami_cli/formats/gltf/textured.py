@@ -12,11 +12,12 @@ import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.colours import display_colour
-from beltrami_cli.formats.gltf.accessors import TRIANGLES, Accessor, Accessors, Primitive, fractions
-from beltrami_cli.formats.gltf.container import Entry
-from beltrami_cli.formats.gltf.textures import SLOT_PATHS, Images, image_key
-from beltrami_cli.formats.gltf.vertex_colours import Placement, instances
+from beltrami_cli.formats.gltf.accessors import Accessor, fractions
+from beltrami_cli.formats.gltf.entries import Entry
+from beltrami_cli.formats.gltf.images import Images, image_key
+from beltrami_cli.formats.gltf.materials import SLOT_PATHS, TextureUse, looks, read_material, texture_uses
+from beltrami_cli.formats.gltf.nodes import Placement, instances
+from beltrami_cli.formats.gltf.primitives import TRIANGLES, Meshes, Primitive
 from beltrami_cli.formats.gltf.writer import OWN_COLOURS
 from beltrami_cli.formats.model_folder import UnfitReferenceError
 from beltrami_cli.formats.scene import Scene, ShownMap, no_texture
@@ -27,97 +28,7 @@ _MAX_ROWS = np.iinfo(np.int32).max
 # Colours of the vertices of a primitive by mesh and number, shape (n, 3) or with opacity (n, 4), linear.
 PrimitiveColours = Mapping[tuple[int, int], Float32s]
 
-_ALPHA: dict[str, records.AlphaMode] = {"MASK": "mask", "BLEND": "blend"}
-_TRANSFORM = "KHR_texture_transform"
-_VARIANTS = "KHR_materials_variants"
-_MAX_VARIANTS = 1 << 16
 _KEPT_ATTRIBUTES = ("POSITION", "NORMAL", "COLOR_0", OWN_COLOURS)
-
-
-@dataclass(frozen=True)
-class TextureUse:
-    """A texture as one slot of one material uses it."""
-
-    material: str  # name, for messages
-    info: Entry  # the textureInfo
-    texture: int
-    coordinates: str  # the attribute with its texture coordinates, "TEXCOORD_0" or another
-    transform: tuple[float, float, float, float, float, float]  # u' = a u + b v + c, v' = d u + e v + f
-    alpha_hides: bool  # whether the material's alphaMode makes anything of opacity; OPAQUE does not
-
-    def placed(self, uv: Float64s) -> Float64s:
-        """Return texture coordinates, shape (n, 2), with the transform applied."""
-        a, b, c, d, e, f = self.transform
-        with np.errstate(over="ignore", invalid="ignore"):
-            moved: Float64s = uv @ np.array([[a, d], [b, e]]) + np.array([c, f])
-        if not np.isfinite(moved).all():
-            raise self.info.fault("extensions", "its transform moves texture coordinates to infinity")
-        return moved
-
-
-def present_slots(root: Entry) -> tuple[Slot, ...]:
-    """Return the slots for which some material has a texture, the base colour first."""
-    materials = root.entries("materials")
-    return tuple(slot for slot in SLOT_PATHS if any(_infos(material, slot) for material in materials))
-
-
-def texture_uses(root: Entry, slot: Slot) -> list[list[TextureUse]]:
-    """Return the images of each material in a slot: none, one, or several alternatives."""
-    count = len(root.entries("textures"))
-    found: list[list[TextureUse]] = []
-    for index, material in enumerate(root.entries("materials")):
-        name = material.text("name") or f"material {index}"
-        hides = material.text("alphaMode") in ("MASK", "BLEND")
-        found.append([])
-        for info in _infos(material, slot):
-            transform = info.entry("extensions").entry(_TRANSFORM)
-            owner = transform if "texCoord" in transform else info
-            texture = info.integer("index", below=count)
-            coordinates = f"TEXCOORD_{owner.integer('texCoord', default=0)}"
-            found[-1].append(TextureUse(name, info, texture, coordinates, _affine(transform), hides))
-    return found
-
-
-def _looks(
-    primitive: Entry, materials: Sequence[Sequence[TextureUse]]
-) -> list[tuple[int, TextureUse | None]]:
-    """Return how a primitive can be shown, as (look, use); primitives show the same look at the same time."""
-    # Look 0 is what viewers show by default; then an extension's material in place of the core one, and variants.
-    default = _of_material(primitive, materials)
-    found: list[tuple[int, TextureUse | None]] = [(0, default[0] if default else None)]
-    found += [(1, use) for use in default[1:]]
-    for mapping in primitive.entry("extensions").entry(_VARIANTS).entries("mappings"):
-        chosen = _of_material(mapping, materials)[:1]
-        variants = mapping.integers("variants", below=_MAX_VARIANTS)
-        found += [(2 + variant, use) for variant in variants for use in chosen]
-    return found
-
-
-def _infos(material: Entry, slot: Slot) -> list[Entry]:
-    """Return the textureInfos that a material has for a slot, that of core glTF first."""
-    found = []
-    for *parents, last in SLOT_PATHS[slot]:
-        holder = material
-        for key in parents:
-            holder = holder.entry(key)
-        if last in holder:
-            found.append(holder.entry(last))
-    return found
-
-
-def _of_material(holder: Entry, materials: Sequence[Sequence[TextureUse]]) -> Sequence[TextureUse]:
-    return materials[holder.integer("material", below=len(materials))] if "material" in holder else ()
-
-
-def _affine(transform: Entry) -> tuple[float, float, float, float, float, float]:
-    """Return scale, then rotation, then offset."""
-    # The rotation is counter-clockwise as seen in the image, where v points down; the specification's text and
-    # examples mean that, though its GLSL turns the other way when read column by column.
-    x, y = transform.numbers("offset", 2) or (0.0, 0.0)
-    width, height = transform.numbers("scale", 2) or (1.0, 1.0)
-    angle = transform.number("rotation", default=0.0)
-    cosine, sine = float(np.cos(angle)), float(np.sin(angle))
-    return cosine * width, sine * height, x, -sine * width, cosine * height, y
 
 
 @dataclass(frozen=True)
@@ -125,7 +36,7 @@ class _Material:
     """A material as it is shown: its textures, and the images of these."""
 
     number: int
-    name: str
+    record: records.Material  # without its maps
     uses: Mapping[Slot, TextureUse]
     maps: Mapping[Slot, ShownMap]
 
@@ -149,18 +60,20 @@ class _Parts:
     def __init__(self, name: str, images: Images) -> None:
         self._name, self._images = name, images
         self.groups: dict[Hashable, list[_Part]] = {}  # by what shares vertices
-        self._materials: dict[Hashable, _Material] = {}
+        self.materials: dict[Hashable, _Material] = {}
         self._coordinates: dict[Hashable, Float64s] = {}
 
     def __iter__(self) -> Iterator[_Part]:
         return chain(*self.groups.values())
 
-    def material(self, key: Hashable, name: str, uses: Mapping[Slot, TextureUse]) -> _Material:
-        """Return a material, which is added when it is asked for first."""
-        if key not in self._materials:
+    def add_material(
+        self, key: Hashable, uses: Mapping[Slot, TextureUse], record: records.Material
+    ) -> _Material:
+        """Add a material unless it is known by its key."""
+        if key not in self.materials:
             maps = {slot: self._map(use) for slot, use in uses.items()}
-            self._materials[key] = _Material(len(self._materials), name, uses, maps)
-        return self._materials[key]
+            self.materials[key] = _Material(len(self.materials), record, uses, maps)
+        return self.materials[key]
 
     def _map(self, use: TextureUse) -> ShownMap:
         name = self._images.textures[use.texture].place
@@ -180,10 +93,6 @@ class _Parts:
         position = primitive.position()
         faces = placement.facing(primitive.triangles(position.count))
         return (position, faces) if len(faces) else None
-
-    def made_material(self, key: Hashable, name: str) -> records.Material:
-        del key
-        return records.Material(name)
 
     def rows_of(self, parts: Sequence[_Part]) -> Bools:
         """Return which positions the parts of one group use."""
@@ -215,8 +124,8 @@ class _Parts:
             corners=np.concatenate(corners).astype(np.int32),
             offsets=3 * np.arange(len(material_of) + 1),
             material_of=material_of,
-            materials=[self.made_material(key, each.name) for key, each in self._materials.items()],
-            maps=[each.maps for each in self._materials.values()],
+            materials=[each.record for each in self.materials.values()],
+            maps=[each.maps for each in self.materials.values()],
             uv=self._uv,
             tiles={},
             read=lambda key: self._images.data(keys[key]),
@@ -244,11 +153,11 @@ class _Parts:
 
 
 def gather_textured(
-    root: Entry, accessors: Accessors, places: Sequence[Placement], images: Images, slot: Slot
+    root: Entry, meshes: Meshes, places: Sequence[Placement], images: Images, slot: Slot
 ) -> tuple[records.TexturedSurface, list[str]]:
     """Gather all triangles of a file and the images that one slot shows on them, with notices for the user."""
     parts = _SurfaceParts(root, images, slot)
-    for mesh, placement in zip(accessors.meshes, places, strict=True):
+    for mesh, placement in zip(meshes, places, strict=True):
         for primitive in mesh:
             parts.take(primitive, placement)
     if not any(part.material.maps for part in parts):
@@ -284,19 +193,19 @@ class _SurfaceParts(_Parts):
         if found is None:
             return
         place = found[0].identity
-        for look, use in _looks(primitive.entry, self._uses):
+        for look, use in looks(primitive.entry, self._uses):
             key: tuple[Hashable, ...] = place, primitive.drawing_key()
-            name, uses = "", dict[Slot, TextureUse]()
-            if use is not None and use.coordinates in primitive:
+            if use is not None and use.coordinates not in primitive:
+                self.counts["bare"] += 1
+                use = None
+            if use is not None:
                 key += use.texture, use.transform, primitive.accessor(use.coordinates).identity
-                name, uses = use.material, {self._slot: use}
-            self.counts["bare"] += use is not None and not uses
-            material = self.material(use.info.place if use and uses else None, name, uses)
+            material = self._material(use)
             shown = material.maps.get(self._slot)
             is_shown = shown is not None and shown.path is not None
             if look and not is_shown:
                 if shown is not None:
-                    left = f"The {self._slot} texture of {name!r} is left as it is"
+                    left = f"The {self._slot} texture of {material.record.name!r} is left as it is"
                     self.missing[f"{left}: '{shown.name}' {shown.obstacle.cause}."] = None
                 continue
             self.counts["instanced"] += not look and is_shown and (placement.nodes > 1 or key in self._seen)
@@ -306,14 +215,19 @@ class _SurfaceParts(_Parts):
                 part = _Part(primitive, placement, *found, material, look)
                 self.groups.setdefault(group, []).append(part)
 
+    def _material(self, use: TextureUse | None) -> _Material:
+        if use is None:
+            return self.add_material(None, {}, records.Material())
+        return self.add_material(use.info.place, {self._slot: use}, records.Material(use.material))
+
 
 def read_textured_mesh(
-    root: Entry, accessors: Accessors, images: Images, colours: PrimitiveColours, stored: str
+    root: Entry, meshes: Meshes, images: Images, colours: PrimitiveColours, stored: str
 ) -> records.MeshContents:
     """Return the triangles of the default scene, at every place where a node shows them, with their materials."""
     parts = _MeshParts(root, images)
     for index, placement, name in instances(root):
-        for number, primitive in enumerate(accessors.meshes[index]):
+        for number, primitive in enumerate(meshes[index]):
             parts.take(primitive, placement, name, colours.get((index, number)))
     if not parts.groups:
         raise InputError(root.name, "its scene has no triangles, so there is nothing to show a texture")
@@ -340,25 +254,31 @@ class _MeshParts(_Parts):
         found = self.drawn(primitive, placement)
         if found is None:
             return
-        index, uses = None, dict[Slot, TextureUse]()
-        if "material" in primitive.entry:
-            index = primitive.entry.integer("material", below=len(self._entries))
-            uses = {slot: found[index][0] for slot, found in self._by_slot.items() if found[index]}
-        if index is not None:
-            self.left_out += self._entries[index].entry("extensions").value
-        for slot, use in uses.items():
-            factors = [key for key in ("scale", "strength") if use.info.number(key, default=1.0) != 1]
-            self.left_out += [f"the {key} of {slot} maps" for key in factors]
-            self.left_out += ["sharp texels"] if self._images.has_sharp_texels(use.texture) else []
-        part = _Part(primitive, placement, *found, self.material(index, "", uses), group=group)
+        material = self._material(primitive.entry)
+        part = _Part(primitive, placement, *found, material, group=group)
         self.groups[len(self.groups)] = [part]
         self._colours.append(self._of_part(part, colours))
-        coordinates = {use.coordinates for use in uses.values()} or {"TEXCOORD_0"}
+        coordinates = {use.coordinates for use in material.uses.values()} or {"TEXCOORD_0"}
         for name in primitive.attributes.value:
             if name.startswith("TEXCOORD_"):
                 self.left_out += () if name in coordinates else ("further texture coordinates",)
             elif name not in _KEPT_ATTRIBUTES and not name.startswith(("JOINTS_", "WEIGHTS_")):
                 self.left_out.append(f"attribute {name}")
+
+    def _material(self, primitive: Entry) -> _Material:
+        """Return the material of a primitive, and note what of it is lost."""
+        if "material" not in primitive:
+            return self.add_material(None, {}, records.Material(metalness=1.0))
+        index = primitive.integer("material", below=len(self._entries))
+        if index in self.materials:
+            return self.materials[index]
+        uses = {slot: found[index][0] for slot, found in self._by_slot.items() if found[index]}
+        self.left_out += self._entries[index].entry("extensions").value
+        for slot, use in uses.items():
+            factors = [key for key in ("scale", "strength") if use.info.number(key, default=1.0) != 1]
+            self.left_out += [f"the {key} of {slot} maps" for key in factors]
+            self.left_out += ["sharp texels"] if self._images.has_sharp_texels(use.texture) else []
+        return self.add_material(index, uses, read_material(self._entries[index]))
 
     def _of_part(self, part: _Part, colours: Float32s | None) -> Float32s | None:
         """Return the colours of the vertices of a part, shape (n, 3) or (n, 4)."""
@@ -376,27 +296,6 @@ class _MeshParts(_Parts):
             return np.full((len(part.faces), 3, 3), np.nan)
         normals = part.primitive.fitting("NORMAL", "VEC3", part.position.count)
         return part.placement.normals(normals)[part.faces]
-
-    def made_material(self, key: Hashable, name: str) -> records.Material:
-        if not isinstance(key, int):
-            return records.Material(metalness=1.0)
-        entry = self._entries[key]
-        base = entry.entry("pbrMetallicRoughness")
-        factor = base.numbers("baseColorFactor", 4) or [1.0] * 4
-        alpha, cutoff = _ALPHA.get(entry.text("alphaMode") or "", "opaque"), records.Material.cutoff
-        if alpha == "mask":
-            given = entry.number("alphaCutoff", default=cutoff)
-            alpha, cutoff = ("mask", given) if given > 0 else ("opaque", cutoff)  # at 0 all is seen
-        return records.Material(
-            name=entry.text("name") or "",
-            colour=display_colour(factor[:3]),
-            emission=display_colour(entry.numbers("emissiveFactor", 3) or [0.0] * 3),
-            opacity=1.0 if alpha == "opaque" else min(max(factor[3], 0.0), 1.0),
-            metalness=base.number("metallicFactor", default=1.0),
-            roughness=base.number("roughnessFactor", default=1.0),
-            alpha=alpha,
-            cutoff=cutoff,
-        )
 
     def vertex_colours(self, stored: str) -> dict[str, Any]:
         """Return the colours of all vertices; white for parts without colours, as glTF has it."""

@@ -1,4 +1,4 @@
-"""The placements of meshes in a glTF file, and its coloured primitives as blocks of rows, which can get new values.
+"""The coloured primitives of a glTF file as blocks of rows, which can get new values.
 
 A mesh is taken at the first node that shows it. A block is one pair of positions and colours. Primitives that use the
 same pair (the same accessors, or accessors over the same bytes) share its rows, so that every stored colour has
@@ -8,18 +8,21 @@ exactly one row.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
-from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
+from beltrami_cli.arrays import Float32s, Float64s, Int32s
 from beltrami_cli.errors import NoColoursError
 from beltrami_cli.formats.colours import quantised
-from beltrami_cli.formats.gltf.accessors import Accessor, Accessors, Primitive, Stored, fractions
-from beltrami_cli.formats.gltf.container import Entry, primitives_of
-from beltrami_cli.formats.gltf.edit import Column, Edit, exchange
+from beltrami_cli.formats.gltf.accessors import Accessor, Stored, fractions
+from beltrami_cli.formats.gltf.edit import Edit
+from beltrami_cli.formats.gltf.entries import primitives_of
+from beltrami_cli.formats.gltf.new_attributes import Column, exchange
+from beltrami_cli.formats.gltf.nodes import Placement
+from beltrami_cli.formats.gltf.primitives import Meshes, Primitive
 from beltrami_cli.surface.geometry import unit_vectors
 from beltrami_cli.surface.records import ColouredVertices, MovedVertices
 
@@ -30,117 +33,12 @@ _INDICES = ("JOINTS_", "WEIGHTS_")
 _STALE_NOTICE = "The vertices moved, but their {} are as they were; make them again, or leave them out."
 
 
-@dataclass(frozen=True)
-class Placement:
-    """The placement of a mesh."""
-
-    matrix: Float64s  # (4, 4), from the mesh's own space to the common one; acts on columns
-    # 0: the default scene (all scenes, if none is); each other scene and unplaced mesh has its own.
-    space: int
-    nodes: int  # how many nodes show the mesh, in all scenes
-
-    def facing(self, faces: Int64s) -> Int64s:
-        """Return triangles facing outwards: a mirrored node turns them inside out."""
-        return faces[:, ::-1] if np.linalg.det(self.matrix[:3, :3]) < 0 else faces
-
-    def positions(self, accessor: Accessor, used: slice | Bools = slice(None)) -> Float64s:
-        """Return all or the used positions of an accessor, shape (n, 3), in the common space."""
-        positions = accessor.values()[used]
-        with np.errstate(over="ignore", invalid="ignore"):
-            moved: Float64s = positions @ self.matrix[:3, :3].T + self.matrix[:3, 3]
-        if not np.isfinite(moved).all():
-            raise accessor.entry.fault("", "positions overflow in world space")
-        return moved
-
-    def normals(self, accessor: Accessor) -> Float64s:
-        """Return the unit normals of an accessor, shape (n, 3), in the common space; zero vectors stay zero."""
-        a, b, c = self.matrix[:3, :3].T
-        # The cofactor matrix is the inverse transpose times the determinant, and exists for flat scales too.
-        cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)
-        sign = -1.0 if a @ cofactors[:, 0] < 0 else 1.0
-        return unit_vectors(accessor.values() @ (sign * cofactors).T)
-
-
-def placements(root: Entry) -> list[Placement]:
-    """Return the place of every mesh: its first node, depth first, the default scene before the others."""
-    scenes = root.entries("scenes")
-    default = root.integer("scene", below=len(scenes)) if "scene" in root else None
-    order = sorted(range(len(scenes)), key=lambda scene: scene != default)
-    shown: dict[int, list[tuple[Float64s, int]]] = {}
-    for rank, mesh, place, _ in _shown(root, [scenes[scene] for scene in order]):
-        shown.setdefault(mesh, []).append((place, 0 if default is None else rank))
-    found = []
-    for mesh in range(len(root.entries("meshes"))):
-        places = shown.get(mesh) or [(np.eye(4), len(scenes) + mesh)]
-        found.append(Placement(*places[0], nodes=len(places)))
-    return found
-
-
-def instances(root: Entry) -> list[tuple[int, Placement, str]]:
-    """Return every mesh that a node of the default scene shows (of all scenes, if none is), its place and its name."""
-    meshes, scenes = root.entries("meshes"), root.entries("scenes")
-    chosen = [scenes[root.integer("scene", below=len(scenes))]] if "scene" in root else scenes
-    return [
-        (mesh, Placement(place, 0, 1), node.text("name") or meshes[mesh].text("name") or "")
-        for _, mesh, place, node in _shown(root, chosen)
-    ]
-
-
-def _shown(root: Entry, scenes: Sequence[Entry]) -> Iterator[tuple[int, int, Float64s, Entry]]:
-    """Yield the nodes with a mesh, depth first: the number of the scene, the mesh, its matrix and the node."""
-    nodes, meshes = root.entries("nodes"), root.entries("meshes")
-    children = [node.integers("children", below=len(nodes)) for node in nodes]
-    parent: dict[int, int] = {}
-    for index, child in ((index, child) for index, named in enumerate(children) for child in named):
-        if child in parent:
-            raise nodes[index].fault("children", f"nodes[{child}] has another parent, nodes[{parent[child]}]")
-        parent[child] = index
-    scene_of: dict[int, int] = {}  # the first that shows a node
-    for number, scene in enumerate(scenes):
-        stack = [(index, np.eye(4)) for index in reversed(scene.integers("nodes", below=len(nodes)))]
-        while stack:
-            index, above = stack.pop()
-            if scene_of.get(index) == number:
-                raise scene.fault("nodes", f"nodes[{index}] is reached twice: the nodes are not a tree")
-            if index in scene_of:
-                continue
-            scene_of[index], node = number, nodes[index]
-            with np.errstate(over="ignore", invalid="ignore"):
-                matrix = above @ _local(node)
-            if not np.isfinite(matrix).all():
-                raise node.fault("", "its transform is too large to compute with")
-            stack += [(child, matrix) for child in reversed(children[index])]
-            if "mesh" in node:
-                # A skin's joints place the mesh, and its stored positions are the bind pose.
-                mesh = node.integer("mesh", below=len(meshes))
-                yield number, mesh, np.eye(4) if "skin" in node else matrix, node
-
-
-def _local(node: Entry) -> Float64s:
-    """Return a node's own transform: its matrix, or translation times rotation times scale."""
-    columns = node.numbers("matrix", 16)
-    if columns is not None:
-        return np.array(columns).reshape(4, 4).T
-    quaternion = np.array(node.numbers("rotation", 4) or [0.0, 0.0, 0.0, 1.0])
-    if not quaternion.any():
-        raise node.fault("rotation", "is a quaternion of length zero")
-    scaled = quaternion / np.abs(quaternion).max()
-    x, y, z, w = scaled / np.linalg.norm(scaled)
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    rotation = np.eye(3) + 2 * (w * cross + cross @ cross)
-    matrix = np.eye(4)
-    matrix[:3, :3] = rotation * np.array(node.numbers("scale", 3) or [1.0, 1.0, 1.0])
-    matrix[:3, 3] = node.numbers("translation", 3) or [0.0, 0.0, 0.0]
-    return matrix
-
-
 @dataclass
 class Block:
     """The rows of one pair of accessors, from `first_row` on."""
 
-    accessors: dict[
-        str, Accessor
-    ]  # by attribute: positions, colours, and normals if the first primitive has any
+    # By attribute: positions, colours, and normals if the first primitive has any.
+    accessors: dict[str, Accessor]
     placement: Placement  # of the mesh that uses the pair first
     first_row: int
     count: int
@@ -159,14 +57,13 @@ class Block:
 class Surface:
     """All blocks and their triangles: of primitives that have COLOR_0, in file order."""
 
-    def __init__(self, name: str, accessors: Accessors, places: Sequence[Placement]) -> None:
-        self._accessors = accessors
+    def __init__(self, name: str, meshes: Meshes, places: Sequence[Placement]) -> None:
         self.blocks: list[Block] = []
         self._block_of: dict[Hashable, Block] = {}
         self._faces: dict[Hashable, Int32s] = {}
         self._rows = 0
         self._counts = dict.fromkeys(("uncoloured", "elsewhere", "instanced", "morphed", "plain"), 0)
-        for number, (mesh, placement) in enumerate(zip(accessors.meshes, places, strict=True)):
+        for number, (mesh, placement) in enumerate(zip(meshes, places, strict=True)):
             for part, primitive in enumerate(mesh):
                 self._take(primitive, placement, (number, part))
         if not self.blocks:
@@ -266,6 +163,12 @@ class Surface:
                 opaque[block.rows] = np.clip(fractions(numbers[:, 3]), 0, 1)
         return opaque
 
+    def by_primitive(self, colours: Float32s) -> dict[tuple[int, int], Float32s]:
+        """Return colours (V, 3), with opacity if there is any, of each primitive by mesh and index in the mesh."""
+        alpha = self.opacity()
+        rows = colours if alpha is None else np.column_stack([colours, alpha])
+        return {user: rows[block.rows] for block in self.blocks for user in block.users}
+
     def normals(self) -> Float32s | None:
         """Return unit normals in world space if every block has them; zero vectors stay zero."""
         if any("NORMAL" not in block.accessors for block in self.blocks):
@@ -360,7 +263,7 @@ class Surface:
 
     def _exchange(self, edit: Edit, attribute: str, renewed: Callable[[Block, Stored], Stored]) -> None:
         """Exchange an attribute of all blocks, which may share its numbers; only new rows are written."""
-        accessors = self._accessors
+        accessors = edit.accessors
         members: dict[Hashable, set[int]] = defaultdict(
             set
         )  # accessors that primitives name, coloured or not

@@ -18,9 +18,11 @@ from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.colours import linear_colours, quantised
 from beltrami_cli.formats.conversion import not_converted
 from beltrami_cli.formats.gltf.accessors import COMPONENTS, Stored, padded_elements
-from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, Tree, glb_pieces
-from beltrami_cli.formats.gltf.edit import INDEX_DATA, VERTEX_DATA
-from beltrami_cli.formats.gltf.textures import MEDIA, SLOT_PATHS, WRAPS
+from beltrami_cli.formats.gltf.buffers import INDEX_DATA, VERTEX_DATA
+from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, glb_pieces
+from beltrami_cli.formats.gltf.entries import Tree
+from beltrami_cli.formats.gltf.images import MEDIA, WRAPS
+from beltrami_cli.formats.gltf.materials import SLOT_PATHS
 from beltrami_cli.formats.textured_mesh import (
     bare_polygons,
     image_names,

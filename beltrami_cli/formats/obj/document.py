@@ -19,17 +19,12 @@ from beltrami_cli.formats.comparison import Fingerprint, labelled
 from beltrami_cli.formats.conversion import with_vertex_colours
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.model_folder import ModelFolder
-from beltrami_cli.formats.obj.materials import Materials, renaming
+from beltrami_cli.formats.obj.materials import Materials
+from beltrami_cli.formats.obj.polypaint import with_entries, without_entries
+from beltrami_cli.formats.obj.renaming import renaming
 from beltrami_cli.formats.obj.statements import Statements
 from beltrami_cli.formats.obj.textured import Coordinates, convert, read_coordinates, read_scene
-from beltrami_cli.formats.obj.vertices import (
-    Scan,
-    among,
-    new_positions,
-    read_normals,
-    scan_file,
-    with_entries,
-)
+from beltrami_cli.formats.obj.vertices import Scan, among, new_positions, read_normals, scan_file
 from beltrami_cli.formats.scene import Scene
 from beltrami_cli.formats.tokens import (
     PLACEHOLDER,
@@ -39,14 +34,12 @@ from beltrami_cli.formats.tokens import (
     renumbered,
     shifted,
     without_tokens,
-    zeroed,
 )
 from beltrami_cli.surface.records import MeshContents, Slot
 
 _STALE_NOTICE = (
     "The vertices moved, but the normals ('vn') are as they were; make them again, or leave them out."
 )
-_BYTES_OF_POLYPAINT = 6  # of an entry, after two digits of the mask
 
 
 class ObjDocument(Document):
@@ -162,7 +155,7 @@ class ObjDocument(Document):
         mentions: Spans = {(a, b): PLACEHOLDER for library in libraries for _, a, b in library.mentions}
         colours = {"vertex colours": self._colours} if self.has_vertex_colours() else {}
         if self._scan.polypaint is not None:
-            data = zeroed(data, self._scan.polypaint.starts + 2, _BYTES_OF_POLYPAINT)
+            data = without_entries(data, self._scan.polypaint.starts)
         text = exchange_spans(data, mentions)
         if colours and self._scan.polypaint is None:
             tokens = vertices.token_starts, vertices.token_ends

@@ -1,4 +1,4 @@
-"""The materials of an OBJ file: its libraries (MTL), their texture maps, and the image files; and their replacement.
+"""The materials of an OBJ file: its libraries (MTL) [1]_, their texture maps, and the image files.
 
 References
 ----------
@@ -8,24 +8,13 @@ References
 from __future__ import annotations
 
 import os
-import posixpath
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import PurePosixPath
 
 from beltrami_cli.errors import Obstacle
-from beltrami_cli.formats.changes import Naming, NewImages, Written
 from beltrami_cli.formats.model_folder import IGNORED, ModelFolder, UnfitReferenceError, is_outside
-from beltrami_cli.formats.new_files import (
-    NewFiles,
-    common_suffix,
-    new_files,
-    new_reference,
-    path_inside,
-    slots_by_path,
-)
-from beltrami_cli.formats.tokens import Spans, exchange_spans
 from beltrami_cli.surface.records import Slot
 
 SLOTS: dict[str, Slot] = {
@@ -247,108 +236,3 @@ def _split(names: str) -> Iterator[tuple[int, int]]:
         at = match.end()
     for match in _WORD.finditer(names, at):
         yield match.span()
-
-
-@dataclass(frozen=True)
-class Renaming:
-    """New names in an OBJ file and its libraries, and the sidecar files of the output except the libraries."""
-
-    files: NewFiles
-    spans: Spans  # in the model
-    libraries: dict[str, tuple[Library, Spans]]  # those that change, by their new names
-
-    @property
-    def sidecar_names(self) -> list[str]:
-        return [*self.files.sidecars, *self.libraries, *self.files.copied]
-
-    def written(self) -> Written:
-        """Return the sidecar files."""
-        edited = {name: exchange_spans(library.data, own) for name, (library, own) in self.libraries.items()}
-        return replace(self.files.written(), sidecars=self.files.sidecars | edited)
-
-
-def renaming(materials: Materials, images: NewImages, source: str, naming: Naming) -> Renaming:
-    """Name the sidecar files of an OBJ file with new images."""
-    missing = [found.name for library in materials.libraries for found, path in library.maps if path is None]
-    names = NewFiles(naming, source, materials.paths, missing)
-    edits = _take_images(materials, images, names)
-    _rename_others(materials, names, edits)
-    spans: Spans = {}
-    changed: dict[str, tuple[Library, Spans]] = {}
-    for library in materials.libraries:
-        edits_of_file = edits.get(library.path, {})
-        outside = is_outside(library.path)
-        differs = any(library.data[start:end] != new for (start, end), new in edits_of_file.items())
-        is_new = bool(edits_of_file) and (outside or differs)
-        if not is_new and (outside or not names.copies):
-            for name, _, _ in library.mentions if outside else ():
-                names.leave(name)
-            continue
-        new = names.other(library.path, ".mtl")
-        for name, start, end in library.mentions:
-            spans[start, end] = new_reference(name, library.path, new)
-        if is_new:
-            changed[new] = library, edits_of_file
-        else:
-            names.copied[new] = library.path
-    return Renaming(names, spans, changed)
-
-
-def _take_images(materials: Materials, images: NewImages, names: NewFiles) -> dict[str, Spans]:
-    """Put new images among the sidecars, other tiles of their sets among the copies; return new names by library."""
-    edits: dict[str, Spans] = {}
-    for (path, files), slots in slots_by_path(images, lambda slot, file: materials.named(file)).items():
-        # Equal images of two slots are one file; maps of the base colour may be of other slots, too.
-        maps = [each for slot in slots for each in materials.affected(slot, path)]
-        affected = list({id(found): (library, found) for library, found in maps}.values())
-        followed = {id(found) for _, found in affected}
-        for library in materials.libraries:
-            for found, used in library.maps:
-                if used == path and id(found) not in followed and found.keyword not in SLOTS:
-                    names.note_stale_use(f"{found.keyword} of material {found.material}", path)
-        # Its name is free only if no map that keeps the old image has it.
-        is_replaced = len(affected) == materials.uses(path)
-        suffix = common_suffix(image.suffix for _, image in files)
-        new = names.image(path, suffix, is_replaced=is_replaced, tiles=materials.folder.tiles.get(path, ()))
-        new_of = new_files(path, new, materials.folder.tiles)
-        names.sidecars |= {new_of.pop(file): image.content for file, image in files}
-        names.copied |= {file: old for old, file in new_of.items() if file != old}
-        for library, found in affected:
-            edits.setdefault(library.path, {})[found.start, found.end] = _spelled(found, path, new, library)
-    return edits
-
-
-def _rename_others(materials: Materials, names: NewFiles, edits: dict[str, Spans]) -> None:
-    """Name the images that stay as they are, for libraries that are written, or copied, into another folder."""
-    tiles, new_of = materials.folder.tiles, dict[str, str]()
-    for library in materials.libraries:
-        comes_inside = is_outside(library.path)
-        if not edits.get(library.path) if comes_inside else not names.copies:
-            continue
-        edits_of_file = edits.setdefault(library.path, {})
-        for found, path in library.maps:
-            if path is None or (found.start, found.end) in edits_of_file:
-                continue
-            if is_outside(path) and not comes_inside:
-                names.leave(found.name)
-                continue
-            if path not in new_of:
-                moves = is_outside(path) or names.copies
-                new_of[path] = names.image(path, tiles=tiles.get(path, ())) if moves else path
-                for old, new in new_files(path, new_of[path], tiles).items() if moves else ():
-                    if is_outside(old):
-                        names.sidecars[new] = materials.folder.content(old)
-                    else:
-                        names.copied[new] = old
-            edits_of_file[found.start, found.end] = _spelled(found, path, new_of[path], library)
-
-
-def _spelled(found: Map, path: str, new: str, library: Library) -> bytes:
-    """Return the name in a library of an image that moves from one path to another."""
-    plain = PurePosixPath(found.name.replace("\\", "/"))
-    leads_there = posixpath.normpath(PurePosixPath(library.path).parent / plain) == path
-    is_plain = leads_there and ".." not in plain.parts
-    if is_outside(path) or is_outside(library.path) or not (is_plain or new == path):
-        home = PurePosixPath(path_inside(library.path)).parent
-        return os.fsencode("../" * len(home.parts) + new)
-    return new_reference(found.name, path, new)

@@ -3,21 +3,17 @@
 Numbers of a `v` line: six are x y z r g b, and eight x y z w r g b a. Seven are x y z r g b a, unless all such lines
 of the file have 1 as the fourth number and not all of them 1 as the seventh: then they are x y z w r g b. With three
 to five numbers a vertex has no colour.
-
-ZBrush's polypaint stands in comments, as MMRRGGBB in hexadecimal digits. MM is a mask, which is kept. Lines start with
-``#MRGB`` and hold up to 64 entries, in the order of the `v` lines.
 """
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
+from beltrami_cli.arrays import Bools, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.colours import quantised
+from beltrami_cli.formats.obj.polypaint import MARK, Polypaint, read_polypaint
 from beltrami_cli.formats.obj.statements import Statements
 from beltrami_cli.formats.tokens import NewNumbers, most_decimals
 from beltrami_cli.surface.geometry import unit_vectors
@@ -25,14 +21,6 @@ from beltrami_cli.surface.polygons import polygons_of, polygons_with
 
 _SIZES = (3, 4, 5, 6, 7, 8)
 _WITH_COLOURS, _WITH_ALPHA_OR_WEIGHT, _WITH_ALPHA_AND_WEIGHT = 6, 7, 8  # numbers of a vertex with colours
-
-_MARK = b"#MRGB"
-_LINE = re.compile(rb"^[ \t]*#MRGB[ \t]+(\S*)", re.MULTILINE)
-_ENTRY = 8  # digits of an entry of polypaint
-_UPPER, _LOWER = (np.frombuffer(digits, np.uint8) for digits in (b"0123456789ABCDEF", b"0123456789abcdef"))
-# By ASCII code, the value of a hexadecimal digit, 255 for anything else.
-_VALUES = np.full(256, 255, np.uint8)
-_VALUES[_UPPER] = _VALUES[_LOWER] = np.arange(16)
 
 _COORDINATE_DIGITS = 8  # of the largest new coordinate, at least: a little more than float32 has
 _MAX_DECIMALS = 17
@@ -94,32 +82,6 @@ def _read_vertices(statements: Statements) -> Vertices:
     )
 
 
-@dataclass(frozen=True)
-class Polypaint:
-    """The entries of a file."""
-
-    colours: Uint8s  # (N, 3)
-    starts: Int64s  # (N,) where the first digit of every entry stands in the file
-
-
-def _read_polypaint(data: bytes, vertices: int, name: str) -> Polypaint | None:
-    lines = [match.span(1) for match in _LINE.finditer(data)]
-    if not lines:
-        return None
-    starts = np.concatenate([np.arange(begin, end, _ENTRY) for begin, end in lines])
-    text = np.frombuffer(data, np.uint8)
-    if len(starts) != vertices:
-        cause = f"there are {len(starts)} colours in its #MRGB lines, but {vertices} vertices"
-        raise InputError(name, cause, "export the mesh again")
-    for begin, end in lines:
-        if (end - begin) % _ENTRY or (_VALUES[text[begin:end]] > 15).any():
-            line = data.count(b"\n", 0, begin) + 1
-            cause = f"line {line}: its #MRGB colours are not of {_ENTRY} hexadecimal digits each"
-            raise InputError(name, cause)
-    digits = _VALUES[text[starts[:, None] + np.arange(2, _ENTRY)]].reshape(-1, 3, 2)
-    return Polypaint(digits[:, :, 0] * np.uint8(16) + digits[:, :, 1], starts)
-
-
 def _with_polypaint(polypaint: Polypaint, vertices: Vertices, statements: Statements) -> Vertices:
     """Return vertices without colours on their lines with the polypaint colours; only positions have tokens."""
     tokens, offsets = statements.arguments(statements.select(b"v"))
@@ -132,18 +94,6 @@ def _with_polypaint(polypaint: Polypaint, vertices: Vertices, statements: Statem
         token_starts=statements.starts[places],
         token_ends=statements.ends[places],
     )
-
-
-def with_entries(data: bytes, starts: Int64s, colours: Float32s, changed: Bools) -> bytes:
-    """Replace the digits of changed colours, (N, 3), rounded to 8 bits; other bytes stay unchanged."""
-    text = np.frombuffer(data, np.uint8).copy()
-    written = text[starts[:, None] + np.arange(_ENTRY)]
-    digits = _LOWER if (written >= ord("a")).any() else _UPPER
-    rows, channels = np.nonzero(changed)
-    values = quantised(colours[rows, channels], np.uint8)
-    places = starts[rows] + 2 + 2 * channels
-    text[places], text[places + 1] = digits[values >> 4], digits[values & 15]
-    return text.tobytes()
 
 
 def new_positions(
@@ -187,8 +137,8 @@ def scan_file(statements: Statements) -> Scan:
     vertices, polypaint = _read_vertices(statements), None
     notices = []
     if not vertices.coloured.size:
-        polypaint = _read_polypaint(data, len(vertices.positions), name)
-    elif _MARK in data:
+        polypaint = read_polypaint(data, len(vertices.positions), name)
+    elif MARK in data:
         notices.append(_DUPLICATE_NOTICE)
     if polypaint is not None:
         polypaint = Polypaint(polypaint.colours[vertices.finite], polypaint.starts[vertices.finite])

@@ -19,13 +19,20 @@ from beltrami_cli.formats.comparison import Fingerprint, labelled
 from beltrami_cli.formats.conversion import with_vertex_colours
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.model_folder import ModelFolder, is_outside
-from beltrami_cli.formats.ply import elements, texturing
+from beltrami_cli.formats.ply import texturing
+from beltrami_cli.formats.ply.colours import (
+    ColourProperties,
+    Colours,
+    find_colours,
+    read_colours,
+    require_no_splats,
+)
+from beltrami_cli.formats.ply.header import NORMAL, POSITION, Header, read_header
+from beltrami_cli.formats.ply.polygons import VERTEX_LISTS, read_grid, read_polygons
 from beltrami_cli.formats.ply.tables import (
-    Header,
     Places,
     Table,
     indices,
-    read_header,
     read_tables,
     values_in_bytes,
     with_channels,
@@ -56,7 +63,7 @@ class PlyDocument(Document):
     def _open(self, folder: Path | None) -> None:
         self._folder = ModelFolder(folder, self.access)
         self._header = read_header(self.data, self.name)
-        elements.require_no_splats(self._header, self.name)
+        require_no_splats(self._header, self.name)
 
     @cached_property
     def _mesh(self) -> MeshContents:
@@ -81,7 +88,7 @@ class PlyDocument(Document):
         return self._colours.scale
 
     def grid(self) -> Int64s | None:
-        return elements.read_grid(self.data[: self._header.end], self._tables)
+        return read_grid(self.data[: self._header.end], self._tables)
 
     def has_vertex_colours(self) -> bool:
         try:
@@ -127,9 +134,9 @@ class PlyDocument(Document):
         ]
 
     def _moved(self, places: MovedVertices) -> list[_Change]:
-        columns = dict(zip(elements.POSITION, places.positions.T, strict=True))
-        if places.normals is not None and "normal" in elements.attribute_names(self._kinds, ()):
-            columns |= zip(elements.NORMAL, places.normals.T, strict=True)
+        columns = dict(zip(POSITION, places.positions.T, strict=True))
+        if places.normals is not None and self._has_real_normals:
+            columns |= zip(NORMAL, places.normals.T, strict=True)
         changes = []
         for name, column in columns.items():
             rows = (column != self._vertices.scalars(name)) & ~np.isnan(column)
@@ -138,15 +145,17 @@ class PlyDocument(Document):
         return changes
 
     def attributes(self) -> tuple[str, ...]:
-        if self.has_vertex_colours() and self._colours_faces:
-            return ()
-        return elements.attribute_names(
-            self._kinds, self._properties.names if self.has_vertex_colours() else ()
-        )
+        colours: tuple[str, ...] = ()
+        if self.has_vertex_colours():
+            if self._colours_faces:
+                return ()
+            colours = self._properties.names
+        others = tuple(name for name in self._kinds if name not in (*POSITION, *colours))
+        return (*(["normal"] if self._has_real_normals else []), *others)
 
     def _attribute(self, name: str) -> Float64s:
-        names = elements.NORMAL if name == "normal" else (name,)
-        values = elements.finite_columns(self._vertices, names, name)
+        names = NORMAL if name == "normal" else (name,)
+        values = self._vertices.columns(names, name)
         return unit_vectors(values) if name == "normal" else values
 
     def require_movable(self) -> None:
@@ -154,7 +163,7 @@ class PlyDocument(Document):
             raise InputError(
                 self.name, "its colours are of faces, which do not move", "leave --smooth-geometry out"
             )
-        whole = ", ".join(name for name in elements.POSITION if self._kinds[name][0] != "f")
+        whole = ", ".join(name for name in POSITION if self._kinds[name][0] != "f")
         if whole:
             cause = f"the coordinates {whole} are whole numbers, which cannot hold smoothed positions"
             raise InputError(self.name, cause, "store them as float or double")
@@ -201,7 +210,7 @@ class PlyDocument(Document):
         colours = (
             {*self._properties.names, self._properties.alpha} if self.has_vertex_colours() else set[str]()
         )
-        return {*elements.POSITION, *colours, *(elements.NORMAL if self._has_normals else ())}
+        return {*POSITION, *colours, *(NORMAL if self._has_normals else ())}
 
     def facts(self) -> dict[str, object]:
         return {
@@ -250,7 +259,7 @@ class PlyDocument(Document):
         element = self._header.element("vertex")
         if element is None or element.count == 0:
             raise InputError(self.name, "there are no vertices", "nothing in it can be smoothed")
-        missing = set(elements.POSITION) - element.scalars.keys()
+        missing = set(POSITION) - element.scalars.keys()
         if missing:
             raise InputError(self.name, f"vertices have no property {', '.join(sorted(missing))}")
         return self._tables["vertex"]
@@ -260,9 +269,9 @@ class PlyDocument(Document):
         return self._vertices.element.scalars
 
     @cached_property
-    def _properties(self) -> elements.ColourProperties:
+    def _properties(self) -> ColourProperties:
         tables = self._header, self._vertices, self._tables.get("face")
-        return elements.find_colours(*tables, self.access.channels)
+        return find_colours(*tables, self.access.channels)
 
     @property
     def _coloured(self) -> Table:
@@ -279,30 +288,30 @@ class PlyDocument(Document):
         return corners[: offsets[-1]], offsets
 
     @cached_property
-    def _colours(self) -> elements.Colours:
-        colours = elements.read_colours(self._coloured, self._properties)
+    def _colours(self) -> Colours:
+        colours = read_colours(self._coloured, self._properties)
         self.notices += [colours.notice] if colours.notice else []
         return colours
 
     @cached_property
     def _positions(self) -> Float64s:
-        return elements.finite_columns(self._vertices, elements.POSITION, "position")
+        return self._vertices.columns(POSITION, "position")
 
     @cached_property
     def _measured(self) -> Float64s:
         """Positions of a range image or of points; unmeasured ones are not finite."""
         with np.errstate(invalid="ignore"):
-            columns = [self._vertices.scalars(name) for name in elements.POSITION]
+            columns = [self._vertices.scalars(name) for name in POSITION]
             return np.column_stack(columns).astype(np.float64)
 
     @cached_property
     def _polygons(self) -> tuple[Int32s, Int64s]:
-        return elements.read_polygons(self._tables, self._vertices.element.count, self.name)
+        return read_polygons(self._tables, self._vertices.element.count, self.name)
 
     def _alpha(self) -> Float32s | None:
         if not self._properties.alpha or self._colours_faces:
             return None
-        alpha = elements.finite_columns(self._vertices, (self._properties.alpha,), "alpha")[:, 0]
+        alpha = self._vertices.columns((self._properties.alpha,), "alpha")[:, 0]
         kind = self._kinds[self._properties.alpha]
         scale = float(np.iinfo(kind).max) if kind[0] != "f" else 1.0
         scale = self._scale if kind == self._properties.type else scale
@@ -310,12 +319,16 @@ class PlyDocument(Document):
 
     @property
     def _has_normals(self) -> bool:
-        return self._kinds.keys() >= {*elements.NORMAL}
+        return self._kinds.keys() >= {*NORMAL}
+
+    @property
+    def _has_real_normals(self) -> bool:
+        return all(self._kinds.get(name, "")[:1] == "f" for name in NORMAL)
 
     def _normals(self) -> Float32s | None:
         if not self._has_normals:
             return None
-        normals = elements.finite_columns(self._vertices, elements.NORMAL, "normal")
+        normals = self._vertices.columns(NORMAL, "normal")
         require_single(normals, self.name, "the normal of vertex")
         return normals.astype(np.float32)
 
@@ -345,10 +358,10 @@ def _omitted(header: Header, used: Collection[str], of_faces: Collection[str] = 
     dropped = []
     used, of_faces = ({name.partition(" ")[0] for name in names} for names in (used, of_faces))
     for element in header.elements:
-        lists = elements.VERTEX_LISTS.get(element.name, ())
+        lists = VERTEX_LISTS.get(element.name, ())
         known = used if element.name == "vertex" else (*lists, *of_faces)
         unused = [other.name for other in element.properties if other.name not in known]
-        if element.name != "vertex" and element.name not in elements.VERTEX_LISTS:
+        if element.name != "vertex" and element.name not in VERTEX_LISTS:
             dropped.append(f"element {element.name}")
         elif unused:
             dropped.append(f"{element.name} properties {', '.join(unused)}")

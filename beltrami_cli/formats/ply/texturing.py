@@ -19,7 +19,6 @@ from beltrami_cli.arrays import Array, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, Obstacle
 from beltrami_cli.formats import model_folder, new_files
 from beltrami_cli.formats.changes import Naming, NewImages, Written
-from beltrami_cli.formats.ply.elements import finite_columns
 from beltrami_cli.formats.ply.tables import Table
 from beltrami_cli.formats.scene import Maps, Scene, ShownMap
 from beltrami_cli.formats.tokens import Spans
@@ -104,7 +103,7 @@ def read_scene(
     elif len(properties) == 1:
         uv = _face_coordinates(tables["face"].lists(properties[0]), offsets, name)
     else:
-        uv = finite_columns(tables["vertex"], properties, "texture coordinate")[corners]
+        uv = tables["vertex"].columns(properties, "texture coordinate")[corners]
     images: list[Maps] = [
         {"baseColor": ShownMap(each.name, each.path)} if each.path else {} for each in comments
     ]
@@ -170,7 +169,7 @@ def _artec_coordinates(tables: Mapping[str, Table], offsets: Int64s, name: str) 
         raise InputError(
             name, f"element {_ARTEC[1]} names texture vertices that are not there", "export it again"
         )
-    uv = finite_columns(vertices, ("u", "v"), "texture coordinate")
+    uv = vertices.columns(("u", "v"), "texture coordinate")
     faces, lengths = _artec_faces(rows, len(offsets) - 1, name), np.diff(bounds)
     if (lengths != np.diff(offsets)[faces]).any():
         raise InputError(

@@ -12,7 +12,8 @@ from beltrami_cli.formats.image.file_formats import format_of, format_of_suffix
 from beltrami_cli.formats.model_folder import UnfitReferenceError
 from beltrami_cli.formats.new_files import NewFiles, SlotsByPath, common_suffix, new_files, slots_by_path
 from beltrami_cli.formats.usd.contents import SceneContents
-from beltrami_cli.formats.usd.layers import IMAGES, Layers
+from beltrami_cli.formats.usd.layers import Layers
+from beltrami_cli.formats.usd.package import IMAGES
 from beltrami_cli.surface.records import ImageFile, Slot
 
 

@@ -20,7 +20,8 @@ from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.colours import linear_colours
 from beltrami_cli.formats.conversion import not_converted
 from beltrami_cli.formats.textured_mesh import image_names, material_names, normals_of_corners, plain_name
-from beltrami_cli.formats.usd.layers import layer_from, packed
+from beltrami_cli.formats.usd.layers import layer_from
+from beltrami_cli.formats.usd.package import packed
 from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.large_arrays import blocks

@@ -1,4 +1,4 @@
-"""The images and textures of a glTF file, and new images put in the place of old ones, in one slot and nowhere else.
+"""New images of a glTF file, put in the place of old ones, in one slot and nowhere else.
 
 An image whose every use is replaced by the same new file just gets other bytes. Where it is still used by another
 slot, or as data by an extension, the new file becomes a new image, and only what belongs to the slot is pointed at it,
@@ -9,193 +9,37 @@ follow, copied otherwise (`Edit.separate`).
 from __future__ import annotations
 
 import re
-from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
-from pathlib import PurePosixPath
 from typing import Any
 
-from beltrami_cli.errors import BeltramiError, OutputError, install_hint
+from beltrami_cli.errors import BeltramiError, OutputError
 from beltrami_cli.formats.changes import NewImages
-from beltrami_cli.formats.gltf.accessors import Accessors
-from beltrami_cli.formats.gltf.buffers import data_uri, file_key, is_data, located, read, short
-from beltrami_cli.formats.gltf.container import Entry, Tree, objects, objects_within
 from beltrami_cli.formats.gltf.edit import Edit
-from beltrami_cli.formats.image import format_of, label_of, read_image, write_image
-from beltrami_cli.formats.image.extra_codecs import EXTRA, EXTRA_CODECS, missing_package
-from beltrami_cli.formats.image.file_formats import FORMATS, suffix_for
+from beltrami_cli.formats.gltf.entries import Tree, objects, objects_within
+from beltrami_cli.formats.gltf.images import (
+    IMAGE_EXTENSIONS,
+    MEDIA,
+    WEBP,
+    Images,
+    image_key,
+    kind_of,
+    media_type,
+)
+from beltrami_cli.formats.gltf.materials import SLOT_PATHS, texture_infos
+from beltrami_cli.formats.gltf.uris import data_uri, is_data, read, short
+from beltrami_cli.formats.image import read_image, write_image
+from beltrami_cli.formats.image.file_formats import suffix_for
 from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError
 from beltrami_cli.formats.new_files import stale_use_notice
-from beltrami_cli.surface.records import ImageFile, PlannedImage, Slot, Wrap
-
-WEBP = "EXT_texture_webp"
-IMAGE_EXTENSIONS = {
-    WEBP: "image/webp",
-    "KHR_texture_basisu": "image/ktx2",
-    "EXT_texture_avif": "image/avif",
-    "MSFT_texture_dds": "image/vnd-ms.dds",
-}
-"""Extensions of textures that name an image of another type than core glTF has."""
-
-UNREAD = ("MSFT_texture_dds",)  # whose images are not read
-
-_EMBEDDED_FORMATS = ("png", "jpeg", "webp", "ktx2", "avif")
-MEDIA = {suffix: f"image/{known}" for known in _EMBEDDED_FORMATS for suffix in FORMATS[known].suffixes}
-"""Media types of the images that glTF can hold, by suffix."""
-SLOT_PATHS: dict[Slot, tuple[tuple[str, ...], ...]] = {
-    "baseColor": (
-        ("pbrMetallicRoughness", "baseColorTexture"),
-        ("extensions", "KHR_materials_pbrSpecularGlossiness", "diffuseTexture"),
-    ),
-    "emissive": (("emissiveTexture",),),
-    "normal": (("normalTexture",),),
-    "occlusion": (("occlusionTexture",),),
-    "metallicRoughness": (("pbrMetallicRoughness", "metallicRoughnessTexture"),),
-}
-"""Where a material holds the textureInfos of a slot; where there are several, a viewer shows one or the other."""
-
-WRAPS: dict[Wrap, int] = {"repeat": 10497, "mirror": 33648, "clamp": 33071}
-"""The numbers by which samplers say what lies beyond an image."""
+from beltrami_cli.surface.records import ImageFile, PlannedImage, Slot
 
 # Members of extensions, of any vendor, that name colours, as KHR_materials_sheen and VRMC_materials_mtoon do.
 _COLOURS = re.compile(
     r".*(albedo|colou?r|diffuse|emissive|matcap|rimMultiply|shade|shadeMultiply)(map|texture)", re.IGNORECASE
 )
-_NEAREST = 9728  # the filter of samplers that blends no texels
-_KINDS = {number: kind for kind, number in WRAPS.items()}
 _WITHOUT_TEXTURES = ("accessors", "animations", "bufferViews", "buffers", "images", "skins", "textures")
-
-
-class Images:
-    """All images and textures of one file; bytes are read when they are asked for."""
-
-    def __init__(self, root: Entry, accessors: Accessors, folder: ModelFolder) -> None:
-        self._accessors, self._folder = accessors, folder
-        self.entries = root.entries("images")
-        self.textures = root.entries("textures")
-        self._samplers = root.entries("samplers")
-        self._loaded: dict[int, bytes] = {}
-        first: dict[Hashable, int] = {}
-        self._canonical = [first.setdefault(self._key(index), index) for index in range(len(self))]
-
-    def __len__(self) -> int:
-        return len(self.entries)
-
-    def _key(self, index: int) -> Hashable:
-        image = self.entries[index]
-        if "bufferView" in image:
-            return "view", image.integer("bufferView", below=len(self._accessors.views))
-        return file_key(image.text("uri"), index, self._folder)
-
-    def canonical(self, index: int) -> int:
-        """Return the first image over the same bytes as this one, usually itself."""
-        return self._canonical[index] if index < len(self) else index
-
-    def name(self, index: int) -> str:
-        """Return the name of an image for messages: that of its file, or its own."""
-        image, uri = self.entries[index], self.entries[index].text("uri")
-        if uri is not None and not is_data(uri):
-            try:
-                return PurePosixPath(located(uri, self._folder, must_exist=False)).name
-            except UnfitReferenceError:
-                return uri
-        return image.text("name") or f"image {index}"
-
-    def shown(self, texture: int) -> int:
-        """Return the image that a texture shows; UnfitReferenceError if there is none that is read."""
-        # WebP comes before plain images; a plain one is the better source where the other loses more.
-        entry = self.textures[texture]
-        extensions = entry.entry("extensions")
-        readable = [name for name in IMAGE_EXTENSIONS if name not in (WEBP, *UNREAD)]
-        for holder in (extensions.entry(WEBP), entry, *map(extensions.entry, readable)):
-            if "source" in holder:
-                return holder.integer("source", below=len(self))
-        for extension in UNREAD:
-            if extension in extensions:
-                raise UnfitReferenceError(
-                    f"is a {_kind_of(extension)} image ({extension}), which is not read"
-                )
-        raise UnfitReferenceError("has no image")
-
-    def _sampler(self, texture: int) -> Entry | None:
-        entry = self.textures[texture]
-        known = "sampler" in entry
-        return self._samplers[entry.integer("sampler", below=len(self._samplers))] if known else None
-
-    def has_sharp_texels(self, texture: int) -> bool:
-        sampler = self._sampler(texture)
-        return sampler is not None and sampler.integer("magFilter", default=0) == _NEAREST
-
-    def wrap(self, texture: int) -> tuple[Wrap, Wrap]:
-        sampler = self._sampler(texture)
-        if sampler is None:
-            return "repeat", "repeat"
-        kinds = {key: sampler.integer(key, default=WRAPS["repeat"]) for key in ("wrapS", "wrapT")}
-        for key, kind in kinds.items():
-            if kind not in _KINDS:
-                raise sampler.fault(key, f"is {kind}, which glTF does not define")
-        return _KINDS[kinds["wrapS"]], _KINDS[kinds["wrapT"]]
-
-    def data(self, index: int) -> bytes:
-        """Return the image file as it is stored; UnfitReferenceError if it is not there, or not read."""
-        if index not in self._loaded:
-            self._loaded[index] = self._read(index)
-        return self._loaded[index]
-
-    def _read(self, index: int) -> bytes:
-        image, uri = self.entries[index], self.entries[index].text("uri")
-        if "bufferView" in image:
-            view = self._accessors.views[image.integer("bufferView", below=len(self._accessors.views))]
-            data = self._accessors.buffers.viewed(view)
-        elif uri is not None:
-            data = read(uri, self._folder)
-        else:
-            raise UnfitReferenceError("has neither a uri nor a bufferView")
-        if not data:
-            raise UnfitReferenceError("is empty")
-        known = format_of(data, "") or ""
-        package = missing_package(known) if known in EXTRA_CODECS else None
-        if package is not None:
-            raise UnfitReferenceError(
-                f"is a {label_of(known)} image and needs the package {package}; {install_hint(EXTRA)}"
-            )
-        return data
-
-
-def image_key(image: int) -> str:
-    """Return the key of an image's texture, under which a new image is handed back."""
-    return f"image {image}"
-
-
-def _kind_of(extension: str) -> str:
-    """Return the common name of the image type of an extension."""
-    return IMAGE_EXTENSIONS[extension].rpartition("/")[2].rpartition(".")[2].upper()
-
-
-def _media_type(data: bytes) -> str | None:
-    """Return the media type that the first bytes of an image show, if it is one that glTF knows."""
-    known = format_of(data, "")
-    return f"image/{known}" if known in _EMBEDDED_FORMATS else None
-
-
-def texture_infos(value: Any, place: str, *, is_texture: bool | None = None) -> Iterator[tuple[str, Tree]]:
-    """Find the textureInfos in a part of the JSON, with their places; `is_texture` if not as its place says."""
-    is_texture = _names_texture(place) if is_texture is None else is_texture
-    if isinstance(value, list):
-        for index, child in enumerate(value):
-            yield from texture_infos(child, f"{place}[{index}]", is_texture=is_texture)
-    elif isinstance(value, dict):
-        for key, child in list(value.items()):
-            known = key != "extras" and (is_texture or _names_texture(key))
-            yield from texture_infos(child, f"{place}.{key}", is_texture=known)
-        if is_texture and isinstance(value.get("index"), int):
-            yield place, value
-
-
-def _names_texture(name: str) -> bool:
-    # In materials every `index` is that of a texture. Elsewhere, and in data of applications, it may be that of
-    # anything, such as a morph target in VRM.
-    return name.startswith("materials") or "texture" in name.lower()
 
 
 def show_images(edit: Edit, images: Images, new: NewImages) -> None:
@@ -288,7 +132,7 @@ class _ShownImages:
         holders = {"": texture} | {name: extensions[name] for name in IMAGE_EXTENSIONS if name in extensions}
         media = MEDIA[file.suffix.lower()]
         fitting = next((name for name, kind in IMAGE_EXTENSIONS.items() if kind == media), "")
-        was_plain = _media_type(self._images.data(image)) == media and fitting not in extensions
+        was_plain = media_type(self._images.data(image)) == media and fitting not in extensions
         target = "" if was_plain else fitting
         has_fallback = target == WEBP in extensions
         named = {
@@ -306,7 +150,7 @@ class _ShownImages:
             elif name != target:
                 del extensions[name]
                 if name not in (fitting, present):
-                    lost = f"{place} loses its {_kind_of(name)} image ({name})"
+                    lost = f"{place} loses its {kind_of(name)} image ({name})"
                     self._edit.notices.append(f"{lost}, which would show the old colours.")
         # Of several descriptions of the same image, the texture keeps the one that it names.
         kept = named.get(target, first)
@@ -412,7 +256,7 @@ def embed_images(edit: Edit, folder: ModelFolder) -> None:
         try:
             new = edit.images.get(index)
             data = read(uri, folder) if new is None else new.data
-            kind = image.get("mimeType") or _media_type(data)
+            kind = image.get("mimeType") or media_type(data)
             if kind is None:
                 raise UnfitReferenceError("is of an unknown type, so it cannot be embedded")
         except UnfitReferenceError as error:

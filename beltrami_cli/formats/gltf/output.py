@@ -1,0 +1,103 @@
+"""The files of an edited glTF file: their names, and the form of the main one.
+
+A new image or buffer never takes the name of a file that the source uses, unless the output replaces the source.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+from urllib.parse import quote
+
+from beltrami_cli.formats.changes import Bytes, Naming, Written
+from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, glb_pieces
+from beltrami_cli.formats.gltf.edit import Edit, merge_buffers
+from beltrami_cli.formats.gltf.entries import Tree
+from beltrami_cli.formats.gltf.json_text import revised
+from beltrami_cli.formats.gltf.new_images import embed_images
+from beltrami_cli.formats.gltf.uris import SidecarFiles, data_uri, is_data, located
+from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError, is_outside
+from beltrami_cli.formats.new_files import NewFiles
+from beltrami_cli.surface.records import ImageFile
+
+
+def written(edit: Edit, naming: Naming, form: str, source: SidecarFiles) -> Written:
+    """Return the files of an edit; the source itself if nothing was edited and the form is its own."""
+    container, keeps_form = edit.container, (form == "gltf") == (edit.container.kind == "gltf")
+    if form != "gltf" and not keeps_form:
+        return _as_glb(edit, source.folder)
+    edit.finish()
+    names = placed(edit, naming, form, source)
+    if not keeps_form:
+        main: list[Bytes] = [revised(container.text, edit.tree).encode()]
+        lost = [chunk for chunk in container.chunks if chunk.kind != BIN_CHUNK]
+        if lost:
+            edit.notices.append(f"{len(lost)} GLB chunk(s) of unknown type cannot be kept in a .gltf file.")
+    elif not edit.buffers and not edit.images and edit.tree == container.tree:
+        main = [container.data]
+    else:
+        main = container.rebuilt(edit.tree, edit.buffers.get(0) if edit.source(0) == "chunk" else None)
+    return names.written(main, edit.notices)
+
+
+def placed(edit: Edit, naming: Naming, form: str, source: SidecarFiles) -> NewFiles:
+    """Name the sidecar files of an edited glTF, and put their names into the tree."""
+    names = NewFiles(naming, edit.container.name, source.present, source.missing)
+    files = [*_files(edit, source.folder)]
+    if form == "gltf" and edit.tree.get("buffers") and edit.source(0) == "chunk":
+        data: Bytes = edit.buffers[0] if 0 in edit.buffers else edit.accessors.buffers.stored(0)
+        length, name = edit.tree["buffers"][0]["byteLength"], names.new(".bin")
+        edit.tree["buffers"][0]["uri"] = quote(name)
+        names.sidecars[name] = data[:length] if len(data) - length < 4 else data  # without the padding
+    # Only one image takes the name of a file, and none if another still shows that.
+    taken = {path for _, path, new in files if new is None}
+    new_of: dict[tuple[str, ImageFile | None], str] = {}
+    for entry, path, new in files:
+        if new is None and (not names.copies or path in source.missing):
+            continue
+        if new is None and is_outside(path):
+            names.leave(entry["uri"])
+            continue
+        file = new if isinstance(new, ImageFile) else None
+        if (path, file) not in new_of:
+            is_buffer = "byteLength" in entry
+            suffix, is_replaced = None if file is None else file.suffix, file is None or path not in taken
+            name = (
+                names.other(path, ".bin") if is_buffer else names.image(path, suffix, is_replaced=is_replaced)
+            )
+            new_of[path, file] = name
+            taken.add(path)
+            if new is None:
+                names.copied[name] = path
+            else:
+                names.sidecars[name] = new.data if isinstance(new, ImageFile) else new
+        if new_of[path, file] != path:
+            entry["uri"] = quote(new_of[path, file])
+    return names
+
+
+def _files(edit: Edit, folder: ModelFolder) -> Iterator[tuple[Tree, str, Bytes | ImageFile | None]]:
+    """Yield the buffers and images that are files: entry, path, and new content if it changes.
+
+    Buffers that are data URIs get theirs.
+    """
+    canonical = edit.accessors.buffers.canonical
+    buffers = [(each, edit.buffers.get(canonical(n))) for n, each in enumerate(edit.tree.get("buffers", []))]
+    images = [(each, edit.images.get(n)) for n, each in enumerate(edit.tree.get("images", []))]
+    for entry, new in [*buffers, *images]:
+        uri = entry.get("uri")
+        if uri is not None and not is_data(uri):
+            with suppress(UnfitReferenceError):
+                yield entry, located(uri, folder, must_exist=False), new
+        elif uri is not None and isinstance(new, bytearray):
+            entry["uri"] = data_uri(uri, new)
+
+
+def _as_glb(edit: Edit, folder: ModelFolder) -> Written:
+    """Return a text file as binary: all buffers merged into BIN, images inside the folder embedded."""
+    embed_images(edit, folder)
+    edit.finish()
+    binary = merge_buffers(edit)
+    chunks = [Chunk(JSON_CHUNK, revised(edit.container.text, edit.tree).strip(" \t\r\n").encode())]
+    chunks += [Chunk(BIN_CHUNK, binary)] if binary else []
+    return Written(glb_pieces(chunks), notices=tuple(edit.notices))
