@@ -14,7 +14,7 @@ import pytest
 from beltrami_cli.errors import InputError, NoColoursError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.archives import NpzArchive
-from beltrami_cli.formats.points.archive import NpzPointsDocument
+from beltrami_cli.formats.points.npz import NpzPointsDocument
 from beltrami_cli.formats.registry import open_document
 from cli.commands import beltrami, refused
 from formats.gltf_files import patched

@@ -14,7 +14,8 @@ from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, Obstacle
 from beltrami_cli.formats import tokens
 from beltrami_cli.formats.changes import Bytes, Changes, Naming, PlannedImages, Written
-from beltrami_cli.formats.colours import ColouredPolygons, colours_of_vertices, quantised
+from beltrami_cli.formats.coloured_polygons import ColouredPolygons, colours_of_vertices
+from beltrami_cli.formats.colours import quantised
 from beltrami_cli.formats.comparison import Fingerprint, labelled
 from beltrami_cli.formats.conversion import with_vertex_colours
 from beltrami_cli.formats.document import Document

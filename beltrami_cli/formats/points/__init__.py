@@ -1,1 +1,1 @@
-"""Clouds of points: lines of text (.xyz, .pts) and NumPy archives (.npz), which keep their bytes."""
+"""Clouds of points: lines of text, NumPy archives, and the files of scanners, which keep their bytes."""

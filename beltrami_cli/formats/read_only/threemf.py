@@ -14,6 +14,7 @@ import posixpath
 import re
 from array import array
 from dataclasses import dataclass, field
+from functools import cached_property
 from xml.parsers import expat
 
 import numpy as np
@@ -22,10 +23,9 @@ from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError, MemoryLimitError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.archives import Archive
-from beltrami_cli.formats.colours import ColouredPolygons
+from beltrami_cli.formats.coloured_polygons import ColouredPolygons
+from beltrami_cli.formats.read_only.xml import TREE_SIZE, safe_parser
 from beltrami_cli.surface.records import Frame
-
-_TREE = 16  # times as much memory as its text takes an XML document while it is read
 
 _RELATIONSHIPS = "_rels/.rels"
 _DEFAULT_PART = "3D/3dmodel.model"
@@ -85,19 +85,16 @@ class _Model:
 
 def read_3mf(data: bytes, name: str, access: Access) -> ColouredPolygons:
     """Read a 3MF file."""
-    building = _Building(Archive(data, name, access, _TREE), name, access)
-    root = building.model(building.start())
-    for part in root.built:
-        building.add(part, np.eye(4), building.start(), 0)
+    building = _Building(Archive(data, name, access, TREE_SIZE), name, access)
+    for part in building.model(building.root).built:
+        building.add(part, np.eye(4), building.root, 0)
     return building.whole()
 
 
 def _read_model(text: bytes, name: str) -> _Model:
-    """Read a model file; a document type, which could make it grow without bounds, is refused."""
     reading = _Reading()
-    parser = expat.ParserCreate(namespace_separator=" ")
+    parser = safe_parser(namespace_separator=" ")
     parser.StartElementHandler = reading.start
-    parser.StartDoctypeDeclHandler = _refuse
     try:
         parser.Parse(text, True)
     except expat.ExpatError as error:
@@ -106,10 +103,6 @@ def _read_model(text: bytes, name: str) -> _Model:
         cause = f"line {parser.CurrentLineNumber} of its model is damaged ({error})"
         raise InputError(name, cause, "export it again") from error
     return reading.model
-
-
-def _refuse(*_: object) -> None:
-    raise ValueError("a document type is not allowed")
 
 
 class _Reading:
@@ -197,8 +190,9 @@ class _Building:
         self._corners: list[Int64s] = []
         self._colours: list[Float32s] = []
 
-    def start(self) -> str:
-        """Return the root model file of the archive."""
+    @cached_property
+    def root(self) -> str:
+        """The path of the root model file in the archive."""
         if _RELATIONSHIPS in self._archive.members:
             for relation in _TARGET.findall(self._archive.read(_RELATIONSHIPS)):
                 target = re.search(rb"""Target\s*=\s*["']/?([^"']+)["']""", relation)
@@ -250,5 +244,5 @@ class _Building:
             colours=np.concatenate([np.empty((0, 4), np.float32), *self._colours]),
             stored="uint8",
             left_out=(*sorted(other_groups), "names, metadata and settings of printers"),
-            frame=Frame("Z", self.model(self.start()).unit),
+            frame=Frame("Z", self.model(self.root).unit),
         )

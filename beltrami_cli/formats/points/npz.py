@@ -1,4 +1,4 @@
-"""Common parts of all point clouds, and NumPy archives of points: only the colours can be replaced.
+"""NumPy archives of points, whose colours can be replaced.
 
 The arrays of an archive, by their names; the first name that is there is taken:
 
@@ -21,32 +21,22 @@ from __future__ import annotations
 
 import io
 import math
-from abc import abstractmethod
-from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
+from beltrami_cli.arrays import Array, Int32s
 from beltrami_cli.errors import InputError, MemoryLimitError, NoColoursError
 from beltrami_cli.formats.archives import POSITION_KEYS, NpzArchive
 from beltrami_cli.formats.changes import Changes, Naming, Written
-from beltrami_cli.formats.colours import (
-    display_colours,
-    integer_scale,
-    intensity_scale,
-    opacity,
-    point_colour_scale,
-    quantised,
-)
+from beltrami_cli.formats.colours import display_colours, quantised
 from beltrami_cli.formats.comparison import Fingerprint
 from beltrami_cli.formats.conversion import not_converted
-from beltrami_cli.formats.document import Document
+from beltrami_cli.formats.points.cloud import PointsDocument, Tables
 from beltrami_cli.surface.polygons import triangulate
-from beltrami_cli.surface.precision import require_single, shortest_type
+from beltrami_cli.surface.precision import shortest_type
 from beltrami_cli.surface.records import MeshContents
 
 _COLOUR_KEYS = ("colours", "colors", "rgb", "rgba", "point_colours", "point_colors")
@@ -57,140 +47,6 @@ _FACE_KEYS = ("faces", "triangles")
 _CHANNELS = 4
 _COPIES = 3  # of each array at a time: as stored, as doubles, and in working units
 _NAMES = "save them as positions and colours"
-
-
-@dataclass(frozen=True)
-class Tables:
-    """The names of the tables of a point cloud by their meaning, and the shape of its points."""
-
-    positions: str
-    colours: str
-    normals: str | None
-    others: tuple[str, ...]  # with a row for each point
-    shape: tuple[int, ...]  # of the cloud, with or without a position
-    channels: int  # of the colours, without opacity
-    has_alpha: bool = False
-    is_intensity: bool = False
-    faces: str | None = None  # table of faces, if it is a mesh
-
-    @property
-    def count(self) -> int:
-        return math.prod(self.shape)
-
-
-class PointsDocument(Document):
-    """Points with colours or intensities; subclasses define the tables and read them."""
-
-    @property
-    @abstractmethod
-    def _tables(self) -> Tables: ...
-
-    @abstractmethod
-    def _rows(self, table: str) -> Array:
-        """Return a table of all points, shape (points, columns)."""
-
-    @abstractmethod
-    def _dropped(self) -> list[str]:
-        """Return the names of tables that are lost on conversion."""
-
-    @cached_property
-    def _mesh(self) -> MeshContents:
-        positions, faces = self._positions[self._measured], self._faces
-        corners, offsets = faces.ravel(), 3 * np.arange(len(faces) + 1)
-        return MeshContents(positions, corners, offsets, self._colours, "srgb", self._type)
-
-    @property
-    def _type(self) -> str:
-        return str(self._stored.dtype)
-
-    @property
-    def _channels(self) -> tuple[str, ...]:
-        if self._tables.channels == 3:
-            return super()._channels
-        return ("intensity",) if self._tables.is_intensity else ("grey",)
-
-    def grid(self) -> Int64s | None:
-        tables = self._tables
-        if len(tables.shape) != 2 or min(tables.shape) < 2 or tables.faces:
-            return None
-        places = np.full(tables.count, -1, np.int64)
-        places[self._measured] = np.arange(len(self._measured))
-        return places.reshape(tables.shape)
-
-    def attributes(self) -> tuple[str, ...]:
-        return (*(["normal"] if self._tables.normals else []), *self._tables.others)
-
-    def _attribute(self, name: str) -> Float64s:
-        table = self._tables.normals if name == "normal" and self._tables.normals else name
-        return np.ascontiguousarray(self._rows(table)[self._measured], np.float64)
-
-    def contents(self) -> MeshContents:
-        tables, dropped = self._tables, self._dropped()
-        if len(self._measured) < tables.count:
-            dropped.append("points without a finite position")
-        alpha = opacity(self._stored[self._measured, -1], self._scale) if tables.has_alpha else None
-        normals = None
-        if tables.normals:
-            stored = self.attribute("normal")
-            require_single(stored, self.name, "the normal of point", self._measured, holes=True)
-            normals = stored.astype(np.float32)
-        return replace(self._mesh, alpha=alpha, normals=normals, left_out=tuple(dropped))
-
-    def _recoloured(self, colours: Float32s | None) -> Array | None:
-        """Return the table of colours with new ones, rows as in `patch`; None if all are the present ones."""
-        if colours is None or not (changed := colours != self._colours).any():
-            return None
-        rows, channels = np.nonzero(changed)
-        stored = self._stored.copy()
-        stored[self._measured[rows], channels] = quantised(colours[changed], stored.dtype, self._scale)
-        return stored
-
-    @cached_property
-    def _positions(self) -> Float64s:
-        return np.ascontiguousarray(self._rows(self._tables.positions), np.float64)
-
-    @cached_property
-    def _measured(self) -> NDArray[np.intp]:
-        """Rows of the points with a finite position; scanners write NaN where nothing was measured."""
-        finite = np.asarray(np.isfinite(self._positions).all(axis=1))
-        count = int(np.count_nonzero(~finite))
-        if count and (not finite.any() or self._tables.faces):
-            cause = f"{count} of {len(finite)} positions are not finite"
-            raise InputError(self.name, cause, "replace or remove them")
-        if count:
-            self.notices.append(f"{count} of {len(finite)} points have no finite position and are ignored.")
-        return np.flatnonzero(finite)
-
-    @property
-    def _faces(self) -> Int32s:
-        return np.empty((0, 3), np.int32)
-
-    @cached_property
-    def _stored(self) -> Array:
-        """Colours as stored, with opacity, shape (points, C) or (points, C + 1)."""
-        return self._rows(self._tables.colours)
-
-    @cached_property
-    def _numbers(self) -> Float64s:
-        numbers = self._stored[self._measured, : self._tables.channels].astype(np.float64)
-        require_single(numbers, self.name, "the colour of point", self._measured)
-        return numbers
-
-    @cached_property
-    def _scale(self) -> float:
-        numbers, kind = self._numbers, self._stored.dtype
-        if self._tables.is_intensity:
-            scale, notice = intensity_scale(numbers)
-        elif kind in (np.uint8, np.uint16):
-            scale, notice = integer_scale(int(self._stored.max()), kind)  # of opacity, too
-        else:
-            scale, notice = point_colour_scale(numbers, self.name)
-        self.notices += [notice] if notice else []
-        return scale
-
-    @cached_property
-    def _colours(self) -> Float32s:
-        return (self._numbers / self._scale).astype(np.float32)
 
 
 class NpzPointsDocument(PointsDocument):

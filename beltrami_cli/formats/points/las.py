@@ -1,0 +1,122 @@
+"""LAS and LAZ files, read by laspy, and compressed by lazrs.
+
+References
+----------
+.. [1] ASPRS, "LAS specification", version 1.4. The points of LAZ are the same, compressed.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+
+import numpy as np
+
+from beltrami_cli.arrays import Array
+from beltrami_cli.formats.access import most_unpacked
+from beltrami_cli.formats.points.scan import Arrays, replaced, require_held, with_colours
+
+# Bytes in the header of LAS: its size, the place of the points, the number of records; the format of points; the places
+# of waveforms and of extended records, whose number follows.
+_AT_SIZES, _AT_POINT_FORMAT, _AT_WAVEFORMS, _AT_RECORDS = 94, 104, 227, 235
+_LAZ = b"\x80"  # the bit of it that LAZ sets
+# Owners of the records that describe how LAZ is packed, and that index it; a file with an index starts with its record.
+_LASZIP, _COPC = b"laszip encoded", b"copc"
+_AT_OWNER = 377  # byte of LAS 1.4: the owner of the first record
+
+
+def is_laz(data: bytes) -> bool:
+    return data[_AT_POINT_FORMAT : _AT_POINT_FORMAT + 1] >= _LAZ
+
+
+def has_index(data: bytes) -> bool:
+    """Whether a file is LAZ with an index (COPC)."""
+    return is_laz(data) and data.startswith(_COPC, _AT_OWNER)
+
+
+class Las:
+    """LAS and LAZ: points are records of the specification; all other bytes are kept, so that nothing is lost."""
+
+    _RGB = ("red", "green", "blue")
+
+    def __init__(self, data: bytes) -> None:
+        import laspy
+
+        with laspy.open(io.BytesIO(data)) as reader:
+            about = reader.header
+            held = most_unpacked(len(data)) if is_laz(data) else len(data) - about.offset_to_point_data
+            require_held(about.point_count, about.point_format.size, held)
+            self._data, self._las = data, reader.read()
+        self._points = self._las.points.array
+        # Where extended records and waveforms start: places of data behind the points.
+        self._places = (_AT_WAVEFORMS, _AT_RECORDS)[: max(0, self._las.header.version.minor - 2)]
+        start = self._las.header.offset_to_point_data
+        self._end = start + self._points.nbytes
+        if is_laz(data):
+            behind = (int.from_bytes(data[at : at + 8], "little") for at in self._places)
+            self._end = min((place for place in behind if place > start), default=len(data))
+
+    def arrays(self) -> Arrays:
+        head, tail = self._frame(b"")
+        for at in self._places:  # compressed points may differ in length
+            head[at : at + 8] = bytes(8)
+        names = [name for name in self._points.dtype.names if name not in "XYZ"]  # which become the positions
+        columns = {name: np.ascontiguousarray(self._points[name]) for name in names}
+        places = {"positions": np.array(self._las.xyz), "header": np.frombuffer(head + tail, np.uint8)}
+        return places | with_colours(columns, self._RGB)
+
+    def _frame(self, packing: bytes) -> tuple[bytearray, bytes]:
+        """Return the bytes before and behind the points, with a record that describes how LAZ packs them."""
+        data, about = self._data, self._las.header
+        size, start, count = struct.unpack_from("<HII", data, _AT_SIZES)
+        records, gap = _records(data[size:start], count, 2)
+        kept = [record for record in records if not record.startswith((_LASZIP, _COPC), 2)]
+        if packing:
+            kept.append(struct.pack("<2x16sHH32s", _LASZIP, 22204, len(packing), b"") + packing)
+        head = bytearray(b"".join([data[:size], *kept, gap]))
+        form = about.point_format.id | (_LAZ[0] if packing else 0)
+        struct.pack_into("<IIB", head, _AT_SIZES + 2, len(head), len(kept), form)
+        tail = data[self._end :]
+        if about.number_of_evlrs:
+            first = about.start_of_first_evlr - self._end
+            records, rest = _records(tail[first:], about.number_of_evlrs, 8)
+            kept = [record for record in records if not record.startswith(_COPC, 2)]
+            tail = b"".join([tail[:first], *kept, rest])
+            struct.pack_into("<I", head, _AT_RECORDS + 8, len(kept))
+        return head, tail
+
+    def written(self, new: Array | None, form: str) -> bytes:
+        for name, column in ({} if new is None else replaced(new, self._RGB)).items():
+            self._points[name] = column
+        made, points = io.BytesIO(), np.frombuffer(self._points, np.uint8)
+        if form == "laz":
+            import lazrs
+
+            known = self._las.point_format
+            packing = lazrs.LazVlr.new_for_compression(known.id, known.num_extra_bytes)
+            head, tail = self._frame(packing.record_data())
+            made.write(head)
+            packer = lazrs.ParLasZipCompressor(made, packing)
+            packer.compress_many(points)
+            packer.done()
+        else:
+            head, tail = self._frame(b"")
+            made.write(head)
+            made.write(points.data)
+        shift = made.seek(0, io.SEEK_END) - self._end
+        made.write(tail)
+        for at in self._places:
+            (place,) = struct.unpack_from("<Q", head, at)
+            made.seek(at)
+            made.write(struct.pack("<Q", place + shift if place >= self._end else place))
+        return made.getvalue()
+
+
+def _records(data: bytes, count: int, width: int) -> tuple[list[bytes], bytes]:
+    """Return so many records of LAS, whose lengths are numbers of a width in bytes, and the data behind them."""
+    records, at = list[bytes](), 0
+    for _ in range(count):
+        end = at + 20 + width + 32 + int.from_bytes(data[at + 20 : at + 20 + width], "little")
+        records.append(data[at:end])
+        at = end
+    return records, data[at:]

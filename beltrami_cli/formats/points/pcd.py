@@ -1,0 +1,88 @@
+"""PCD files, read by pypcd4.
+
+References
+----------
+.. [1] Point Cloud Library, "The PCD file format": `rgb` is a float or an integer of 4 bytes, blue in the lowest one.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+
+import numpy as np
+
+from beltrami_cli.arrays import Array
+from beltrami_cli.formats.points.scan import Arrays, replaced, require_held, with_colours
+from beltrami_cli.formats.tokens import NewNumbers, find_tokens, renumbered
+
+_LITERALS = 32  # bytes that one run of LZF holds at most
+
+
+class Pcd:
+    """PCD; names of fields are case-insensitive, since PDAL writes capital letters."""
+
+    _RGB = ("r", "g", "b"), ("red", "green", "blue")
+    _PADDING = "#$%&~~"  # how pypcd4 starts the random names of fields that are called "_"
+
+    def __init__(self, data: bytes) -> None:
+        import pypcd4
+
+        self._data, self._body = data, data.index(b"\n", data.index(b"\nDATA") + 1) + 1
+        if data[: self._body].split()[-1] == b"ascii":  # pypcd4 reads numbers that are one space apart
+            lines = (b" ".join(line.split()) + b"\n" for line in data[self._body :].splitlines())
+            data = data[: self._body] + b"".join(lines)
+        cloud = pypcd4.PointCloud.from_fileobj(io.BytesIO(data))
+        self._points, self._about = np.atleast_1d(cloud.pc_data), cloud.metadata
+        require_held(self._about.points, 1, self._points.size)
+        self._names = self._points.dtype.names or ()
+        known = {name.lower(): name for name in self._names}
+        self._axes = [known[axis] for axis in "xyz"]
+        self._packed = known.get("rgb", known.get("rgba", ""))
+        named = (names for names in self._RGB if known.keys() >= {*names})
+        self._rgb = tuple(known[name] for name in next(named, ()))
+
+    def arrays(self) -> Arrays:
+        columns = {name: np.ascontiguousarray(self._points[name]) for name in self._names}
+        for number, name in enumerate(self._names):
+            if name.startswith(self._PADDING):
+                columns[f"padding {number}"] = columns.pop(name)
+        columns = {"positions": np.column_stack([columns.pop(axis) for axis in self._axes])} | columns
+        if self._packed:
+            octets = columns.pop(self._packed).view(np.uint8).reshape(-1, 4)
+            columns |= {"colours": octets[:, 2::-1], "opacity": octets[:, 3]}
+        columns = with_colours(columns, self._rgb) if self._rgb else columns
+        rows, width = self._about.height, self._about.width
+        if rows > 1 and rows * width == len(self._points):
+            columns = {name: each.reshape(rows, width, *each.shape[1:]) for name, each in columns.items()}
+        return columns | {"header": np.frombuffer(self._data[: self._body], np.uint8)}
+
+    def written(self, new: Array | None, form: str) -> bytes:
+        old, points = self._points, self._points.copy()
+        if new is not None and self._packed:
+            packed = np.ascontiguousarray(points[self._packed])
+            packed.view(np.uint8).reshape(-1, 4)[:, 2::-1] = new
+            points[self._packed] = packed
+        elif new is not None:
+            for name, column in replaced(new, self._rgb).items():
+                points[name] = column
+        head, body = self._data[: self._body], self._data[self._body :]
+        if self._about.data == "binary":
+            records: bytes = points.tobytes()
+            return head + records + body[len(records) :]
+        if self._about.data == "ascii":
+            count = old.size * len(self._names)
+            starts, ends = (each[:count].reshape(old.size, -1) for each in find_tokens(body))
+            changes = [(n, points[name] != old[name], points[name]) for n, name in enumerate(self._names)]
+            numbers = [NewNumbers(starts[at, n], ends[at, n], values[at]) for n, at, values in changes]
+            return head + b"".join(renumbered(body, numbers))
+        return head + _compressed(b"".join(points[name].tobytes() for name in self._names))
+
+
+def _compressed(data: bytes) -> bytes:
+    import lzf
+
+    # Data that compression would make longer becomes runs of literal bytes, each behind its length less 1.
+    runs = (data[at : at + _LITERALS] for at in range(0, len(data), _LITERALS))
+    packed = lzf.compress(data) or b"".join(bytes([len(run) - 1]) + run for run in runs)
+    return struct.pack("<II", len(packed), len(data)) + packed
