@@ -17,8 +17,8 @@ from scipy.special import ndtr
 import observations
 import pictures
 import surfaces
+from beltrami_cli.flow.noise.channel_noise import read_network
 from beltrami_cli.flow.noise.network import OFFSET, weights_of
-from beltrami_cli.flow.noise.reading import read_network
 from beltrami_cli.flow.noise.size import EDGES, LAYERS, WIDTHS, Size, SizeWeights, evidence, removal_curve
 from configuration import SIZES, configuration
 from size_kinds import FAMILIES

@@ -1,0 +1,208 @@
+"""The noise of three channels or one: its size, read by the networks, and its covariances, measured on residuals."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
+from beltrami_cli.flow.noise import features
+from beltrami_cli.flow.noise.features import COMPONENTS, SCALES, STEPS, even_covariances
+from beltrami_cli.flow.noise.model import MAX_NO_NOISE_PROBABILITY, covariance_of_cells
+from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, Samples
+from beltrami_cli.flow.noise.network import (
+    OFFSET,
+    QUANTILES,
+    Layers,
+    Weights,
+    candidates_of,
+    quiet_of,
+    read,
+    readings,
+)
+from beltrami_cli.flow.noise.residual import Residual
+from beltrami_cli.flow.noise.size import Size, evidence, removal_curve, size_weights
+from beltrami_cli.flow.noise.stabiliser import COLOURS
+from beltrami_cli.flow.noise.structure import MAX_CLIPPED_SHARE, Structure, shares_of_noise
+
+# Relative difference of the covariances of the finest two scales above which neighbours share noise. It is at most 0.29
+# for readings of white noise, and at least 1 for filtered noise other than mosaics.
+MIN_DIFFERENCE_OF_SCALES = 0.35
+
+# Difference of covariances above which neighbours certainly share noise. Between both values, mosaics and colours that
+# the network mistakes for them are distinguished by the correlation of neighbours in the residual of a pilot. It is up
+# to 0.1 for white noise, also on rich texture, and 0.13 to 0.45 for filtered noise, in the kinds of
+# benchmarks/bench_regret.py.
+_CERTAIN_DIFFERENCE_OF_SCALES = 1.0
+_MAX_CORRELATION_OF_NEIGHBOURS = 0.12
+
+# Number of details whose mean square is as uncertain as the variance read by the network: 28 %, or 0.2 of log2 of a
+# deviation.
+_DETAILS_OF_READING = 26
+
+# Number of samples of the smallest training pictures; with fewer, hard-edged paint is not distinguishable from noise.
+_MIN_SAMPLES = 256
+
+# If values exceed full scale, as with light, this quantile becomes full scale. If the opposite quantile is outside
+# of [0, 1], values are not levels, and are shifted by it.
+_FULL_SCALE_QUANTILE = 0.99
+
+
+@dataclass(frozen=True, eq=False)
+class ChannelNoise:
+    """Noise of K channels, one or three, in steps of 8 bits of their full scale."""
+
+    samples: Samples
+    order: Int64s  # of the channels, shape (K,)
+    size: Size
+    sigma: float  # RMS of the channels; 0: no noise
+    components: Float64s  # covariances by scale as read, shape (SCALES, 3, 3)
+    places: Float64s  # log2 of the relative deviations of neighbourhoods, shape (P,)
+    full_scale: float
+    are_levels: bool
+
+    @classmethod
+    def read(cls, planes: Float32s, where: Neighbourhoods, weights: Weights) -> ChannelNoise:
+        """Read the noise of three channels, or of one channel, which is repeated three times."""
+        samples = where.cut(np.broadcast_to(planes, (COLOURS, *planes.shape[1:])))
+        samples, full_scale, are_levels = _in_full_scale(samples)
+        outputs, candidates = read_network(samples, weights)
+        row, first = evidence(
+            outputs["context"], np.sort(outputs["total"]), candidates[:, 0], removal_curve(samples)[None],
+            np.array([where.count]),
+        )  # fmt: skip
+        size = size_weights(where.kind).size(row[0], float(first[0]))
+        if len(where.tiles) < _MIN_SAMPLES:
+            size = dataclasses.replace(size, none=1.0)
+        sigma = size.quantile(0.5) if size.none <= MAX_NO_NOISE_PROBABILITY else 0.0
+        order, places = np.argsort(samples.order)[: len(planes)], _medians(outputs["places"])
+        return cls(samples, order, size, sigma, _components(outputs), places, full_scale, are_levels)
+
+    @property
+    def step(self) -> float:
+        """A step of 8 bits."""
+        return self.full_scale / float(STEPS)
+
+    @property
+    def quantiles(self) -> tuple[float, float, float]:
+        """Quantiles of the size, of full scale 1, see `Reading`."""
+        low, median, high = (self.size.quantile(share) * self.step for share in (0.05, 0.5, 0.95))
+        return low, median, high
+
+    @property
+    def is_constant(self) -> bool:
+        return not np.ptp(self.samples.colours, axis=1).any()
+
+    def with_sigma(self, sigma: float) -> ChannelNoise:
+        """Return the noise with a known RMS, of full scale 1."""
+        return dataclasses.replace(self, sigma=sigma * float(STEPS) / self.full_scale)
+
+    @cached_property
+    def residual(self) -> Residual:
+        """The residual of a pilot that assumes even noise."""
+        return Residual.of(self.samples, np.full(1, self.sigma**2, np.float32))
+
+    def covariances(self, structure: Structure) -> tuple[Float64s, float]:
+        """Return the covariances of stabilised channels by scale, and the ratio of the noise to `sigma`.
+
+        Components have the covariance of the pilot's residual. It lacks most of the noise that neighbours share.
+        Such noise has the covariances that the network reads, as far as even cells have that much energy.
+        """
+        nothing = np.zeros((SCALES, len(self.order), len(self.order)))
+        if not self.sigma:
+            return nothing, 1.0
+        residual, sigma, ratio = self.residual, self.sigma, 1.0
+        if not structure.is_even:
+            residual = Residual.of(self.samples, np.float32(sigma**2) * structure.variances(residual))
+        if structure.curve is not None:
+            stabiliser = structure.curve.stabiliser(self.full_scale)
+            residual, sigma = residual.stabilised(stabiliser, self.step), sigma * stabiliser.scale
+        of_singles = residual.even_covariance(structure.places)
+        is_shared = self._is_shared(residual)
+        found = self.components if is_shared else np.repeat(of_singles[None], SCALES, axis=0)
+        total = float(np.trace(covariance_of_cells(found)))
+        if not of_singles.any() or not total:
+            return nothing, 1.0
+        found = found * (COLOURS * sigma**2 / total)
+        if is_shared:
+            is_whole = self.samples.cut_off() < MAX_CLIPPED_SHARE
+            cells = residual.samples.cells()
+            found = _combined(found, *even_covariances(cells, is_whole, structure.places))
+            ratio = float(np.sqrt(np.trace(covariance_of_cells(found)) / COLOURS) / sigma)
+        mixing = COMPONENTS.astype(np.float64)[:, self.order] * self.step
+        return np.asarray(np.einsum("kc,lkm,md->lcd", mixing, found, mixing), np.float64), ratio
+
+    def _is_shared(self, residual: Residual) -> bool:
+        """Whether neighbours share noise, by the network or, if it is uncertain, by the residual."""
+        difference = difference_of_scales(self.components)
+        if difference > _CERTAIN_DIFFERENCE_OF_SCALES:
+            return True
+        shares = residual.correlation_of_neighbours > _MAX_CORRELATION_OF_NEIGHBOURS
+        return shares and difference > MIN_DIFFERENCE_OF_SCALES
+
+
+def _combined(components: Float64s, measured: Float64s, counts: Float64s) -> Float64s:
+    """Return the weighted mean of the covariance of components as read, and as measured in even cells.
+
+    Plain colours show the noise more exactly than the network reads it. The weight of even cells grows with their
+    number of details, and decreases if their energy exceeds the reading, since the excess is texture.
+    """
+    shares = shares_of_noise(*(np.einsum("lkk->lk", own) for own in (components, measured)))
+    shares *= (counts / (counts + _DETAILS_OF_READING))[:, None]
+
+    def part(covariances: Float64s, share: Float64s) -> Float64s:
+        return covariances * np.sqrt(share[:, :, None] * share[:, None])
+
+    return part(measured, shares) + part(components, 1 - shares)
+
+
+def difference_of_scales(covariances: Float64s) -> float:
+    """Return the difference of the covariances of the finest two scales, relative to the smaller; 0: white noise."""
+    # Filtering shows in the finest two scales, which have the least texture.
+    fine, coarse = covariances[:2]
+    least = min(float(np.linalg.norm(fine)), float(np.linalg.norm(coarse)))
+    return float(np.linalg.norm(coarse - fine)) / max(1e-12, least)
+
+
+def read_network(samples: Samples, weights: Weights) -> tuple[dict[str, Array], Array]:
+    """Return the network's reading of samples, its context, and candidates of the total, shape (1, 1, M)."""
+    cells, start, kind = samples.cells(), np.zeros(1, np.int64), samples.where.kind
+    even, squares = features.describe_even_cells(cells)[None], features.describe(samples.described(), cells)
+    candidates = candidates_of(even, quiet_of(squares, kind), start, kind)
+    squares, even = weights.standardised("squares", squares), weights.standardised("even", even)
+    found = readings(read(Layers(weights.layers), squares, start, even), candidates)
+    return found, candidates["total"]
+
+
+def _components(found: dict[str, Array]) -> Float64s:
+    """Return the covariances of components by scale, as read by the network."""
+    medians = _medians(found["deviations"].reshape(SCALES, COLOURS, len(QUANTILES)))
+    deviations = np.maximum(2.0**medians - OFFSET, 1e-3)
+    correlations = np.tanh(found["correlations"].reshape(SCALES, COLOURS).astype(np.float64))
+    mixed = np.stack([np.eye(COLOURS)] * SCALES)
+    for number, (one, other) in enumerate(((0, 1), (0, 2), (1, 2))):
+        mixed[:, one, other] = mixed[:, other, one] = correlations[:, number]
+    values, vectors = np.linalg.eigh(mixed * deviations[:, :, None] * deviations[:, None])
+    roots = vectors * np.sqrt(np.maximum(values, 0))[:, None]
+    covariances: Float64s = np.einsum("lkm,ljm->lkj", roots, roots)
+    return covariances
+
+
+def _medians(quantiles: Array) -> Float64s:
+    return np.sort(quantiles, axis=-1)[..., QUANTILES.index(0.5)].astype(np.float64)
+
+
+def _in_full_scale(samples: Samples) -> tuple[Samples, float, bool]:
+    """Scale colours to [0, 1]; return them, the full scale, and whether they are levels, which start in [0, 1]."""
+    values = samples.colours / STEPS
+    low, high = np.quantile(values, (1 - _FULL_SCALE_QUANTILE, _FULL_SCALE_QUANTILE))
+    shift = 0.0 if 0 <= low <= 1 else float(low)
+    scale = max(1.0, float(high) - shift) if values.max(initial=0) > 1 + shift else 1.0
+    if shift == 0 and scale == 1:
+        return samples, scale, True
+    values = (values - np.float32(shift)) * (STEPS / np.float32(scale))
+    # Values beyond full scale are rarely noise. Without clipping, single samples would hide the noise of all others.
+    return dataclasses.replace(samples, colours=values.clip(0, STEPS)), scale, shift == 0
