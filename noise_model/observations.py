@@ -35,7 +35,9 @@ class Observation:
     """The features of a picture, and the true noise; unknown values are NaN."""
 
     squares: np.ndarray  # (P, F)
+    quiet: np.ndarray  # (P, 3)
     even: np.ndarray  # (F,)
+    even_deviations: np.ndarray  # (SCALES, 6, 3)
     total: float
     deviations: np.ndarray  # (SCALES * 3,)
     correlations: np.ndarray  # (SCALES * 3,)
@@ -130,7 +132,8 @@ def observed(seen: Samples, noise: Samples | None, loss: Samples | None) -> Obse
         (largest > CORRELATED)[:, None] & (least > 0.05)[:, None], np.stack(pairs, axis=1).clip(-1, 1), np.nan
     )
     return Observation(
-        features.describe(seen.described(), cells), features.describe_even_cells(cells),
+        features.describe(seen.described(), cells), features.quiet_deviations(cells[0]),
+        *features.describe_even_cells(cells),
         log_of(total), log_of(variances).ravel(), correlations.ravel(), _by_square(truths),
     )  # fmt: skip
 

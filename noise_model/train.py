@@ -142,21 +142,21 @@ def make_observations(job: tuple[str, str, int, int, list[Path]]) -> Batches:
         made = KINDS[kind](rng, crops)
         if made is not None:
             found.append(made)
-    return Batches(kind, found)
+    return Batches(found)
 
 
 class Batches:
     """Concatenated observations; the features of squares are in half precision."""
 
-    def __init__(self, kind: str, observations: list[Observation]) -> None:
-        self.kind = kind
+    def __init__(self, observations: list[Observation]) -> None:
         self.counts = np.array([len(own.squares) for own in observations])
         self.starts = np.append(0, np.cumsum(self.counts))
         self.parts = {
             "squares": np.concatenate([own.squares for own in observations]).astype(np.float16),
+            "quiet": np.concatenate([own.quiet for own in observations]).astype(np.float16),
             "places": np.concatenate([own.by_square for own in observations]).astype(np.float32)[:, None],
         }
-        for name in ("even", "total", "deviations", "correlations"):
+        for name in ("even", "even_deviations", "total", "deviations", "correlations"):
             self.parts[name] = np.stack([getattr(own, name) for own in observations]).astype(np.float32)
         self.parts["total"] = self.parts["total"][:, None]
 
@@ -178,7 +178,6 @@ class Batches:
     def standardise(self, weights: Weights) -> None:
         """Standardise the features of neighbourhoods, in place."""
         squares = self.parts["squares"]
-        self.parts["quiet"] = network.quiet_of(squares, self.kind).astype(np.float32)
         for first in range(0, len(squares), ROWS):
             block = squares[first : first + ROWS]
             block[:] = weights.standardised("squares", block.astype(np.float32))
@@ -189,7 +188,8 @@ class Batches:
         counts, even = self.counts[chosen], self.parts["even"][chosen]
         starts = np.append(0, np.cumsum(counts)[:-1])
         given = self.parts["squares"][rows].astype(np.float32), starts, weights.standardised("even", even)
-        candidates = candidates_of(even, self.parts["quiet"][rows], starts, self.kind)
+        quiet = self.parts["quiet"][rows].astype(np.float32)
+        candidates = candidates_of(self.parts["even_deviations"][chosen], quiet, starts)
         truths = {name: self.parts[name][chosen] for name in ("total", "deviations", "correlations")}
         # Squares are read relative to their mean, since often only the mean is uncertain.
         places = self.parts["places"][rows]

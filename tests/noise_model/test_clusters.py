@@ -66,7 +66,7 @@ def test_small_surfaces_have_finite_features(rows):
     tiles = clusters.cut(white(rows**2))
     cells = tiles.cells()
     assert len(describe(tiles.described(), cells)) == clusters.count
-    for features in (describe(tiles.described(), cells), describe_even_cells(cells)):
+    for features in (describe(tiles.described(), cells), *describe_even_cells(cells)):
         assert np.isfinite(features).all()
 
 

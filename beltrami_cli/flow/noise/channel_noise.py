@@ -19,7 +19,6 @@ from beltrami_cli.flow.noise.network import (
     Layers,
     Weights,
     candidates_of,
-    quiet_of,
     read,
     readings,
 )
@@ -169,12 +168,12 @@ def difference_of_scales(covariances: Float64s) -> float:
 
 def read_network(samples: Samples, weights: Weights) -> tuple[dict[str, Array], Array]:
     """Return the network's reading of samples, its context, and candidates of the total, shape (1, 1, M)."""
-    cells, start, kind = samples.cells(), np.zeros(1, np.int64), samples.where.kind
-    even, squares = features.describe_even_cells(cells)[None], features.describe(samples.described(), cells)
-    candidates = candidates_of(even, quiet_of(squares, kind), start, kind)
-    squares, even = weights.standardised("squares", squares), weights.standardised("even", even)
-    found = readings(read(Layers(weights.layers), squares, start, even), candidates)
-    return found, candidates["total"]
+    cells, start = samples.cells(), np.zeros(1, np.int64)
+    even, deviations = features.describe_even_cells(cells)
+    candidates = candidates_of(deviations[None], features.quiet_deviations(cells[0]), start)
+    squares = weights.standardised("squares", features.describe(samples.described(), cells))
+    outputs = read(Layers(weights.layers), squares, start, weights.standardised("even", even[None]))
+    return readings(outputs, candidates), candidates["total"]
 
 
 def _components(found: dict[str, Array]) -> Float64s:

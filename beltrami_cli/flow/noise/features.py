@@ -106,49 +106,57 @@ def _describe_scale(cells: Cells) -> list[Float32s]:
         energy = np.moveaxis(cells.residuals[:3], 0, 1)
         features += _quantiles(np.where(valid, energy, np.inf), _QUANTILES[:-1])
         features.append(log_deviation(energy.sum(axis=2, where=valid) / count))
-    return [*features, *_describe_quiet(cells)]
+    return [*features, quiet_deviations(cells), _correlations(_quiet_products(cells))]
 
 
-def _describe_quiet(cells: Cells) -> list[Float32s]:
-    """Return features of the quieter half of the cells: the energy by channel, and correlations of components."""
+def quiet_deviations(cells: Cells) -> Float32s:
+    """Return log2 of the deviations of channels in the quieter half of each neighbourhood's cells, shape (P, 3)."""
+    return log_deviation(_variances_of_channels(_quiet_products(cells)))
+
+
+def _quiet_products(cells: Cells) -> Float32s:
+    """Return the mean products of the quieter half of the cells of each neighbourhood, shape (P, 6)."""
     total = np.where(cells.is_valid, cells.products[:3].sum(axis=0), np.inf)
     middle = np.maximum(cells.is_valid.sum(axis=1) - 1, 0) // 2
     median = np.take_along_axis(np.sort(total, axis=1), middle[:, None], axis=1)
     quiet = (total <= median) & cells.is_valid
-    products = np.einsum("kpn,pn->pk", cells.products, quiet) / np.maximum(quiet.sum(axis=1), 1)[:, None]
-    return [log_deviation(_variances_of_channels(products)), _correlations(products)]
+    sums = np.einsum("kpn,pn->pk", cells.products, quiet)
+    return np.asarray(sums / np.maximum(quiet.sum(axis=1), 1)[:, None])
 
 
-def describe_even_cells(cells: Sequence[Cells]) -> Float32s:
-    """Return features of the most even cells and blocks of a picture at each scale, shape (F,).
+def describe_even_cells(cells: Sequence[Cells]) -> tuple[Float32s, Float32s]:
+    """Return features of the most even cells and blocks of a picture, shape (F,), and the deviations among them.
 
     Cells are even where the details of the next two scales are small. The noise in a cell does not depend on these, so
-    its energy in even cells is an unbiased estimate.
+    its energy in even cells is an unbiased estimate. Deviations, as log2, have the shape (SCALES, 6, 3): of components,
+    by `EVEN_SHARES` of all cells, and by statistic over the neighbourhoods.
     """
-    found = [np.log2([len(cells[0].freedom)])]
+    found, deviations, by_place = [np.log2([len(cells[0].freedom)])], [], []
     for own in cells:
         known, whole = _known_cells(own)
         found.append(np.log2([1 + whole.sum()]))
-        if own.is_grid:
-            found += _describe_even(own, whole)
-            continue
-        found.append(np.array([whole.sum() / max(1, known.sum())]))
-        found += _describe_even(own, whole)
-        blocks = np.sort(own.blocks.reshape(3, -1), axis=1)
-        found += [own[:, 0] for own in _quantiles(blocks[:, None], _SHARES_OF_BLOCKS)]
-    found += [_even_by_neighbourhood(own, _known_cells(own)[1]) for own in cells]
-    return np.concatenate(found).astype(np.float32)
+        if not own.is_grid:
+            found.append(np.array([whole.sum() / max(1, known.sum())]))
+        by_share = [_describe_even(own, whole, share) for share in EVEN_SHARES]
+        found += [column for columns in by_share for column in columns]
+        if not own.is_grid:
+            blocks = np.sort(own.blocks.reshape(3, -1), axis=1)
+            found += [quantile[:, 0] for quantile in _quantiles(blocks[:, None], _SHARES_OF_BLOCKS)]
+        by_place.append(_even_by_neighbourhood(own, whole))
+        deviations.append([*(columns[0] for columns in by_share), *by_place[-1]])
+    found += [np.ravel(own) for own in by_place]
+    return np.concatenate(found).astype(np.float32), np.array(deviations, np.float32)
 
 
 def _even_by_neighbourhood(cells: Cells, whole: Bools) -> Float32s:
     """Return features of the even quarter of each neighbourhood, which are unbiased if noise depends on the place.
 
     They are the mean, median and lower quartile of the energy of components over the neighbourhoods, as logarithms of
-    deviations, shape (9,).
+    deviations, shape (3, 3).
     """
     some = whole.any(axis=1)
     if not some.any():
-        return np.full(9, log_deviation(0))
+        return np.full((3, 3), log_deviation(0))
     whole = whole[some]
     uneven = np.where(whole, cells.unevenness[some], np.inf)
     last = (_EVEN_SHARE * (whole.sum(axis=1) - 1)).astype(np.intp)
@@ -156,7 +164,7 @@ def _even_by_neighbourhood(cells: Cells, whole: Bools) -> Float32s:
     weights = cells.freedom[some] * ((uneven <= limit) & whole)
     energies = np.einsum("kpn,pn->kp", cells.products[:3, some], weights) / weights.sum(axis=1)
     parts = [energies.mean(axis=1), *np.quantile(energies, (0.5, 0.25), axis=1)]
-    return np.concatenate([log_deviation(own) for own in parts])
+    return np.stack([log_deviation(own) for own in parts])
 
 
 def even_covariances(cells: Sequence[Cells], chosen: Bools, variances: Float64s) -> tuple[Float64s, Float64s]:
@@ -191,29 +199,25 @@ def _known_cells(cells: Cells, chosen: Bools | bool = True) -> tuple[Bools, Bool
     return known, whole if 4 * whole.sum() > _EVEN_SHARE * known.sum() else known
 
 
-def _describe_even(cells: Cells, whole: Bools) -> list[Float32s]:
-    """Return features of the most even cells in the mask `whole`."""
+def _describe_even(cells: Cells, whole: Bools, share: float) -> list[Float32s]:
+    """Return features of a share of the cells in the mask `whole`, the most even ones; deviations come first."""
+    residuals = cells.residuals if share == _SHARE_OF_RESIDUALS else None
     products, freedom, unevenness = cells.products[:, whole], cells.freedom[whole], cells.unevenness[whole]
-    found, ranked = [], np.sort(unevenness)
-    for share in EVEN_SHARES:
-        residuals = cells.residuals if share == _SHARE_OF_RESIDUALS else None
-        if not len(ranked):
-            size = (9 if cells.is_grid else 14) + (0 if residuals is None else 9)
-            found.append(np.full(size, log_deviation(0)))
-            continue
-        # Cells within one coarser cell are equally even, so ties are included.
-        even = unevenness <= ranked[int(share * (len(ranked) - 1))]
-        own, weights = products[:, even], freedom[even]
-        means = np.einsum("kn,n->k", own, weights)[None] / weights.sum()
-        found += _variances_and_correlations(means)
-        if not cells.is_grid:
-            scatter = (np.square(own[:3]).mean(axis=1) + 1e-3) / (np.square(own[:3].mean(axis=1)) + 1e-3)
-            around = np.minimum(unevenness[even], 1e6).mean()
-            found.append(np.log2(scatter) / 4)
-            found.append(np.array([log_deviation(around), np.mean(own[:3].sum(axis=0) < _CONSTANT)]))
-        if residuals is not None:
-            found += _variances_and_correlations(residuals[:, whole][:, even].mean(axis=1)[None])
-    return [np.asarray(own, np.float32) for own in found]
+    if not len(unevenness):
+        others = 6 + (0 if cells.is_grid else 5) + (0 if residuals is None else 9)
+        return [np.full(size, log_deviation(0)) for size in (3, others)]
+    # Cells within one coarser cell are equally even, so ties are included.
+    even = unevenness <= np.sort(unevenness)[int(share * (len(unevenness) - 1))]
+    own, weights = products[:, even], freedom[even]
+    found = _variances_and_correlations(np.einsum("kn,n->k", own, weights)[None] / weights.sum())
+    if not cells.is_grid:
+        scatter = (np.square(own[:3]).mean(axis=1) + 1e-3) / (np.square(own[:3].mean(axis=1)) + 1e-3)
+        around = np.minimum(unevenness[even], 1e6).mean()
+        found.append(np.log2(scatter) / 4)
+        found.append(np.array([log_deviation(around), np.mean(own[:3].sum(axis=0) < _CONSTANT)]))
+    if residuals is not None:
+        found += _variances_and_correlations(residuals[:, whole][:, even].mean(axis=1)[None])
+    return [np.asarray(column, np.float32) for column in found]
 
 
 def _variances_and_correlations(means: Float32s) -> list[Float32s]:

@@ -44,17 +44,6 @@ OUTPUTS = {
 # Limit at which standardised features are clipped, in standard deviations.
 MAX_STANDARDISED = 6.0
 
-# Index of the first of three features of even cells that are log2 of the deviations of components, by scale and by
-# share of the cells.
-_FIRST_OF_EVEN = {
-    "grid": [[first + own for own in (0, 9, 18)] for first in (2, 30, 58, 86)],
-    "cluster": [[3, 17, 40], [68, 82, 105], [133, 147, 161], [189, 203, 217]],
-}
-
-# Index of the first of three features of neighbourhoods that are log2 of the deviations of channels in the quieter half
-# of the finest cells.
-_FIRST_OF_QUIET = {"grid": 69, "cluster": 62}
-
 Value = TypeVar("Value")
 
 
@@ -137,37 +126,28 @@ def readings(found: dict[str, Array], candidates: dict[str, Array]) -> dict[str,
     return {**found, **read_as}
 
 
-def quiet_of(squares: Float32s, kind: str) -> Float32s:
-    """Return the features of neighbourhoods by which their noise is compared, shape (P, 3)."""
-    first = _FIRST_OF_QUIET[kind]
-    return squares[:, first : first + 3]
-
-
-def candidates_of(even: Float32s, quiet: Float32s, starts: Int64s, kind: str) -> dict[str, Array]:
+def candidates_of(even: Float32s, quiet: Float32s, starts: Int64s) -> dict[str, Array]:
     """Return candidate estimates of log2(deviation + OFFSET), along the last axis.
 
-    "total", shape (N, 1, M), and "deviations" by scale and component, shape (N, 12, M), are measured in even cells.
-    "places", shape (P, 1, M), are those of neighbourhoods relative to the mean of their picture.
+    "total", shape (N, 1, M), and "deviations" by scale and component, shape (N, 12, M), are made from the deviations in
+    even cells, shape (N, SCALES, 6, 3); "places", shape (P, 1, M), from the deviations of quiet cells, shape (P, 3),
+    relative to the mean of their picture.
     """
     of_squares = log_of(4.0**quiet - FLOOR).mean(axis=1)
     counts = np.diff(np.append(starts, len(quiet)))
     of_squares -= np.repeat(np.add.reduceat(of_squares, starts) / counts, counts)
     places = np.stack([of_squares, np.zeros_like(of_squares)], axis=-1)
-    return {**_candidates_of_even(even, kind), "places": places[:, None]}
+    return {**_candidates_of_even(even), "places": places[:, None]}
 
 
-def _candidates_of_even(even: Float32s, kind: str) -> dict[str, Array]:
-    """Return the candidates "total" and "deviations" from the features of even cells.
+def _candidates_of_even(even: Float32s) -> dict[str, Array]:
+    """Return the candidates "total" and "deviations" from the deviations in even cells.
 
     The candidates of a scale and component are its deviation by share of the cells, that of the finest scale, and those
     of the differences of channels at its scale and at the finest. Differences of channels have the least texture, and
     independent noise has the same deviation in all of them.
     """
-    columns = np.array(_FIRST_OF_EVEN[kind])
-    by_share = even[:, columns[..., None] + np.arange(3)]
-    by_place = even[:, -SCALES * 9 :].reshape(len(even), SCALES, 3, 3)
-    # Variances by share of all even cells, and by statistic over the neighbourhoods, shape (N, SCALES, 6, 3).
-    variances = np.maximum(4.0 ** np.concatenate([by_share, by_place], axis=2) - FLOOR, 0)
+    variances = np.maximum(4.0**even - FLOOR, 0)
     total = covariance_of_cells(np.moveaxis(variances.mean(axis=3), 1, 0))
     usual = variances[:, :, [len(EVEN_SHARES) - 1, len(EVEN_SHARES)]]
     finest = np.broadcast_to(usual[:, :1], usual.shape)
