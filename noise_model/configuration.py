@@ -11,7 +11,7 @@ NETWORK = (
     *(f"noise_model/{name}.py" for name in ("noises", "observations", "pictures", "surfaces", "train")),
     *(
         f"beltrami_cli/flow/noise/{name}.py"
-        for name in ("clusters", "features", "grid_squares", "neighbourhoods", "network")
+        for name in ("clusters", "features", "grid_squares", "jpeg_traces", "neighbourhoods", "network")
     ),
 )
 SIZES = (

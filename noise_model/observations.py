@@ -132,7 +132,7 @@ def observed(seen: Samples, noise: Samples | None, loss: Samples | None) -> Obse
         (largest > CORRELATED)[:, None] & (least > 0.05)[:, None], np.stack(pairs, axis=1).clip(-1, 1), np.nan
     )
     return Observation(
-        features.describe(seen.described(), cells), features.quiet_deviations(cells[0]),
+        features.describe(seen.features(), cells), features.quiet_deviations(cells[0]),
         *features.describe_even_cells(cells),
         log_of(total), log_of(variances).ravel(), correlations.ravel(), _by_square(truths),
     )  # fmt: skip

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import os
 import time
+from dataclasses import replace
 from functools import cache
 from multiprocessing import Pool
 from pathlib import Path
@@ -313,12 +314,17 @@ def descend(layers, moments, gradients, rate, step) -> None:
         layers[name] -= (rate * (change + DECAY * layers[name])).astype(np.float32)
 
 
-def save(weights: Weights, path: Path) -> None:
-    """Write a file of weights, rounded to eight significant bits, which compress better."""
-    arrays: dict[str, np.ndarray] = {}
+def rounded(weights: Weights) -> Weights:
+    """Round layers to eight significant bits, which compress better."""
+    layers = {}
     for name, values in weights.layers.items():
         digits, exponents = np.frexp(values)
-        arrays[f"layer/{name}"] = np.ldexp(np.rint(digits * 256) / 256, exponents).astype(np.float16)
+        layers[name] = np.ldexp(np.rint(digits * 256) / 256, exponents)
+    return replace(weights, layers=layers)
+
+
+def save(weights: Weights, path: Path) -> None:
+    arrays = {f"layer/{name}": values.astype(np.float16) for name, values in weights.layers.items()}
     for kind, parts in (("mean", weights.means), ("scale", weights.scales)):
         arrays |= {f"{kind}/{name}": values.astype(np.float32) for name, values in parts.items()}
     np.savez_compressed(path, configuration=np.array(weights.configuration), **arrays)
@@ -356,7 +362,7 @@ def train_kind(kind: str, roots: list[Path], options: argparse.Namespace) -> Non
     print(f"{kind}: {held}: {time.monotonic() - began:.0f} s", flush=True)
     del parts
     path = options.weights / f"{kind}_weights.npz"
-    save(train(kind, training, validation, options.epochs), path)
+    save(rounded(train(kind, training, validation, options.epochs)), path)
     print(f"{path.stat().st_size / 1024:.0f} KB written after {time.monotonic() - began:.0f} s", flush=True)
     table.main(roots, options.judged, kind, Weights.load(path))
 

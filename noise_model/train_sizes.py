@@ -18,11 +18,11 @@ import observations
 import pictures
 import surfaces
 from beltrami_cli.flow.noise.channel_noise import read_network
-from beltrami_cli.flow.noise.network import OFFSET, weights_of
-from beltrami_cli.flow.noise.size import EDGES, LAYERS, WIDTHS, Size, SizeWeights, evidence, removal_curve
+from beltrami_cli.flow.noise.network import OFFSET, Weights, weights_of
+from beltrami_cli.flow.noise.size import EDGES, LAYERS, WIDTHS, evidence, removal_curve, sizes_of
 from configuration import SIZES, configuration
 from size_kinds import FAMILIES
-from train import WEIGHTS, Node, Tape, crops_of, descend
+from train import WEIGHTS, Node, Tape, crops_of, descend, save
 
 SAMPLES = {"grid": observations.random_samples, "cluster": surfaces.random_samples}
 TEST_ROWS = 1_000  # per family
@@ -68,7 +68,7 @@ def labels_of(truth: np.ndarray, first: np.ndarray) -> np.ndarray:
     )
 
 
-def train(rows: np.ndarray, first: np.ndarray, truth: np.ndarray) -> SizeWeights:
+def train(rows: np.ndarray, first: np.ndarray, truth: np.ndarray) -> Weights:
     """Train by Adam on the cross entropy, with a rate that falls to 0 along a cosine."""
     rng, labels = np.random.default_rng(SEED), labels_of(truth, first)
     sizes = rows.shape[1], *WIDTHS, labels.shape[1]
@@ -76,12 +76,11 @@ def train(rows: np.ndarray, first: np.ndarray, truth: np.ndarray) -> SizeWeights
     for name, inputs, outputs in zip(LAYERS, sizes, sizes[1:], strict=False):
         layers[f"{name}.matrix"] = rng.normal(0, np.sqrt(2 / inputs), (inputs, outputs)).astype(np.float32)
         layers[f"{name}.bias"] = np.zeros(outputs, np.float32)
-    weights = SizeWeights(
-        layers, rows.mean(axis=0), rows.std(axis=0) + np.float32(1e-3), configuration(SIZES)
-    )
+    means, scales = {"evidence": rows.mean(axis=0)}, {"evidence": rows.std(axis=0) + np.float32(1e-3)}
+    weights = Weights(layers, means, scales, configuration(SIZES))
     moments = {name: (0 * own, 0 * own) for name, own in layers.items()}
     step, steps = 0, EPOCHS * (len(rows) // BATCH)
-    standardised = weights.standardised(rows)
+    standardised = weights.standardised("evidence", rows)
     for _ in range(EPOCHS):
         order = rng.permutation(len(rows))
         for at in range(0, len(order) - BATCH + 1, BATCH):
@@ -115,24 +114,21 @@ COSTS = (5.4, 4.5, 3.2, 1.8, 0.5, 0.05, 0, 0.6, 1.4, 3, 6)
 HARMLESS, TAKEN = 42, 0.45
 
 
-def judge(weights: SizeWeights, rows: np.ndarray, first: np.ndarray, truth: np.ndarray) -> None:
+def judge(weights: Weights, rows: np.ndarray, first: np.ndarray, truth: np.ndarray) -> None:
     """Print the PSNR lost by misreadings, and how often noise is missed or found in clean pictures."""
-    probabilities = weights.read(rows).astype(np.float64)
-    sizes = [
-        Size(own, row[0], row[1:] / max(1e-12, row[1:].sum()))
-        for own, row in zip(first, probabilities, strict=True)
-    ]
-    median, low, high = (np.array([own.quantile(share) for own in sizes]) for share in (0.5, 0.05, 0.95))
+    sizes = sizes_of(weights, rows, first)
+    median, low, high = (np.array([size.quantile(share) for size in sizes]) for share in (0.5, 0.05, 0.95))
+    none = np.array([size.none for size in sizes])
     noisy, clean = truth > 1.5, truth < NONE
     for most in (0.1, 0.2, 0.3, 0.5):
-        told = np.where(probabilities[:, 0] < most, 1.1 * median, 0)
-        ratios = np.log2((told + 0.1) / (truth + 0.1))
+        assumed = np.where(none < most, 1.1 * median, 0)
+        ratios = np.log2((assumed + 0.1) / (truth + 0.1))
         lost = np.interp(ratios, RATIOS, COSTS) * np.clip(truth / 6, 0.2, 1)  # little noise costs less
-        harm = np.maximum(0, HARMLESS - 20 * np.log10(255 / np.maximum(TAKEN * told, 1e-3)))
+        harm = np.maximum(0, HARMLESS - 20 * np.log10(255 / np.maximum(TAKEN * assumed, 1e-3)))
         print(
             f"none above {most}: noisy pictures lose {lost[noisy].mean():.2f} dB, clean ones {harm[clean].mean():.2f};"
-            f" noise above 4 is not found in {np.mean(told[truth > 4] == 0):.1%},"
-            f" clean is touched in {np.mean(told[clean] > 2):.1%}"
+            f" noise above 4 is not found in {np.mean(assumed[truth > 4] == 0):.1%},"
+            f" clean is touched in {np.mean(assumed[clean] > 2):.1%}"
         )
     holds = (low - OFFSET <= truth) & (truth <= high + OFFSET)
     near = np.abs(median / np.maximum(truth, 1e-9) - 1) < 0.25
@@ -163,12 +159,6 @@ def train_kind(kind: str, roots: list[Path], options: argparse.Namespace) -> Non
         judge(weights, *rows_of("test", [number]))
     save(weights, options.weights / f"{kind}_sizes.npz")
     print(f"written after {time.monotonic() - began:.0f} s", flush=True)
-
-
-def save(weights: SizeWeights, path: Path) -> None:
-    arrays = {name: own.astype(np.float16) for name, own in weights.layers.items()}
-    parts = {"means": weights.means, "scales": weights.scales}
-    np.savez_compressed(path, **arrays, **parts, configuration=np.array(weights.configuration))
 
 
 def main() -> None:

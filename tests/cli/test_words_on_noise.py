@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from batch.batches import batch
+from beltrami_cli.flow.noise import channel_noise
 from beltrami_cli.flow.noise.model import Reading
-from beltrami_cli.flow.noise.size import SizeWeights
+from beltrami_cli.flow.noise.size import sizes_of
 from beltrami_cli.layers.layer import describe_reading
 from beltrami_cli.view.words import noise_in_words, noise_of, noise_of_255
 from cli.commands import SAMPLES, beltrami, colours_in
@@ -31,10 +32,12 @@ def noisy(tmp_path):
 @pytest.fixture
 def suppose(monkeypatch):
     """Let there be no noise with a probability."""
-    size = SizeWeights.size
 
     def set_none(none):
-        monkeypatch.setattr(SizeWeights, "size", lambda *given: dataclasses.replace(size(*given), none=none))
+        def sizes(*evidence):
+            return [dataclasses.replace(size, none=none) for size in sizes_of(*evidence)]
+
+        monkeypatch.setattr(channel_noise, "sizes_of", sizes)
 
     return set_none
 

@@ -54,8 +54,8 @@ def test_the_order_of_vertices_does_not_matter():
     other = Graph(graph.positions[order], rank[graph.edges], graph.priorities[order])
     found = []
     for own, values in ((graph, colours), (other, colours[:, order])):
-        tiles = VertexClusters(own).cut(values)
-        described = describe(tiles.described(), tiles.cells())
+        samples = VertexClusters(own).cut(values)
+        described = describe(samples.features(), samples.cells())
         found.append(described[np.lexsort(described.T[:3])])
     np.testing.assert_allclose(*found, rtol=1e-3, atol=1e-3)
 
@@ -63,10 +63,10 @@ def test_the_order_of_vertices_does_not_matter():
 @pytest.mark.parametrize("rows", [17, 25])
 def test_small_surfaces_have_finite_features(rows):
     clusters = VertexClusters(lattice(rows, rows))
-    tiles = clusters.cut(white(rows**2))
-    cells = tiles.cells()
-    assert len(describe(tiles.described(), cells)) == clusters.count
-    for features in (describe(tiles.described(), cells), *describe_even_cells(cells)):
+    samples = clusters.cut(white(rows**2))
+    cells = samples.cells()
+    assert len(describe(samples.features(), cells)) == clusters.count
+    for features in (describe(samples.features(), cells), *describe_even_cells(cells)):
         assert np.isfinite(features).all()
 
 

@@ -23,7 +23,7 @@ from beltrami_cli.flow.noise.network import (
     readings,
 )
 from beltrami_cli.flow.noise.residual import Residual
-from beltrami_cli.flow.noise.size import Size, evidence, removal_curve, size_weights
+from beltrami_cli.flow.noise.size import Size, evidence, removal_curve, size_weights, sizes_of
 from beltrami_cli.flow.noise.stabiliser import COLOURS
 from beltrami_cli.flow.noise.structure import MAX_CLIPPED_SHARE, Structure, shares_of_noise
 
@@ -69,12 +69,12 @@ class ChannelNoise:
         samples = where.cut(np.broadcast_to(planes, (COLOURS, *planes.shape[1:])))
         samples, full_scale, are_levels = _in_full_scale(samples)
         outputs, candidates = read_network(samples, weights)
-        row, first = evidence(
+        rows, first = evidence(
             outputs["context"], np.sort(outputs["total"]), candidates[:, 0], removal_curve(samples)[None],
             np.array([where.count]),
         )  # fmt: skip
-        size = size_weights(where.kind).size(row[0], float(first[0]))
-        if len(where.tiles) < _MIN_SAMPLES:
+        (size,) = sizes_of(size_weights(where.kind), rows, first)
+        if len(where.of_samples) < _MIN_SAMPLES:
             size = dataclasses.replace(size, none=1.0)
         sigma = size.quantile(0.5) if size.none <= MAX_NO_NOISE_PROBABILITY else 0.0
         order, places = np.argsort(samples.order)[: len(planes)], _medians(outputs["places"])
@@ -127,7 +127,7 @@ class ChannelNoise:
             return nothing, 1.0
         found = found * (COLOURS * sigma**2 / total)
         if is_shared:
-            is_whole = self.samples.cut_off() < MAX_CLIPPED_SHARE
+            is_whole = self.samples.clipped_shares() < MAX_CLIPPED_SHARE
             cells = residual.samples.cells()
             found = _combined(found, *even_covariances(cells, is_whole, structure.places))
             ratio = float(np.sqrt(np.trace(covariance_of_cells(found)) / COLOURS) / sigma)
@@ -171,7 +171,7 @@ def read_network(samples: Samples, weights: Weights) -> tuple[dict[str, Array], 
     cells, start = samples.cells(), np.zeros(1, np.int64)
     even, deviations = features.describe_even_cells(cells)
     candidates = candidates_of(deviations[None], features.quiet_deviations(cells[0]), start)
-    squares = weights.standardised("squares", features.describe(samples.described(), cells))
+    squares = weights.standardised("squares", features.describe(samples.features(), cells))
     outputs = read(Layers(weights.layers), squares, start, weights.standardised("even", even[None]))
     return readings(outputs, candidates), candidates["total"]
 

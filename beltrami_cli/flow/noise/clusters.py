@@ -43,7 +43,7 @@ class ClusterScale(Scale):
     """A scale whose cells are clusters of parts."""
 
     parents: Int64s  # the cell of each part
-    tile: Int64s  # the neighbourhood of each cell
+    of_cells: Int64s  # the neighbourhood of each cell
     slot: Int64s  # the number of each cell within its neighbourhood
     edges: Int64s  # pairs of neighbouring parts, shape (E, 2)
 
@@ -55,7 +55,7 @@ class ClusterScale(Scale):
     def sums(self, values: Array) -> Float64s:
         if values.ndim > 1:
             return np.stack([self.sums(own) for own in values])
-        return np.bincount(self.parents, values, len(self.tile)).astype(np.float64, copy=False)
+        return np.bincount(self.parents, values, len(self.of_cells)).astype(np.float64, copy=False)
 
     def means(self, values: Array) -> Float64s:
         return self.sums(self.counts * values) / self._samples
@@ -70,9 +70,9 @@ class ClusterScale(Scale):
         return self.sums(values)
 
     def padded(self, values: Array, empty: float = 0.0) -> Float32s:
-        shape = int(self.tile.max(initial=-1)) + 1, int(self.slot.max(initial=0)) + 1
+        shape = int(self.of_cells.max(initial=-1)) + 1, int(self.slot.max(initial=0)) + 1
         found = np.full((*values.shape[:-1], *shape), empty, np.float32)
-        found[..., self.tile, self.slot] = values
+        found[..., self.of_cells, self.slot] = values
         return found
 
     @cached_property
@@ -80,7 +80,7 @@ class ClusterScale(Scale):
         """Pairs of neighbouring parts in different cells, in both orders, and the neighbourhood of the first part."""
         one, other = self.edges[np.diff(self.parents[self.edges], axis=1)[:, 0] != 0].T
         ends = np.concatenate([one, other])
-        return ends, np.concatenate([other, one]), self.tile[self.parents[ends]]
+        return ends, np.concatenate([other, one]), self.of_cells[self.parents[ends]]
 
     @cached_property
     def degree(self) -> Int64s:
@@ -101,7 +101,7 @@ class ClusterScale(Scale):
 
 @dataclass(frozen=True)
 class VertexClusters(Neighbourhoods):
-    """Clusters of samples that are joined by edges.
+    """Clusters of samples joined by edges.
 
     Consecutive samples must be close to each other, since a large surface is read in blocks of these.
     """
@@ -119,7 +119,7 @@ class VertexClusters(Neighbourhoods):
         return self._cut[1]
 
     @property
-    def tiles(self) -> Int64s:
+    def of_samples(self) -> Int64s:
         return self._cut[2]
 
     def chosen_of(self, planes: Float32s) -> Float32s:
@@ -127,44 +127,41 @@ class VertexClusters(Neighbourhoods):
 
     @cached_property
     def _cut(self) -> tuple[Int64s, list[ClusterScale], Int64s]:
+        """The samples that are read, the scales, and the neighbourhood of each sample."""
         chosen, graph = _some_samples(self.graph)
         levels = list(islice(levels_of(graph), SCALES + 2))
-        counts = levels[-1].counts
-        kept = counts >= max(_LEAST, min(_ENOUGH, counts.max(initial=0) / 2))
-        kept &= counts[kept].sum() >= _FEWEST
-        number = np.where(kept, np.cumsum(kept) - 1, -1)
-        # The neighbourhood of each cluster by level, and consecutive numbers of the clusters that are read.
-        tiles = [number[levels[-1].members[level.centres]] for level in levels]
-        renumbered = [np.where(own >= 0, np.cumsum(own >= 0) - 1, -1) for own in tiles]
-        found = []
+        large = _large_ones(levels[-1].counts)
+        # The neighbourhood of each cluster by level, -1 if it is not read, and consecutive numbers of those read.
+        tiles = [large[levels[-1].members[level.centres]] for level in levels]
+        numbers = [_numbered(own >= 0) for own in tiles]
+        scales = []
         for place, (fine, coarse) in enumerate(pairwise(levels)):
-            used, tile = tiles[place] >= 0, tiles[place + 1][tiles[place + 1] >= 0]
-            parents = renumbered[place + 1][coarse.members[fine.centres]][used]
-            edges = renumbered[place][fine.graph.edges]
-            freedom = (np.bincount(parents, minlength=len(tile)) - 1).astype(np.float64)
+            used, of_cells = tiles[place] >= 0, tiles[place + 1][tiles[place + 1] >= 0]
+            parents = numbers[place + 1][coarse.members[fine.centres]][used]
+            edges = numbers[place][fine.graph.edges]
             scale = ClusterScale(
-                fine.counts[used].astype(np.float64),
-                freedom,
-                np.ones(len(tile), bool),
-                parents,
-                tile,
-                _ranks_within(tile),
-                edges[(edges >= 0).all(axis=1)],
+                counts=fine.counts[used].astype(np.float64),
+                freedom=(np.bincount(parents, minlength=len(of_cells)) - 1).astype(np.float64),
+                is_whole=np.ones(len(of_cells), bool),
+                parents=parents,
+                of_cells=of_cells,
+                slot=_ranks_within(of_cells),
+                edges=edges[(edges >= 0).all(axis=1)],
             )
-            found.append(scale)
-        return chosen[tiles[0] >= 0], found, tiles[0][tiles[0] >= 0]
+            scales.append(scale)
+        return chosen[tiles[0] >= 0], scales, tiles[0][tiles[0] >= 0]
 
     def energies_for_order(self, samples: Samples) -> Float32s:
         finest = self.scales[0]
         means = np.stack([finest.means(own)[finest.parents] for own in samples.colours])
         return np.asarray(np.abs(samples.colours - means).sum(axis=1), np.float32)
 
-    def described(self, samples: Samples) -> list[Array]:
+    def features(self, samples: Samples) -> list[Array]:
         """Return features of the number of samples, and of the number of neighbours per sample."""
         degree = np.bincount(self.graph.edges.ravel(), minlength=self.graph.size)[self.chosen]
         return [np.log2(self.counts) / 4, self.means(degree[None])[0] / 4]
 
-    def described_cells(self, samples: Samples, number: int) -> tuple[Float32s, Float32s, Float32s | None]:
+    def cell_features(self, samples: Samples, number: int) -> tuple[Float32s, Float32s, Float32s | None]:
         residuals = self._residuals(samples, number) if number < _SCALES_OF_RESIDUALS else None
         return (
             self._mean_squares(samples, number),
@@ -176,8 +173,8 @@ class VertexClusters(Neighbourhoods):
         """Return the mean squares of the energies of cells in each neighbourhood, by component, shape (P, 3)."""
         scale, energies = self.scales[number], samples.products[number][:3]
         used = scale.freedom > 0
-        sums = [np.bincount(scale.tile[used], own[used] ** 2, self.count) for own in energies]
-        cells = np.maximum(np.bincount(scale.tile[used], minlength=self.count), 1)
+        sums = [np.bincount(scale.of_cells[used], own[used] ** 2, self.count) for own in energies]
+        cells = np.maximum(np.bincount(scale.of_cells[used], minlength=self.count), 1)
         return (np.stack(sums, axis=1) / cells[:, None]).astype(np.float32)
 
     def _neighbours(self, scale: ClusterScale, details: Float64s) -> Float32s:
@@ -196,7 +193,7 @@ class VertexClusters(Neighbourhoods):
         inside = scale.degree >= _NEIGHBOURS
         differences = [own - scale.sums_around(own) / np.maximum(scale.degree, 1) for own in values]
         residuals = np.stack(differences)[:, inside] / scale.of_residuals[inside]
-        parents, cells = scale.parents[inside], len(scale.tile)
+        parents, cells = scale.parents[inside], len(scale.of_cells)
         sums = np.stack([np.bincount(parents, residuals[k] * residuals[m], cells) for k, m in PAIRS])
         count = np.bincount(parents, minlength=cells)
         products = samples.products[number]
@@ -204,7 +201,7 @@ class VertexClusters(Neighbourhoods):
 
     @cached_property
     def centres(self) -> Float64s:
-        sums = [np.bincount(self.tiles, own) for own in self.graph.positions[self.chosen].T]
+        sums = [np.bincount(self.of_samples, own) for own in self.graph.positions[self.chosen].T]
         return np.stack(sums, axis=1) / self.counts[:, None]
 
     def pilot(self, colours: Float32s, variances: Float32s) -> Float32s:
@@ -235,6 +232,16 @@ def _some_samples(graph: Graph) -> tuple[Int64s, Graph]:
     rank = np.cumsum(is_chosen, dtype=np.int32) - 1
     edges = rank[graph.edges[is_chosen[graph.edges].all(axis=1)]]
     return chosen, Graph(graph.positions[chosen], edges, graph.priorities[chosen])
+
+
+def _large_ones(counts: Float32s) -> Int64s:
+    """Assign consecutive numbers to the clusters with enough samples, and -1 to others."""
+    is_large = counts >= max(_LEAST, min(_ENOUGH, counts.max(initial=0) / 2))
+    return _numbered(is_large & (counts[is_large].sum() >= _FEWEST))
+
+
+def _numbered(mask: Bools) -> Int64s:
+    return np.where(mask, np.cumsum(mask) - 1, -1)
 
 
 def _ranks_within(groups: Int64s) -> Int64s:

@@ -51,7 +51,7 @@ _SHARE_OF_RESIDUALS = 0.05
 _SHARES_OF_BLOCKS = (0.01, 0.05, 0.2, 0.5)
 
 # Maximum share of clipped samples around an even cell. Clipping reduces the noise.
-_MAX_CUT_OFF = 0.05
+_MAX_CLIPPED = 0.05
 
 # Energy that is added before a logarithm is taken, in squared 8-bit steps. Noise of this energy is invisible in 8 bits.
 FLOOR = 0.01
@@ -68,7 +68,7 @@ class Cells:
     freedom: Float32s  # details in each cell, shape (P, n); 0: no cell
     blocks: Float32s  # mean squares by component in blocks of cells, shape (3, P, m); infinite: no block
     unevenness: Float32s  # energy of the next two scales around a cell, shape (P, n); infinite: unknown
-    cut_off: Float32s  # share of clipped samples around a cell, shape (P, n)
+    clipped: Float32s  # share of clipped samples around a cell, shape (P, n)
     fourth: Float32s  # mean fourth power of the details by component, shape (P, 3)
     others: Float32s  # features that only this kind of neighbourhood has, shape (P, F)
     # Mean products of residuals, which are free of slopes, in each cell, shape (6, P, n); None: not measured.
@@ -195,7 +195,7 @@ def _known_cells(cells: Cells, chosen: Bools | bool = True) -> tuple[Bools, Bool
     valid = cells.is_valid & chosen
     known = valid & np.isfinite(cells.unevenness)
     known = known if known.any() else valid
-    whole = known & (cells.cut_off <= _MAX_CUT_OFF)
+    whole = known & (cells.clipped <= _MAX_CLIPPED)
     return known, whole if 4 * whole.sum() > _EVEN_SHARE * known.sum() else known
 
 

@@ -9,7 +9,8 @@ from typing import ClassVar
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
-from beltrami_cli.flow.noise.features import MAX_SQUARES, SCALES, log_deviation
+from beltrami_cli.flow.noise import jpeg_traces
+from beltrami_cli.flow.noise.features import MAX_SQUARES, SCALES
 from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, Samples, Scale
 from beltrami_cli.flow.noise.pilot import smoothed_squares
 from beltrami_cli.surface import large_arrays
@@ -17,8 +18,11 @@ from beltrami_cli.surface import large_arrays
 # Cells per side of a square: the smallest side with 2 x 2 cells at the coarsest scale.
 SIDE = 2 ** (SCALES + 1)
 
+# Cells per side of a part of a square, which is a cell of the coarsest scale.
+_PART = SIDE // 2
+
 # Minimum share of filled cells in a square. If no square has that many, the fullest squares are read.
-MIN_FILLED_SHARE = 0.5
+_MIN_FILLED_SHARE = 0.5
 
 # Inverse powers of the plastic number. The fractional parts of row and column times these are spread evenly
 # (M. Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018).
@@ -34,18 +38,6 @@ _OF_NOISE = {2: 0.795, 3: 0.754}
 
 # Share of the largest variance of a component above which another component has noise, too.
 _NOISY = 0.1
-
-# Cells per side of a JPEG block, its cosine basis, and the band of each coefficient, by the sum of both frequencies.
-_JPEG = 8
-_COSINES = np.cos(np.pi / _JPEG * (np.arange(_JPEG) + 0.5) * np.arange(_JPEG)[:, None]).astype(np.float32)
-_COSINES *= np.sqrt(np.where(np.arange(_JPEG) > 0, 2, 1) / _JPEG).astype(np.float32)[:, None]
-_BANDS: Int64s = np.digitize(np.add.outer(np.arange(_JPEG), np.arange(_JPEG)), (1, 3, 5, 8))
-
-# Magnitude below which a coefficient of luma counts as 0: rounding to 8 bits gives coefficients a deviation of 0.2.
-_ZERO_WAVE = 0.75
-
-# Weights of red, green and blue in the luma of JPEG.
-_LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 
 
 @dataclass(frozen=True)
@@ -146,7 +138,7 @@ class Grid(Neighbourhoods):
         return found
 
     @cached_property
-    def tiles(self) -> Int64s:
+    def of_samples(self) -> Int64s:
         return np.repeat(np.arange(len(self.corners)), self.counts)
 
     @cached_property
@@ -167,33 +159,21 @@ class Grid(Neighbourhoods):
         is_whole = finest.is_whole.reshape(a.shape[1:])
         return np.asarray(np.abs(a - b - c + d).sum(axis=(1, 2, 3), where=is_whole), np.float32)
 
-    def described(self, samples: Samples) -> list[Array]:
-        """Return features of the number of values, of filling, and of JPEG: steps between blocks, and coefficients."""
+    def features(self, samples: Samples) -> list[Array]:
+        """Return features of the number of values, of filling, and of JPEG."""
         squares = laid_out(samples.colours, self._present, SIDE)
         shown = squares if self._present is None else np.where(self._squares, squares, np.float32(-1))
         ordered = np.sort(shown.reshape(3, self.count, -1), axis=2)
         values = np.log2(1 + np.count_nonzero(np.diff(ordered, axis=2) > 1 / 16, axis=2)).mean(axis=0)
-        luma = np.einsum("c,cpij->pij", _LUMA[samples.order], squares)
+        luma = np.einsum("c,cpij->pij", jpeg_traces.LUMA[samples.order], squares)
         return [
             values / 4,
             self.counts / SIDE**2,
-            self._steps_of_jpeg(shown.mean(axis=0)),
-            *_waves_of_jpeg(luma, self._squares),
+            jpeg_traces.block_steps(shown.mean(axis=0), self._squares),
+            *jpeg_traces.coefficients(luma, self._squares),
         ]
 
-    def _steps_of_jpeg(self, means: Float32s) -> Float32s:
-        """Return log2 of the ratio of steps at the borders of 8 x 8 blocks to steps everywhere."""
-        excess = np.zeros(len(means), np.float32)
-        for axis in (1, 2):
-            both = np.moveaxis(self._squares, axis, -1)
-            both = both[..., 1:] & both[..., :-1]
-            jumps = np.square(np.diff(np.moveaxis(means, axis, -1), axis=-1)) * both
-            for part, sign in ((np.s_[..., 7::8], 1), (np.s_[...], -1)):
-                count = np.maximum(both[part].sum(axis=(1, 2)), 1)
-                excess += sign * log_deviation(jumps[part].sum(axis=(1, 2)) / count)
-        return excess
-
-    def described_cells(self, samples: Samples, number: int) -> tuple[Float32s, Float32s, None]:
+    def cell_features(self, samples: Samples, number: int) -> tuple[Float32s, Float32s, None]:
         """Return the mean fourth power of details, and features of their anisotropy and correlation."""
         scale = self.scales[number]
         values = samples.details[number].reshape(3, 3, self.count, scale.side, scale.side)
@@ -246,58 +226,38 @@ class Grid(Neighbourhoods):
         return total / max(1, len(values) * count)
 
     def over_samples(self, variances: Float64s, parts: Float64s) -> Float32s:
-        rows, columns = (np.arange(-(-size // SIDE)) for size in self.filled.shape)
-        every = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1).reshape(-1, 2)
-        nearest = variances[self.nearest(every)].reshape(len(rows), len(columns))
-        side = SIDE // 2  # of a part
-        found = _stretched(_stretched(nearest, 2 * len(columns), 2).T, 2 * len(rows), 2).T
-        for (row, column), own in zip(
-            np.rint(self.corners / side).astype(int), parts.reshape(-1, 2, 2), strict=True
-        ):
-            square = found[row : row + 2, column : column + 2]
-            own = own[: square.shape[0], : square.shape[1]]
-            square[:] = np.where(np.isnan(own), square, own)
-        wide = _stretched(found, self.filled.shape[1], side).astype(np.float32)
-        down = (np.arange(self.filled.shape[0]) + 0.5) / side - 0.5
+        coarse = self._in_parts(variances, parts)
+        wide = _stretched(coarse, self.filled.shape[1], _PART).astype(np.float32)
+        down = (np.arange(self.filled.shape[0]) + 0.5) / _PART - 0.5
         result: Float32s = large_arrays.empty((1, *self.filled.shape), np.float32)
         total = 0.0
-        for block in large_arrays.blocks(len(down), side):
-            above, share = np.divmod(down[block].clip(0, len(found) - 1), 1)
-            below = np.minimum(above + 1, len(found) - 1).astype(int)
+        for block in large_arrays.blocks(len(down), _PART):
+            above, share = np.divmod(down[block].clip(0, len(wide) - 1), 1)
+            below = np.minimum(above + 1, len(wide) - 1).astype(int)
             share = share[:, None].astype(np.float32)
             result[0, block] = (1 - share) * wide[above.astype(int)] + share * wide[below]
             total += float(result[0, block].sum(where=self.filled[block], dtype=np.float64))
         result /= np.float32(total / np.count_nonzero(self.filled))
         return result
 
+    def _in_parts(self, variances: Float64s, parts: Float64s) -> Float64s:
+        """Return the variances of all parts of the grid: those given, or interpolated between the nearest squares."""
+        rows, columns = (np.arange(-(-size // SIDE)) for size in self.filled.shape)
+        every = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1).reshape(-1, 2)
+        nearest = variances[self.nearest(every)].reshape(len(rows), len(columns))
+        found = _stretched(_stretched(nearest, 2 * len(columns), 2).T, 2 * len(rows), 2).T
+        firsts = np.rint(self.corners / _PART).astype(int)
+        for (row, column), given in zip(firsts, parts.reshape(-1, 2, 2), strict=True):
+            square = found[row : row + 2, column : column + 2]
+            given = given[: square.shape[0], : square.shape[1]]
+            square[:] = np.where(np.isnan(given), square, given)
+        return found
+
 
 def _stretched(rows: Float64s, count: int, factor: int) -> Float64s:
     """Interpolate rows of cells at the centres of `count` smaller cells, `factor` of which span one cell."""
     middles = (np.arange(count) + 0.5) / factor - 0.5
     return np.stack([np.interp(middles, np.arange(len(row)), row) for row in rows])
-
-
-def _waves_of_jpeg(luma: Float32s, filled: Bools) -> list[Float32s]:
-    """Return features of the cosine coefficients of 8 x 8 blocks by band; JPEG rounds these to multiples of a step.
-
-    The features are the median magnitude, the lowest tenth of the nonzero magnitudes, which is close to the step, and
-    the share of zeros.
-    """
-    shape = len(luma), SIDE // _JPEG, _JPEG, SIDE // _JPEG, _JPEG
-    across = np.einsum("vj,paibj->paibv", _COSINES, luma.reshape(shape))
-    waves = np.abs(np.einsum("ui,paibv->puvab", _COSINES, across))
-    is_whole: Bools = np.asarray(filled.reshape(shape).all(axis=(2, 4)))
-    found = []
-    for band in range(1, _BANDS.max() + 1):  # band 0 is the mean of a block
-        own = waves[:, band == _BANDS]
-        own = np.where(is_whole[:, None], own, np.inf).reshape(len(luma), -1)
-        ordered, known = np.sort(own, axis=1), np.isfinite(own).sum(axis=1)
-        zeros = (own < _ZERO_WAVE).sum(axis=1)
-        for place in (known // 2, zeros + (known - zeros) // 10):
-            picked = np.take_along_axis(ordered, np.minimum(place, own.shape[1] - 1)[:, None], axis=1)[:, 0]
-            found.append(log_deviation(np.square(np.where(np.isfinite(picked), picked, 0))))
-        found.append(zeros / np.maximum(known, 1))
-    return found
 
 
 def choose_corners(filled: Bools, most: int = MAX_SQUARES) -> Int64s:
@@ -308,7 +268,7 @@ def choose_corners(filled: Bools, most: int = MAX_SQUARES) -> Int64s:
     down, across = (np.arange(0, size, SIDE) for size in filled.shape)
     columns = (np.count_nonzero(filled[row : row + SIDE], axis=0) for row in down)
     counts = np.stack([np.add.reduceat(each, across) for each in columns])
-    enough = counts >= max(1, min(MIN_FILLED_SHARE * SIDE**2, int(counts.max(initial=0))))
+    enough = counts >= max(1, min(_MIN_FILLED_SHARE * SIDE**2, int(counts.max(initial=0))))
     corners: Int64s = np.argwhere(enough).astype(np.int64) * SIDE
     if len(corners) > most:
         spread = (corners // SIDE @ _PLASTIC) % 1

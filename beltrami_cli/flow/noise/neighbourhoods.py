@@ -18,13 +18,7 @@ from typing import ClassVar
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
-from beltrami_cli.flow.noise.features import (
-    COMPONENTS,
-    PAIRS,
-    STEPS,
-    Cells,
-    log_deviation,
-)
+from beltrami_cli.flow.noise.features import COMPONENTS, PAIRS, STEPS, Cells, log_deviation
 from beltrami_cli.surface import large_arrays
 
 # Number of neighbourhoods that are compared at one place: 3 x 3 squares on a grid.
@@ -77,7 +71,7 @@ class Neighbourhoods(ABC):
 
     @property
     @abstractmethod
-    def tiles(self) -> Int64s:
+    def of_samples(self) -> Int64s:
         """The neighbourhood of each sample that is read."""
 
     @abstractmethod
@@ -89,11 +83,11 @@ class Neighbourhoods(ABC):
         """Return the energy of the finest details of each channel, by which channels are sorted."""
 
     @abstractmethod
-    def described(self, samples: Samples) -> list[Array]:
+    def features(self, samples: Samples) -> list[Array]:
         """Return features of each neighbourhood, shape (P,) each, that are specific to its kind."""
 
     @abstractmethod
-    def described_cells(self, samples: Samples, number: int) -> tuple[Float32s, Float32s, Float32s | None]:
+    def cell_features(self, samples: Samples, number: int) -> tuple[Float32s, Float32s, Float32s | None]:
         """Return the fields of `Cells` that depend on the kind: `fourth`, `others` and `residuals`."""
 
     @abstractmethod
@@ -147,7 +141,7 @@ class Neighbourhoods(ABC):
     @cached_property
     def counts(self) -> Int64s:
         """Number of samples in each neighbourhood."""
-        return np.bincount(self.tiles).astype(np.int64)
+        return np.bincount(self.of_samples).astype(np.int64)
 
     @property
     def count(self) -> int:
@@ -156,7 +150,7 @@ class Neighbourhoods(ABC):
 
     def means(self, rows: Array) -> Float32s:
         """Return the means of rows of samples over each neighbourhood."""
-        return np.stack([np.bincount(self.tiles, own) / self.counts for own in rows]).astype(np.float32)
+        return np.stack([np.bincount(self.of_samples, own) / self.counts for own in rows]).astype(np.float32)
 
     def cut(self, planes: Float32s, order: Int64s | None = None) -> Samples:
         """Return the samples that are read from three channels; by default `order` sorts these by energy."""
@@ -175,13 +169,13 @@ class Samples:
     order: Int64s  # index of each channel in the input
 
     @property
-    def is_cut_off(self) -> Bools:
+    def is_clipped(self) -> Bools:
         """Mask of clipped samples, which are at a limit of the colours."""
         return (self.colours <= 0) | (self.colours >= STEPS)
 
-    def cut_off(self) -> Float32s:
+    def clipped_shares(self) -> Float32s:
         """Return the share of clipped samples in each neighbourhood, in the worst channel, shape (P,)."""
-        shares: Float32s = self.where.means(self.is_cut_off).max(axis=0)
+        shares: Float32s = self.where.means(self.is_clipped).max(axis=0)
         return shares
 
     @cached_property
@@ -189,11 +183,11 @@ class Samples:
         """The mean levels of each neighbourhood, in steps of 8 bits, shape (3, P)."""
         return self.where.means(self.colours)
 
-    def described(self) -> Float32s:
+    def features(self) -> Float32s:
         """Return features of each neighbourhood that do not depend on the scale, shape (P, F)."""
-        variance = self.where.means(np.square(self.colours - self.levels[:, self.where.tiles]))
+        variance = self.where.means(np.square(self.colours - self.levels[:, self.where.of_samples]))
         low, high = self.where.means(self.colours <= 0), self.where.means(self.colours >= STEPS)
-        rows = [*self.levels / 64, *low, *high, *log_deviation(variance), *self.where.described(self)]
+        rows = [*self.levels / 64, *low, *high, *log_deviation(variance), *self.where.features(self)]
         return np.stack(rows, axis=1).astype(np.float32)
 
     @cached_property
@@ -224,26 +218,24 @@ class Samples:
 
     def cells(self) -> list[Cells]:
         """Return the measured cells of each scale."""
-        scales, found, is_grid = self.where.scales, [], self.where.kind == "grid"
-        cut_off = np.zeros(0) if is_grid else self.is_cut_off.mean(axis=0, dtype=np.float64)
-        for number, (scale, above) in enumerate(pairwise(scales)):
+        found, is_grid = [], self.where.kind == "grid"
+        clipped = self.is_clipped.mean(axis=0, dtype=np.float64)
+        for number, (scale, above) in enumerate(pairwise(self.where.scales)):
             products = self.products[number]
-            energies = above.sums(scale.freedom * products[:3])
-            blocks = energies / np.maximum(above.sums(scale.freedom), 1)
-            if not is_grid:
-                cut_off = scale.means(cut_off)
-            around = np.zeros(len(scale.freedom)) if is_grid else above.spread(above.means(cut_off))
-            fourth, others, residuals = self.where.described_cells(self, number)
+            blocks = above.sums(scale.freedom * products[:3]) / np.maximum(above.sums(scale.freedom), 1)
+            clipped = scale.means(clipped)
+            fourth, others, residuals = self.where.cell_features(self, number)
             found.append(
                 Cells(
-                    scale.padded(products),
-                    scale.padded(scale.freedom),
-                    above.padded(np.where(above.is_whole, blocks, np.inf), np.inf),
-                    scale.padded(self.unevenness(number), np.inf),
-                    scale.padded(around),
-                    fourth,
-                    others,
-                    residuals,
+                    products=scale.padded(products),
+                    freedom=scale.padded(scale.freedom),
+                    blocks=above.padded(np.where(above.is_whole, blocks, np.inf), np.inf),
+                    unevenness=scale.padded(self.unevenness(number), np.inf),
+                    # The network of grids was trained without the clipped samples.
+                    clipped=scale.padded(0 * clipped if is_grid else above.spread(above.means(clipped))),
+                    fourth=fourth,
+                    others=others,
+                    residuals=residuals,
                     is_grid=is_grid,
                 )
             )

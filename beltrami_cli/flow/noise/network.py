@@ -174,7 +174,7 @@ class Weights:
     configuration: str
 
     def standardised(self, name: str, features: Array) -> Float32s:
-        """Standardise features of a kind: "squares" or "even"."""
+        """Standardise features of a kind: "squares", "even", or the "evidence" of `size`."""
         result = (features - self.means[name]) / self.scales[name]
         return np.asarray(np.clip(result, -MAX_STANDARDISED, MAX_STANDARDISED), np.float32)
 

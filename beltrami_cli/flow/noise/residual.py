@@ -91,7 +91,7 @@ class Residual:
         within = coarse.sums(fine.sums(_squares_in_blocks(self.pilot).sum(axis=0))) / np.maximum(freedom, 1)
         around = _energies(self.pilot, 2) + above[1].spread(_energies(self.pilot, 3))
         uneven = within + above[0].spread(around) / 2
-        clipped = coarse.means(fine.means(self.samples.is_cut_off.max(axis=0).astype(np.float64)))
+        clipped = coarse.means(fine.means(self.samples.is_clipped.max(axis=0).astype(np.float64)))
         used = coarse.is_whole & (freedom > 2) & (clipped <= _MAX_CLIPPED_IN_BLOCK)
         return Blocks(
             coarse.padded(self.pilot.means[2], np.inf),

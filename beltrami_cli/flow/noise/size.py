@@ -18,7 +18,7 @@ import numpy as np
 from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.flow.noise.features import COMPONENTS, FLOOR
 from beltrami_cli.flow.noise.neighbourhoods import Samples
-from beltrami_cli.flow.noise.network import MAX_STANDARDISED, OFFSET, Layers
+from beltrami_cli.flow.noise.network import OFFSET, Layers, Weights
 
 # Noise that pilots assume, in 8-bit steps; and the positions at which the curve is sampled, as log2 of the ratio to the
 # first reading.
@@ -43,8 +43,8 @@ def removal_curve(samples: Samples) -> Float32s:
     correlation of neighbours; and a measure of heavy tails.
     """
     where, rows = samples.where, []
-    for told in LADDER:
-        removed = samples.colours - where.pilot(samples.colours, np.full(1, told**2, np.float32))
+    for assumed in LADDER:
+        removed = samples.colours - where.pilot(samples.colours, np.full(1, assumed**2, np.float32))
         components = np.square(np.einsum("kc,cn->kn", COMPONENTS, removed)).mean(axis=1)
         squares = np.square(removed).mean(axis=0)
         total, cells = squares.mean(), squares
@@ -52,7 +52,7 @@ def removal_curve(samples: Samples) -> Float32s:
             cells = scale.means(cells)
         is_whole = where.scales[2].is_whole
         quantiles = np.quantile(cells[is_whole] if is_whole.any() else cells, _QUANTILES)
-        deviations = np.log2(np.concatenate([components, quantiles]) + FLOOR) / 2 - np.log2(told)
+        deviations = np.log2(np.concatenate([components, quantiles]) + FLOOR) / 2 - np.log2(assumed)
         shared = where.product_of_neighbours(removed) / (total + FLOOR)
         tails = np.log2(np.mean(np.square(squares)) / max(1e-9, total**2) + 1e-3) / 4
         rows.append([*deviations, shared, tails])
@@ -99,45 +99,28 @@ class Size:
         return max(0.0, float(2 ** np.interp(share, sums, EDGES) * (self.first + OFFSET)) - OFFSET)
 
 
-@dataclass(frozen=True)
-class SizeWeights:
-    """The weights of the second network, and the standardisation of its evidence."""
+def read(weights: Weights, rows: Float32s) -> Array:
+    """Return the probabilities of no noise, and of the bins between `EDGES`, shape (N, len(EDGES)).
 
-    layers: dict[str, Float32s]
-    means: Float32s
-    scales: Float32s
-    configuration: str
+    `rows` are evidence, shape (N, F).
+    """
+    values: Any = weights.standardised("evidence", rows)
+    layers: Layers[Any] = Layers(weights.layers)
+    for name in LAYERS:
+        values = layers.dense(values, name, is_last=name == LAYERS[-1])
+    shares: Array = np.exp(values - values.max(axis=1, keepdims=True))
+    return np.asarray(shares / shares.sum(axis=1, keepdims=True))
 
-    def standardised(self, rows: Float32s) -> Float32s:
-        result = (rows - self.means) / self.scales
-        return np.asarray(np.clip(result, -MAX_STANDARDISED, MAX_STANDARDISED), np.float32)
 
-    def read(self, rows: Float32s) -> Array:
-        """Return the probabilities of no noise, and of the bins between `EDGES`, shape (N, len(EDGES))."""
-        values: Any = self.standardised(rows)
-        layers: Layers[Any] = Layers(self.layers)
-        for name in LAYERS:
-            values = layers.dense(values, name, is_last=name == LAYERS[-1])
-        shares: Array = np.exp(values - values.max(axis=1, keepdims=True))
-        return np.asarray(shares / shares.sum(axis=1, keepdims=True))
-
-    def size(self, row: Float32s, first: float) -> Size:
-        """Return the size for one row of evidence and its first reading."""
-        none, *shares = self.read(row[None])[0].astype(np.float64)
-        return Size(first, float(none), np.array(shares) / max(1e-12, sum(shares)))
-
-    @classmethod
-    def load(cls, path: Any) -> SizeWeights:
-        """Read a file of weights that training wrote."""
-        with path.open("rb") as stream, np.load(stream) as arrays:
-            layers = {
-                name: arrays[name].astype(np.float32) for name in arrays.files if name.startswith(LAYERS)
-            }
-            means, scales = (arrays[name].astype(np.float32) for name in ("means", "scales"))
-            return cls(layers, means, scales, str(arrays["configuration"]))
+def sizes_of(weights: Weights, rows: Float32s, first: Float64s) -> list[Size]:
+    """Return the size for each row of evidence and its first reading."""
+    found = []
+    for reading, (none, *shares) in zip(first, read(weights, rows).astype(np.float64), strict=True):
+        found.append(Size(float(reading), float(none), np.array(shares) / max(1e-12, sum(shares))))
+    return found
 
 
 @cache
-def size_weights(kind: str) -> SizeWeights:
-    """Return the weights for a kind of neighbourhoods: "grid" or "cluster"."""
-    return SizeWeights.load(Path(__file__).with_name(f"{kind}_sizes.npz"))
+def size_weights(kind: str) -> Weights:
+    """Return the weights of the second network for a kind of neighbourhoods: "grid" or "cluster"."""
+    return Weights.load(Path(__file__).with_name(f"{kind}_sizes.npz"))

@@ -116,7 +116,7 @@ class Structure:
     def variances(self, residual: Residual) -> Float32s:
         """Return the relative variance of each sample, averaged over channels, of mean 1."""
         where = residual.samples.where
-        found = self.places[where.tiles].astype(np.float32)
+        found = self.places[where.of_samples].astype(np.float32)
         if self.curve is not None:
             found *= self.curve.at(residual.pilot.colours).mean(axis=0)
         return np.asarray(found / max(1e-9, float(found.mean())), np.float32)
@@ -211,7 +211,7 @@ def _with_quiet_tiles(residual: Residual, variances: Float64s, sigma: float) -> 
     if energies is None:
         return variances
     # Clipped squares show less noise than there is.
-    is_known = np.isfinite(energies) & (samples.cut_off() < MAX_CLIPPED_SHARE)
+    is_known = np.isfinite(energies) & (samples.clipped_shares() < MAX_CLIPPED_SHARE)
     energies = np.where(is_known, energies, variances)
     shares = shares_of_noise(variances, energies)
     return _of_mean_1(shares * energies + (1 - shares) * variances)
