@@ -18,13 +18,13 @@ if TYPE_CHECKING:
     from beltrami_cli.errors import UsageError as UsageError
     from beltrami_cli.flow.parameters import KernelParameters as KernelParameters
     from beltrami_cli.formats.access import Access as Access
-    from beltrami_cli.jobs.array_arguments import MeshArrays as MeshArrays
-    from beltrami_cli.jobs.arrays import ImageResult as ImageResult
-    from beltrami_cli.jobs.arrays import SmoothResult as SmoothResult
-    from beltrami_cli.jobs.arrays import TexturedResult as TexturedResult
-    from beltrami_cli.jobs.arrays import smooth as smooth
-    from beltrami_cli.jobs.arrays import smooth_image as smooth_image
-    from beltrami_cli.jobs.arrays import smooth_textured as smooth_textured
+    from beltrami_cli.jobs.arrays.image import ImageResult as ImageResult
+    from beltrami_cli.jobs.arrays.image import smooth_image as smooth_image
+    from beltrami_cli.jobs.arrays.mesh import SmoothResult as SmoothResult
+    from beltrami_cli.jobs.arrays.mesh import smooth as smooth
+    from beltrami_cli.jobs.arrays.mesh_arrays import MeshArrays as MeshArrays
+    from beltrami_cli.jobs.arrays.textured import TexturedResult as TexturedResult
+    from beltrami_cli.jobs.arrays.textured import smooth_textured as smooth_textured
     from beltrami_cli.jobs.bake import BakeReport as BakeReport
     from beltrami_cli.jobs.bake import bake_file as bake_file
     from beltrami_cli.jobs.check import CheckReport as CheckReport
@@ -58,8 +58,10 @@ _NAMES_IN = {
     "errors": "BeltramiError InputError OutputError ProcessingError UsageError",
     "flow.parameters": "KernelParameters",
     "formats.access": "Access",
-    "jobs.array_arguments": "MeshArrays",
-    "jobs.arrays": "ImageResult SmoothResult TexturedResult smooth smooth_image smooth_textured",
+    "jobs.arrays.image": "ImageResult smooth_image",
+    "jobs.arrays.mesh": "SmoothResult smooth",
+    "jobs.arrays.mesh_arrays": "MeshArrays",
+    "jobs.arrays.textured": "TexturedResult smooth_textured",
     "jobs.bake": "BakeReport bake_file",
     "jobs.check": "CheckReport check_files",
     "jobs.compare.files": "Comparison compare_files",

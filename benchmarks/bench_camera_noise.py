@@ -15,7 +15,7 @@ import peers
 from harness import arguments, show
 from harness import psnr as plain_psnr
 
-from beltrami_cli.jobs.noise import jpeg_file
+from beltrami_cli.jobs.noise_kinds import jpeg_file
 from pictures import colours_of, images, smoothed, stored, with_noise
 
 CAMERAS = ((0.002, 0.005), (0.01, 0.01), (0.03, 0.02))  # A and B

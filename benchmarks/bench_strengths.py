@@ -11,7 +11,7 @@ import numpy as np
 from harness import arguments, psnr, show
 
 import beltrami_cli
-from beltrami_cli.jobs.noise import as_jpeg
+from beltrami_cli.jobs.noise_kinds import as_jpeg
 from pictures import images, stored, with_noise
 
 BEST = 60.0  # dB, above which differences are invisible

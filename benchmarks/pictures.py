@@ -14,7 +14,7 @@ from scipy.ndimage import map_coordinates
 import beltrami_cli
 from beltrami_cli.errors import BeltramiError
 from beltrami_cli.formats.image import read_image
-from beltrami_cli.jobs.noise import NoiseTargets, add_grain, seen_by_camera
+from beltrami_cli.jobs.noise_kinds import NoiseTargets, add_grain, seen_by_camera
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.surface.baking import Cells
 

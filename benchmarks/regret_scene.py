@@ -18,7 +18,7 @@ from scenes import icosphere, patches
 from scipy.ndimage import gaussian_filter
 
 import beltrami_cli
-from beltrami_cli.jobs.noise import jpeg_file
+from beltrami_cli.jobs.noise_kinds import jpeg_file
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from pictures import PHOTOGRAPHS, Smoothed, colours_of, on_sphere, photograph, smoothed, stored, with_noise
 

@@ -20,8 +20,8 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from beltrami_cli.batch.item import Attempt, Item, do_item
+from beltrami_cli.batch.pool import Lost, Pool, Task
 from beltrami_cli.batch.storage import canonical_path
-from beltrami_cli.batch.workers import Lost, Pool, Task
 from beltrami_cli.errors import ProcessingError, install_hint
 from beltrami_cli.fields import with_files
 from beltrami_cli.formats.access import CONFIGURATION, is_file, is_url, parse_json, read_bounded

@@ -1,32 +1,16 @@
-"""The files of a batch, from names, folders, globs, URLs and manifests; and the names of their outputs.
-
-A manifest lists files with parameters for each: TOML with a table [[files]] for each file, and options for all above
-them; CSV with a line of names first; or JSON lines. Every file has an input, may have an output, and options by the
-names they have on the command line.
-"""
+"""The files of a batch, from names, folders, globs, URLs and manifests; and the names of their outputs."""
 
 from __future__ import annotations
 
-import csv
-import io
 import os
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
-from typing import Any
 
+from beltrami_cli.batch.manifest import READERS, entries_of, parts_of
 from beltrami_cli.batch.storage import canonical_path, find, is_glob, joined, without_scheme
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.formats.access import (
-    MANIFEST,
-    is_file,
-    is_url,
-    parse_json,
-    parse_toml,
-    read_bounded,
-    require_text,
-    unreadable,
-)
+from beltrami_cli.formats.access import is_file, is_url
 from beltrami_cli.formats.registry import KEPT_FORMATS, OUTPUT_FORMATS, READ_ONLY
 from beltrami_cli.layers.settings import IMAGE_FORMATS, IMAGE_SUFFIXES
 
@@ -37,7 +21,6 @@ _SUFFIXES = tuple(f".{name}" for name in (*OUTPUT_FORMATS, *KEPT_FORMATS))
 _MODELS = {*_SUFFIXES} - {*_AMBIGUOUS}
 _CONVERTIBLE = _MODELS | {f".{name}" for name in READ_ONLY}
 _WRITABLE = {*_SUFFIXES, *IMAGE_SUFFIXES, *(f".{name}" for name in IMAGE_FORMATS)}
-_WAY_OUT = "see beltrami batch --help for what a manifest looks like"
 
 
 @dataclass(frozen=True)
@@ -67,7 +50,7 @@ def plan(inputs: Iterable[str], out_dir: str, suffix: str, extension: str | None
     for text in map(without_scheme, inputs):
         if text == "-":
             raise UsageError("a batch takes files, not standard input (-); beltrami smooth reads it")
-        if Path(text).suffix.lower() in _READERS and not is_glob(text):  # a manifest
+        if Path(text).suffix.lower() in READERS and not is_glob(text):  # a manifest
             requests += list(_of_manifest(text, out_dir, suffix, extension))
         else:
             requests += [
@@ -145,8 +128,8 @@ def _refuse_clashes(requests: Iterable[Request]) -> None:
 
 def _of_manifest(path: str, out_dir: str, suffix: str, extension: str | None) -> Iterator[Request]:
     folder = Path(path).parent
-    for origin, entry in _entries(path):
-        source_text, target_text, options = _parts_of(entry, origin)
+    for origin, entry in entries_of(path):
+        source_text, target_text, options = parts_of(entry, origin)
         name = without_scheme(source_text)
         source = name if is_url(name) else str(folder / name)
         if not is_url(source) and not is_file(source):
@@ -165,66 +148,3 @@ def _place_below(out_dir: str, target: str, origin: str) -> PurePath:
     if place.parts[:1] == (os.pardir,) or is_url(target) or (is_url(out_dir) and target.startswith("/")):
         raise InputError(origin, f"its output {target} leaves --out-dir", "name one below that")
     return place
-
-
-def _entries(path: str) -> list[tuple[str, object]]:
-    """Read a manifest: the origin, for messages, and the table of every file."""
-    try:
-        text = read_bounded(Path(path), MANIFEST)
-    except (OSError, ValueError) as error:
-        raise unreadable(path, error, "check that it is a file in UTF-8") from error
-    try:
-        found = list(_READERS[Path(path).suffix.lower()](text))
-    except (ValueError, csv.Error) as error:
-        raise InputError(path, f"the manifest cannot be read ({error})", _WAY_OUT) from error
-    if not found:
-        raise InputError(path, "the manifest names no files", _WAY_OUT)
-    return [(f"{path}, {where}", entry) for where, entry in found]
-
-
-def _parts_of(entry: object, origin: str) -> tuple[str, str, dict[str, object]]:
-    """Return the input, the output, which may be empty, and the options that are not."""
-    if not isinstance(entry, dict):
-        raise InputError(origin, "there is no table of names and values", _WAY_OUT)
-    options = {key: value for key, value in entry.items() if value not in ("", None)}
-    source, target = options.pop("input", None), options.pop("output", "")
-    if not isinstance(source, str) or not isinstance(target, str):
-        raise InputError(origin, "it has no input, or one that is not text", _WAY_OUT)
-    return source, target, options
-
-
-def _from_toml(text: str) -> Iterator[tuple[str, dict[str, Any]]]:
-    tree = parse_toml(text)
-    files = tree.pop("files", None)
-    if not isinstance(files, list) or not all(isinstance(each, dict) for each in files):
-        raise ValueError("there is no table [[files]]")
-    for number, entry in enumerate(files, 1):
-        yield f"file {number}", {**tree, **entry}
-
-
-def _from_csv(text: str) -> Iterator[tuple[str, dict[str, Any]]]:
-    table = csv.DictReader(io.StringIO(require_text(text), newline=""), strict=True)
-    if "input" not in (table.fieldnames or ()):
-        cause = "the first line has no column called input"
-        raise ValueError(f"{cause}; points in .csv are named by a glob in quotes, or in a manifest")
-    for entry in table:
-        if None in entry:
-            raise ValueError(f"line {table.line_num} has more columns than the first")
-        yield f"line {table.line_num}", entry
-
-
-def _from_json_lines(text: str) -> Iterator[tuple[str, Any]]:
-    for number, line in enumerate(text.split("\n"), 1):
-        if line.strip():
-            try:
-                yield f"line {number}", parse_json(line)
-            except ValueError as error:
-                raise ValueError(f"line {number}: {error}") from error
-
-
-_READERS: dict[str, Callable[[str], Iterator[tuple[str, Any]]]] = {
-    ".toml": _from_toml,
-    ".csv": _from_csv,
-    ".jsonl": _from_json_lines,
-    ".ndjson": _from_json_lines,
-}

@@ -154,8 +154,9 @@ def _workers(
     scheduler: str | None, pieces: int | None, at_once: int | None, memory: int | None, display: Display
 ) -> Iterator[Workers | None]:
     """Yield the workers for whole files or chunks; None: processes of this machine, without chunks."""
-    from beltrami_cli.batch.run import Workers, in_pieces
-    from beltrami_cli.batch.workers import Processes
+    from beltrami_cli.batch.chunks import in_pieces
+    from beltrami_cli.batch.processes import Processes
+    from beltrami_cli.batch.run import Workers
 
     processors = KernelParameters().thread_count
     with contextlib.ExitStack() as stack:

@@ -17,7 +17,7 @@ from beltrami_cli.jobs.job import Job
 from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
 
 if TYPE_CHECKING:
-    from beltrami_cli.jobs.recolour import FileReport
+    from beltrami_cli.jobs.file_job import FileReport
     from beltrami_cli.jobs.writing.output import Output
     from beltrami_cli.view.before_after import Preview
 

@@ -13,9 +13,9 @@ from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import DecodedImage, read_texture
 from beltrami_cli.formats.registry import write_mesh
+from beltrami_cli.jobs.file_job import FileReport, begin
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.new_texture import as_rgba, texture_from_vertices
-from beltrami_cli.jobs.recolour import FileReport, begin
 from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.layers.selection import Selection
 from beltrami_cli.layers.settings import DEFAULTS, BakeTo

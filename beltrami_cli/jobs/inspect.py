@@ -7,9 +7,9 @@ import os
 from itertools import chain
 
 from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.progress import Label, phases_of
-from beltrami_cli.jobs.recolour import open_input
 from beltrami_cli.layers.layer import Layer, Part
 from beltrami_cli.layers.selection import Selection, select, vertex_layer
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings

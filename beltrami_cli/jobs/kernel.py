@@ -20,8 +20,8 @@ from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.ply.writer import write_scalars_as_ply
+from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
-from beltrami_cli.jobs.recolour import open_input
 from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.layers.layer import Layer, SampledVertices
 from beltrami_cli.layers.selection import select

@@ -9,8 +9,9 @@ from typing import Any
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import override
+from beltrami_cli.jobs.file_job import FileReport
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
-from beltrami_cli.jobs.recolour import FileReport, recolour
+from beltrami_cli.jobs.recolour import recolour
 from beltrami_cli.jobs.smoothing import Smoothing, unsmoothed
 from beltrami_cli.layers.layer import LevelReport
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings, describe_settings

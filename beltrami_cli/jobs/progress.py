@@ -16,9 +16,7 @@ from typing import Any, Self, TypeVar
 
 Progress = Callable[[str, int, int], None]  # a label, the work done and the work to do
 Expected = tuple[str, float]  # a phase, and the seconds that it is expected to take
-
 Item = TypeVar("Item")
-
 # Seconds of processor time that a phase takes in any case, and microseconds per texel, as
 # `python benchmarks/bench_progress.py` measures them on a small and a large texture.
 _SECONDS = {

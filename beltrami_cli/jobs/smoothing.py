@@ -17,9 +17,10 @@ from beltrami_cli.flow.choice.choice import Choice
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Resources
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.registry import OutputFormat
+from beltrami_cli.jobs.file_job import FileReport
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.progress import Label
-from beltrami_cli.jobs.recolour import ColourFilter, FileReport, FilterResult
+from beltrami_cli.jobs.recolour import ColourFilter, FilterResult
 from beltrami_cli.layers.layer import (
     Change,
     ImageReport,

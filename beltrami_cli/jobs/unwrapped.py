@@ -11,8 +11,9 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import require_effect
 from beltrami_cli.formats.image.sizes import measure_image
 from beltrami_cli.formats.registry import write_mesh
+from beltrami_cli.jobs.file_job import FileJob, begin
 from beltrami_cli.jobs.job import Job
-from beltrami_cli.jobs.recolour import FileJob, apply_filter, begin
+from beltrami_cli.jobs.recolour import apply_filter
 from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.jobs.smoothing import Smoothed, Smoothing, SmoothReport, smooth_in_job, smooth_report
 from beltrami_cli.layers.layer import all_images

@@ -22,9 +22,10 @@ from beltrami_cli.flow.parameters import TUNABLE
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import WRITABLE
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
+from beltrami_cli.jobs.file_job import FileReport, open_input
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.progress import Share, at_intervals
-from beltrami_cli.jobs.recolour import FileReport, open_input, recolour_in_memory
+from beltrami_cli.jobs.recolour import recolour_in_memory
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.jobs.smoothing import Smoothed, Smoothing, smooth_report
 from beltrami_cli.layers.selection import select

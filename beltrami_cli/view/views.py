@@ -14,8 +14,8 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import DecodedImage, read_texture, to_float, without_alpha
 from beltrami_cli.formats.image.decoded_image import full_scale_one, is_associated
 from beltrami_cli.formats.image.sizes import measure_image
+from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.progress import Progress, tracked
-from beltrami_cli.jobs.recolour import open_input
 from beltrami_cli.layers.settings import COLOUR_SLOTS, DEFAULTS, SLOTS, SmoothSettings
 from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.geometry import triangle_areas, vertex_areas

@@ -16,9 +16,9 @@ import pytest
 from batch.batches import QUICK, batch, copies, files_in, lines_of, smoothed, write_textured
 from batch.dask_cluster import Cluster
 from beltrami_cli.batch import cluster as cluster_module
+from beltrami_cli.batch.chunks import ChunkRunner
 from beltrami_cli.batch.cluster import OnDask
 from beltrami_cli.batch.item import Item, do_item
-from beltrami_cli.batch.run import ChunkRunner
 from beltrami_cli.cli.main import group
 from beltrami_cli.flow import chunks
 from beltrami_cli.flow.chunks import Chunking, Resources

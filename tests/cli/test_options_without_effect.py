@@ -9,7 +9,7 @@ from beltrami_cli.cli.parameter_options import ParameterOption
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import requiring_effect
 from beltrami_cli.formats.access import DEFAULT_ACCESS
-from beltrami_cli.jobs.recolour import open_any
+from beltrami_cli.jobs.file_job import open_any
 from beltrami_cli.layers.selection import select
 from beltrami_cli.layers.settings import SmoothSettings
 from cli.commands import SAMPLES, beltrami, command, refused

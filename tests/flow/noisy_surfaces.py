@@ -7,7 +7,7 @@ from beltrami_cli.flow.manifolds.mesh_manifold import ColouredMesh, mesh_manifol
 from beltrami_cli.flow.noise.grid_squares import Grid
 from beltrami_cli.flow.noise.reading import read_noise
 from beltrami_cli.flow.parameters import parameters_with
-from beltrami_cli.jobs.noise import NoiseTargets, add_grain, seen_by_camera
+from beltrami_cli.jobs.noise_kinds import NoiseTargets, add_grain, seen_by_camera
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.surface.baking import Cells
 from beltrami_cli.surface.records import SampledSurface

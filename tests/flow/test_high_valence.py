@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.jobs.arrays import smooth
+from beltrami_cli.jobs.arrays.mesh import smooth
 from flow.noisy_surfaces import manifold_of
 from oracles import surfaces
 from oracles.geodesics import Manifold

@@ -230,7 +230,7 @@ def test_every_signal_that_ends_a_process_and_can_be_caught_ends_the_command_in_
 WORKER = """
 import multiprocessing, sys, time
 from pathlib import Path
-from beltrami_cli.batch.workers import Channel, Order, serve
+from beltrami_cli.batch.processes import Channel, Order, serve
 from beltrami_cli.formats.image.opening import scratch_file
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.jobs.writing.output import FileSet, Output

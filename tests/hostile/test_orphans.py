@@ -27,7 +27,7 @@ else:
     "for a task": """
 from multiprocessing import parent_process
 from time import sleep
-from beltrami_cli.batch.workers import Processes
+from beltrami_cli.batch.processes import Processes
 
 def work(progress):
     open("started", "w").close()

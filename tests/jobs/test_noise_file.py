@@ -6,7 +6,8 @@ from scipy.stats import kstest
 
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.jobs.check import check_files
-from beltrami_cli.jobs.noise import NoiseTargets, add_noise, noise_file
+from beltrami_cli.jobs.noise import noise_file
+from beltrami_cli.jobs.noise_kinds import NoiseTargets, add_noise
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
 from beltrami_cli.quantities import amount, sure_amount

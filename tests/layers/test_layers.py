@@ -8,8 +8,8 @@ import pytest
 from beltrami_cli import KernelParameters, SmoothSettings
 from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.access import DEFAULT_ACCESS
+from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.inspect import describe_exposure
-from beltrami_cli.jobs.recolour import open_input
 from beltrami_cli.jobs.smoothing import smooth_layer
 from beltrami_cli.layers.selection import select
 from beltrami_cli.layers.settings import LevelSettings

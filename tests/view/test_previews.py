@@ -13,8 +13,9 @@ from beltrami_cli.fields import override
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import DEFAULT_ACCESS
 from beltrami_cli.formats.image import read_image
+from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.job import PLAIN_JOB
-from beltrami_cli.jobs.recolour import open_input, recolour_in_memory
+from beltrami_cli.jobs.recolour import recolour_in_memory
 from beltrami_cli.jobs.smoothing import Smoothing
 from beltrami_cli.layers.settings import DEFAULTS
 from beltrami_cli.surface.records import ColouredVertices

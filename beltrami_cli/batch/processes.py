@@ -1,4 +1,4 @@
-"""Tasks for workers that may die: processes of this machine, this process, or a Dask cluster, see `cluster.py`.
+"""Worker processes of this machine.
 
 The pool of the standard library fails everything when a process dies, as it does when the system runs out of memory.
 Each worker has a pipe to the process that leads, which alone decides, in one thread; one that dies loses only its task.
@@ -20,8 +20,9 @@ from dataclasses import dataclass
 from itertools import accumulate
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
+from beltrami_cli.batch.pool import Lost, Pool, Task
 from beltrami_cli.errors import ProcessingError
 from beltrami_cli.formats.image.opening import scratch_file
 from beltrami_cli.jobs.progress import at_intervals
@@ -30,16 +31,6 @@ from beltrami_cli.signals import end_with_parent, unhandled_signals
 _TERMINATION_TIMEOUT = 5.0  # seconds: enough to remove files that were not finished
 _PROGRESS_INTERVAL = 0.1  # seconds between two messages on progress
 _ALIGNMENT = 64  # bytes: arrays begin at multiples of it, as C++ may ask of them
-
-Task = Callable[..., Any]  # called with the arguments that it was started with, and a progress
-
-
-@dataclass(frozen=True)
-class Lost:
-    """The result of a task whose worker died or failed: the cause, in words."""
-
-    cause: str
-    wants_memory: bool = False  # whether more memory might help
 
 
 @dataclass(frozen=True)
@@ -51,35 +42,6 @@ class Order:
     key: int | None = None  # of its part; None: no part
     made: Any = None  # the part, unless the worker has it from an earlier order
     kept: frozenset[int] = frozenset()  # keys of the parts that the worker continues to keep
-
-
-class Pool(Protocol):
-    """Workers for tasks."""
-
-    @property
-    def is_full(self) -> bool:
-        """Whether it takes no more tasks at present."""
-
-    def start(self, key: int, task: Task, *arguments: Any, part: Callable[[], Any] | None = None) -> None:
-        """Start a task; `part` returns a large first argument, which workers keep for tasks with the same key."""
-
-    def events(self) -> Iterator[tuple[int, Any]]:
-        """Wait for a while, and yield keys of tasks with their progress (a tuple of three) or their results."""
-
-    def held(self) -> Collection[int]:
-        """Return the keys of the parts that the next worker has, if that is known."""
-        return ()
-
-    def forget(self) -> None:
-        """Make workers drop the parts that they keep."""
-        return
-
-    def give_up(self) -> None:
-        """Cancel the running tasks."""
-
-    def close(self) -> None:
-        """End the workers, after they have cleaned up."""
-        self.give_up()
 
 
 class Channel:

@@ -1,0 +1,46 @@
+"""The interface of pools of workers, which may die: processes of this machine, this process, or a Dask cluster."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+Task = Callable[..., Any]  # called with the arguments that it was started with, and a progress
+
+
+@dataclass(frozen=True)
+class Lost:
+    """The result of a task whose worker died or failed: the cause, in words."""
+
+    cause: str
+    wants_memory: bool = False  # whether more memory might help
+
+
+class Pool(Protocol):
+    """Workers for tasks."""
+
+    @property
+    def is_full(self) -> bool:
+        """Whether it takes no more tasks at present."""
+
+    def start(self, key: int, task: Task, *arguments: Any, part: Callable[[], Any] | None = None) -> None:
+        """Start a task; `part` returns a large first argument, which workers keep for tasks with the same key."""
+
+    def events(self) -> Iterator[tuple[int, Any]]:
+        """Wait for a while, and yield keys of tasks with their progress (a tuple of three) or their results."""
+
+    def held(self) -> Collection[int]:
+        """Return the keys of the parts that the next worker has, if that is known."""
+        return ()
+
+    def forget(self) -> None:
+        """Make workers drop the parts that they keep."""
+        return
+
+    def give_up(self) -> None:
+        """Cancel the running tasks."""
+
+    def close(self) -> None:
+        """End the workers, after they have cleaned up."""
+        self.give_up()

@@ -1,0 +1,1 @@
+"""Smoothing arrays: arrays in, arrays out."""

@@ -1,0 +1,197 @@
+"""A job on one file: open it, choose format and names of the output, write and report."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from beltrami_cli.errors import BeltramiError, UsageError
+from beltrami_cli.fields import given_parameters
+from beltrami_cli.formats import registry
+from beltrami_cli.formats.access import Access, read_source
+from beltrami_cli.formats.changes import Naming, Written
+from beltrami_cli.formats.document import Document
+from beltrami_cli.formats.registry import OutputFormat, choose_format
+from beltrami_cli.jobs.job import Job
+from beltrami_cli.jobs.writing.output import Output
+from beltrami_cli.jobs.writing.shared_files import shared_files
+from beltrami_cli.layers.settings import SmoothSettings
+from beltrami_cli.surface.memory import peak_memory
+
+
+class Stopwatch:
+    """Sums the time of named stages."""
+
+    def __init__(self) -> None:
+        # "wall" and "cpu" seconds (all threads of the process), in the order of their start.
+        self.stages: dict[str, dict[str, float]] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        wall, cpu = time.perf_counter(), time.process_time()
+        times = self.stages.setdefault(name, {"wall": 0.0, "cpu": 0.0})
+        try:
+            yield
+        finally:
+            times["wall"] += time.perf_counter() - wall
+            times["cpu"] += time.process_time() - cpu
+
+
+@dataclass(frozen=True, kw_only=True)
+class FileReport:
+    """The report of a written file; `SmoothReport` describes its fields."""
+
+    input: str
+    output: str
+    format: str
+    parameters: dict[str, object] = field(default_factory=dict)
+    stages: dict[str, dict[str, float]] = field(default_factory=dict)
+    peak_memory: int | None = field(default_factory=peak_memory)
+    written: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class FileJob:
+    """A job on one file: the opened source, and where the output goes in which format."""
+
+    source: str
+    target: str
+    job: Job  # its access records files as read, so that only OUTPUT may replace them
+    document: Document
+    format: OutputFormat
+    output: Output | None  # None on a dry run
+    watch: Stopwatch
+    occupied: dict[str, None] = field(default_factory=dict)  # names in OUTPUT's folder that other models use
+
+    def reserve(self, sidecars: Callable[[Naming], Iterable[str]]) -> Naming:
+        """Return the naming of the output's sidecar files; OutputError if one of them must not be written."""
+        if self.job.check is not None:
+            self.job.check(self.document)
+        naming = _naming_of(self)
+        names = sidecars(naming)
+        if self.output is not None:
+            self.output.check_sidecars(names)
+        return naming
+
+    def reserve_new(self, image_suffix: str | None) -> str:
+        """Return an unused stem for the sidecar files of a new mesh with one texture or no texture."""
+
+        def names(stem: str) -> list[str]:
+            return registry.sidecar_names(self.format.name, stem, image_suffix)
+
+        return self.reserve(lambda naming: names(naming.free_stem(names))).free_stem(names)
+
+    def write(self, files: Written, notices: Iterable[str], warnings: Iterable[str] = ()) -> FileReport:
+        """Write the files, unless it is a dry run; `notices` concern the file, `warnings` the computation."""
+        with self.watch.stage("write"):
+            folder, access = Path(self.source).parent, self.job.access
+            copied = {new: read_source(str(folder / old), access) for new, old in files.copies.items()}
+            files = replace(files, sidecars={**files.sidecars, **copied})
+            shared, names = self._notices_of_sharing(files.sidecars), list[str]()
+            if self.output is not None:
+                self.output.write(files)
+                names = [self.target, *files.sidecars]
+        # Several slots repeat the warnings about their surface.
+        notices = dict.fromkeys([*self.document.notices, *notices, *shared, *files.notices])
+        return FileReport(
+            input=self.source,
+            output=self.target,
+            format=self.format.name,
+            stages=self.watch.stages,
+            written=names,
+            warnings=[*notices, *warnings],
+        )
+
+    def _notices_of_sharing(self, sidecars: Iterable[str]) -> list[str]:
+        notices = []
+        if self.occupied:
+            names = ", ".join(self.occupied)
+            notices.append(
+                f"another model in OUTPUT's folder has {names}; the new files have a number in their names."
+            )
+        if self.output is not None and self.output.folder is not None and self.output.overwrite:
+            notices += shared_files(self.output.folder, self.output.path, sidecars)
+        return notices
+
+
+def begin(
+    source: str, target: str, settings: SmoothSettings, job: Job, *, models_only: bool = False
+) -> FileJob:
+    """Open a source, and choose where the output goes in which format; UsageError or OutputError if it cannot."""
+    watch, output, access = Stopwatch(), None, job.access
+    if not job.dry_run:
+        output = Output(target, overwrite=job.overwrite, files=job.files)
+        output.files.guard(settings.input_files(source))
+        access = output.files.watching(access)
+    job.begin("reading")
+    with watch.stage("read"):
+        document = open_input(source, settings, access)
+        if models_only and document.kind == "image":
+            document.coloured_vertices()  # raises an error: it is not a model
+        kind = choose_format(document, target, job.format)
+    return FileJob(source, target, replace(job, access=access), document, kind, output, watch)
+
+
+def open_input(source: str, settings: SmoothSettings, access: Access) -> Document:
+    """Read a file, or standard input for "-", as a document; errors if it is unsupported, or no level set."""
+    document = open_any(source, settings, access)
+    require_level_set(settings, document)
+    return document
+
+
+def require_level_set(settings: SmoothSettings, *documents: Document) -> None:
+    """Raise UsageError if options of level sets are given, and none of the documents is one."""
+    wrong = [each.flag for each in given_parameters(settings.level_set)]
+    if wrong and all(document.kind != "volume" for document in documents):
+        raise UsageError(f"{', '.join(wrong)} need a level set, and {documents[0].name} is not one")
+
+
+def open_any(source: str, settings: SmoothSettings, access: Access) -> Document:
+    """Open a file as `open_input`, and allow options of level sets for any file."""
+    data, access = read_source(source, access), replace(access, channels=settings.channels or ())
+    name, folder = ("<stdin>", None) if source == "-" else (source, Path(source).parent)
+    line = registry.recognised(data, name)
+    if line is not None and line.kind == "volume":
+        from beltrami_cli.layers.level_set import read_level_set
+
+        return read_level_set(data, name, folder, settings.level_set, access, settings.kernel.thread_count)
+    return registry.open_as(line, data, name, folder, access)
+
+
+def _naming_of(file: FileJob) -> Naming:
+    source, target, output = file.source, file.target, file.output
+    folder = None if output is None else output.folder
+    keeps = "-" not in (source, target) and Path(source).resolve() == Path(os.path.realpath(target))
+    if output is not None and keeps:
+        output.replaceable = frozenset(file.document.references())
+
+    def references() -> frozenset[str]:
+        with suppress(BeltramiError):  # the output may not exist, or may not be readable
+            return frozenset(registry.open_document(target, replace(file.job.access, note=None)).references())
+        return frozenset()
+
+    if output is not None:
+        output.references = references
+
+    def is_taken(name: str) -> bool:
+        if output is None or folder is None or not os.path.lexists(folder / name):
+            return False
+        output.replaceable = output.replaceable or references()
+        if name in output.replaceable:
+            return False
+        file.occupied[name] = None
+        return True
+
+    return Naming(Path(target).stem, keeps, is_moved(source, target), is_taken)
+
+
+def is_moved(source: str, target: str) -> bool:
+    """Whether output and source are in different folders."""
+    if "-" in (source, target):
+        return source != "-"
+    return Path(source).resolve().parent != Path(os.path.realpath(target)).parent
