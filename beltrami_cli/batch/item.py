@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from beltrami_cli.batch.storage import hash_at, staged
 from beltrami_cli.errors import BeltramiError, MemoryLimitError, NoColoursError
-from beltrami_cli.flow.parameters import noise_size
+from beltrami_cli.flow.noise_amount import noise_size
 from beltrami_cli.formats.access import Access, is_url
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.progress import Progress, Share

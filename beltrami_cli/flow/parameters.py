@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 import os
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, get_args
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import check, described, parameter
-from beltrami_cli.quantities import BYTE_STEP, sure_amount
+from beltrami_cli.flow.given_noise import GivenNoise, file_of_noise, given_noise
 
 Weights = Literal["uniform", "area"]
 Units = Literal["spacing", "world"]
@@ -29,14 +28,6 @@ TUNABLE: tuple[Tunable, ...] = get_args(Tunable)
 # Weight of smoothness against fidelity to the input. Numbers are interpolated between these.
 STRENGTHS = {"gentle": 0.7, "normal": 1.0, "strong": 1.5}
 
-# Probability, of no noise or of some noise, below which that case is ignored: one in ten.
-NEGLIGIBLE = 0.1
-
-# Visible noise, of full scale: with less, most samples are within a step of 8 bits of their value.
-VISIBLE = 2 * BYTE_STEP
-
-_CHANNELS_OF_COLOUR = 3
-
 _STRENGTH_RANGE = "{}, or a number between {gentle} and {strong}".format(", ".join(STRENGTHS), **STRENGTHS)
 
 # The error of distances along segments stays the same on ever finer meshes, that of fast marching shrinks: on level
@@ -53,56 +44,6 @@ MAX_ITERATIONS = 10_000
 
 # Logarithm of the growth at which any difference in colour is far beyond the kernel, and numbers do not overflow yet.
 MAX_GROWTH = 25.0
-
-_CAMERA = re.compile(r"shot:([^,]+),read:([^,]+)")
-
-# A file of standard deviations is recognised by its extension.
-_SOURCE = re.compile(r"(frame|attribute):(.+)|()(.+\.[A-Za-z]\w*)")
-
-
-@dataclass(frozen=True)
-class GivenNoise:
-    """Noise that the user gives: a standard deviation, or shot and read noise of full scale 1 in linear light."""
-
-    sigma: float = 0.0
-    shot: float = 0.0
-    read: float = 0.0
-    source: str = ""  # file or vertex attribute with a value per sample
-    kind: str = ""  # of the source: "frame", "attribute", or else standard deviations
-
-    @property
-    def is_by_level(self) -> bool:
-        """Whether the noise depends on the level of colours."""
-        return self.shot > 0 or self.read > 0
-
-
-_NOISE_FORMS = (
-    "a number of 255 such as 12 or 0.9/255, a share of full scale such as 4.7%, "
-    "shot:A,read:B such as shot:0.01,read:0.005, or a file of standard deviations such as sigma.exr, "
-    "frame:FILE or attribute:NAME"
-)
-
-
-def given_noise(text: str) -> GivenNoise:
-    """Read "12" or "12/255" of 255, "4.7%" of full scale, "shot:A,read:B", or a source; or ValueError."""
-    camera, source = _CAMERA.fullmatch(text.strip()), _SOURCE.fullmatch(text)
-    if camera is None:
-        if source is None:
-            return GivenNoise(sure_amount(text, _NOISE_FORMS))
-        return GivenNoise(source=source[2] or source[4], kind=source[1] or "")
-    try:
-        shot, read = map(float, camera.groups())
-    except ValueError:
-        raise ValueError(f"is {text!r}, but must be {_NOISE_FORMS}") from None
-    if not (0 <= shot <= 1 and 0 <= read <= 1):
-        raise ValueError(f"is {text!r}, but shot and read are between 0 and 1, of full scale")
-    return GivenNoise(shot=shot, read=read)
-
-
-def file_of_noise(text: str) -> str:
-    """Return the file that a value of `noise` names, or an empty string."""
-    source = _SOURCE.fullmatch(text)
-    return "" if source is None or source[1] == "attribute" else source[2] or source[4]
 
 
 def _strength_in(text: str) -> float:
@@ -265,16 +206,10 @@ class KernelParameters:
 
     def in_unit(self, unit: float, of_light: float) -> KernelParameters:
         """Return the parameters for colours that are divided by `unit`; `of_light` divides linear light."""
-        given, noise = self.given_noise, self.noise
         if unit == 1:
             return self
-        if (
-            given is not None and given.is_by_level
-        ):  # var(L / u) = (A / u) (L / u) + (B / u)^2, and L is light
-            shot, read = (min(1.0, each / of_light) for each in (given.shot, given.read))
-            noise = f"shot:{shot!r},read:{read!r}"
-        elif given is not None and not given.source:
-            noise = f"{100 * min(1.0, given.sigma / unit)!r}%"
+        given = self.given_noise
+        noise = self.noise if given is None or given.source else given.in_unit(unit, of_light)
         return replace(self, noise=noise, beta=None if self.beta is None else self.beta * unit)
 
     @property
@@ -365,20 +300,3 @@ PRESETS: dict[str, dict[str, object]] = {
         "beta_growth": 1.0,
     }
 }
-
-
-def noise_size(part: Mapping[str, Any]) -> float:
-    """Return the noise of a part of a report, or of `info`, as one number of full scale 1; 0: none is removed.
-
-    Where it was estimated, it is the median of the estimate; the noise by channel is what is removed.
-    """
-    noise, reading = part["noise"], part.get("reading")  # which older records of a batch do not have
-    if reading is None or not any(noise.values()):
-        return root_mean_square(noise)
-    return float(reading["median"])
-
-
-def root_mean_square(noise: Mapping[str, float]) -> float:
-    """Return the root mean square of noise by channel, without that of alpha."""
-    colours = [*noise.values()][:_CHANNELS_OF_COLOUR]
-    return math.sqrt(sum(sigma**2 for sigma in colours) / max(1, len(colours)))

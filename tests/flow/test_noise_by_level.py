@@ -10,9 +10,9 @@ from scipy.ndimage import gaussian_filter
 import beltrami_cli
 from beltrami_cli._native import add_enlarged, means_of_squares
 from beltrami_cli.errors import UsageError
+from beltrami_cli.flow.given_noise import given_noise
 from beltrami_cli.flow.manifolds.grid_patches import sort_squares
 from beltrami_cli.flow.noise.model import VarianceStabiliser
-from beltrami_cli.flow.parameters import given_noise
 from beltrami_cli.jobs.inspect import inspect_file
 from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED
 from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear

@@ -23,7 +23,8 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.flow.noise.stabiliser import COLOURS, VarianceStabiliser
-from beltrami_cli.flow.parameters import NEGLIGIBLE, STRENGTHS, VISIBLE
+from beltrami_cli.flow.noise_amount import NEGLIGIBLE, VISIBLE
+from beltrami_cli.flow.parameters import STRENGTHS
 from beltrami_cli.quantities import BYTE_STEP
 
 # Probability of no noise above which colours are not changed, and from which on there is certainly no noise. By

@@ -13,6 +13,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.errors import UsageError
+from beltrami_cli.flow.given_noise import GivenNoise
 from beltrami_cli.flow.noise.channel_noise import (
     MIN_DIFFERENCE_OF_SCALES,
     ChannelNoise,
@@ -24,7 +25,6 @@ from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods
 from beltrami_cli.flow.noise.network import Weights, weights_of
 from beltrami_cli.flow.noise.stabiliser import COLOURS, VarianceStabiliser
 from beltrami_cli.flow.noise.structure import Structure, structure_of
-from beltrami_cli.flow.parameters import GivenNoise
 
 # Correlation of channels above which they share noise. It is up to 0.1 for readings of independent noise, or 0.2 where
 # they are uncertain.
