@@ -6,6 +6,7 @@ import shutil
 from unittest.mock import patch
 
 from beltrami_cli.batch import run
+from beltrami_cli.batch.chunks import InProcess
 from beltrami_cli.batch.item import do_item
 from cli.commands import SAMPLES, beltrami
 from hostile.textured_models import write_model
@@ -18,7 +19,7 @@ def without_workers():
     """Have batches do their files in this process, where others would take half a second each to start."""
 
     def here(_, memory, threads):
-        return run.Workers(run.InProcess(lambda *_: None), lambda item: (do_item, item, memory), threads)
+        return run.Workers(InProcess(lambda *_: None), lambda item: (do_item, item, memory), threads)
 
     return patch.object(run, "in_processes", here)
 
