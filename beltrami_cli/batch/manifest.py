@@ -13,14 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.access import (
-    MANIFEST,
-    parse_json,
-    parse_toml,
-    read_bounded,
-    require_text,
-    unreadable,
-)
+from beltrami_cli.formats.access import unreadable
+from beltrami_cli.formats.bounded_text import MANIFEST, parse_json, parse_toml, read_bounded, require_text
 
 _WAY_OUT = "see beltrami batch --help for what a manifest looks like"
 

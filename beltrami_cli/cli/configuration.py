@@ -21,7 +21,8 @@ from beltrami_cli.cli.console import printable
 from beltrami_cli.cli.option_names import long_name, options_by_name, plain, values_for
 from beltrami_cli.cli.parameter_options import ParameterOption
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.formats.access import CONFIGURATION, parse_toml, read_bounded, text_in, unreadable
+from beltrami_cli.formats.access import unreadable
+from beltrami_cli.formats.bounded_text import CONFIGURATION, parse_toml, read_bounded, text_in
 
 OWN_NAME, SHARED_NAME = "beltrami.toml", "pyproject.toml"
 # The options that are not parameters of a record, but of the method or of encoding. Whatever is not here is refused.

@@ -1,14 +1,8 @@
-"""Which files a job may read, from where and up to which size, and the functions that read within these limits.
-
-Files in JSON and TOML (configurations, manifests, reports, records) are not trusted: their size, their nesting and the
-length of their lines are bounded, and texts with characters that cannot occur in file names are refused. Every fault of
-such a file is a ValueError.
-"""
+"""Which files a job may read, from where and up to which size, and the functions that read within these limits."""
 
 from __future__ import annotations
 
 import errno
-import json
 import os
 import re
 import stat
@@ -17,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from io import BufferedReader
 from pathlib import Path
-from typing import Any, BinaryIO, ClassVar
+from typing import ClassVar
 
 from beltrami_cli.errors import InputError, MemoryLimitError
 from beltrami_cli.fields import Checked, parameter
@@ -27,8 +21,6 @@ from beltrami_cli.quantities import names_in, show_size, size_in
 _OPEN_FLAGS = (
     os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOCTTY", 0)
 )
-# Bytes up to which any compression ratio is accepted, and the largest ratio beyond.
-_MIN_UNPACKED, _MAX_RATIO = 1 << 26, 100
 LARGE = 1 << 20
 """Bytes from which on an image is read each time it is needed, since all images of a model may not fit into memory."""
 
@@ -108,23 +100,6 @@ def is_there(path: str | os.PathLike[str]) -> bool:
     return os.path.exists(path)  # noqa: PTH110
 
 
-def most_unpacked(packed: int) -> int:
-    """Return the most bytes that a legitimate model unpacks to."""
-    return max(_MIN_UNPACKED, _MAX_RATIO * packed)
-
-
-def is_too_dense(packed: int, unpacked: int) -> bool:
-    """Whether the compression ratio exceeds that of any legitimate model."""
-    return unpacked > most_unpacked(packed)
-
-
-def require_ratio(name: str, what: str, packed: int, unpacked: int) -> None:
-    """Raise InputError if packed data `is_too_dense`."""
-    if is_too_dense(packed, unpacked):
-        cause = f"{what} is {unpacked} bytes in {packed} packed ones, more than any model has"
-        raise InputError(name, cause, "save it uncompressed, if it is meant so")
-
-
 def open_regular(path: Path) -> BufferedReader:
     """Open a regular file, never waiting for a writer; OSError if it cannot be opened or is not regular."""
     file = os.fdopen(os.open(path, _OPEN_FLAGS), "rb")
@@ -200,72 +175,3 @@ def _read_stdin(access: Access) -> bytes:
         cause = f"cannot be read ({error.strerror or error})"
         raise InputError("<stdin>", cause, "pipe the model in, or give a file") from error
     return b"".join(blocks)
-
-
-CONFIGURATION, MANIFEST, REPORT = 1 << 20, 1 << 24, 1 << 24  # bytes that such a file has at most
-_MAX_NESTING = 50  # levels of tables and lists
-_MAX_INTEGER = 1 << 64
-# Characters of TOML, whose parser takes the square of the time for keys with very many dots.
-_LONGEST_LINE = 1 << 13
-_UNFIT = re.compile("[\0\ud800-\udc7f\udd00-\udfff]")  # the other surrogates stand for bytes of names
-
-
-def read_bounded(path: Path, most: int) -> str:
-    """Return the text of a regular file; OSError, or ValueError if it exceeds `most` bytes or is not UTF-8."""
-    with open_regular(path) as file:
-        return text_in(file, most)
-
-
-def text_in(file: BinaryIO, most: int) -> str:
-    """Return the text of an opened file; ValueError as `read_bounded`."""
-    data = file.read(most + 1)
-    if len(data) > most:
-        raise ValueError(f"it has more than {most} bytes")
-    return data.decode("utf-8-sig")
-
-
-def parse_json(text: str | bytes) -> Any:
-    """Parse JSON; ValueError if it is damaged, nested too deeply, or holds unusable texts or numbers."""
-    return _checked(lambda: json.loads(text))
-
-
-def parse_toml(text: str) -> dict[str, Any]:
-    """Parse TOML; ValueError as for `parse_json`."""
-    import tomllib
-
-    if any(len(line) > _LONGEST_LINE for line in text.splitlines()):
-        raise ValueError(f"it has a line of more than {_LONGEST_LINE} characters")
-    tree: dict[str, Any] = _checked(lambda: tomllib.loads(text))
-    return tree
-
-
-def require_text(text: str) -> str:
-    """Return the text; ValueError if it has characters that cannot occur in file names."""
-    unfit = _UNFIT.search(text)
-    if unfit is not None:
-        raise ValueError(f"it has the character U+{ord(unfit[0]):04X}, which no name can have")
-    return text
-
-
-def _checked(load: Callable[[], Any]) -> Any:
-    too_deep = ValueError(f"it is nested more than {_MAX_NESTING} levels deep")
-    try:
-        tree = load()
-    except RecursionError:
-        raise too_deep from None
-    level = [tree]
-    for _ in range(_MAX_NESTING):
-        inner: list[Any] = []
-        for value in level:
-            if isinstance(value, str):
-                require_text(value)
-            elif isinstance(value, int) and abs(value) > _MAX_INTEGER:
-                raise ValueError("it has a whole number of more than 64 bits")
-            elif isinstance(value, dict):
-                inner += [*value, *value.values()]
-            elif isinstance(value, list):
-                inner += value
-        if not inner:
-            return tree
-        level = inner
-    raise too_deep

@@ -159,7 +159,7 @@ FORMATS = (
             ("las", _starts(rb"LASF")), ("laz", None), ("e57", _starts(rb"ASTM-E57")), ("pcd", _starts(_PCD))
         )
     ),
-    Format("npz", _asks("archives.is_npz", _ZIP), "points.npz", "NpzPointsDocument", "write_npz"),
+    Format("npz", _asks("numpy_files.is_npz", _ZIP), "points.npz", "NpzPointsDocument", "write_npz"),
     Format("foreign", _is_foreign, "read_only", "document.ReadOnlyDocument", aliases=READ_ONLY),
 )  # fmt: skip
 

@@ -31,8 +31,8 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Float64s
 from beltrami_cli.errors import InputError, MemoryLimitError, install_hint
-from beltrami_cli.formats.archives import LEVEL_SET_KEYS, NpzArchive, is_npz
 from beltrami_cli.formats.model_folder import ModelFolder
+from beltrami_cli.formats.numpy_files import LEVEL_SET_KEYS, NpzArchive, is_npz
 from beltrami_cli.surface.level_sets import GridColours, Lattice, NearColours, Volume
 
 _NRRD = b"NRRD000"

@@ -55,7 +55,7 @@ def _values(document: Document, name: str, access: Access) -> Float64s:
 
 def read_table(path: str, rows: int, model: str, access: Access) -> Float64s:
     """Read numbers of vertices, shape (V, G), from an array, an archive of one array, or vertex colours of a model."""
-    from beltrami_cli.formats.archives import NPY_MAGIC, NpzArchive, is_npz, read_npy
+    from beltrami_cli.formats.numpy_files import NPY_MAGIC, NpzArchive, is_npz, read_npy
 
     data = read_source(path, access)
     if data[: len(NPY_MAGIC)] == NPY_MAGIC:

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.formats.access import REPORT, Access, parse_json, read_source, text_in
+from beltrami_cli.formats.access import Access, read_source
+from beltrami_cli.formats.bounded_text import REPORT, parse_json, text_in
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.document import Document
 from beltrami_cli.jobs.compare.figures import Measured, figures

@@ -13,7 +13,7 @@ import pytest
 
 from beltrami_cli.errors import InputError, NoColoursError
 from beltrami_cli.formats.access import Access
-from beltrami_cli.formats.archives import NpzArchive
+from beltrami_cli.formats.numpy_files import NpzArchive
 from beltrami_cli.formats.points.npz import NpzPointsDocument
 from beltrami_cli.formats.registry import open_document
 from cli.commands import beltrami, refused

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
 
 from beltrami_cli.formats.changes import Naming, NewImages, Written
+from beltrami_cli.formats.edits import Spans, exchange_spans
 from beltrami_cli.formats.model_folder import is_outside
 from beltrami_cli.formats.new_files import (
     NewFiles,
@@ -18,7 +19,6 @@ from beltrami_cli.formats.new_files import (
     slots_by_path,
 )
 from beltrami_cli.formats.obj.materials import SLOTS, Library, Map, Materials
-from beltrami_cli.formats.tokens import Spans, exchange_spans
 
 
 @dataclass(frozen=True)

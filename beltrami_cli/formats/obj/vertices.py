@@ -13,9 +13,9 @@ import numpy as np
 
 from beltrami_cli.arrays import Bools, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.edits import NewNumbers, most_decimals
 from beltrami_cli.formats.obj.polypaint import MARK, Polypaint, read_polypaint
 from beltrami_cli.formats.obj.statements import Statements
-from beltrami_cli.formats.tokens import NewNumbers, most_decimals
 from beltrami_cli.surface.geometry import unit_vectors
 from beltrami_cli.surface.polygons import polygons_of, polygons_with
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, Obstacle
-from beltrami_cli.formats import tokens
+from beltrami_cli.formats import edits
 from beltrami_cli.formats.changes import Bytes, Changes, Naming, PlannedImages, Written
 from beltrami_cli.formats.coloured_polygons import ColouredPolygons, colours_of_vertices
 from beltrami_cli.formats.colours import quantised
@@ -39,6 +39,7 @@ from beltrami_cli.formats.ply.tables import (
     with_channels,
 )
 from beltrami_cli.formats.scene import Scene
+from beltrami_cli.formats.tokens import find_tokens
 from beltrami_cli.surface.geometry import unit_vectors
 from beltrami_cli.surface.polygons import dual
 from beltrami_cli.surface.precision import require_single
@@ -113,7 +114,7 @@ class PlyDocument(Document):
 
     def _patched(self, new: Changes, naming: Naming) -> Written:
         sidecars, spans = texturing.renamed_images(self._images, new.images, self.name, naming)
-        header = tokens.exchange_spans(self.data[: self._header.end], spans)
+        header = edits.exchange_spans(self.data[: self._header.end], spans)
         changes = [] if new.colours is None else self._recoloured(new.colours)
         if new.places is not None:
             changes += self._moved(new.places)
@@ -223,9 +224,9 @@ class PlyDocument(Document):
         }
 
     def fingerprint(self) -> Fingerprint:
-        spans = {(each.start, each.end): tokens.PLACEHOLDER for each in self._images if each.path is not None}
+        spans = {(each.start, each.end): edits.PLACEHOLDER for each in self._images if each.path is not None}
         start = self._header.end
-        parts = {"header": tokens.exchange_spans(self.data[:start], spans)}
+        parts = {"header": edits.exchange_spans(self.data[:start], spans)}
         hidden, size, colours = np.empty(0, np.int64), 0, {}
         if self.has_vertex_colours():
             places = [indices(self._coloured.places(name)) for name in self._properties.names]
@@ -233,11 +234,11 @@ class PlyDocument(Document):
             colours = {f"{self._properties.element} colours": self._colours.values}
         body = f"elements {', '.join(self._tables)}"
         if self._header.order:
-            parts[body] = tokens.zeroed(self.data, hidden, size)[start:]
+            parts[body] = edits.zeroed(self.data, hidden, size)[start:]
         else:
             text, order = self.data[start:], np.sort(hidden)
-            starts, ends = tokens.find_tokens(text)
-            parts[body] = tokens.without_tokens(text, starts[order], ends[order])
+            starts, ends = find_tokens(text)
+            parts[body] = edits.without_tokens(text, starts[order], ends[order])
         shown = {f"texture {n}": image.path for n, image in enumerate(self._images) if image.path is not None}
         return Fingerprint(parts, colours, labelled(shown, self._folder.content))
 
@@ -338,11 +339,11 @@ def _patch_body(data: bytes, header: Header, changes: Sequence[_Change]) -> list
     """Replace values in the body (at least one, each property once), and return it in pieces; other bytes stay."""
     if not header.order:
         text = data[header.end :]
-        starts, ends = tokens.find_tokens(text)
+        starts, ends = find_tokens(text)
         places = [indices(change.places)[change.rows] for change in changes]
         both = zip(places, changes, strict=True)
-        new = [tokens.NewNumbers(starts[at], ends[at], change.values) for at, change in both]
-        return [*tokens.renumbered(text, new)]
+        new = [edits.NewNumbers(starts[at], ends[at], change.values) for at, change in both]
+        return [*edits.renumbered(text, new)]
     patched = bytearray(data)
     for change in changes:
         everywhere = values_in_bytes(patched, header.order + change.values.dtype.str[1:])

@@ -22,6 +22,7 @@ from beltrami_cli.formats.changes import Changes, Naming, Written
 from beltrami_cli.formats.colours import display_colours, quantised
 from beltrami_cli.formats.comparison import Fingerprint
 from beltrami_cli.formats.conversion import not_converted
+from beltrami_cli.formats.edits import new_colours, renumbered, without_tokens
 from beltrami_cli.formats.points.cloud import PointsDocument, Tables
 from beltrami_cli.formats.points.columns import (
     NORMAL,
@@ -32,15 +33,7 @@ from beltrami_cli.formats.points.columns import (
     find_columns,
     is_header,
 )
-from beltrami_cli.formats.tokens import (
-    Lines,
-    new_colours,
-    number_lines,
-    read_numbers,
-    renumbered,
-    without_comments,
-    without_tokens,
-)
+from beltrami_cli.formats.tokens import Lines, number_lines, read_numbers, without_comments
 from beltrami_cli.surface.precision import shortest_type
 from beltrami_cli.surface.records import MeshContents
 

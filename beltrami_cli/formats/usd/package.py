@@ -14,8 +14,8 @@ import zipfile
 from collections.abc import Mapping
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.access import Access, require_ratio
-from beltrami_cli.formats.archives import Archive
+from beltrami_cli.formats.access import Access
+from beltrami_cli.formats.archives import Archive, require_ratio
 from beltrami_cli.formats.changes import Bytes
 
 LAYERS = (".usd", ".usda", ".usdc")  # suffixes of files that usd-core reads

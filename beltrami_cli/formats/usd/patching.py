@@ -15,7 +15,7 @@ import numpy as np
 from pxr import Sdf
 
 from beltrami_cli.arrays import Array
-from beltrami_cli.formats.tokens import Spans, exchange_spans
+from beltrami_cli.formats.edits import Spans, exchange_spans
 
 Values = tuple[list[Array], list[str]]  # the colours of meshes, and names of images
 Change = tuple[Array, Array]  # the colours of a mesh before and after

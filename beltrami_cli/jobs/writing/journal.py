@@ -21,7 +21,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
-from beltrami_cli.formats.access import parse_json
+from beltrami_cli.formats.bounded_text import parse_json
 from beltrami_cli.jobs.writing.file_rights import PRIVATE, take_over
 from beltrami_cli.jobs.writing.locks import close, folders_locked, signals_deferred, try_lock
 from beltrami_cli.jobs.writing.placing import TemporaryFile, identity_of, put, undo
