@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -14,10 +15,11 @@ from beltrami_cli.formats.image.file_formats import is_image
 from beltrami_cli.formats.image.png import packed_chunk
 from beltrami_cli.jobs.writing.output import FileSet, Output, Overwrite
 from beltrami_cli.layers.settings import SmoothSettings
+from beltrami_cli.view.image_view import ImageView
 from beltrami_cli.view.panels import draw_views
 from beltrami_cli.view.render import encoded, picture_suffix
 from beltrami_cli.view.settings import DEFAULT_RENDER, Crop, RenderSettings
-from beltrami_cli.view.tracing import require_embree
+from beltrami_cli.view.surface_view import require_embree
 from beltrami_cli.view.views import open_views, require_memory_to_draw
 
 _MARK = packed_chunk(b"tEXt", b"Software\0beltrami smooth --preview")  # of PNG files that are previews
@@ -39,7 +41,7 @@ class Preview:
         self._source, self._target = source, target
         self._reading, self._access = settings, access
         on: Literal["vertices", "auto"] = "vertices" if settings.on == "vertices" else "auto"
-        self._looks = RenderSettings(on=on, slot=settings.textures.slots[0], crops=(Crop(),))
+        self._rendering = RenderSettings(on=on, slot=settings.textures.slots[0], crops=(Crop(),))
         head = b""
         with contextlib.suppress(OSError):  # which is reported when it is smoothed
             head = read_regular(Path(source), access, _HEAD)
@@ -48,13 +50,18 @@ class Preview:
 
     def check(self, document: Document) -> None:
         both = document, document
-        require_memory_to_draw(both, self._looks, self._access, ", or leave out --preview")
+        require_memory_to_draw(both, self._rendering, self._access, ", or leave out --preview")
 
     def draw(self) -> None:
         """Draw and write the picture, after OUTPUT was written aside."""
-        before = open_views([self._source], self._looks, self._access, self._reading)
-        after = open_views([self._target], self._looks, self._output.files.with_staged_files(self._access))
-        picture = draw_views([*before, *after], ["before", "after"], self._looks)
+        before = open_views([self._source], self._rendering, self._access, self._reading)
+        after = open_views(
+            [self._target], self._rendering, self._output.files.with_staged_files(self._access)
+        )
+        rendering = self._rendering
+        if isinstance(before[0], ImageView):  # which then fills its view
+            rendering = replace(rendering, size=before[0].size_within(rendering.size))
+        picture = draw_views([*before, *after], ["before", "after"], rendering)
         drawn = encoded(picture, self._output.target, self._suffix)
         if self._suffix == ".png":
             (data,) = map(bytes, drawn.main)

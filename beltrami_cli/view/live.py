@@ -32,12 +32,13 @@ from beltrami_cli.layers.selection import select
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.records import Slot
 from beltrami_cli.view.controls import CONTROLS, SLIDERS, plain_settings, settings_from, values_of
+from beltrami_cli.view.layer_view import LayerView
 from beltrami_cli.view.models import ModelWriter
 from beltrami_cli.view.pages import page_with_models, rendered
-from beltrami_cli.view.preview import Focus, LayerView, NoPreviewError
+from beltrami_cli.view.parameter_tables import used_parameters
+from beltrami_cli.view.preview import Focus, NoPreviewError
 from beltrami_cli.view.server import GoneError, MalformedError, PageRequest
 from beltrami_cli.view.settings import RenderSettings
-from beltrami_cli.view.used import used_parameters
 from beltrami_cli.view.views import require_memory_to_draw
 from beltrami_cli.view.words import noise_of
 
@@ -58,12 +59,12 @@ _BRIGHTEST_CHANGE = 32  # 255ths: the change that is shown brightest at first
 
 @dataclass(frozen=True)
 class _Change:
-    """The job of a page, and the request to answer."""
+    """What a page asks for, and the connection on which it is answered."""
 
     settings: SmoothSettings
     layer: LayerView
     focus: Focus
-    request: PageRequest
+    page: PageRequest
 
 
 class Live:
@@ -92,7 +93,7 @@ class Live:
         for layer in self._layers:
             layer.add_to(writer)
         self.files = {
-            "": ("text/html; charset=utf-8", self._page(settings)),
+            "": ("text/html; charset=utf-8", self._html(settings)),
             "model.glb": ("model/gltf-binary", writer.glb(_BRIGHTEST_CHANGE)),
         }
 
@@ -101,33 +102,31 @@ class Live:
         locks = self._previewing, self._smoothing, self._saving
         return all(lock.acquire(timeout=_STOP_TIMEOUT) for lock in locks)
 
-    def answer(self, name: str, asked: dict[str, Any], request: PageRequest) -> None:
+    def answer(self, name: str, request: dict[str, Any], page: PageRequest) -> None:
         """Answer a request, see `PageServer`."""
         if name not in ("change", "save"):
             raise MalformedError
-        settings = settings_from(self._plain, _part(asked, "values", dict))
-        target = _part(asked, "target", str)
+        settings = settings_from(self._plain, _part(request, "values", dict))
+        target = _part(request, "target", str)
         command = self._command(settings, target)
         if name == "change":
-            self._follow(asked, settings, command, request)
+            self._follow(request, settings, command, page)
         else:
-            self._save(settings, target, command, request, overwrite=_part(asked, "overwrite", bool))
+            self._save(settings, target, command, page, overwrite=_part(request, "overwrite", bool))
 
     def _save(
-        self, settings: SmoothSettings, target: str, command: str, request: PageRequest, *, overwrite: bool
+        self, settings: SmoothSettings, target: str, command: str, page: PageRequest, *, overwrite: bool
     ) -> None:
         """Save a result as `smooth` does, one at a time; no file is left incomplete when the program ends."""
         if target == "-":
             raise UsageError("the output must be a file, since the page cannot show it")
         with self._saving:
-            request.check_open()
-            job = dataclasses.replace(
-                self._job, overwrite=overwrite, progress=lambda *_: request.check_open()
-            )
+            page.check_open()
+            job = dataclasses.replace(self._job, overwrite=overwrite, progress=lambda *_: page.check_open())
             report = smooth_file(self._source, target, settings, job)
-        request.send(written=report.written, warnings=report.warnings, command=command)
+        page.send(written=report.written, warnings=report.warnings, command=command)
 
-    def _page(self, settings: SmoothSettings) -> bytes:
+    def _html(self, settings: SmoothSettings) -> bytes:
         slots = [layer.slot for layer in self._layers if layer.slot is not None]
         target = _target(self._source)
         start = {"values": values_of(settings), "target": target}
@@ -137,20 +136,20 @@ class Live:
         )  # fmt: skip
 
     def _follow(
-        self, asked: dict[str, Any], settings: SmoothSettings, command: str, request: PageRequest
+        self, request: dict[str, Any], settings: SmoothSettings, command: str, page: PageRequest
     ) -> None:
         """Smooth the part in view, then the whole, until the page sends another request."""
-        layer, focus = _part(asked, "layer", int), _focus(asked)
+        layer, focus = _part(request, "layer", int), _focus(request)
         if not 0 <= layer < len(self._layers):
             raise MalformedError
-        change = _Change(settings, self._layers[layer], focus, request)
-        request.send(kind="accepted", command=command)
+        change = _Change(settings, self._layers[layer], focus, page)
+        page.send(kind="accepted", command=command)
         with self._previewing:
             self._preview(change)
-        request.wait(_IDLE_SECONDS)
+        page.wait(_IDLE_SECONDS)
         with self._smoothing:
             self._smooth(change)
-        request.wait()
+        page.wait()
 
     def _preview(self, change: _Change) -> None:
         """Smooth the part in view: first by the kernel, then with patches if the settings have them."""
@@ -168,20 +167,20 @@ class Live:
         except GoneError:
             raise
         except NoPreviewError as error:
-            change.request.send(kind="none", reason=str(error))
+            change.page.send(kind="none", reason=str(error))
         except Exception:  # the same error is reported for the whole, which follows
-            change.request.send(kind="none", reason="the part in view cannot be smoothed alone")
+            change.page.send(kind="none", reason="the part in view cannot be smoothed alone")
 
     def _preview_part(self, change: _Change, settings: SmoothSettings, stage: str) -> None:
         iterations, began = max(1, settings.kernel.iterations), time.perf_counter()
         budget = int(np.clip(_PREVIEW_SECONDS * self._rates[stage] / iterations, _MIN_SAMPLES, _MAX_SAMPLES))
         patches, samples = change.layer.preview(
-            settings, change.focus, budget, lambda *_: change.request.check()
+            settings, change.focus, budget, lambda *_: change.page.check()
         )
         spent = time.perf_counter() - began
         self._rates[stage] = 0.5 * self._rates[stage] + 0.5 * samples * iterations / max(spent, 1e-3)
-        change.request.check()
-        change.request.send(kind="preview", patches=patches, stage=stage, seconds=spent, samples=samples)
+        change.page.check()
+        change.page.send(kind="preview", patches=patches, stage=stage, seconds=spent, samples=samples)
 
     def _without_search(self, change: _Change) -> SmoothSettings:
         """Return settings without a search: free parameters have the values chosen last, or those of the rule."""
@@ -198,7 +197,7 @@ class Live:
 
     def _smooth(self, change: _Change) -> None:
         """Smooth the whole as `smooth` does, and send it to the page."""
-        request, settings = change.request, change.settings
+        page, settings = change.page, change.settings
         try:
             result, results = self._whole(change)
             made = smooth_report(FileReport(input=self._source, output="", format=""), results, settings)
@@ -208,7 +207,7 @@ class Live:
         except Exception as error:
             is_known = isinstance(error, BeltramiError)
             message = str(error) if is_known else f"unexpected error: {type(error).__name__}: {error}"
-            request.send(kind="failed", message=message)
+            page.send(kind="failed", message=message)
             return
         choices = [done.report.choice for done in results if done.report.choice is not None]
         notices = [each for done in results for each in (*done.warnings, *done.stored.notices)]
@@ -217,10 +216,10 @@ class Live:
         )
         noise = noise_of(dataclasses.asdict(noisiest)) if any(noisiest.noise.values()) else "none"
         with self._previewing:
-            request.check()
+            page.check()
             chosen = dict(choices[0]["chosen"]) if choices else {}  # type: ignore[call-overload]
             self._chosen[settings.kernel.strength, settings.kernel.noise] = chosen
-            request.send(
+            page.send(
                 kind="whole", patches=[patch for layer in self._layers for patch in layer.whole(result)], chosen=chosen,
                 used=rendered("parameters.html", used=used),
                 notices=[*dict.fromkeys([*self._document.notices, *notices])],
@@ -228,16 +227,16 @@ class Live:
             )  # fmt: skip
 
     def _whole(self, change: _Change) -> tuple[Document, list[Smoothed]]:
-        request = change.request
+        page = change.page
 
         def announce(label: str, done: int, total: int) -> None:
-            request.send(kind="progress", label=label, share=done / total)
+            page.send(kind="progress", label=label, share=done / total)
 
         at_times = at_intervals(_PROGRESS_INTERVAL, announce)
 
         def show(label: str, share: float) -> None:
             with self._previewing:  # so that previews of other pages do not compete for the processors
-                request.check()
+                page.check()
             at_times(label, round(_STEPS * share), _STEPS)
 
         announce("choosing parameters", 0, 1)

@@ -14,7 +14,6 @@ References
 
 from __future__ import annotations
 
-import base64
 import json
 import zlib
 from collections.abc import Callable
@@ -22,33 +21,29 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from PIL import Image
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from beltrami_cli.arrays import Array, Float64s, Int32s, Int64s, Uint8s
+from beltrami_cli.arrays import Array, Float64s, Int32s, Int64s
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.gltf.buffers import INDEX_DATA
 from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, glb_pieces
 from beltrami_cli.formats.gltf.images import WRAPS
 from beltrami_cli.formats.gltf.writer import Arrays
-from beltrami_cli.formats.image import DecodedImage
-from beltrami_cli.formats.image.decoded_image import is_associated
-from beltrami_cli.formats.image.reading import read_image, read_texture
-from beltrami_cli.layers.settings import COLOUR_SLOTS
-from beltrami_cli.surface.colour_values import VIRIDIS, as_bytes, linear_to_srgb
+from beltrami_cli.surface.colour_values import VIRIDIS
 from beltrami_cli.surface.geometry import edges_of
-from beltrami_cli.surface.grouping import connected, group_equal_rows, group_places
+from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.records import ColouredVertices, Slot, Texture, TexturedSurface
-from beltrami_cli.view.pages import png_of
-from beltrami_cli.view.views import disc_radii, framed, light_of, sheet_of
+from beltrami_cli.view.cameras import framed
+from beltrami_cli.view.charts import charts_of, ends_of
+from beltrami_cli.view.cloud_view import disc_radii
+from beltrami_cli.view.light import displayed_colours
+from beltrami_cli.view.page_images import ImageBytes, image_of, resized, textures_of
+from beltrami_cli.view.pages import packed_array
 
 Pair = tuple[Document, Document]
-ImageBytes = tuple[str, bytes]  # MIME type and content
 
 VERTICES = "vertex colours"
-_MIME = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg"}
 _TRIANGLES, _POINTS, _LINES = 4, 0, 1  # modes of glTF primitives
 _FULL_SCALE = 65535
 _MAX_DISTANCE = 1e9  # sizes of the model or texture, beyond which nothing is visible
@@ -97,13 +92,13 @@ class ModelWriter:
             nodes.append(self._part(surface, box, number, chart_of, pair))
             borders = seams[surface.texture_of[seams[:, 0]] == number]
             if pair is not None and len(borders):
-                uv = _finite(_ends(surface.uv, borders)) * (1, -1) + (-0.5, 0.5)
+                uv = _finite(ends_of(surface.uv, borders)) * (1, -1) + (-0.5, 0.5)
                 flat = self._arrays.add(
                     np.column_stack([uv, np.full(len(uv), 0.002)]).astype("<f4"), bounds=True
                 )
                 nodes.append(self._node({"POSITION": flat}, _LINES, {"textures": pair}))
         if len(seams):
-            ends = self._positions(box.shares(_ends(surface.positions[surface.faces], seams)))
+            ends = self._positions(box.shares(ends_of(surface.positions[surface.faces], seams)))
             nodes.append(self._node({"POSITION": ends}, _LINES, {}))
         self._scene(f"{slot} textures", nodes, middle=box.middle, pairs=pairs)
 
@@ -128,7 +123,7 @@ class ModelWriter:
         room = max(3 / 4 * limit - len(zlib.compress(data.tobytes())), _MIN_PICTURES)
         while (size := sum(len(content) for _, content in images)) > room and share > _MIN_SHARE:
             share *= _FILLED * float(np.sqrt(room / size))
-            images = [_resized(image(), share) for image in self._images]
+            images = [resized(image(), share) for image in self._images]
         file = np.frombuffer(self._written(images, reach), np.uint8)
         first = len(file) - len(arrays.binary)
         moved = [(first + start, length, stride) for start, length, stride in tables if length]
@@ -264,81 +259,3 @@ def _sorted(faces: Int32s, count: int) -> tuple[Int64s, Int64s]:
     index = number[faces]
     index = np.take_along_axis(index, (index.argmin(axis=1)[:, None] + np.arange(3)) % 3, 1)
     return order, index[np.lexsort((index[:, 1], index[:, 0]))]
-
-
-def textures_of(document: Document, slot: Slot | None) -> tuple[Texture, ...]:
-    """Return the textures of a layer; an image is one."""
-    if slot is not None:
-        return document.textured(slot).textures
-    return (Texture("", document.name, document.data),)
-
-
-def image_of(texture: Texture, slot: Slot, picture: Callable[[], DecodedImage] | None = None) -> ImageBytes:
-    """Return the MIME type and bytes of a texture: its own if browsers show its format, or else a PNG file."""
-    mime = next((mime for mark, mime in _MIME.items() if texture.data.startswith(mark)), None)
-    if mime is not None:
-        return mime, texture.data
-    shown = read_texture(texture) if picture is None else picture()
-    return "image/png", _png(displayed_pixels(shown, is_data=slot not in COLOUR_SLOTS))
-
-
-def _png(pixels: Uint8s) -> bytes:
-    return png_of(pixels[..., :3] if (pixels[..., 3] == 255).all() else pixels)
-
-
-def _resized(image: ImageBytes, share: float) -> ImageBytes:
-    """Return a picture, scaled down by averages of display values, as a PNG file."""
-    shown = Image.fromarray(displayed_pixels(read_image(image[1], "a picture")))
-    width, height = (max(1, int(share * side)) for side in shown.size)
-    return "image/png", _png(np.asarray(shown.resize((width, height), Image.Resampling.BOX)))
-
-
-def displayed_pixels(picture: DecodedImage, *, is_data: bool = False) -> Uint8s:
-    """Return a picture as display values with opacity, (H, W, 4), see `sheet_of`."""
-    pixels = picture.pixels
-    if pixels.dtype != np.uint8 or is_associated(picture):
-        sheet = sheet_of(picture, is_data=is_data)
-        return as_bytes(np.concatenate([linear_to_srgb(sheet[..., :3]), sheet[..., 3:]], axis=2))
-    shown = np.full((*pixels.shape[:2], 4), 255, np.uint8)
-    shown[..., :3] = pixels[..., picture.colour if len(picture.colour) == 3 else picture.colour[:1] * 3]
-    if picture.alpha is not None:
-        shown[..., 3] = pixels[..., picture.alpha]
-    return shown
-
-
-def packed_array(values: Array, level: int) -> str:
-    """Return the bytes of an array for a page, compressed."""
-    data = np.ascontiguousarray(values.astype(values.dtype.newbyteorder("<"))).tobytes()
-    return base64.b64encode(zlib.compress(data, level)).decode()
-
-
-def displayed_colours(vertices: ColouredVertices) -> NDArray[np.uint16]:
-    """Return vertex colours as display values of 16 bits, (V, 3)."""
-    return np.asarray(np.rint(_FULL_SCALE * linear_to_srgb(light_of(vertices))), np.uint16)
-
-
-def charts_of(surface: TexturedSurface) -> tuple[Int32s, Int64s]:
-    """Return the chart of each triangle, and the seams, (K, 2), as triangles and the corners they begin at."""
-    place_of, _ = group_places(surface.positions, surface.space_of, surface.faces)
-    starts = place_of[surface.faces]
-    ends = np.roll(starts, -1, axis=1)
-    uv = np.stack([surface.uv, np.roll(surface.uv, -1, axis=1)], axis=2).reshape(-1, 2, 2)
-    turned = (starts > ends).reshape(-1)
-    uv[turned] = uv[turned, ::-1]
-    low, high = np.minimum(starts, ends).reshape(-1), np.maximum(starts, ends).reshape(-1)
-    order = np.lexsort((high, low))
-    equal = (np.diff(low[order]) == 0) & (np.diff(high[order]) == 0)
-    here, there = order[:-1][equal], order[1:][equal]
-    same = surface.texture_of[here // 3] == surface.texture_of[there // 3]
-    same &= (uv[here] == uv[there]).all(axis=(1, 2))
-    chart_of = connected(len(surface.faces), np.stack([here[same] // 3, there[same] // 3], axis=1))
-    cut = np.concatenate([here[~same], there[~same]])
-    cut = cut[surface.texture_of[cut // 3] >= 0]
-    return chart_of, np.stack([cut // 3, cut % 3], axis=1)
-
-
-def _ends(corners: Float64s, edges: Int64s) -> Float64s:
-    """Return both ends of edges, given by triangle and first corner, (2 K, X)."""
-    face, corner = edges.T
-    pairs = np.stack([corners[face, corner], corners[face, (corner + 1) % 3]], axis=1)
-    return np.asarray(pairs.reshape(-1, corners.shape[2]), np.float64)

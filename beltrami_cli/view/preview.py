@@ -1,9 +1,9 @@
-"""Previews of the live view: the part of a layer that is in view, small enough to be smoothed at once."""
+"""Previews: a part of a document in view, small enough to be smoothed at once."""
 
 from __future__ import annotations
 
-import base64
 import dataclasses
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Float64s, Int64s, Uint8s
+from beltrami_cli.arrays import Float64s, Int64s
 from beltrami_cli.flow.beltrami_flow import smooth_in_place
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.formats.access import DEFAULT_ACCESS, Access
+from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import read_texture
 from beltrami_cli.formats.image.jpeg import CODED_TOGETHER
@@ -29,15 +29,7 @@ from beltrami_cli.layers.texture_layer import TextureLayer, choose_textures
 from beltrami_cli.layers.vertex_layer import GridLayer, MeshLayer, VertexLayer, only_rows
 from beltrami_cli.surface.geometry import triangle_areas
 from beltrami_cli.surface.records import ColouredVertices, Slot, TexturedSurface
-from beltrami_cli.view.models import (
-    Box,
-    ModelWriter,
-    displayed_colours,
-    displayed_pixels,
-    image_of,
-    packed_array,
-    textures_of,
-)
+from beltrami_cli.view.light import displayed_colours, displayed_pixels
 
 Progress = Callable[[int, int], None]
 
@@ -45,7 +37,6 @@ _PIECE = 320  # most texels of a piece of a triangle, so that many fit into a pr
 _MAX_PIECES = 100_000  # of a texture, even if pieces are then larger
 _MAX_SPLITS = 24  # each halves the longest sides
 _NO_FACES = np.zeros((0, 3), np.int32)
-_COMPRESSION_LEVEL = 1  # of zlib
 _FOCUS_RADIUS = 0.05  # of the model's size: distance from the line of sight of triangles in focus
 
 
@@ -69,60 +60,11 @@ class Patch:
     rows: NDArray[np.signedinteger[Any]]  # vertices, or rows of texels
     columns: NDArray[np.signedinteger[Any]]
     colours: NDArray[np.integer[Any]]  # display values: (K, 3) of 16 bits, or (K, 4) of 8 bits
-    places: Float64s | None = None  # positions of vertices, (K, 3), if they moved
+    positions: Float64s | None = None  # of vertices, (K, 3), if they moved
 
 
-class LayerView:
-    """A coloured part of a document on pages: the textures of a `slot`, or (None) vertices or pixels."""
-
-    def __init__(
-        self, document: Document, slot: Slot | None, access: Access = DEFAULT_ACCESS, number: int = 0
-    ) -> None:
-        self.slot, self._document, self._access, self._number = slot, document, access, number
-        self._is_image = document.kind == "image"
-        self._row_of: Int64s | None = None
-        self._box: Box | None = None
-        self._can_move = False  # whether vertices have moved, on any page
-        # Pixels sent last, by texture, if they differ from the document.
-        self._shown: dict[int, Uint8s] = {}
-        self._pixels: ImageLayer | None = None
-        self._order: tuple[bytes, Int64s] | None = None  # of triangles or points, by the last focus
-
-    @cached_property
-    def _vertices(self) -> ColouredVertices:
-        return self._document.coloured_vertices()
-
-    @cached_property
-    def _pieces(self) -> tuple[TexturedSurface, Float64s]:
-        """The pieces of textured triangles, and the number of texels of each."""
-        surface = self._document.textured(self._textures)
-        sizes = [read_texture(texture).pixels.shape[1::-1] for texture in surface.textures]
-        return _cut_in_pieces(surface, np.array(sizes, np.float64))
-
-    @cached_property
-    def _centres(self) -> Float64s:
-        model = self._vertices if self.slot is None else self._pieces[0]
-        return model.positions[model.faces].mean(axis=1) if len(model.faces) else model.positions
-
-    @property
-    def _textures(self) -> Slot:
-        assert self.slot is not None
-        return self.slot
-
-    def add_to(self, writer: ModelWriter) -> None:
-        """Add the part to a model for the viewer, with equal colours before and after."""
-        writer.add((self._document, self._document), self.slot)
-        if not self._is_image:
-            self._box, self._row_of = writer.boxes[-1], writer.row_of
-
-    def preview(
-        self, settings: SmoothSettings, focus: Focus, budget: int, progress: Progress | None
-    ) -> tuple[list[dict[str, Any]], int]:
-        """Smooth about `budget` samples around the focus, in the box of the model; return patches and samples."""
-        if focus.direction is not None and self._box is not None:
-            focus = Focus(self._box.low + self._box.size * focus.origin, focus.direction)
-        patches = self.smooth(settings, focus, budget, progress)
-        return [self._patched(patch) for patch in patches], sum(len(patch.rows) for patch in patches)
+class Previewer(ABC):
+    """Smooths parts of the pixels, the vertex colours or the textures of a slot of a document."""
 
     def smooth(
         self, settings: SmoothSettings, focus: Focus, budget: int, progress: Progress | None
@@ -132,30 +74,62 @@ class LayerView:
             raise NoPreviewError("exposure steps are levelled over the whole model")
         if settings.embedding.guides:
             raise NoPreviewError("guides are read for the whole model")
-        of_part = self._of_vertices if self.slot is None else self._of_textures
-        if self._is_image:
-            of_part = self._of_image
-        return of_part(settings, focus, budget, progress)
+        return self._smooth(settings, focus, budget, progress)
 
-    def _of_image(
+    @abstractmethod
+    def _smooth(
+        self, settings: SmoothSettings, focus: Focus, budget: int, progress: Progress | None
+    ) -> list[Patch]: ...
+
+
+def previewer_of(document: Document, slot: Slot | None, access: Access) -> Previewer:
+    """Return the previewer of the pixels of an image, of the textures of a slot, or (None) of vertex colours."""
+    if document.kind == "image":
+        return _ImagePreviewer(document, access)
+    return _VertexPreviewer(document) if slot is None else _TexturePreviewer(document, slot, access)
+
+
+class _ImagePreviewer(Previewer):
+    def __init__(self, document: Document, access: Access) -> None:
+        self._document, self._access = document, access
+        self._layer: ImageLayer | None = None  # of the last settings
+
+    def _smooth(
         self, settings: SmoothSettings, focus: Focus, budget: int, progress: Progress | None
     ) -> list[Patch]:
         kernel = settings.kernel
-        if self._pixels is None or dataclasses.replace(self._pixels.settings, kernel=kernel) != settings:
-            self._pixels = ImageLayer.read(self._document, settings, self._access).normalised()
-        rows, columns = self._pixels.valid.shape
-        around = _window((rows, columns), focus.origin[1::-1] * (rows, columns), budget)
-        top, left = (slice(axis.start // CODED_TOGETHER * CODED_TOGETHER, axis.stop) for axis in around)
-        layer = _cut(self._pixels, (top, left), kernel)
-        pixels, _ = layer.new_pixels(0, _smooth(layer, progress))
+        if self._layer is None or dataclasses.replace(self._layer.settings, kernel=kernel) != settings:
+            self._layer = ImageLayer.read(self._document, settings, self._access).normalised()
+        shape = self._layer.valid.shape
+        window = _window(shape, focus.origin[1::-1] * shape, budget)
+        top, left = (slice(axis.start // CODED_TOGETHER * CODED_TOGETHER, axis.stop) for axis in window)
+        layer = _cut(self._layer, (top, left), kernel)
+        pixels, _ = layer.new_pixels(0, _smoothed(layer, progress))
         shown = displayed_pixels(dataclasses.replace(layer.picture, pixels=pixels))
         row, column = (axis.ravel() for axis in np.indices(shown.shape[:2]))
         return [Patch(0, row + top.start, column + left.start, shown.reshape(-1, 4))]
 
-    def _of_vertices(
+
+class _VertexPreviewer(Previewer):
+    def __init__(self, document: Document) -> None:
+        self._document = document
+
+    @cached_property
+    def _coloured(self) -> ColouredVertices:
+        return self._document.coloured_vertices()
+
+    @cached_property
+    def _by_distance(self) -> _ByDistance:
+        vertices = self._coloured
+        has_faces = len(vertices.faces) > 0
+        return _ByDistance(
+            vertices.positions[vertices.faces].mean(axis=1) if has_faces else vertices.positions
+        )
+
+    def _smooth(
         self, settings: SmoothSettings, focus: Focus, budget: int, progress: Progress | None
     ) -> list[Patch]:
-        coloured, grid, order = self._vertices, self._document.grid(), self._around(focus)
+        coloured, grid, order = self._coloured, self._document.grid(), self._by_distance.order(focus)
         is_mesh = len(coloured.faces) > 0
         layer: VertexLayer
         if grid is not None:
@@ -181,10 +155,28 @@ class LayerView:
         )
         return [Patch(-1, rows, rows, displayed_colours(kept), made.positions)]
 
-    def _of_textures(
+
+class _TexturePreviewer(Previewer):
+    def __init__(self, document: Document, slot: Slot, access: Access) -> None:
+        self._document, self._slot, self._access = document, slot, access
+
+    @cached_property
+    def _pieces(self) -> tuple[TexturedSurface, Float64s]:
+        """The pieces of textured triangles, and the number of texels of each."""
+        surface = self._document.textured(self._slot)
+        sizes = [read_texture(texture).pixels.shape[1::-1] for texture in surface.textures]
+        return _cut_in_pieces(surface, np.array(sizes, np.float64))
+
+    @cached_property
+    def _by_distance(self) -> _ByDistance:
+        surface, _ = self._pieces
+        flat = np.column_stack([surface.uv.mean(axis=1), _APART * surface.texture_of])
+        return _ByDistance(surface.positions[surface.faces].mean(axis=1), flat)
+
+    def _smooth(
         self, settings: SmoothSettings, focus: Focus, budget: int, progress: Progress | None
     ) -> list[Patch]:
-        (surface, covered), order = self._pieces, self._around(focus)
+        (surface, covered), order = self._pieces, self._by_distance.order(focus)
         order = order[: max(1, int(np.searchsorted(np.cumsum(covered[order]), budget)))]
         rows, corners = np.unique(surface.faces[order], return_inverse=True)
         part = dataclasses.replace(
@@ -193,8 +185,8 @@ class LayerView:
             space_of=None if surface.space_of is None else surface.space_of[rows],
         )  # fmt: skip
         chosen, around = choose_textures(part, settings.textures), (self._document, self._access)
-        layer = TextureLayer.read(chosen, self._textures, settings, guided=around).normalised()
-        new = _smooth(layer, progress)
+        layer = TextureLayer.read(chosen, self._slot, settings, guided=around).normalised()
+        new = _smoothed(layer, progress)
         offsets, patches = layer.atlas.texture_offsets, []
         keys = [each.key for each in surface.textures]
         for index, picture in enumerate(layer.pictures):
@@ -204,70 +196,32 @@ class LayerView:
                 pixels = layer.new_pixels(index, new)[0].reshape(-1, picture.pixels.shape[2])[texels]
                 shown = displayed_pixels(dataclasses.replace(picture, pixels=pixels[None]))[0]
                 rows, columns = np.divmod(texels, picture.pixels.shape[1])
-                number = keys.index(layer.surface.textures[index].key)
-                patches.append(Patch(number, rows, columns, shown))
+                patches.append(Patch(keys.index(layer.surface.textures[index].key), rows, columns, shown))
         return patches
 
-    def _around(self, focus: Focus) -> Int64s:
-        """Return triangles or points in order of distance, cached until the camera moves."""
+
+_APART = 1e3  # distance of textures that are laid flat, so that the nearest points are all in one
+
+
+class _ByDistance:
+    """Triangles or points in order of distance from a focus, which is kept until the camera moves."""
+
+    def __init__(self, centres: Float64s, flat: Float64s | None = None) -> None:
+        """`flat`: the centres on textures, as (u, v, index of the texture * _APART)."""
+        self._centres, self._flat = centres, flat
+        self._last: tuple[bytes, Int64s] | None = None
+
+    def order(self, focus: Focus) -> Int64s:
         key = focus.origin.tobytes() + (b"" if focus.direction is None else focus.direction.tobytes())
-        if self._order is None or self._order[0] != key:
+        if self._last is None or self._last[0] != key:
             centres = self._centres
-            if focus.direction is None and self.slot is not None:
-                surface, focus = self._pieces[0], Focus(focus.origin * (1, 1, 1e3))
-                centres = np.column_stack([surface.uv.mean(axis=1), 1e3 * surface.texture_of])
-            self._order = key, _nearest(centres, focus)
-        return self._order[1]
-
-    def _patched(self, patch: Patch) -> dict[str, Any]:
-        """Return a patch for the viewer, and record the new pixels of a texture."""
-        if patch.texture < 0:
-            assert self._row_of is not None
-            assert self._box is not None
-            rows = self._row_of[patch.rows]
-            drawn = rows >= 0  # points without a position are not drawn
-            kept = {"rows": rows.astype(np.uint32), "colours": patch.colours}
-            if patch.places is not None:
-                kept["places"] = self._box.shares(patch.places).astype(np.float32)
-            packed = {name: packed_array(own[drawn], _COMPRESSION_LEVEL) for name, own in kept.items()}
-            return {"layer": self._number, **packed}
-        if patch.texture not in self._shown:
-            self._shown[patch.texture] = self._displayed(self._document, patch.texture)
-        pixels = self._shown[patch.texture]
-        pixels[patch.rows, patch.columns] = patch.colours
-        top, left = int(patch.rows.min()), int(patch.columns.min())
-        part = pixels[top : int(patch.rows.max()) + 1, left : int(patch.columns.max()) + 1]
-        return {
-            "layer": self._number, "texture": patch.texture, "x": left, "y": top,
-            "width": part.shape[1], "height": part.shape[0], "pixels": packed_array(part, _COMPRESSION_LEVEL),
-        }  # fmt: skip
-
-    def _displayed(self, document: Document, index: int) -> Uint8s:
-        if self._is_image:
-            return displayed_pixels(document.image())
-        return displayed_pixels(read_texture(textures_of(document, self.slot)[index]))
-
-    def whole(self, result: Document) -> list[dict[str, Any]]:
-        """Return the patches that show the part of a result."""
-        self._shown.clear()
-        if self.slot is None and not self._is_image:
-            vertices = result.coloured_vertices()
-            rows = np.arange(len(vertices.positions))
-            self._can_move |= not np.array_equal(vertices.positions, self._vertices.positions, equal_nan=True)
-            places = vertices.positions if self._can_move else None
-            return [self._patched(Patch(-1, rows, rows, displayed_colours(vertices), places))]
-        old, new = textures_of(self._document, self.slot), textures_of(result, self.slot)
-        found = []
-        for index, (before, after) in enumerate(zip(old, new, strict=True)):
-            if after.data != before.data:
-                self._shown[index] = self._displayed(result, index)
-            mime, data = image_of(after, self.slot or "baseColor", result.image if self._is_image else None)
-            source = f"data:{mime};base64,{base64.b64encode(data).decode()}"
-            found.append({"layer": self._number, "texture": index, "source": source})
-        return found
+            if focus.direction is None and self._flat is not None:
+                centres, focus = self._flat, Focus(focus.origin * (1, 1, _APART))
+            self._last = key, _nearest(centres, focus)
+        return self._last[1]
 
 
-def _smooth(layer: Layer, progress: Progress | None) -> NewColours:
+def _smoothed(layer: Layer, progress: Progress | None) -> NewColours:
     new: NewColours = smooth_in_place(layer.plan(), progress).manifold.new_colours()
     return new
 

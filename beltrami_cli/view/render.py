@@ -18,9 +18,10 @@ from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.image.file_formats import FORMATS
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.writing.output import Output
+from beltrami_cli.view.image_view import ImageView
 from beltrami_cli.view.panels import draw_views
 from beltrami_cli.view.settings import DEFAULT_RENDER, MAX_PIXELS, RenderSettings
-from beltrami_cli.view.views import ImageView, open_views
+from beltrami_cli.view.views import open_views
 
 
 def render_file(
@@ -66,13 +67,13 @@ def distinct_labels(paths: Sequence[str]) -> list[str]:
     return labels
 
 
-def picture_suffix(target: str, looks: RenderSettings, alternatives: str = "") -> str:
-    """Return the extension, with the dot, of an image that can be written; `others` is what else could be made."""
+def picture_suffix(target: str, settings: RenderSettings, alternatives: str = "") -> str:
+    """Return the extension, with the dot, of an image that can be written; `alternatives`: what else could be made."""
     suffix = ".png" if target == "-" else Path(target).suffix.lower()
     if format_of_suffix(suffix) is None:
         raise UsageError(f"its extension is of no image format; call it .png{alternatives}", target)
     known = check_writable(new_image(np.zeros((64, 64, 3), np.uint8), target), suffix)  # of any size
-    if looks.background == "transparent" and not FORMATS[known].alpha:
+    if settings.background == "transparent" and not FORMATS[known].alpha:
         raise UsageError(f"{suffix} files have no transparent background; choose .png, or a colour", target)
     return suffix
 

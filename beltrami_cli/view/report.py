@@ -25,8 +25,8 @@ from beltrami_cli.surface.colour_values import as_bytes, colour_by_value
 from beltrami_cli.surface.records import Slot
 from beltrami_cli.view import pages
 from beltrami_cli.view.models import ModelWriter
+from beltrami_cli.view.parameter_tables import used_parameters
 from beltrami_cli.view.render import distinct_labels
-from beltrami_cli.view.used import used_parameters
 
 _SCALE_QUANTILE = 0.995  # share of the samples with smaller changes than the one shown brightest
 _MAX_PAGE_BYTES = 8_000_000  # bytes of a page, unless its meshes alone are larger

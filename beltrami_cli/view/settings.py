@@ -21,7 +21,7 @@ VIEWS = {
 BACKGROUNDS = {"white": "#ffffff", "grey": "#808080", "black": "#000000"}
 _BACKGROUND = f"auto, {', '.join(BACKGROUNDS)}, transparent or #rrggbb"
 MAX_PIXELS = 1 << 26
-LONGEST_SIDE = 16384
+SHORTEST_SIDE, LONGEST_SIDE = 16, 16384
 _MAX_DEGREES = 36000
 
 
@@ -65,7 +65,7 @@ class RenderSettings:
 
     size: tuple[int, int] = parameter(
         (640, 640), "Width and height of each view.",
-        low=16, high=LONGEST_SIDE, unit="pixels", metavar="N|WxH", parse=_size,
+        low=SHORTEST_SIDE, high=LONGEST_SIDE, unit="pixels", metavar="N|WxH", parse=_size,
         show=lambda size: "x".join(map(str, size)), is_daily=True,
     )  # fmt: skip
     view: str = parameter(

@@ -5,6 +5,7 @@ import pytest
 
 from cli.commands import SAMPLES, beltrami
 from cli.pictures import coloured_square, pixels, plain_image
+from formats.image_files import encode
 
 pytest.importorskip("embreex")
 
@@ -39,3 +40,12 @@ def test_views_stand_side_by_side_with_labels_details_and_one_camera(tmp_path):
     stacked = tmp_path / "stacked.png"
     beltrami("render", *files, stacked, *looks, "--stacked", "--no-labels")
     assert (pixels(stacked)[122:] == alone).all()
+
+
+def test_a_preview_of_a_wide_image_has_no_bands_above_and_below_it(tmp_path):
+    wide = tmp_path / "wide.png"
+    wide.write_bytes(encode(np.random.default_rng(0).integers(90, 120, (60, 240, 3), np.uint8), "png"))
+    beltrami("smooth", wide, tmp_path / "out.png", "--fast", "--preview", tmp_path / "look.png")
+    height, width, _ = pixels(tmp_path / "look.png").shape
+    details = (width - 8) // 4  # half as wide as a view, and square
+    assert height - details < 0.35 * width / 2

@@ -280,7 +280,7 @@ def sweep_watched(target, watch, count=4):
 
 
 def test_the_page_grows_while_it_is_open_and_keeps_what_was_set(browser, tmp_path, monkeypatch):
-    monkeypatch.setattr("beltrami_cli.view.sweep._REWRITE_FACTOR", 0)
+    monkeypatch.setattr("beltrami_cli.view.sheet._REWRITE_FACTOR", 0)
     target, seen = tmp_path / "page.html", []
 
     def watch(done):

@@ -20,8 +20,10 @@ from beltrami_cli.jobs.smoothing import Smoothing
 from beltrami_cli.layers.settings import DEFAULTS
 from beltrami_cli.surface.records import ColouredVertices
 from beltrami_cli.view.controls import plain_settings, settings_from, values_of
-from beltrami_cli.view.models import ModelWriter, displayed_colours, displayed_pixels
-from beltrami_cli.view.preview import Focus, LayerView, NoPreviewError
+from beltrami_cli.view.layer_view import LayerView
+from beltrami_cli.view.light import displayed_colours, displayed_pixels
+from beltrami_cli.view.models import ModelWriter
+from beltrami_cli.view.preview import Focus, NoPreviewError, previewer_of
 from cli.commands import SAMPLES
 from cli.pictures import encode
 from small_models import textured_squares
@@ -69,7 +71,7 @@ def test_moved_vertices_go_back_on_every_page():
         )
         for shown in (vertices, replace(vertices, positions=vertices.positions + 0.1))
     )
-    layer = LayerView(still, None)
+    layer = LayerView(still, None, DEFAULT_ACCESS)
     layer.add_to(ModelWriter(is_live=True))
     layer.whole(moved)
     for _ in range(2):  # two pages
@@ -123,8 +125,8 @@ def test_most_of_a_preview_is_what_the_whole_becomes(inputs, name, slot, budget,
     kernel = KernelParameters(iterations=2, t=1.0, beta=8.0, metric_steps=1)
     settings = override(replace(DEFAULTS, kernel=kernel), **{**more, **texts})
     document = open_input(str(SAMPLES / name.format(inputs)), settings, DEFAULT_ACCESS)
-    layer = LayerView(document, None if slot == "image" else slot)
-    patches = layer.smooth(settings, middle(slot, document), budget, None)
+    previewer = previewer_of(document, None if slot == "image" else slot, DEFAULT_ACCESS)
+    patches = previewer.smooth(settings, middle(slot, document), budget, None)
     assert budget / 4 < sum(len(patch.rows) for patch in patches) < 2 * budget
     whole, _ = recolour_in_memory(document, settings, Smoothing.of(settings), PLAIN_JOB)
     for patch in patches:
@@ -139,17 +141,17 @@ def test_most_of_a_preview_is_what_the_whole_becomes(inputs, name, slot, budget,
         assert np.mean(off <= (4 if slot == "image" else 1)) > (
             0.5 if settings.embedding.smooth_geometry else 0.7
         )
-        assert (patch.places is not None) == settings.embedding.smooth_geometry
-        if patch.places is not None:
+        assert (patch.positions is not None) == settings.embedding.smooth_geometry
+        if patch.positions is not None:
             before, after = (each.coloured_vertices().positions[patch.rows] for each in (document, whole))
             moves = np.linalg.norm(after - before, axis=1)
-            assert np.median(np.linalg.norm(patch.places - after, axis=1)) < 0.4 * np.median(moves)
+            assert np.median(np.linalg.norm(patch.positions - after, axis=1)) < 0.4 * np.median(moves)
 
 
 @pytest.mark.parametrize(("name", "slot"), [("knot-noisy.ply", None), ("torus-two-noisy.gltf", "baseColor")])
 def test_guides_have_no_preview(name, slot):
     document = open_input(str(SAMPLES / name), DEFAULTS, DEFAULT_ACCESS)
-    guided, layer = override(DEFAULTS, guides=("x",)), LayerView(document, slot)
+    guided, previewer = override(DEFAULTS, guides=("x",)), previewer_of(document, slot, DEFAULT_ACCESS)
     focus = middle(slot, document)
     with pytest.raises(NoPreviewError, match="guides are read"):
-        layer.smooth(guided, focus, 100, None)
+        previewer.smooth(guided, focus, 100, None)

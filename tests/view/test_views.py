@@ -8,26 +8,15 @@ import pytest
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.surface.geometry import triangle_areas
 from beltrami_cli.surface.records import Texture, TexturedSurface
-from beltrami_cli.view.panels import (
-    Panel,
-    arranged,
-    displayed,
-    draw_views,
-    is_lost_on_white,
-    most_detailed_window,
-)
+from beltrami_cli.view.arranging import Panel, arranged, displayed
+from beltrami_cli.view.cameras import fitted, framed, orientation, within_reach
+from beltrami_cli.view.cloud_view import CloudView, _discs
+from beltrami_cli.view.image_view import ImageView
+from beltrami_cli.view.panels import draw_views, is_lost_on_white, most_detailed_window
 from beltrami_cli.view.render import distinct_labels
 from beltrami_cli.view.settings import DEFAULT_RENDER, RenderSettings
-from beltrami_cli.view.tracing import (  # fmt: skip
-    AMBIENT,
-    LAMP,
-    InterpolatedColours,
-    SurfaceView,
-    TextureColours,
-    fitted,
-    orientation,
-)
-from beltrami_cli.view.views import CloudView, ImageView, _discs, framed, within_reach
+from beltrami_cli.view.surface_colours import InterpolatedColours, TextureColours
+from beltrami_cli.view.surface_view import AMBIENT, LAMP, SurfaceView
 from oracles import surfaces
 
 pytest.importorskip("embreex")
@@ -219,6 +208,14 @@ def test_an_image_at_its_own_size_is_passed_through_and_enlarged_in_squares():
     assert framed[:4].max() == 0
     large = view.draw((80, 80), WHOLE)
     assert large[16:64] == pytest.approx(sheet.repeat(4, axis=0).repeat(4, axis=1), abs=1e-6)
+
+
+@pytest.mark.parametrize("shape", [(30, 90), (90, 30), (50, 50)])
+def test_an_image_fills_a_view_of_the_size_within_another(shape):
+    view = ImageView(np.ones((*shape, 4), np.float32))
+    size = view.size_within((60, 60))
+    assert max(size) == 60
+    assert view.draw(size, WHOLE)[..., 3].min() == 1
 
 
 def test_a_detail_shows_what_its_frame_holds_in_more_pixels():

@@ -10,10 +10,11 @@ from functools import cache
 from importlib.resources import files
 from typing import Any
 
+import numpy as np
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
-from beltrami_cli.arrays import Uint8s
+from beltrami_cli.arrays import Array, Uint8s
 from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.decoded_image import new_image
 
@@ -79,3 +80,9 @@ def data_address(picture: Uint8s) -> str:
 def png_of(picture: Uint8s) -> bytes:
     """Return the picture as a PNG file."""
     return write_image(new_image(picture, "a picture"), picture, suffix=".png").data
+
+
+def packed_array(values: Array, level: int) -> str:
+    """Return the bytes of an array for a page, compressed."""
+    data = np.ascontiguousarray(values.astype(values.dtype.newbyteorder("<"))).tobytes()
+    return base64.b64encode(zlib.compress(data, level)).decode()
