@@ -1,20 +1,4 @@
-"""Level sets and their colours, from NRRD files and NumPy archives.
-
-Arrays, by their names; all but the first are optional:
-
-========================================  ============================================================================
-``values`` (``sdf``, ``tsdf``,            (X, Y, Z) numbers, indexed [x, y, z]
-``level_set``)
-``mask``                                  (X, Y, Z), 0 or false where the value is unknown; so is any that is not finite
-``colours`` (``colors``)                  (X, Y, Z, C): grey or red, green and blue, then opacity if there is one more;
-                                          uint8, uint16, or floats of 0 to 1 or 0 to 255
-``points``, ``point_colours``             (P, 3) and (P, C): colours near the surface, in place of those on the grid
-(``point_colors``)
-``spacing`` (``voxel_size``)              a number, or one for each of x, y and z; else 1
-``origin``                                (3,): the place of sample [0, 0, 0], which is the centre of its voxel; else 0
-``level``                                 a number: the value on the surface; else 0
-========================================  ============================================================================
-"""
+"""Level sets and their colours in NRRD files, whose headers pynrrd reads."""
 
 from __future__ import annotations
 
@@ -32,128 +16,8 @@ import numpy as np
 from beltrami_cli.arrays import Array, Float64s
 from beltrami_cli.errors import InputError, MemoryLimitError, install_hint
 from beltrami_cli.formats.model_folder import ModelFolder
-from beltrami_cli.formats.numpy_files import LEVEL_SET_KEYS, NpzArchive, is_npz
-from beltrami_cli.surface.level_sets import GridColours, Lattice, NearColours, Volume
-
-_NRRD = b"NRRD000"
-_OPENVDB = b" BDV\0\0\0\0"
-_COLOURS = ("colours", "colors")
-_POINT_COLOURS = ("point_colours", "point_colors")
-_CHANNELS = 4
-_MIN_SIDE = 2  # a cell has two samples along each axis
-
-
-def is_volume(data: bytes, name: str) -> bool:
-    """Whether a file is marked as a level set; InputError if it is a damaged archive of arrays."""
-    if data.startswith((_NRRD, _OPENVDB)):
-        return True
-    return is_npz(data) and NpzArchive(data, name).kind() == "level set"
-
-
-def read_volume(data: bytes, name: str, folder: ModelFolder, most: int) -> Volume:
-    """Read a level set; InputError if it is damaged or has more than `most` samples."""
-    if data.startswith(_OPENVDB):
-        cause = "it is an OpenVDB file, for which there is no Python package to read it"
-        remedy = "save its grid as .npz with the arrays values, colours, spacing and origin, or as .nrrd"
-        raise InputError(name, cause, remedy)
-    if data.startswith(_NRRD):
-        return read_nrrd(data, name, folder, most)
-    return _read_npz(NpzArchive(data, name), most)
-
-
-def read_colours(data: bytes, name: str, folder: ModelFolder, most: int) -> GridColours | NearColours | None:
-    """Read the colours of a level set from a file, as `read_volume`; None if it is neither NRRD nor an archive."""
-    if data.startswith(_NRRD):
-        return read_nrrd_colours(data, name, folder, most)
-    if not is_npz(data):
-        return None
-    colours = _npz_colours(NpzArchive(data, name), most)
-    if colours is None:
-        raise InputError(name, "there is no array colours in it", "name it so, or points and point_colours")
-    return colours
-
-
-def _read_npz(archive: NpzArchive, most: int) -> Volume:
-    key = archive.first(LEVEL_SET_KEYS)
-    if key is None:
-        cause = f"there is no array of values among {', '.join(archive.names)}"
-        raise InputError(archive.name, cause, "name it values")
-    shape = archive.header(key).shape
-    if len(shape) != 3 or min(shape) < _MIN_SIDE:
-        cause = f"the array {key} is of shape {shape}"
-        raise InputError(archive.name, cause, "give 2 or more samples along x, y and z")
-    mask = None
-    if "mask" in archive.names:
-        fits = archive.header("mask").shape == shape
-        _require(fits, archive, f"the array mask is not of the shape {shape}")
-        mask = archive.array("mask", most) != 0
-    level = _numbers(archive, "level", (1,))
-    return Volume(
-        _lattice(archive),
-        archive.array(key, most),
-        mask,
-        None if level is None else float(level[0]),
-        _npz_colours(archive, most, shape),
-    )
-
-
-def _npz_colours(
-    archive: NpzArchive, most: int, shape: tuple[int, ...] | None = None
-) -> GridColours | NearColours | None:
-    if "points" in archive.names:
-        return _near(archive, most)
-    key = archive.first(_COLOURS)
-    if key is None:
-        return None
-    found = archive.header(key).shape
-    fits = len(found) == 4 and 1 <= found[3] <= _CHANNELS and (shape is None or found[:3] == shape)
-    wanted = "(X, Y, Z" if shape is None else str(shape)[:-1]
-    _require(fits, archive, f"the array {key} is of shape {found}, not {wanted}, 1 to {_CHANNELS})")
-    return GridColours(_lattice(archive), archive.array(key, _CHANNELS * most))
-
-
-def _near(archive: NpzArchive, most: int) -> NearColours:
-    key = archive.first((*_POINT_COLOURS, *_COLOURS))
-    if key is None:
-        cause = "there are points but no array point_colours"
-        raise InputError(archive.name, cause, "add it, or leave the points out")
-    points, colours = archive.header("points").shape, archive.header(key).shape
-    fits = len(points) == len(colours) == 2 and points[1] == 3 and 1 <= colours[1] <= _CHANNELS
-    shapes = f"{points} and {colours}, not (P, 3) and (P, 1 to {_CHANNELS})"
-    cause = f"the arrays points and {key} are of the shapes {shapes}"
-    _require(fits and points[0] == colours[0], archive, cause)
-    places = archive.array("points", 3 * most).astype(np.float64)
-    _require(bool(np.isfinite(places).all()), archive, "a point is not finite")
-    return NearColours(places, archive.array(key, _CHANNELS * most))
-
-
-def _lattice(archive: NpzArchive) -> Lattice:
-    key = archive.first(("spacing", "voxel_size"))
-    spacing = None if key is None else _numbers(archive, key, (1, 3))
-    origin = _numbers(archive, "origin", (3,))
-    steps = np.ones(3) if spacing is None else np.broadcast_to(spacing, 3)
-    _require(bool((steps > 0).all()), archive, f"the spacing is {steps.tolist()}, but must be positive")
-    return checked_lattice(np.diag(steps), np.zeros(3) if origin is None else origin, archive.name)
-
-
-def _numbers(archive: NpzArchive, key: str, counts: tuple[int, ...]) -> Float64s | None:
-    if key not in archive.names:
-        return None
-    wanted = " or ".join(map(str, counts))
-    shape = archive.header(key).shape
-    cause = f"the array {key} is of shape {shape}, not of {wanted} numbers"
-    _require(math.prod(shape) in counts, archive, cause)
-    numbers: Float64s = archive.array(key, max(counts)).astype(np.float64).ravel()
-    _require(bool(np.isfinite(numbers).all()), archive, f"the array {key} is not finite")
-    return numbers
-
-
-def _require(holds: Any, archive: NpzArchive, cause: str) -> None:
-    if not holds:
-        raise InputError(
-            archive.name, cause, "see the arrays that a level set has in `beltrami smooth --help`"
-        )
-
+from beltrami_cli.formats.volume.lattice import MAX_CHANNELS, MIN_SIDE, checked_lattice
+from beltrami_cli.surface.level_sets import GridColours, Lattice, Volume
 
 _VALUE_AND_COLOURS = (2, 4, 5)  # numbers of a sample: a value with grey, with RGB, or with RGB and opacity
 _LONGEST_LIST = 5
@@ -162,18 +26,13 @@ _LONGEST_HEADER = 1 << 16
 _SPATIAL_KINDS = ("domain", "space")
 _UNKNOWN_KINDS = ("???", "none")
 _REPAIR = "write the file again"
-# Any unit of length from picometres to light hours; squares fit into float32.
-_MIN_STEP, _MAX_STEP = 1e-12, 1e12
-_MAX_ANISOTROPY = 1e4  # how much longer than others a step may be
-_MAX_ORIGIN = 1e9  # steps from the origin: doubles resolve millionths of a step there
-_FLAT = 1e-6  # directions closer to one plane than that are a mistake
 # What pynrrd raises for headers and data that it does not understand, besides errors of its own.
 _DAMAGE = (ValueError, KeyError, IndexError, TypeError, AttributeError, OSError, OverflowError, StopIteration)
 
 
 def read_nrrd(data: bytes, name: str, folder: ModelFolder, most: int) -> Volume:
     """Read a level set, with its colours if the file has them; as `read_volume`."""
-    samples, lattice, kind = _read(data, name, folder, most)
+    samples, lattice, kind = _read_samples(data, name, folder, most)
     if kind is None:
         return Volume(lattice, samples)
     if samples.shape[3] not in _VALUE_AND_COLOURS or kind.endswith("color"):
@@ -185,24 +44,26 @@ def read_nrrd(data: bytes, name: str, folder: ModelFolder, most: int) -> Volume:
 
 def read_nrrd_colours(data: bytes, name: str, folder: ModelFolder, most: int) -> GridColours:
     """Read colours on a grid; as `read_colours`."""
-    samples, lattice, kind = _read(data, name, folder, most)
+    samples, lattice, kind = _read_samples(data, name, folder, most)
     if kind is None:
         samples = samples[..., None]
-    if samples.shape[3] > _CHANNELS:
+    if samples.shape[3] > MAX_CHANNELS:
         cause = f"each sample is a list of {samples.shape[3]} numbers"
-        raise InputError(name, cause, f"give 1 to {_CHANNELS}")
+        raise InputError(name, cause, f"give 1 to {MAX_CHANNELS}")
     return GridColours(lattice, samples)
 
 
-def _read(data: bytes, name: str, folder: ModelFolder, most: int) -> tuple[Array, Lattice, str | None]:
+def _read_samples(
+    data: bytes, name: str, folder: ModelFolder, most: int
+) -> tuple[Array, Lattice, str | None]:
     """Return samples [x, y, z], or [x, y, z, list], their lattice, and the kind of the list axis or None."""
     nrrd = require_package("nrrd", "pynrrd", name, "to read NRRD files")
-    header, body = _header(nrrd, data, name)
+    header, body = _read_header(nrrd, data, name)
     sizes = [int(size) for size in header["sizes"]]
     listed = _list_axis(header, name)
     spatial = [axis for axis in range(len(sizes)) if axis != listed]
     voxels = math.prod(sizes[axis] for axis in spatial)
-    if len(spatial) != 3 or min(sizes[axis] for axis in spatial) < 2:
+    if len(spatial) != 3 or min(sizes[axis] for axis in spatial) < MIN_SIDE:
         raise InputError(name, f"its sizes are {sizes}", "give 2 or more samples along x, y and z")
     if voxels > most:
         cause = f"its sizes are {sizes}, and {most} voxels are allowed"
@@ -211,13 +72,13 @@ def _read(data: bytes, name: str, folder: ModelFolder, most: int) -> tuple[Array
         cause = f"each sample is a list of {sizes[listed]} numbers"
         raise InputError(name, cause, f"give up to {_LONGEST_LIST}")
     lattice = _spatial_lattice(header, spatial, name)
-    samples = _samples(nrrd, header, _data(header, body, name, folder), name)
+    samples = _decoded(nrrd, header, _body_of(header, body, name, folder), name)
     if listed is None:
         return samples, lattice, None
     return np.moveaxis(samples, listed, -1), lattice, str(header.get("kinds", ["list"] * 4)[listed]).lower()
 
 
-def _header(nrrd: Any, data: bytes, name: str) -> tuple[dict[str, Any], bytes]:
+def _read_header(nrrd: Any, data: bytes, name: str) -> tuple[dict[str, Any], bytes]:
     file = io.BytesIO(data[:_LONGEST_HEADER])
     try:
         with warnings.catch_warnings(action="ignore"):
@@ -230,7 +91,7 @@ def _header(nrrd: Any, data: bytes, name: str) -> tuple[dict[str, Any], bytes]:
     return header, data[file.tell() :]
 
 
-def _data(header: dict[str, Any], body: bytes, name: str, folder: ModelFolder) -> bytes:
+def _body_of(header: dict[str, Any], body: bytes, name: str, folder: ModelFolder) -> bytes:
     """Return the data behind the header, or the content of the file that it names."""
     named = header.pop("data file", None) or header.pop("datafile", None)
     if named is None:
@@ -246,7 +107,7 @@ def _data(header: dict[str, Any], body: bytes, name: str, folder: ModelFolder) -
         raise InputError(name, cause, "check them") from error
 
 
-def _samples(nrrd: Any, header: dict[str, Any], data: bytes, name: str) -> Array:
+def _decoded(nrrd: Any, header: dict[str, Any], data: bytes, name: str) -> Array:
     """Read the samples, fastest axis first, and no more than the header announces."""
     try:
         with warnings.catch_warnings(action="ignore"):
@@ -319,9 +180,9 @@ def _spatial_lattice(header: Mapping[str, Any], axes: Sequence[int], name: str) 
 
 def _along_axes(header: Mapping[str, Any], axes: Sequence[int]) -> tuple[Float64s, Float64s]:
     """Return the spacings and the position of the first sample from `spacings`, `axis mins` and `axis maxs`."""
-    lows = _finite(_field(header, "axis mins", "axismins"), axes)
-    highs = _finite(_field(header, "axis maxs", "axismaxs"), axes)
-    spacings = _finite(header.get("spacings"), axes)
+    lows = _numbers_along(_field(header, "axis mins", "axismins"), axes)
+    highs = _numbers_along(_field(header, "axis maxs", "axismaxs"), axes)
+    spacings = _numbers_along(header.get("spacings"), axes)
     centred = _field(header, "centerings", "centers") or []
     cells = np.array([axis < len(centred) and str(centred[axis]) == "cell" for axis in axes])
     sizes = np.array([int(header["sizes"][axis]) for axis in axes])
@@ -337,33 +198,11 @@ def _field(header: Mapping[str, Any], *names: str) -> Any:
     return next((header[name] for name in names if name in header), None)
 
 
-def _finite(values: Any, axes: Sequence[int]) -> Float64s:
+def _numbers_along(values: Any, axes: Sequence[int]) -> Float64s:
     """Return the entries of a per-axis field; NaN if it is missing."""
     if values is None or len(values) <= max(axes):
         return np.full(3, np.nan)
     return np.array([float(values[axis]) for axis in axes])
-
-
-def checked_lattice(axes: Float64s, origin: Float64s, name: str) -> Lattice:
-    """Make a lattice; InputError if its steps are coplanar, or too small, too large or too unequal."""
-    if not (np.isfinite(axes).all() and np.isfinite(origin).all()):
-        raise InputError(name, "its spacing or origin is not finite", "repair it")
-    longest = np.abs(axes).max(axis=1)
-    if (
-        longest.min() < _MIN_STEP
-        or longest.max() > _MAX_STEP
-        or longest.max() > _MAX_ANISOTROPY * longest.min()
-    ):
-        steps = ", ".join(f"{step:g}" for step in longest)
-        cause = (
-            f"its spacings are {steps}, but must be from {_MIN_STEP:g} to {_MAX_STEP:g} and of similar size"
-        )
-        raise InputError(name, cause, "choose another unit")
-    if np.abs(origin).max() > _MAX_ORIGIN * longest.min():
-        raise InputError(name, "its origin is too far away for its spacing", "move it")
-    if abs(np.linalg.det(axes / np.linalg.norm(axes, axis=1)[:, None])) < _FLAT:
-        raise InputError(name, "its space directions lie in one plane", "repair them")
-    return Lattice(axes, origin)
 
 
 def require_package(module: str, package: str, name: str, purpose: str) -> Any:
