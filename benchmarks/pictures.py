@@ -14,7 +14,7 @@ from scipy.ndimage import map_coordinates
 import beltrami_cli
 from beltrami_cli.errors import BeltramiError
 from beltrami_cli.formats.image import read_image
-from beltrami_cli.jobs.noise_kinds import NoiseTargets, add_grain, seen_by_camera
+from beltrami_cli.jobs.noise_kinds import NumberedSamples, add_grain, seen_by_camera
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.surface.baking import Cells
 
@@ -84,7 +84,7 @@ def with_noise(image, kind, **wanted):
     settings, shape = NoiseSettings(kind=kind, **wanted), image.shape[:2]
     row, column = np.indices(shape).reshape(2, -1)
     none = np.zeros_like(row)
-    grains = NoiseTargets(image.reshape(-1, 3).astype(np.float32), np.arange(row.size))
+    grains = NumberedSamples(image.reshape(-1, 3).astype(np.float32), np.arange(row.size))
     if kind == "camera":
         noisy = seen_by_camera(grains, Cells([shape], none, row, column, none), settings)
     else:

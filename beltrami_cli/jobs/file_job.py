@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 from beltrami_cli.errors import BeltramiError, UsageError
@@ -72,11 +73,18 @@ class FileJob:
         """Return the naming of the output's sidecar files; OutputError if one of them must not be written."""
         if self.job.check is not None:
             self.job.check(self.document)
-        naming = _naming_of(self)
+        in_place, moved = _is_in_place(self.source, self.target), is_moved(self.source, self.target)
+        naming = Naming(Path(self.target).stem, in_place, moved, self._is_taken)
         names = sidecars(naming)
         if self.output is not None:
             self.output.check_sidecars(names)
         return naming
+
+    def _is_taken(self, name: str) -> bool:
+        if self.output is None or not self.output.is_taken(name):
+            return False
+        self.occupied[name] = None
+        return True
 
     def reserve_new(self, image_suffix: str | None) -> str:
         """Return an unused stem for the sidecar files of a new mesh with one texture or no texture."""
@@ -99,21 +107,16 @@ class FileJob:
         # Several slots repeat the warnings about their surface.
         notices = dict.fromkeys([*self.document.notices, *notices, *shared, *files.notices])
         return FileReport(
-            input=self.source,
-            output=self.target,
-            format=self.format.name,
-            stages=self.watch.stages,
-            written=names,
-            warnings=[*notices, *warnings],
-        )
+            input=self.source, output=self.target, format=self.format.name, stages=self.watch.stages,
+            written=names, warnings=[*notices, *warnings],
+        )  # fmt: skip
 
     def _notices_of_sharing(self, sidecars: Iterable[str]) -> list[str]:
-        notices = []
+        notices = list[str]()
         if self.occupied:
             names = ", ".join(self.occupied)
-            notices.append(
-                f"another model in OUTPUT's folder has {names}; the new files have a number in their names."
-            )
+            taken = f"another model in OUTPUT's folder has {names}"
+            notices.append(f"{taken}; the new files have a number in their names.")
         if self.output is not None and self.output.folder is not None and self.output.overwrite:
             notices += shared_files(self.output.folder, self.output.path, sidecars)
         return notices
@@ -134,6 +137,10 @@ def begin(
         if models_only and document.kind == "image":
             document.coloured_vertices()  # raises an error: it is not a model
         kind = choose_format(document, target, job.format)
+    if output is not None:
+        output.references = partial(_references, target, access)
+        if _is_in_place(source, target):
+            output.replaceable = frozenset(document.references())
     return FileJob(source, target, replace(job, access=access), document, kind, output, watch)
 
 
@@ -163,31 +170,15 @@ def open_any(source: str, settings: SmoothSettings, access: Access) -> Document:
     return registry.open_as(line, data, name, folder, access)
 
 
-def _naming_of(file: FileJob) -> Naming:
-    source, target, output = file.source, file.target, file.output
-    folder = None if output is None else output.folder
-    keeps = "-" not in (source, target) and Path(source).resolve() == Path(os.path.realpath(target))
-    if output is not None and keeps:
-        output.replaceable = frozenset(file.document.references())
+def _references(name: str, access: Access) -> frozenset[str]:
+    """Read the names of the sidecar files of an existing output; none if it cannot be read."""
+    with suppress(BeltramiError):
+        return frozenset(registry.open_document(name, replace(access, note=None)).references())
+    return frozenset()
 
-    def references() -> frozenset[str]:
-        with suppress(BeltramiError):  # the output may not exist, or may not be readable
-            return frozenset(registry.open_document(target, replace(file.job.access, note=None)).references())
-        return frozenset()
 
-    if output is not None:
-        output.references = references
-
-    def is_taken(name: str) -> bool:
-        if output is None or folder is None or not os.path.lexists(folder / name):
-            return False
-        output.replaceable = output.replaceable or references()
-        if name in output.replaceable:
-            return False
-        file.occupied[name] = None
-        return True
-
-    return Naming(Path(target).stem, keeps, is_moved(source, target), is_taken)
+def _is_in_place(source: str, target: str) -> bool:
+    return "-" not in (source, target) and Path(source).resolve() == Path(os.path.realpath(target))
 
 
 def is_moved(source: str, target: str) -> bool:

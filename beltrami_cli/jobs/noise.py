@@ -18,7 +18,7 @@ from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.formats.image.writing import noise_losses
 from beltrami_cli.jobs.file_job import FileReport
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
-from beltrami_cli.jobs.noise_kinds import NoiseTargets, add_grain, add_noise, as_jpeg, seen_by_camera
+from beltrami_cli.jobs.noise_kinds import NumberedSamples, add_grain, add_noise, as_jpeg, seen_by_camera
 from beltrami_cli.jobs.recolour import ColourFilter, FilterResult, recolour
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.layers.image_layer import ImageLayer
@@ -58,14 +58,14 @@ class NoiseReport(FileReport):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Noisy(FilterResult):
+class NoisyResult(FilterResult):
     """Samples with noise, and what it changed."""
 
     added: Added
 
 
 @dataclass(frozen=True)
-class Noising(ColourFilter[Noisy]):
+class NoiseFilter(ColourFilter[NoisyResult]):
     """A filter that adds noise."""
 
     works_in_files: ClassVar[bool] = False
@@ -75,15 +75,15 @@ class Noising(ColourFilter[Noisy]):
     def changes(self) -> bool:
         return self.noise.sigma != 0
 
-    def apply(self, layer: Layer, job: Job) -> Noisy:
+    def apply(self, layer: Layer, job: Job) -> NoisyResult:
         del job
-        targets = _targets_of(layer)
-        after = _with_noise(layer, targets, self.noise)
-        made = _stored(layer, targets, after)
+        samples = _samples_of(layer)
+        after = _with_noise(layer, samples, self.noise)
+        stored = _stored(layer, samples, after)
         what = "vertex colours" if isinstance(layer, VertexLayer) else layer.label
-        return Noisy(stored=made, added=Added(what, len(after), made.change.summary()["rms"]))
+        return NoisyResult(stored=stored, added=Added(what, len(after), stored.change.summary()["rms"]))
 
-    def check_results(self, source: str, results: Sequence[Noisy]) -> None:
+    def check_results(self, source: str, results: Sequence[NoisyResult]) -> None:
         changes = [each.stored.change for each in results]
         if any(each.count for each in changes) and not any(each.largest for each in changes):
             remedy = "add more, or choose a format without loss"
@@ -120,28 +120,28 @@ def noise_file(
     UsageError, InputError, OutputError
         As for `smooth_file`.
     """
-    made, noisy = recolour(os.fspath(source), os.fspath(target), settings, Noising(noise), job)
-    added = [each.added for each in noisy]
-    return NoiseReport(**{**vars(made), "parameters": dataclasses.asdict(noise)}, added=added)
+    report, results = recolour(os.fspath(source), os.fspath(target), settings, NoiseFilter(noise), job)
+    parameters = dataclasses.asdict(noise)
+    return NoiseReport(**{**vars(report), "parameters": parameters}, added=[each.added for each in results])
 
 
-def _targets_of(layer: Layer) -> NoiseTargets:
-    """Return the colours of a layer that noise is added to: of vertices, texels or pixels."""
+def _samples_of(layer: Layer) -> NumberedSamples:
+    """Return the colours of the vertices, texels or pixels of a layer."""
     space = layer.settings.space
     if isinstance(layer, VertexLayer):
         vertices, rows = layer.vertices, _rows_of(layer)
         before = to_space(vertices.colours[rows][:, layer.channels.changing], vertices.encoding, space)
-        return NoiseTargets(before, _places_of(vertices, rows), space=space)
+        return NumberedSamples(before, _places_of(vertices, rows), space=space)
     if isinstance(layer, ImageLayer):
         before = layer.colours.working(layer.picture, np.flatnonzero(layer.valid))
-        return NoiseTargets(before, np.arange(len(before)), space=space)
+        return NumberedSamples(before, np.arange(len(before)), space=space)
     assert isinstance(layer, TextureLayer)
     atlas = layer.atlas
     # Texels are numbered by their place in the textures, and not on the canvas.
     number = np.empty(len(atlas.owned_texels), np.int64)
     number[np.argsort(atlas.owned_texels)] = np.arange(len(number))
     is_grey = np.array([len(picture.colour) == 1 for picture in layer.pictures], bool)
-    return NoiseTargets(
+    return NumberedSamples(
         colours=all_texel_colours(layer.colours, layer.pictures, atlas),
         number_of=number,
         stream=1 + SLOTS.index(layer.slot),
@@ -150,14 +150,14 @@ def _targets_of(layer: Layer) -> NoiseTargets:
     )
 
 
-def _stored(layer: Layer, targets: NoiseTargets, after: Float32s) -> StoredColours:
-    """Give the targets of a layer new colours."""
+def _stored(layer: Layer, samples: NumberedSamples, after: Float32s) -> StoredColours:
+    """Put new colours of samples into the form of the document."""
     if isinstance(layer, VertexLayer):
         vertices, changing = layer.vertices, layer.channels.changing
         colours, places = vertices.colours.copy(), (_rows_of(layer)[:, None], changing)
         # Conversion to the working space and back is not exact: unchanged colours keep their bits.
-        back = from_space(after, vertices.encoding, targets.space)
-        colours[places] = np.where(after != targets.colours, back, colours[places])
+        back = from_space(after, vertices.encoding, samples.space)
+        colours[places] = np.where(after != samples.colours, back, colours[places])
         return StoredColours(change_of(vertices, colours), colours)
     if isinstance(layer, ImageLayer):
         new = NewColours.of(after, np.flatnonzero(layer.valid))
@@ -169,9 +169,9 @@ def _stored(layer: Layer, targets: NoiseTargets, after: Float32s) -> StoredColou
         beyond = np.ascontiguousarray(planes.reshape(len(planes), -1)[:, atlas.gutter_cells].T)
         new = NewColours.of(after, atlas.owned_texels, atlas.gutter_texels, beyond)
         remedy = "--texture-format png keeps all"
-    made = layer.encode(new)
+    encoded = layer.encode(new)
     losses = [loss for each in layer.pictures for loss in noise_losses(each, layer.suffix, remedy)]
-    return dataclasses.replace(made, notices=(*made.notices, *losses))
+    return dataclasses.replace(encoded, notices=(*encoded.notices, *losses))
 
 
 def _rows_of(layer: VertexLayer) -> NDArray[np.intp]:
@@ -184,21 +184,21 @@ def _places_of(vertices: ColouredVertices, rows: NDArray[np.intp]) -> Int32s:
     return group_places(vertices.positions[rows], spaces)[0]
 
 
-def _with_noise(layer: Layer, targets: NoiseTargets, settings: NoiseSettings) -> Float32s:
-    if not targets.colours.size or settings.sigma == 0:
-        return targets.colours.copy()
+def _with_noise(layer: Layer, samples: NumberedSamples, settings: NoiseSettings) -> Float32s:
+    if not samples.colours.size or settings.sigma == 0:
+        return samples.colours.copy()
     if settings.kind == "jpeg":
         return _coded_as_jpeg(layer, settings.quality)
     if settings.kind == "camera":
         where = layer.places()
-        return seen_by_camera(targets, where if isinstance(where, Cells) else None, settings)
+        return seen_by_camera(samples, where if isinstance(where, Cells) else None, settings)
     if settings.kind == "grain":
-        return add_grain(targets, *_positions_of(layer), settings)
-    return add_noise(targets, settings)
+        return add_grain(samples, *_positions_of(layer), settings)
+    return add_noise(samples, settings)
 
 
 def _positions_of(layer: Layer) -> tuple[Float64s, Float64s]:
-    """Return the positions of the targets, (K, 3), and their distance from neighbours, (K,)."""
+    """Return the positions of the samples, (K, 3), and their distance from neighbours, (K,)."""
     if isinstance(layer, VertexLayer):
         rows = _rows_of(layer)
         return layer.vertices.positions[rows], _spacing(layer.vertices, rows)
@@ -234,7 +234,7 @@ def _spacing(vertices: ColouredVertices, rows: NDArray[np.intp]) -> Float64s:
 
 
 def _coded_as_jpeg(layer: Layer, quality: int) -> Float32s:
-    """Return the colours of the targets as they are after their pictures went through JPEG."""
+    """Return the colours of the samples as they are after their pictures went through JPEG."""
     if not isinstance(layer, PictureLayer):
         remedy = "put the colours into a texture first: `beltrami bake --to texture`"
         raise UsageError(f"{layer.label}: JPEG codes pictures; {remedy}")

@@ -32,8 +32,8 @@ _LATTICE = 1 << 16  # random numbers, which points of a lattice share by a hash
 
 
 @dataclass(frozen=True)
-class NoiseTargets:
-    """Colours in the working space, and how random numbers are assigned to them."""
+class NumberedSamples:
+    """Colours in the working space, and the random numbers that they are changed by."""
 
     colours: Float32s  # shape (K, N)
     number_of: NDArray[np.integer[Any]]  # random number of each, shape (K,); the same for all at one place
@@ -43,7 +43,7 @@ class NoiseTargets:
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Where colours with noise are cut off."""
+        """Values at which colours with noise are clipped."""
         return limits_of(self.colours)
 
 
@@ -62,8 +62,8 @@ def jpeg_file(shown: Float32s, quality: int) -> bytes:
     return write_image(picture, new.pixels, jpeg_quality=quality).data
 
 
-def _generator(targets: NoiseTargets, settings: NoiseSettings) -> np.random.Generator:
-    return np.random.Generator(np.random.Philox(np.random.SeedSequence([settings.seed, targets.stream])))
+def _generator(samples: NumberedSamples, settings: NoiseSettings) -> np.random.Generator:
+    return np.random.Generator(np.random.Philox(np.random.SeedSequence([settings.seed, samples.stream])))
 
 
 def _drawn(numbers: Float32s) -> Float64s:
@@ -71,21 +71,19 @@ def _drawn(numbers: Float32s) -> Float64s:
     return numbers.astype(np.float64) + 2.0**-25
 
 
-def add_noise(targets: NoiseTargets, settings: NoiseSettings) -> Float32s:
+def add_noise(samples: NumberedSamples, settings: NoiseSettings) -> Float32s:
     """Add noise to colours of full scale 1, shape (K, N), clipped to [0, 1] unless some colours lie beyond."""
-    colours, number_of = targets.colours, targets.number_of
-    if not colours.size or settings.sigma == 0:
-        return colours.copy()
+    colours, number_of = samples.colours, samples.number_of
     rows, channels = int(number_of.max()) + 1, colours.shape[1]
     columns = 1 if settings.kind == "salt-pepper" else channels
-    numbers = _generator(targets, settings).random((rows, columns), dtype=np.float32)
+    numbers = _generator(samples, settings).random((rows, columns), dtype=np.float32)
     noisy = np.empty_like(colours)
     for channel in range(channels):
         drawn = numbers[number_of, min(channel, columns - 1)]
-        if targets.is_grey is not None:
-            drawn = np.where(targets.is_grey, numbers[number_of, 0], drawn)
+        if samples.is_grey is not None:
+            drawn = np.where(samples.is_grey, numbers[number_of, 0], drawn)
         noisy[:, channel] = _changed(colours[:, channel].astype(np.float64), _drawn(drawn), settings)
-    return noisy.clip(*targets.limits)
+    return noisy.clip(*samples.limits)
 
 
 def _changed(colours: Float64s, numbers: Float64s, settings: NoiseSettings) -> Float64s:
@@ -105,22 +103,22 @@ def _changed(colours: Float64s, numbers: Float64s, settings: NoiseSettings) -> F
     return np.where(numbers < sigma / 2, 0.0, np.where(numbers > 1 - sigma / 2, 1.0, colours))
 
 
-def seen_by_camera(targets: NoiseTargets, cells: Cells | None, settings: NoiseSettings) -> Float32s:
+def seen_by_camera(samples: NumberedSamples, cells: Cells | None, settings: NoiseSettings) -> Float32s:
     """Return colours as a camera sees them: with a mosaic in pictures of three channels, else each by itself."""
     from scipy.special import ndtri
 
-    light = from_space(targets.colours, "linear", targets.space).astype(np.float64)
-    count, channels = int(targets.number_of.max()) + 1, light.shape[1]
-    numbers = _drawn(_generator(targets, settings).random((count, channels), dtype=np.float32))
-    normal = ndtri(numbers)[targets.number_of]
-    if targets.is_grey is not None:
-        normal[targets.is_grey] = normal[targets.is_grey, :1]
+    light = from_space(samples.colours, "linear", samples.space).astype(np.float64)
+    count, channels = int(samples.number_of.max()) + 1, light.shape[1]
+    numbers = _drawn(_generator(samples, settings).random((count, channels), dtype=np.float32))
+    normal = ndtri(numbers)[samples.number_of]
+    if samples.is_grey is not None:
+        normal[samples.is_grey] = normal[samples.is_grey, :1]
     seen = light + np.sqrt(settings.shot * np.maximum(light, 0) + settings.read**2) * normal
     if cells is not None and channels == 3:
         through = _demosaiced(seen, cells)
-        seen = through if targets.is_grey is None else np.where(targets.is_grey[:, None], seen, through)
+        seen = through if samples.is_grey is None else np.where(samples.is_grey[:, None], seen, through)
     most = limits_of(light)[1]
-    return to_space(seen.clip(0, most).astype(np.float32), "linear", targets.space)
+    return to_space(seen.clip(0, most).astype(np.float32), "linear", samples.space)
 
 
 def _demosaiced(seen: Float64s, cells: Cells) -> Float64s:
@@ -150,11 +148,11 @@ def _demosaiced(seen: Float64s, cells: Cells) -> Float64s:
 
 
 def add_grain(
-    targets: NoiseTargets, places: Float64s, spacing: Float64s, settings: NoiseSettings
+    samples: NumberedSamples, places: Float64s, spacing: Float64s, settings: NoiseSettings
 ) -> Float32s:
     """Add noise that neighbours share: of the same deviation everywhere, and a function of the place."""
-    colours = targets.colours
-    table = _generator(targets, settings).standard_normal((_LATTICE, colours.shape[1]), np.float32)
+    colours = samples.colours
+    table = _generator(samples, settings).standard_normal((_LATTICE, colours.shape[1]), np.float32)
     table = (table - table.mean(axis=0)) / table.std(axis=0)
     pitch = np.where(spacing > 0, settings.grain_size * spacing, np.inf)
     finite = np.isfinite(pitch)
@@ -168,10 +166,10 @@ def add_grain(
         grain = np.cos(turn) * _on_lattice(places[block], low, table)
         if turn.any():
             grain += np.sin(turn) * _on_lattice(places[block], low + 1, table)
-        if targets.is_grey is not None:
-            grain[targets.is_grey[block]] = grain[targets.is_grey[block], :1]
+        if samples.is_grey is not None:
+            grain[samples.is_grey[block]] = grain[samples.is_grey[block], :1]
         noisy[block] = colours[block] + settings.deviation * grain
-    return noisy.clip(*targets.limits)
+    return noisy.clip(*samples.limits)
 
 
 def _on_lattice(places: Float64s, octave: Float64s, table: Float32s) -> Float64s:

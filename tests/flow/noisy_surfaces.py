@@ -7,7 +7,7 @@ from beltrami_cli.flow.manifolds.mesh_manifold import ColouredMesh, mesh_manifol
 from beltrami_cli.flow.noise.grid_squares import Grid
 from beltrami_cli.flow.noise.reading import read_noise
 from beltrami_cli.flow.parameters import parameters_with
-from beltrami_cli.jobs.noise_kinds import NoiseTargets, add_grain, seen_by_camera
+from beltrami_cli.jobs.noise_kinds import NumberedSamples, add_grain, seen_by_camera
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.surface.baking import Cells
 from beltrami_cli.surface.records import SampledSurface
@@ -36,7 +36,7 @@ def by_camera(image, shot=0.01, read=0.01):
     """Return what a camera makes of an image of shape (R, C, 3)."""
     row, column = np.indices(image.shape[:2]).reshape(2, -1)
     cells = Cells([image.shape[:2]], np.zeros_like(row), row, column, np.zeros_like(row))
-    targets = NoiseTargets(image.reshape(-1, 3), np.arange(row.size))
+    targets = NumberedSamples(image.reshape(-1, 3), np.arange(row.size))
     settings = NoiseSettings(kind="camera", shot=shot, read=read)
     return seen_by_camera(targets, cells, settings).reshape(image.shape)
 
@@ -44,6 +44,6 @@ def by_camera(image, shot=0.01, read=0.01):
 def with_grain(positions, clean, sigma):
     """Return colours of vertices of a unit sphere with noise that they share over two spacings."""
     spacing = np.full(len(positions), np.sqrt(4 * np.pi / len(positions)))
-    targets = NoiseTargets(clean.astype(np.float32), np.arange(len(positions)))
+    targets = NumberedSamples(clean.astype(np.float32), np.arange(len(positions)))
     settings = NoiseSettings(kind="grain", sigma=sigma, grain_size=2.0)
     return add_grain(targets, positions, spacing, settings).astype(np.float32)

@@ -7,7 +7,7 @@ from scipy.stats import kstest
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.noise import noise_file
-from beltrami_cli.jobs.noise_kinds import NoiseTargets, add_noise
+from beltrami_cli.jobs.noise_kinds import NumberedSamples, add_noise
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
 from beltrami_cli.quantities import amount, sure_amount
@@ -21,7 +21,7 @@ ERRORS = 4
 
 
 def noisy(level, kind, sigma=SIGMA, count=40_000):
-    targets = NoiseTargets(np.full((count, 3), level, np.float32), np.arange(count))
+    targets = NumberedSamples(np.full((count, 3), level, np.float32), np.arange(count))
     return add_noise(targets, NoiseSettings(sigma, kind, seed=5)).astype(float)
 
 
@@ -63,11 +63,11 @@ def test_salt_and_pepper_make_the_share_of_samples_white_or_black_and_leave_the_
 @pytest.mark.parametrize("kind", ["gaussian", "speckle", "poisson", "salt-pepper"])
 def test_colours_in_range_stay_there_and_those_beyond_are_not_cut_off(kind):
     inside = np.linspace(0, 1, 3000, dtype=np.float32).reshape(-1, 3)
-    made = add_noise(NoiseTargets(inside, np.arange(1000)), NoiseSettings(0.3, kind))
+    made = add_noise(NumberedSamples(inside, np.arange(1000)), NoiseSettings(0.3, kind))
     assert made.min() >= 0
     assert made.max() <= 1
     bright = 4 * inside
-    made = add_noise(NoiseTargets(bright, np.arange(1000)), NoiseSettings(0.3, kind))
+    made = add_noise(NumberedSamples(bright, np.arange(1000)), NoiseSettings(0.3, kind))
     assert made.min() >= 0
     assert made.max() > 3.5
     assert made.dtype == np.float32

@@ -12,7 +12,7 @@ import pytest
 import beltrami_cli
 from beltrami_cli._native import sweep_instruction_set
 from beltrami_cli.flow.parameters import PRESETS
-from beltrami_cli.jobs.noise_kinds import NoiseTargets, add_grain
+from beltrami_cli.jobs.noise_kinds import NumberedSamples, add_grain
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.layers.image_surface import ImageSurface
 from oracles import surfaces
@@ -44,7 +44,7 @@ def mesh(with_grain=False, faces=True, **parameters):
     colours = np.where(positions[:, :1] > 15, [[0.8, 0.3, 0.2]], [[0.2, 0.4, 0.7]])
     if with_grain:
         noise = NoiseSettings(kind="grain", sigma=20 / 255, grain_size=2.0)
-        targets = NoiseTargets(colours.astype(np.float32), np.arange(len(colours)))
+        targets = NumberedSamples(colours.astype(np.float32), np.arange(len(colours)))
         colours = add_grain(targets, positions, np.ones(len(colours)), noise)
     else:
         colours = colours + np.random.default_rng(8).normal(0, 20 / 255, colours.shape)

@@ -16,7 +16,7 @@ import os
 import re
 import stat
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
@@ -60,43 +60,47 @@ class Journal:
         flags = os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_BINARY", 0)
         descriptor = os.open(file.temporary, flags, PRIVATE if replaces else 0o666)
         with os.fdopen(descriptor, "wb") as opened:
-            checksum = _write_all(opened, pieces)
+            checksum = _write_pieces(opened, pieces)
             opened.flush()
             os.fsync(descriptor)
-        _require_whole(file.temporary, checksum)
+        _require_readable(file.temporary, checksum)
         if replaces:
             take_over(path, file.temporary)
         return file
 
-    def rename_all(self, files: list[TemporaryFile]) -> None:
+    def rename_all(self, files: Sequence[TemporaryFile]) -> None:
         """Move all files into place, in this order, or none; OSError names the file that failed."""
         if len(files) < 2:  # a single rename is atomic
             for file in files:
                 put(file, keep=False)
             return
-        done = list[TemporaryFile]()
-        for number, file in enumerate(files):
+        moving, in_place = list[TemporaryFile](), list[TemporaryFile]()
+        for file in files:
             replaces = file.overwrite and os.path.lexists(file.path)
-            files[number] = replace(file, identity=identity_of(file.temporary), overwrite=replaces)
-            self._list(files[number])
+            moving.append(replace(file, identity=identity_of(file.temporary), overwrite=replaces))
+            self._list(moving[-1])
         os.fsync(self._descriptor)
         try:
-            for file in files:
+            for file in moving:
                 put(file, keep=True)
-                done.append(file)
+                in_place.append(file)
             if not os.fstat(self._descriptor).st_nlink:
                 raise OSError(errno.ESTALE, "another run has removed its temporary files")
             self._write(_COMMITTED)
         except BaseException as error:
-            if (stuck := undo(done)) is not None:
-                self._is_needed = True
-                state = f"{stuck.filename} stays until the next run with this output ({stuck.strerror})"
-                raise OSError(errno.EIO, f"{error}; {state}") from error
-            with contextlib.suppress(OSError):  # A second rollback would do no harm.
-                self._write(_COMMITTED)
+            self._roll_back(in_place, error)
             raise
         with contextlib.suppress(OSError):  # It must be on the disk before replaced files are removed.
             os.fsync(self._descriptor)
+
+    def _roll_back(self, files: Sequence[TemporaryFile], error: BaseException) -> None:
+        """Restore what files in place have replaced; if that fails for one, the next run does it by the journal."""
+        if (stuck := undo(files)) is not None:
+            self._is_needed = True
+            state = f"{stuck.filename} stays until the next run with this output ({stuck.strerror})"
+            raise OSError(errno.EIO, f"{error}; {state}") from error
+        with contextlib.suppress(OSError):  # A second rollback would do no harm.
+            self._write(_COMMITTED)
 
     def close(self) -> list[OSError]:
         """Remove the temporary files, unless the next run needs them to roll back; return why some stay."""
@@ -114,7 +118,7 @@ class Journal:
             left = left[os.write(self._descriptor, left) :]
 
 
-def _write_all(file: BinaryIO, pieces: Iterable[Bytes]) -> int:
+def _write_pieces(file: BinaryIO, pieces: Iterable[Bytes]) -> int:
     """Write pieces to a file, and return their checksum."""
     checksum = 0
     for piece in pieces:
@@ -123,14 +127,14 @@ def _write_all(file: BinaryIO, pieces: Iterable[Bytes]) -> int:
     return checksum
 
 
-def _require_whole(path: Path, checksum: int) -> None:
+def _require_readable(path: Path, checksum: int) -> None:
     """Raise OSError unless a file reads back as written, since file systems may lose data without an error."""
     again = 0
     with path.open("rb") as file:
         while block := file.read(_BLOCK):
             again = zlib.crc32(block, again)
     if again != checksum:
-        raise OSError(errno.EIO, "what was written is not what is read back", str(path))
+        raise OSError(errno.EIO, "the bytes read back differ from the bytes written", str(path))
 
 
 def recover(folder: Path) -> None:

@@ -63,9 +63,9 @@ class Output:
         # None for standard output and devices, which take one file only.
         self.folder = None if self.is_stdout or self.is_device else self.path.parent
         self._sidecars: tuple[str, ...] = ()
-        self.replaceable: frozenset[str] = frozenset()  # sidecar files of the existing OUTPUT
-        # Reads the names of the sidecar files of the existing OUTPUT.
+        # Reads the names of the sidecar files of the existing OUTPUT, which may be replaced; and these, once read.
         self.references: Callable[[], frozenset[str]] = frozenset
+        self.replaceable: frozenset[str] = frozenset()
         self._is_alone = files is None
         self.files = FileSet(reads) if files is None else files
         self.files.add(self)
@@ -84,6 +84,13 @@ class Output:
         if self.folder is not None:
             yield self.target, self.path
             yield from ((self._named(self.folder / name), self.folder / name) for name in self._sidecars)
+
+    def is_taken(self, name: str) -> bool:
+        """Whether its folder has a file of that name which is not a sidecar file of the existing OUTPUT."""
+        if self.folder is None or not os.path.lexists(self.folder / name):
+            return False
+        self.replaceable = self.replaceable or self.references()
+        return name not in self.replaceable
 
     def check_sidecars(self, names: Iterable[str]) -> None:
         """Check that sidecar files, by paths relative to the output's folder, may be written; OutputError if not."""
