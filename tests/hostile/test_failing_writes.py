@@ -126,7 +126,7 @@ def test_a_disk_that_loses_what_it_took(lost, tmp_path, monkeypatch):
             os.ftruncate(descriptor, max(0, size - 1) if lost == "the end" else 0)
 
     monkeypatch.setattr(os, "fsync", lose)
-    with pytest.raises(OutputError, match="not what is read back"):
+    with pytest.raises(OutputError, match="bytes read back differ"):
         write_set(tmp_path / "set", overwrite=True)
     assert snapshot(tmp_path / "set") == before
 
