@@ -7,18 +7,22 @@ import hashlib
 import re
 from pathlib import Path
 
+
+def _in(folder: str, *names: str) -> tuple[str, ...]:
+    return tuple(f"{folder}/{name}" for name in names)
+
+
 NETWORK = (
-    *(f"noise_model/{name}.py" for name in ("noises", "observations", "pictures", "surfaces", "train")),
-    *(
-        f"beltrami_cli/flow/noise/{name}.py"
-        for name in ("clusters", "features", "grid_squares", "jpeg_traces", "neighbourhoods", "network")
-    ),
+    *_in("noise_model", "backpropagation.py", "crops.py", "noises.py", "observations.py", "pictures.py"),
+    *_in("noise_model", "recipes.py", "surfaces.py", "train.py"),
+    *_in("beltrami_cli/flow/noise", "clusters.py", "features.py", "grid_squares.py", "jpeg_traces.py"),
+    *_in("beltrami_cli/flow/noise", "neighbourhoods.py", "network.py"),
 )
 SIZES = (
     *NETWORK,
-    *(f"noise_model/{name}.py" for name in ("size_kinds", "train_sizes")),
-    *(f"beltrami_cli/flow/noise/{name}.py" for name in ("pilot", "size")),
-    *(f"beltrami_cli/native/noise/{name}" for name in ("pilot.cpp", "pilot.hpp", "pilot_of_squares.cpp")),
+    *_in("noise_model", "size_kinds.py", "train_sizes.py"),
+    *_in("beltrami_cli/flow/noise", "pilot.py", "size.py"),
+    *_in("beltrami_cli/native/noise", "pilot.cpp", "pilot.hpp", "pilot_of_squares.cpp"),
 )
 
 
@@ -35,10 +39,7 @@ def code_of(text: str, suffix: str) -> str:
         return re.sub(r"\s+|//.*", "", text)
     lines = text.splitlines()
     for node in ast.walk(ast.parse(text)):
-        if (
-            isinstance(node, ast.Expr)
-            and isinstance(node.value, ast.Constant)
-            and node.value.value is not ...
-        ):
+        value = node.value if isinstance(node, ast.Expr) else None
+        if isinstance(value, ast.Constant) and isinstance(value.value, str):
             lines[node.lineno - 1 : node.end_lineno] = [""] * (node.end_lineno - node.lineno + 1)
     return re.sub(r"\s+|#.*", "", "\n".join(lines))

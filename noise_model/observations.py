@@ -13,8 +13,10 @@ from beltrami_cli.flow.noise.features import Cells
 from beltrami_cli.flow.noise.grid_squares import SIDE, Grid
 from beltrami_cli.flow.noise.neighbourhoods import Samples
 from beltrami_cli.flow.noise.network import log_of
-from noises import Recipe, Sample, degrade, draw_recipe, draw_recipe_of_textures, of_one_channel
-from pictures import Crop, Picture, random_picture
+from crops import Crop
+from noises import Sample, degrade, of_one_channel
+from pictures import Picture, random_picture
+from recipes import Recipe, draw_recipe, draw_recipe_of_textures
 
 Draw = Callable[[np.random.Generator], Recipe]
 Observed = tuple[Samples, Samples | None, Samples | None]  # noisy colours, noise, error of compression alone
@@ -44,12 +46,7 @@ class Observation:
     by_square: np.ndarray  # (P,)
 
 
-def random_observation(rng: np.random.Generator, crops: list[Crop]) -> Observation | None:
-    found = random_samples(rng, crops, _draw_recipe)
-    return None if found is None else observed(*found)
-
-
-def _draw_recipe(rng: np.random.Generator) -> Recipe:
+def draw_recipe_of_grids(rng: np.random.Generator) -> Recipe:
     return draw_recipe_of_textures(rng) if rng.random() < HARD else draw_recipe(rng)
 
 
@@ -84,12 +81,6 @@ def _window(sample: Sample, top: int, left: int, side: int) -> Sample:
     return Sample(
         *(own[top : top + side, left : left + side] for own in (sample.noisy, sample.noise, sample.loss))
     )
-
-
-def observe(sample: Sample, filled: np.ndarray | None = None) -> Observation | None:
-    """Return the observation of a picture, or None if too little of it is filled."""
-    found = in_squares(sample, np.ones(sample.noisy.shape[:2], bool) if filled is None else filled)
-    return None if found is None else observed(*found)
 
 
 def in_squares(sample: Sample, filled: np.ndarray) -> Observed | None:

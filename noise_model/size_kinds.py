@@ -9,9 +9,10 @@ from functools import partial
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from noises import Recipe, draw_recipe, draw_recipe_of_textures, to_size
+from noises import to_size
 from observations import Draw
 from pictures import Picture, random_picture, varied
+from recipes import Recipe, draw_recipe, draw_recipe_of_textures
 
 Kind = Callable[[np.random.Generator, Recipe], Recipe]
 

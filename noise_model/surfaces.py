@@ -11,9 +11,11 @@ from scipy.spatial import Delaunay, cKDTree
 
 from beltrami_cli.flow.noise.clusters import VertexClusters
 from beltrami_cli.flow.vertex_graph import Graph
-from noises import Recipe, Sample, degrade, draw_recipe, of_one_channel
-from observations import ONE_CHANNEL, Draw, Observation, Observed, observed
-from pictures import Crop, Picture, random_picture
+from crops import Crop
+from noises import Sample, degrade, of_one_channel
+from observations import ONE_CHANNEL, Draw, Observed
+from pictures import Picture, random_picture
+from recipes import Recipe
 
 SIZES = 250, 20_000  # range of samples per surface
 SURFACES = 96  # number of surfaces that pictures are sampled on
@@ -52,11 +54,6 @@ def surface(number: int) -> tuple[VertexClusters, np.ndarray]:
     priorities = rng.integers(0, 2**63, len(places), dtype=np.uint64)
     positions = np.column_stack([places, np.zeros(len(places))])
     return VertexClusters(Graph(positions, edges, priorities)), (places / side).clip(0, 1)
-
-
-def random_observation(rng: np.random.Generator, crops: list[Crop]) -> Observation | None:
-    found = random_samples(rng, crops, draw_recipe)
-    return None if found is None else observed(*found)
 
 
 def random_samples(
@@ -115,12 +112,6 @@ def of_vertices(recipe: Recipe) -> Recipe:
         recipe.is_linear, places=recipe.places, place_gain=recipe.place_gain, impulses=recipe.impulses,
         bits=recipe.bits,
     )  # fmt: skip
-
-
-def observe(sample: Sample, clusters: VertexClusters) -> Observation | None:
-    """Return the observation of a surface, or None if it is too small."""
-    found = in_clusters(sample, clusters)
-    return None if found is None else observed(*found)
 
 
 def in_clusters(sample: Sample, clusters: VertexClusters) -> Observed | None:

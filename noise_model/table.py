@@ -14,12 +14,13 @@ from pathlib import Path
 
 import numpy as np
 
-import pictures
 from beltrami_cli.flow.noise.clusters import VertexClusters
 from beltrami_cli.flow.noise.grid_squares import Grid
 from beltrami_cli.flow.noise.network import OFFSET, Weights
 from beltrami_cli.flow.noise.reading import read_noise
-from noises import Recipe, Sample, degrade
+from crops import Crop, clean_crops, folders_of_packages
+from noises import Sample, degrade
+from recipes import Recipe
 from surfaces import sampled, surface
 
 SIDE, CASES, SEED = 192, 44, 7  # texels per side, and noisy pictures of each kind
@@ -87,9 +88,7 @@ KINDS_ON_SURFACES = {
 SURFACES = range(1000, 1024)
 
 
-def pictures_of(
-    crops: list[pictures.Crop], kind: str
-) -> Iterator[tuple[np.random.Generator, np.ndarray, Recipe]]:
+def pictures_of(crops: list[Crop], kind: str) -> Iterator[tuple[np.random.Generator, np.ndarray, Recipe]]:
     """Yield clean pictures and the recipes of noise of a kind."""
     rng = np.random.default_rng([SEED, list(KINDS).index(kind)])
     large = [crop for crop in crops if min(crop.pixels.shape[:2]) >= SIDE]
@@ -97,14 +96,14 @@ def pictures_of(
         yield rng, large[number].pixels[:SIDE, :SIDE] / np.float32(255), KINDS[kind](rng)
 
 
-def cases(crops: list[pictures.Crop], kind: str) -> Iterator[tuple[Grid, Sample]]:
+def cases(crops: list[Crop], kind: str) -> Iterator[tuple[Grid, Sample]]:
     for rng, clean, recipe in pictures_of(crops, kind):
         made = degrade(rng, clean, recipe)
         sample = Sample(*(own[:SIDE, :SIDE] for own in (made.noisy, made.noise, made.loss)))
         yield Grid(np.ones(sample.noisy.shape[:2], bool)), sample
 
 
-def cases_on_surfaces(crops: list[pictures.Crop], kind: str) -> Iterator[tuple[VertexClusters, Sample]]:
+def cases_on_surfaces(crops: list[Crop], kind: str) -> Iterator[tuple[VertexClusters, Sample]]:
     """Yield noisy surfaces of a kind, with one sample per texel."""
     for number, (rng, clean, recipe) in enumerate(pictures_of(crops, kind)):
         clusters, places = surface(SURFACES[number % len(SURFACES)])
@@ -131,7 +130,7 @@ def judged(readings: np.ndarray, truths: np.ndarray, is_clean: bool) -> str:
 
 def main(roots: list[Path], part: str, kind: str, weights: Weights | None = None) -> None:
     """Print the table for grids or clusters."""
-    crops, everything = pictures.clean_crops(roots, part, SEED), []
+    crops, everything = clean_crops(roots, part, SEED), []
     make, kinds = (cases, KINDS) if kind == "grid" else (cases_on_surfaces, KINDS_ON_SURFACES)
     print(f"| kind of noise on a {kind} | cases | model | 90 % interval holds |\n|---|---|---|---|")
     for name in kinds:
@@ -160,4 +159,4 @@ if __name__ == "__main__":
     parser.add_argument("--part", default="test", choices=["validation", "test"])
     options = parser.parse_args()
     for kind in ("grid", "cluster"):
-        main([*options.folders, *pictures.folders_of_packages()], options.part, kind)
+        main([*options.folders, *folders_of_packages()], options.part, kind)

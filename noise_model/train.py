@@ -19,14 +19,13 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 import observations
-import pictures
 import surfaces
 import table
+from backpropagation import Node, Tape, descend
 from beltrami_cli.flow.noise import network
 from beltrami_cli.flow.noise.network import (
     QUANTILES,
     TOTAL_QUANTILES,
-    Layers,
     Weights,
     candidates_of,
     mixed,
@@ -34,104 +33,29 @@ from beltrami_cli.flow.noise.network import (
     split_mixture,
 )
 from configuration import NETWORK, configuration
-from observations import Observation
+from crops import Crop, clean_crops, folders_of_packages
+from observations import Observation, draw_recipe_of_grids, observed
+from recipes import draw_recipe
 
 # The folder of the repository, not of an installed package.
 WEIGHTS = Path(__file__).parents[1] / "beltrami_cli/flow/noise"
 OBSERVATIONS = {"grid": 140_000, "cluster": 60_000, "validation": 4_000}  # maximum number for validation
 CHUNK = 2_000  # observations that are made together
 FIRST_SEED = 300  # of training; lower seeds served to choose features and layers
-EPOCHS, BATCH, RATE, DECAY = 12, 96, 2e-3, 0.1  # of Adam; the rate is its maximum
+EPOCHS, BATCH, RATE = 12, 96, 2e-3  # of Adam; the rate is its maximum
 SEED = 49
-KINDS = {"grid": observations.random_observation, "cluster": surfaces.random_observation}
-LARGEST_GRADIENT = 1.0  # maximum norm
+SAMPLES = {"grid": observations.random_samples, "cluster": surfaces.random_samples}
+RECIPES = {"grid": draw_recipe_of_grids, "cluster": draw_recipe}
 WARM_UP = 500  # steps until the rate is at its height
 ROWS = 100_000  # of features that are standardised at a time
 # Weights of the heads in the loss.
 COUNTED = {"total": 3.0, "deviations": 2.0, "correlations": 2.0, "places": 0.5}
 
 
-class Node:
-    """A value of the network, and the gradient of the loss with respect to it."""
-
-    def __init__(self, value):
-        self.value, self.gradient = value, None
-
-    def add(self, gradient):
-        self.gradient = gradient if self.gradient is None else self.gradient + gradient
-
-
-class Tape(Layers):
-    """The operations of the network, recorded for backpropagation."""
-
-    def __init__(self, weights):
-        super().__init__(weights)
-        self.steps, self.gradients = [], {}
-
-    def _record(self, value, back):
-        node = Node(value)
-        self.steps.append(lambda: None if node.gradient is None else back(node.gradient))
-        return node
-
-    def product(self, rows, matrix):
-        return rows @ matrix
-
-    def dense(self, rows, name, *, is_last=False):
-        value = super().dense(rows.value, name, is_last=is_last)
-
-        def back(gradient):
-            gradient = gradient if is_last else gradient * (value > 0)
-            self.gradients[f"{name}.matrix"] = rows.value.T @ gradient
-            self.gradients[f"{name}.bias"] = gradient.sum(axis=0)
-            rows.add(gradient @ self.weights[f"{name}.matrix"].T)
-
-        return self._record(value, back)
-
-    def dropped(self, rows, is_dropped):
-        """Apply dropout: set values to 0, and scale the others up to preserve the mean."""
-        kept = (~is_dropped / (1 - np.mean(is_dropped))).astype(np.float32)
-        return self._record(rows.value * kept, lambda gradient: rows.add(gradient * kept))
-
-    def pool(self, rows, starts):
-        value = super().pool(rows.value, starts)
-        counts = np.diff(np.append(starts, len(rows.value)))
-        _, most, least = np.split(value, 3, axis=1)
-
-        def back(gradient):
-            of_mean, of_most, of_least = np.split(gradient, 3, axis=1)
-            total = np.repeat(of_mean / counts[:, None], counts, axis=0)
-            for extreme, own in ((most, of_most), (least, of_least)):
-                is_it = rows.value == np.repeat(extreme, counts, axis=0)
-                held = np.maximum(np.add.reduceat(is_it, starts, dtype=np.float32), 1)
-                total += is_it * np.repeat(own / held, counts, axis=0)
-            rows.add(total)
-
-        return self._record(value, back)
-
-    def spread(self, rows, counts):
-        starts = np.append(0, np.cumsum(counts)[:-1])
-        value = super().spread(rows.value, counts)
-        return self._record(value, lambda gradient: rows.add(np.add.reduceat(gradient, starts)))
-
-    def join(self, parts):
-        ends = np.cumsum([part.value.shape[1] for part in parts])[:-1]
-
-        def back(gradient):
-            for part, own in zip(parts, np.split(gradient, ends, axis=1), strict=True):
-                part.add(own)
-
-        return self._record(super().join([part.value for part in parts]), back)
-
-    def go_back(self):
-        """Propagate the gradients of the outputs back to the weights."""
-        for step in reversed(self.steps):
-            step()
-
-
 @cache
-def crops_of(roots: tuple[Path, ...], part: str) -> list[pictures.Crop]:
+def crops_of(roots: tuple[Path, ...], part: str) -> list[Crop]:
     """Return clean crops, once for each process."""
-    return pictures.clean_crops(list(roots), part, SEED)
+    return clean_crops(list(roots), part, SEED)
 
 
 def make_observations(job: tuple[str, str, int, int, list[Path]]) -> Batches:
@@ -140,7 +64,8 @@ def make_observations(job: tuple[str, str, int, int, list[Path]]) -> Batches:
     crops = crops_of(tuple(roots), part)
     rng, found = np.random.default_rng([SEED, seed, part == "training"]), []
     while len(found) < count:
-        made = KINDS[kind](rng, crops)
+        drawn = SAMPLES[kind](rng, crops, RECIPES[kind])
+        made = None if drawn is None else observed(*drawn)
         if made is not None:
             found.append(made)
     return Batches(found)
@@ -303,17 +228,6 @@ def train(kind: str, training: Batches, validation: Batches, epochs: int) -> Wei
     return weights
 
 
-def descend(layers, moments, gradients, rate, step) -> None:
-    """Take a step of Adam, in place, with decay of the weights."""
-    norm = np.sqrt(sum(float(np.vdot(own, own)) for own in gradients.values()))
-    for name, (first, second) in moments.items():
-        gradient = gradients[name] * np.float32(min(1, LARGEST_GRADIENT / norm))
-        first += 0.1 * (gradient - first)
-        second += 0.001 * (gradient**2 - second)
-        change = (first / (1 - 0.9**step)) / (np.sqrt(second / (1 - 0.999**step)) + 1e-8)
-        layers[name] -= (rate * (change + DECAY * layers[name])).astype(np.float32)
-
-
 def rounded(weights: Weights) -> Weights:
     """Round layers to eight significant bits, which compress better."""
     layers = {}
@@ -334,7 +248,7 @@ def main() -> None:
     """Make observations, train, judge and write, for grids and for clusters."""
     parser = argparse.ArgumentParser(description="Train the network that reads noise.")
     parser.add_argument("folders", nargs="+", type=Path, help="with pictures")
-    parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=list(KINDS))
+    parser.add_argument("--kinds", nargs="+", default=list(SAMPLES), choices=list(SAMPLES))
     parser.add_argument("--observations", type=int, help="of each kind")
     parser.add_argument("--epochs", type=int, default=EPOCHS)
     parser.add_argument("--processes", type=int, default=2)
@@ -343,7 +257,7 @@ def main() -> None:
     )
     parser.add_argument("--weights", type=Path, default=WEIGHTS, help="the folder that they are written to")
     options = parser.parse_args()
-    roots = [*options.folders, *pictures.folders_of_packages()]
+    roots = [*options.folders, *folders_of_packages()]
     for kind in options.kinds:
         train_kind(kind, roots, options)
 

@@ -15,16 +15,15 @@ import numpy as np
 from scipy.special import ndtr
 
 import observations
-import pictures
-import surfaces
+from backpropagation import Node, Tape, descend
 from beltrami_cli.flow.noise.channel_noise import read_network
 from beltrami_cli.flow.noise.network import OFFSET, Weights, weights_of
 from beltrami_cli.flow.noise.size import EDGES, LAYERS, WIDTHS, evidence, removal_curve, sizes_of
 from configuration import SIZES, configuration
+from crops import folders_of_packages
 from size_kinds import FAMILIES
-from train import WEIGHTS, Node, Tape, crops_of, descend, save
+from train import SAMPLES, WEIGHTS, crops_of, save
 
-SAMPLES = {"grid": observations.random_samples, "cluster": surfaces.random_samples}
 TEST_ROWS = 1_000  # per family
 CHUNK = 500  # rows that are made together
 EPOCHS, BATCH, RATE = 40, 128, 2e-3  # of Adam; the rate is its maximum
@@ -171,7 +170,7 @@ def main() -> None:
     parser.add_argument("--weights", type=Path, default=WEIGHTS, help="the folder that they are written to")
     options = parser.parse_args()
     for kind in options.kinds:
-        train_kind(kind, [*options.folders, *pictures.folders_of_packages()], options)
+        train_kind(kind, [*options.folders, *folders_of_packages()], options)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,98 @@
+"""Gradients of the networks by backpropagation, and the steps of Adam that they drive; NumPy is enough for both."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from beltrami_cli.flow.noise.network import Layers
+
+LARGEST_GRADIENT = 1.0  # maximum norm
+DECAY = 0.1  # of the weights, relative to the rate
+
+
+class Node:
+    """A value of the network, and the gradient of the loss with respect to it."""
+
+    def __init__(self, value):
+        self.value, self.gradient = value, None
+
+    def add(self, gradient):
+        self.gradient = gradient if self.gradient is None else self.gradient + gradient
+
+
+class Tape(Layers):
+    """The operations of the network, recorded for backpropagation."""
+
+    def __init__(self, weights):
+        super().__init__(weights)
+        self.steps, self.gradients = [], {}
+
+    def _record(self, value, back):
+        node = Node(value)
+        self.steps.append(lambda: None if node.gradient is None else back(node.gradient))
+        return node
+
+    def product(self, rows, matrix):
+        return rows @ matrix
+
+    def dense(self, rows, name, *, is_last=False):
+        value = super().dense(rows.value, name, is_last=is_last)
+
+        def back(gradient):
+            gradient = gradient if is_last else gradient * (value > 0)
+            self.gradients[f"{name}.matrix"] = rows.value.T @ gradient
+            self.gradients[f"{name}.bias"] = gradient.sum(axis=0)
+            rows.add(gradient @ self.weights[f"{name}.matrix"].T)
+
+        return self._record(value, back)
+
+    def dropped(self, rows, is_dropped):
+        """Apply dropout: set values to 0, and scale the others up to preserve the mean."""
+        kept = (~is_dropped / (1 - np.mean(is_dropped))).astype(np.float32)
+        return self._record(rows.value * kept, lambda gradient: rows.add(gradient * kept))
+
+    def pool(self, rows, starts):
+        value = super().pool(rows.value, starts)
+        counts = np.diff(np.append(starts, len(rows.value)))
+        _, most, least = np.split(value, 3, axis=1)
+
+        def back(gradient):
+            of_mean, of_most, of_least = np.split(gradient, 3, axis=1)
+            total = np.repeat(of_mean / counts[:, None], counts, axis=0)
+            for extreme, own in ((most, of_most), (least, of_least)):
+                is_it = rows.value == np.repeat(extreme, counts, axis=0)
+                held = np.maximum(np.add.reduceat(is_it, starts, dtype=np.float32), 1)
+                total += is_it * np.repeat(own / held, counts, axis=0)
+            rows.add(total)
+
+        return self._record(value, back)
+
+    def spread(self, rows, counts):
+        starts = np.append(0, np.cumsum(counts)[:-1])
+        value = super().spread(rows.value, counts)
+        return self._record(value, lambda gradient: rows.add(np.add.reduceat(gradient, starts)))
+
+    def join(self, parts):
+        ends = np.cumsum([part.value.shape[1] for part in parts])[:-1]
+
+        def back(gradient):
+            for part, own in zip(parts, np.split(gradient, ends, axis=1), strict=True):
+                part.add(own)
+
+        return self._record(super().join([part.value for part in parts]), back)
+
+    def go_back(self):
+        """Propagate the gradients of the outputs back to the weights."""
+        for step in reversed(self.steps):
+            step()
+
+
+def descend(layers, moments, gradients, rate, step) -> None:
+    """Take a step of Adam, in place, with decay of the weights."""
+    norm = np.sqrt(sum(float(np.vdot(own, own)) for own in gradients.values()))
+    for name, (first, second) in moments.items():
+        gradient = gradients[name] * np.float32(min(1, LARGEST_GRADIENT / norm))
+        first += 0.1 * (gradient - first)
+        second += 0.001 * (gradient**2 - second)
+        change = (first / (1 - 0.9**step)) / (np.sqrt(second / (1 - 0.999**step)) + 1e-8)
+        layers[name] -= (rate * (change + DECAY * layers[name])).astype(np.float32)
