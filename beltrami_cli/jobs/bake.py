@@ -63,20 +63,17 @@ def bake_file(
     notices: tuple[str, ...]
     with file.watch.stage("bake"):
         if to == "texture":
-            made = texture_from_vertices(document, settings, job.progress)
-            counts = {"triangle": len(made.faces), **({} if made.charts is None else {"chart": made.charts})}
-            written, notices, texture = (
-                write_mesh(made.mesh(made.encoded()), kind, stem),
-                made.notices,
-                made.in_words,
-            )
+            new = texture_from_vertices(document, settings, job.progress)
+            counts = {"triangle": len(new.faces), **({} if new.charts is None else {"chart": new.charts})}
+            written = write_mesh(new.mesh(new.encoded()), kind, stem)
+            notices, texture = new.notices, new.in_words
         else:
             Selection(document, DEFAULTS, file.job.access, slots=("baseColor",)).require_memory()
             contents, notices = _colours_from_textures(document)
             counts = {"coloured vertex": len(contents.positions), "triangle": len(contents.offsets) - 1}
             written, texture = write_mesh(contents, kind, stem), ""
-    done = {**vars(file.write(written, notices)), "parameters": {"to": to, **dataclasses.asdict(settings)}}
-    return BakeReport(**done, counts=counts, texture=texture)
+    report = {**vars(file.write(written, notices)), "parameters": {"to": to, **dataclasses.asdict(settings)}}
+    return BakeReport(**report, counts=counts, texture=texture)
 
 
 def _colours_from_textures(document: Document) -> tuple[MeshContents, tuple[str, ...]]:
@@ -101,19 +98,19 @@ def _colours_from_textures(document: Document) -> tuple[MeshContents, tuple[str,
         encoding=_encoding(pictures),
         stored=max((picture.stored for picture in pictures), key=_FINENESS.index),
         alpha=colours[:, 3] if any(picture.alpha is not None for picture in pictures) else None,
-        left_out=_lost_of_textured(document),
+        left_out=_left_out(document),
         frame=document.frame,
     )
-    notices, bare = [], int((~textured).sum()) // 3
+    notices, untextured = [], int((~textured).sum()) // 3
     if split.any():
         notices = [f"{int(split.sum())} corners lie at real colour edges, where vertices stay split."]
-    if bare:
-        notices.append(f"{bare} triangles have no texture; their own vertices are white.")
+    if untextured:
+        notices.append(f"{untextured} triangles have no texture; their own vertices are white.")
     return contents, tuple(notices)
 
 
-def _lost_of_textured(document: Document) -> tuple[str, ...]:
-    """Return what a textured model has besides triangles and the base colour."""
+def _left_out(document: Document) -> tuple[str, ...]:
+    """Name the contents of a textured model other than triangles and the base colour."""
     mesh = document.textured_mesh()
     has_normals = mesh.corner_normals is not None or mesh.normals is not None
     found = ["texture coordinates", "textures", "materials", *(["normals"] if has_normals else [])]

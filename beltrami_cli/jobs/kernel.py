@@ -8,6 +8,7 @@ import os
 from dataclasses import dataclass
 from fnmatch import fnmatch
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,7 +17,9 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import smooth_in_place
 from beltrami_cli.flow.manifolds.grid_manifold import GridManifold
 from beltrami_cli.flow.manifolds.manifold import SampledKernel
+from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.changes import Written
+from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.ply.writer import write_scalars_as_ply
@@ -32,15 +35,21 @@ from beltrami_cli.surface.colour_values import as_bytes, colour_by_value, from_s
 
 _ZOOM, _GAP = 28, 12  # pixels of a cell in a picture, and between its panels
 _SURROUNDINGS = 4  # cells that are shown around the window
-# Of a sample: in words, its number, and columns that say where all samples are.
-Place = tuple[str, int, dict[str, Array]]
+
+
+class Place(NamedTuple):
+    """Where a sample is."""
+
+    name: str  # vertex 12, texel 3,4 of skin.png, or pixel 3,4
+    sample: int  # its number
+    columns: dict[str, Array]  # where all samples are, for the table
 
 
 @dataclass(frozen=True)
 class ShownKernel:
     """The kernel of one sample in one iteration; `table` has a row for each sample that it holds, the nearest first."""
 
-    at: str  # vertex 12, texel 3,4 of skin.png, or pixel 3,4
+    at: str  # the name of its place
     iterations: int
     beta: float
     radius: float
@@ -58,7 +67,43 @@ def kernel_file(
     if suffix not in (".ply", ".csv", *IMAGE_SUFFIXES):
         raise UsageError("a kernel is written as .ply, .png or .csv; end the name in one", target)
     output = Output(target, overwrite=job.overwrite, is_text=suffix == ".csv", what="kernel", reads=[source])
-    access = output.files.watching(job.access)
+    document, layer = _only_layer(source, settings, output.files.watching(job.access))
+    samples = layer.places()
+    on_mesh = isinstance(samples, SampledVertices)
+    if suffix != ".csv" and (suffix == ".ply") != on_mesh:
+        drawn_as = ".ply" if on_mesh else ".png"
+        raise UsageError(f"a kernel on {layer.label} is drawn as {drawn_as}, or written as .csv", target)
+    plan = layer.plan()
+    most = plan.parameters.iterations
+    if iteration > max(most, 1):
+        raise UsageError(
+            f"--iteration {iteration} is not among the {most} of smoothing; lower it, or raise --iterations"
+        )
+    if isinstance(samples, SampledVertices):
+        place = _vertex_at(at, samples, document.name)
+    else:  # glTF counts v from the upper side of an image, other formats from the lower
+        is_flipped = document.format not in ("gltf", "glb")
+        place = _texel_at(at, samples, layer.label, is_flipped=is_flipped)
+    earlier = plan.stopped_before(iteration - 1)
+    manifold = smooth_in_place(earlier, job.progress_of("iterations before")).manifold
+    kernel = manifold.kernel_at(place.sample, plan.step(iteration - 1))
+    table = _table(kernel, place, layer)
+    parameters = plan.parameters
+    nearness = 1 - kernel.distances / max(np.float32(parameters.radius), np.finfo(np.float32).tiny)
+    if suffix == ".csv":
+        written = _csv(table)
+    elif isinstance(samples, SampledVertices):
+        written = _mesh(samples, kernel, nearness, _greys(manifold.new_colours().table(), layer))
+    else:
+        written = _image(manifold, place.sample, kernel, nearness, layer, suffix)
+    output.write(written)
+    beta = plan.beta / layer.unit * parameters.growth(iteration - 1)
+    cut_short = on_mesh and len(kernel.samples) == parameters.max_samples
+    return ShownKernel(place.name, parameters.iterations, beta, parameters.radius, cut_short, table)
+
+
+def _only_layer(source: str, settings: SmoothSettings, access: Access) -> tuple[Document, Layer]:
+    """Open a file, and return it and its selected layer; UsageError if there are several."""
     document = open_input(source, settings, access)
     selection = select(document, settings, access)
     selection.require_scale()
@@ -66,46 +111,22 @@ def kernel_file(
         remedy = "choose --on vertices, or --on texture and one of --slots"
         raise UsageError(f"a kernel is of one image; {remedy}", document.name)
     selection.require_memory("smoothed" if selection.image else "recoloured")
-    (samples,) = (layer.normalised() for layer in selection.layers())
-    where = samples.places()
-    on_mesh = isinstance(where, SampledVertices)
-    if suffix != ".csv" and (suffix == ".ply") != on_mesh:
-        drawn_as = ".ply" if on_mesh else ".png"
-        raise UsageError(f"a kernel on {samples.label} is drawn as {drawn_as}, or written as .csv", target)
-    plan = samples.plan()
-    most = plan.parameters.iterations
-    if iteration > max(most, 1):
-        raise UsageError(
-            f"--iteration {iteration} is not among the {most} of smoothing; lower it, or raise --iterations"
-        )
-    if isinstance(where, SampledVertices):
-        name, index, columns = _vertex_at(at, where, document.name)
-    else:  # glTF counts v from the upper side of an image, other formats from the lower
-        is_flipped = document.format not in ("gltf", "glb")
-        name, index, columns = _texel_at(at, where, samples.label, is_flipped=is_flipped)
-    manifold = smooth_in_place(
-        plan.stopped_before(iteration - 1), job.progress_of("iterations before")
-    ).manifold
-    kernel = manifold.kernel_at(index, plan.step(iteration - 1))
-    channels = ("L", "a", "b", *samples.names[3:]) if settings.space == "oklab" else samples.names
-    table = {column: values[kernel.samples] for column, values in columns.items()}
+    (layer,) = selection.layers()
+    return document, layer.normalised()
+
+
+def _table(kernel: SampledKernel, place: Place, layer: Layer) -> dict[str, Array]:
+    table = {column: values[kernel.samples] for column, values in place.columns.items()}
     table |= {"distance": kernel.distances, "weight": kernel.weights}
-    table |= dict(zip(channels, samples.unit * kernel.colours.T, strict=True))
-    parameters = plan.parameters
-    nearness = 1 - kernel.distances / max(np.float32(parameters.radius), np.finfo(np.float32).tiny)
-    if suffix == ".csv":
-        text = io.StringIO()
-        rows = zip(*(values.tolist() for values in table.values()), strict=True)
-        csv.writer(text, lineterminator="\n").writerows([list(table), *rows])
-        written = Written([text.getvalue().encode()])
-    elif isinstance(where, SampledVertices):
-        written = _mesh(where, kernel, nearness, _greys(manifold.new_colours().table(), samples))
-    else:
-        written = _picture(manifold, index, kernel, nearness, samples, suffix)
-    output.write(written)
-    beta = plan.beta / samples.unit * parameters.growth(iteration - 1)
-    cut_short = on_mesh and len(kernel.samples) == parameters.max_samples
-    return ShownKernel(name, parameters.iterations, beta, parameters.radius, cut_short, table)
+    channels = ("L", "a", "b", *layer.names[3:]) if layer.settings.space == "oklab" else layer.names
+    return table | dict(zip(channels, layer.unit * kernel.colours.T, strict=True))
+
+
+def _csv(table: dict[str, Array]) -> Written:
+    text = io.StringIO()
+    rows = zip(*(values.tolist() for values in table.values()), strict=True)
+    csv.writer(text, lineterminator="\n").writerows([list(table), *rows])
+    return Written([text.getvalue().encode()])
 
 
 def _vertex_at(at: str, where: SampledVertices, name: str) -> Place:
@@ -120,7 +141,7 @@ def _vertex_at(at: str, where: SampledVertices, name: str) -> Place:
     known, first = np.unique(sample_of, return_index=True)
     first, vertex = first[known >= 0], int(numbers[0])
     columns = {"vertex": first, **dict(zip("xyz", positions[first].T, strict=True))}
-    return f"vertex {vertex}", int(sample_of[vertex]), columns
+    return Place(f"vertex {vertex}", int(sample_of[vertex]), columns)
 
 
 def _texel_at(at: str, cells: Cells, what: str, *, is_flipped: bool) -> Place:
@@ -145,7 +166,7 @@ def _texel_at(at: str, cells: Cells, what: str, *, is_flipped: bool) -> Place:
     if not is_image:
         columns = {"texture": np.array(names)[cells.picture], **columns}
     name = f"pixel {name}" if is_image else f"texel {name} of {names[fitting[0]]}"
-    return name, int(np.flatnonzero(in_texture)[nearest]), columns
+    return Place(name, int(np.flatnonzero(in_texture)[nearest]), columns)
 
 
 def _numbers(at: str) -> list[float]:
@@ -160,10 +181,10 @@ def _numbers(at: str) -> list[float]:
     return numbers
 
 
-def _greys(colours: Float32s, samples: Layer) -> Float32s:
-    """Return working colours, (S, N), as display values, (S, 3); of data, the first channel by its range."""
-    if samples.names[0] in ("red", "grey"):
-        shown = from_space(colours[:, : 3 if len(samples.names) > 2 else 1], "srgb", samples.settings.space)
+def _greys(colours: Float32s, layer: Layer) -> Float32s:
+    """Convert working colours, (S, N), to display values, (S, 3); data by the range of the first channel."""
+    if layer.names[0] in ("red", "grey"):
+        shown = from_space(colours[:, : 3 if len(layer.names) > 2 else 1], "srgb", layer.settings.space)
     else:
         low, high = colours[:, :1].min(initial=np.inf), colours[:, :1].max(initial=-np.inf)
         shown = (colours[:, :1] - low) / max(high - low, np.float32(1e-30))
@@ -181,22 +202,20 @@ def _mesh(where: SampledVertices, kernel: SampledKernel, nearness: Float32s, gre
     return write_scalars_as_ply(mesh.positions, mesh.faces, shades[sample_of], scalars)
 
 
-def _picture(
-    manifold: GridManifold, index: int, kernel: SampledKernel, nearness: Float32s, samples: Layer, suffix: str
+def _image(
+    manifold: GridManifold, index: int, kernel: SampledKernel, nearness: Float32s, layer: Layer, suffix: str
 ) -> Written:
     """Draw the canvas around a sample three times: its colours, the nearness, the weights."""
-    around, offsets = manifold.parameters.window // 2 + _SURROUNDINGS, kernel.offsets
+    atlas, offsets = manifold.geometry.atlas, kernel.offsets
     assert offsets is not None
-    row, column = divmod(
-        int(manifold.geometry.atlas.owned_cells[index]), manifold.geometry.atlas.kind.shape[1]
-    )
+    around = manifold.parameters.window // 2 + _SURROUNDINGS
+    row, column = divmod(int(atlas.owned_cells[index]), atlas.kind.shape[1])
     place = np.s_[..., row : row + 2 * around + 1, column : column + 2 * around + 1]
     edge = [(around, around)] * 2
-    filled = np.pad(manifold.geometry.atlas.kind, edge, constant_values=EMPTY)[place] != EMPTY
+    filled = np.pad(atlas.kind, edge, constant_values=EMPTY)[place] != EMPTY
     colours = np.pad(manifold.colours, [(0, 0), *edge])[place]
-    greys = _greys(manifold.noise.to_input(colours.reshape(len(colours), -1).T), samples).reshape(
-        *filled.shape, 3
-    )
+    working = manifold.noise.to_input(colours.reshape(len(colours), -1).T)
+    greys = _greys(working, layer).reshape(*filled.shape, 3)
     panels = [greys.astype(np.float64)]
     for values in (nearness, kernel.weights / kernel.weights.max()):
         shown = np.full(filled.shape, np.nan, np.float32)

@@ -34,8 +34,8 @@ from beltrami_cli.surface.records import (
 from beltrami_cli.surface.unwrap import Unwrapped, require_few_faces, unwrap
 
 Depth = type[np.uint8] | type[np.uint16]
-_ON_A_LEVEL = 0.05  # of an 8-bit step: numbers this close to levels are taken for 8-bit values
-_SHARED = 0.01  # share of texels at several places that rounding at chart boundaries may cause
+_LEVEL_TOLERANCE = 0.05  # of an 8-bit step: numbers this close to levels are taken for 8-bit values
+_MAX_OVERLAP = 0.01  # share of texels at several places that rounding at chart boundaries may cause
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class NewTexture:
 
 def texture_from_vertices(
     document: Document,
-    wanted: BakeSettings,
+    settings: BakeSettings,
     progress: Progress | None = None,
     colours: Float32s | None = None,
 ) -> NewTexture:
@@ -99,12 +99,12 @@ def texture_from_vertices(
         raise InputError(document.name, "it has no triangles", remedy)
     space_of = document.coloured_vertices().space_of
     charts = None
-    if wanted.keep_uv:
-        uv, size = _kept_uv(document, contents.positions[faces], wanted.size)
+    if settings.keep_uv:
+        uv, size = _kept_uv(document, contents.positions[faces], settings.size)
     else:
         texels = texels_for_vertices(contents.positions, faces)
-        made = _unwrapped(document, contents.positions, faces, space_of, texels, wanted, progress)
-        uv, size, charts = made.uv, made.size, made.charts
+        unwrapped = _unwrapped(document, contents.positions, faces, space_of, texels, settings, progress)
+        uv, size, charts = unwrapped.uv, unwrapped.size, unwrapped.charts
     dtype = _depth(contents)
     values = _vertex_values(contents)
     corners = values[faces]
@@ -113,49 +113,54 @@ def texture_from_vertices(
         return _rounded(_as_srgb(interpolated(corners, owners, weights), contents.encoding), dtype)
 
     pixels = bake(uv, size, shade, values.shape[1], dtype)
-    notices = tuple(_lost_contents(contents))
+    notices = _notices_on_vertices(contents)
     return NewTexture(contents.positions, faces, uv, space_of, pixels, charts, notices, contents.frame)
 
 
 def texture_from_textures(
-    document: Document,
-    wanted: BakeSettings,
-    progress: Progress | None = None,
+    document: Document, settings: BakeSettings, progress: Progress | None = None
 ) -> NewTexture:
     """Move all base colour textures to one new atlas."""
     old = document.textured("baseColor")
     pictures = [read_texture(texture) for texture in old.textures]
     texels = texels_of(old, np.array([picture.pixels.shape[1::-1] for picture in pictures]))
-    made = _unwrapped(document, old.positions, old.faces, old.space_of, texels, wanted, progress)
+    unwrapped = _unwrapped(document, old.positions, old.faces, old.space_of, texels, settings, progress)
     channels = 4 if any(picture.alpha is not None for picture in pictures) else 3
-    images = [as_rgba(picture) for picture in pictures]
+    rgba = [as_rgba(picture) for picture in pictures]
     dtype = np.uint8 if all(picture.stored == "uint8" for picture in pictures) else np.uint16
 
     def shade(owners: Int64s, weights: Float64s) -> Array:
-        seen = np.ones((len(owners), 4))
+        colours = np.ones((len(owners), 4))
         # Points outside a triangle are moved into it, since its texture shows other things there.
         inside = np.clip(weights, 0, 1)
         uv = interpolated(old.uv, owners, inside / np.maximum(inside.sum(axis=1, keepdims=True), 1))
         for index, (picture, texture) in enumerate(zip(pictures, old.textures, strict=True)):
-            mine = old.texture_of[owners] == index
-            values = look_up(images[index], uv[mine], texture.wrap, None if picture.alpha is None else 3)
-            seen[mine] = _as_srgb(values, picture.encoding)
-        return _rounded(seen[:, :channels], dtype)
+            is_shown = old.texture_of[owners] == index
+            values = look_up(rgba[index], uv[is_shown], texture.wrap, None if picture.alpha is None else 3)
+            colours[is_shown] = _as_srgb(values, picture.encoding)
+        return _rounded(colours[:, :channels], dtype)
 
-    pixels = bake(made.uv, made.size, shade, channels, dtype)
-    notices = _lost_of_textures(document, old, pictures)
+    pixels = bake(unwrapped.uv, unwrapped.size, shade, channels, dtype)
+    notices = _notices_on_textures(document, old, pictures)
     return NewTexture(
-        old.positions, old.faces, made.uv, old.space_of, pixels, made.charts, notices, document.frame
+        old.positions,
+        old.faces,
+        unwrapped.uv,
+        old.space_of,
+        pixels,
+        unwrapped.charts,
+        notices,
+        document.frame,
     )
 
 
 def _unwrapped(
     document: Document, positions: Float64s, faces: Int32s, space_of: Int32s | None, texels: float,
-    wanted: BakeSettings, progress: Progress | None,
+    settings: BakeSettings, progress: Progress | None,
 ) -> Unwrapped:  # fmt: skip
-    require_few_faces(len(faces), wanted.max_unwrap_faces, document.name)
+    require_few_faces(len(faces), settings.max_unwrap_faces, document.name)
     return unwrap(
-        positions, faces, wanted.size, wanted.padding, document.name, space_of=space_of, texels=texels,
+        positions, faces, settings.size, settings.padding, document.name, space_of=space_of, texels=texels,
         progress=None if progress is None else partial(progress, "unwrapping"),
     )  # fmt: skip
 
@@ -174,7 +179,7 @@ def _kept_uv(document: Document, corners: Float64s, side: int | None) -> tuple[F
         height, width = read_texture(surface.textures[0]).pixels.shape[:2]
         scale = 1.0 if side is None else side / max(width, height)
         size = max(1, round(width * scale)), max(1, round(height * scale))
-        if overlap(surface.uv, size) <= _SHARED:
+        if overlap(surface.uv, size) <= _MAX_OVERLAP:
             return surface.uv, size
         cause = "its charts overlap in the image"
     raise InputError(document.name, f"its texture coordinates cannot be kept: {cause}", "leave out --keep-uv")
@@ -193,26 +198,26 @@ def _depth(contents: MeshContents) -> Depth:
     if contents.encoding == "srgb" and contents.stored in ("uint8", "uint16"):
         return np.uint8 if contents.stored == "uint8" else np.uint16
     levels = 255 * _as_srgb(_vertex_values(contents).astype(np.float64), contents.encoding)
-    return np.uint8 if np.abs(levels - np.rint(levels)).max(initial=0) < _ON_A_LEVEL else np.uint16
+    return np.uint8 if np.abs(levels - np.rint(levels)).max(initial=0) < _LEVEL_TOLERANCE else np.uint16
 
 
-def _lost_contents(contents: MeshContents) -> list[str]:
+def _notices_on_vertices(contents: MeshContents) -> tuple[str, ...]:
     left = [*contents.left_out, *(["normals"] if contents.normals is not None else [])]
     notices = [f"Not in the new file: {'; '.join(left)}."] if left else []
     if np.any(np.diff(contents.offsets) > 3):
         notices.append("Quads and polygons are cut into triangles.")
     if contents.colours.size and (contents.colours.min() < 0 or contents.colours.max() > 1):
         notices.append("Colours outside [0, 1] are clipped.")
-    return notices
+    return tuple(notices)
 
 
-def _lost_of_textures(
+def _notices_on_textures(
     document: Document, old: TexturedSurface, pictures: list[DecodedImage]
 ) -> tuple[str, ...]:
     what = f"{document.format.upper()} content other than triangles and the base colour"
     notices = [f"{what} is not in the new file.", *(f"Nor are {each}." for each in document.hidden_places())]
-    if bare := int((old.texture_of < 0).sum()):
-        notices.append(f"{bare} triangles have no texture, and are white in the new one.")
+    if untextured := int((old.texture_of < 0).sum()):
+        notices.append(f"{untextured} triangles have no texture, and are white in the new one.")
     if any(picture.encoding == "linear" for picture in pictures):
         notices.append("Float textures become 16-bit sRGB, clipped to 0..1.")
     return tuple(notices)
@@ -227,7 +232,7 @@ def texels_of(surface: TexturedSurface, sizes: Int64s) -> float:
 
 
 def as_rgba(picture: DecodedImage) -> Float32s:
-    """Return a picture as red, green, blue and opacity of full scale 1."""
+    """Convert an image to red, green, blue and opacity of full scale 1."""
     values = without_alpha(picture, to_float(picture))
     colour = values[..., [*picture.colour] * (3 // len(picture.colour))]
     alpha = np.ones_like(values[..., :1]) if picture.alpha is None else values[..., [picture.alpha]]

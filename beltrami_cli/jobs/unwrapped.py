@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def smooth_unwrapped(
-    source: str, target: str, settings: SmoothSettings, wanted: BakeSettings, job: Job
+    source: str, target: str, settings: SmoothSettings, baking: BakeSettings, job: Job
 ) -> SmoothReport:
     """Smooth the base colour, or else the vertex colours, in a new texture, and write a new file with that."""
     _check(settings)
@@ -39,15 +39,15 @@ def smooth_unwrapped(
     if settings.kernel.iterations:
         selection.require_scale()
     _require_possible(selection)
-    made, image, smoothed = _new_texture(file, selection, wanted)
-    notices = [*made.notices]
+    new, image, smoothed = _new_texture(file, selection, baking)
+    notices = [*new.notices]
     if selection.slots and file.document.has_vertex_colours():
         notices.append("Vertex colours are not in the new file; --on vertices takes them, not the texture.")
     notices += [notice for each in smoothed for notice in each.stored.notices]
     with file.watch.stage("write"):
-        written = write_mesh(made.mesh(image), file.format.name, stem)
+        written = write_mesh(new.mesh(image), file.format.name, stem)
     report = file.write(written, notices, [warning for each in smoothed for warning in each.warnings])
-    return dataclasses.replace(smooth_report(report, smoothed, settings), new_texture=made.in_words)
+    return dataclasses.replace(smooth_report(report, smoothed, settings), new_texture=new.in_words)
 
 
 def _check(settings: SmoothSettings) -> None:
@@ -87,7 +87,7 @@ def _require_possible(selection: Selection) -> None:
 
 
 def _new_texture(
-    file: FileJob, selection: Selection, wanted: BakeSettings
+    file: FileJob, selection: Selection, baking: BakeSettings
 ) -> tuple[NewTexture, ImageFile, list[Smoothed]]:
     """Smooth the colours, then make the texture of them; in the opposite order where textures are too small."""
     from beltrami_cli.jobs.new_texture import texture_from_textures, texture_from_vertices
@@ -107,23 +107,20 @@ def _new_texture(
     with file.watch.stage("unwrap"):
         if selection.vertices:
             colours = smoothed[0].stored.colours if smoothed else None
-            made = texture_from_vertices(document, wanted, job.progress, colours)
+            new = texture_from_vertices(document, baking, job.progress, colours)
         else:
             images = all_images(each.stored for each in smoothed)[0]
             exact_document = document.with_colours(None, {key: image.data for key, image in images.items()})
-            made = texture_from_textures(exact_document, wanted, job.progress)
+            new = texture_from_textures(exact_document, baking, job.progress)
     if smoothed or not smooths:
-        return (
-            made,
-            made.encoded(textures.image_suffix, textures.jpeg_quality, small=textures.small),
-            smoothed,
-        )
+        image = new.encoded(textures.image_suffix, textures.jpeg_quality, small=textures.small)
+        return new, image, smoothed
     with file.watch.stage("smooth"):
-        layer = TextureLayer.read(made.surface(), "baseColor", settings)
+        layer = TextureLayer.read(new.surface(), "baseColor", settings)
         layer.require_writable()
         again = smooth_in_job(layer, job, "the new texture")
     (image,) = again.stored.images.values()
-    return made, image, [again]
+    return new, image, [again]
 
 
 def _are_large_enough(surface: TexturedSurface) -> bool:
