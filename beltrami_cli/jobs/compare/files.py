@@ -94,11 +94,10 @@ def compare_files(
     if output is not None:
         written, scale = draw_map(compared.measured, documents[0], output.target)
         output.write(written)
-    passed = all(verdict.kept for verdict in verdicts)
-    notices = [*compared.all_notices(), *untested]
     return Comparison(
-        *names, weights, settings.space, described, compared.overall(), moves, verdicts, passed, scale,
-        notices,
+        reference=names[0], test=names[1], weights=weights, space=settings.space, parts=described,
+        overall=compared.overall(), geometry=moves, limits=verdicts, passed=all(each.kept for each in verdicts),
+        map_scale=scale, notices=[*compared.all_notices(), *untested],
     )  # fmt: skip
 
 

@@ -39,7 +39,7 @@ from beltrami_cli.surface.geometry import vertex_areas
 from beltrami_cli.surface.grouping import group_places
 from beltrami_cli.surface.records import ColouredVertices, Slot
 
-_STEP = 0.75 / 255  # of opacity, which 8 bits store
+_OPACITY_TOLERANCE = 0.75 / 255  # below a step of 8 bits, in which opacity is stored
 
 
 def compare_vertices(
@@ -48,8 +48,10 @@ def compare_vertices(
     """Match the vertex colours of two models; `is_extra`: textures are compared, too."""
     one, other = _on_one_scale(*(document.coloured_vertices() for document in documents))
     require_one_model(documents, (one, other))
-    held = [coloured_rows(each.coloured_vertices(), in_triangles=each.kind == "volume") for each in documents]
-    rows = np.intersect1d(held[0], held[1])
+    coloured = [
+        coloured_rows(each.coloured_vertices(), in_triangles=each.kind == "volume") for each in documents
+    ]
+    rows = np.intersect1d(coloured[0], coloured[1])
     channels, space = choose_channels(one.channels, settings, "the colours have").changing, settings.space
 
     def read(vertices: Indices) -> Pair:
@@ -67,11 +69,11 @@ def compare_vertices(
     opacities = (None if each.kind == "volume" else each.contents().alpha for each in documents)
     return ComparedColours(
         name="vertex colours", kind="vertices", index=rows, read=read, space=space,
-        weights=_areas(one, rows, settings) if weights == "area" else None,
+        weights=_vertex_areas(one, rows, settings) if weights == "area" else None,
         near_seams=split if split.any() else None,
-        jumps=_jumps([reference, test], place) if split.any() else None,
+        jumps=_vertex_jumps([reference, test], place) if split.any() else None,
         is_identical=is_extra and np.array_equal(reference, test),
-        other_opacity=_differ(*opacities),
+        other_opacity=_opacities_differ(*opacities),
     )  # fmt: skip
 
 
@@ -79,10 +81,10 @@ def _opacity(picture: DecodedImage) -> Float32s | None:
     return None if picture.alpha is None else full_scale_one(picture.pixels[..., picture.alpha])
 
 
-def _differ(one: Float32s | None, other: Float32s | None) -> bool:
+def _opacities_differ(one: Float32s | None, other: Float32s | None) -> bool:
     """Whether two opacities differ by more than rounding; None: all is opaque."""
     difference = np.asarray(1.0 if one is None else one) - (1.0 if other is None else other)
-    return bool(np.abs(difference).max(initial=0) > _STEP)
+    return bool(np.abs(difference).max(initial=0) > _OPACITY_TOLERANCE)
 
 
 def _on_one_scale(
@@ -100,7 +102,7 @@ def _on_one_scale(
     return first, second
 
 
-def _areas(vertices: ColouredVertices, rows: NDArray[np.intp], settings: SmoothSettings) -> Float64s:
+def _vertex_areas(vertices: ColouredVertices, rows: NDArray[np.intp], settings: SmoothSettings) -> Float64s:
     """Return the part of the surface area that belongs to each vertex or point."""
     if len(vertices.faces):
         return vertex_areas(vertices.positions, vertices.faces)[rows].astype(np.float64)
@@ -108,7 +110,7 @@ def _areas(vertices: ColouredVertices, rows: NDArray[np.intp], settings: SmoothS
     return vertex_areas(surface.positions, surface.faces).astype(np.float64)
 
 
-def _jumps(colours: list[Float32s], place: Int32s) -> tuple[Float64s, Float64s]:
+def _vertex_jumps(colours: list[Float32s], place: Int32s) -> tuple[Float64s, Float64s]:
     """Return the range of the colours of vertices at one place, as the mean over channels."""
     order = np.argsort(place, kind="stable")
     starts = np.flatnonzero(np.r_[True, place[order][1:] != place[order][:-1]])
@@ -143,7 +145,7 @@ def compare_images(
         name="image", kind="image", index=large_arrays.find(valid, True),
         read=partial(_both_colours, (one, pictures[0]), (other, pictures[1])),
         space=settings.space if set(one.names) <= {"red", "green", "blue", "grey"} else "data",
-        size=(valid.shape[0], valid.shape[1]), other_opacity=_differ(*opacities),
+        size=(valid.shape[0], valid.shape[1]), other_opacity=_opacities_differ(*opacities),
     )  # fmt: skip
 
 
@@ -156,11 +158,11 @@ def compare_textures(
     surface = reference.textured(slot)
     same = matching_textures(surface, test.textured(slot), (reference.name, test.name))
     chosen = choose_textures(surface, settings.textures)
-    olds, textures = chosen.textures, [same[texture.key] for texture in chosen.textures]
-    count = Counter(texture.name for texture in olds)
-    # Of textures with equal names also what the files know them by.
-    names = [f"{slot} {each.name if count[each.name] == 1 else each.key}" for each in olds]
-    if is_extra and [texture.data for texture in olds] == [texture.data for texture in textures]:
+    before, after = chosen.textures, [same[texture.key] for texture in chosen.textures]
+    count = Counter(texture.name for texture in before)
+    # Keys distinguish textures with equal names.
+    names = [f"{slot} {each.name if count[each.name] == 1 else each.key}" for each in before]
+    if is_extra and [texture.data for texture in before] == [texture.data for texture in after]:
         nothing = np.zeros((0, 3), np.float32)
         return [
             ComparedColours(
@@ -169,19 +171,19 @@ def compare_textures(
             )
             for name in names
         ]  # fmt: skip
-    require_memory(((texture.name, texture.data) for texture in textures), access)
+    require_memory(((texture.name, texture.data) for texture in after), access)
     one = TextureLayer.read(chosen, slot, settings)
-    pictures = [read_texture(texture) for texture in textures]
-    for old, new in zip(one.pictures, pictures, strict=True):
+    images = [read_texture(texture) for texture in after]
+    for old, new in zip(one.pictures, images, strict=True):
         require_same_size(old, new, f"{test.name}: {new.name}")
-    colours = PictureColours.of(pictures, slot, settings)
+    colours = PictureColours.of(images, slot, settings)
     if colours.names != one.names:
         cause = f"its {slot} textures have {', '.join(colours.names)}, but {', '.join(one.names)} before"
         raise InputError(test.name, cause, "compare files with the same channels")
-    return _parts(one, dataclasses.replace(one, pictures=pictures, colours=colours), names, weights)
+    return _by_texture(one, dataclasses.replace(one, pictures=images, colours=colours), names, weights)
 
 
-def _parts(
+def _by_texture(
     one: TextureLayer, other: TextureLayer, names: Sequence[str], weights: Weights
 ) -> list[ComparedColours]:
     """Split two layers with one atlas into parts by texture."""
@@ -211,7 +213,7 @@ def _parts(
                 near_seams=near_here if near_here.any() else None,
                 jumps=(before[here], after[here]) if here.any() else None,
                 size=(old.pixels.shape[0], old.pixels.shape[1]),
-                around=read(beyond), other_opacity=hides and _differ(_opacity(old), _opacity(new)),
+                around=read(beyond), other_opacity=hides and _opacities_differ(_opacity(old), _opacity(new)),
             )
         )  # fmt: skip
     return parts
