@@ -12,7 +12,7 @@ import numpy as np
 from harness import arguments, show
 
 from beltrami_cli.flow.corrections import outliers
-from beltrami_cli.flow.manifolds.grid_geometry import CanvasSamples
+from beltrami_cli.flow.manifolds.surroundings import CanvasSurroundings
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.image.decoded_image import full_scale_one
 from beltrami_cli.formats.image.reading import read_image
@@ -31,7 +31,7 @@ def found_in(image: np.ndarray) -> np.ndarray:
     atlas = grid_atlas(image.shape[:2], 2, None, np.ones(image.shape[:2], bool))
     planes = np.zeros((image.shape[2], *atlas.kind.shape), np.float32)
     planes[:, 2:-2, 2:-2] = np.moveaxis(image, 2, 0)
-    _, made = outliers.fill_outliers(planes, CanvasSamples(atlas), KernelParameters(), is_light=False)
+    _, made = outliers.fill_outliers(planes, CanvasSurroundings(atlas), KernelParameters(), is_light=False)
     wrong = np.zeros(image.shape[0] * image.shape[1], bool)
     if made is not None:
         wrong[made.samples] = True

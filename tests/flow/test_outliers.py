@@ -9,7 +9,7 @@ import beltrami_cli
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunking, Resources, in_turn
 from beltrami_cli.flow.corrections.outliers import fill_outliers
 from beltrami_cli.flow.decoding import plan_on_canvas
-from beltrami_cli.flow.manifolds.grid_geometry import CanvasSamples
+from beltrami_cli.flow.manifolds.surroundings import CanvasSurroundings
 from beltrami_cli.flow.parameters import KernelParameters, parameters_with
 from beltrami_cli.layers.image_surface import ImageSurface, canvas_of_image
 from beltrami_cli.surface.grid_atlas import grid_atlas
@@ -47,7 +47,7 @@ def found_in(image, mode="auto", *, is_light=False):
     planes = np.zeros((image.shape[2], *atlas.kind.shape), np.float32)
     planes[:, 2:-2, 2:-2] = np.moveaxis(image, 2, 0)
     parameters = KernelParameters(threads=1, outliers=mode)
-    filled, outliers = fill_outliers(planes, CanvasSamples(atlas), parameters, is_light=is_light)
+    filled, outliers = fill_outliers(planes, CanvasSurroundings(atlas), parameters, is_light=is_light)
     return outliers, np.moveaxis(filled[:, 2:-2, 2:-2], 0, 2)
 
 
