@@ -16,8 +16,8 @@ from scenes import chequer
 from scipy.ndimage import distance_transform_edt, uniform_filter
 
 from beltrami_cli.errors import BeltramiError
-from beltrami_cli.formats.image import read_texture, to_float, write_image
-from beltrami_cli.formats.image.decoded_image import new_image
+from beltrami_cli.formats.image import read_texture, write_image
+from beltrami_cli.formats.image.decoded_image import full_scale_one, new_image
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.noise import noise_file
@@ -200,7 +200,9 @@ def from_file(path):
 
 def displayed(picture):
     """Return display values, shape (H, W, 3)."""
-    values = to_float(picture)[..., picture.colour if len(picture.colour) == 3 else picture.colour * 3]
+    values = full_scale_one(picture.pixels)[
+        ..., picture.colour if len(picture.colour) == 3 else picture.colour * 3
+    ]
     return np.clip(linear_to_srgb(values) if picture.encoding == "linear" else values, 0, 1).astype(
         np.float32
     )

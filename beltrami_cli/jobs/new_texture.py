@@ -11,8 +11,8 @@ from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.conversion import vertex_mesh
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import DecodedImage, read_texture, to_float, without_alpha, write_image
-from beltrami_cli.formats.image.decoded_image import new_image
+from beltrami_cli.formats.image import DecodedImage, read_texture, without_alpha, write_image
+from beltrami_cli.formats.image.decoded_image import full_scale_one, new_image
 from beltrami_cli.jobs.progress import Progress
 from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.surface.baking import bake, interpolated, texels_for_vertices
@@ -233,7 +233,7 @@ def texels_of(surface: TexturedSurface, sizes: Int64s) -> float:
 
 def as_rgba(picture: DecodedImage) -> Float32s:
     """Convert an image to red, green, blue and opacity of full scale 1."""
-    values = without_alpha(picture, to_float(picture))
+    values = without_alpha(picture, full_scale_one(picture.pixels))
     colour = values[..., [*picture.colour] * (3 // len(picture.colour))]
     alpha = np.ones_like(values[..., :1]) if picture.alpha is None else values[..., [picture.alpha]]
     return np.concatenate([colour, alpha], axis=2)

@@ -22,7 +22,7 @@ from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import DecodedImage, is_exact, label_of
 from beltrami_cli.formats.image.conversion import upright
-from beltrami_cli.formats.image.jpeg import read_jpeg_tables
+from beltrami_cli.formats.image.jpeg_tables import read_jpeg_tables
 from beltrami_cli.layers.guides import noise_of_pixels, read_guide_images
 from beltrami_cli.layers.image_surface import (
     ImageSurface,

@@ -30,7 +30,7 @@ from beltrami_cli.formats.image.decoded_image import (
     with_colours_of,
     without_alpha,
 )
-from beltrami_cli.formats.image.jpeg import JpegTables
+from beltrami_cli.formats.image.jpeg_tables import JpegTables
 from beltrami_cli.formats.image.writing import colours_in_file, is_kept
 from beltrami_cli.layers.layer import Change, Layer, choose_channels, dithered, store
 from beltrami_cli.layers.settings import COLOUR_SLOTS, SmoothSettings

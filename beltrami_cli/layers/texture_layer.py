@@ -24,7 +24,7 @@ from beltrami_cli.flow.plan import Plan
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import DecodedImage, read_texture
-from beltrami_cli.formats.image.jpeg import JpegTables, read_jpeg_tables
+from beltrami_cli.formats.image.jpeg_tables import JpegTables, read_jpeg_tables
 from beltrami_cli.layers import layer
 from beltrami_cli.layers.guides import GuidedTexels, noise_of_pixels
 from beltrami_cli.layers.layer import LevelReport, SlotReport

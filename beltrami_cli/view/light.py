@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Float32s, Float64s, Uint8s
-from beltrami_cli.formats.image import DecodedImage, to_float, without_alpha
+from beltrami_cli.formats.image import DecodedImage, without_alpha
 from beltrami_cli.formats.image.decoded_image import full_scale_one, is_associated
 from beltrami_cli.surface.colour_values import as_bytes, linear_to_srgb, srgb_to_linear
 from beltrami_cli.surface.records import ColouredVertices
@@ -32,7 +32,7 @@ def linear_pixels(image: DecodedImage, *, is_data: bool = False) -> Float32s:
             linear[..., 3] = levels.take(pixels[..., image.alpha])
         return linear
     # Floats are clipped to the visible range, and transparent if not finite.
-    values = to_float(image) if is_data else without_alpha(image, to_float(image))
+    values = full_scale_one(image.pixels) if is_data else without_alpha(image, full_scale_one(image.pixels))
     colours = values[..., channels]
     seen = np.isfinite(colours).all(axis=2, keepdims=True)
     colours = np.clip(np.where(seen, colours, 0), 0, 1)

@@ -19,7 +19,7 @@ from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import read_texture
-from beltrami_cli.formats.image.jpeg import CODED_TOGETHER
+from beltrami_cli.formats.image.jpeg_tables import CODED_TOGETHER
 from beltrami_cli.jobs.smoothing import smooth_layer
 from beltrami_cli.layers.image_layer import ImageLayer
 from beltrami_cli.layers.image_surface import ImageSurface

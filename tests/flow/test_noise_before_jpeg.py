@@ -18,7 +18,7 @@ from beltrami_cli.flow.corrections.coded_picture import (
     noise_after,
     sigma_before,
 )
-from beltrami_cli.formats.image.jpeg import read_jpeg_tables
+from beltrami_cli.formats.image.jpeg_tables import read_jpeg_tables
 from cli.commands import beltrami
 from flow.noisy_surfaces import noise_of_image
 from flow.test_correlated_noise import phantom, stored

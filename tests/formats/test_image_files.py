@@ -17,8 +17,8 @@ from PIL import Image
 
 from beltrami_cli import smooth_file
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.formats.image import check_writable, losses, read_image, to_float, write_image
-from beltrami_cli.formats.image.decoded_image import new_image
+from beltrami_cli.formats.image import check_writable, losses, read_image, write_image
+from beltrami_cli.formats.image.decoded_image import full_scale_one, new_image
 from beltrami_cli.formats.image.sizes import ImageSize, measure_image
 from beltrami_cli.jobs.noise_kinds import jpeg_file
 from beltrami_cli.layers.layer import store
@@ -106,7 +106,7 @@ def test_only_changed_entries_change_and_are_rounded_once(kind, seed):
         picture = read_image(encode(noise("float", 5), "openexr", "float", channels), "x.exr")
     else:
         picture = read_image(encode(noise(kind, 4), "tiff", kind), "x.tif")
-    values = to_float(picture)
+    values = full_scale_one(picture.pixels)
     np.testing.assert_array_equal(with_values(picture, values, np.ones(values.shape, bool)), picture.pixels)
     changed = rng.random(values.shape) < 0.5
     new = rng.normal(0.5, 1, values.shape).astype(np.float32)
@@ -198,7 +198,7 @@ def test_every_format_can_be_written_as_every_other(known, kind, channels, targe
     # Half floats have eleven bits. HDR has eight for the largest channel, fewer for the others.
     rounding = {"uint8": 0.51 / 255, "uint16": 0.51 / 65535, "float16": 2**-10, "float32": 1e-5}[again.stored]
     rounding, worst = (2 / 255, np.median) if target == ".hdr" else (rounding, np.max)
-    is_seen = picture.alpha is None or to_float(picture)[..., picture.alpha] > 0.01
+    is_seen = picture.alpha is None or full_scale_one(picture.pixels)[..., picture.alpha] > 0.01
     for as_data in (False, True) if target not in (".jpg", ".webp") else ():
         written = write_image(picture, picture.pixels, suffix=target, as_data=as_data)
         found, expected = (shown(each, as_data) for each in (read_image(written.data, "x" + target), picture))
@@ -207,7 +207,7 @@ def test_every_format_can_be_written_as_every_other(known, kind, channels, targe
 
 def shown(picture, as_data):
     """Return red, green and blue as display values, or as stored if they are data."""
-    values = to_float(picture)
+    values = full_scale_one(picture.pixels)
     colours = values[..., list(picture.colour)]
     if picture.format == "openexr" and picture.alpha is not None:  # which multiplies colours by alpha
         colours = colours / np.maximum(values[..., picture.alpha, None], 0.01)

@@ -12,7 +12,8 @@ from beltrami_cli import (
     smooth_image,
 )
 from beltrami_cli.fields import override
-from beltrami_cli.formats.image import read_image, to_float
+from beltrami_cli.formats.image import read_image
+from beltrami_cli.formats.image.decoded_image import full_scale_one
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.layers.image_surface import ImageSurface
 from formats.image_files import RARER_SUFFIXES, SUFFIXES, encode
@@ -67,8 +68,8 @@ def test_a_file_keeps_its_type_its_alpha_and_what_cannot_be_seen(known, kind, ch
         np.testing.assert_array_equal(new.pixels[hidden], old.pixels[hidden])
         assert report.image.image["holes"] == np.count_nonzero(hidden) > 0
     for channel in smoothed:  # noise goes, in every channel
-        step = np.abs(np.diff(to_float(new)[..., channel], axis=1))
-        before = np.abs(np.diff(to_float(old)[..., channel], axis=1))
+        step = np.abs(np.diff(full_scale_one(new.pixels)[..., channel], axis=1))
+        before = np.abs(np.diff(full_scale_one(old.pixels)[..., channel], axis=1))
         seen = ~(hidden[:, 1:] | hidden[:, :-1])
         assert np.median(step[seen]) < 0.5 * np.median(before[seen])
 

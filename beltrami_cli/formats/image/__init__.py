@@ -1,15 +1,14 @@
 """Images: every pixel through OpenImageIO, every byte of metadata carried over.
 
-A file becomes a `DecodedImage` in `reading`, by what `file_formats`, `opening`, `sizes` and `channels` know; `writing`
-makes a file of new pixels, by `conversion` and `encoding`. What else files hold is in a module for each format: `png`,
-`jpeg`, `webp`, `bitmaps`, `exr`, `text_headers`, `tiff_tags`, `exif`, `extra_codecs`. `metadata` calls them by format,
-and `lost_metadata` names what is lost.
+A file becomes a `DecodedImage` in `reading`, by what `file_formats`, `opening`, `sizes` and `channels` know. `writing`
+makes a file of new pixels: as another format holds them (`conversion`), encoded (`encoding`), with `metadata`, which
+`containers` read and write in each format. KTX2 and AVIF are coded by `extra_codecs`.
 """
 
 from __future__ import annotations
 
 from beltrami_cli.formats.image.conversion import losses
-from beltrami_cli.formats.image.decoded_image import DecodedImage, is_unchanged, to_float, without_alpha
+from beltrami_cli.formats.image.decoded_image import DecodedImage, is_unchanged, without_alpha
 from beltrami_cli.formats.image.file_formats import (
     WRITABLE,
     format_of,
@@ -24,5 +23,5 @@ from beltrami_cli.formats.image.writing import check_writable, is_exact, write_i
 __all__ = [
     "WRITABLE", "DecodedImage", "check_writable", "format_of", "format_of_suffix",
     "is_exact", "is_image", "is_unchanged", "label_of", "losses", "read_image", "read_texture", "suffix_for",
-    "to_float", "without_alpha", "write_image",
+    "without_alpha", "write_image",
 ]  # fmt: skip

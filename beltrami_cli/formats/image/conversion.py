@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.arrays import Array
-from beltrami_cli.formats.image import jpeg
+from beltrami_cli.formats.image.containers import jpeg
 from beltrami_cli.formats.image.decoded_image import (
+    ROWS,
     TYPES,
     DecodedImage,
     as_stored,
@@ -16,12 +17,10 @@ from beltrami_cli.formats.image.decoded_image import (
     is_associated,
     without_alpha,
 )
-from beltrami_cli.formats.image.exif import FORMATS_WITH_EXIF
-from beltrami_cli.formats.image.file_formats import FORMATS, format_of_suffix, label_of
+from beltrami_cli.formats.image.file_formats import FORMATS, FORMATS_WITH_EXIF, format_of_suffix, label_of
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
 
-_ROWS = 64  # that are looked at together
 _BITS = {"uint8": 8, "uint16": 16, "float16": 16, "float32": 32}
 _INEXACT = ("jpeg", "hdr")  # and WebP, KTX2 and AVIF, whose writer says how much
 # Beginnings of the names of OpenImageIO's attributes that describe samples, compression or how it reads.
@@ -30,7 +29,6 @@ TECHNICAL = (
     "rla:", "gif:", "psd:", "compression", "planarconfig", "textureformat",
     "hdrgm:", "Container:", "Item:", "rdf:",  # of a gain map, which stays behind
 )  # fmt: skip
-_TURNED_BY_TAGS = FORMATS_WITH_EXIF  # which programs that show images obey
 
 
 def losses(image: DecodedImage, suffix: str) -> tuple[str, ...]:
@@ -73,7 +71,7 @@ def upright(image: DecodedImage, pixels: Array, suffix: str | None) -> tuple[Arr
     """Turn pixels as they are to be seen, if another format has no tag that says so; return also a notice."""
     known = None if suffix is None else format_of_suffix(suffix)
     turned = image.spec.get_int_attribute("Orientation", 1)  # by EXIF, 1 to 8
-    if known in (None, image.format, *_TURNED_BY_TAGS) or turned not in range(2, 9):
+    if known in (None, image.format, *FORMATS_WITH_EXIF) or turned not in range(2, 9):
         return pixels, []
     if turned in (5, 6, 7, 8):
         pixels = pixels.swapaxes(0, 1)
@@ -162,7 +160,7 @@ def _spec(image: DecodedImage, shape: tuple[int, ...], names: list[str], stored:
     # By patterns: names that are not UTF-8 cannot be given from Python.
     for pattern in (*(f"{prefix}.*" for prefix in TECHNICAL), "ICCProfile", "chromaticities"):
         spec.erase_attribute(pattern)
-    if known not in _TURNED_BY_TAGS:
+    if known not in FORMATS_WITH_EXIF:
         spec.erase_attribute("Orientation")
     profile = image.spec.getattribute("ICCProfile")
     fits = image.encoding == "srgb" and stored.startswith("uint")
@@ -179,5 +177,5 @@ def _has_hidden_colours(image: DecodedImage) -> bool:
     """Whether there are colours under an alpha of 0 that is not multiplied into them."""
     if image.alpha is None or is_associated(image):
         return False
-    parts = (image.pixels[rows] for rows in large_arrays.blocks(len(image.pixels), _ROWS))
+    parts = (image.pixels[rows] for rows in large_arrays.blocks(len(image.pixels), ROWS))
     return any(bool(part[part[..., image.alpha] == 0][:, list(image.colour)].any()) for part in parts)

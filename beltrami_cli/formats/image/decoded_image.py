@@ -24,7 +24,7 @@ from beltrami_cli.surface.records import Encoding
 
 TYPES = {"uint8": "uint8", "uint16": "uint16", "float16": "half", "float32": "float"}  # of OpenImageIO
 STORED = {name: kind for kind, name in TYPES.items()}
-_ROWS = 64  # compared at a time
+ROWS = 64  # of an image that are looked at together, since copies of the whole are large
 _MIN_OPACITY = 1 / 1024  # that colours are divided by
 _MIN_STEPS = 16  # of opacity, for colours of 4 bits
 
@@ -70,7 +70,7 @@ class DecodedImage:
         return self.is_layered or (self.format == "openexr" and is_named)
 
 
-def described(
+def image_from(
     data: bytes, name: str, known: str, spec: Any, pixels: Array, notices: tuple[str, ...] = ()
 ) -> DecodedImage:
     """Return pixels and their OpenImageIO.ImageSpec as the image in a file (data) of a format (known)."""
@@ -133,12 +133,7 @@ def array_image(pixels: Array, name: str, encoding: Encoding, stored: str) -> De
     spec = OpenImageIO.ImageSpec(width, height, channels, TYPES[stored])
     if channels == 2:  # which OpenImageIO calls red and green
         spec.channelnames = ("Y", "A")
-    return replace(described(b"", name, "array", spec, pixels), encoding=encoding)
-
-
-def to_float(image: DecodedImage) -> Float32s:
-    """Return all channels, shape (H, W, C), as `full_scale_one` does."""
-    return full_scale_one(image.pixels)
+    return replace(image_from(b"", name, "array", spec, pixels), encoding=encoding)
 
 
 def is_associated(image: DecodedImage) -> bool:
@@ -171,7 +166,7 @@ def supplies_colour(image: DecodedImage, opacity: Array) -> Bools:
 def is_unchanged(image: DecodedImage, pixels: Array) -> bool:
     """Whether pixels, shape (H, W, C), are all as in the image."""
     # Some rows at a time: most differ in the first ones, and a whole table of booleans is large.
-    return all(np.array_equal(pixels[rows], image.pixels[rows]) for rows in blocks(len(pixels), _ROWS))
+    return all(np.array_equal(pixels[rows], image.pixels[rows]) for rows in blocks(len(pixels), ROWS))
 
 
 def full_scale_one(pixels: Array) -> Float32s:

@@ -6,6 +6,7 @@ the process then. So what it has written is decoded and compared with the pixels
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -14,20 +15,21 @@ import numpy as np
 
 from beltrami_cli.arrays import Array
 from beltrami_cli.errors import InputError, OutputError, ProcessingError
-from beltrami_cli.formats.image import jpeg, tiff_tags, webp
-from beltrami_cli.formats.image.bitmaps import TARGA_END
-from beltrami_cli.formats.image.exif import exif_of
+from beltrami_cli.formats.image.containers.bitmaps import TARGA_END
+from beltrami_cli.formats.image.decoded_image import ROWS
 from beltrami_cli.formats.image.extra_codecs import FAILURES
 from beltrami_cli.formats.image.file_formats import label_of, plugin_of
 from beltrami_cli.formats.image.opening import error_of, opened, scratch_file
 from beltrami_cli.surface import large_arrays
 
 LOSSY_EXR = ("b44", "b44a", "dwaa", "dwab", "pxr24")  # compressions
+# Samples of luma in a row and in two rows for each sample of chroma. Pillow does not know the other two.
+_SUBSAMPLINGS = {"4:4:4": "4:4:4", "4:2:2": "4:2:2", "4:2:0": "4:2:0", "4:1:1": "4:2:2", "4:2:1": "4:2:2"}
+# Bytes of a sample of JPEG at most: a coefficient has a code of up to 16 bits and 11 more (ITU-T T.81, annex F).
+_MAX_BYTES = 4
 _PNG_FILTER_UP = 0x20  # as libpng numbers them
-_ROWS = 64  # compared at a time
 # RGBE has 8 bits for the fraction of the largest channel of a pixel, which may be half of its full scale.
 _RGBE_STEP = 2.0**-7
-_XMP = 700  # a tag of TIFF
 # Ends of files whose pixels are decoded without them; all others are not.
 _ENDS = {"png": b"IEND\xaeB`\x82", "targa": TARGA_END}
 
@@ -39,30 +41,38 @@ def encoded(
 
     OutputError if that fails, such as on a full disk.
     """
-    quality = min(max(quality, 1), 100)
     if known not in ("jpeg", "webp"):
         _set_options(spec, known, small=small)
         return _encoded_by_openimageio(spec, pixels, known, name)
-    profile = spec.getattribute("ICCProfile")
-    kept = b"" if profile is None else bytes(np.asarray(profile, np.uint8))
+    from PIL import Image
+
+    quality, profile, buffer = min(max(quality, 1), 100), spec.getattribute("ICCProfile"), io.BytesIO()
+    options: dict[str, Any] = {
+        "icc_profile": b"" if profile is None else bytes(np.asarray(profile, np.uint8))
+    }
+    if known == "jpeg":
+        options |= _jpeg_options(spec, pixels.size, quality)
+    elif lossless:
+        options |= {"lossless": True, "quality": 100 if small else 50, "method": 6 if small else 3}
+    else:
+        options |= {"quality": quality, "method": 6 if small else 4}
+    if known == "webp":
+        options["exact"] = True  # also the colours under an alpha of 0, which OpenImageIO lets libwebp clear
     try:
-        if known == "jpeg":
-            return jpeg.encoded(
-                pixels,
-                quality=quality,
-                subsampling=spec.get_string_attribute("jpeg:subsampling"),
-                progressive=bool(spec.get_int_attribute("jpeg:progressive")),
-                profile=kept,
-            )
-        return webp.encoded(
-            pixels,
-            quality=(100 if small else 50) if lossless else quality,
-            method=6 if small else 3 if lossless else 4,
-            lossless=lossless,
-            profile=kept,
-        )
+        Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels).save(buffer, known, **options)
     except FAILURES as error:
         raise unwritten(name, known, str(error)) from None
+    return buffer.getvalue()
+
+
+def _jpeg_options(spec: Any, samples: int, quality: int) -> dict[str, Any]:
+    from PIL import ImageFile
+
+    progressive = bool(spec.get_int_attribute("jpeg:progressive"))
+    if progressive:  # is written at once; in Pillow's own buffer noise of a high quality has no room
+        ImageFile.MAXBLOCK = max(ImageFile.MAXBLOCK, _MAX_BYTES * samples)
+    subsampling = _SUBSAMPLINGS.get(spec.get_string_attribute("jpeg:subsampling"), "4:4:4")
+    return {"quality": quality, "progressive": progressive, "subsampling": subsampling}
 
 
 def unwritten(name: str, known: str, error: str) -> OutputError:
@@ -72,19 +82,8 @@ def unwritten(name: str, known: str, error: str) -> OutputError:
     )
 
 
-def described(encoded: bytes, spec: Any, known: str, name: str) -> tuple[bytes, bytes]:
-    """Return an image with the texts of its spec, and the EXIF data that OpenImageIO makes of that."""
-    if known not in ("jpeg", "webp"):
-        return encoded, exif_of(encoded, known)
-    if known == "jpeg":
-        # OpenImageIO's XMP data hold also what IPTC data would.
-        xmp = tiff_tags.value_of(_one_pixel(spec, "tiff", name), _XMP)
-        comment = spec.get_string_attribute("ImageDescription").encode()
-        encoded = jpeg.with_texts(encoded, comment=comment, xmp=xmp)
-    return encoded, exif_of(_one_pixel(spec, "png", name), "png")
-
-
-def _one_pixel(spec: Any, known: str, name: str) -> bytes:
+def one_pixel(spec: Any, known: str, name: str) -> bytes:
+    """Encode a single pixel with the attributes of a spec, to see what OpenImageIO makes of them in a format."""
     import OpenImageIO
 
     bare = OpenImageIO.ImageSpec(1, 1, 3, "uint8")
@@ -153,20 +152,20 @@ def _require_whole(data: bytes, spec: Any, pixels: Array, known: str, name: str)
     with reading_back(), opened(data, config, name) as (file, path):
         if file is None or not data.endswith(_ENDS.get(known, b"")):
             raise unwritten(name, known, error_of(OpenImageIO).replace(str(path), "it"))
-        for rows, again in _decoded(file):
+        for rows, again in _blocks_of(file):
             if again is None:
                 raise unwritten(name, known, error_of(file).replace(str(path), "it"))
             if not _is_same(again, pixels[rows], spec, known):
                 raise unwritten(name, known, "what was written is not what is read back")
 
 
-def _decoded(file: Any) -> Iterator[tuple[slice, Array | None]]:
+def _blocks_of(file: Any) -> Iterator[tuple[slice, Array | None]]:
     """Yield the rows of an OpenImageIO.ImageInput block by block, and their pixels; None if they cannot be read."""
     spec = file.spec()
     if spec.tile_width:
         yield slice(None), file.read_image(spec.format)
         return
-    for rows in large_arrays.blocks(spec.height, _ROWS):
+    for rows in large_arrays.blocks(spec.height, ROWS):
         begin, end = spec.y + rows.start, spec.y + rows.stop
         yield rows, file.read_scanlines(begin, end, 0, 0, spec.nchannels, spec.format)
 

@@ -64,6 +64,8 @@ FORMATS = {
     "heif": ImageFormat((".heic", ".heif"), writable=False),
 }
 """The formats by OpenImageIO's names, but for `plugin_of` some; for KTX2 and AVIF see `extra_codecs`."""
+FORMATS_WITH_EXIF = ("png", "jpeg", "webp", "tiff")
+"""Formats with a place for EXIF data, which also say how an image is turned."""
 WRITABLE = tuple(traits.suffixes[0] for traits in FORMATS.values() if traits.writable)
 """The usual extensions of the formats that can be written."""
 READABLE = "PNG, JPEG, WebP, TIFF, EXR, TGA, BMP, HDR and what else OpenImageIO knows is read"

@@ -1,24 +1,27 @@
-"""Metadata, by the format of a file: what is carried over to a file that is written from it, and what there is."""
+"""Metadata of image files: what a new file takes over from the one it is made from, and what is lost."""
 
 from __future__ import annotations
 
 import re
 import struct
 from collections.abc import Iterator
+from contextlib import suppress
+from typing import Any
 
-from beltrami_cli.formats.image import (
-    bitmaps,
-    exr,
-    extra_codecs,
-    jpeg,
-    png,
-    text_headers,
-    tiff_tags,
-    webp,
-)
+import numpy as np
+
+from beltrami_cli.formats.image import extra_codecs
+from beltrami_cli.formats.image.containers import bitmaps, exr, jpeg, png, text_headers, tiff_tags, webp
+from beltrami_cli.formats.image.conversion import TECHNICAL
+from beltrami_cli.formats.image.decoded_image import DecodedImage
+from beltrami_cli.formats.image.encoding import one_pixel, reading_back, unwritten
+from beltrami_cli.formats.image.file_formats import label_of
+from beltrami_cli.formats.image.opening import opened
 
 DAMAGED = (ValueError, LookupError, struct.error)
 """Errors that damaged metadata raise."""
+_EXIF_START = b"Exif\0\0"
+_XMP = 700  # a tag of TIFF
 _PNG_STRUCTURE = ("tRNS", "acTL", "fcTL", "fdAT")  # other notices tell what becomes of these
 _PNG_READ = ("tEXt", "zTXt", "iTXt", "pHYs", "eXIf", "iCCP", "gAMA", "cHRM", "sRGB", "cICP", "tIME", "oFFs")
 _BMP_PROFILES = (b"KNIL", b"DEBM")  # in another file, or behind the pixels; by the header of version 5
@@ -33,6 +36,23 @@ _BOXES = (
 )  # fmt: skip
 _JPEG_2000_TILE = b"\xff\x90"
 _JPEG_2000_COMMENT = re.compile(rb"\xff\x64..\x00\x01(?!Created by OpenJPEG)", re.DOTALL)
+# Attributes of OpenImageIO about samples in a file's own format.
+_STORAGE = ("oiio:", "compression", "ICCProfile:", "bmp:")
+_OF_EXIF = ("Exif:", "GPS:", "ExposureTime", "FNumber")  # attributes that it makes of EXIF and GPS data
+_MAKER_NOTE = " 37500"  # the end of the name of a tag of EXIF that it does not read
+# Values that mean the same as no attribute; the chromaticities are from Rec. 709.
+_DEFAULTS: dict[str, Any] = {
+    "Orientation": 1, "PixelAspectRatio": 1.0, "ResolutionUnit": "in", "screenWindowWidth": 1.0,
+    "screenWindowCenter": (0.0, 0.0), "chromaticities": (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329),
+}  # fmt: skip
+_KEEPING_METADATA = (
+    "png",
+    "jpeg",
+    "webp",
+    "tiff",
+    "openexr",
+    "avif",
+)  # whose metadata are carried over as bytes
 
 
 def carry_over(source: bytes, encoded: bytes, known: str, part: int = 0) -> bytes:
@@ -57,7 +77,108 @@ def carry_over(source: bytes, encoded: bytes, known: str, part: int = 0) -> byte
     return encoded
 
 
-def items(data: bytes, known: str) -> dict[str, bool]:
+def with_descriptions(image: DecodedImage, encoded: bytes, spec: Any, known: str) -> bytes:
+    """Return a new image, of another format than that which it is made from, with its texts and EXIF data."""
+    if known == "jpeg":
+        # OpenImageIO's XMP data hold also what IPTC data would.
+        xmp = tiff_tags.value_of(one_pixel(spec, "tiff", image.name), _XMP)
+        comment = spec.get_string_attribute("ImageDescription").encode()
+        encoded = jpeg.with_texts(encoded, comment=comment, xmp=xmp)
+    # OpenImageIO makes EXIF data of some attributes; Pillow, which writes these two formats, does not.
+    by_pillow = known in ("jpeg", "webp")
+    made = _exif_of(one_pixel(spec, "png", image.name), "png") if by_pillow else _exif_of(encoded, known)
+    exif = _exif_of(image.source, image.format)
+    with suppress(*DAMAGED):
+        made = tiff_tags.with_exif(exif, made) if tiff_tags.exif_tags(exif) else made
+    return _with_exif(made, encoded, known) if tiff_tags.exif_tags(made) else encoded
+
+
+def _exif_of(data: bytes, known: str) -> bytes:
+    """Return the EXIF data of a PNG, JPEG, WebP or TIFF file, which are a TIFF file without pixels; or nothing."""
+    found = b""
+    match known:
+        case "tiff":
+            return data
+        case "png":
+            found = next((bytes(chunk[8:-4]) for kind, chunk in png.chunks(data) if kind == b"eXIf"), b"")
+        case "webp":
+            found = next((payload for kind, payload in webp.metadata_chunks(data) if kind == b"EXIF"), b"")
+        case "jpeg":
+            found = next((bytes(segment[4:]) for _, segment in jpeg.segments(data) if _is_exif(segment)), b"")
+    return found.removeprefix(_EXIF_START)
+
+
+def _with_exif(exif: bytes, encoded: bytes, known: str) -> bytes:
+    """Return an image with other EXIF data instead of its own; the same image if the format holds none."""
+    match known:
+        case "tiff":
+            return exif
+        case "png":
+            header, *others = (chunk for kind, chunk in png.chunks(encoded) if kind != b"eXIf")
+            return b"".join([png.START, header, png.packed_chunk(b"eXIf", exif), *others])
+        case "webp":
+            metadata = [chunk for chunk in webp.metadata_chunks(encoded) if chunk[0] != b"EXIF"]
+            return webp.with_metadata([*metadata, (b"EXIF", exif)], encoded)
+        case "jpeg":
+            segments = [segment for _, segment in jpeg.segments(encoded) if not _is_exif(segment)]
+            return jpeg.with_segment(encoded[:2] + b"".join(segments), jpeg.APP1, _EXIF_START + exif)
+    return encoded
+
+
+def _is_exif(segment: bytes | memoryview) -> bool:
+    return segment[1] == jpeg.APP1 and segment[4:10] == _EXIF_START
+
+
+def lost_metadata(image: DecodedImage, data: bytes, known: str) -> tuple[str, ...]:
+    """Return a notice that names the metadata of an image that a file of a format, made from it, does not have."""
+    is_own = known == image.format
+    try:
+        items = _items(image.source, image.format)
+        if is_own:
+            lost = items.keys() - _items(data, known).keys()
+        else:
+            lost = {name for name, is_read in items.items() if not is_read}
+        if not is_own or known not in _KEEPING_METADATA:
+            lost |= _lost_attributes(image, data, known)
+    except DAMAGED:
+        return (f"{image.name}: its metadata are damaged, and only a part of them is kept.",)
+    if not lost:
+        return ()
+    return (f"{image.name}: these metadata are not kept in {label_of(known)}: {', '.join(sorted(lost))}.",)
+
+
+def _lost_attributes(image: DecodedImage, data: bytes, known: str) -> set[str]:
+    """Return the names of the attributes in OpenImageIO's view that the new file lacks."""
+    now = set[str]()
+    if known not in extra_codecs.EXTRA_CODECS:
+        with reading_back(), opened(data, name=image.name) as (file, _):
+            if file is None:
+                raise unwritten(image.name, known, "it is not read back")
+            now = {each.name.lower() for each in file.spec().extra_attribs}
+    exif, new_exif = (
+        tiff_tags.exif_tags(_exif_of(*each)) for each in ((image.source, image.format), (data, known))
+    )
+    technical = _STORAGE if known == image.format else (*TECHNICAL, "thumbnail_")
+    # In another format OpenImageIO calls some of EXIF otherwise, or does not read them.
+    seen = (*technical, *_OF_EXIF) if exif and new_exif else technical
+    lost = {
+        f"EXIF tag {tag}" for tag in exif.keys() - new_exif.keys() if new_exif or tag.endswith(_MAKER_NOTE)
+    }
+    return lost | {
+        each.name
+        for each in image.spec.extra_attribs
+        if not each.name.startswith(seen) and each.name.lower() not in now and not _is_default(each)
+    }
+
+
+def _is_default(attribute: Any) -> bool:
+    default = _DEFAULTS.get(attribute.name)
+    if default is None or isinstance(default, str):
+        return default is not None and attribute.value == default
+    return np.shape(attribute.value) == np.shape(default) and np.allclose(attribute.value, default, atol=1e-6)
+
+
+def _items(data: bytes, known: str) -> dict[str, bool]:
     """Return names for the pieces of metadata in a file, and whether OpenImageIO reads each, for another format."""
     match known:
         case "png":

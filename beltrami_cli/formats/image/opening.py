@@ -10,8 +10,8 @@ from typing import Any
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image.channels import colour_part
+from beltrami_cli.formats.image.containers.jpeg import first_image
 from beltrami_cli.formats.image.file_formats import FORMATS
-from beltrami_cli.formats.image.jpeg import first_image
 
 _MIN_JPEG_XL = 128  # bytes without which OpenImageIO does not recognise it
 UNNAMED = "an image"

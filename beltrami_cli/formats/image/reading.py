@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.image import bitmaps, png, webp
-from beltrami_cli.formats.image.decoded_image import STORED, DecodedImage, described
+from beltrami_cli.formats.image.containers import bitmaps, png, webp
+from beltrami_cli.formats.image.containers.text_headers import has_usual_scale
+from beltrami_cli.formats.image.decoded_image import STORED, DecodedImage, image_from
 from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, decoded, measured
 from beltrami_cli.formats.image.file_formats import READABLE, format_of, label_of, plugin_of
 from beltrami_cli.formats.image.opening import error_of, opened, seek_colours
-from beltrami_cli.formats.image.text_headers import has_usual_scale
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.records import Texture
 
@@ -101,7 +101,7 @@ def read_image(data: bytes, name: str, *, finite: bool = True) -> DecodedImage:
         if unfit:
             cause = f"{unfit} of its values are not finite numbers"
             raise InputError(name, cause, "repair or export it again")
-    image = described(data, name, known, spec, large_arrays.kept(pixels), notices)
+    image = image_from(data, name, known, spec, large_arrays.kept(pixels), notices)
     return replace(image, parts=tuple(parts), part=part, is_alpha_empty=is_alpha_empty)
 
 
@@ -114,7 +114,7 @@ def _read_extra(data: bytes, name: str, known: str) -> DecodedImage:
     if profile:
         kind = OpenImageIO.TypeDesc(f"uint8[{len(profile)}]")
         spec.attribute("ICCProfile", kind, np.frombuffer(profile, np.uint8))
-    return described(data, name, known, spec, pixels, notices)
+    return image_from(data, name, known, spec, pixels, notices)
 
 
 def _check(spec: Any, format_name: str, known: str, name: str) -> None:

@@ -11,18 +11,18 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Uint8s
 from beltrami_cli.errors import InputError, UsageError, install_hint
-from beltrami_cli.formats.image import bitmaps, extra_codecs, jpeg, metadata, png, tiff_tags, webp
+from beltrami_cli.formats.image import extra_codecs
+from beltrami_cli.formats.image.containers import bitmaps, png, tiff_tags, webp
 from beltrami_cli.formats.image.conversion import converted
-from beltrami_cli.formats.image.decoded_image import TYPES, DecodedImage, full_scale_one
-from beltrami_cli.formats.image.encoding import LOSSY_EXR, described, encoded, reading_back, unwritten
-from beltrami_cli.formats.image.exif import FORMATS_WITH_EXIF, carry_exif
-from beltrami_cli.formats.image.file_formats import FORMATS, format_of_suffix, label_of
-from beltrami_cli.formats.image.lost_metadata import lost_metadata
+from beltrami_cli.formats.image.decoded_image import ROWS, TYPES, DecodedImage, full_scale_one
+from beltrami_cli.formats.image.encoding import LOSSY_EXR, encoded, reading_back, unwritten
+from beltrami_cli.formats.image.file_formats import FORMATS, FORMATS_WITH_EXIF, format_of_suffix, label_of
+from beltrami_cli.formats.image.jpeg_tables import is_progressive
+from beltrami_cli.formats.image.metadata import DAMAGED, carry_over, lost_metadata, with_descriptions
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.records import ImageFile
 
-_ROWS = 64  # that are compared at a time
 _KEEPING_BYTES = ("png", "jpeg", "webp")  # formats whose metadata are carried over as bytes
 
 
@@ -65,33 +65,42 @@ def write_image(
     as_data: bool = False,  # normals and the like, whose numbers no change of encoding may touch
 ) -> ImageFile:
     """Encode new pixels of an image as the file that it came from, or in another format."""
-    # PNG, TIFF, TGA, BMP, lossless WebP and floats keep every value, also under an alpha of 0. What came as lossy WebP
-    # stays so, since lossless files are several times as large.
     known = check_writable(image, suffix)
     if known in extra_codecs.EXTRA_CODECS:
         return _write_extra(image, pixels, known, jpeg_quality, as_data=as_data)
     if known != image.format:
-        values, spec = converted(image, pixels, known, as_data=as_data)
-        data = encoded(spec, values, known, image.name, jpeg_quality, small=small)
-        data = png.without_additions(data) if known == "png" else data
-        if known in FORMATS_WITH_EXIF:  # OpenImageIO writes some fields of it
-            data, made = described(data, spec, known, image.name)
-            data = carry_exif(image.source, image.format, data, known, made)
-        notices = [*lost_metadata(image, data, known)]
-        if known == "webp":
-            again = _decoded(data, image.name)
-            notices += encoding_cost(known, values, again, image.name)
-        return ImageFile(data, FORMATS[known].suffixes[0], tuple(notices))
-    notices = []
+        return _write_converted(image, pixels, known, jpeg_quality, small=small, as_data=as_data)
+    return _write_alike(image, pixels, jpeg_quality, small=small)
+
+
+def _write_converted(
+    image: DecodedImage, pixels: Array, known: str, quality: int, *, small: bool, as_data: bool
+) -> ImageFile:
+    values, spec = converted(image, pixels, known, as_data=as_data)
+    data = encoded(spec, values, known, image.name, quality, small=small)
+    if known == "png":
+        data = png.without_additions(data)
+    if known in FORMATS_WITH_EXIF:  # OpenImageIO writes some fields of it
+        data = with_descriptions(image, data, spec, known)
+    notices = lost_metadata(image, data, known)
+    if known == "webp":
+        notices += encoding_cost(known, values, _pixels_of(data, image.name), image.name)
+    return ImageFile(data, FORMATS[known].suffixes[0], notices)
+
+
+def _write_alike(image: DecodedImage, pixels: Array, quality: int, *, small: bool) -> ImageFile:
+    """Write pixels in the image's own format."""
+    # PNG, TIFF, TGA, BMP, lossless WebP and floats keep every value, also under an alpha of 0. What came as lossy WebP
+    # stays so, since lossless files are several times as large.
+    known, exact, notices = image.format, is_exact(image), tuple[str, ...]()
     if image.is_alpha_empty:
         pixels = pixels.copy()
         pixels[..., -1] = 0
     if known == "png" and png.has_palette(image.source):
-        notices.append(f"{image.name} has a palette, which becomes full colours.")
+        notices = (f"{image.name} has a palette, which becomes full colours.",)
     spec = _bare_spec(image) if known in _KEEPING_BYTES else _kept_spec(image)
-    exact = is_exact(image)
     encode = partial(
-        encoded, spec, known=known, name=image.name, quality=jpeg_quality, small=small, lossless=exact
+        encoded, spec, known=known, name=image.name, quality=quality, small=small, lossless=exact
     )
     data = encode(pixels)
     if known == "targa" and (data[17] ^ image.source[17]) & _FROM_TOP:
@@ -100,14 +109,15 @@ def write_image(
         turned[17] ^= _FROM_TOP
         data = bytes(turned)
     if not exact:
-        again = _decoded(data, image.name)
+        again = _pixels_of(data, image.name)
         if _square_error(again, pixels) > _square_error(image.pixels, pixels) > 0:
             what = f"coded as {label_of(known)} again, it would be further from the result than it is"
             notice = f"{image.name} stays as it is: {what}; a format without loss would hold the result."
             return ImageFile(image.source, image.suffix, (notice,))
         if known == "webp":
             notices = encoding_cost(known, pixels, again, image.name)
-    return _with_metadata(image, data, notices)
+    data = _with_own_metadata(image, data)
+    return ImageFile(data, image.suffix, (*notices, *lost_metadata(image, data, known)))
 
 
 def is_kept(image: DecodedImage, file: ImageFile) -> bool:
@@ -126,7 +136,7 @@ def colours_in_file(image: DecodedImage, file: ImageFile, *, as_data: bool) -> t
     return converted(image, image.pixels, again.format, as_data=as_data)[0][..., : after.shape[2]], after
 
 
-def _decoded(data: bytes, name: str) -> Array:
+def _pixels_of(data: bytes, name: str) -> Array:
     with reading_back():
         return read_image(data, name).pixels
 
@@ -134,20 +144,19 @@ def _decoded(data: bytes, name: str) -> Array:
 def _square_error(some: Array, others: Array) -> float:
     return sum(
         float(np.square(full_scale_one(some[rows]) - full_scale_one(others[rows])).sum(dtype=np.float64))
-        for rows in large_arrays.blocks(len(some), _ROWS)
+        for rows in large_arrays.blocks(len(some), ROWS)
     )
 
 
-def _with_metadata(image: DecodedImage, encoded: bytes, notices: list[str]) -> ImageFile:
-    """Return pixels, encoded in the format that an image has, with its metadata, and a notice of lost metadata."""
-    data = encoded
+def _with_own_metadata(image: DecodedImage, encoded: bytes) -> bytes:
+    """Return new pixels, in the format of an image, with its metadata unless they are damaged."""
     try:
-        data = metadata.carry_over(image.source, encoded, image.format, image.part or 0)
-    except metadata.DAMAGED as error:
+        return carry_over(image.source, encoded, image.format, image.part or 0)
+    except DAMAGED as error:
         if len(image.parts) > 1:
             cause = "the table of its parts is damaged"
             raise InputError(image.name, cause, "export it again") from error
-    return ImageFile(data, image.suffix, (*notices, *lost_metadata(image, data, image.format)))
+        return encoded
 
 
 def check_writable(image: DecodedImage, suffix: str | None) -> str:
@@ -191,7 +200,7 @@ def _bare_spec(image: DecodedImage) -> Any:
     spec.attribute("oiio:UnassociatedAlpha", 1)
     subsampling = image.spec.get_string_attribute("jpeg:subsampling")
     spec.attribute("jpeg:subsampling", subsampling or "4:4:4")
-    if image.format == "jpeg" and jpeg.is_progressive(image.source):
+    if image.format == "jpeg" and is_progressive(image.source):
         spec.attribute("jpeg:progressive", 1)
     return spec
 
@@ -211,13 +220,13 @@ def _kept_spec(image: DecodedImage) -> Any:
     return spec
 
 
-def encoding_cost(known: str, pixels: Uint8s, again: Uint8s, name: str) -> list[str]:
+def encoding_cost(known: str, pixels: Uint8s, again: Uint8s, name: str) -> tuple[str, ...]:
     """Report the loss by encoding of pixels, shape (H, W, C), if any: their PSNR, full scale 255."""
     # Also of those under an alpha of 0, which opaque materials show.
     differences = again[..., :3].astype(np.float32) - pixels[..., :3]
     error = float(np.square(differences).mean())
     if not error:
-        return []
+        return ()
     psnr = 10 * math.log10(255**2 / error)
     inexact = f"{name}: {known.upper()} is not exact, so untouched colours change slightly as well"
-    return [f"{inexact}: the written image has a PSNR of {psnr:.1f} dB."]
+    return (f"{inexact}: the written image has a PSNR of {psnr:.1f} dB.",)

@@ -1,4 +1,4 @@
-"""JPEG files: segments and what follows the first image, which are carried over; tables of steps; the encoder.
+"""JPEG files: segments and what follows the first image, which are carried over.
 
 References
 ----------
@@ -8,16 +8,9 @@ References
 
 from __future__ import annotations
 
-import io
 import re
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any
-
-import numpy as np
-
-from beltrami_cli.arrays import Float64s, Uint8s
 
 _START = b"\xff\xd8"
 _START_OF_SCAN, _END_OF_IMAGE = 0xDA, 0xD9
@@ -132,71 +125,3 @@ def first_image(data: bytes) -> bytes:
 def further_images(data: bytes) -> bytes:
     """Return what follows the first image of a JPEG file, padding aside; of other files nothing."""
     return data[_end(data) :].strip(b"\0") if data.startswith(_START) else b""
-
-
-CODED_TOGETHER = 16  # blocks of all planes begin at rows and columns that are multiples of this
-_RGB = [*b"RGB"]  # identifiers of components that are not luma and chroma
-
-
-@dataclass(frozen=True)
-class JpegTables:
-    """Steps of the DCT coefficients of luma and of chroma, and the pixels that a sample of chroma spans."""
-
-    steps: Float64s  # shape (1, 8, 8) of grey images, or (2, 8, 8)
-    span: tuple[int, int]  # rows, columns: 1 or 2 each
-
-
-def is_progressive(data: bytes) -> bool:
-    """Whether a JPEG file is made of scans that become finer."""
-    header = _header(data)
-    return header is not None and "progressive" in header.info
-
-
-def read_jpeg_tables(data: bytes | memoryview) -> JpegTables | None:
-    """Read the tables of a grey or YCbCr image; None of any other, or if they are damaged."""
-    header = _header(data)
-    if header is None or not header.layer:
-        return None
-    tables = {number: np.array(table, np.float64) for number, table in header.quantization.items()}
-    identifiers, across, down, used = zip(*header.layer, strict=True)
-    if not all(number in tables and len(tables[number]) == 64 for number in used):
-        return None
-    steps, span = np.stack([tables[number].reshape(8, 8) for number in used]), (1, 1)
-    if len(used) > 1:
-        is_ycbcr = header.info.get("adobe_transform", 1) == 1 and [*identifiers] != _RGB
-        if len(used) != 3 or not is_ycbcr or {*across[1:], *down[1:]} != {1} or (steps[1] != steps[2]).any():
-            return None
-        steps, span = steps[:2], (down[0], across[0])
-    # Decoders let steps of 0 pass, which have no multiples.
-    return JpegTables(steps, span) if steps.min() >= 1 and {*span} <= {1, 2} else None
-
-
-def _header(data: bytes | memoryview) -> Any:
-    """Return the header of a JPEG file as Pillow reads it; None if it is none, or damaged."""
-    if data[: len(_START)] != _START:
-        return None
-    from PIL.JpegImagePlugin import JpegImageFile
-
-    try:
-        return JpegImageFile(io.BytesIO(data))
-    except (OSError, SyntaxError, ValueError):
-        return None
-
-
-# Samples of luma in a row and in two rows for each sample of chroma. Pillow does not know the other two.
-_SUBSAMPLINGS = {"4:4:4": "4:4:4", "4:2:2": "4:2:2", "4:2:0": "4:2:0", "4:1:1": "4:2:2", "4:2:1": "4:2:2"}
-# At most, of a sample: a coefficient has a code of up to 16 bits and 11 more [1]_.
-_MAX_BYTES = 4
-
-
-def encoded(pixels: Uint8s, *, quality: int, subsampling: str, progressive: bool, profile: bytes) -> bytes:
-    """Encode pixels, shape (H, W, 1 or 3), as JPEG."""
-    from PIL import Image, ImageFile
-
-    if progressive:  # is written at once; in Pillow's own buffer noise of a high quality has no room
-        ImageFile.MAXBLOCK = max(ImageFile.MAXBLOCK, _MAX_BYTES * pixels.size)
-    buffer = io.BytesIO()
-    options = {"quality": quality, "progressive": progressive, "icc_profile": profile}
-    image = Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels)
-    image.save(buffer, "JPEG", subsampling=_SUBSAMPLINGS.get(subsampling, "4:4:4"), **options)
-    return buffer.getvalue()

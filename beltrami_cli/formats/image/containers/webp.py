@@ -1,4 +1,4 @@
-"""WebP files: chunks, of which all without pixels are carried over; the encoder.
+"""WebP files: chunks, of which all without pixels are carried over.
 
 References
 ----------
@@ -7,10 +7,7 @@ References
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterator
-
-from beltrami_cli.arrays import Uint8s
 
 _RIFF_START = 12
 _FLAGS = {b"ICCP": 0x20, b"EXIF": 0x08, b"XMP ": 0x04}
@@ -81,13 +78,3 @@ def _size(kind: bytes, payload: bytes) -> tuple[int, int, bool]:
         return (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1, bool(bits >> 28 & 1)
     size = payload[6:10]
     return int.from_bytes(size[:2], "little") & 0x3FFF, int.from_bytes(size[2:], "little") & 0x3FFF, False
-
-
-def encoded(pixels: Uint8s, *, quality: int, method: int, lossless: bool, profile: bytes) -> bytes:
-    """Encode pixels as WebP together with the colours under an alpha of 0, which OpenImageIO lets libwebp clear."""
-    from PIL import Image
-
-    buffer = io.BytesIO()
-    options = {"quality": quality, "method": method, "lossless": lossless, "icc_profile": profile}
-    Image.fromarray(pixels).save(buffer, "WEBP", exact=True, **options)
-    return buffer.getvalue()
