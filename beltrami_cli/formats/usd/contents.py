@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from beltrami_cli.surface.records import Slot, Wrap
+from beltrami_cli.formats.colours import display_colour
+from beltrami_cli.surface.records import AlphaMode, Material, Slot, Wrap
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,23 @@ class MaterialInputs:
     lost: list[str] = field(default_factory=list)  # what other formats cannot hold
     is_unread: bool = False  # neither a UsdPreviewSurface nor a MaterialX surface with an image
 
+    def material(self) -> Material:
+        """Return the material of other formats; USD stores colours as linear light."""
+        values = self.values
+        opacity, cutoff = values.get("opacity", 1.0), values.get("opacityThreshold", 0.0)
+        seen_through = self.has_alpha or opacity < 1
+        alpha: AlphaMode = "mask" if seen_through and cutoff > 0 else "blend" if seen_through else "opaque"
+        return Material(
+            name=self.name,
+            colour=display_colour(values.get("diffuseColor", [0.18] * 3)),
+            emission=display_colour(values.get("emissiveColor", [0.0] * 3)),
+            opacity=_within(opacity),
+            metalness=_within(values.get("metallic", 0.0)),
+            roughness=_within(values.get("roughness", 0.5)),
+            alpha=alpha,
+            cutoff=cutoff if alpha == "mask" else Material.cutoff,
+        )
+
 
 @dataclass(frozen=True)
 class SceneContents:
@@ -60,7 +78,6 @@ class SceneContents:
     up: str
     unit: float  # metres
     variants: tuple[str, ...]
-    text: str = ""  # of the root layer without colours and names of images, if it was asked for
 
     @classmethod
     def from_json(cls, found: Mapping[str, Any]) -> SceneContents:
@@ -72,3 +89,7 @@ class SceneContents:
         }
         names = {key: tuple(found[key]) for key in ("meshes", "slots", "others", "variants")}
         return cls(**{**found, **names, **records})
+
+
+def _within(number: float) -> float:
+    return min(max(number, 0.0), 1.0)

@@ -13,17 +13,16 @@ import numpy as np
 from beltrami_cli.arrays import Array, Float32s, Int32s, Int64s
 from beltrami_cli.errors import InputError, NoColoursError, Obstacle
 from beltrami_cli.formats.changes import Changes, Naming, PlannedImages, Written
-from beltrami_cli.formats.colours import display_colour
 from beltrami_cli.formats.comparison import Fingerprint, labelled
 from beltrami_cli.formats.conversion import with_vertex_colours
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.model_folder import IGNORED
 from beltrami_cli.formats.scene import SLOTS, Scene, ShownMap
-from beltrami_cli.formats.usd.contents import MaterialInputs, SceneContents
+from beltrami_cli.formats.usd.contents import SceneContents
 from beltrami_cli.formats.usd.images import Images
 from beltrami_cli.formats.usd.layers import Layers
 from beltrami_cli.surface.precision import require_finite, require_single
-from beltrami_cli.surface.records import AlphaMode, Frame, Material, MeshContents, Slot
+from beltrami_cli.surface.records import Frame, Material, MeshContents, Slot
 
 _COUNTS = {
     "instanced": "{} mesh(es) are instances of others; each is smoothed once, at its first place",
@@ -42,35 +41,12 @@ _VARIANTS_NOTICE = (
 )
 
 
-def _material(inputs: MaterialInputs) -> Material:
-    """Return a material without its maps; USD stores its colours as linear light."""
-    values = inputs.values
-    opacity, cutoff = values.get("opacity", 1.0), values.get("opacityThreshold", 0.0)
-    seen_through = inputs.has_alpha or opacity < 1
-    alpha: AlphaMode = "mask" if seen_through and cutoff > 0 else "blend" if seen_through else "opaque"
-    return Material(
-        name=inputs.name,
-        colour=display_colour(values.get("diffuseColor", [0.18] * 3)),
-        emission=display_colour(values.get("emissiveColor", [0.0] * 3)),
-        opacity=_within(opacity),
-        metalness=_within(values.get("metallic", 0.0)),
-        roughness=_within(values.get("roughness", 0.5)),
-        alpha=alpha,
-        cutoff=cutoff if alpha == "mask" else Material.cutoff,
-    )
-
-
-def _within(number: float) -> float:
-    return min(max(number, 0.0), 1.0)
-
-
 class UsdDocument(Document):
     """An opened scene."""
 
     format: str  # type: ignore[misc]  # one class reads all forms, so only an instance knows its format
 
     def _open(self, folder: Path | None) -> None:
-        self._compared = False  # whether the scene is read for a comparison
         self._layers = Layers.of(self.data, self.name, folder, self.access)
         is_package = self._layers.package is not None
         self.format = "usdz" if is_package else Path(self._layers.root).suffix[1:]
@@ -78,7 +54,7 @@ class UsdDocument(Document):
 
     @cached_property
     def _read(self) -> tuple[SceneContents, dict[str, Array]]:
-        contents, arrays = self._layers.scene(text=self._compared)
+        contents, arrays = self._layers.scene()
         for path, (cause, remedy) in self._layers.obstacles.items():
             self.obstacles.append(Obstacle(f"'{path}' {cause}", remedy))
             self.notices.append(f"'{path}' {cause}{IGNORED}")
@@ -153,7 +129,7 @@ class UsdDocument(Document):
             corners=corners,
             offsets=np.concatenate([[0], np.cumsum(arrays["sizes"])]),
             material_of=np.where(arrays["material_of"] < 0, len(known), arrays["material_of"]),
-            materials=[*map(_material, known), Material()],
+            materials=[*(inputs.material() for inputs in known), Material()],
             maps=maps,
             uv=lambda slot: arrays.get("uv" if slot is None else f"uv {slot}", bare),
             tiles=self._layers.folder.tiles,
@@ -220,11 +196,7 @@ class UsdDocument(Document):
         return [*omitted, *(["node hierarchy"] if len(contents.meshes) > 1 else [])]
 
     def fingerprint(self) -> Fingerprint:
-        self._compared = True
-        contents = self._contents
-        if not contents.text:  # the scene was read before, but not for a comparison
-            contents = self._layers.scene(text=True)[0]
-        parts = {"root layer": contents.text.encode()}
+        parts = {"root layer": self._layers.text(self._contents).encode()}
         parts |= {f"layer {name}": self._layers.contents[name] for name in self._layers.others}
         named = self._images.files()
         package = self._layers.package

@@ -60,16 +60,22 @@ class Layers:
         """The paths of all layers but the root."""
         return [layer for layer in self.contents if layer != self.root]
 
-    def scene(self, *, text: bool = False) -> tuple[SceneContents, dict[str, Array]]:
-        """Read the scene, with all layers that it needs; `text`: with the text of the root layer for fingerprints."""
+    def scene(self) -> tuple[SceneContents, dict[str, Array]]:
+        """Read the scene, with all layers that it needs."""
         while True:
-            found, arrays = self.ask({"task": "read", "text": text}, {})
+            found, arrays = self.ask({"task": "read"}, {})
             if "needs" not in found:
                 return SceneContents.from_json(found), arrays
             for layer, path in found["needs"]:
                 if (layer, path) in self.refused:  # usd-core asks for it again, so it is needed
                     raise InputError(self.name, f"its layer {path[:80]!r} cannot be left out", _EXPORT)
                 self._fetch(layer, path)
+
+    def text(self, contents: SceneContents) -> str:
+        """Return the text of the root layer without colours and names of images, for fingerprints."""
+        images = [use.attribute for use in contents.uses]
+        colours = [block.attribute for block in contents.blocks]
+        return str(self.ask({"task": "text", "images": images, "colours": colours}, {})[0])
 
     def _fetch(self, layer: str, path: str) -> None:
         """Read a layer that another one refers to, or record that it is refused."""
@@ -147,9 +153,9 @@ def _carry_out(order: dict[str, Any], arrays: dict[str, Array]) -> Message:
     from beltrami_cli.formats.usd import editing, reading
 
     os.chdir(order["folder"])
-    task = {"read": reading.read, "edit": editing.edit, "convert": editing.convert}[order["task"]]
+    tasks = {"read": reading.read, "text": reading.text, "edit": editing.edit, "convert": editing.convert}
     try:
-        return task(order, arrays)
+        return tasks[order["task"]](order, arrays)
     except Tf.ErrorException as error:
         if _NO_MEMORY in str(error):
             raise MemoryError from error

@@ -1,4 +1,4 @@
-"""The task of the process with usd-core that reads a scene: its meshes, materials and colours as arrays."""
+"""The tasks of the process with usd-core that read a scene: its meshes, materials and colours, or its text."""
 
 from __future__ import annotations
 
@@ -57,20 +57,18 @@ def read(order: dict[str, Any], _: dict[str, Array]) -> tuple[dict[str, Any], di
             for name in sets.GetNames()
         ),
     )
-    if order.get("text"):
-        contents = dataclasses.replace(contents, text=_without_colours(stage, contents))
     return dataclasses.asdict(contents), geometry.joined()
 
 
-def _without_colours(stage: Any, contents: SceneContents) -> str:
-    """Return the text of the root layer without colours and names of images."""
+def text(order: dict[str, Any], _: dict[str, Array]) -> tuple[str, dict[str, Array]]:
+    """Return the text of the root layer without the values of some attributes: colours, and names of images."""
+    stage = opened(order["root"], order["layers"], order["refused"])
     bare = Sdf.Layer.CreateAnonymous(".usda")
     bare.TransferContent(stage.GetRootLayer())
-    paths = [use.attribute for use in contents.uses]
-    for block in contents.blocks:
-        primvar = UsdGeom.Primvar(stage.GetAttributeAtPath(block.attribute))
-        indices = [str(primvar.GetIndicesAttr().GetPath())] if primvar.IsIndexed() else []
-        paths += [block.attribute, *indices]
+    paths = [*order["images"], *order["colours"]]
+    for path in order["colours"]:
+        primvar = UsdGeom.Primvar(stage.GetAttributeAtPath(path))
+        paths += [str(primvar.GetIndicesAttr().GetPath())] if primvar.IsIndexed() else []
     for path in dict.fromkeys(paths):
         for spec in stage.GetAttributeAtPath(path).GetPropertyStack():
             # Several instances have the same one.
@@ -83,4 +81,4 @@ def _without_colours(stage: Any, contents: SceneContents) -> str:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "layer.usda")
         bare.Export(str(file))
-        return file.read_text("utf-8", errors="backslashreplace")
+        return file.read_text("utf-8", errors="backslashreplace"), {}
