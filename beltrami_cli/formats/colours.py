@@ -147,6 +147,17 @@ def display_colour(linear: Sequence[float]) -> tuple[float, ...]:
     return tuple(linear_to_srgb(np.clip(np.array(linear, np.float64), 0, 1)).tolist())
 
 
+def linear_colour(display: Sequence[float]) -> list[float]:
+    """Convert the colour of a material from display values of full scale 1 to linear light."""
+    values: list[float] = srgb_to_linear(np.array(display, np.float64)).tolist()
+    return values
+
+
+def clipped_factor(value: float) -> float:
+    """Return a factor of a material in [0, 1]; some exporters leave this range."""
+    return min(max(value, 0.0), 1.0)
+
+
 def linear_colours(contents: MeshContents, notices: list[str], reason: str, grey: str = _GREY) -> Float32s:
     """Return colours in linear light, shape (V, 3), and add notices; `reason`: why the format needs them."""
     colours = contents.colours

@@ -23,6 +23,7 @@ from beltrami_cli.surface.records import (
 )
 
 MaterialMaps = Mapping[Slot, MaterialMap]
+_UNNAMED = "painted"  # name of materials without one
 _FALLBACK_SUFFIX = ".png"  # of images whose own type the format cannot hold
 
 
@@ -79,11 +80,11 @@ def image_names(mesh: MeshContents, stem: str, supported: Collection[str] = ()) 
     return found
 
 
-def material_names(materials: Sequence[Material], default: str) -> list[str]:
-    """Return unique names for the materials, each on one line; `default` for those without a name."""
+def material_names(materials: Sequence[Material]) -> list[str]:
+    """Return unique names for the materials, each on one line."""
     names: dict[str, None] = {}
     for material in materials:
-        plain = name = plain_name(material.name) or default
+        plain = name = plain_name(material.name) or _UNNAMED
         while name in names:
             name = f"{plain}-{len(names) + 1}"
         names[name] = None

@@ -132,7 +132,7 @@ class Accessor:
 
 
 class Accessors:
-    """All accessors and primitives of one file; descriptions are checked at once."""
+    """All accessors of one file; descriptions are checked at once."""
 
     def __init__(self, root: Entry, buffers: Buffers) -> None:
         self.buffers = buffers

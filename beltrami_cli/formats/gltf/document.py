@@ -23,7 +23,7 @@ from beltrami_cli.formats.gltf.images import Images
 from beltrami_cli.formats.gltf.materials import present_slots
 from beltrami_cli.formats.gltf.new_images import show_images
 from beltrami_cli.formats.gltf.nodes import placements
-from beltrami_cli.formats.gltf.output import placed, written
+from beltrami_cli.formats.gltf.output import place_files, write_files
 from beltrami_cli.formats.gltf.primitives import Meshes, read_meshes
 from beltrami_cli.formats.gltf.textured import gather_textured, read_textured_mesh
 from beltrami_cli.formats.gltf.uris import SidecarFiles
@@ -43,69 +43,68 @@ class GltfDocument(Document):
 
     def _open(self, folder: Path | None) -> None:
         files = ModelFolder(folder, self.access)
-        self.container = read_container(self.data, self.name)
-        self.format = self.container.kind
-        self.root = self.container.root
-        require_structure(self.root)
-        self.buffers = Buffers(self.container, files)
-        self.accessors = Accessors(self.root, self.buffers)
-        self.places = placements(self.root)
-        self.images = Images(self.root, self.accessors, files)
-        self._files = SidecarFiles(self.root, files)
-        if self.container.has_bom:
+        self._container = read_container(self.data, self.name)
+        self.format = self._container.kind
+        self._root = self._container.root
+        require_structure(self._root)
+        self._accessors = Accessors(self._root, Buffers(self._container, files))
+        self._places = placements(self._root)
+        self._images = Images(self._root, self._accessors, files)
+        self._files = SidecarFiles(self._root, files)
+        if self._container.has_bom:
             self.notices = ["The JSON starts with a byte order mark, which glTF does not allow; it is kept."]
         self.obstacles += self._files.obstacles
         self.notices += [f"{each.cause}." for each in self._files.obstacles]
 
     @cached_property
     def _meshes(self) -> Meshes:
-        return read_meshes(self.root, self.accessors)
+        return read_meshes(self._root, self._accessors)
 
     @cached_property
-    def surface(self) -> Surface:
-        surface = Surface(self.name, self._meshes, self.places)
+    def _surface(self) -> Surface:
+        surface = Surface(self.name, self._meshes, self._places)
         self.notices += surface.notices()
         return surface
 
     @cached_property
     def _coloured_vertices(self) -> ColouredVertices:
-        return self.surface.vertices()
+        return self._surface.vertices()
 
     def has_vertex_colours(self) -> bool:
-        primitives = primitives_of(self.container.tree)
+        primitives = primitives_of(self._container.tree)
         return any("COLOR_0" in primitive.get("attributes", {}) for _, primitive in primitives)
 
     def slots(self) -> tuple[Slot, ...]:
-        return present_slots(self.root)
+        return present_slots(self._root)
 
     def _gathered(self, slot: Slot) -> TexturedSurface:
-        surface, notices = gather_textured(self.root, self._meshes, self.places, self.images, slot)
+        surface, notices = gather_textured(self._root, self._meshes, self._places, self._images, slot)
         self.notices += [notice for notice in notices if notice not in self.notices]
         return surface
 
     def hidden_places(self) -> tuple[str, ...]:
-        shown = [str(node["mesh"]) for node in objects(self.container.tree.get("nodes")) if "mesh" in node]
+        shown = [str(node["mesh"]) for node in objects(self._container.tree.get("nodes")) if "mesh" in node]
         return ("further places of a mesh",) if len({*shown}) < len(shown) else ()
 
     def attributes(self) -> tuple[str, ...]:
-        return self.surface.attribute_names()
+        return self._surface.attribute_names()
 
     def _attribute(self, name: str) -> Float64s:
-        if name == "normal" and (normals := self.surface.normals()) is not None:
+        if name == "normal" and (normals := self._surface.normals()) is not None:
             return normals.astype(np.float64)
-        return self.surface.attribute(name)
+        return self._surface.attribute(name)
 
     def require_movable(self) -> None:
-        self.surface.require_movable()
+        self._surface.require_movable()
 
     def _patched(self, new: Changes, naming: Naming) -> Written:
-        edit = Edit(self.container, self.accessors)
+        edit = Edit(self._container, self._accessors)
         if new.colours is not None:
-            self.surface.recolour(edit, self.coloured_vertices().colours, new.colours)
+            self._surface.recolour(edit, self.coloured_vertices().colours, new.colours)
         if new.places is not None:
-            self.surface.move(edit, self.coloured_vertices().positions, new.places)
-        show_images(edit, self.images, new.images)
-        return written(edit, naming, new.form or self.format, self._files)
+            self._surface.move(edit, self.coloured_vertices().positions, new.places)
+        show_images(edit, self._images, new.images)
+        return write_files(edit, naming, new.form or self.format, self._files)
 
     def sidecar_names(
         self, images: PlannedImages, naming: Naming, *, colours: bool, places: bool = False, form: str | None = None
@@ -113,12 +112,12 @@ class GltfDocument(Document):
         form = form or self.format
         if form != "gltf" and not (self.format == "glb" and self._files.any):
             return []
-        edit = Edit(self.container, self.accessors)
+        edit = Edit(self._container, self._accessors)
         if colours:
-            self.surface.replace_all(edit, places=places)
-        show_images(edit, self.images, images)
+            self._surface.put_dummies(edit, places=places)
+        show_images(edit, self._images, images)
         edit.finish()
-        return placed(edit, naming, form, self._files).written().sidecar_names
+        return place_files(edit, naming, form, self._files).written().sidecar_names
 
     def references(self) -> Sequence[str]:
         return [*self._files.present]
@@ -132,9 +131,9 @@ class GltfDocument(Document):
             colours=shown.colours,
             encoding="linear",
             stored=shown.stored,
-            alpha=self.surface.opacity(),
-            normals=self.surface.normals(),
-            left_out=(*_omitted(self.container.tree), *self._extensions(), *self.hidden_places()),
+            alpha=self._surface.opacity(),
+            normals=self._surface.normals(),
+            left_out=(*_omitted(self._container.tree), *self._extensions(), *self.hidden_places()),
         )
 
     def textured_mesh(self, colours: Float32s | None = None) -> MeshContents:
@@ -142,35 +141,35 @@ class GltfDocument(Document):
         if self.has_vertex_colours():
             shown = self.coloured_vertices()
             stored = shown.stored
-            by_primitive = self.surface.by_primitive(shown.colours if colours is None else colours)
-        mesh = read_textured_mesh(self.root, self._meshes, self.images, by_primitive, stored)
-        losses = [what for what in _omitted(self.container.tree) if what in _NOT_TEXTURED]
+            by_primitive = self._surface.by_primitive(shown.colours if colours is None else colours)
+        mesh = read_textured_mesh(self._root, self._meshes, self._images, by_primitive, stored)
+        losses = [what for what in _omitted(self._container.tree) if what in _NOT_TEXTURED]
         losses += self._extensions()
-        if any(node.get("children") for node in objects(self.container.tree.get("nodes"))):
+        if any(node.get("children") for node in objects(self._container.tree.get("nodes"))):
             losses.append("node hierarchy")
         return dataclasses.replace(mesh, left_out=(*mesh.left_out, *losses))
 
     def _extensions(self) -> list[str]:
         """Return the extensions of the file and of its nodes, such as avatars and instances."""
-        parts = [self.root, *self.root.entries("nodes")]
+        parts = [self._root, *self._root.entries("nodes")]
         return sorted({name for part in parts for name in part.entry("extensions").value})
 
     def fingerprint(self) -> Fingerprint:
-        parts, images = fingerprint(self.container, self.accessors, self.images)
+        parts, images = fingerprint(self._container, self._accessors, self._images)
         colours: dict[str, Float32s] = {}
         if self.has_vertex_colours():
             colours["vertex colours"] = self.coloured_vertices().colours
             opacity = [
-                stored[:, 3].tobytes() for stored in self.surface.stored_colours if stored.shape[1] == 4
+                stored[:, 3].tobytes() for stored in self._surface.stored_colours if stored.shape[1] == 4
             ]
             parts["opacity of vertex colours"] = b"".join(opacity)
         return Fingerprint(parts, colours, images)
 
     def facts(self) -> dict[str, object]:
-        root, asset = self.root, self.root.entry("asset")
-        primitives = [primitive for _, primitive in primitives_of(self.container.tree)]
+        root, asset = self._root, self._root.entry("asset")
+        primitives = [primitive for _, primitive in primitives_of(self._container.tree)]
         named = {primitive.get("attributes", {}).get("COLOR_0", -1) for primitive in primitives}
-        there = (index for index in sorted(named) if 0 <= index < len(self.accessors))
+        there = (index for index in sorted(named) if 0 <= index < len(self._accessors))
         return {
             "generator": asset.text("generator"),
             "version": asset.text("version"),
@@ -186,16 +185,16 @@ class GltfDocument(Document):
                     "count": accessor.count,
                     "sparse": accessor.sparse is not None,
                 }
-                for index, accessor in ((index, self.accessors[index]) for index in there)
+                for index, accessor in ((index, self._accessors[index]) for index in there)
             ],
             "materials": len(root.entries("materials")),
-            "images": len(self.images),
-            "textures": len(self.images.textures),
+            "images": len(self._images),
+            "textures": len(self._images.textures),
             "slots": list(self.slots()),
             "skins": len(root.entries("skins")),
             "animations": len(root.entries("animations")),
-            "extensions used": self.container.tree.get("extensionsUsed", []),
-            "extensions required": self.container.tree.get("extensionsRequired", []),
+            "extensions used": self._container.tree.get("extensionsUsed", []),
+            "extensions required": self._container.tree.get("extensionsRequired", []),
         }
 
 

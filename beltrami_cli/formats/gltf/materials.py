@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.arrays import Float64s
-from beltrami_cli.formats.colours import display_colour
+from beltrami_cli.formats.colours import clipped_factor, display_colour
 from beltrami_cli.formats.gltf.entries import Entry, Tree
 from beltrami_cli.surface.records import AlphaMode, Material, Slot
 
@@ -127,9 +127,9 @@ def read_material(entry: Entry) -> Material:
         name=entry.text("name") or "",
         colour=display_colour(factor[:3]),
         emission=display_colour(entry.numbers("emissiveFactor", 3) or [0.0] * 3),
-        opacity=1.0 if alpha == "opaque" else min(max(factor[3], 0.0), 1.0),
-        metalness=base.number("metallicFactor", default=1.0),
-        roughness=base.number("roughnessFactor", default=1.0),
+        opacity=1.0 if alpha == "opaque" else clipped_factor(factor[3]),
+        metalness=clipped_factor(base.number("metallicFactor", default=1.0)),
+        roughness=clipped_factor(base.number("roughnessFactor", default=1.0)),
         alpha=alpha,
         cutoff=cutoff,
     )

@@ -41,46 +41,57 @@ _COLOURS = re.compile(
 )
 _WITHOUT_TEXTURES = ("accessors", "animations", "bufferViews", "buffers", "images", "skins", "textures")
 
+Wanted = Mapping[tuple[Slot, int], ImageFile]  # new files by slot and image
+
 
 def show_images(edit: Edit, images: Images, new: NewImages) -> None:
     """Show new images, as for `Document.patch`; ValueError if a slot lacks an image."""
     wanted = _wanted(edit, images, new)
     if not wanted:
         return
-    tree, before = edit.tree, _extensions(edit.tree)
-    shown: dict[int, int] = {}
+    before, shown = _extensions(edit.tree), dict[int, int]()
     for index in range(len(images.textures)):
         with suppress(UnfitReferenceError):
             shown[index] = images.canonical(images.shown(index))
-    uses_of_textures, left = list[tuple[Any, Any, ImageFile | None]](), dict[str, str]()
-    for place, info, slot in _infos(tree):
-        image = shown.get(info["index"], -1)
-        files_of_it = [wanted[each, image] for each in SLOT_PATHS if (each, image) in wanted]
-        if slot is not None:
-            file = wanted.get((slot, image))
-        elif files_of_it and not _COLOURS.fullmatch(place.rpartition(".")[2]):
-            file, left[re.sub(r"\[\d+\]", "", place)] = None, images.name(image)
-        else:
-            file = next(iter(files_of_it), None)
-        uses_of_textures.append((info, "index", file))
-    for place, name in left.items():
-        edit.notices.append(stale_use_notice(place, name))
-    changed = edit.separate("textures", uses_of_textures)
+    changed = edit.separate("textures", _texture_uses(edit, images, wanted, shown))
     replaced = {(shown[texture], file) for texture, file in changed}
     if replaced != {(image, file) for (_, image), file in wanted.items()}:
         raise ValueError("an image is not used in the slot that it was handed back for")
     showing = _ShownImages(edit, images)
     for (old, file), texture in changed.items():
-        showing.show(tree["textures"][texture], old, file, f"textures[{texture}]")
-    uses = [(holder, member, showing.files.get(id(holder))) for holder, member in _image_uses(tree)]
+        showing.show(edit.tree["textures"][texture], old, file, f"textures[{texture}]")
+    _put_images(edit, _separate_images(edit, images, showing.files))
+    _declare(edit.tree, before)
+
+
+def _texture_uses(
+    edit: Edit, images: Images, wanted: Wanted, shown: Mapping[int, int]
+) -> list[tuple[Any, Any, ImageFile | None]]:
+    """Return the textureInfos of a file, each with the new file that it is to show; `shown`: images of textures."""
+    uses, stale = list[tuple[Any, Any, ImageFile | None]](), dict[str, str]()
+    for place, info, slot in _infos(edit.tree):
+        image = shown.get(info["index"], -1)
+        files = [wanted[each, image] for each in SLOT_PATHS if (each, image) in wanted]
+        if slot is not None:
+            file = wanted.get((slot, image))
+        elif files and not _COLOURS.fullmatch(place.rpartition(".")[2]):
+            file, stale[re.sub(r"\[\d+\]", "", place)] = None, images.name(image)
+        else:
+            file = next(iter(files), None)
+        uses.append((info, "index", file))
+    edit.notices += [stale_use_notice(place, name) for place, name in stale.items()]
+    return uses
+
+
+def _separate_images(edit: Edit, images: Images, file_of: Mapping[int, ImageFile]) -> dict[int, ImageFile]:
+    """Give new files images that nothing else uses, and return these; `file_of`: by identity of what names an image."""
+    uses = [(holder, member, file_of.get(id(holder))) for holder, member in _image_uses(edit.tree)]
     named = {holder[member] for holder, member, _ in uses}
     files = {index: file for (_, file), index in edit.separate("images", uses).items()}
     # An image that nothing shows follows those over the same bytes.
     by_bytes = {images.canonical(index): file for index, file in files.items()}
     unused = set(range(len(images))) - named
-    files |= {n: by_bytes[images.canonical(n)] for n in unused if images.canonical(n) in by_bytes}
-    _put_images(edit, files)
-    _declare(tree, before)
+    return files | {n: by_bytes[images.canonical(n)] for n in unused if images.canonical(n) in by_bytes}
 
 
 def _image_uses(tree: Tree) -> Iterator[tuple[Any, Any]]:
@@ -97,8 +108,8 @@ def _image_uses(tree: Tree) -> Iterator[tuple[Any, Any]]:
             yield from ((value, place) for place, child in enumerate(value) if isinstance(child, int))
 
 
-def _wanted(edit: Edit, images: Images, new: NewImages) -> dict[tuple[Slot, int], ImageFile]:
-    """Return the files that differ from the present ones, by slot and image."""
+def _wanted(edit: Edit, images: Images, new: NewImages) -> Wanted:
+    """Return the files that differ from the present ones."""
     indices = {image_key(index): index for index in range(len(images))}
     wanted = {}
     for (slot, key), file in new.items():

@@ -21,13 +21,13 @@ from beltrami_cli.formats.new_files import NewFiles
 from beltrami_cli.surface.records import ImageFile
 
 
-def written(edit: Edit, naming: Naming, form: str, source: SidecarFiles) -> Written:
+def write_files(edit: Edit, naming: Naming, form: str, source: SidecarFiles) -> Written:
     """Return the files of an edit; the source itself if nothing was edited and the form is its own."""
     container, keeps_form = edit.container, (form == "gltf") == (edit.container.kind == "gltf")
     if form != "gltf" and not keeps_form:
         return _as_glb(edit, source.folder)
     edit.finish()
-    names = placed(edit, naming, form, source)
+    names = place_files(edit, naming, form, source)
     if not keeps_form:
         main: list[Bytes] = [revised(container.text, edit.tree).encode()]
         lost = [chunk for chunk in container.chunks if chunk.kind != BIN_CHUNK]
@@ -40,15 +40,12 @@ def written(edit: Edit, naming: Naming, form: str, source: SidecarFiles) -> Writ
     return names.written(main, edit.notices)
 
 
-def placed(edit: Edit, naming: Naming, form: str, source: SidecarFiles) -> NewFiles:
+def place_files(edit: Edit, naming: Naming, form: str, source: SidecarFiles) -> NewFiles:
     """Name the sidecar files of an edited glTF, and put their names into the tree."""
     names = NewFiles(naming, edit.container.name, source.present, source.missing)
     files = [*_files(edit, source.folder)]
     if form == "gltf" and edit.tree.get("buffers") and edit.source(0) == "chunk":
-        data: Bytes = edit.buffers[0] if 0 in edit.buffers else edit.accessors.buffers.stored(0)
-        length, name = edit.tree["buffers"][0]["byteLength"], names.new(".bin")
-        edit.tree["buffers"][0]["uri"] = quote(name)
-        names.sidecars[name] = data[:length] if len(data) - length < 4 else data  # without the padding
+        _place_chunk(edit, names)
     # Only one image takes the name of a file, and none if another still shows that.
     taken = {path for _, path, new in files if new is None}
     new_of: dict[tuple[str, ImageFile | None], str] = {}
@@ -58,22 +55,31 @@ def placed(edit: Edit, naming: Naming, form: str, source: SidecarFiles) -> NewFi
         if new is None and is_outside(path):
             names.leave(entry["uri"])
             continue
-        file = new if isinstance(new, ImageFile) else None
-        if (path, file) not in new_of:
-            is_buffer = "byteLength" in entry
-            suffix, is_replaced = None if file is None else file.suffix, file is None or path not in taken
-            name = (
-                names.other(path, ".bin") if is_buffer else names.image(path, suffix, is_replaced=is_replaced)
-            )
-            new_of[path, file] = name
+        image = new if isinstance(new, ImageFile) else None
+        if (path, image) not in new_of:
+            if "byteLength" in entry:
+                name = names.other(path, ".bin")
+            elif image is None:
+                name = names.image(path)
+            else:
+                name = names.image(path, image.suffix, is_replaced=path not in taken)
+            new_of[path, image] = name
             taken.add(path)
             if new is None:
                 names.copied[name] = path
             else:
                 names.sidecars[name] = new.data if isinstance(new, ImageFile) else new
-        if new_of[path, file] != path:
-            entry["uri"] = quote(new_of[path, file])
+        if new_of[path, image] != path:
+            entry["uri"] = quote(new_of[path, image])
     return names
+
+
+def _place_chunk(edit: Edit, names: NewFiles) -> None:
+    """Make the BIN chunk a file."""
+    data: Bytes = edit.buffers[0] if 0 in edit.buffers else edit.accessors.buffers.stored(0)
+    length, name = edit.tree["buffers"][0]["byteLength"], names.new(".bin")
+    edit.tree["buffers"][0]["uri"] = quote(name)
+    names.sidecars[name] = data[:length] if len(data) - length < 4 else data  # without the padding
 
 
 def _files(edit: Edit, folder: ModelFolder) -> Iterator[tuple[Tree, str, Bytes | ImageFile | None]]:

@@ -212,8 +212,8 @@ class Surface:
 
         self._exchange(edit, "COLOR_0", recoloured)
 
-    def replace_all(self, edit: Edit, *, places: bool) -> None:
-        """Put dummy numbers, each unlike the present one, into a file: for colours, or positions and normals, too."""
+    def put_dummies(self, edit: Edit, *, places: bool) -> None:
+        """Put numbers unlike the present ones into a file: for colours, or for all that can move, too."""
         for attribute in ("COLOR_0", *(("POSITION", "NORMAL") if places else ())):
             self._exchange(edit, attribute, lambda _, before: (~before.view(np.uint8)).view(before.dtype))
 

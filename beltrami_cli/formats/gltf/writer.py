@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.changes import Written
-from beltrami_cli.formats.colours import linear_colours, quantised
+from beltrami_cli.formats.colours import linear_colour, linear_colours, quantised
 from beltrami_cli.formats.conversion import not_converted
 from beltrami_cli.formats.gltf.accessors import COMPONENTS, Stored, padded_elements
 from beltrami_cli.formats.gltf.buffers import INDEX_DATA, VERTEX_DATA
@@ -31,7 +31,6 @@ from beltrami_cli.formats.textured_mesh import (
     shown_materials,
     triangulated,
 )
-from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.geometry import unit_vectors
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.records import Frame, ImageFile, Material, MeshContents, MeshImage
@@ -288,13 +287,11 @@ def _material(material: Material, look: Tree, images: Sequence[MeshImage], stem:
 
 
 def _linear(colour: tuple[float, ...]) -> list[float]:
-    values = srgb_to_linear(np.clip(np.array(colour, np.float64), 0, 1))
-    return [round(float(value), 6) for value in values]
+    return [round(value, 6) for value in linear_colour(colour)]
 
 
-def _plain(value: float) -> float | int:
-    clipped = min(max(value, 0.0), 1.0)
-    return int(clipped) if clipped in (0, 1) else clipped
+def _plain(factor: float) -> float | int:
+    return int(factor) if factor in (0, 1) else factor
 
 
 write_glb = partial(_written, is_binary=True)

@@ -66,16 +66,11 @@ class ObjDocument(Document):
         return bool(self._scan.vertices.coloured.size)
 
     def slots(self) -> tuple[Slot, ...]:
-        slots = self._materials.slots()
-        if not slots:
-            self._forget_statements()
-        return slots
+        return self._materials.slots()
 
     @cached_property
     def _scene(self) -> Scene:
-        scene = read_scene(self._scan, self._coordinates, self._materials, self.name)
-        self._forget_statements()
-        return scene
+        return read_scene(self._scan, self._coordinates, self._materials, self.name)
 
     def _undefined(self) -> Obstacle | None:
         defined = set[str]().union(*(library.materials for library in self._materials.libraries))
@@ -122,10 +117,8 @@ class ObjDocument(Document):
 
     def _attribute(self, name: str) -> Float64s:
         vertices = self._scan.vertices
-        normals = read_normals(self._statements, self._scan.corners, len(vertices.positions))[
-            vertices.coloured
-        ]
-        self._forget_statements()
+        normals = read_normals(self._tokenised(), self._scan.corners, len(vertices.positions))
+        normals = normals[vertices.coloured]
         if np.isnan(normals).any():
             row = int(vertices.coloured[int(np.argmax(np.isnan(normals).any(axis=1)))])
             raise InputError(self.name, f"vertex {row + 1} has no normal, so normals cannot guide")
@@ -142,9 +135,7 @@ class ObjDocument(Document):
 
     @cached_property
     def _converted(self) -> MeshContents:
-        mesh = convert(self._scene, self._statements, self._scan, self._materials)
-        self._forget_statements()
-        return mesh
+        return convert(self._scene, self._tokenised(), self._scan, self._materials)
 
     def _alpha(self) -> Float32s | None:
         alpha = self._scan.vertices.alpha
@@ -183,21 +174,23 @@ class ObjDocument(Document):
             "other": list(self._scan.dropped),
         }
 
-    @cached_property
-    def _statements(self) -> Statements:
-        """The tokens of the text, which take several times its memory and are dropped when all is read."""
-        return Statements(self.data, self.name)
-
-    def _forget_statements(self) -> None:
-        self.__dict__.pop("_statements", None)
+    def _tokenised(self) -> Statements:
+        return Statements(self.data, self.name)  # not kept: it takes several times the memory of the text
 
     @cached_property
+    def _read(self) -> tuple[Scan, Materials, Coordinates | None]:
+        """Read the file, of which most runs need nothing else; texture coordinates if there are textures."""
+        statements = self._tokenised()
+        scan = scan_file(statements)
+        materials = Materials(self._folder, scan.libraries)
+        coordinates = read_coordinates(statements, materials) if materials.slots() else None
+        self.notices += [*scan.notices, *materials.notices]
+        self.obstacles += materials.obstacles
+        return scan, materials, coordinates
+
+    @property
     def _scan(self) -> Scan:
-        scan = scan_file(self._statements)
-        self.notices += scan.notices
-        if not scan.libraries:
-            self._forget_statements()
-        return scan
+        return self._read[0]
 
     @cached_property
     def _polygons(self) -> tuple[Int32s, Int64s]:
@@ -223,13 +216,10 @@ class ObjDocument(Document):
         self.notices += [sentence for sentence in (vertices.notice, notice) if sentence]
         return scale
 
-    @cached_property
+    @property
     def _materials(self) -> Materials:
-        materials = Materials(self._folder, self._scan.libraries)
-        self.notices += materials.notices
-        self.obstacles += materials.obstacles
-        return materials
+        return self._read[1]
 
     @cached_property
     def _coordinates(self) -> Coordinates:
-        return read_coordinates(self._statements, self._materials)
+        return self._read[2] or read_coordinates(self._tokenised(), self._materials)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from beltrami_cli.arrays import Float64s, Int64s
+from beltrami_cli.formats.colours import clipped_factor
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.obj.materials import BASE_COLOUR_ALIASES, SLOTS, Map, Materials
 from beltrami_cli.formats.obj.statements import Statements
@@ -159,21 +160,21 @@ def _material(name: str, values: dict[str, list[float]]) -> Material:
     dark = [0.0, 0.0, 0.0]
     transparency = values.get("tr", [0.0])[0]
     # Some exporters write "Tr 1" for opaque materials; fully transparent ones are not exported.
-    opacity = min(max(values.get("d", [1 - transparency])[0], 0.0), 1.0) or 1.0
+    opacity = clipped_factor(values.get("d", [1 - transparency])[0]) or 1.0
     return Material(
         name=name,
         colour=_colour(values.get("kd", [1.0, 1.0, 1.0])),
         emission=_colour(values.get("ke", dark)),
         opacity=opacity,
-        metalness=values.get("pm", [0.0])[0],
-        roughness=values.get("pr", [1.0])[0],
+        metalness=clipped_factor(values.get("pm", [0.0])[0]),
+        roughness=clipped_factor(values.get("pr", [1.0])[0]),
         alpha="blend" if opacity < 1 else "opaque",
     )
 
 
 def _colour(numbers: list[float]) -> tuple[float, ...]:
     whole = numbers if len(numbers) >= 3 else [numbers[0]] * 3  # one number stands for three
-    return tuple(min(max(value, 0.0), 1.0) for value in whole[:3])
+    return tuple(map(clipped_factor, whole[:3]))
 
 
 def _read_values(materials: Materials) -> dict[str, dict[str, list[float]]]:

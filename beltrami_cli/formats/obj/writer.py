@@ -23,7 +23,6 @@ from beltrami_cli.surface.precision import shortest_type
 from beltrami_cli.surface.records import Material, MeshContents, MeshImage, Slot
 
 _BLOCK = 1 << 16  # lines made at a time, which bounds the memory that their tokens take
-_MATERIAL = "painted"
 _COLOURED, _NORMAL = "v %s %s %s %.6f %.6f %.6f\n", "vn %s %s %s\n"
 # By whether corners have texture coordinates and normals.
 _CORNERS = {(False, False): "{}", (True, False): "{}/{}", (False, True): "{}//{}", (True, True): "{}/{}/{}"}
@@ -54,7 +53,7 @@ def write_obj(mesh: MeshContents, stem: str) -> Written:
     elif mesh.normals is not None:
         pieces += number_lines(_NORMAL, mesh.normals)
         indices[:, 2] = indices[:, 0]
-    names, images = material_names(mesh.materials, _MATERIAL), image_names(mesh, stem)
+    names, images = material_names(mesh.materials), image_names(mesh, stem)
     pieces += _polygons(mesh, names, indices)
     file_of = dict(zip(mesh.images, images, strict=True))
     entries = zip(names, mesh.materials, strict=True)

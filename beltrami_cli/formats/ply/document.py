@@ -355,13 +355,13 @@ def _patch_body(data: bytes, header: Header, changes: Sequence[_Change]) -> list
     return [memoryview(patched)[header.end :]]
 
 
-def _omitted(header: Header, used: Collection[str], of_faces: Collection[str] = ()) -> tuple[str, ...]:
-    """Return what a conversion loses: unused elements, and unused properties of vertices and faces."""
+def _omitted(header: Header, of_vertices: Collection[str], of_faces: Collection[str]) -> tuple[str, ...]:
+    """Return what a conversion loses that uses these properties of vertices and faces."""
     dropped = []
-    used, of_faces = ({name.partition(" ")[0] for name in names} for names in (used, of_faces))
+    of_vertices, of_faces = ({name.partition(" ")[0] for name in names} for names in (of_vertices, of_faces))
     for element in header.elements:
         lists = VERTEX_LISTS.get(element.name, ())
-        known = used if element.name == "vertex" else (*lists, *of_faces)
+        known = of_vertices if element.name == "vertex" else (*lists, *of_faces)
         unused = [other.name for other in element.properties if other.name not in known]
         if element.name != "vertex" and element.name not in VERTEX_LISTS:
             dropped.append(f"element {element.name}")

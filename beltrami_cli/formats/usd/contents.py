@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from beltrami_cli.formats.colours import display_colour
+from beltrami_cli.formats.colours import clipped_factor, display_colour
 from beltrami_cli.surface.records import AlphaMode, Material, Slot, Wrap
 
 
@@ -55,9 +55,9 @@ class MaterialInputs:
             name=self.name,
             colour=display_colour(values.get("diffuseColor", [0.18] * 3)),
             emission=display_colour(values.get("emissiveColor", [0.0] * 3)),
-            opacity=_within(opacity),
-            metalness=_within(values.get("metallic", 0.0)),
-            roughness=_within(values.get("roughness", 0.5)),
+            opacity=clipped_factor(opacity),
+            metalness=clipped_factor(values.get("metallic", 0.0)),
+            roughness=clipped_factor(values.get("roughness", 0.5)),
             alpha=alpha,
             cutoff=cutoff if alpha == "mask" else Material.cutoff,
         )
@@ -89,7 +89,3 @@ class SceneContents:
         }
         names = {key: tuple(found[key]) for key in ("meshes", "slots", "others", "variants")}
         return cls(**{**found, **names, **records})
-
-
-def _within(number: float) -> float:
-    return min(max(number, 0.0), 1.0)

@@ -17,12 +17,11 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Int32s
 from beltrami_cli.formats.changes import Written
-from beltrami_cli.formats.colours import linear_colours
+from beltrami_cli.formats.colours import linear_colour, linear_colours
 from beltrami_cli.formats.conversion import not_converted
 from beltrami_cli.formats.textured_mesh import image_names, material_names, normals_of_corners, plain_name
 from beltrami_cli.formats.usd.layers import layer_from
 from beltrami_cli.formats.usd.package import packed
-from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.large_arrays import blocks
 from beltrami_cli.surface.precision import shortest_type
@@ -43,7 +42,7 @@ _TYPES = {"rgb": "float3", "r": "float", "g": "float", "b": "float", "a": "float
 
 
 def _written(suffix: str, mesh: MeshContents, stem: str) -> Written:
-    names = [_identifier(name) for name in material_names(mesh.materials, "painted")]
+    names = [_identifier(name) for name in material_names(mesh.materials)]
     names = [f"{name}_{number}" if name in names[:number] else name for number, name in enumerate(names)]
     file_of = dict(zip(mesh.images, image_names(mesh, stem), strict=True))
     root, notices = _identifier(stem), list[str]()
@@ -135,7 +134,7 @@ def _subsets(material_of: Int32s, names: list[str], root: str) -> Iterator[bytes
 
 def _material(name: str, material: Material, file_of: dict[MeshImage, str], path: str) -> str:
     """Return the lines of a material with a UsdPreviewSurface, whose colours are linear light."""
-    colour, emission = _linear(material.colour), _linear(material.emission)
+    colour, emission = linear_colour(material.colour), linear_colour(material.emission)
     inputs = {
         "diffuseColor": f"color3f inputs:diffuseColor = {_row(colour)}",
         "emissiveColor": f"color3f inputs:emissiveColor = {_row(emission)}",
@@ -213,11 +212,7 @@ def _array(name: str, rows: Array, width: int = 1, metadata: str = "") -> Iterat
     yield f"] (\n            {metadata}\n        )\n".encode() if metadata else b"]\n"
 
 
-def _linear(colour: tuple[float, ...]) -> tuple[float, ...]:
-    return tuple(srgb_to_linear(np.array(colour, np.float64)).tolist())
-
-
-def _row(values: tuple[float, ...]) -> str:
+def _row(values: Sequence[float]) -> str:
     return "({})".format(", ".join(f"{value:.6g}" for value in values))
 
 
