@@ -85,8 +85,9 @@ $(VENV)/.installed-%: $(PACKAGE)/.built $(VENV)/.needs-%
 dev: $(VENV)/.installed-test
 	@echo "$(BIN)/pytest tests/... tests the sources as they are"
 
-# What is installed already; otherwise an environment of its own.
-INSTALLED := $(shell command -v beltrami)
+# What is installed already, on the path or for PYTHON; otherwise an environment of its own.
+AS_MODULE := $(PYTHON) -P -m beltrami_cli
+INSTALLED := $(shell command -v beltrami || { $(AS_MODULE) --version >/dev/null 2>&1 && echo "$(AS_MODULE)"; })
 BELTRAMI  := $(or $(INSTALLED),$(BIN)/beltrami)
 
 demo: $(if $(INSTALLED),,$(VENV)/.installed-package)

@@ -13,10 +13,18 @@ from beltrami_cli.cli.console import Messages
 from beltrami_cli.cli.level import show_levelled
 from beltrami_cli.cli.phrases import NO_AREA, counted, lines_on, outliers_in_words, output_name
 from beltrami_cli.cli.writing import report_options, run_and_write
+from beltrami_cli.flow.noise_amount import noise_size
 from beltrami_cli.quantities import of_255, show_size
-from beltrami_cli.view.words import advice_in_words, doubt_in_words, noise_of, reason_in_words
+from beltrami_cli.view.words import (
+    advice_in_words,
+    doubt_in_words,
+    noise_of,
+    noise_of_255,
+    reason_in_words,
+)
 
 if TYPE_CHECKING:
+    from beltrami_cli.flow.given_noise import GivenNoise
     from beltrami_cli.jobs.smoothing import SmoothReport
     from beltrami_cli.layers.layer import LayerReport
 
@@ -40,7 +48,7 @@ def smooth(source: str, target: str, messages: Messages, **smoothing: Any) -> No
     name = output_name(report.output)
     show_levelled(messages, report.levelled, f"{name}: ")
     if settings.kernel.iterations:
-        _show_result(messages, report, dry_run=dry_run)
+        _show_result(messages, report, settings.kernel.given_noise, dry_run=dry_run)
     elif not settings.level_seams:
         _show_unchanged(messages, report, unwrapped=unwrap is not None, dry_run=dry_run)
     if report.new_texture:
@@ -51,7 +59,9 @@ def smooth(source: str, target: str, messages: Messages, **smoothing: Any) -> No
         messages.detail(line)
 
 
-def _show_result(messages: Messages, report: SmoothReport, *, dry_run: bool) -> None:
+def _show_result(
+    messages: Messages, report: SmoothReport, given: GivenNoise | None, *, dry_run: bool
+) -> None:
     messages.warn_of(report.input, report.warnings)
     if report.peak_memory is not None:
         show = messages.say if dry_run else messages.detail
@@ -69,10 +79,11 @@ def _show_result(messages: Messages, report: SmoothReport, *, dry_run: bool) -> 
             messages.say(f"{name}positions too, by {share:.2f} sample spacings on average")
     if report.image is not None:
         facts = report.image.image
-        holes = f" with {counted(cast('int', facts['holes']), 'hole')}" if facts["holes"] else ""
+        holes = f", {facts['holes']} of them transparent, masked or not finite" if facts["holes"] else ""
         what = f"{facts['width']} x {facts['height']} pixels{holes}"
         is_empty = facts["holes"] == cast("int", facts["width"]) * cast("int", facts["height"])
-        _show_done(messages, name + what, report.image, is_empty=is_empty, noun="pixel")
+        left = _left_by_coding(report.image, given) if facts["format"] == "jpeg" else ""
+        _show_done(messages, name + what, report.image, is_empty=is_empty, noun="pixel", why=left)
     for slot in report.textures:
         textures = counted(len(slot.textures), f"{slot.slot} texture")
         if sum(other.slot == slot.slot for other in report.textures) > 1:
@@ -84,8 +95,9 @@ def _show_result(messages: Messages, report: SmoothReport, *, dry_run: bool) -> 
 
 
 def _show_done(
-    messages: Messages, what: str, done: LayerReport, *, is_empty: bool = False, noun: str = "sample"
+    messages: Messages, what: str, done: LayerReport, *, is_empty: bool, noun: str = "sample", why: str = ""
 ) -> None:
+    """Say what was done to a part; `why` explains the noise."""
     if is_empty:  # `what` or a warning says why.
         messages.say(f"{what}, so the colours are left as they are")
         return
@@ -105,9 +117,16 @@ def _show_done(
             f"{what}, {reason_in_words(part)}, so {others} are left as they are{advice_in_words(part)}"
         )
     elif any(done.noise.values()):
-        messages.say(f"{what}, noise {noise_of(part)} removed{moved}")
+        messages.say(f"{what}, noise {noise_of(part)} removed{why}{moved}")
     else:
         messages.say(f"{what}, {reason_in_words(part)}, smoothed all the same{moved}")
+
+
+def _left_by_coding(done: LayerReport, given: GivenNoise | None) -> str:
+    """Explain the noise of a JPEG image that had the given noise before it was coded."""
+    if given is None or noise_of_255(noise_size(asdict(done))) == noise_of_255(given.sigma):
+        return ""
+    return f", which JPEG coding left of {noise_of_255(given.sigma)}" if given.sigma else ""
 
 
 def _show_unchanged(messages: Messages, report: SmoothReport, *, unwrapped: bool, dry_run: bool) -> None:

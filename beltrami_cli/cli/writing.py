@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
@@ -12,6 +13,8 @@ import click
 from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import complete_files
 from beltrami_cli.cli.console import Messages
+from beltrami_cli.cli.parameter_options import typed_parameters
+from beltrami_cli.cli.phrases import output_name
 from beltrami_cli.errors import OutputError, UsageError
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
@@ -22,6 +25,8 @@ if TYPE_CHECKING:
     from beltrami_cli.view.before_after import Preview
 
 Report = TypeVar("Report", bound="FileReport")
+
+_LOSSY = {"jpeg", "webp", "avif", "ktx2"}  # which --jpeg-quality is for
 
 _dry_run = click.option("--dry-run", is_flag=True, help="Compute and report, but write no OUTPUT.")
 _report = click.option(
@@ -53,6 +58,7 @@ def run_and_write(
 ) -> Report:  # fmt: skip
     """Carry out a job from INPUT to OUTPUT, and put all that it writes in place together; `settings`: for a preview."""
     from beltrami_cli.formats.changes import Written
+    from beltrami_cli.formats.image.file_formats import format_of_suffix
     from beltrami_cli.jobs.writing.output import FileSet
 
     with options.job_from(values, ends[0], messages) as job, FileSet(ends) as files:
@@ -66,6 +72,12 @@ def run_and_write(
         for file in report_files:
             file.write(Written(main=[(json.dumps(asdict(report), indent=2) + "\n").encode()]))
         files.commit()
+    images = {known for path in report.written if (known := format_of_suffix(Path(path).suffix))}
+    is_lossless = images and images.isdisjoint(_LOSSY)
+    if is_lossless and any(each.name == "jpeg_quality" for each in typed_parameters()):
+        messages.warn(
+            f"{output_name(ends[1])}: --jpeg-quality has no effect, as images are written without loss"
+        )
     return report
 
 

@@ -75,6 +75,13 @@ def test_it_is_refused_on_every_other_kind_of_input(kind, documents):
                     select(documents[kind], SmoothSettings())
 
 
+def test_a_quality_that_no_written_image_has_is_warned_of(tmp_path):
+    for name, is_lossy in (("a.png", False), ("a.jpg", True)):
+        options = ("-n", 1, "--jpeg-quality", 90, "--overwrite")
+        run = beltrami("smooth", SAMPLES / "mirrored-noisy.png", tmp_path / name, *options, text=True)
+        assert ("--jpeg-quality has no effect" in run.stderr) != is_lossy
+
+
 REFUSED = [
     "smooth @nonmanifold-noisy.ply o.ply --jpeg-quality 50",
     "smooth @nonmanifold-noisy.ply o.ply --jpeg-quality 98",  # the default

@@ -176,3 +176,11 @@ def test_no_noise_is_said_only_where_one_in_ten_such_pictures_has_visible_noise_
 def test_the_standard_output_has_a_name(noisy):
     run = beltrami("smooth", "-", "-", stdin=noisy.read_bytes())
     assert run.stderr.startswith(b"<stdout>: 96 x 96 pixels, noise ")
+
+
+def test_the_noise_that_jpeg_left_of_what_is_given_is_explained(tmp_path):
+    noisy = np.random.default_rng(1).normal(120, 12, (64, 64, 3)).clip(0, 255).astype(np.uint8)
+    for name, known in (("in.jpg", "jpeg"), ("in.png", "png")):
+        (tmp_path / name).write_bytes(encode(noisy, known))
+        said, _, _ = smoothed(tmp_path / name, "--noise", "12")
+        assert ("which JPEG coding left of 12.0/255" in said) == (known == "jpeg")

@@ -71,19 +71,22 @@ def test_extras_that_messages_name_are_there_and_in_all():
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="make is not there")
-def test_the_demo_takes_what_is_installed(tmp_path):
-    (tmp_path / "beltrami").write_text("#!/bin/sh\n")
-    (tmp_path / "beltrami").chmod(0o700)
-    path = os.pathsep.join([str(tmp_path), os.environ["PATH"]])
+@pytest.mark.parametrize(
+    ("name", "called"), [("beltrami", "beltrami"), ("python3", "python3 -P -m beltrami_cli")]
+)
+def test_the_demo_takes_what_is_installed(name, called, tmp_path):
+    (tmp_path / name).write_text("#!/bin/sh\n")
+    (tmp_path / name).chmod(0o700)
+    path = os.pathsep.join([str(tmp_path), *os.defpath.split(os.pathsep)])
     demo = subprocess.run(
-        ["make", "-n", "demo"],
+        ["make", "-n", "demo", f"PYTHON={tmp_path}/python3"],
         cwd=ROOT,
         env={**os.environ, "PATH": path},
         capture_output=True,
         text=True,
         check=True,
     )
-    assert f"{tmp_path}/beltrami render" in demo.stdout
+    assert f"{tmp_path}/{called} render" in demo.stdout
     assert "pip" not in demo.stdout
 
 
