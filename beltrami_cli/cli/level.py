@@ -15,7 +15,7 @@ from beltrami_cli.cli.writing import report_options, run_and_write
 from beltrami_cli.layers.settings import LevelSettings, SmoothSettings
 
 if TYPE_CHECKING:
-    from beltrami_cli.layers.layer import LevelReport
+    from beltrami_cli.layers.reports import LevelReport
 
 
 @command("level", source="INPUT", target="OUTPUT")

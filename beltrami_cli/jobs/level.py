@@ -13,7 +13,7 @@ from beltrami_cli.jobs.file_job import FileReport
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.recolour import recolour
 from beltrami_cli.jobs.smoothing import Smoothing, unsmoothed
-from beltrami_cli.layers.layer import LevelReport
+from beltrami_cli.layers.reports import LevelReport
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings, describe_settings
 
 

@@ -22,11 +22,12 @@ from beltrami_cli.jobs.noise_kinds import NumberedSamples, add_grain, add_noise,
 from beltrami_cli.jobs.recolour import ColourFilter, FilterResult, recolour
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.layers.image_layer import ImageLayer
-from beltrami_cli.layers.layer import Layer, StoredColours
-from beltrami_cli.layers.picture_layer import PictureLayer
+from beltrami_cli.layers.layer import Layer
+from beltrami_cli.layers.pixel_layer import PixelLayer
 from beltrami_cli.layers.settings import DEFAULTS, SLOTS, SmoothSettings
-from beltrami_cli.layers.texture_layer import TextureLayer, all_texel_colours
-from beltrami_cli.layers.vertex_layer import VertexLayer, change_of, coloured_rows
+from beltrami_cli.layers.storing import StoredColours
+from beltrami_cli.layers.texture_layer import TextureLayer
+from beltrami_cli.layers.vertex_layer import VertexLayer, change_of
 from beltrami_cli.surface.baking import Cells, places_of_texels
 from beltrami_cli.surface.colour_values import from_space, to_space
 from beltrami_cli.surface.grouping import group_places
@@ -133,16 +134,16 @@ def _samples_of(layer: Layer) -> NumberedSamples:
         before = to_space(vertices.colours[rows][:, layer.channels.changing], vertices.encoding, space)
         return NumberedSamples(before, _places_of(vertices, rows), space=space)
     if isinstance(layer, ImageLayer):
-        before = layer.colours.working(layer.picture, np.flatnonzero(layer.valid))
+        before = layer.colours.working(layer.image, np.flatnonzero(layer.valid))
         return NumberedSamples(before, np.arange(len(before)), space=space)
     assert isinstance(layer, TextureLayer)
     atlas = layer.atlas
     # Texels are numbered by their place in the textures, and not on the canvas.
     number = np.empty(len(atlas.owned_texels), np.int64)
     number[np.argsort(atlas.owned_texels)] = np.arange(len(number))
-    is_grey = np.array([len(picture.colour) == 1 for picture in layer.pictures], bool)
+    is_grey = np.array([len(picture.colour) == 1 for picture in layer.images], bool)
     return NumberedSamples(
-        colours=all_texel_colours(layer.colours, layer.pictures, atlas),
+        colours=layer.all_texel_colours(),
         number_of=number,
         stream=1 + SLOTS.index(layer.slot),
         is_grey=is_grey[np.searchsorted(atlas.texture_offsets, atlas.owned_texels, side="right") - 1],
@@ -170,12 +171,12 @@ def _stored(layer: Layer, samples: NumberedSamples, after: Float32s) -> StoredCo
         new = NewColours.of(after, atlas.owned_texels, atlas.gutter_texels, beyond)
         remedy = "--texture-format png keeps all"
     encoded = layer.encode(new)
-    losses = [loss for each in layer.pictures for loss in noise_losses(each, layer.suffix, remedy)]
+    losses = [loss for each in layer.images for loss in noise_losses(each, layer.suffix, remedy)]
     return dataclasses.replace(encoded, notices=(*encoded.notices, *losses))
 
 
 def _rows_of(layer: VertexLayer) -> NDArray[np.intp]:
-    return coloured_rows(layer.vertices, in_triangles=layer.in_triangles)
+    return layer.vertices.coloured_rows(in_triangles=layer.in_triangles)
 
 
 def _places_of(vertices: ColouredVertices, rows: NDArray[np.intp]) -> Int32s:
@@ -235,7 +236,7 @@ def _spacing(vertices: ColouredVertices, rows: NDArray[np.intp]) -> Float64s:
 
 def _coded_as_jpeg(layer: Layer, quality: int) -> Float32s:
     """Return the colours of the samples as they are after their pictures went through JPEG."""
-    if not isinstance(layer, PictureLayer):
+    if not isinstance(layer, PixelLayer):
         remedy = "put the colours into a texture first: `beltrami bake --to texture`"
         raise UsageError(f"{layer.label}: JPEG codes pictures; {remedy}")
     if layer.names not in (("red", "green", "blue"), ("grey",)):
@@ -244,7 +245,7 @@ def _coded_as_jpeg(layer: Layer, quality: int) -> Float32s:
     cells, space = layer.places(), layer.colours.space
     assert isinstance(cells, Cells)
     coded = np.empty((len(cells.row), len(layer.names)), np.float32)
-    for index, picture in enumerate(layer.pictures):
+    for index, picture in enumerate(layer.images):
         working = layer.colours.working(picture, np.arange(picture.pixels[..., 0].size))
         shown = from_space(working, "srgb", space).reshape(*picture.pixels.shape[:2], -1)
         inside, place = cells.of(index)

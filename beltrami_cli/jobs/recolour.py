@@ -19,9 +19,10 @@ from beltrami_cli.jobs.file_job import FileReport, begin, is_moved
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.progress import phases_of
 from beltrami_cli.jobs.result_files import files_with_new_colours, sidecar_names, with_new_colours
-from beltrami_cli.layers.layer import Layer, StoredColours, all_images
+from beltrami_cli.layers.layer import Layer
 from beltrami_cli.layers.selection import Selection, select
 from beltrami_cli.layers.settings import SmoothSettings
+from beltrami_cli.layers.storing import StoredColours, all_images
 
 
 @dataclass(frozen=True, kw_only=True)

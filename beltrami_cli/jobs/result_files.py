@@ -19,8 +19,8 @@ from beltrami_cli.formats.image.file_formats import suffix_for
 from beltrami_cli.formats.image_document import ImageDocument
 from beltrami_cli.formats.registry import OutputFormat
 from beltrami_cli.formats.textured_mesh import with_images, with_suffixes
-from beltrami_cli.layers.layer import StoredColours, all_images
 from beltrami_cli.layers.selection import Selection
+from beltrami_cli.layers.storing import StoredColours, all_images
 from beltrami_cli.surface.geometry import vertex_normals
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.records import ImageFile, MovedVertices, PlannedImage, Slot

@@ -21,18 +21,11 @@ from beltrami_cli.jobs.file_job import FileReport
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.progress import Label
 from beltrami_cli.jobs.recolour import ColourFilter, FilterResult
-from beltrami_cli.layers.layer import (
-    Change,
-    ImageReport,
-    Layer,
-    LayerReport,
-    LevelReport,
-    Part,
-    SlotReport,
-    VertexReport,
-)
+from beltrami_cli.layers.layer import Layer, Part
+from beltrami_cli.layers.reports import ImageReport, LayerReport, LevelReport, SlotReport, VertexReport
 from beltrami_cli.layers.selection import Selection
 from beltrami_cli.layers.settings import LevelSettings, SmoothSettings, describe_settings
+from beltrami_cli.layers.storing import Change
 
 _USUAL_TICKS = 30  # while parameters are chosen
 
@@ -63,7 +56,7 @@ def smooth_layer(
         # Outliers are replaced all the same.
         kernel = dataclasses.replace(layer.settings.kernel, free=(), patches="off")
         settings = dataclasses.replace(layer.settings, kernel=kernel)
-        layer = dataclasses.replace(layer, settings=settings)  # type: ignore[type-var]  # each layer is a dataclass
+        layer = dataclasses.replace(layer, settings=settings)
         plan = dataclasses.replace(layer.plan().stopped_before(0), choice=plan.choice)
     result = smooth_in_place(plan, progress)
     report, new = layer.report(plan, result), result.manifold.new_colours()

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.errors import UsageError
+from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.fields import require_effect
 from beltrami_cli.formats.image.sizes import measure_image
 from beltrami_cli.formats.registry import write_mesh
@@ -16,9 +16,9 @@ from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.recolour import apply_filter
 from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.jobs.smoothing import Smoothed, Smoothing, SmoothReport, smooth_in_job, smooth_report
-from beltrami_cli.layers.layer import all_images
 from beltrami_cli.layers.selection import Selection
 from beltrami_cli.layers.settings import SmoothSettings
+from beltrami_cli.layers.storing import all_images
 from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.surface.records import ImageFile, TexturedSurface
 
@@ -77,9 +77,11 @@ def _selected(file: FileJob, settings: SmoothSettings) -> Selection:
 
 def _require_possible(selection: Selection) -> None:
     if selection.vertices:
-        from beltrami_cli.layers.vertex_layer import require_surface  # which textures do without
-
-        require_surface(selection.document.coloured_vertices(), selection.document.name)
+        vertices = selection.document.coloured_vertices()
+        if not len(vertices.faces):
+            count = len(vertices.positions)
+            cause = f"its {count} coloured vertices have no faces, so there is no surface to smooth on"
+            raise InputError(selection.document.name, cause, "triangulate the points first")
         return
     if selection.settings.embedding.guides:
         raise UsageError("--guide cannot guide the new texture that --unwrap makes; use both in turn")

@@ -21,7 +21,7 @@ from beltrami_cli.formats.image import DecodedImage, read_image, read_texture
 from beltrami_cli.formats.image.decoded_image import full_scale_one
 from beltrami_cli.formats.image.sizes import require_memory
 from beltrami_cli.formats.registry import document_of
-from beltrami_cli.layers.picture_layer import PictureColours
+from beltrami_cli.layers.pixel_colours import PixelColours
 from beltrami_cli.layers.settings import SLOTS, SmoothSettings
 from beltrami_cli.surface.atlas import Atlas, texels_by_texture
 from beltrami_cli.surface.lookups import look_up
@@ -164,7 +164,7 @@ class GuidedTexels:
         """Read the values of another slot at each owned texel."""
         guiding = self.document.textured(slot)
         pictures = [read_texture(texture) for texture in guiding.textures]
-        colours = PictureColours.of(pictures, slot, SmoothSettings(space=self.settings.space))
+        colours = PixelColours.of(pictures, slot, SmoothSettings(space=self.settings.space))
         width = len(colours.names)
         values = np.empty((len(self.atlas.owned_texels), width), np.float32)
         for index, inside, texels in texels_by_texture(self.atlas.texture_offsets, self.atlas.owned_texels):

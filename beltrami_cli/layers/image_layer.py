@@ -1,4 +1,4 @@
-"""Pixels of an image as samples of a manifold: colours in the working space and back."""
+"""The pixels of an image, except holes, as samples of a manifold."""
 
 from __future__ import annotations
 
@@ -23,20 +23,24 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import DecodedImage, is_exact, label_of
 from beltrami_cli.formats.image.conversion import upright
 from beltrami_cli.formats.image.jpeg_tables import read_jpeg_tables
+from beltrami_cli.layers.channels import with_chosen_layer
 from beltrami_cli.layers.guides import noise_of_pixels, read_guide_images
 from beltrami_cli.layers.image_surface import (
     ImageSurface,
     canvas_of_image,
     read_surface,
 )
-from beltrami_cli.layers.layer import ImageReport, Part, StoredColours, rewritten
-from beltrami_cli.layers.picture_layer import PictureColours, PictureLayer, with_chosen_layer
+from beltrami_cli.layers.layer import Part
+from beltrami_cli.layers.pixel_colours import PixelColours
+from beltrami_cli.layers.pixel_layer import PixelLayer
+from beltrami_cli.layers.reports import ImageReport
 from beltrami_cli.layers.settings import SmoothSettings, binding_parameters
+from beltrami_cli.layers.storing import StoredColours, rewritten
 from beltrami_cli.surface.baking import Cells
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ImageLayer(PictureLayer):
+class ImageLayer(PixelLayer):
     """The pixels of an image, except holes."""
 
     part: ClassVar[Part] = "image"
@@ -57,39 +61,37 @@ class ImageLayer(PictureLayer):
         `colours_only` leaves out channels that are not colours, unless settings name them.
         """
         require_effect(["images"], document.name, binding_parameters(settings))
-        picture, chosen = with_chosen_layer(document.image(), settings)
-        only = colours_only or picture.names_colours
-        colours = PictureColours.of([picture], "baseColor", chosen, is_image=True, colours_only=only)
-        surface = read_surface(picture, settings.image, access)
-        usable = colours.finite(picture)
-        visible = ~colours.hidden(picture, slice(None)).reshape(usable.shape)
+        image, chosen = with_chosen_layer(document.image(), settings)
+        only = colours_only or image.names_colours
+        colours = PixelColours.of([image], "baseColor", chosen, is_image=True, colours_only=only)
+        surface = read_surface(image, settings.image, access)
+        usable = colours.finite(image)
+        visible = ~colours.hidden(image, slice(None)).reshape(usable.shape)
         valid = usable & visible
         if surface.valid is not None:
             valid &= surface.valid
         remarks = [*surface.notices]
         if unfit := usable.size - int(np.count_nonzero(usable)):
-            remarks.append(
-                f"{picture.name} has {unfit} pixels that are not finite; they are holes, and stay."
-            )
+            remarks.append(f"{image.name} has {unfit} pixels that are not finite; they are holes, and stay.")
         if colours.others and settings.channels is None and not colours_only:
             remarks.append(
-                f"{picture.name}: the channels {', '.join(colours.others)} are smoothed too, and count as differences; "
+                f"{image.name}: the channels {', '.join(colours.others)} are smoothed too, and count as differences; "
                 "--channels leaves them out."
             )
         if not valid.any():
             remedy = "" if visible.any() else "; --alpha smooth takes transparent pixels, too"
-            remarks.append(f"{picture.name} has no pixel but holes, so nothing was changed{remedy}.")
+            remarks.append(f"{image.name} has no pixel but holes, so nothing was changed{remedy}.")
         return cls(
-            names=colours.names, pictures=[picture], settings=settings, colours=colours,
+            images=[image], settings=settings, colours=colours,
             surface=dataclasses.replace(surface, valid=valid), valid=valid,
-            guides=read_guide_images(picture, valid, settings, access),
-            noise=noise_of_pixels(settings.kernel, [picture], valid.reshape(-1), access),
+            guides=read_guide_images(image, valid, settings, access),
+            noise=noise_of_pixels(settings.kernel, [image], valid.reshape(-1), access),
             tables=[read_jpeg_tables(document.data)], suffix=suffix, remarks=tuple(remarks),
         )  # fmt: skip
 
     @property
-    def picture(self) -> DecodedImage:
-        return self.pictures[0]
+    def image(self) -> DecodedImage:
+        return self.images[0]
 
     @property
     def as_data(self) -> bool:
@@ -97,27 +99,27 @@ class ImageLayer(PictureLayer):
 
     def canvas(self) -> ColouredCanvas:
         return canvas_of_image(
-            self.surface, partial(self.colours.working, self.picture), self.kernel,
-            guides=self.guides, metric_channels=self.colours.metric_channels, deviations=self.deviations,
-            light=self.colours.light_space,
+            self.surface, partial(self.colours.working, self.image), self.kernel,
+            guides=self.guides, metric_channels=self.colours.channels.metric, deviations=self.deviations,
+            light=self.light,
         )  # fmt: skip
 
     @property
-    def notices(self) -> Sequence[str]:  # type: ignore[override]  # read-only, as in all layers
-        return [*self.picture.notices, *self.remarks]
+    def notices(self) -> Sequence[str]:
+        return [*self.image.notices, *self.remarks]
 
     def _facts(self) -> dict[str, object]:
-        picture, valid = self.picture, self.valid
+        image, valid = self.image, self.valid
         return {
             "width": valid.shape[1],
             "height": valid.shape[0],
-            "format": picture.format,
-            "stored": picture.stored,
-            "channels": list(picture.channels),
-            **({"part": picture.parts[picture.part or 0]} if len(picture.parts) > 1 else {}),
-            "colours": [picture.channels[i] for i in picture.colour],
-            "encoding": picture.encoding,
-            "smoothed": [self.colours.names[i] for i in self.colours.written],
+            "format": image.format,
+            "stored": image.stored,
+            "channels": list(image.channels),
+            **({"part": image.parts[image.part or 0]} if len(image.parts) > 1 else {}),
+            "colours": [image.channels[i] for i in image.colour],
+            "encoding": image.encoding,
+            "smoothed": [self.colours.names[i] for i in self.colours.channels.written],
             "surface": self.surface.kind,
             "holes": valid.size - int(np.count_nonzero(valid)),
         }
@@ -138,14 +140,14 @@ class ImageLayer(PictureLayer):
     def encode(self, new: NewColours, *, is_smoothed: bool = True) -> StoredColours:
         del is_smoothed
         notices = [*self.remarks]
-        if self.suffix is None and not self.valid.all() and not is_exact(self.picture):
-            label = label_of(self.picture.format)
-            notices.append(f"{self.picture.name}: {label} is not exact, so holes change slightly as well.")
+        if self.suffix is None and not self.valid.all() and not is_exact(self.image):
+            label = label_of(self.image.format)
+            notices.append(f"{self.image.name}: {label} is not exact, so holes change slightly as well.")
         pixels, change = self.new_pixels(0, new)
-        pixels, turned = upright(self.picture, pixels, self.suffix)
+        pixels, turned = upright(self.image, pixels, self.suffix)
         wanted = self.settings.textures
-        file, said = rewritten(self.picture, pixels, wanted, self.suffix, as_data=self.as_data)
-        image = dataclasses.replace(file, suffix=self.suffix or Path(self.picture.name).suffix)
+        file, said = rewritten(self.image, pixels, wanted, self.suffix, as_data=self.as_data)
+        image = dataclasses.replace(file, suffix=self.suffix or Path(self.image.name).suffix)
         change = self.change_in(image, 0, new, change)
         return StoredColours(change, images={("baseColor", ""): image}, notices=(*said, *turned, *notices))
 

@@ -11,7 +11,7 @@ from beltrami_cli.arrays import Bools, Float32s, Int64s
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import DecodedImage
-from beltrami_cli.layers.layer import LevelReport
+from beltrami_cli.layers.reports import LevelReport
 from beltrami_cli.layers.settings import LevelSettings
 from beltrami_cli.levelling.correction import Levelled, level_canvas, level_mesh
 from beltrami_cli.levelling.exposures import CONFIDENCE, Verdict
@@ -29,11 +29,11 @@ Chart = tuple[Texture, dict[str, object]]  # of a chart with texels: texture, an
 
 
 def level_charts(
-    what: str, planes: Float32s, atlas: Atlas, textures: Sequence[Texture], pictures: Sequence[DecodedImage],
+    what: str, planes: Float32s, atlas: Atlas, textures: Sequence[Texture], images: Sequence[DecodedImage],
     wanted: LevelSettings, spans: Sequence[int],
 ) -> LevelReport:  # fmt: skip
     """Remove exposure steps from colours on a canvas, in place; `spans` as in `level_canvas`."""
-    charts = _charts_of(atlas, textures, pictures)
+    charts = _charts_of(atlas, textures, images)
     fixed = (
         _reference(charts, max(1, atlas.charts), wanted.reference_charts) if wanted.reference_charts else None
     )
@@ -52,7 +52,7 @@ def level_photographs(
     return colours, _report(what, found, change, [{"chart": part} for part in range(len(found.groups))])
 
 
-def _charts_of(atlas: Atlas, textures: Sequence[Texture], pictures: Sequence[DecodedImage]) -> list[Chart]:
+def _charts_of(atlas: Atlas, textures: Sequence[Texture], images: Sequence[DecodedImage]) -> list[Chart]:
     """Return for each chart its texture, and its number, centre texel and number of texels there."""
     areas = np.bincount(atlas.chart_of, minlength=max(1, atlas.charts))
     texel, charts = np.zeros(len(areas), np.int64), list[Chart]()
@@ -62,7 +62,7 @@ def _charts_of(atlas: Atlas, textures: Sequence[Texture], pictures: Sequence[Dec
     for chart in np.flatnonzero(areas).tolist():
         index = int(texture_of[chart])
         of_texture = int(texel[chart] - atlas.texture_offsets[index])
-        row, column = divmod(of_texture, pictures[index].pixels.shape[1])
+        row, column = divmod(of_texture, images[index].pixels.shape[1])
         place = {"texture": textures[index].name, "column": column, "row": row}
         charts.append((textures[index], {"chart": chart, **place, "samples": int(areas[chart])}))
     return charts

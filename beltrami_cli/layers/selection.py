@@ -1,8 +1,4 @@
-"""Selection of the parts of a document that are recoloured, and their layers.
-
-Textures that touch nowhere on the surface get separate noise and parameters. The fibres of a carpet are not noise of a
-plain wall, and parameters that suit wood smooth the wall too little.
-"""
+"""Selection of the parts of a document that are recoloured, and their layers."""
 
 from __future__ import annotations
 
@@ -14,9 +10,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from beltrami_cli.arrays import Float64s, Int32s, Int64s
+from beltrami_cli.arrays import Float64s, Int32s
 from beltrami_cli.errors import InputError, NoColoursError, Obstacle, UsageError
 from beltrami_cli.fields import given_parameters, require_effect
 from beltrami_cli.flow.chunks import chunk_memory
@@ -25,8 +19,8 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.sizes import measure_image, require_memory, sizes_of, too_large
 from beltrami_cli.layers.layer import Layer
 from beltrami_cli.layers.settings import SLOTS, SmoothSettings, binding_parameters
-from beltrami_cli.layers.texture_layer import TextureLayer, choose_textures, only_textures
-from beltrami_cli.surface.grouping import group_places
+from beltrami_cli.layers.texture_groups import choose_textures, covered_texels, separate_surfaces
+from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.surface.large_arrays import arrays_in_files
 from beltrami_cli.surface.precision import check_scale, coarse_rounding
 from beltrami_cli.surface.records import Slot, TexturedSurface
@@ -44,9 +38,6 @@ _TEXELS_OF_A_VERTEX = 6
 # 16 textures of 2048 x 2048, limited to 180 MB, took 270 MB, with 90 of the program itself and arrays of 45: 2.0 a
 # texel.
 _MASKS = 2
-
-# Covered texels that suffice to estimate noise and parameters; smaller parts of a surface are combined.
-_SUFFICIENT_TEXELS = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -137,7 +128,7 @@ class Selection:
             parts = separate_surfaces(surface) if in_groups and settings.kernel.is_open else [surface]
             for number, part in enumerate(parts, 1):
                 whole, name = (document, access), f"part {number} of {len(parts)}" if len(parts) > 1 else ""
-                yield TextureLayer.read(part, slot, settings, guided=whole, shared=shared, part=name)
+                yield TextureLayer.read(part, slot, settings, guided=whole, shared=shared, group=name)
 
     def samples(self) -> list[int]:
         """Estimate the work of each selected layer, in texels, without decoding an image."""
@@ -147,7 +138,7 @@ class Selection:
             counts.append(0 if size is None else size.texels)
         if self.vertices:
             counts.append(_TEXELS_OF_A_VERTEX * len(self.document.coloured_vertices().colours))
-        return [*counts, *(int(_covered_texels(surface).sum()) for surface in self.surfaces)]
+        return [*counts, *(int(covered_texels(surface).sum()) for surface in self.surfaces)]
 
     def require_geometry(self, *, is_patched: bool) -> None:
         """Raise errors if positions shall be smoothed, but are absent or cannot be stored."""
@@ -222,9 +213,10 @@ def absent_slots(document: Document, settings: SmoothSettings) -> list[str]:
 
 def vertex_layer(document: Document, settings: SmoothSettings, access: Access) -> VertexLayer:
     """Make the layer of a model's coloured vertices: on a mesh, as points, on a grid, or on a level set."""
+    from beltrami_cli.layers.grid_layer import GridLayer
     from beltrami_cli.layers.guides import noise_of_vertices, vertex_guides
     from beltrami_cli.layers.levelled_charts import photographs_of
-    from beltrami_cli.layers.vertex_layer import GridLayer, MeshLayer
+    from beltrami_cli.layers.mesh_layer import MeshLayer
 
     vertices, grid = document.coloured_vertices(), document.grid()
     guides = vertex_guides(document, settings, access)
@@ -243,55 +235,6 @@ def vertex_layer(document: Document, settings: SmoothSettings, access: Access) -
         cause = f"{', '.join(wrong)}: not on range images, whose vertices lie on a grid; leave it out"
         raise UsageError(cause)
     return GridLayer(vertices=vertices, grid=grid, settings=settings, guides=guides, noise=noise)
-
-
-def separate_surfaces(surface: TexturedSurface) -> list[TexturedSurface]:
-    """Split the textures of a surface into groups that touch."""
-    if len(surface.textures) < 2:
-        return [surface]
-    parts = _large_parts(_touching(surface), _covered_texels(surface))
-    return [only_textures(surface, part) for part in parts] if len(parts) > 1 else [surface]
-
-
-def _covered_texels(surface: TexturedSurface) -> Float64s:
-    """Estimate how many texels of each texture are covered by triangles, without decoding it."""
-    sizes = [measure_image(texture.data, texture.name) for texture in surface.textures]
-    # An image whose size cannot be read counts as 0; its decoder raises the error later. The last 0 stands for
-    # triangles without a texture.
-    texels = np.array([0 if size is None else size.texels for size in sizes] + [0], np.float64)
-    (a, b), (c, d) = np.moveaxis(np.diff(surface.uv, axis=1), 0, 2)
-    areas = np.nan_to_num(np.abs(a * d - b * c) / 2)
-    areas = np.bincount(surface.texture_of % len(texels), areas, len(texels))
-    return np.asarray((texels * np.minimum(areas, 1))[:-1], np.float64)
-
-
-def _touching(surface: TexturedSurface) -> Int64s:
-    """Return a group number for each texture, shape (T,), equal if a path over the surface connects two textures."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    # A graph of textures and of the edges of their triangles.
-    place_of, first = group_places(surface.positions, surface.space_of, surface.faces)
-    faces = np.flatnonzero(surface.texture_of >= 0)
-    places = place_of[surface.faces[faces]]
-    pairs = np.sort(np.stack([places, np.roll(places, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
-    keys, edge = np.unique(pairs[:, 0].astype(np.int64) * len(first) + pairs[:, 1], return_inverse=True)
-    count = len(surface.textures)
-    at, size = (count + edge, np.repeat(surface.texture_of[faces], 3)), count + len(keys)
-    met = coo_array((np.ones(len(edge), bool), at), shape=(size, size))
-    numbers: Int64s = connected_components(met, directed=False)[1][:count].astype(np.int64)
-    return numbers
-
-
-def _large_parts(part_of: Int64s, covered: Float64s) -> list[list[int]]:
-    """Return the textures of each group, in order; groups with few texels are combined, or join the largest."""
-    texels = np.bincount(part_of, covered)
-    small = texels < _SUFFICIENT_TEXELS
-    if texels[small].sum() < _SUFFICIENT_TEXELS:
-        small[texels.argmax()] |= small.any()
-    number = np.where(small, len(texels), np.arange(len(texels)))[part_of]
-    parts = [np.flatnonzero(number == each).tolist() for each in np.unique(number)]
-    return sorted(parts)
 
 
 def _no_such_textures(document: Document, present: Sequence[Slot], wanted: Sequence[str]) -> InputError:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from fnmatch import fnmatch
 from functools import partial
 from typing import ClassVar, Self
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Bools, Float32s, Int64s
+from beltrami_cli.arrays import Array, Bools, Float32s, Indices, Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import FlowResult
 from beltrami_cli.flow.estimation import estimate_on_canvas
@@ -25,16 +24,19 @@ from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import DecodedImage, read_texture
 from beltrami_cli.formats.image.jpeg_tables import JpegTables, read_jpeg_tables
-from beltrami_cli.layers import layer
 from beltrami_cli.layers.guides import GuidedTexels, noise_of_pixels
-from beltrami_cli.layers.layer import LevelReport, SlotReport
-from beltrami_cli.layers.picture_layer import PictureColours, PictureLayer
-from beltrami_cli.layers.settings import COLOUR_SLOTS, LevelSettings, SmoothSettings, TextureSettings
+from beltrami_cli.layers.layer import Part
+from beltrami_cli.layers.pixel_colours import PixelColours
+from beltrami_cli.layers.pixel_layer import PixelLayer
+from beltrami_cli.layers.reports import SlotReport, describe_reading, named
+from beltrami_cli.layers.settings import COLOUR_SLOTS, LevelSettings, SmoothSettings
+from beltrami_cli.layers.storing import Change, SharedImage, StoredColours, rewritten
+from beltrami_cli.layers.texture_groups import only_textures
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas, build_atlas, texels_by_texture, without_owned
 from beltrami_cli.surface.baking import Cells
 from beltrami_cli.surface.gutters import fill_gutter, keep_foreign_texels, within
-from beltrami_cli.surface.records import ImageFile, Slot, Texture, TexturedSurface
+from beltrami_cli.surface.records import ImageFile, Slot, TexturedSurface
 
 _UNCOVERED_NOTICE = (
     "no texel is covered by the surface, so nothing was changed; `smooth --unwrap` makes a new atlas"
@@ -47,49 +49,50 @@ _WORTH_REPORTING = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class TextureLayer(PictureLayer):
+class TextureLayer(PixelLayer):
     """The covered and visible texels of the selected textures of a slot."""
 
-    part: ClassVar[layer.Part] = "textures"
+    part: ClassVar[Part] = "textures"
 
-    label: str
     slot: Slot
     surface: TexturedSurface
     atlas: Atlas
     shared: Collection[str] = ()  # keys of images that other slots also show
     guided: GuidedTexels | None = None  # source of its guides
-    is_whole: bool = True  # whether it has all textures of the slot
+    group: str = ""  # name of the group of textures; empty: all of the slot
     levelled_colours: Float32s | None = None  # (T, N): colours of owned cells without exposure steps
-    level_report: LevelReport | None = None
 
     @classmethod
     def read(
         cls, surface: TexturedSurface, slot: Slot, settings: SmoothSettings, *,
-        guided: tuple[Document, Access] | None = None, shared: Collection[str] = (), part: str = "",
+        guided: tuple[Document, Access] | None = None, shared: Collection[str] = (), group: str = "",
         decoded: Sequence[DecodedImage] | None = None,
     ) -> TextureLayer:  # fmt: skip
         """Decode the textures of a surface, unless they are `decoded`, and lay out their charts.
 
-        `guided`: source of guides and noise; `part`: name of the layer if it does not have all textures of the slot.
+        `guided`: source of guides and noise; `group`: name of the layer if it does not have all textures of the slot.
         """
-        kernel, pictures, tables = settings.kernel, [*(decoded or ())], list[JpegTables | None]()
+        kernel, images, tables = settings.kernel, [*(decoded or ())], list[JpegTables | None]()
         if decoded is None:
             for texture in surface.textures:
                 data = texture.data  # each access may read the file again
-                pictures.append(dataclasses.replace(read_texture(texture, data), content=texture.content))
+                images.append(dataclasses.replace(read_texture(texture, data), content=texture.content))
                 tables.append(read_jpeg_tables(data))
-        colours = PictureColours.of(pictures, slot, settings)
-        atlas = _without_transparent(atlas_of(surface, pictures, kernel), colours, pictures, surface.textures)
+        colours = PixelColours.of(images, slot, settings)
+        atlas = _visible_atlas(surface, images, kernel, colours)
         noise = guides = None
         if guided is not None:
-            noise = noise_of_pixels(kernel, pictures, atlas.owned_texels, guided[1])
-            guides = GuidedTexels(guided[0], surface, pictures, atlas, settings, guided[1])
+            noise = noise_of_pixels(kernel, images, atlas.owned_texels, guided[1])
+            guides = GuidedTexels(guided[0], surface, images, atlas, settings, guided[1])
         return cls(
-            label=f"{slot} textures" + (f", {part}" if part else ""), is_whole=not part, names=colours.names,
-            slot=slot, settings=settings, surface=surface, pictures=pictures,
-            tables=tables or [None] * len(pictures), atlas=atlas, colours=colours, shared=shared, guided=guides,
+            slot=slot, group=group, settings=settings, surface=surface, images=images,
+            tables=tables or [None] * len(images), atlas=atlas, colours=colours, shared=shared, guided=guides,
             noise=None if noise is None else noise[atlas.owned_texels], suffix=settings.textures.image_suffix,
         )  # fmt: skip
+
+    @property
+    def label(self) -> str:
+        return f"{self.slot} textures" + (f", {self.group}" if self.group else "")
 
     @property
     def as_data(self) -> bool:
@@ -102,15 +105,30 @@ class TextureLayer(PictureLayer):
     def canvas(self) -> ColouredCanvas:
         return ColouredCanvas(
             atlas=self.atlas, parameters=self.kernel, channels=len(self.names), colours_of=self._colours_of,
-            deviations=self.deviations, light=self.colours.light_space,
-            guides=self.guided.guides() if self.guided else (), metric_channels=self.colours.metric_channels,
+            deviations=self.deviations, light=self.light,
+            guides=self.guided.guides() if self.guided else (), metric_channels=self.colours.channels.metric,
         )  # fmt: skip
 
     def _colours_of(self, block: slice) -> Float32s:
         """Return the colours of a block of owned cells, levelled if they were, shape (T, N)."""
         if self.levelled_colours is not None:
             return self.levelled_colours[block]
-        return texel_colours(self.colours, self.pictures, self.atlas, block)
+        return self.texel_colours(block)
+
+    def texel_colours(self, rows: slice | Indices) -> Float32s:
+        """Return the stored colours of some owned cells in the working space, shape (T, N)."""
+        texels = self.atlas.owned_texels[rows]
+        table = np.empty((len(texels), len(self.names)), np.float32)
+        for index, inside, own in texels_by_texture(self.atlas.texture_offsets, texels):
+            table[inside] = self.colours.working(self.images[index], own)
+        return table
+
+    def all_texel_colours(self) -> Float32s:
+        """Return the stored colours of all owned cells, converted block by block."""
+        table = large_arrays.empty((len(self.atlas.owned_texels), len(self.names)), np.float32)
+        for block in large_arrays.blocks(len(table)):
+            table[block] = self.texel_colours(block)
+        return table
 
     def _facts(self) -> list[dict[str, object]]:
         atlas = self.atlas
@@ -118,14 +136,14 @@ class TextureLayer(PictureLayer):
         return [
             {
                 "name": self.surface.textures[index].name,
-                "width": picture.pixels.shape[1],
-                "height": picture.pixels.shape[0],
-                "format": picture.format,
-                "stored": picture.stored,
-                "channels": list(picture.channels),
-                "covered": round(float(covered[index] / picture.pixels[..., 0].size), 4),
+                "width": image.pixels.shape[1],
+                "height": image.pixels.shape[0],
+                "format": image.format,
+                "stored": image.stored,
+                "channels": list(image.channels),
+                "covered": round(float(covered[index] / image.pixels[..., 0].size), 4),
             }
-            for index, picture in enumerate(self.pictures)
+            for index, image in enumerate(self.images)
         ]
 
     def report(self, plan: Plan[GridManifold], result: FlowResult[GridManifold]) -> SlotReport:
@@ -143,7 +161,7 @@ class TextureLayer(PictureLayer):
         plan, described = self.plan(), self._facts()
         seams = 0
         for index, facts in enumerate(described):
-            manifold = plan.manifold if len(described) == 1 else _manifold_alone(self, index)
+            manifold = plan.manifold if len(described) == 1 else self._manifold_alone(index)
             atlas = manifold.geometry.atlas
             noise, read = (
                 (plan.noise, plan.reading)
@@ -151,8 +169,8 @@ class TextureLayer(PictureLayer):
                 else (manifold.noise.of_input, manifold.noise.reading)
             )
             facts |= {"charts": atlas.charts, "seams": atlas.seams, "overlapped": atlas.overlapped}
-            facts |= {"pitch": manifold.geometry.spacing, "noise": layer.named(self.names, self.unit * noise)}
-            facts["reading"] = layer.describe_reading(read, self.unit)
+            facts |= {"pitch": manifold.geometry.spacing, "noise": named(self.names, self.unit * noise)}
+            facts["reading"] = describe_reading(read, self.unit)
             seams += atlas.seams
         return {
             "slot": self.slot,
@@ -165,46 +183,56 @@ class TextureLayer(PictureLayer):
             **self._described_plan(plan),
         }
 
-    def encode(self, new: NewColours, *, is_smoothed: bool = True) -> layer.StoredColours:
+    def _manifold_alone(self, index: int) -> GridManifold:
+        """Return the manifold of one of several textures."""
+        surface, images = only_textures(self.surface, [index]), [self.images[index]]
+        atlas = _visible_atlas(surface, images, self.kernel, self.colours)
+        alone = dataclasses.replace(
+            self, surface=surface, images=images, atlas=atlas, guided=None, noise=None
+        )
+        canvas = dataclasses.replace(alone.canvas(), parameters=dataclasses.replace(self.kernel, free=()))
+        return grid_manifold(canvas, estimate_on_canvas(canvas))
+
+    def encode(self, new: NewColours, *, is_smoothed: bool = True) -> StoredColours:
         is_tried, is_covered = is_smoothed or self.level_report is not None, len(self.atlas.owned_texels) > 0
         notices = _notices_of(self.atlas) if is_tried or not is_covered else []
         is_levelled, wanted = self.levelled_colours is not None, self.settings.textures
         gutter = wanted.gutter if is_smoothed or is_levelled else None
         is_dithered = is_levelled and not is_smoothed
-        changes: list[layer.Change] = []
+        changes: list[Change] = []
         images: dict[tuple[Slot, str], ImageFile] = {}
-        shared: list[layer.SharedImage] = []
-        for index, (texture, picture) in enumerate(zip(self.surface.textures, self.pictures, strict=True)):
+        shared: list[SharedImage] = []
+        for index, (texture, image) in enumerate(zip(self.surface.textures, self.images, strict=True)):
             pixels, change = self.new_pixels(index, new, is_dithered=is_dithered)
             if gutter is not None:
                 self._refill_gutter(pixels, index, new, gutter, is_dithered=is_dithered)
             large_arrays.release_pages()
-            write = partial(layer.rewritten, picture, wanted=wanted, suffix=self.suffix, as_data=self.as_data)
+            write = partial(rewritten, image, wanted=wanted, suffix=self.suffix, as_data=self.as_data)
             if texture.key in self.shared:
-                columns = self.colours.columns(picture)
-                shared.append(layer.SharedImage(self.slot, texture.key, pixels, columns, write))
+                columns = self.colours.columns(image)
+                shared.append(SharedImage(self.slot, texture.key, pixels, columns, write))
                 changes.append(change)
                 continue
             file, said = write(pixels)
             images[self.slot, texture.key] = file
             changes.append(self.change_in(file, index, new, change))
             notices += said
-        change = layer.Change.joined(changes)
-        return layer.StoredColours(change, images=images, shared=tuple(shared), notices=tuple(notices))
+        change = Change.joined(changes)
+        return StoredColours(change, images=images, shared=tuple(shared), notices=tuple(notices))
 
     def _refill_gutter(
         self, pixels: Array, index: int, new: NewColours, gutter: int, *, is_dithered: bool
     ) -> None:
         """Refill the gutter of a texture's charts, with its old width, in place."""
-        picture, threads = self.pictures[index], self.settings.kernel.thread_count
+        image, threads = self.images[index], self.settings.kernel.thread_count
         covered, known, rows = self._gutter_rows(index, pixels.shape[:2], new, gutter)
         beyond = NewColours.of(new.beyond[rows])
         self._fill(pixels, index, new.beyond_places[rows], beyond.take, is_dithered=is_dithered)
         keep_foreign_texels(
-            picture.pixels, pixels, covered, known, partial(self.colours.shown, picture),
-            width=gutter, lone=self._of_picture(self.atlas.lone_texels, index)[1], threads=threads,
+            image.pixels, pixels, covered, known, partial(self.colours.shown, image),
+            width=gutter, lone=self._of_image(self.atlas.lone_texels, index)[1], threads=threads,
         )  # fmt: skip
-        opacity, columns = self.colours.opacity(picture), self.colours.columns(picture)
+        opacity, columns = self.colours.opacity(image), self.colours.columns(image)
         fill_gutter(pixels, covered, gutter, known, threads, columns, opacity)
 
     def _gutter_rows(
@@ -213,8 +241,8 @@ class TextureLayer(PictureLayer):
         """Return the covered texels, shape (H, W), the gutter texels next to them, and the rows of these."""
         covered, near = np.zeros(shape, bool), np.zeros(shape, bool)
         for block in large_arrays.blocks(len(new.places)):
-            covered.reshape(-1)[self._of_picture(new.places[block], index)[1]] = True
-        inside, texels = self._of_picture(new.beyond_places, index)
+            covered.reshape(-1)[self._of_image(new.places[block], index)[1]] = True
+        inside, texels = self._of_image(new.beyond_places, index)
         chosen = within(covered, gutter).reshape(-1)[texels]
         near.reshape(-1)[texels[chosen]] = True
         return covered, near, np.arange(len(new.beyond_places))[inside][chosen]
@@ -225,13 +253,13 @@ class TextureLayer(PictureLayer):
         if self.slot not in COLOUR_SLOTS:
             cause = "they are data, which no camera exposed; leave them out of --slots"
             raise UsageError(f"{self.label}: {cause}")
-        if not self.is_whole:
+        if self.group:
             raise UsageError(f"{self.label}: exposures are fitted to all textures of a slot together")
         planes = fill_canvas(self.atlas, len(self.names), self._colours_of)
         textures = self.surface.textures
         is_coloured = self.names == ("red", "green", "blue")
         spans = [max(each.span) if is_coloured and each is not None else 1 for each in self.tables]
-        report = level_charts(self.label, planes, self.atlas, textures, self.pictures, wanted, spans)
+        report = level_charts(self.label, planes, self.atlas, textures, self.images, wanted, spans)
         made = dataclasses.replace(self, level_report=report)
         if not report.levelled:
             return made
@@ -239,30 +267,12 @@ class TextureLayer(PictureLayer):
         return dataclasses.replace(made, levelled_colours=levelled, tables=[None] * len(self.tables))
 
     def places(self) -> Cells:
-        atlas, sizes = self.atlas, [picture.pixels.shape[:2] for picture in self.pictures]
-        picture = np.searchsorted(atlas.texture_offsets, atlas.owned_texels, side="right") - 1
-        own = atlas.owned_texels - atlas.texture_offsets[picture]
-        row, column = np.divmod(own, np.array([columns for _, columns in sizes], np.int64)[picture])
+        atlas, sizes = self.atlas, [image.pixels.shape[:2] for image in self.images]
+        image = np.searchsorted(atlas.texture_offsets, atlas.owned_texels, side="right") - 1
+        own = atlas.owned_texels - atlas.texture_offsets[image]
+        row, column = np.divmod(own, np.array([columns for _, columns in sizes], np.int64)[image])
         names = [texture.name for texture in self.surface.textures]
-        return Cells(sizes, picture, row, column, atlas.chart_of, names)
-
-
-def _manifold_alone(textures: TextureLayer, index: int) -> GridManifold:
-    """Return the manifold of one of several textures."""
-    surface, pictures = only_textures(textures.surface, [index]), [textures.pictures[index]]
-    kernel, colours = dataclasses.replace(textures.kernel, free=()), textures.colours
-    atlas = _without_transparent(atlas_of(surface, pictures, kernel), colours, pictures, surface.textures)
-    colours_of = partial(texel_colours, colours, pictures, atlas)
-    canvas = ColouredCanvas(
-        atlas=atlas, parameters=kernel, channels=len(textures.names), colours_of=colours_of
-    )
-    return grid_manifold(canvas, estimate_on_canvas(canvas))
-
-
-def atlas_of(surface: TexturedSurface, pictures: Sequence[DecodedImage], kernel: KernelParameters) -> Atlas:
-    """Make the atlas of pictures, extended over seams by the reach of a kernel."""
-    sizes = [(picture.pixels.shape[1], picture.pixels.shape[0]) for picture in pictures]
-    return build_atlas(surface, sizes, canvas_margin(kernel), kernel.thread_count)
+        return Cells(sizes, image, row, column, atlas.chart_of, names)
 
 
 def _notices_of(atlas: Atlas) -> list[str]:
@@ -278,57 +288,19 @@ def _notices_of(atlas: Atlas) -> list[str]:
     ]
 
 
-def choose_textures(surface: TexturedSurface, wanted: TextureSettings) -> TexturedSurface:
-    """Select the textures that match the globs, possibly none."""
-
-    def fits(texture: Texture) -> bool:
-        by_name = not wanted.names or any(fnmatch(texture.name, glob) for glob in wanted.names)
-        by_material = not wanted.materials or any(
-            fnmatch(material, glob) for material in texture.materials for glob in wanted.materials
-        )
-        return by_name and by_material
-
-    return only_textures(surface, [i for i, texture in enumerate(surface.textures) if fits(texture)])
-
-
-def only_textures(surface: TexturedSurface, kept: list[int]) -> TexturedSurface:
-    """Select textures by index; triangles of the others have none."""
-    new_index = np.full(len(surface.textures) + 1, -1, np.int32)
-    new_index[kept] = np.arange(len(kept), dtype=np.int32)
-    textures = tuple(surface.textures[index] for index in kept)
-    return dataclasses.replace(surface, textures=textures, texture_of=new_index[surface.texture_of])
-
-
-def _without_transparent(
-    atlas: Atlas, colours: PictureColours, pictures: Sequence[DecodedImage], textures: Sequence[Texture]
+def _visible_atlas(
+    surface: TexturedSurface, images: Sequence[DecodedImage], kernel: KernelParameters, colours: PixelColours
 ) -> Atlas:
-    """Remove the owned cells of transparent texels, which supply no colour, from the atlas."""
-    pairs = zip(pictures, textures, strict=True)
-    can_hide = [picture.alpha is not None and texture.alpha_hides for picture, texture in pairs]
+    """Lay out charts, extended over seams by the reach of a kernel, without texels that supply no colour."""
+    sizes = [(image.pixels.shape[1], image.pixels.shape[0]) for image in images]
+    atlas = build_atlas(surface, sizes, canvas_margin(kernel), kernel.thread_count)
+    pairs = zip(images, surface.textures, strict=True)
+    can_hide = [image.alpha is not None and texture.alpha_hides for image, texture in pairs]
     if not (colours.hides and any(can_hide)):
         return atlas
     hidden = np.zeros(len(atlas.owned_texels), bool)
     for block in large_arrays.blocks(len(hidden)):
         for index, inside, texels in texels_by_texture(atlas.texture_offsets, atlas.owned_texels[block]):
             if can_hide[index]:
-                hidden[block][inside] = colours.hidden(pictures[index], texels)
+                hidden[block][inside] = colours.hidden(images[index], texels)
     return without_owned(atlas, hidden) if hidden.any() else atlas
-
-
-def texel_colours(
-    colours: PictureColours, pictures: Sequence[DecodedImage], atlas: Atlas, block: slice
-) -> Float32s:
-    """Return the colours of a block of owned cells in the working space, shape (T, N)."""
-    texels = atlas.owned_texels[block]
-    table = np.empty((len(texels), len(colours.names)), np.float32)
-    for index, inside, own in texels_by_texture(atlas.texture_offsets, texels):
-        table[inside] = colours.working(pictures[index], own)
-    return table
-
-
-def all_texel_colours(colours: PictureColours, pictures: Sequence[DecodedImage], atlas: Atlas) -> Float32s:
-    """Return the colours of all owned cells, converted block by block."""
-    table = large_arrays.empty((len(atlas.owned_texels), len(colours.names)), np.float32)
-    for block in large_arrays.blocks(len(table)):
-        table[block] = texel_colours(colours, pictures, atlas, block)
-    return table

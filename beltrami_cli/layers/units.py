@@ -22,7 +22,7 @@ _USUAL_QUANTILE = 0.99
 # at which noise was clipped.
 _SHARED_WHITE, _NEAR_WHITE = 1e-3, 2.0
 
-# Headroom for noise above usual values if there is no white point. For two synthetic pictures in light, with noise in
+# Headroom for noise above usual values if there is no white point. For two synthetic images in light, with noise in
 # proportion to it, errors with 0.9 and 1.05 are up to twice those with 1.2; with 1.5 they are the same.
 _HEADROOM = 1.2
 
@@ -47,22 +47,22 @@ def unit_of_vertices(vertices: ColouredVertices, channels: Sequence[int], *, are
     )
 
 
-def unit_of_pictures(
-    pictures: Sequence[DecodedImage], values_of: Callable[[DecodedImage, Int64s], Float32s], *, are_data: bool
+def unit_of_images(
+    images: Sequence[DecodedImage], values_of: Callable[[DecodedImage, Int64s], Float32s], *, are_data: bool
 ) -> float:
-    """Return the common unit of pictures; `values_of` returns their stored colours at pixels."""
-    if len({picture.encoding for picture in pictures}) != 1:
+    """Return the common unit of images; `values_of` returns their stored colours at pixels."""
+    if len({image.encoding for image in images}) != 1:
         return 1.0  # integers and floats have no common unit
-    kinds = [picture.pixels.dtype for picture in pictures]
+    kinds = [image.pixels.dtype for image in images]
     step = max(0.0 if kind.kind == "f" else 1 / np.iinfo(kind).max for kind in kinds)
     if any(kind == np.uint8 for kind in kinds):
         return 1.0
-    sizes = [picture.pixels[..., 0].size for picture in pictures]
+    sizes = [image.pixels[..., 0].size for image in images]
     values = [
-        values_of(picture, np.arange(0, size, 1 + sum(sizes) // _MAX_SAMPLES)).ravel()
-        for picture, size in zip(pictures, sizes, strict=True)
+        values_of(image, np.arange(0, size, 1 + sum(sizes) // _MAX_SAMPLES)).ravel()
+        for image, size in zip(images, sizes, strict=True)
     ]
-    is_display = pictures[0].encoding == "srgb" and not are_data
+    is_display = images[0].encoding == "srgb" and not are_data
     return value_unit(np.concatenate(values), step, is_display=is_display)
 
 

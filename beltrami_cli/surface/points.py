@@ -16,6 +16,9 @@ References
 
 from __future__ import annotations
 
+import dataclasses
+from dataclasses import dataclass
+
 import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s, Int32s
@@ -99,3 +102,37 @@ def _with_copies(faces: Int32s, place_of: Int32s, colours: Float32s) -> Int32s:
         more[:, corner] = duplicates[copy]
         parts.append(more)
     return np.concatenate(parts)
+
+
+@dataclass(frozen=True)
+class CloudCounts:
+    """Numbers of triangles between points, each in a tangent plane, and of points without any, left unchanged."""
+
+    triangles: int
+    outliers: int
+
+
+def with_surface(vertices: ColouredVertices, threads: int) -> ColouredVertices:
+    """Return coloured vertices with their triangles, or with triangles of a surface fitted to the points."""
+    # Points too far from all others, or on one line with them, are in no triangle. The same holds for points without a
+    # finite position, which are put at the centre of the others.
+    if len(vertices.faces):
+        return vertices
+    measured = np.asarray(np.isfinite(vertices.positions).all(axis=1))
+    if measured.all():
+        return dataclasses.replace(vertices, faces=kept(faces_of_points(vertices, threads)))
+    rows = np.flatnonzero(measured).astype(np.int32)
+    there = vertices.only(rows)
+    middle = there.positions.mean(axis=0) if len(rows) else np.zeros(vertices.positions.shape[1])
+    return dataclasses.replace(
+        vertices,
+        positions=np.where(measured[:, None], vertices.positions, middle),
+        faces=rows[faces_of_points(there, threads)],
+    )
+
+
+def count_cloud(surface: ColouredVertices) -> CloudCounts:
+    """Count the triangles and isolated points of `with_surface`."""
+    joined = np.zeros(len(surface.positions), bool)
+    joined[surface.faces] = True
+    return CloudCounts(len(surface.faces), int(np.count_nonzero(~joined)))

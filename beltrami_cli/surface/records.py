@@ -7,8 +7,9 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
+from beltrami_cli.arrays import Float32s, Float64s, Indices, Int32s, Int64s
 from beltrami_cli.surface.ranges import entries
 
 Encoding = Literal["srgb", "linear"]
@@ -44,6 +45,34 @@ class ColouredVertices:
             return self.assumed_scale
         is_integer = self.stored.startswith(("uint", "int"))
         return float(np.iinfo(self.stored).max) if is_integer else 1.0
+
+    def coloured_rows(self, *, in_triangles: bool = False) -> NDArray[np.intp]:
+        """Return the numbers of the vertices with a finite position, or only of those in triangles."""
+        valid = np.asarray(np.isfinite(self.positions).all(axis=1))
+        if in_triangles:
+            joined = np.zeros(len(valid), bool)
+            joined[self.faces] = True
+            valid &= joined
+        return np.flatnonzero(valid)
+
+    def only(self, rows: Indices, faces: Int32s | None = None) -> ColouredVertices:
+        """Select vertices and triangles between them, or none."""
+        return replace(
+            self,
+            positions=self.positions[rows],
+            faces=np.empty((0, 3), np.int32) if faces is None else faces,
+            colours=self.colours[rows],
+            space_of=None if self.space_of is None else self.space_of[rows],
+        )
+
+    def restricted_to(self, rows: Indices) -> ColouredVertices:
+        """Select vertices, in ascending order, and the triangles with all corners among them."""
+        if len(rows) == len(self.positions):
+            return self
+        number = np.full(len(self.positions), -1, np.int32)
+        number[rows] = np.arange(len(rows))
+        faces = number[self.faces]
+        return self.only(rows, faces[(faces >= 0).all(axis=1)])
 
 
 @dataclass(frozen=True)

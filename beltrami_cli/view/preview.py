@@ -21,12 +21,15 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import read_texture
 from beltrami_cli.formats.image.jpeg_tables import CODED_TOGETHER
 from beltrami_cli.jobs.smoothing import smooth_layer
+from beltrami_cli.layers.grid_layer import GridLayer
 from beltrami_cli.layers.image_layer import ImageLayer
 from beltrami_cli.layers.image_surface import ImageSurface
 from beltrami_cli.layers.layer import Layer
+from beltrami_cli.layers.mesh_layer import MeshLayer
 from beltrami_cli.layers.settings import SmoothSettings
-from beltrami_cli.layers.texture_layer import TextureLayer, choose_textures
-from beltrami_cli.layers.vertex_layer import GridLayer, MeshLayer, VertexLayer, only_rows
+from beltrami_cli.layers.texture_groups import choose_textures
+from beltrami_cli.layers.texture_layer import TextureLayer
+from beltrami_cli.layers.vertex_layer import VertexLayer
 from beltrami_cli.surface.geometry import triangle_areas
 from beltrami_cli.surface.records import ColouredVertices, Slot, TexturedSurface
 from beltrami_cli.view.light import displayed_colours, displayed_pixels
@@ -105,7 +108,7 @@ class _ImagePreviewer(Previewer):
         top, left = (slice(axis.start // CODED_TOGETHER * CODED_TOGETHER, axis.stop) for axis in window)
         layer = _cut(self._layer, (top, left), kernel)
         pixels, _ = layer.new_pixels(0, _smoothed(layer, progress))
-        shown = displayed_pixels(dataclasses.replace(layer.picture, pixels=pixels))
+        shown = displayed_pixels(dataclasses.replace(layer.image, pixels=pixels))
         row, column = (axis.ravel() for axis in np.indices(shown.shape[:2]))
         return [Patch(0, row + top.start, column + left.start, shown.reshape(-1, 4))]
 
@@ -143,7 +146,7 @@ class _VertexPreviewer(Previewer):
             rows = np.unique(coloured.faces[order]).astype(np.int64) if is_mesh else np.sort(order)
             part_rows = np.arange(len(rows))
             faces = np.searchsorted(rows, coloured.faces[order] if is_mesh else coloured.faces)
-            vertices = only_rows(coloured, rows, faces.astype(np.int32))
+            vertices = coloured.only(rows, faces.astype(np.int32))
             layer = MeshLayer(vertices=vertices, settings=settings)
         made = smooth_layer(layer, progress).stored
         assert made.colours is not None
@@ -189,7 +192,7 @@ class _TexturePreviewer(Previewer):
         new = _smoothed(layer, progress)
         offsets, patches = layer.atlas.texture_offsets, []
         keys = [each.key for each in surface.textures]
-        for index, picture in enumerate(layer.pictures):
+        for index, picture in enumerate(layer.images):
             inside = (new.places >= offsets[index]) & (new.places < offsets[index + 1])
             texels = new.places[inside] - offsets[index]
             if len(texels):
@@ -234,9 +237,7 @@ def _cut(layer: ImageLayer, place: tuple[slice, slice], kernel: KernelParameters
     return dataclasses.replace(
         layer,
         settings=dataclasses.replace(layer.settings, kernel=kernel),
-        pictures=[
-            dataclasses.replace(layer.picture, pixels=np.ascontiguousarray(layer.picture.pixels[place]))
-        ],
+        images=[dataclasses.replace(layer.image, pixels=np.ascontiguousarray(layer.image.pixels[place]))],
         valid=layer.valid[place],
         surface=ImageSurface(
             heights=None if surface.heights is None else surface.heights[place],

@@ -13,8 +13,8 @@ from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.job import PLAIN_JOB
 from beltrami_cli.jobs.recolour import ColourFilter, recolour
-from beltrami_cli.layers.layer import dithered
 from beltrami_cli.layers.settings import DEFAULTS
+from beltrami_cli.layers.storing import dithered
 from cli.commands import SAMPLES
 from cli.commands import beltrami as run_beltrami
 from levelling.exposure_scene import ExposureScene, stored_colours

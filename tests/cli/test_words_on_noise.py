@@ -11,7 +11,7 @@ from batch.batches import batch
 from beltrami_cli.flow.noise import channel_noise
 from beltrami_cli.flow.noise.model import Reading
 from beltrami_cli.flow.noise.size import sizes_of
-from beltrami_cli.layers.layer import describe_reading
+from beltrami_cli.layers.reports import describe_reading
 from beltrami_cli.view.words import noise_in_words, noise_of, noise_of_255
 from cli.commands import SAMPLES, beltrami, colours_in
 from formats.image_files import encode

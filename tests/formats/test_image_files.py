@@ -21,7 +21,7 @@ from beltrami_cli.formats.image import check_writable, losses, read_image, write
 from beltrami_cli.formats.image.decoded_image import full_scale_one, new_image
 from beltrami_cli.formats.image.sizes import ImageSize, measure_image
 from beltrami_cli.jobs.noise_kinds import jpeg_file
-from beltrami_cli.layers.layer import store
+from beltrami_cli.layers.storing import store
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from formats.image_files import (
     LOSSLESS,

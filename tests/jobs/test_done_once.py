@@ -10,7 +10,7 @@ from beltrami_cli.formats.obj.renaming import Renaming
 from beltrami_cli.formats.tokens import Lines
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.selection import Selection
-from beltrami_cli.layers.texture_layer import choose_textures
+from beltrami_cli.layers.texture_groups import choose_textures
 from cli.commands import SAMPLES
 
 ONCE = {

@@ -10,7 +10,7 @@ from beltrami_cli.formats.image import read_image
 from beltrami_cli.jobs.inspect import inspect_file
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
-from beltrami_cli.layers import selection
+from beltrami_cli.layers import texture_groups
 from beltrami_cli.layers.settings import SmoothSettings
 from formats.image_files import encode
 from small_models import textured_squares
@@ -42,7 +42,7 @@ def write_model(folder, images, gap):
 @pytest.fixture
 def noisy(monkeypatch):
     """Images with noise; these are enough to choose parameters from."""
-    monkeypatch.setattr(selection, "_SUFFICIENT_TEXELS", SIDE * SIDE // 2)
+    monkeypatch.setattr(texture_groups, "_SUFFICIENT_TEXELS", SIDE * SIDE // 2)
     random = np.random.default_rng(5)
     return [image + random.normal(0, SIGMA, image.shape) for image in clean_images()]
 
@@ -72,7 +72,7 @@ def test_noise_of_one_is_none_of_another(tmp_path, noisy):
     ids=["that touch", "with given parameters", "that are small"],
 )
 def test_textures_are_smoothed_together(gap, settings, enough, tmp_path, noisy, monkeypatch):
-    monkeypatch.setattr(selection, "_SUFFICIENT_TEXELS", enough)
+    monkeypatch.setattr(texture_groups, "_SUFFICIENT_TEXELS", enough)
     (both,) = smoothed(write_model(tmp_path / "both", noisy, gap), settings)[1].textures
     assert len(both.textures) == 2
 
@@ -87,8 +87,8 @@ def test_textures_are_smoothed_together(gap, settings, enough, tmp_path, noisy, 
     ],
 )
 def test_parts_have_enough_texels(monkeypatch, covered, expected):
-    monkeypatch.setattr(selection, "_SUFFICIENT_TEXELS", 50)
-    assert selection._large_parts(np.arange(len(covered)), np.array(covered)) == expected
+    monkeypatch.setattr(texture_groups, "_SUFFICIENT_TEXELS", 50)
+    assert texture_groups._large_parts(np.arange(len(covered)), np.array(covered)) == expected
 
 
 @pytest.mark.slow

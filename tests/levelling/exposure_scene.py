@@ -13,7 +13,7 @@ from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.smoothing import unsmoothed
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings, TextureSettings
-from beltrami_cli.layers.texture_layer import TextureLayer, all_texel_colours
+from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.levelling.correction import level_canvas
 from beltrami_cli.levelling.steps import ChartPlaces, positions_of
 
@@ -23,7 +23,7 @@ LIGHT_GAINS = 0.6, 1.6  # of linear light
 
 def stored_colours(layer):
     """Return the colours of the owned cells of textures, shape (T, N)."""
-    return all_texel_colours(layer.colours, layer.pictures, layer.atlas)
+    return layer.all_texel_colours()
 
 
 def unchanged(layer):

@@ -22,10 +22,10 @@ from beltrami_cli.jobs.arrays.arguments import (
     settings_for,
 )
 from beltrami_cli.jobs.smoothing import smooth_layer
+from beltrami_cli.layers.grid_layer import GridLayer
 from beltrami_cli.layers.image_surface import ImageSurface
-from beltrami_cli.layers.layer import VertexReport
+from beltrami_cli.layers.reports import VertexReport
 from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
-from beltrami_cli.layers.vertex_layer import GridLayer
 from beltrami_cli.surface.records import ColouredVertices, Encoding
 
 

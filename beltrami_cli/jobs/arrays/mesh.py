@@ -24,9 +24,10 @@ from beltrami_cli.jobs.arrays.arguments import (
 )
 from beltrami_cli.jobs.arrays.mesh_arrays import MeshArrays, mesh_arrays
 from beltrami_cli.jobs.smoothing import smooth_layer
-from beltrami_cli.layers.layer import VertexReport
+from beltrami_cli.layers.mesh_layer import MeshLayer
+from beltrami_cli.layers.reports import VertexReport
 from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
-from beltrami_cli.layers.vertex_layer import CloudCounts, MeshLayer, count_cloud, restricted_to
+from beltrami_cli.surface.points import CloudCounts, count_cloud
 from beltrami_cli.surface.precision import check_scale, require_finite
 from beltrami_cli.surface.records import ColouredVertices, Encoding
 
@@ -173,7 +174,7 @@ def smooth(
         raise UsageError(f"positions in {dimensions} dimensions need faces")
     rows = np.flatnonzero(np.isfinite(vertices.colours).all(axis=1))
     layer = MeshLayer(
-        vertices=restricted_to(vertices, rows), settings=settings, fits_surface=faces is None,
+        vertices=vertices.restricted_to(rows), settings=settings, fits_surface=faces is None,
         guides=[replace(guide, values=guide.values[rows]) for guide in guides],
         noise=None if noise is None else noise[rows],
     ).normalised()  # fmt: skip

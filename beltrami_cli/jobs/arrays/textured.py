@@ -26,7 +26,7 @@ from beltrami_cli.jobs.arrays.arguments import (
 )
 from beltrami_cli.jobs.arrays.mesh_arrays import MeshArrays, mesh_arrays
 from beltrami_cli.jobs.smoothing import smooth_layer
-from beltrami_cli.layers.layer import SlotReport
+from beltrami_cli.layers.reports import SlotReport
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings
 from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.surface.precision import check_scale, require_finite

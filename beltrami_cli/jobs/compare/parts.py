@@ -26,17 +26,18 @@ from beltrami_cli.jobs.compare.same_model import (
     require_same_size,
 )
 from beltrami_cli.jobs.compare.seams import near_seams, seam_steps, texel_areas
+from beltrami_cli.layers.channels import choose_channels
 from beltrami_cli.layers.image_layer import ImageLayer
-from beltrami_cli.layers.layer import choose_channels
-from beltrami_cli.layers.picture_layer import PictureColours
+from beltrami_cli.layers.pixel_colours import PixelColours
 from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
-from beltrami_cli.layers.texture_layer import TextureLayer, choose_textures, texel_colours
-from beltrami_cli.layers.vertex_layer import coloured_rows, only_rows, with_surface
+from beltrami_cli.layers.texture_groups import choose_textures
+from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import texels_by_texture
 from beltrami_cli.surface.colour_values import to_space
 from beltrami_cli.surface.geometry import vertex_areas
 from beltrami_cli.surface.grouping import group_places
+from beltrami_cli.surface.points import with_surface
 from beltrami_cli.surface.records import ColouredVertices, Slot
 
 _OPACITY_TOLERANCE = 0.75 / 255  # below a step of 8 bits, in which opacity is stored
@@ -49,7 +50,7 @@ def compare_vertices(
     one, other = _on_one_scale(*(document.coloured_vertices() for document in documents))
     require_one_model(documents, (one, other))
     coloured = [
-        coloured_rows(each.coloured_vertices(), in_triangles=each.kind == "volume") for each in documents
+        each.coloured_vertices().coloured_rows(in_triangles=each.kind == "volume") for each in documents
     ]
     rows = np.intersect1d(coloured[0], coloured[1])
     channels, space = choose_channels(one.channels, settings, "the colours have").changing, settings.space
@@ -106,7 +107,7 @@ def _vertex_areas(vertices: ColouredVertices, rows: NDArray[np.intp], settings: 
     """Return the part of the surface area that belongs to each vertex or point."""
     if len(vertices.faces):
         return vertex_areas(vertices.positions, vertices.faces)[rows].astype(np.float64)
-    surface = with_surface(only_rows(vertices, rows), settings)
+    surface = with_surface(vertices.only(rows), settings.kernel.thread_count)
     return vertex_areas(surface.positions, surface.faces).astype(np.float64)
 
 
@@ -134,7 +135,7 @@ def compare_images(
     require_same_size(documents[0].image(), documents[1].image(), names[1])
     samples = [ImageLayer.read(document, settings, access, colours_only=True) for document in documents]
     one, other, valid = samples[0].colours, samples[1].colours, samples[0].valid
-    pictures = [each.picture for each in samples]
+    pictures = [each.image for each in samples]
     if one.names != other.names:
         cause = f"it has the channels {', '.join(other.names)}, but {names[0]} {', '.join(one.names)}"
         raise InputError(names[1], cause, "compare images with the same channels, or choose with --channels")
@@ -174,13 +175,13 @@ def compare_textures(
     require_memory(((texture.name, texture.data) for texture in after), access)
     one = TextureLayer.read(chosen, slot, settings)
     images = [read_texture(texture) for texture in after]
-    for old, new in zip(one.pictures, images, strict=True):
+    for old, new in zip(one.images, images, strict=True):
         require_same_size(old, new, f"{test.name}: {new.name}")
-    colours = PictureColours.of(images, slot, settings)
+    colours = PixelColours.of(images, slot, settings)
     if colours.names != one.names:
         cause = f"its {slot} textures have {', '.join(colours.names)}, but {', '.join(one.names)} before"
         raise InputError(test.name, cause, "compare files with the same channels")
-    return _by_texture(one, dataclasses.replace(one, pictures=images, colours=colours), names, weights)
+    return _by_texture(one, dataclasses.replace(one, images=images, colours=colours), names, weights)
 
 
 def _by_texture(
@@ -189,9 +190,7 @@ def _by_texture(
     """Split two layers with one atlas into parts by texture."""
     atlas, parts = one.atlas, list[ComparedColours]()
     areas, near = texel_areas(atlas) if weights == "area" else None, near_seams(atlas)
-    (cells, before), (_, after) = (
-        seam_steps(atlas, partial(texel_colours, each.colours, each.pictures, atlas)) for each in (one, other)
-    )
+    (cells, before), (_, after) = (seam_steps(atlas, each.texel_colours) for each in (one, other))
     texture_of = np.searchsorted(atlas.texture_offsets, atlas.owned_texels[cells], side="right") - 1
     shown = atlas.owned_texels, np.concatenate([atlas.border_texels, atlas.lone_texels])
     owned, around = (
@@ -201,7 +200,7 @@ def _by_texture(
     nothing = slice(0), np.zeros(0, np.int64)
     for index in range(len(names)):
         (inside, texels), (_, beyond) = owned.get(index, nothing), around.get(index, nothing)
-        old, new, hides = one.pictures[index], other.pictures[index], one.surface.textures[index].alpha_hides
+        old, new, hides = one.images[index], other.images[index], one.surface.textures[index].alpha_hides
         read = partial(_both_colours, (one.colours, old), (other.colours, new))
         if hides:
             beyond = beyond[~one.colours.hidden(old, beyond)]
@@ -220,6 +219,6 @@ def _by_texture(
 
 
 def _both_colours(
-    one: tuple[PictureColours, DecodedImage], other: tuple[PictureColours, DecodedImage], pixels: Indices
+    one: tuple[PixelColours, DecodedImage], other: tuple[PixelColours, DecodedImage], pixels: Indices
 ) -> Pair:
     return one[0].working(one[1], pixels), other[0].working(other[1], pixels)
