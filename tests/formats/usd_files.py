@@ -5,7 +5,10 @@ import zipfile
 import numpy as np
 
 from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.formats.registry import open_document
 from beltrami_cli.formats.tile_names import tile_name
+from beltrami_cli.jobs.check import check_files
+from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.settings import SmoothSettings
 from formats.image_files import encode
 from formats.tile_files import TILES, part, phantom, sheet
@@ -81,6 +84,13 @@ def coloured(colours, kind="color3f", on="vertex", indices=""):
     """Return the lines of vertex colours."""
     lines = f'        {kind}[] primvars:displayColor = {rows(colours)} ( interpolation = "{on}" )\n'
     return lines + (f"        int[] primvars:displayColor:indices = {indices}\n" if indices else "")
+
+
+def smoothed(folder, **settings):
+    """Smooth a scene, of which nothing but colours may change; return what it is then."""
+    report = smooth_file(folder / "a.usda", folder / "b.usda", GIVEN, **settings)
+    assert check_files(folder / "a.usda", report.output).faithful
+    return open_document(report.output)
 
 
 def phone_scan(folder, *, udim=False):
