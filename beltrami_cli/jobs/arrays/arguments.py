@@ -1,4 +1,4 @@
-"""Arrays and keywords of users, checked."""
+"""Checks of the arrays and keywords that users give."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.precision import require_single
 from beltrami_cli.surface.records import Encoding
 
+Progress = Callable[[int, int], None]  # called with the work done and the work to do
+
 ARRAYS = "the arrays"  # as messages call them
 
 
@@ -25,26 +27,24 @@ def settings_for(
     overrides: dict[str, Any],
 ) -> tuple[SmoothSettings, list[Guide], Float32s | None]:  # fmt: skip
     """Return the settings with overrides, guides, and deviations of noise: a row for each vertex or pixel."""
-    noise = _deviations_in(overrides, shape)
-    wanted = overrides.get("metric_channels")
-    if wanted is not None:
-        overrides["metric_channels"] = tuple(_channel(each, channels) for each in wanted)
+    values, deviations = dict(overrides), None
+    if values.get("noise") is not None and not isinstance(values["noise"], str):
+        deviations = _deviations(values.pop("noise"), shape)
+    if values.get("metric_channels") is not None:
+        values["metric_channels"] = tuple(_channel(each, channels) for each in values["metric_channels"])
     if guide is not None:
-        overrides["guides"] = ("guide",)
-    settings = override(settings, **overrides)
+        values["guides"] = ("guide",)
+    settings = override(settings, **values)
     if settings.space == "oklab" and len(channels) != 3:
         raise UsageError("the space oklab needs three channels")
     if guide is None:
-        return settings, [], noise
+        return settings, [], deviations
     (_, beta), *_ = settings.embedding.weighted_guides
-    return settings, [Guide("guide", centred(guide_table(guide, shape)), beta)], noise
+    return settings, [Guide("guide", centred(guide_table(guide, shape)), beta)], deviations
 
 
-def _deviations_in(overrides: dict[str, Any], shape: tuple[int, ...]) -> Float32s | None:
-    """Take the noise out of overrides if it is an array of standard deviations."""
-    if overrides.get("noise") is None or isinstance(overrides["noise"], str):
-        return None
-    table = guide_table(overrides.pop("noise"), shape, "noise")
+def _deviations(noise: ArrayLike, shape: tuple[int, ...]) -> Float32s:
+    table = guide_table(noise, shape, "noise")
     if table.min(initial=0) < 0 or table.max(initial=0) > 1:
         raise UsageError("the noise must be standard deviations from 0 to a full scale of 1")
     return table.astype(np.float32)
@@ -153,6 +153,3 @@ def numbers_of(values: ArrayLike, name: str, shape: tuple[int | str, ...], kinds
             f"{name} must be numbers of shape ({wanted}), not {array.dtype} of shape {array.shape}"
         )
     return array
-
-
-Progress = Callable[[int, int], None]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beltrami_cli.arrays import Array
+from beltrami_cli.arrays import Array, Float64s
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.choice.choice import Choice
 from beltrami_cli.jobs.arrays.arguments import (
@@ -23,7 +23,7 @@ from beltrami_cli.jobs.arrays.arguments import (
     settings_for,
 )
 from beltrami_cli.jobs.arrays.mesh_arrays import MeshArrays, mesh_arrays
-from beltrami_cli.jobs.smoothing import smooth_layer
+from beltrami_cli.jobs.smoothing import Smoothed, smooth_layer
 from beltrami_cli.layers.mesh_layer import MeshLayer
 from beltrami_cli.layers.reports import VertexReport
 from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
@@ -179,23 +179,29 @@ def smooth(
         noise=None if noise is None else noise[rows],
     ).normalised()  # fmt: skip
     done = smooth_layer(layer, progress)
-    report, stored = done.report, done.stored
-    assert isinstance(report, VertexReport)
+    stored = done.stored
     assert stored.colours is not None
+    new = _with_rows(vertices.colours, rows, stored.colours)
+    new = in_type_of(array_of(colours, "colours"), vertices.colours, new)
+    if opacity is not None:
+        new = np.concatenate([new, opacity], axis=1)
+    moved = None if stored.positions is None else _with_rows(vertices.positions, rows, stored.positions)
+    return _result(done, new, moved, count_cloud(layer.joined) if faces is None else None)
+
+
+def _result(
+    done: Smoothed, colours: Array, positions: Float64s | None, cloud: CloudCounts | None
+) -> SmoothResult:
+    report = done.report
+    assert isinstance(report, VertexReport)
     counts, geometry = report.counts, report.geometry or {}
-    after = _with_rows(vertices.colours, rows, stored.colours)
-    moved = stored.positions
-    moved = None if moved is None else _with_rows(vertices.positions, rows, moved)
-    new = in_type_of(array_of(colours, "colours"), vertices.colours, after)
-    new = new if opacity is None else np.concatenate([new, opacity], axis=1)
     return SmoothResult(
-        colours=new, beta=report.beta, spacing=report.spacing, noise=report.noise,
+        colours=colours, beta=report.beta, spacing=report.spacing, noise=report.noise,
         samples=int(counts["samples"]), hard_edge_samples=int(counts["hard_edge_samples"]),
         samples_per_kernel=done.samples_per_kernel, truncated=int(counts["truncated_kernels"]),
-        iterations=report.iterations, guide_betas=report.guides, positions=moved,
-        normal_noise=geometry.get("normal_noise"), normal_beta=geometry.get("normal_beta"),
-        cloud=count_cloud(layer.joined) if faces is None else None, choice=done.choice, patches=report.patches,
-        wrong_samples=report.wrong_samples,
+        iterations=report.iterations, guide_betas=report.guides, positions=positions,
+        normal_noise=geometry.get("normal_noise"), normal_beta=geometry.get("normal_beta"), cloud=cloud,
+        choice=done.choice, patches=report.patches, wrong_samples=report.wrong_samples,
     )  # fmt: skip
 
 

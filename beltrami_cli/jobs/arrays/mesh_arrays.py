@@ -39,6 +39,15 @@ class MeshArrays(NamedTuple):
     image: ArrayLike | None = None
 
 
+def mesh_arrays(mesh: Any) -> MeshArrays | None:
+    """Return the arrays of a mesh of trimesh, PyVista or Open3D, by its attributes; None if it is none of these."""
+    if isinstance(mesh, MeshArrays):
+        return mesh
+    if hasattr(mesh, "visual") or hasattr(mesh, "geometry"):
+        return _of_trimesh(mesh)
+    return _of_pyvista(mesh) if hasattr(mesh, "point_data") else _of_open3d(mesh)
+
+
 def _of_trimesh(mesh: Any) -> MeshArrays:
     """Return the arrays of a Trimesh or PointCloud: colours of vertices, or texture coordinates and the base colour."""
     visual, faces = getattr(mesh, "visual", None), getattr(mesh, "faces", None)
@@ -59,21 +68,18 @@ def _of_trimesh(mesh: Any) -> MeshArrays:
     return arrays._replace(uv=visual.uv, image=None if image is None else image_array(image, "image"))
 
 
-def mesh_arrays(mesh: Any) -> MeshArrays | None:
-    """Return the arrays of a mesh of trimesh, PyVista or Open3D, by its attributes; None if it is none of these."""
-    if isinstance(mesh, MeshArrays):
-        return mesh
-    if hasattr(mesh, "visual") or hasattr(mesh, "geometry"):
-        return _of_trimesh(mesh)
-    if hasattr(mesh, "point_data"):
-        padded = np.asarray(getattr(mesh, "faces", [0]))  # each face: its number of corners, and these
-        if len(padded) % 4 or (padded[::4] != 3).any() or mesh.n_strips:
-            raise UsageError("the mesh is not a PolyData of triangles; call extract_surface().triangulate()")
-        active_first = sorted(mesh.point_data.keys(), key=lambda name: name != mesh.active_scalars_name)
-        tables = (np.asarray(mesh.point_data[name]) for name in active_first)
-        shades = (table for table in tables if table.dtype == np.uint8 and table.shape[1:] in ((3,), (4,)))
-        faces = padded.reshape(-1, 4)[:, 1:] if len(padded) else None
-        return MeshArrays(np.asarray(mesh.points), faces, next(shades, None))
+def _of_pyvista(mesh: Any) -> MeshArrays:
+    padded = np.asarray(getattr(mesh, "faces", [0]))  # each face: its number of corners, and these
+    if len(padded) % 4 or (padded[::4] != 3).any() or mesh.n_strips:
+        raise UsageError("the mesh is not a PolyData of triangles; call extract_surface().triangulate()")
+    active_first = sorted(mesh.point_data.keys(), key=lambda name: name != mesh.active_scalars_name)
+    tables = (np.asarray(mesh.point_data[name]) for name in active_first)
+    shades = (table for table in tables if table.dtype == np.uint8 and table.shape[1:] in ((3,), (4,)))
+    faces = padded.reshape(-1, 4)[:, 1:] if len(padded) else None
+    return MeshArrays(np.asarray(mesh.points), faces, next(shades, None))
+
+
+def _of_open3d(mesh: Any) -> MeshArrays | None:
     for names in _OPEN3D:
         if hasattr(mesh, names[0]) and hasattr(mesh, names[2]):
             places, faces, colours = (np.asarray(getattr(mesh, name, [])) for name in names)
@@ -81,10 +87,10 @@ def mesh_arrays(mesh: Any) -> MeshArrays | None:
     for of_vertices, of_faces in _OPEN3D_TENSORS:
         vertices, triangles = getattr(mesh, of_vertices, {}), getattr(mesh, of_faces, {})
         if "positions" in vertices:
-            own, uv = _from_tensor(vertices, "colors"), _from_tensor(triangles, "texture_uvs")
             return MeshArrays(
-                vertices["positions"].cpu().numpy(), _from_tensor(triangles, "indices"), own, uv
-            )
+                positions=vertices["positions"].cpu().numpy(), faces=_from_tensor(triangles, "indices"),
+                colours=_from_tensor(vertices, "colors"), uv=_from_tensor(triangles, "texture_uvs"),
+            )  # fmt: skip
     return None
 
 
