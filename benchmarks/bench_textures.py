@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import textures
-from harness import SIGMA, Row, arguments, show, smooth_apart
+from harness import SIGMA, arguments, show, smooth_apart
 from peers import PeerError, bilateral_seconds
 
 import beltrami_cli
@@ -44,24 +44,20 @@ def time_rows(folder, texels, repeats):
             times["bilateral"].append(bilateral_seconds(scene.noisy[0]))
         except PeerError as missing:
             times["bilateral"].append(np.nan)
-            yield Row("cv2.bilateralFilter", str(missing))
+            yield "cv2.bilateralFilter", str(missing)
         for kind in ("regularised", "plain"):
             setup, iteration = stage_seconds(source, guided=kind == "regularised")
             times[kind].append(iteration)
         times["set-up"].append(setup)
     seconds = {what: float(np.median(found)) for what, found in times.items()}
     covered = int(scene.covered[0].sum())
-    yield Row(
-        "cv2.bilateralFilter(d = 7, float32), per texel", f"{1e6 * seconds['bilateral'] / texels**2:.3f} us"
-    )
+    yield "cv2.bilateralFilter(d = 7, float32), per texel", f"{1e6 * seconds['bilateral'] / texels**2:.3f} us"
     for kind in ("plain", "regularised"):
         each = seconds[kind] / covered
         passes = each / (seconds["bilateral"] / texels**2)
         what = f"{covered:,} covered texels, {kind} iteration, 7 x 7, per covered texel"
-        yield Row(what, f"{1e6 * each:.3f} us, {passes:.2f} bilateral passes")
-    yield Row(
-        "set-up", f"{seconds['set-up']:.3f} s, {seconds['set-up'] / seconds['plain']:.2f} plain iterations"
-    )
+        yield what, f"{1e6 * each:.3f} us, {passes:.2f} bilateral passes"
+    yield "set-up", f"{seconds['set-up']:.3f} s, {seconds['set-up'] / seconds['plain']:.2f} plain iterations"
 
 
 def stage_seconds(source, *, guided):
@@ -100,9 +96,7 @@ def memory_row(folder, texels):
         covered = sum(slot["counts"]["covered"] for slot in report["textures"])
         runs.append((report["peak_memory"], covered))
     (least, few), (most, many) = runs
-    return Row(
-        f"{texels} x {texels}: peak memory by covered texel", f"{(most - least) / (many - few):.0f} bytes"
-    )
+    return f"{texels} x {texels}: peak memory by covered texel", f"{(most - least) / (many - few):.0f} bytes"
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 import peers
 import scenes
-from harness import Row, arguments, psnr, show
+from harness import arguments, psnr, show
 
 import beltrami_cli
 from beltrami_cli import _native
@@ -48,8 +48,8 @@ def time_rows(sphere, samples, repeats):
     what = f"{count:,} vertices, {samples} samples a kernel"
     each = [1e6 * iteration_seconds(sphere, t, threads, clock, repeats) / count for threads, clock in (
         (1, time.process_time), (1, time.perf_counter), (2, time.perf_counter))]  # fmt: skip
-    yield Row(f"{what}: CPU per vertex and iteration", f"{each[0]:.2f} us")
-    yield Row(f"{what}: two threads against one, wall", f"{each[1] / each[2]:.2f} x")
+    yield f"{what}: CPU per vertex and iteration", f"{each[0]:.2f} us"
+    yield f"{what}: two threads against one, wall", f"{each[1] / each[2]:.2f} x"
     order = _native.morton_order(sphere.positions)
     faces = np.argsort(order).astype(np.int32)[sphere.faces]
     positions = sphere.positions[order] / scenes.surfaces.mean_edge_length(sphere.positions, sphere.faces)
@@ -57,7 +57,7 @@ def time_rows(sphere, samples, repeats):
         1e6 * solver_seconds(solver(faces, count), positions, sphere.noisy[order], t, repeats) / count
         for solver in (_native.TriangulatedManifold, _native.SegmentManifold)
     )
-    yield Row(f"{what}: heap march; segments", f"{marching:.2f} us; {segments:.2f} us")
+    yield f"{what}: heap march; segments", f"{marching:.2f} us; {segments:.2f} us"
 
 
 def smooth(scene, **options):
@@ -100,16 +100,16 @@ def solver_seconds(manifold, positions, colours, t, repeats):
 def quality_rows(sphere, pattern):
     """Compare the PSNR with the best of other colour smoothing, which is tuned on the truth."""
     where = f"PSNR, {len(sphere.positions):,} vertices, {pattern}"
-    yield Row(f"{where}: noisy", f"{psnr(sphere.noisy, sphere.clean):.1f} dB")
+    yield f"{where}: noisy", f"{psnr(sphere.noisy, sphere.clean):.1f} dB"
     for name, run in COLOUR_SMOOTHING.items():
         try:
             reached, iterations = run(sphere, MAX_ITERATIONS)
         except peers.PeerError as missing:
-            yield Row(f"{where}: {name}", str(missing))
+            yield f"{where}: {name}", str(missing)
             continue
-        yield Row(f"{where}: {name}, best of {MAX_ITERATIONS}", f"{reached:.1f} dB ({iterations} iterations)")
+        yield f"{where}: {name}, best of {MAX_ITERATIONS}", f"{reached:.1f} dB ({iterations} iterations)"
     for name, settings in OURS.items():
-        yield Row(f"{where}: {name}", f"{psnr(smooth(sphere, **settings).colours, sphere.clean):.1f} dB")
+        yield f"{where}: {name}", f"{psnr(smooth(sphere, **settings).colours, sphere.clean):.1f} dB"
 
 
 if __name__ == "__main__":

@@ -20,7 +20,6 @@ import json
 import os
 import subprocess
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -38,14 +37,6 @@ _MEASURED = (
 )
 
 
-@dataclass(frozen=True)
-class Row:
-    """One measurement."""
-
-    what: str
-    value: str
-
-
 def arguments(doc, *options, **described):
     """Parse the command line: common options, lists of paths, and flags or values with their defaults."""
     parser = argparse.ArgumentParser(description=doc.splitlines()[0])
@@ -59,12 +50,11 @@ def arguments(doc, *options, **described):
 
 
 def show(rows, options, header=("what", "measured")):
-    """Print rows, which are records or tuples, as a Markdown table; with ``--json`` also write them."""
-    cells = [(row.what, row.value) if isinstance(row, Row) else row for row in rows]
+    """Print rows, which are tuples, as a Markdown table; with ``--json`` also write them."""
     print(f"| {' | '.join(header)} |\n|{'---|' * len(header)}")
-    print(*(f"| {' | '.join(map(as_text, each))} |" for each in cells), sep="\n", flush=True)
+    print(*(f"| {' | '.join(map(as_text, each))} |" for each in rows), sep="\n", flush=True)
     if options.json:
-        options.json.write_text(json.dumps(cells, indent=1) + "\n")
+        options.json.write_text(json.dumps(rows, indent=1) + "\n")
 
 
 def as_text(value):
