@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Generic
 
 from beltrami_cli.arrays import Float32s
@@ -43,35 +44,29 @@ def smooth_in_place(
 
     `progress` is called with the work done and the total, and may raise to stop.
     """
-    plan.manifold.geometry.drop_samples()
-    manifold, choice, share, run = plan.manifold, plan.choice, None, Averaged([], 0.0)
+    manifold, choice, share = plan.manifold, plan.choice, None
+    manifold.geometry.drop_samples()
     iterations = plan.parameters.iterations
     passes = 2 * (iterations + sum(PASSES)) if plan.takes_patches else iterations
     stages = _Stages(progress, passes, manifold.geometry.size)
-    is_clipped = plan.parameters.clipping == "restore" and manifold.beta > 0 and iterations
-    clipped = clipped_on(manifold) if is_clipped else None
-
-    def kernel(colours: Float32s) -> Float32s:
-        nonlocal run
-        done = _run_kernel_in_place(plan, colours, clipped, stages)
-        run = dataclasses.replace(done, stacks=[])
-        return done.stacks[0]
-
+    is_restored = plan.parameters.clipping == "restore" and manifold.beta > 0 and iterations
+    clipped = clipped_on(manifold) if is_restored else None
+    kernel = partial(_run_kernel_in_place, plan, clipped=clipped, stages=stages)
     if plan.takes_patches:
-        blend = blend_with_patches_in_place(manifold, manifold.colours, kernel, clipped, stages.of)
-        colours, share = blend.colours, blend.share
+        blend = blend_with_patches_in_place(manifold, kernel, clipped, stages.of)
+        done, share = blend.averaged, blend.share
         choice = None if choice is None else choice.improved(blend.gain)
     else:
-        colours = kernel(manifold.colours)
-    per_kernel = run.samples / max(1, iterations * manifold.geometry.kernels)
-    smoothed = dataclasses.replace(manifold, colours=colours, moving=run.moving)
+        done = kernel(manifold.colours)
+    per_kernel = done.samples / max(1, iterations * manifold.geometry.kernels)
+    smoothed = dataclasses.replace(manifold, colours=done.stacks[0], moving=done.moving)
     if plan.light is not None and iterations:
         plan.light.restore_in_place(smoothed)
-    return FlowResult(smoothed, choice, per_kernel, run.truncated, share)
+    return FlowResult(smoothed, choice, per_kernel, done.truncated, share)
 
 
 def _run_kernel_in_place(
-    plan: Plan[Any], colours: Float32s, clipped: ClippedChannels | None, stages: _Stages
+    plan: Plan[Any], colours: Float32s, *, clipped: ClippedChannels | None, stages: _Stages
 ) -> Averaged:
     """Run all iterations on colours, and correct the averages of clipped samples."""
     manifold = plan.manifold
@@ -80,7 +75,7 @@ def _run_kernel_in_place(
     done = _iterate(manifold, stacks, steps, stages)
     if clipped is not None:
         restore_clipped_in_place(manifold, clipped, *done.stacks)
-    return done
+    return dataclasses.replace(done, stacks=done.stacks[:1])
 
 
 def _iterate(manifold: Manifold, stacks: list[Float32s], steps: Sequence[Step], stages: _Stages) -> Averaged:

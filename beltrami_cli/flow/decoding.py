@@ -5,7 +5,6 @@ Such pictures are decoded around a pilot, the result of the kernel alone, before
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -44,16 +43,16 @@ def plan_on_canvas(
     canvas: ColouredCanvas, pictures: Sequence[CodedPicture] = (), tick: Tick | None = None
 ) -> Plan[GridManifold]:
     """Estimate the noise, decode JPEG pictures again if all have compressed white noise, and choose parameters."""
-    wanted, colours = canvas.parameters, estimate_on_canvas(canvas)
-    sigma = _sigma_before(pictures, colours, wanted)
+    colours = estimate_on_canvas(canvas)
+    sigma = _sigma_before(pictures, colours, canvas.parameters)
     if sigma is not None:
         reading = colours.noise.reading
         decoded = _decode_in_place(canvas, colours, pictures, sigma, tick)
-        plan = choose_parameters(grid_manifold(canvas, decoded.colours), wanted, tick)
+        plan = choose_parameters(grid_manifold(canvas, decoded.colours), tick)
         if plan.parameters.iterations:
             return plan.with_noise(decoded.stored_noise, reading)
         colours = estimate_on_canvas(canvas)  # without iterations, stored colours stay unchanged
-    return choose_parameters(grid_manifold(canvas, colours), wanted, tick, light_in=canvas.light)
+    return choose_parameters(grid_manifold(canvas, colours), tick, light_in=canvas.light)
 
 
 def decodes_again(wanted: KernelParameters) -> bool:
@@ -85,9 +84,9 @@ def _decode_in_place(
     canvas: ColouredCanvas, colours: CanvasColours, pictures: Sequence[CodedPicture], sigma: float, tick: Tick | None
 ) -> _Decoded:  # fmt: skip
     """Decode pictures again around a pilot, which overwrites their colours."""
-    alone, before = dataclasses.replace(canvas.parameters, patches="off"), None
+    before = None
     for _ in range(_PILOTS if canvas.parameters.takes_patches else 1):
-        rows = _pilot_in_place(grid_manifold(canvas, colours), alone, tick)
+        rows = _pilot_in_place(grid_manifold(canvas, colours), tick)
         if before is not None:
             for block in large_arrays.blocks(len(rows)):
                 rows[block] = (rows[block] + before[block]) / 2
@@ -97,9 +96,9 @@ def _decode_in_place(
     return _Decoded(colours, stored)
 
 
-def _pilot_in_place(manifold: GridManifold, alone: KernelParameters, tick: Tick | None) -> Float32s:
+def _pilot_in_place(manifold: GridManifold, tick: Tick | None) -> Float32s:
     """Smooth the owned cells by the kernel alone, in the memory of their colours."""
-    plan = choose_parameters(manifold, alone, tick)
+    plan = choose_parameters(manifold.with_parameters(patches="off"), tick)
     result = smooth_in_place(plan, None if tick is None else lambda *_: tick())
     return result.manifold.new_colours().table()
 

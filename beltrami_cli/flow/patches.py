@@ -26,7 +26,6 @@ import contextlib
 import dataclasses
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 
@@ -34,8 +33,8 @@ from beltrami_cli._native import blend_residual, blend_share_within, blend_terms
 from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.flow.corrections.clipping import ClippedChannels, normal_tables
 from beltrami_cli.flow.manifolds.blocks import block_rows, for_blocks, in_blocks, in_parallel
-from beltrami_cli.flow.manifolds.domain import CoarseLevel, Domain, Mixing
-from beltrami_cli.flow.manifolds.manifold import Manifold, relative_variance
+from beltrami_cli.flow.manifolds.domain import CoarseLevel, Domain, Mixing, Stack
+from beltrami_cli.flow.manifolds.manifold import Averaged, Manifold, relative_variance
 from beltrami_cli.flow.mixing import NOISELESS, PERTURBATION, mixing_of, with_pilot
 from beltrami_cli.surface import large_arrays
 
@@ -61,87 +60,106 @@ _TRUSTED_WITHIN = (0.64, 0.84)
 PASSES = (6, 20)
 
 
-# Noisy colours, a perturbation of unit size, its size, and the divisor of the divergence.
-_Probed: TypeAlias = tuple[Float32s, Array, np.float32, Float32s]
-
-
 @dataclass(frozen=True)
 class Blend:
-    """Blended colours, the mean weight of patches, and the estimated reduction of the mean square error."""
+    """The blended colours, the mean weight of patches, and the estimated reduction of the mean square error."""
 
-    colours: Float32s
+    averaged: Averaged
     share: float
     gain: float
 
 
+@dataclass(frozen=True)
+class _Probed:
+    """Noisy colours z and their perturbation, `size` times signs or noise of unit variance.
+
+    The divergence of a result is its response times the perturbation, divided by `divisors`.
+    """
+
+    colours: Stack
+    signs: Array
+    size: np.float32
+    divisors: Float32s
+
+    @classmethod
+    def of(cls, manifold: Manifold, signs: Array, size: np.float32) -> _Probed:
+        variances = np.square(manifold.noise.sigma)
+        if manifold.noise.is_independent:
+            variances = np.ones(len(variances))
+        # Correlated perturbations are larger in channels with more noise.
+        power = np.maximum(variances / variances.mean(), NOISELESS**2)
+        divisors = np.asarray(size * power, np.float32).reshape(-1, *[1] * (manifold.colours.ndim - 1))
+        return cls(manifold.colours, signs, size, divisors)
+
+
 def blend_with_patches_in_place(
     manifold: Manifold,
-    noisy: Float32s,
-    kernel: Callable[[Float32s], Float32s],
+    kernel: Callable[[Stack], Averaged],
     clipped: ClippedChannels | None,
     stage: Callable[[int], Callable[[int], None] | None],
 ) -> Blend:
-    """Blend the results of the kernel and of patches; they overwrite the noisy colours."""
-    geometry, sigma = manifold.geometry, manifold.noise.sigma
+    """Blend the results of the kernel and of patches; they overwrite the colours of the manifold."""
+    noisy, geometry, sigma = manifold.colours, manifold.geometry, manifold.noise.sigma
     axis, threads = geometry.axis, geometry.threads
     # Chunked kernels do not overwrite the colours.
-    before = kernel(large_arrays.copy_of(noisy) if manifold.resources.chunking is None else noisy)
+    before = kernel(large_arrays.copy_of(noisy) if manifold.resources.chunking is None else noisy).stacks[0]
     perturbation = manifold.perturbation()
     size = np.float32(PERTURBATION * np.sqrt(np.mean(np.square(sigma))))
-    disturbed = large_arrays.copy_of(noisy)
-    _add(axis, disturbed, perturbation.get(), size)
+    perturbed = large_arrays.copy_of(noisy)
+    _add(axis, perturbed, perturbation.get(), size)
     perturbation.drop()
-    disturbed = kernel(disturbed)
+    averaged = kernel(perturbed)
+    perturbed = averaged.stacks[0]
     manifold.drop_kernels()
     if clipped is not None:
         for_blocks(clipped.impute_in_place, threads, axis, noisy, before, relative_variance(manifold))
     mixing = mixing_of(manifold, before, manifold.noise.covariance)
-    second = with_pilot(mixing, manifold)
+    mixing_with_pilot = with_pilot(mixing, manifold)
 
-    def estimate(colours: Float32s, pilot: Float32s) -> Float32s:
-        first = manifold.collaborate(colours, pilot, mixing, stage(PASSES[0]))
-        for_blocks(lambda own, other: np.divide(own + other, 2, out=own), threads, axis, first, pilot)
-        return manifold.collaborate(colours, first, second, stage(PASSES[1]), replaces_pilot=True)
+    def estimate(pilot: Stack) -> Stack:
+        first = manifold.collaborate(noisy, pilot, mixing, stage(PASSES[0]))
+        for_blocks(lambda mean, other: np.divide(mean + other, 2, out=mean), threads, axis, first, pilot)
+        return manifold.collaborate(noisy, first, mixing_with_pilot, stage(PASSES[1]), replaces_pilot=True)
 
-    after = estimate(noisy, before)
-    signs = perturbation.get()
-    with _perturbed(axis, noisy, signs, size):
-        response = estimate(noisy, disturbed)
+    after = estimate(before)
+    probed = _Probed.of(manifold, perturbation.get(), size)
+    with _perturbed(axis, noisy, probed.signs, size):
+        response = estimate(perturbed)
     # The strength scales the weight of smoothness, as in the choice of parameters.
-    counted = np.sqrt(manifold.parameters.strength)
-    model = _NoiseTerms(sigma * np.sqrt(counted), clipped, threads)
-    results, responses = (before, after), (disturbed, response)
-    probes = noisy, signs, size, _divisors(manifold, size)
-    share, gain = _mix_in_place(manifold, model, probes, results, responses)
-    del response, responses
+    model = _NoiseTerms(sigma * np.sqrt(np.sqrt(manifold.parameters.strength)), clipped, threads)
+    results = before, after
+    share, gain = _mix_in_place(manifold, model, probed, results, (perturbed, response))
+    del response
     for level in _plain_levels(manifold):
-        means = _noisy_means(level, manifold, model, probes, results)
-        gain += _improve_means_in_place(level, model, second, means, (before, disturbed))
+        means = _noisy_means(level, manifold, model, probed, results)
+        gain += _improve_means_in_place(level, model, mixing_with_pilot, means, (before, perturbed))
     count = max(1, geometry.kernels)
-    return Blend(before, share / count, manifold.noise.square_to_input(gain) / count / len(sigma))
+    return Blend(
+        dataclasses.replace(averaged, stacks=[before]), share / count,
+        manifold.noise.square_to_input(gain) / count / len(sigma),
+    )  # fmt: skip
 
 
 def _mix_in_place(
     manifold: Manifold,
     model: _NoiseTerms,
     noisy: _Probed,
-    results: tuple[Float32s, Float32s],
-    responses: tuple[Float32s, Float32s],
+    results: tuple[Stack, Stack],
+    responses: tuple[Stack, Stack],
 ) -> tuple[float, float]:
     """Blend the second result into the first; return the sum of the weights and of the gain."""
-    colours, signs, _, divisors = noisy
     regions, relative = manifold.regions, relative_variance(manifold)
     stacks = [
         np.moveaxis(stack, manifold.geometry.axis, 0)
-        for stack in (colours, signs, relative, *results, *responses)
+        for stack in (noisy.colours, noisy.signs, relative, *results, *responses)
     ]
 
     def terms(rows: slice) -> Float32s:
-        z, b, variance, *estimates = (stack[:, rows] for stack in stacks)
-        own: Float32s = np.empty((2, *z.shape[1:]), np.float32)
-        probe: Array = b / divisors
-        blend_terms(z, probe, tuple(estimates), (*model.noise, variance), own, 1)
-        return own
+        z, signs, variance, *estimates = (stack[:, rows] for stack in stacks)
+        sums: Float32s = np.empty((2, *z.shape[1:]), np.float32)
+        probe: Array = signs / noisy.divisors
+        blend_terms(z, probe, tuple(estimates), (*model.noise, variance), sums, 1)
+        return sums
 
     def move(rows: slice) -> None:
         weight = regions.enlarged(weights, rows)
@@ -154,18 +172,6 @@ def _mix_in_place(
     for stack in (results[0], responses[0]):
         manifold.geometry.refresh(stack)
     return share, gain
-
-
-def _divisors(manifold: Manifold, size: np.float32) -> Float32s:
-    """Return the divisors of the divergence for perturbations of a size, channels first.
-
-    Correlated perturbations are larger in channels with more noise.
-    """
-    variances = np.square(manifold.noise.sigma)
-    if manifold.noise.is_independent:
-        variances = np.ones(len(variances))
-    power = np.maximum(variances / variances.mean(), NOISELESS**2)
-    return np.asarray(size * power, np.float32).reshape(-1, *[1] * (manifold.colours.ndim - 1))
 
 
 def _plain_levels(manifold: Manifold) -> Iterator[CoarseLevel]:
@@ -183,24 +189,19 @@ class _NoisyMeans:
     `within` is the share of unclipped samples, a mean that emphasises small shares.
     """
 
-    colours: Float32s
+    colours: Stack
     probe: Float32s
-    divisors: Float32s  # see `_divisors`
+    divisors: Float32s  # see `_Probed`
     residual: Float32s
     within: Float32s
 
 
 def _noisy_means(
-    level: CoarseLevel,
-    manifold: Manifold,
-    model: _NoiseTerms,
-    noisy: _Probed,
-    results: tuple[Float32s, Float32s],
+    level: CoarseLevel, manifold: Manifold, model: _NoiseTerms, noisy: _Probed, results: tuple[Stack, Stack]
 ) -> _NoisyMeans:
     """Compute the means of noisy colours and their residual to the first result; the second result is overwritten."""
-    axis, relatives = manifold.geometry.axis, relative_variance(manifold)
-    (colours, signs, size, divisors), (before, memory) = noisy, results
-    means, probe = level.means(colours), size * level.means(signs)
+    axis, relatives, (before, memory) = manifold.geometry.axis, relative_variance(manifold), results
+    means, probe = level.means(noisy.colours), noisy.size * level.means(noisy.signs)
 
     def cube_share(p: Array, shares: Array, relative: Array) -> None:
         blend_share_within(p, (*model.noise, relative), shares, 1)
@@ -208,46 +209,44 @@ def _noisy_means(
         shares *= np.square(shares)
 
     for_blocks(
-        lambda z, p, shares, relative: blend_residual(z, p, (*model.noise, relative), shares, 1),
-        model.threads, axis, colours, before, memory, relatives,
+        lambda z, p, residual, relative: blend_residual(z, p, (*model.noise, relative), residual, 1),
+        model.threads, axis, noisy.colours, before, memory, relatives,
     )  # fmt: skip
     residual = level.means(memory)
     for_blocks(cube_share, model.threads, axis, before, memory, relatives)
     # A cubic mean: a residual found where most is cut off, as on white paper, would bleed into ink, too.
     within = 1 - np.cbrt(level.means(memory))
-    return _NoisyMeans(means, probe, size * divisors, residual, within)
+    return _NoisyMeans(means, probe, noisy.size * noisy.divisors, residual, within)
 
 
 def _improve_means_in_place(
-    level: CoarseLevel,
-    model: _NoiseTerms,
-    mixing: Mixing,
-    noisy: _NoisyMeans,
-    colours: tuple[Float32s, Float32s],
+    level: CoarseLevel, model: _NoiseTerms, mixing: Mixing, noisy: _NoisyMeans, colours: tuple[Stack, Stack]
 ) -> float:
-    """Blend the means of colours with their estimates by patches; return the estimated gain."""
+    """Blend the means of colours, and of perturbed ones, with their estimates by patches; return the estimated gain."""
     # The means of the blend are used as the pilot directly: a first estimate without a pilot would bring back noise.
     mixing = dataclasses.replace(mixing, variances=mixing.variances * level.noise)
-    (p, near_p), axis, sums = (level.means(own) for own in colours), level.axis, level.planes(2)
-    q = level.collaborate(noisy.colours, p, mixing)
+    (p, p_perturbed), axis, sums = (level.means(stack) for stack in colours), level.axis, level.planes(2)
+    difference = level.collaborate(noisy.colours, p, mixing)
     with _perturbed(axis, noisy.colours, noisy.probe, np.float32(1)):
-        near_q = level.collaborate(noisy.colours, near_p, mixing)
-    differences, others = (q, near_q), (noisy.residual, noisy.probe, noisy.within)
-    stacks = in_blocks(axis, *differences, p, near_p, *others, np.expand_dims(level.relative, axis))
-    for (d, near_d, b, near_b, residual, probe, within, relative), (own,) in zip(
+        moved = level.collaborate(noisy.colours, p_perturbed, mixing)
+    stacks = in_blocks(
+        axis, difference, moved, p, p_perturbed, noisy.residual, noisy.probe, noisy.within,
+        np.expand_dims(level.relative, axis),
+    )  # fmt: skip
+    for (d, d_perturbed, a, a_perturbed, residual, probe, within, relative), (terms,) in zip(
         stacks, in_blocks(0, sums), strict=True
     ):
         least, enough = _TRUSTED_WITHIN
         trusted = np.clip((within - least) / (enough - least), 0, 1)
-        d[:], near_d[:] = trusted * (d - b), trusted * (near_d - near_b)
-        own[:] = model.terms(
-            residual, probe / noisy.divisors, within * d, within * near_d, within * relative[0]
+        d[:], d_perturbed[:] = trusted * (d - a), trusted * (d_perturbed - a_perturbed)
+        terms[:] = model.terms(
+            residual, probe / noisy.divisors, within * d, within * d_perturbed, within * relative[0]
         )
     weights, _, gain = _weigh(level, sums, model.variance * level.noise, _PRIORS["means"])
-    for stack, difference in zip(colours, differences, strict=True):
-        for (change,), (weight,) in zip(in_blocks(axis, difference), in_blocks(0, weights), strict=True):
+    for stack, changes in zip(colours, (difference, moved), strict=True):
+        for (change,), (weight,) in zip(in_blocks(axis, changes), in_blocks(0, weights), strict=True):
             change *= weight[0]
-        level.add_enlarged(stack, difference)
+        level.add_enlarged(stack, changes)
     return gain
 
 
@@ -258,12 +257,12 @@ class _NoiseTerms:
         self.threads = threads
         self._variances = np.square(sigma, dtype=np.float32)
         self.variance = float(np.mean(np.square(sigma)))
-        own = np.zeros((len(sigma), 4), np.float32)
-        own[:, 0] = self._variances
+        channels = np.zeros((len(sigma), 4), np.float32)
+        channels[:, 0] = self._variances
         if clipped is not None:
-            own[:, 1:] = np.column_stack([clipped.sigma, clipped.low, clipped.high])
+            channels[:, 1:] = np.column_stack([clipped.sigma, clipped.low, clipped.high])
         tables = normal_tables()
-        self.noise = own, tables.furthest, tables.lost, tables.share  # in the layout of the core
+        self.noise = channels, tables.furthest, tables.lost, tables.share  # in the layout of the core
 
     def terms(
         self, residual: Float32s, probe: Array, difference: Float32s, moved: Float32s, relative: Float32s
@@ -283,9 +282,9 @@ def _weigh(
     # The variance of w is sigma^2 over the sum of squares; a mean by a Gaussian stands for this many samples.
     prior = np.float32(variance / (4 * np.pi * surface.width**2) / expected.variance)
     means = surface.spread(sums)
-    for own, terms in in_blocks(0, means, sums):
-        own[0] = np.clip((own[0] + prior * overall) / (own[1] + prior), 0, 1)
-        own[1] = own[0] * (2 * terms[0] - own[0] * terms[1])
+    for mean, terms in in_blocks(0, means, sums):
+        weight = np.clip((mean[0] + prior * overall) / (mean[1] + prior), 0, 1)
+        mean[0], mean[1] = weight, weight * (2 * terms[0] - weight * terms[1])
     share, gain = surface.total(means)
     return means[:1], float(share), float(gain)
 
@@ -299,5 +298,5 @@ def _perturbed(axis: int, stack: Float32s, signs: Array, size: np.float32) -> It
 
 
 def _add(axis: int, stack: Float32s, signs: Array, size: np.float32) -> None:
-    for own, sign in in_blocks(axis, stack, signs):
-        own += np.multiply(sign, size, dtype=np.float32)
+    for block, sign in in_blocks(axis, stack, signs):
+        block += np.multiply(sign, size, dtype=np.float32)

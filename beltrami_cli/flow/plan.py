@@ -50,22 +50,25 @@ class Plan(Generic[AnyManifold]):
     @property
     def outliers(self) -> dict[str, object]:
         """Their number, their share of all samples, and whether they are replaced; empty if there are none."""
-        own, is_replaced = self.manifold.outliers, self.parameters.outliers != "keep"
-        return {} if own is None else {"count": len(own.samples), "share": own.share, "replaced": is_replaced}
+        outliers, is_replaced = self.manifold.outliers, self.parameters.outliers != "keep"
+        if outliers is None:
+            return {}
+        return {"count": len(outliers.samples), "share": outliers.share, "replaced": is_replaced}
 
     def step(self, iteration: int) -> Step:
-        own = self.parameters
-        return Step(self.manifold.beta * own.growth(iteration), own.t, own.is_regularised(iteration))
+        """Return an iteration, counted from 0."""
+        beta = self.manifold.beta * self.parameters.growth(iteration)
+        return Step(beta, self.parameters.t, self.parameters.is_regularised(iteration))
 
     def with_noise(self, sigma: Float64s, reading: Reading | None) -> Plan[AnyManifold]:
         """Return the plan for another noise: `sigma` is the RMS error by channel, without a predicted PSNR."""
-        more = float(np.sqrt(np.mean(np.square(sigma)) / np.mean(np.square(self.noise))))
+        ratio = float(np.sqrt(np.mean(np.square(sigma)) / np.mean(np.square(self.noise))))
         described = {
-            name: value if name == "grain" else more * value for name, value in self.described_noise.items()
+            name: value if name == "grain" else ratio * value for name, value in self.described_noise.items()
         }
         choice = self.choice
         if choice is not None and choice.gain is not None:
-            gain = choice.gain + 20 * float(np.log10(more))
+            gain = choice.gain + 20 * float(np.log10(ratio))
             choice = dataclasses.replace(choice, gain=gain, predicted=None)
         return dataclasses.replace(
             self, noise=sigma, described_noise=described, choice=choice, reading=reading
@@ -73,56 +76,60 @@ class Plan(Generic[AnyManifold]):
 
     def stopped_before(self, iteration: int) -> Plan[AnyManifold]:
         """Return a plan of the iterations before this one, counted from 0, and of no later step."""
-        first = dataclasses.replace(self.parameters, iterations=iteration, clipping="keep")
-        manifold = dataclasses.replace(self.manifold, parameters=first)
+        manifold = self.manifold.with_parameters(iterations=iteration, clipping="keep")
         return dataclasses.replace(self, takes_patches=False, light=None, manifold=manifold)
 
 
 def choose_parameters(
-    manifold: AnyManifold,
-    wanted: KernelParameters,
-    tick: Callable[[], None] | None = None,
-    *,
-    light_in: Space | None = None,
+    manifold: AnyManifold, tick: Callable[[], None] | None = None, *, light_in: Space | None = None
 ) -> Plan[AnyManifold]:
-    """Choose the open parameters so that the estimated error of the result is least.
+    """Choose the free parameters of a manifold so that the estimated error of the result is least.
 
     If patches follow, the colours of the plan are without the noise that neighbouring samples share, except at the
     finest scale. `tick` is called often, and may raise to stop. `light_in` is the space of colours that stand for
     light. Their mean radiance is preserved, unless beta is given.
     """
-    light = None
-    if light_in is not None and wanted.stabilises_noise:
+    light, moves = None, manifold.moving is not None
+    if light_in is not None and manifold.parameters.stabilises_noise:
         light = MeanLight.of(manifold, light_in)
         # Texels that no light path has reached are black; their noise was not clipped.
-        wanted = dataclasses.replace(wanted, clipping="keep")
-        kept = dataclasses.replace(manifold.parameters, clipping="keep")
-        manifold = dataclasses.replace(manifold, parameters=kept)
-    moves = manifold.moving is not None
-    if moves and manifold.resources.chunking is not None:
-        raise UsageError("vertices are not moved in pieces; leave out --pieces, or --smooth-geometry")
-    if moves:  # positions share the iterations, and the best parameters of colours are too strong for them
-        wanted = dataclasses.replace(wanted, free=())
-    noise, error = manifold.noise, 0.0
+        manifold = manifold.with_parameters(clipping="keep")
+    if moves:
+        if manifold.resources.chunking is not None:
+            raise UsageError("vertices are not moved in pieces; leave out --pieces, or --smooth-geometry")
+        # Positions share the iterations, and the best parameters of colours are too strong for them.
+        manifold = manifold.with_parameters(free=())
+    wanted, noise = manifold.parameters, manifold.noise
     noisy = is_noisy(noise.of_input)
-    corrects = noisy and noise.is_shared and wanted.takes_patches and not moves
-    if corrects:
-        manifold, error = without_shared_noise(manifold, tick)
-    chosen, choice = tune(manifold, wanted, noisy=noisy, tick=tick)
-    if corrects and "iterations" in wanted.free:
-        chosen = dataclasses.replace(chosen, iterations=max(1, chosen.iterations))
-    if choice is not None:
-        variance = float(np.mean(np.square(noise.of_input)))
-        choice = choice.improved(-error)
-        if corrects and choice.psnr is not None:
-            # So far the gain is relative to colours without shared noise.
-            choice = dataclasses.replace(choice, gain=choice.psnr + 10 * math.log10(variance))
+    takes_patches = wanted.takes_patches and noisy and not moves
+    if takes_patches and noise.is_shared:
+        manifold, chosen, choice = _choose_without_shared_noise(manifold, tick)
+    else:
+        chosen, choice = tune(manifold, noisy=noisy, tick=tick)
     work = manifold.geometry.work(manifold.unit)
     chosen = work.bounded(chosen)
     work.announce(chosen)
-    read = noise.as_read()
+    noise_as_read = noise.as_read()
     return Plan(
-        manifold=dataclasses.replace(manifold, parameters=chosen), noise=read.of_input,
-        described_noise=read.described(), reading=noise.reading, choice=choice,
-        takes_patches=wanted.takes_patches and chosen.iterations > 0 and not moves and noisy, light=light,
+        manifold=dataclasses.replace(manifold, parameters=chosen), noise=noise_as_read.of_input,
+        described_noise=noise_as_read.described(), reading=noise.reading, choice=choice,
+        takes_patches=takes_patches and chosen.iterations > 0, light=light,
     )  # fmt: skip
+
+
+def _choose_without_shared_noise(
+    manifold: AnyManifold, tick: Callable[[], None] | None
+) -> tuple[AnyManifold, KernelParameters, Choice | None]:
+    """Remove the noise that neighbours share, and choose parameters for the rest, with one iteration at least."""
+    variance = float(np.mean(np.square(manifold.noise.of_input)))
+    is_free = "iterations" in manifold.parameters.free
+    manifold, error = without_shared_noise(manifold, tick)
+    chosen, choice = tune(manifold, noisy=True, tick=tick)
+    if is_free:
+        chosen = dataclasses.replace(chosen, iterations=max(1, chosen.iterations))
+    if choice is not None:
+        choice = choice.improved(-error)
+        if choice.psnr is not None:
+            # So far the gain is relative to colours without shared noise.
+            choice = dataclasses.replace(choice, gain=choice.psnr + 10 * math.log10(variance))
+    return manifold, chosen, choice

@@ -85,7 +85,7 @@ def smooth_mesh(surface, parameters, progress=None, **others):
     """Return what comes of a mesh: its colours, and the result."""
     mesh = ColouredMesh.of(surface, parameters, **others)
     manifold = mesh_manifold(mesh, estimate_on_mesh(mesh))
-    result = smooth_in_place(choose_parameters(manifold, parameters), progress)
+    result = smooth_in_place(choose_parameters(manifold), progress)
     return SimpleNamespace(colours=result.manifold.new_colours().table(), **vars(result))
 
 

@@ -8,9 +8,10 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 import beltrami_cli
-from beltrami_cli.flow.choice.choice import Choice, _predicted
+from beltrami_cli.flow.choice.choice import Choice
+from beltrami_cli.flow.choice.prediction import predict
 from beltrami_cli.flow.choice.risk import PERTURBATION, Risk, RiskEstimate
-from beltrami_cli.flow.choice.search import Grid, Search
+from beltrami_cli.flow.choice.search import Candidates, Search
 from beltrami_cli.flow.manifolds.fingerprints import fingerprints, random_signs
 from beltrami_cli.flow.manifolds.manifold import Step
 from beltrami_cli.flow.manifolds.search_range import RULE_ON_GRIDS, RULE_ON_MESHES
@@ -146,7 +147,7 @@ class Valleys:
 @pytest.mark.parametrize(("deeper", "beta"), [(0.05, 0.7), (0.2, 2.8)])
 def test_the_search_finds_the_deeper_of_two_valleys(deeper, beta):
     """One descent alone would end in the valley next to its start."""
-    grid = Grid((0.7, 1.4, 2.8), (1.5, 3.0), 8.0, (0,), 2, 10, ((1, 0, 0), (1, 1, 0)))
+    grid = Candidates((0.7, 1.4, 2.8), (1.5, 3.0), 8.0, (0,), 2, 10, ((1, 0, 0), (1, 1, 0)))
     best = Search(Valleys(deeper), grid, noise=1.0).run()
     assert best.beta == beta
 
@@ -208,7 +209,7 @@ def predicted(noise, read=None, *, none=0.0, shared=False, patches=True):
         )
     reading = None if read is None else Reading(none, *(noise * factor for factor in read))
     risk = Risk(0.1 * noise**2, 0.01 * noise**2, 0.2 * noise**2)
-    return _predicted(risk, noise**2, dataclasses.replace(model, reading=reading), patches=patches)
+    return predict(risk, noise**2, dataclasses.replace(model, reading=reading), patches=patches)
 
 
 def test_the_interval_holds_the_prediction_and_widens_with_the_doubt_of_the_noise():
@@ -234,7 +235,7 @@ def test_nothing_is_predicted_where_the_noise_may_be_other(doubt):
 def test_a_result_that_is_too_smooth_is_not_predicted_by_its_divergence():
     """Without patches, whose noise is all gone, the error is what Stein's estimate says."""
     noise = NoiseModel.independent(np.full(3, 0.1))
-    told = _predicted(Risk(0.005, 1e-4, 0.0), 0.01, noise, patches=False)
+    told = predict(Risk(0.005, 1e-4, 0.0), 0.01, noise, patches=False)
     assert told.psnr == pytest.approx(23, abs=0.3)
 
 

@@ -42,7 +42,7 @@ def test_estimating_and_choosing_leave_the_colours_of_a_canvas(shared, noise):
     canvas = canvas_of(shared, parameters)
     colours = estimate_on_canvas(canvas)
     stack = colours.stack.copy()
-    plan = choose_parameters(grid_manifold(canvas, colours), parameters)
+    plan = choose_parameters(grid_manifold(canvas, colours))
     assert np.array_equal(shared, before)
     assert np.array_equal(colours.stack, stack)
     assert not np.array_equal(plan.manifold.colours, stack)
@@ -68,7 +68,7 @@ def test_estimating_and_choosing_leave_the_colours_of_a_mesh(noise):
     before = mesh.colours.copy()
     colours = estimate_on_mesh(mesh)
     stack = colours.stack.copy()
-    choose_parameters(mesh_manifold(mesh, colours), parameters)
+    choose_parameters(mesh_manifold(mesh, colours))
     assert np.array_equal(mesh.colours, before)
     assert np.array_equal(colours.stack, stack)
 

@@ -193,8 +193,8 @@ def test_colours_that_smoothing_is_estimated_to_make_worse_stay_unless_an_option
 ):
     """The estimate is replaced, since no small mesh makes it negative."""
 
-    def pessimistic(manifold, wanted, **options):
-        parameters, choice = tune(manifold, wanted, **options)
+    def pessimistic(manifold, **options):
+        parameters, choice = tune(manifold, **options)
         return parameters, None if choice is None else replace(choice, gain=-1.0)
 
     monkeypatch.setattr("beltrami_cli.flow.plan.tune", pessimistic)

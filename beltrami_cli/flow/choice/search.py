@@ -34,7 +34,7 @@ Place: TypeAlias = tuple[int, int, int]
 
 
 @dataclass(frozen=True)
-class Grid:
+class Candidates:
     """The candidate values of each parameter, ascending, and the starts of the search."""
 
     betas: tuple[float, ...]
@@ -61,7 +61,7 @@ class Grid:
 
 
 class Search:
-    """Coordinate descent over a grid of schedules; `noise` is the variance of the noise.
+    """Coordinate descent over candidate schedules; `noise` is the variance of the noise.
 
     `tick` is called before each iteration, and may raise to stop.
     """
@@ -69,23 +69,25 @@ class Search:
     def __init__(
         self,
         estimate: RiskEstimate,
-        grid: Grid,
+        candidates: Candidates,
         noise: float,
         weight: float = 1.0,
         tick: Callable[[], None] | None = None,
     ) -> None:
         self.tried: dict[Schedule, Risk] = {}
-        self._estimate, self._grid, self._tick = estimate, grid, tick
+        self._estimate, self._candidates, self._tick = estimate, candidates, tick
         self._gain, self._weight = _MIN_IMPROVEMENT * noise, weight
         self._least: dict[Place, float] = {}
         self._regularised_states: dict[Schedule, State] = {}
 
     def run(self) -> Schedule:
         """Return the schedule with the least weighted risk."""
-        if self._grid.iterations is None:
-            self._try(replace(self._grid.at(self._grid.starts[0]), regularised=0), self._estimate.start)
+        if self._candidates.iterations is None:
+            self._try(
+                replace(self._candidates.at(self._candidates.starts[0]), regularised=0), self._estimate.start
+            )
         least = float("inf")
-        for start in self._grid.starts:
+        for start in self._candidates.starts:
             # Skip starts no better than the result of an earlier descent.
             if self._path(start) < least - self._gain:
                 least = self._descend(start)
@@ -99,20 +101,20 @@ class Search:
             moved = False
             for axis in (0, 1, 2):
                 for way in (1, -1):
-                    ahead = self._grid.neighbour(place, axis, way)
+                    ahead = self._candidates.neighbour(place, axis, way)
                     while ahead is not None and self._path(ahead) < least - self._gain:
                         place, least, moved = ahead, self._path(ahead), True
-                        ahead = self._grid.neighbour(place, axis, way)
+                        ahead = self._candidates.neighbour(place, axis, way)
         return least
 
     def _path(self, place: Place) -> float:
         """Try a place with more and more plain iterations; return the least risk."""
         if place not in self._least:
-            self._least[place] = self._walk(self._grid.at(place))
+            self._least[place] = self._walk(self._candidates.at(place))
         return self._least[place]
 
     def _walk(self, schedule: Schedule) -> float:
-        wanted = self._grid.iterations
+        wanted = self._candidates.iterations
         if wanted is not None and schedule.regularised > wanted:
             return float("inf")
         state = self._after_regularised(schedule)
@@ -121,13 +123,13 @@ class Search:
             done = schedule.regularised + schedule.plain
             if wanted is None or done == wanted:
                 risks.append(self._try(schedule, state))
-            if done >= (self._grid.max_iterations if wanted is None else wanted) or self._ends(risks):
+            if done >= (self._candidates.max_iterations if wanted is None else wanted) or self._ends(risks):
                 return min(risks)
             state = self._step(state, schedule.step(done))
             schedule = replace(schedule, plain=schedule.plain + 1)
 
     def _ends(self, risks: list[float]) -> bool:
-        return len(risks) > 1 and risks[-2] - risks[-1] < self._grid.least_gain * abs(risks[-2])
+        return len(risks) > 1 and risks[-2] - risks[-1] < self._candidates.least_gain * abs(risks[-2])
 
     def _try(self, schedule: Schedule, state: State) -> float:
         self.tried[schedule] = self._estimate.of(state)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from _thread import start_new_thread
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from threading import Lock
 from typing import Any
 
@@ -27,14 +27,9 @@ def block_rows(stack: Array, side: int = 1) -> Iterator[slice]:
     return large_arrays.blocks(stack.shape[1], size)
 
 
-def for_blocks(
-    work: Callable[..., object], threads: int, axis: int, *stacks: Array, planes: Sequence[Array] = ()
-) -> None:
-    """Call `work` with blocks of stacks and planes, several in parallel; it may change only its own block."""
-    blocks = in_blocks(axis, *stacks)
-    if planes:
-        blocks = ((*own, *others) for own, others in zip(blocks, in_blocks(0, *planes), strict=True))
-    in_parallel(work, threads, blocks)
+def for_blocks(work: Callable[..., object], threads: int, axis: int, *stacks: Array) -> None:
+    """Call `work` with blocks of stacks, several in parallel; it may change only its own block."""
+    in_parallel(work, threads, in_blocks(axis, *stacks))
 
 
 def in_parallel(work: Callable[..., object], threads: int, blocks: Iterable[tuple[Any, ...]]) -> None:

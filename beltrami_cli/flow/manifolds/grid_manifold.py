@@ -313,8 +313,7 @@ def _average_chunk(
     part: tuple[GridManifold, Rectangle], stacks: list[Stack], threads: int, step: Step, channels: int
 ) -> tuple[list[Float32s], Figures]:
     manifold, core = part
-    parameters = dataclasses.replace(manifold.parameters, threads=threads)
-    manifold = dataclasses.replace(manifold, parameters=parameters)
+    manifold = manifold.with_parameters(threads=threads)
     done = manifold._average_rows(stacks, manifold.measure(stacks[0][:channels], step), None)
     return [stack[core] for stack in done.stacks], (done.samples, 0)
 

@@ -114,6 +114,9 @@ class Manifold(ABC):
             return parameters.beta
         return choose_beta(sigma) * self.unit / math.sqrt(parameters.strength)
 
+    def with_parameters(self, **values: Any) -> Self:
+        return dataclasses.replace(self, parameters=dataclasses.replace(self.parameters, **values))
+
     @abstractmethod
     def measure(self, colours: Stack, step: Step, gaussian: Gaussian | None = None) -> Metric:
         """Induce the metric, eq. (1), from colours; `gaussian` of an earlier metric is used again."""

@@ -311,8 +311,7 @@ def _average_chunk(
     part: tuple[MeshManifold, slice], stacks: Sequence[Stack], threads: int, step: Step, channels: int
 ) -> tuple[list[Float32s], Figures]:
     (colours,), (manifold, kept) = stacks, part
-    parameters = dataclasses.replace(manifold.parameters, threads=threads)
-    manifold = dataclasses.replace(manifold, parameters=parameters)
+    manifold = manifold.with_parameters(threads=threads)
     metric = manifold.measure(np.ascontiguousarray(colours[:, :channels]), step)
     after, samples, truncated = _apply_kernels(manifold, colours, metric, kept, None)
     return [after[kept]], (samples, truncated)

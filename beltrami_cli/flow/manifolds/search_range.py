@@ -19,7 +19,7 @@ class SearchRange:
     regularised: tuple[int, ...]  # numbers of regularised iterations
     max_iterations: int
     starts: tuple[tuple[float, float, int], ...]  # beta times the noise, growth, regularised iterations
-    least_gain: float = 0.0  # see `Grid`
+    least_gain: float = 0.0  # see `Candidates`
 
 
 @dataclass(frozen=True)
