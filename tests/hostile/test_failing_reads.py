@@ -13,7 +13,7 @@ CALLS = ("stat", "lstat", "fstat", "open", "scandir", "listdir", "close", "readl
 MAX_CALLS = 300
 REAL_CLOSE = os.close
 COMMANDS = {
-    "info": "info model.obj",
+    "info": "info model.obj --noise 9 -n 1 -t 1 --beta 8 --fast",  # chosen parameters take most of the time
     "sidecars": "noise model.obj out.obj --sigma 9 --overwrite",
     "in place": "noise model.obj model.obj --sigma 9 --overwrite",
     "picture": "noise skin.png out.jpg --sigma 9",

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,9 @@ from batch.batches import without_workers
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.jobs.compare.maps import is_map
 from beltrami_cli.jobs.smoothing import is_report
+from beltrami_cli.view import before_after
 from beltrami_cli.view.before_after import is_preview
+from beltrami_cli.view.settings import RenderSettings
 from cli.commands import SAMPLES, beltrami, copy_samples, refused
 from formats.image_files import encode
 
@@ -69,15 +72,16 @@ def test_no_command_replaces_what_it_reads_or_writes_besides(arguments, textured
 
 
 @pytest.mark.slow
-def test_a_preview_is_drawn_of_files_that_are_not_in_place_yet(textured):
-    """Takes 3 s: a preview is drawn twice at its full size."""
+def test_a_preview_is_drawn_of_files_that_are_not_in_place_yet(textured, monkeypatch):
+    small = (160, 90)  # at its full size, drawing takes seconds
+    monkeypatch.setattr(before_after, "RenderSettings", partial(RenderSettings, size=small))
     (textured.parent / "before").mkdir()
     before = shutil.copytree(textured, textured.parent / "before" / "model")
     target = "mirrored-noisy.obj"
     smooth = ("smooth", target, target, *QUICK, "--preview", "p.png", "--overwrite")
     beltrami(*smooth, cwd=textured)
     drawn = ("render", before / "mirrored-noisy.obj", target, "expected.png", "--crop", "auto")
-    beltrami(*drawn, "--label", "before", "--label", "after", cwd=textured)
+    beltrami(*drawn, "--size", "160x90", "--label", "before", "--label", "after", cwd=textured)
     preview, expected = textured / "p.png", textured / "expected.png"
     assert is_preview(preview.read_bytes())
     assert not is_preview(expected.read_bytes())
@@ -88,21 +92,20 @@ def test_a_preview_is_drawn_of_files_that_are_not_in_place_yet(textured):
 
 NAMED = {
     "report": (("smooth", NOISY, "out.ply", *QUICK), "BELTRAMI_SMOOTH_REPORT", "file.json"),
-    "preview": (("smooth", NOISY, "out.ply", *QUICK), "BELTRAMI_SMOOTH_PREVIEW", "file.png"),
+    "preview": (("smooth", PHOTO, "out.png", *QUICK), "BELTRAMI_SMOOTH_PREVIEW", "file.png"),
     "map": (("compare", NOISY, NOISY), "BELTRAMI_COMPARE_MAP", "file.ply"),
     "record": (("batch", NOISY, "--out-dir", "out", *QUICK), "BELTRAMI_BATCH_REPORT", "file.jsonl"),
 }
 OPTIONS = {"report": "--report", "preview": "--preview", "map": "--map", "record": "--report"}
 
 
-# A preview takes 4 s: it is drawn twice at its full size.
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", NAMED)
 @without_workers()
 def test_a_file_of_others_is_replaced_only_if_the_command_line_names_it(kind, tmp_path):
     arguments, variable, name = NAMED[kind]
     (tmp_path / "out").mkdir()
-    (tmp_path / "out.ply").write_text("old")
+    (tmp_path / Path(arguments[2]).name).write_text("old")
     file = tmp_path / name
     file.write_text("precious")
     table = f"[{arguments[0]}]\n{variable.rpartition('_')[2].lower()} = {json.dumps(name)}\n"

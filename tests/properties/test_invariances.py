@@ -137,8 +137,7 @@ def test_the_result_is_the_same_to_the_last_bit_on_any_threads_and_instruction_s
 
 
 FRAMES = {
-    "turned": lambda positions: positions @ TURN + [3, -70, 11],
-    "mirrored": lambda positions: positions * [1, 1, -1],
+    "turned and mirrored": lambda positions: positions * [1, 1, -1] @ TURN + [3, -70, 11],
     "tiny": lambda positions: 1e-9 * positions,
     "large and far away": lambda positions: 1000 * positions + [1e6, -1e5, 7],
     "in five dimensions": lambda positions: positions @ np.linalg.qr(np.ones((5, 5)) + np.eye(5))[0][:3],

@@ -358,7 +358,7 @@ def pages(tmp_path_factory):
 @pytest.mark.parametrize("name", ["report", "sweep", "view"])
 def test_a_page_fits_bars_nobody_and_shows_names_as_text(browser, pages, name, width):
     kind = Page if name == "sweep" else Viewer
-    shown = kind(browser, pages[name], width=width, color_scheme="dark" if width == 768 else "light")
+    shown = kind(browser, pages[name], width=width, color_scheme="dark" if width == 320 else "light")
     assert NAME in shown.page.locator("h1").inner_text()
     assert shown.page.locator("main b").count() == 0
     assert shown.page.locator("img[src=x]").count() == 0
