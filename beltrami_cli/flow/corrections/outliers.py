@@ -1,7 +1,7 @@
 """Outliers: fireflies, salt and pepper, dead texels.
 
 An outlier differs far more from its neighbours on the surface than noise does, alone or in a small clump. So do stars,
-rivets, and the dots of dither and of the letter i. They are told apart by their distribution. Outliers are spread at
+rivets, and the dots of dither and of the letter i. Their distribution distinguishes them. Outliers are spread at
 random over all colours, and have one value or, as fireflies, are far brighter than the light around. Drawn detail
 repeats, belongs to larger shapes, has many values, or lies on a plain ground.
 
@@ -131,31 +131,35 @@ def fill_outliers(
 def _find_outliers(
     planes: Float32s, where: Surroundings, parameters: KernelParameters, *, is_light: bool
 ) -> Outliers | None:
-    surface, insists = _Surface(planes, where), parameters.outliers == "replace"
+    surface, takes_all = _Surface(planes, where), parameters.outliers == "replace"
     if surface.count < _MIN_CLUMPS or not parameters.looks_for_outliers:
         return None
     some = np.linspace(0, surface.count - 1, min(surface.count, 256 * _MIN_CLUMPS)).astype(int)
     sampled = surface.compared(where.samples[some])
-    sizes = _ranges(sampled.colours)
+    ranges = _ranges(sampled.colours)
     # Noise alone seldom makes a sample differ that much from most neighbours.
-    least = _OUTLIER_LIMIT[1] * sizes + _OUTLIER_LIMIT[0] / 2 * np.median(sampled.deviations, axis=1)
-    standing_out = where.standing_out(planes, np.where(sizes > 0, least, np.inf).astype(np.float32))
-    if len(standing_out) < (1 if insists else _MIN_CLUMPS):
+    least = _OUTLIER_LIMIT[1] * ranges + _OUTLIER_LIMIT[0] / 2 * np.median(sampled.deviations, axis=1)
+    standing_out = where.standing_out(planes, np.where(ranges > 0, least, np.inf).astype(np.float32))
+    if len(standing_out) < (1 if takes_all else _MIN_CLUMPS):
         return None
-    rows, found = surface.compared(standing_out), dict[tuple[int, int], Int64s]()
-    # Outliers are searched for in all colour channels together, then in each channel.
-    for first, last in [(0, COLOURS)] * (len(planes) >= COLOURS) + [(k, k + 1) for k in range(len(planes))]:
-        if sizes[first] > 0 and not any(begin <= first < end for begin, end in found):
-            own = slice(first, last)
-            search = _Search(_Surface(planes[own], where), sampled.of_channels(own), float(sizes[first]))
-            wrong = search.outliers_in(rows.of_channels(own), insists=insists, is_light=is_light)
-            found |= {(first, last): wrong} if len(wrong) else {}
-    if not found:
+    rows = surface.compared(standing_out)
+
+    def outliers_of(channels: slice) -> Int64s:
+        parts = _Surface(planes[channels], where), sampled.of_channels(channels)
+        search = _Search(*parts, float(ranges[channels][0]), takes_all=takes_all, is_light=is_light)
+        return search.outliers_in(rows.of_channels(channels))
+
+    groups = [slice(channel, channel + 1) for channel in range(len(planes))]
+    if len(planes) >= COLOURS and len(of_colours := outliers_of(slice(COLOURS))):
+        found = [(slice(COLOURS), of_colours), *((group, outliers_of(group)) for group in groups[COLOURS:])]
+    else:
+        found = [(group, outliers_of(group)) for group in groups]
+    samples = np.unique(np.concatenate([own for _, own in found]))
+    if not len(samples):
         return None
-    samples = np.unique(np.concatenate([*found.values()]))
     channels = np.zeros((len(samples), len(planes)), bool)
-    for (first, last), own_samples in found.items():
-        channels[np.searchsorted(samples, own_samples), first:last] = True
+    for group, own in found:
+        channels[np.searchsorted(samples, own), group] = True
     share = len(samples) / surface.count
     return Outliers(np.searchsorted(where.samples, samples), channels, surface.at(samples).T, share)
 
@@ -171,28 +175,32 @@ def _ranges(colours: Float32s) -> Float64s:
 
 @dataclass(frozen=True)
 class _Search:
-    """Search for outliers; `sampled` rows represent all samples, and `size` is the range of their colours."""
+    """Search for outliers in colours, of which `sampled` rows represent all."""
 
     surface: _Surface
     sampled: _Rows
-    size: float
+    range: float  # of the colours
+    takes_all: bool  # isolated samples that stand out, however they are distributed
+    is_light: bool
 
-    def outliers_in(self, rows: _Rows, *, insists: bool, is_light: bool) -> Int64s:
-        """Return the outliers among rows that stand out; if it `insists`, all isolated ones, however distributed."""
-        contrasts, found = rows.contrasts(self.size), [rows.samples[:0]]
+    def outliers_in(self, rows: _Rows) -> Int64s:
+        """Return the outliers among rows that stand out."""
+        if not self.range > 0:
+            return rows.samples[:0]
+        contrasts, found = rows.contrasts(self.range), [rows.samples[:0]]
         for sign in (-1, 1):
             # Bright light needs twice the contrast, since its noise has a longer tail.
-            is_bright = is_light and sign > 0
-            contrast = sign * contrasts / np.float32(2 if is_bright else 1)
+            is_bright_light = self.is_light and sign > 0
+            contrast = sign * contrasts / np.float32(2 if is_bright_light else 1)
             outlying, contrast = rows[contrast > 1], contrast[contrast > 1]
-            small, strongest = self._clumps(
-                outlying.samples, np.abs(outlying.colours - outlying.medians).max(axis=0) / 2, contrast
-            )
+            limits = np.abs(outlying.colours - outlying.medians).max(axis=0) / 2
+            small, strongest = self._small_clumps(outlying.samples, limits, contrast)
             # With few light paths, nearly all light is in single samples, which are not outliers.
             is_rare = _MAJORITY * len(small) <= np.count_nonzero(small) < _MAX_FIREFLIES * self.surface.count
             everywhere = np.ones(len(self.sampled.samples), bool)
-            is_firefly = is_bright and is_rare and self._is_random(outlying, contrast, strongest, everywhere)
-            if insists or is_firefly:
+            if self.takes_all or (
+                is_bright_light and is_rare and self._is_random(outlying, contrast, strongest, everywhere)
+            ):
                 found.append(outlying.samples[small])
             elif len(strongest) >= _MIN_CLUMPS:
                 found.append(self._with_common_value(outlying, sign * contrast, small, strongest))
@@ -200,11 +208,11 @@ class _Search:
 
     def _with_common_value(self, rows: _Rows, contrast: Float32s, small: Bools, strongest: Int64s) -> Int64s:
         """Return the outliers that have the most frequent value, if they are spread at random."""
-        colours, tolerance = rows.colours[:, strongest], _SAME_VALUE * self.size
+        colours, tolerance = rows.colours[:, strongest], _SAME_VALUE * self.range
         value = np.median(colours, axis=1)
         for _ in range(2):  # the second time without other values
-            alike = np.abs(colours - value[:, None]).max(axis=0) <= tolerance
-            value = np.median(colours[:, alike], axis=1) if alike.any() else value
+            is_near = np.abs(colours - value[:, None]).max(axis=0) <= tolerance
+            value = np.median(colours[:, is_near], axis=1) if is_near.any() else value
         near = np.abs(rows.colours - value[:, None]).max(axis=0)
         chosen = strongest[near[strongest] <= tolerance]
         if (
@@ -215,7 +223,7 @@ class _Search:
         # On a plain ground they may be a pattern.
         away = np.abs(rows.colours - rows.medians)[:, chosen].max(axis=0)
         is_plain = rows.medians[:, chosen].std(axis=1).max() < _SAME_VALUE * np.median(away)
-        hit = np.sign(contrast[0]) * self.sampled.contrasts(self.size, value[:, None]) > 1
+        hit = np.sign(contrast[0]) * self.sampled.contrasts(self.range, value[:, None]) > 1
         if is_plain or not self._is_random(rows, np.abs(contrast), chosen, np.asarray(hit)):
             return rows.samples[:0]
         # Noise added after the outliers spreads their value.
@@ -229,64 +237,91 @@ class _Search:
             rows = surface.compared(
                 samples[np.abs(surface.at(samples) - value[:, None]).max(axis=0) <= spread]
             )
-            found.append(rows.samples[np.abs(rows.contrasts(self.size)) > _WEAK_LIMIT])
+            found.append(rows.samples[np.abs(rows.contrasts(self.range)) > _WEAK_LIMIT])
         samples = np.concatenate(found)
-        small, _ = self._clumps(samples, np.full(len(samples), spread), np.zeros(len(samples), np.float32))
+        small, _ = self._small_clumps(
+            samples, np.full(len(samples), spread), np.zeros(len(samples), np.float32)
+        )
         return samples[small]
 
-    def _clumps(self, samples: Int64s, limits: Float32s, contrast: Float32s) -> tuple[Bools, Int64s]:
+    def _small_clumps(self, samples: Int64s, limits: Float32s, contrast: Float32s) -> tuple[Bools, Int64s]:
         """Find isolated clumps of samples that are no larger than clumps that form by chance.
 
         A clump is isolated if no sample around it has a similar colour, within `limits`. Return which samples are in
         small isolated clumps, and the sample of the highest contrast in each of these clumps.
         """
-        surface, rows = self.surface, np.arange(len(samples))
-        around = surface.where.around(samples, 1)
-        rank = np.searchsorted(samples, around).clip(0, max(0, len(samples) - 1))
-        joined = (around >= 0) & (samples[rank] == around) if len(samples) else around >= 0
-        rank = np.where(joined, rank, rows[:, None])
-        away = np.abs(surface.at(around) - surface.at(samples)[..., None]).max(axis=0)
-        alike = ((away <= limits[:, None]) & (around >= 0) & ~joined).any(axis=1)
-        label, before = rows, np.zeros(0, np.int64)
-        while not np.array_equal(label, before):
-            before, label = label, np.minimum(label, label[rank].min(axis=1, initial=len(samples)))
-            label = label[label]
-        size = np.bincount(label, minlength=len(samples))[label]
-        is_apart = np.bincount(label, alike, minlength=len(samples))[label] == 0
-        small = np.zeros(len(samples), bool)
-        for _ in range(5):
+        if not len(samples):
+            return np.zeros(0, bool), samples
+        around = self.surface.where.around(samples, 1)
+        index = np.searchsorted(samples, around).clip(0, len(samples) - 1)
+        stands_out = (around >= 0) & (samples[index] == around)
+        away = np.abs(self.surface.at(around) - self.surface.at(samples)[..., None]).max(axis=0)
+        has_similar = ((away <= limits[:, None]) & (around >= 0) & ~stands_out).any(axis=1)
+        clump = _connected(np.where(stands_out, index, np.arange(len(samples))[:, None]))
+        is_isolated = np.bincount(clump, has_similar)[clump] == 0
+        small = self._are_chance_clumps(np.bincount(clump)[clump], is_isolated)
+        order = np.lexsort((-contrast, clump))
+        strongest = order[np.diff(clump[order], prepend=-1) > 0]
+        return small, strongest[small[strongest]]
+
+    def _are_chance_clumps(self, sizes: Int64s, is_isolated: Bools) -> Bools:
+        """Mark the samples of isolated clumps that are no larger than clumps that form by chance."""
+        small = np.zeros(len(sizes), bool)
+        for _ in range(5):  # the share converges
             # Four samples, since pictures may have been enlarged by two. On a lattice with eight neighbours the mean
             # size of random clumps is 1 / (1 - 8 share) for small shares, and the largest clumps grow faster.
-            share = np.count_nonzero(small) / surface.count
-            small = is_apart & (size <= 4 / max(1 - 8 * share, 0.1) ** 2)
-        order = np.lexsort((-contrast, label))
-        first = order[np.diff(label[order], prepend=-1) > 0]
-        return small, first[small[first]]
+            share = np.count_nonzero(small) / self.surface.count
+            small = is_isolated & (sizes <= 4 / max(1 - 8 * share, 0.1) ** 2)
+        return small
 
     def _is_random(self, rows: _Rows, contrast: Float32s, chosen: Int64s, hit: Bools) -> bool:
         """Whether chosen rows are spread at random over the samples on which they would be visible, `hit`."""
-        count, where, everything = len(chosen), self.surface.where, self.surface.count
         # If most contrasts are near the threshold, these are the tails of texture or noise.
-        if count < _MIN_CLUMPS or np.mean(contrast[chosen] < 2) > _MAJORITY or not hit.any():
+        if len(chosen) < _MIN_CLUMPS or np.mean(contrast[chosen] < 2) > _MAJORITY or not hit.any():
             return False
-        samples, usual = np.sort(rows.samples[chosen]), count / np.count_nonzero(hit)
-        around = where.around(samples, 2)
-        pairs = np.count_nonzero(np.isin(around, samples))
-        expected = np.count_nonzero(around >= 0) * count / (everything * hit.mean())
-        error = 3 * np.sqrt(2 * expected) + 2
-        parts = 2 * _MIN_CLUMPS  # number of runs of successive samples
-        own = np.bincount(np.searchsorted(where.samples, samples) * parts // everything, minlength=parts)
-        chance = np.bincount(np.flatnonzero(hit) * parts // len(hit), minlength=parts) * usual
-        excess = float((np.square(own - chance) / np.maximum(chance, 1)).sum()) - parts
-        # Kolmogorov-Smirnov distance between the colours around them and the colours around all samples.
-        levels = [each.mean(axis=0) for each in (self.sampled.medians[:, hit], rows.medians[:, chosen])]
-        places = np.concatenate(levels)
-        ranks = [np.searchsorted(np.sort(each), places, "right") / len(each) for each in levels]
-        return bool(
-            expected / 4 - error <= pairs <= 2 * expected + error
-            and excess <= 3 * np.sqrt(2 * parts) + 0.1 * count
-            and np.abs(ranks[0] - ranks[1]).max() <= 0.1 + 1.2 / np.sqrt(count)
+        samples = np.sort(rows.samples[chosen])
+        return (
+            self._have_chance_neighbours(samples, hit)
+            and self._are_evenly_spread(samples, hit)
+            and _are_alike(self.sampled.medians[:, hit], rows.medians[:, chosen])
         )
+
+    def _have_chance_neighbours(self, samples: Int64s, hit: Bools) -> bool:
+        """Whether about as many of the samples are within two steps of each other as by chance."""
+        around = self.surface.where.around(samples, 2)
+        pairs = np.count_nonzero(np.isin(around, samples))
+        expected = np.count_nonzero(around >= 0) * len(samples) / (self.surface.count * hit.mean())
+        error = 3 * np.sqrt(2 * expected) + 2  # each pair counts twice
+        return bool(expected / 4 - error <= pairs <= 2 * expected + error)
+
+    def _are_evenly_spread(self, samples: Int64s, hit: Bools) -> bool:
+        """Whether runs of successive samples contain about equal shares, by a chi-squared test."""
+        where, runs = self.surface.where, 2 * _MIN_CLUMPS
+        counts = np.bincount(
+            np.searchsorted(where.samples, samples) * runs // self.surface.count, minlength=runs
+        )
+        visible = np.bincount(np.flatnonzero(hit) * runs // len(hit), minlength=runs)
+        expected = visible * (len(samples) / np.count_nonzero(hit))
+        excess = float((np.square(counts - expected) / np.maximum(expected, 1)).sum()) - runs
+        return bool(excess <= 3 * np.sqrt(2 * runs) + 0.1 * len(samples))
+
+
+def _connected(neighbours: Int64s) -> Int64s:
+    """Return the least index in the clump of each sample, given the indices of its neighbours, shape (n, W)."""
+    # SciPy has this, but importing it takes longer.
+    label, before = np.arange(len(neighbours)), np.zeros(0, np.int64)
+    while not np.array_equal(label, before):
+        before, label = label, np.minimum(label, label[neighbours].min(axis=1))
+        label = label[label]
+    return label
+
+
+def _are_alike(all_colours: Float32s, some: Float32s) -> bool:
+    """Whether two sets of colours, shape (N, n), have the same distribution, by a Kolmogorov-Smirnov test."""
+    levels = [each.mean(axis=0) for each in (all_colours, some)]
+    places = np.concatenate(levels)
+    ranks = [np.searchsorted(np.sort(each), places, "right") / len(each) for each in levels]
+    return bool(np.abs(ranks[0] - ranks[1]).max() <= 0.1 + 1.2 / np.sqrt(len(levels[1])))
 
 
 def _medians(values: Float32s) -> tuple[Float32s, Int64s]:
