@@ -9,15 +9,12 @@ from scipy.ndimage import gaussian_filter
 from scipy.stats import truncnorm
 
 from beltrami_cli.flow.corrections.coded_picture import (
-    PILOT_ERROR,
     CodedPicture,
     _truncated_normal_mean,
     coefficients_of,
     decode_in_place,
-    is_changed,
-    noise_after,
-    sigma_before,
 )
+from beltrami_cli.flow.corrections.jpeg_noise import PILOT_ERROR, is_changed, noise_after, sigma_before
 from beltrami_cli.formats.image.jpeg_tables import read_jpeg_tables
 from cli.commands import beltrami
 from flow.noisy_surfaces import noise_of_image
