@@ -24,6 +24,8 @@ namespace {
 // Small bands are grouped, since one alone is too little work for a thread.
 constexpr std::size_t bands_per_chunk = 8;
 constexpr std::size_t cells_per_chunk = 1 << 20;
+// In `Atlas::kind`.
+constexpr auto owned_kind = static_cast<std::uint8_t>(Kind::owned), halo_kind = static_cast<std::uint8_t>(Kind::halo);
 
 // Owned cells in a row of a rectangle: columns [begin, end).
 struct Run {
@@ -33,7 +35,7 @@ struct Run {
 
 class Builder {
  public:
-  Builder(const Plan& plan, std::vector<LookedUp> looked_up, unsigned threads, const Allocate& allocate,
+  Builder(const Blueprint& plan, std::vector<LookedUp> looked_up, unsigned threads, const Allocate& allocate,
           const Poll& poll)
       : plan_(plan), looked_up_(std::move(looked_up)), threads_(threads), allocate_(allocate), poll_(poll),
         bands_(make_bands(plan, halo_reach(plan.margin))) {}
@@ -115,8 +117,8 @@ class Builder {
   void list_cells() {
     std::size_t owned = 0, halo = 0;
     for_each_chunk([&](const std::uint8_t* begin, const std::uint8_t* end) {
-      owned += static_cast<std::size_t>(std::count(begin, end, 1));
-      halo += static_cast<std::size_t>(std::count(begin, end, 2));
+      owned += static_cast<std::size_t>(std::count(begin, end, owned_kind));
+      halo += static_cast<std::size_t>(std::count(begin, end, halo_kind));
     });
     atlas_.owned_cells = Array<Index>(owned, allocate_);
     atlas_.owned_texels = Array<Index>(owned, allocate_);
@@ -128,8 +130,8 @@ class Builder {
     Index *next_owned = atlas_.owned_cells.data(), *next_halo = atlas_.halo_cells.data();
     for_each_chunk([&](const std::uint8_t* begin, const std::uint8_t* end) {
       for (const std::uint8_t* kind = begin; kind < end; ++kind) {
-        if (*kind == 1) *next_owned++ = static_cast<Index>(kind - atlas_.kind.data());
-        if (*kind == 2) *next_halo++ = static_cast<Index>(kind - atlas_.kind.data());
+        if (*kind == owned_kind) *next_owned++ = static_cast<Index>(kind - atlas_.kind.data());
+        if (*kind == halo_kind) *next_halo++ = static_cast<Index>(kind - atlas_.kind.data());
       }
     });
   }
@@ -229,7 +231,7 @@ class Builder {
     atlas_.overlapped = plan_.ownership.overlapped;
   }
 
-  const Plan& plan_;
+  const Blueprint& plan_;
   std::vector<LookedUp> looked_up_;
   unsigned threads_;
   const Allocate& allocate_;
@@ -256,7 +258,7 @@ Atlas make_atlas(const Surface& surface, std::int64_t margin, unsigned threads, 
   const Layout layout = make_layout(mesh, windows, ownership, margin, poll);
   const NearBorders near_borders(mesh, charts);
   auto looked_up = find_looked_up(mesh, charts, windows, ownership, poll);
-  const Plan plan{mesh, charts, windows, ownership, layout, near_borders, margin};
+  const Blueprint plan{mesh, charts, windows, ownership, layout, near_borders, margin};
   return Builder(plan, std::move(looked_up), threads, allocate, poll).build();
 }
 

@@ -29,7 +29,7 @@ double halo_reach(std::int64_t margin) {
   return std::sqrt(2.0) * static_cast<double>(margin) + 0.01;
 }
 
-Cells::Cells(const Plan& plan)
+Cells::Cells(const Blueprint& plan)
     : plan_(plan), reach_(halo_reach(plan.margin)), connections_(plan.mesh, plan.charts) {
   for (std::int64_t y = -plan.margin; y <= plan.margin; ++y)
     for (std::int64_t x = -plan.margin; x <= plan.margin; ++x)

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "atlas/borders.hpp"
+#include "atlas/connections.hpp"
 #include "atlas/layout.hpp"
 #include "atlas/lookup.hpp"
 #include "atlas/unfolding.hpp"
@@ -32,7 +33,7 @@ struct GutterCell {
 
 class Cells {
  public:
-  explicit Cells(const Plan& plan);
+  explicit Cells(const Blueprint& plan);
 
   void make(const Band& band, std::span<const Index> borders, std::span<const Index> faces);
 
@@ -74,7 +75,7 @@ class Cells {
   bool is_on(std::size_t cell, std::size_t other) const;
   Point2 place_of(std::size_t cell) const;
 
-  const Plan& plan_;
+  const Blueprint& plan_;
   const double reach_;
   Block block_;
   const Rectangle* rectangle_ = nullptr;

@@ -32,8 +32,8 @@ struct Layout {
 Layout make_layout(const Mesh& mesh, const Windows& windows, const Ownership& ownership, std::int64_t margin,
                    const Poll& poll);
 
-// The surface before cells are made.
-struct Plan {
+// All that cells are made from.
+struct Blueprint {
   const Mesh& mesh;
   const Charts& charts;
   const Windows& windows;
@@ -68,6 +68,6 @@ struct Bands {
   }
 };
 
-Bands make_bands(const Plan& plan, double reach);
+Bands make_bands(const Blueprint& plan, double reach);
 
 }  // namespace beltrami::atlas

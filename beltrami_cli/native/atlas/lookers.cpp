@@ -4,7 +4,7 @@
 #include <array>
 #include <cmath>
 
-#include "atlas/lookup.hpp"
+#include "atlas/connections.hpp"
 
 namespace beltrami::atlas {
 namespace {

@@ -6,7 +6,8 @@
 #include <vector>
 
 #include "bindings/bindings.hpp"
-#include "colours/colours.hpp"
+#include "colours/clipping.hpp"
+#include "colours/storing.hpp"
 
 namespace beltrami::bindings {
 namespace {

@@ -1,4 +1,4 @@
-#include "colours/colours.hpp"
+#include "colours/clipping.hpp"
 
 #include <algorithm>
 #include <cmath>

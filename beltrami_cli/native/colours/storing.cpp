@@ -1,4 +1,4 @@
-#include "colours/colours.hpp"
+#include "colours/storing.hpp"
 
 #include <algorithm>
 #include <cstdlib>
@@ -46,7 +46,7 @@ struct Sums {
   }
 };
 
-// Sums over a line of bytes fit into 32 bits, of which vector instructions add twice as many at a time.
+// Sums over a line of bytes fit into 32 bits; vector instructions add twice as many of these at a time.
 template <class Sample>
 using LineSum = std::conditional_t<sizeof(Sample) == 1, std::uint32_t, std::uint64_t>;
 constexpr std::size_t longest_line = 1 << 16;

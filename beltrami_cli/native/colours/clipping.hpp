@@ -1,10 +1,8 @@
-// Tables of functions; imputation of samples clipped at 0 or 1, and correction of their averages; storage of colours as
-// integers in the pixels of an image.
+// Imputation of samples clipped at 0 or 1, and correction of their averages, by tables of functions.
 #pragma once
 
 #include <algorithm>
 #include <cstddef>
-#include <cstdint>
 #include <span>
 
 #include "layout.hpp"
@@ -45,7 +43,7 @@ struct Samples {
   std::size_t count;
 };
 
-// Corrects averages of samples of which a `share` is at a limit (negative: at 0). Both tables are over that share: the
+// Corrects averages; a `share` of their samples is at a limit (negative: at 0). Both tables are over that share: the
 // distance of the mean to the limit before (`alpha`) and after (`gap`) clipping unit noise. Local noise is at most
 // `trusted` times the estimate.
 void restore(const Layout<float>& averages, const Layout<const float>& share, const CutOff& cut, float trusted,
@@ -55,21 +53,5 @@ void restore(const Layout<float>& averages, const Layout<const float>& share, co
 // `beyond`: E[z | z > a] of a unit normal variable z.
 void impute(const Layout<float>& colours, const Layout<const float>& estimate, const CutOff& cut, const Table& beyond,
             const Samples& samples, unsigned threads);
-
-// Changes of stored numbers: sums that are exact, and so independent of their order.
-struct Moved {
-  std::uint64_t total = 0, squares = 0, largest = 0;
-};
-
-// Colours of full scale 1, one row per pixel, with a column for each entry of `channels`.
-struct Rows {
-  const float* values;
-  std::span<const std::int32_t> channels;  // of the pixel
-};
-
-// Stores rows in pixels of an image with `width` channels each, rounded to nearest, ties to even. Values beyond the
-// range are clipped; NaN becomes 0. No pixel may occur twice.
-template <class Sample, class Index>
-Moved store(const Rows& rows, std::span<const Index> pixels, std::size_t width, Sample* samples, unsigned threads);
 
 }  // namespace beltrami::colours
