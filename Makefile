@@ -47,7 +47,7 @@ $(VENV)/.pip:
 	@$(BEAT) $(PYTHON) -m venv $(VENV)
 	@touch $@
 
-# What compiles the package: kept, so that only what changed is compiled again, and apart from what is tested.
+# Tools that compile the package: kept, so that only what changed is compiled again, and apart from what is tested.
 $(TOOLS)/.installed: pyproject.toml tests/requirements.py
 	@$(BEAT) $(PYTHON) -m venv $(TOOLS) && $(PYTHON) tests/requirements.py > $(TOOLS)/requirements.txt && \
 	$(TOOLS)/bin/python -m pip install --quiet --disable-pip-version-check -r $(TOOLS)/requirements.txt cmake ninja
@@ -85,7 +85,7 @@ $(VENV)/.installed-%: $(PACKAGE)/.built $(VENV)/.needs-%
 dev: $(VENV)/.installed-test
 	@echo "$(BIN)/pytest tests/... tests the sources as they are"
 
-# What is installed already, on the path or for PYTHON; otherwise an environment of its own.
+# The installed command, on the path or for PYTHON; otherwise an environment of its own.
 AS_MODULE := $(PYTHON) -P -m beltrami_cli
 INSTALLED := $(shell command -v beltrami || { $(AS_MODULE) --version >/dev/null 2>&1 && echo "$(AS_MODULE)"; })
 BELTRAMI  := $(or $(INSTALLED),$(BIN)/beltrami)
@@ -235,7 +235,7 @@ viewer:
 	  --charset=ascii --legal-comments=inline --log-level=warning --outfile=$(abspath beltrami_cli/view/pages/three.js)
 	cp build/viewer/node_modules/three/LICENSE beltrami_cli/view/pages/three.LICENSE
 
-# What is found is kept under build/fuzz, to go on from next time.
+# Findings are kept under build/fuzz, and continued from next time.
 FUZZ_SECONDS ?= 60
 FUZZ_TARGETS ?= $(filter-out core,$(notdir $(wildcard tests/fuzz/corpus/*)))
 CLANG        ?= clang++

@@ -2,9 +2,9 @@
 
 Each chart gets a gain and an offset in each channel; then also clipping; then also a gain that falls off linearly over
 the chart. The table has the decrease of the error in dB. A gain and an offset of the whole model are not counted as an
-error; in brackets, neither are those of each group of charts that are joined by seams without steps, since other charts
-have no common exposure. The last columns are the change of the original model, of 255, and the processor time of the
-fit in seconds.
+error; in brackets, neither are a gain and an offset of each group of charts that are joined by seams without steps,
+since other charts have no common exposure. The last columns are the change of the original model, of 255, and the
+processor time of the fit in seconds.
 """
 
 from __future__ import annotations

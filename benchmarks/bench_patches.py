@@ -106,7 +106,7 @@ def smooth(source, target, patches):
 
 
 def peer_results(noisy, where, clean, covered, sigma):
-    """Return the results of the peers on a part of an image, of those that are installed."""
+    """Return the results of the installed peers on a part of an image."""
     around = tuple(slice(max(0, each.start - MARGIN), each.stop + MARGIN) for each in where)
     inner = tuple(slice(w.start - a.start, w.stop - a.start) for w, a in zip(where, around, strict=True))
     results = {}
@@ -127,7 +127,7 @@ def peer_results(noisy, where, clean, covered, sigma):
 
 
 def to_8_bit(image):
-    """Return an image as it is stored: all methods are clipped and rounded alike."""
+    """Return an image as it is stored: clipped and rounded for all methods."""
     return np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)
 
 
@@ -167,7 +167,7 @@ def vertex_colours(path):
 
 
 def write_vertices(folder):
-    """Yield PLY files with coloured vertices: photographs on an icosphere, samples, and those of the extra folder."""
+    """Yield PLY files with coloured vertices: photographs on an icosphere, samples, and models of the extra folder."""
     for name in PHOTOGRAPHS:
         image, sphere = photograph(name), icosphere(SUBDIVISIONS)
         wanted = 2 * np.sqrt(len(sphere.positions) / 2 / np.pi)  # pixels across a hemisphere

@@ -18,7 +18,7 @@ import textures
 from harness import arguments, show, smooth_apart
 
 COUNTS = [10_000, 31_623, 100_000, 316_228, 1_000_000, 3_162_278, 10_000_000]
-# Fixed parameters, so that the cost of a sample does not depend on what is chosen.
+# Fixed parameters, so that the cost of a sample does not depend on a choice.
 GIVEN = ["-n", "5", "-t", "2.4", "--beta", "17", "--beta-growth", "1.5", "--metric-steps", "1"]
 
 

@@ -21,7 +21,7 @@ from beltrami_cli import _native
 
 BETA = 5.0  # of the runs that are timed
 SAMPLES = (20, 50)  # per kernel
-MAX_ITERATIONS = 30  # of other programs, of which the best counts
+MAX_ITERATIONS = 30  # of other programs; the best one counts
 COLOUR_SMOOTHING = {
     "PyMeshLab Laplacian": peers.pymeshlab_smoothing,
     "Open3D Laplacian": partial(peers.open3d_smoothing, "laplacian"),

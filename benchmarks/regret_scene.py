@@ -134,7 +134,7 @@ CAMERAS = {
 
 
 def mixed(share, clean, random):
-    """Draw noise of variance 1, of which a share is equal in all channels."""
+    """Draw noise of variance 1, with a share that is equal in all channels."""
     equal = random.standard_normal((*clean.shape[:2], 1))
     return np.sqrt(share) * equal + np.sqrt(1 - share) * random.standard_normal(clean.shape)
 

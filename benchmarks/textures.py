@@ -259,7 +259,7 @@ def scene_of(name):
 
 
 def judged_images(scene):
-    """Return the numbers of the images of which enough is covered."""
+    """Return the numbers of the images that are covered sufficiently."""
     return [k for k, covered in enumerate(scene.covered) if covered.sum() >= FEWEST]
 
 

@@ -70,7 +70,7 @@ def _row(*cells: str) -> str:
 
 
 def option_lists() -> str:
-    """Return the options of each command; those that are the same for `smooth` are only named."""
+    """Return the options of each command; options that it shares with `smooth` are only named."""
     top = click.Context(group, info_name="beltrami", **group.context_settings)
     lists = {name: _options(group.get_command(top, name), top) for name in COMMANDS}
     parts = []

@@ -12,17 +12,17 @@ if TYPE_CHECKING:
 
 
 def neighbours(faces: NDArray[np.int64]) -> list[list[int]]:
-    """Return the triangles beside each triangle."""
-    beside: list[list[int]] = [[] for _ in faces]
+    """Return the triangles next to each triangle."""
+    adjacent: list[list[int]] = [[] for _ in faces]
     owner: dict[tuple[int, int], int] = {}
     for face, (a, b, c) in enumerate(faces.tolist()):
         for edge in ((a, b), (b, c), (c, a)):
             key = (min(edge), max(edge))
             if key in owner:
-                beside[face].append(owner[key])
-                beside[owner[key]].append(face)
+                adjacent[face].append(owner[key])
+                adjacent[owner[key]].append(face)
             owner[key] = face
-    return beside
+    return adjacent
 
 
 def segmented(
@@ -58,7 +58,7 @@ def segmented(
         seeds.append(int(np.argmax(np.round(distance, 6))))
     waits = np.round(random.exponential(delay * distance.max(), count), 6)
     slowness = np.round(np.exp(ragged * random.standard_normal(len(faces))), 6)
-    beside = neighbours(faces)
+    adjacent = neighbours(faces)
     chart = np.full(len(faces), -1)
     queue = [
         (wait, seed, number) for number, (wait, seed) in enumerate(zip(waits.tolist(), seeds, strict=True))
@@ -68,7 +68,7 @@ def segmented(
         time, face, number = heapq.heappop(queue)
         if chart[face] < 0:
             chart[face] = number
-            for other in beside[face]:
+            for other in adjacent[face]:
                 step = slowness[other] * np.linalg.norm(centres[other] - centres[face])
                 heapq.heappush(queue, (float(np.round(time + step, 6)), other, number))
     return np.unique(chart, return_inverse=True)[1]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import struct
 
-from images import MIME, alike
+from images import MIME, same_image
 
 SUFFIX_OF = {mime: suffix for suffix, mime in MIME.items()}
 
@@ -15,7 +15,7 @@ def same(stored: bytes, made: bytes, suffix: str) -> bool:
     if stored == made:
         return True
     if suffix in {".png", ".jpg", ".exr"}:
-        return alike(stored, made, suffix)
+        return same_image(stored, made, suffix)
     return suffix == ".glb" and same_glb(stored, made)
 
 
@@ -29,7 +29,7 @@ def same_glb(stored: bytes, made: bytes) -> bool:
         return False
     kind_of = {image["bufferView"]: SUFFIX_OF[image["mimeType"]] for image in other.get("images", [])}
     pairs = enumerate(zip(views, others, strict=True))
-    return all(a == b or (k in kind_of and alike(a, b, kind_of[k])) for k, (a, b) in pairs)
+    return all(a == b or (k in kind_of and same_image(a, b, kind_of[k])) for k, (a, b) in pairs)
 
 
 def unpacked(data: bytes) -> tuple[dict, list[bytes]]:

@@ -70,7 +70,7 @@ def decode(data: bytes, suffix: str) -> NDArray[np.generic]:
     return np.asarray(pixels).reshape(spec.height, spec.width, spec.nchannels)
 
 
-def alike(one: bytes, other: bytes, suffix: str) -> bool:
+def same_image(one: bytes, other: bytes, suffix: str) -> bool:
     """Return whether two image files show the same, though another version of an encoder packed them.
 
     JPEG encoders may round differently: there a level of difference is allowed.

@@ -51,7 +51,7 @@ TEXTURED = {
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Write all files, or name those that differ from what would be written."""
+    """Write all files, or name the files that differ from the ones that would be written."""
     parser = argparse.ArgumentParser(description="Make the sample meshes.")
     parser.add_argument("--check", action="store_true", help="compare with the files there, write nothing")
     check = parser.parse_args(arguments).check

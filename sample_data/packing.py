@@ -26,7 +26,7 @@ def unwrapped(
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Return texture coordinates, shape (N, 2), and the triangles as rows of them, shape (F, 3).
 
-    The last four parameters are those of `packed`.
+    `packed` describes the last four parameters.
     """
     charts = []
     corners = np.empty_like(faces)

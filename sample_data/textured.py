@@ -66,7 +66,7 @@ class TexturedSample:
 def noisy(sample: TexturedSample, seed: int) -> TexturedSample:
     """Add independent Gaussian noise of standard deviation 20/255 to each channel of all texels but the background.
 
-    It is added to the sRGB values, of covered texels and gutters alike, as if each image had been taken by a
+    It is added to the sRGB values, of covered texels and of gutters, as if each image had been taken by a
     camera; the two sides of a seam get noise of their own.
     """
     random = np.random.Generator(np.random.PCG64(seed))

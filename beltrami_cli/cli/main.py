@@ -25,7 +25,7 @@ from beltrami_cli.signals import end_with_parent
 if TYPE_CHECKING:
     from beltrami_cli.cli.configuration import Configuration
 
-# Names of commands, each of which is a function of the module of its name, and summaries that fit 80 columns.
+# Summaries of commands, which fit 80 columns. A command is a function in a module of its name.
 COMMANDS = {
     "bake": "Move colours from vertices to a texture, or back.",
     "batch": "Smooth many files at the same time.",

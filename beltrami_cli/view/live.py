@@ -183,7 +183,7 @@ class Live:
         change.page.send(kind="preview", patches=patches, stage=stage, seconds=spent, samples=samples)
 
     def _without_search(self, change: _Change) -> SmoothSettings:
-        """Return settings without a search: free parameters have the values chosen last, or those of the rule."""
+        """Return settings without a search: free parameters have the values chosen last, or the ones of `--fast`."""
         kernel = change.settings.kernel
         chosen = self._chosen.get((kernel.strength, kernel.noise), {})
         known = {name: chosen[name] for name in kernel.free if name in chosen}

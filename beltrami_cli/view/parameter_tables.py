@@ -74,7 +74,7 @@ def _measured(given: str | None, done: dict[str, Any]) -> Iterator[list[str]]:
 
 
 def _given(requested: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield the parameters of the job, except those of the kernel and those with default values."""
+    """Yield the given parameters of the job, except kernel parameters."""
     if "on" in requested["given"]:
         yield _WORDS["on"], requested["on"]
     for group in [name for name, value in requested.items() if isinstance(value, dict)]:

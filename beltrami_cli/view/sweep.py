@@ -85,7 +85,7 @@ def _check(name: str, trials: int, settings: RenderSettings | None) -> None:
 
 
 def _opened(source: str, reference: str | None, settings: SmoothSettings, job: Job) -> dict[str, Document]:
-    """Open the documents that are shown beside the trials, by label."""
+    """Open the documents that are shown next to the trials, by label."""
     if reference is None:
         return {"before": open_input(source, settings, job.access)}
     truth, document = open_both((reference, source), settings, job)

@@ -39,7 +39,7 @@ def noise_in_words(part: Mapping[str, Any], *, is_smoothed: bool) -> str:
 
 
 def doubt_in_words(part: Mapping[str, Any], *, is_smoothed: bool, moved: str = "") -> str:
-    """Say that grain may be noise or texture, what is done about it, and what else could be; empty: it is clear.
+    """Say that grain may be noise or texture, whether it is removed, and how to do otherwise; empty if it is clear.
 
     `moved` says by how much colours changed.
     """
@@ -122,7 +122,7 @@ def reading_in_words(reading: Mapping[str, float]) -> str:
 
 
 def choice_in_words(choice: Mapping[str, Any]) -> str:
-    """Return what was chosen, by what estimate, and what is expected of it."""
+    """Describe the chosen parameters, how they were chosen, and the expected PSNR."""
     chosen = ", ".join(f"{name.replace('_', ' ')} {value:.3g}" for name, value in choice["chosen"].items())
     if not choice["candidates"]:
         return f"{chosen}; by the fixed rule of --fast"
