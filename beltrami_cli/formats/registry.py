@@ -13,13 +13,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import DEFAULT_ACCESS, Access, read_source
 
 if TYPE_CHECKING:
-    from beltrami_cli.formats.changes import Written
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.surface.records import MeshContents, Slot
+    from beltrami_cli.surface.records import Slot
 
     Recogniser = Callable[[bytes, str], bool]
 
@@ -81,12 +80,6 @@ class Format:
     @property
     def suffixes(self) -> tuple[str, ...]:
         return tuple(f".{name}" for name in (self.name, *self.aliases))
-
-    def fitted(self, mesh: MeshContents) -> MeshContents:
-        """Leave out the maps that a new file cannot hold."""
-        from beltrami_cli.formats.textured_mesh import with_slots
-
-        return with_slots(mesh, self.slots) if self.slots else mesh
 
     def load(self, name: str) -> Any:
         return _loaded(f"{self.module}.{name}")
@@ -173,9 +166,9 @@ _READABLE = (
     "images such as .png, .jpg, .tif and .exr; level sets in .nrrd and .npz; and the colours of "
     f".{', .'.join(READ_ONLY)}"
 )
-_WRITERS = {line.name: line for line in FORMATS if line.writer}
-OUTPUT_FORMATS = {name: name for name in _WRITERS} | {
-    alias: line.name for line in _WRITERS.values() for alias in line.aliases
+WRITERS = {line.name: line for line in FORMATS if line.writer}
+OUTPUT_FORMATS = {name: name for name in WRITERS} | {
+    alias: line.name for line in WRITERS.values() for alias in line.aliases
 }
 """Formats that models can be written in, by the suffix of OUTPUT without its dot."""
 KEPT_FORMATS = tuple(line.name for line in FORMATS if line.keeps_form)
@@ -211,7 +204,7 @@ def recognised(data: bytes, name: str, *, models_only: bool = False) -> Format |
     """Return the format of a file by its bytes, or else by its name; None: unknown."""
     lines = [line for line in FORMATS if line.kind == "model" or not models_only]
     marked = next((line for line in lines if line.mark is not None and line.mark(data, name)), None)
-    if marked is not None or not data or _unread(data, name):
+    if marked is not None or not data or _unread(data, name) or _image_format(data, name):
         return marked
     named = (line for line in lines if line.by_name and name.lower().endswith(line.suffixes))
     return next(named, None)
@@ -224,10 +217,21 @@ def _refusal(data: bytes, name: str) -> InputError:
         return InputError(name, "the file is empty", _READABLE)
     if _is_image(data, name):
         return InputError(name, "it is an image, not a model", _READABLE)
+    if known := _image_format(data, name):
+        cause = f"it is a {known.upper()} image, though its name ends in {Path(name).suffix}"
+        return InputError(name, cause, f"rename it to {Path(name).with_suffix('.' + known)}")
     if not Path(name).suffix:  # standard input among them
         remedy = "give OBJ files, and points in .xyz and .pts, by their names"
         return InputError(name, "the content has no mark of a known format", remedy)
     return InputError(name, "the content is of no known format", _READABLE)
+
+
+def _image_format(data: bytes, name: str) -> str | None:
+    """Return the usual extension, without its dot, of an image whatever its name; text is not taken for one."""
+    if b"\0" not in data[:_HEAD]:
+        return None
+    suffix: str = _loaded("image.file_formats.suffix_for")(data, "")
+    return suffix[1:] or None
 
 
 def _unread(data: bytes, name: str) -> str | None:
@@ -235,121 +239,3 @@ def _unread(data: bytes, name: str) -> str | None:
         if (suffixes and name.lower().endswith(suffixes)) or re.match(start, data[:_HEAD]):
             return kind
     return None
-
-
-def _writer(name: str) -> Format:
-    if name not in _WRITERS:
-        cause = f".{name} files are not made from a new mesh"
-        raise UsageError(f"{cause}; end the name of the output in .glb, .obj or .ply")
-    return _WRITERS[name]
-
-
-def write_mesh(mesh: MeshContents, name: str, stem: str) -> Written:
-    """Write a mesh as a new file; UsageError if the format cannot hold its textures."""
-    line = require_textures(name) if mesh.materials else _writer(name)
-    mesh = line.fitted(mesh)
-    for image in mesh.images:
-        require_textures(name, image.file.suffix)
-    written: Written = line.load(line.writer)(mesh, stem)
-    return written
-
-
-def sidecars_of(mesh: MeshContents, name: str, stem: str) -> list[str]:
-    """Return the names of the sidecar files of `write_mesh`; images have the suffixes of `with_suffixes`."""
-    from beltrami_cli.formats.textured_mesh import image_names
-
-    line = _writer(name)
-    suffixes = (line.textured_sidecars if mesh.materials else line.sidecars).split()
-    images = image_names(line.fitted(mesh), stem, line.images) if ".*" in suffixes else []
-    return [*(stem + suffix for suffix in suffixes if suffix != ".*"), *images]
-
-
-def image_suffixes(name: str) -> tuple[str, ...] | None:
-    """Return the suffixes of the textures that a format can hold, empty for any; None: it has no textures."""
-    line = _writer(name)
-    return line.images if line.has_textures else None
-
-
-def sidecar_names(name: str, stem: str, image_suffix: str | None) -> list[str]:
-    """Return the names of the sidecar files of `write_mesh` for a mesh with one image, or without."""
-    line = _writer(name) if image_suffix is None else require_textures(name, image_suffix)
-    suffixes = line.sidecars if image_suffix is None else line.textured_sidecars
-    return [stem + (suffix.replace(".*", image_suffix or ".*")) for suffix in suffixes.split()]
-
-
-def require_textures(name: str, image_suffix: str | None = None) -> Format:
-    """Return a format; UsageError if it cannot hold textures, or not those with this suffix."""
-    line = _writer(name)
-    if not line.has_textures:
-        raise UsageError(f"a .{name} file has no textures; end the name of the output in .glb, .obj or .ply")
-    if line.images and image_suffix is not None and image_suffix not in line.images:
-        cause = f"a .{name} file takes PNG and JPEG textures, not {image_suffix}"
-        raise UsageError(f"{cause}; choose --texture-format png or jpg")
-    return line
-
-
-@dataclass(frozen=True)
-class OutputFormat:
-    """The format of the output."""
-
-    name: str
-    # Whether the document is patched, and keeps everything but its colours; otherwise it is converted.
-    is_patched: bool
-    suffix: str | None = None  # with its dot, if an image is written in another format
-
-
-def choose_format(document: Document, target: str, chosen: str | None) -> OutputFormat:
-    """Choose the output format by option, by the output's name, or as the source; UsageError if it is unknown."""
-    from beltrami_cli.formats.image.file_formats import FORMATS as IMAGE_FORMATS
-    from beltrami_cli.formats.image.file_formats import format_of_suffix
-
-    if document.kind == "image":
-        return _image_format(document, target, chosen)
-    wanted = chosen or Path(target).suffix.lower().lstrip(".")
-    usual = OUTPUT_FORMATS.get(document.format, document.format if document.forms else "ply")
-    if wanted in OUTPUT_FORMATS:
-        name = OUTPUT_FORMATS[wanted]
-    elif wanted in document.forms:
-        name = wanted
-    elif target == "-" or not wanted:
-        name = usual
-    elif (image := format_of_suffix(f".{wanted}")) is not None:
-        cause = f".{wanted} is an image format, but {document.name} is a model"
-        drawing = target if IMAGE_FORMATS[image].writable else Path(target).with_suffix(".png")
-        drawn = f"beltrami render {document.name} {drawing} draws it"
-        raise UsageError(f"{cause}; {drawn}, or end the name in .{usual}", target)
-    else:
-        known = ", ".join("." + f for f in OUTPUT_FORMATS)
-        cause = f"no format is known for .{wanted}"
-        if wanted in READ_ONLY:
-            why = ": the STL format has no colours" if wanted == "stl" else ""
-            cause = f".{wanted} files are read, but not written{why}"
-        elif wanted in KEPT_FORMATS:
-            cause = f"a .{document.format} file is not converted to .{wanted}"
-        raise UsageError(f"{cause}; end the name in {known}, or say --format", target)
-    return OutputFormat(name, is_patched=name in (document.format, *document.forms))
-
-
-def _image_format(document: Document, target: str, chosen: str | None) -> OutputFormat:
-    from beltrami_cli.formats.image.file_formats import (
-        FORMATS,
-        WRITABLE,
-        format_of,
-        format_of_suffix,
-        label_of,
-    )
-
-    suffix = f".{chosen}" if chosen else "" if target == "-" else Path(target).suffix
-    if suffix and format_of_suffix(suffix) is None:
-        is_model = suffix[1:].lower() in (*OUTPUT_FORMATS, *READ_ONLY)
-        cause = (
-            f"{document.name} is an image, not a model"
-            if is_model
-            else f"no image format is known for {suffix}"
-        )
-        raise UsageError(f"{cause}; end the name in {', '.join(WRITABLE)}, or say --format", target)
-    own = format_of(document.data, document.name)
-    if not suffix or (own is not None and suffix.lower() in FORMATS[own].suffixes):
-        own_suffix = Path(document.name).suffix or f".{label_of(own or '')}"
-        return OutputFormat(own_suffix.lower()[1:], is_patched=True)
-    return OutputFormat(suffix.lower()[1:], is_patched=True, suffix=suffix)

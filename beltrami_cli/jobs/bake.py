@@ -12,10 +12,10 @@ import numpy as np
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import DecodedImage, read_texture
-from beltrami_cli.formats.registry import write_mesh
+from beltrami_cli.formats.output_format import write_mesh
 from beltrami_cli.jobs.file_job import FileReport, begin
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
-from beltrami_cli.jobs.new_texture import as_rgba, texture_from_vertices
+from beltrami_cli.jobs.new_texture import as_rgba, texture_from_vertices, words_on
 from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.layers.selection import Selection
 from beltrami_cli.layers.settings import DEFAULTS, BakeTo
@@ -65,8 +65,9 @@ def bake_file(
         if to == "texture":
             new = texture_from_vertices(document, settings, job.progress)
             counts = {"triangle": len(new.faces), **({} if new.charts is None else {"chart": new.charts})}
-            written = write_mesh(new.mesh(new.encoded()), kind, stem)
-            notices, texture = new.notices, new.in_words
+            image = new.encoded()
+            written = write_mesh(new.mesh(image), kind, stem)
+            notices, texture = new.notices, words_on(image)
         else:
             Selection(document, DEFAULTS, file.job.access, slots=("baseColor",)).require_memory()
             contents, notices = _colours_from_textures(document)

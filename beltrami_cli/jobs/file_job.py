@@ -12,11 +12,11 @@ from pathlib import Path
 
 from beltrami_cli.errors import BeltramiError, UsageError
 from beltrami_cli.fields import given_parameters
-from beltrami_cli.formats import registry
+from beltrami_cli.formats import output_format, registry
 from beltrami_cli.formats.access import Access, read_source
 from beltrami_cli.formats.changes import Naming, Written
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.registry import OutputFormat, choose_format
+from beltrami_cli.formats.output_format import OutputFormat, choose_format
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.jobs.writing.shared_files import shared_files
@@ -90,7 +90,7 @@ class FileJob:
         """Return an unused stem for the sidecar files of a new mesh with one texture or no texture."""
 
         def names(stem: str) -> list[str]:
-            return registry.sidecar_names(self.format.name, stem, image_suffix)
+            return output_format.sidecar_names(self.format.name, stem, image_suffix)
 
         return self.reserve(lambda naming: names(naming.free_stem(names))).free_stem(names)
 

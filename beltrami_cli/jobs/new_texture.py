@@ -13,6 +13,7 @@ from beltrami_cli.formats.conversion import vertex_mesh
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import DecodedImage, read_texture, without_alpha, write_image
 from beltrami_cli.formats.image.decoded_image import full_scale_one, new_image
+from beltrami_cli.formats.image.sizes import measure_image
 from beltrami_cli.jobs.progress import Progress
 from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.surface.baking import bake, interpolated, texels_for_vertices
@@ -51,11 +52,6 @@ class NewTexture:
     notices: tuple[str, ...]
     frame: Frame
 
-    @property
-    def in_words(self) -> str:
-        height, width = self.pixels.shape[:2]
-        return f"{'an 8-bit' if self.pixels.itemsize == 1 else 'a 16-bit'} texture of {width} x {height}"
-
     def encoded(self, suffix: str | None = None, jpeg_quality: int = 98, *, small: bool = False) -> ImageFile:
         """Return the texture as a file, PNG by default; options as for `write_image`."""
         picture = new_image(self.pixels, "the new texture")
@@ -82,6 +78,14 @@ class NewTexture:
             uv=self.uv.reshape(-1, 2),
             materials=(material,),
         )
+
+
+def words_on(file: ImageFile) -> str:
+    """Describe a new texture as its file holds it, which may have fewer bits than the colours."""
+    size = measure_image(file.data, f"texture{file.suffix}")
+    assert size is not None
+    bits = 8 * size.sample
+    return f"{'an' if bits == 8 else 'a'} {bits}-bit texture of {size.width} x {size.height}"
 
 
 def texture_from_vertices(

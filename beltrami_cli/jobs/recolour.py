@@ -14,7 +14,7 @@ from itertools import chain
 from typing import ClassVar, Generic, TypeVar
 
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.registry import OutputFormat
+from beltrami_cli.formats.output_format import OutputFormat
 from beltrami_cli.jobs.file_job import FileReport, begin, is_moved
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.progress import phases_of

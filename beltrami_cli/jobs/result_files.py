@@ -10,14 +10,14 @@ import numpy as np
 
 from beltrami_cli.arrays import Float64s
 from beltrami_cli.errors import UsageError
-from beltrami_cli.formats import registry
+from beltrami_cli.formats import output_format
 from beltrami_cli.formats.changes import Naming, Written
 from beltrami_cli.formats.colours import as_in_file
 from beltrami_cli.formats.conversion import vertex_mesh
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.file_formats import suffix_for
 from beltrami_cli.formats.image_document import ImageDocument
-from beltrami_cli.formats.registry import OutputFormat
+from beltrami_cli.formats.output_format import OutputFormat
 from beltrami_cli.formats.textured_mesh import with_images, with_suffixes
 from beltrami_cli.layers.selection import Selection
 from beltrami_cli.layers.storing import StoredColours, all_images
@@ -53,9 +53,9 @@ def files_with_new_colours(
         if normals is not None and moved.normals is not None:
             normals = np.where(np.isnan(moved.normals), normals, moved.normals)
         mesh = replace(mesh, positions=moved.positions, normals=normals)
-    mesh, notices = with_suffixes(mesh, registry.image_suffixes(kind.name) or ())
-    stem = naming.free_stem(partial(registry.sidecars_of, mesh, kind.name))
-    written = registry.write_mesh(mesh, kind.name, stem)
+    mesh, notices = with_suffixes(mesh, output_format.image_suffixes(kind.name) or ())
+    stem = naming.free_stem(partial(output_format.sidecars_of, mesh, kind.name))
+    written = output_format.write_mesh(mesh, kind.name, stem)
     return replace(written, notices=(*notices, *written.notices))
 
 
@@ -68,7 +68,7 @@ def _is_new(document: Document, slot: Slot, key: str, image: ImageFile) -> bool:
 
 def _has_textures(document: Document, kind: OutputFormat) -> bool:
     """Whether conversion of a document also converts textures."""
-    return registry.image_suffixes(kind.name) is not None and bool(document.readable(document.slots()))
+    return output_format.image_suffixes(kind.name) is not None and bool(document.readable(document.slots()))
 
 
 def moved_vertices(document: Document, positions: Float64s) -> MovedVertices:
@@ -103,14 +103,14 @@ def sidecar_names(selection: Selection, kind: OutputFormat, naming: Naming) -> l
         changes = {"colours": selection.vertices, "places": moves}
         return document.sidecar_names(images, naming, form=kind.name, **changes)
     if _has_textures(document, kind):
-        registry.require_textures(kind.name, chosen)
+        output_format.require_textures(kind.name, chosen)
         mesh = with_images(document.textured_mesh(), images)
-        names = partial(registry.sidecars_of, mesh, kind.name)
+        names = partial(output_format.sidecars_of, mesh, kind.name)
     elif images or (document.slots() and not document.has_vertex_colours()):
         remedy = "end the name of the output in .glb, .gltf, .obj or .ply"
         raise UsageError(f"a .{kind.name} file has no textures; {remedy}")
     else:
-        names = partial(registry.sidecar_names, kind.name, image_suffix=None)
+        names = partial(output_format.sidecar_names, kind.name, image_suffix=None)
     return names(naming.free_stem(names))
 
 

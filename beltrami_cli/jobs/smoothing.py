@@ -16,7 +16,7 @@ from beltrami_cli.flow.beltrami_flow import smooth_in_place
 from beltrami_cli.flow.choice.choice import Choice
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Resources
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.formats.registry import OutputFormat
+from beltrami_cli.formats.output_format import OutputFormat
 from beltrami_cli.jobs.file_job import FileReport
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.progress import Label

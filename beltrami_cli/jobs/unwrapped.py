@@ -10,7 +10,7 @@ import numpy as np
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.fields import require_effect
 from beltrami_cli.formats.image.sizes import measure_image
-from beltrami_cli.formats.registry import write_mesh
+from beltrami_cli.formats.output_format import write_mesh
 from beltrami_cli.jobs.file_job import FileJob, begin
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.recolour import apply_filter
@@ -39,6 +39,8 @@ def smooth_unwrapped(
     if settings.kernel.iterations:
         selection.require_scale()
     _require_possible(selection)
+    from beltrami_cli.jobs.new_texture import words_on
+
     new, image, smoothed = _new_texture(file, selection, baking)
     notices = [*new.notices]
     if selection.slots and file.document.has_vertex_colours():
@@ -47,7 +49,7 @@ def smooth_unwrapped(
     with file.watch.stage("write"):
         written = write_mesh(new.mesh(image), file.format.name, stem)
     report = file.write(written, notices, [warning for each in smoothed for warning in each.warnings])
-    return dataclasses.replace(smooth_report(report, smoothed, settings), new_texture=new.in_words)
+    return dataclasses.replace(smooth_report(report, smoothed, settings), new_texture=words_on(image))
 
 
 def _check(settings: SmoothSettings) -> None:

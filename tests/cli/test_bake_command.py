@@ -12,6 +12,7 @@ from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.registry import open_document
 from cli.commands import SAMPLES, beltrami, copy_samples
 from cli.pictures import coloured_file
+from formats.ply_files import build, coloured
 from formats.volume_files import sphere_file
 from oracles import surfaces
 
@@ -117,6 +118,16 @@ def test_unwrap_gives_every_place_of_a_mirrored_texture_texels_of_its_own(tmp_pa
     assert far.max() < 1e-5
     # The texture is noisy: each lookup averages it a little.
     assert np.abs(colours[nearest] - new_colours).mean() < 0.03
+
+
+@pytest.mark.parametrize(
+    ("suffix", "bits"), [("png", b"a 16-bit"), ("jpg", b"an 8-bit"), ("exr", b"a 32-bit")]
+)
+def test_the_words_on_a_new_texture_are_of_its_file(suffix, bits, tmp_path):
+    source, result = tmp_path / "in.ply", tmp_path / "out.obj"
+    source.write_bytes(build(coloured(colour="ushort", value=60000)).data)
+    run = beltrami("smooth", source, result, "--unwrap", "-n", 1, "--fast", "--texture-format", suffix)
+    assert bits + b" texture of " in run.stderr
 
 
 def test_a_glb_goes_to_a_pipe(sphere):

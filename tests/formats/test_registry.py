@@ -16,14 +16,8 @@ import trimesh
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.conversion import vertex_mesh
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.registry import (
-    FORMATS,
-    OUTPUT_FORMATS,
-    open_bytes,
-    recognised,
-    sidecar_names,
-    write_mesh,
-)
+from beltrami_cli.formats.output_format import sidecar_names, write_mesh
+from beltrami_cli.formats.registry import FORMATS, OUTPUT_FORMATS, open_bytes, recognised
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.noise import noise_file
 from beltrami_cli.jobs.settings import NoiseSettings
@@ -101,6 +95,16 @@ def test_images_and_volumes_are_no_models():
 def test_other_files_are_refused_with_the_cause(data, name, cause):
     with pytest.raises(InputError, match=cause):
         open_bytes(data, name, None)
+
+
+@pytest.mark.parametrize(
+    "suffix", [".ply", ".obj", ".glb", ".usda", ".xyz", ".csv", ".npz", ".stl", ".las", ".dat"]
+)
+def test_an_image_is_called_one_whatever_its_name(suffix):
+    image = encode(noise("uint8", 3), "png")
+    with pytest.raises(InputError, match=r"it is (a PNG|an) image"):
+        open_bytes(image, f"x{suffix}", None)
+    assert recognised(image, f"x{suffix}", models_only=True) is None
 
 
 def test_sidecars_follow_from_the_format():

@@ -24,7 +24,8 @@ from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.changes import Naming
 from beltrami_cli.formats.image import read_image, write_image
 from beltrami_cli.formats.model_folder import ModelFolder
-from beltrami_cli.formats.registry import FORMATS, image_suffixes, open_bytes, sidecars_of, write_mesh
+from beltrami_cli.formats.output_format import image_suffixes, sidecars_of, write_mesh
+from beltrami_cli.formats.registry import FORMATS, open_bytes
 from beltrami_cli.formats.usd.package import Package
 from beltrami_cli.formats.volume import is_volume, read_volume
 from beltrami_cli.layers.settings import DEFAULTS
