@@ -8,6 +8,7 @@ import posixpath
 import re
 import stat
 import unicodedata
+from collections.abc import Mapping
 from itertools import product
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
@@ -143,6 +144,15 @@ class ModelFolder:
     def files(self, path: str) -> list[str]:
         """Return the files of a tile set, or the path itself."""
         return list(self.tiles[path].values()) if path in self.tiles else [path]
+
+    def files_by_label(self, paths: Mapping[str, str | None]) -> dict[str, str]:
+        """Return the files of images and tile sets, by labels; None: not read."""
+        found: dict[str, str] = {}
+        for label, path in paths.items():
+            tiles = self.tiles.get(path or "", {})
+            found |= {f"{label}, tile {tile}": file for tile, file in tiles.items()}
+            found |= {label: path} if path is not None and not tiles else {}
+        return found
 
     def _like_named(self, path: str) -> str | None:
         """Return the path of a file that differs only in case or in Unicode normalisation."""

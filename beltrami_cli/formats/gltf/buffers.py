@@ -14,7 +14,7 @@ from beltrami_cli.formats.changes import Bytes
 from beltrami_cli.formats.gltf.container import TRUNCATED, Container
 from beltrami_cli.formats.gltf.entries import Entry, Tree, objects, objects_within
 from beltrami_cli.formats.gltf.meshopt import Packed, read_packed, unpacked
-from beltrami_cli.formats.gltf.uris import file_key, is_data, read, short
+from beltrami_cli.formats.gltf.uris import file_key, is_data, quoted_uri, read_uri
 from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError
 
 VERTEX_DATA, INDEX_DATA = 34962, 34963  # targets of views (ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER)
@@ -85,9 +85,9 @@ class Buffers:
         entry, uri = self._entries[index], self.uris[index]
         if uri is not None:
             try:
-                data: Bytes = read(uri, self._folder)
+                data: Bytes = read_uri(uri, self._folder)
             except UnfitReferenceError as error:
-                name = "" if is_data(uri) else f"{short(uri)} "
+                name = "" if is_data(uri) else f"{quoted_uri(uri)} "
                 raise entry.fault("uri", f"{name}{error}", error.obstacle.remedy) from None
         elif self.source(index) == "chunk":
             data = self._container.binary or b""
@@ -109,7 +109,6 @@ class Buffers:
 
 
 def read_views(root: Entry, buffers: Buffers) -> list[View]:
-    """Read all bufferViews."""
     views = []
     for entry in root.entries("bufferViews"):
         buffer = entry.integer("buffer", below=len(buffers))
@@ -126,7 +125,7 @@ def read_views(root: Entry, buffers: Buffers) -> list[View]:
     return views
 
 
-def named_places(tree: Tree, lengths: Sequence[int]) -> Iterator[tuple[tuple[int, str | None], View]]:
+def view_spans(tree: Tree, lengths: Sequence[int]) -> Iterator[tuple[tuple[int, str | None], View]]:
     """Yield the bytes that views and their extensions name, with the view's index and extension."""
     for index, view in enumerate(objects(tree.get("bufferViews"))):
         for name, holder in [(None, view), *view.get("extensions", {}).items()]:
@@ -139,7 +138,7 @@ def named_places(tree: Tree, lengths: Sequence[int]) -> Iterator[tuple[tuple[int
                     yield (index, name), View(buffer, offset, length)
 
 
-def named_views(value: object) -> Iterator[int]:
-    """Iterate over all members called "bufferView", in images and in unknown extensions too."""
+def view_references(value: object) -> Iterator[int]:
+    """Yield the members called "bufferView" of a value, those of images and unknown extensions, too."""
     named = (each.get("bufferView") for each in objects_within(value))
     return (index for index in named if isinstance(index, int))

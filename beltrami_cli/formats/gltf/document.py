@@ -25,7 +25,8 @@ from beltrami_cli.formats.gltf.new_images import show_images
 from beltrami_cli.formats.gltf.nodes import placements
 from beltrami_cli.formats.gltf.output import place_files, write_files
 from beltrami_cli.formats.gltf.primitives import Meshes, read_meshes
-from beltrami_cli.formats.gltf.textured import gather_textured, read_textured_mesh
+from beltrami_cli.formats.gltf.textured_mesh import read_textured_mesh
+from beltrami_cli.formats.gltf.textured_surface import read_textured_surface
 from beltrami_cli.formats.gltf.uris import SidecarFiles
 from beltrami_cli.formats.gltf.vertex_colours import Surface
 from beltrami_cli.formats.model_folder import ModelFolder
@@ -78,7 +79,7 @@ class GltfDocument(Document):
         return present_slots(self._root)
 
     def _gathered(self, slot: Slot) -> TexturedSurface:
-        surface, notices = gather_textured(self._root, self._meshes, self._places, self._images, slot)
+        surface, notices = read_textured_surface(self._root, self._meshes, self._places, self._images, slot)
         self.notices += [notice for notice in notices if notice not in self.notices]
         return surface
 

@@ -32,7 +32,6 @@ class Draco:
         self._decoded: dict[Hashable, Accessor] = {}
 
     def attribute(self, packed: Entry, name: str, described: Accessor) -> Accessor:
-        """Return an attribute that Draco has compressed."""
         view, mesh = self._draco(packed)
         number = packed.entry("attributes").integer(name)
         key = view, number, described.component.str, described.shape, described.normalised
@@ -46,7 +45,7 @@ class Draco:
         return self._decoded[key]
 
     def indices(self, packed: Entry, described: Accessor) -> Accessor:
-        """Return the triangles that Draco has compressed."""
+        """Return the accessor of the triangles; `described` is that of the indices in the JSON."""
         view, mesh = self._draco(packed)
         if (view, "faces") not in self._decoded:
             numbers = np.asarray(mesh.faces).astype("<u4").reshape(-1, 1)

@@ -18,7 +18,7 @@ from typing import Any
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.changes import Bytes
 from beltrami_cli.formats.gltf.accessors import Accessors
-from beltrami_cli.formats.gltf.buffers import View, named_places, named_views
+from beltrami_cli.formats.gltf.buffers import View, view_references, view_spans
 from beltrami_cli.formats.gltf.container import Container
 from beltrami_cli.formats.gltf.entries import Tree, objects
 from beltrami_cli.formats.gltf.meshopt import MESHOPT, repacked
@@ -90,7 +90,7 @@ class Edit:
 
     @cached_property
     def _named_views(self) -> set[int]:
-        return set(named_views(self.container.tree))
+        return set(view_references(self.container.tree))
 
     def put(self, buffer: int, holder: Holder, octets: Bytes) -> None:
         """Record new bytes of a view or its extension, which `finish` stores in a buffer."""
@@ -138,7 +138,7 @@ class Edit:
         """Return the byte ranges of views and their extensions in a buffer and in others of the same file."""
         lengths = [entry["byteLength"] for entry in self.tree["buffers"]]
         canonical = self.accessors.buffers.canonical
-        return [each for each in named_places(self.tree, lengths) if canonical(each[1].buffer) == buffer]
+        return [each for each in view_spans(self.tree, lengths) if canonical(each[1].buffer) == buffer]
 
     def _store(self, buffer: int, new: dict[Holder, Bytes]) -> None:
         """Store new bytes in a buffer: in the space of old ones where they fit, otherwise at the end."""

@@ -7,7 +7,7 @@ from typing import Any
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.gltf.accessors import Accessors
-from beltrami_cli.formats.gltf.buffers import named_views
+from beltrami_cli.formats.gltf.buffers import view_references
 from beltrami_cli.formats.gltf.container import Container
 from beltrami_cli.formats.gltf.draco import DRACO
 from beltrami_cli.formats.gltf.entries import Tree, objects, primitives_of
@@ -99,13 +99,13 @@ def _numbers(accessors: Accessors, source: Tree, tree: Tree) -> dict[str, bytes]
     parts: dict[str, bytes] = {}
     used = {holder[key] for _, holder, key in accessor_uses(tree)}
     colours = {primitive.get("attributes", {}).get("COLOR_0") for _, primitive in primitives_of(source)}
-    opaque = set(named_views({key: value for key, value in tree.items() if key != "accessors"}))
+    opaque = set(view_references({key: value for key, value in tree.items() if key != "accessors"}))
     views = set(opaque)
     for index, accessor in enumerate(tree.get("accessors", [])):
         if index in colours and index not in used:
             tree["accessors"][index] = None
             continue
-        views |= set(named_views(accessor))
+        views |= set(view_references(accessor))
         try:
             parts[f"numbers of accessors[{index}]"] = accessors[index].stored().tobytes()
         except InputError as error:

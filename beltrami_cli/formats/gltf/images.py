@@ -8,7 +8,7 @@ from pathlib import PurePosixPath
 from beltrami_cli.errors import install_hint
 from beltrami_cli.formats.gltf.accessors import Accessors
 from beltrami_cli.formats.gltf.entries import Entry
-from beltrami_cli.formats.gltf.uris import file_key, is_data, located, read
+from beltrami_cli.formats.gltf.uris import file_key, is_data, locate_uri, read_uri
 from beltrami_cli.formats.image import format_of, label_of
 from beltrami_cli.formats.image.extra_codecs import EXTRA, EXTRA_CODECS, missing_package
 from beltrami_cli.formats.image.file_formats import FORMATS
@@ -66,7 +66,7 @@ class Images:
         image, uri = self.entries[index], self.entries[index].text("uri")
         if uri is not None and not is_data(uri):
             try:
-                return PurePosixPath(located(uri, self._folder, must_exist=False)).name
+                return PurePosixPath(locate_uri(uri, self._folder, must_exist=False)).name
             except UnfitReferenceError:
                 return uri
         return image.text("name") or f"image {index}"
@@ -116,7 +116,7 @@ class Images:
             view = self._accessors.views[image.integer("bufferView", below=len(self._accessors.views))]
             data = self._accessors.buffers.viewed(view)
         elif uri is not None:
-            data = read(uri, self._folder)
+            data = read_uri(uri, self._folder)
         else:
             raise UnfitReferenceError("has neither a uri nor a bufferView")
         if not data:

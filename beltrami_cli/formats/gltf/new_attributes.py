@@ -24,7 +24,7 @@ from beltrami_cli.formats.gltf.accessors import (
     element_bytes,
     padded_elements,
 )
-from beltrami_cli.formats.gltf.buffers import VERTEX_DATA, View, named_places, named_views
+from beltrami_cli.formats.gltf.buffers import VERTEX_DATA, View, view_references, view_spans
 from beltrami_cli.formats.gltf.draco import DRACO
 from beltrami_cli.formats.gltf.edit import Edit, Use
 from beltrami_cli.formats.gltf.entries import Tree, objects, primitives_of
@@ -208,11 +208,11 @@ def _others(tree: Tree, accessors: Accessors, members: set[int]) -> Iterator[Lay
             yield accessor.sparse.indices
             if index not in members:
                 yield accessor.sparse.values
-    named = set(named_views({key: value for key, value in tree.items() if key != "accessors"}))
+    named = set(view_references({key: value for key, value in tree.items() if key != "accessors"}))
     for index, view in enumerate(accessors.views):
         if index in named or index not in viewed:
             yield _whole(view)
-    for (index, extension), view in named_places(tree, accessors.buffers.lengths):
+    for (index, extension), view in view_spans(tree, accessors.buffers.lengths):
         if extension is not None or accessors.views[index].packed is not None:
             yield _whole(view)
 

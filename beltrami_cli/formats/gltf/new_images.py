@@ -28,7 +28,7 @@ from beltrami_cli.formats.gltf.images import (
     media_type,
 )
 from beltrami_cli.formats.gltf.materials import SLOT_PATHS, texture_infos
-from beltrami_cli.formats.gltf.uris import data_uri, is_data, read, short
+from beltrami_cli.formats.gltf.uris import data_uri, is_data, quoted_uri, read_uri
 from beltrami_cli.formats.image import read_image, write_image
 from beltrami_cli.formats.image.file_formats import suffix_for
 from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError
@@ -266,12 +266,12 @@ def embed_images(edit: Edit, folder: ModelFolder) -> None:
             continue
         try:
             new = edit.images.get(index)
-            data = read(uri, folder) if new is None else new.data
+            data = read_uri(uri, folder) if new is None else new.data
             kind = image.get("mimeType") or media_type(data)
             if kind is None:
                 raise UnfitReferenceError("is of an unknown type, so it cannot be embedded")
         except UnfitReferenceError as error:
-            edit.notices.append(f"images[{index}] stays outside the GLB: {short(uri)} {error}.")
+            edit.notices.append(f"images[{index}] stays outside the GLB: {quoted_uri(uri)} {error}.")
             continue
         view = edit.add("bufferViews", {})
         edit.put(edit.growing_buffer([]), (view, None), data)

@@ -15,7 +15,7 @@ from beltrami_cli.formats.gltf.edit import Edit, merge_buffers
 from beltrami_cli.formats.gltf.entries import Tree
 from beltrami_cli.formats.gltf.json_text import revised
 from beltrami_cli.formats.gltf.new_images import embed_images
-from beltrami_cli.formats.gltf.uris import SidecarFiles, data_uri, is_data, located
+from beltrami_cli.formats.gltf.uris import SidecarFiles, data_uri, is_data, locate_uri
 from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError, is_outside
 from beltrami_cli.formats.new_files import NewFiles
 from beltrami_cli.surface.records import ImageFile
@@ -94,7 +94,7 @@ def _files(edit: Edit, folder: ModelFolder) -> Iterator[tuple[Tree, str, Bytes |
         uri = entry.get("uri")
         if uri is not None and not is_data(uri):
             with suppress(UnfitReferenceError):
-                yield entry, located(uri, folder, must_exist=False), new
+                yield entry, locate_uri(uri, folder, must_exist=False), new
         elif uri is not None and isinstance(new, bytearray):
             entry["uri"] = data_uri(uri, new)
 

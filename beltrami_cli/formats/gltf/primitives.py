@@ -27,7 +27,6 @@ class Primitive:
         return name in self.attributes
 
     def accessor(self, name: str) -> Accessor:
-        """Return an attribute."""
         accessor = self._accessors[self.attributes.integer(name, below=len(self._accessors))]
         if self.packed is None or name not in self.packed.entry("attributes"):
             return accessor

@@ -27,7 +27,7 @@ def data_uri(old: str, data: Bytes) -> str:
     return f"{head},{base64.b64encode(data).decode('ascii')}"
 
 
-def located(uri: str, folder: ModelFolder, *, must_exist: bool = True) -> str:
+def locate_uri(uri: str, folder: ModelFolder, *, must_exist: bool = True) -> str:
     """Return the path, relative to a folder, of the file that a URI names; UnfitReferenceError if it is not followed.
 
     Exporters write queries, such as "?v=3" against caches, and encode twice, so that a blank is "%2520".
@@ -42,11 +42,11 @@ def located(uri: str, folder: ModelFolder, *, must_exist: bool = True) -> str:
     return folder.locate(plain) if must_exist else checked_path(plain, outside=True)
 
 
-def read(uri: str, folder: ModelFolder) -> bytes:
+def read_uri(uri: str, folder: ModelFolder) -> bytes:
     """Return the bytes that a URI stands for, its own or a file's; UnfitReferenceError if there are none."""
     if not is_data(uri):
         try:
-            return folder.read(located(uri, folder))
+            return folder.read(locate_uri(uri, folder))
         except OSError as error:
             raise UnfitReferenceError(f"cannot be read ({error.strerror})") from None
     head, comma, payload = uri.partition(",")
@@ -61,7 +61,7 @@ def read(uri: str, folder: ModelFolder) -> bytes:
         raise UnfitReferenceError(f"is a data URI with damaged base64 ({error})") from None
 
 
-def short(uri: str) -> str:
+def quoted_uri(uri: str) -> str:
     """Quote a URI for a message, shortened."""
     return repr(uri if len(uri) <= 80 else uri[:77] + "...")
 
@@ -81,18 +81,18 @@ class SidecarFiles:
                 continue
             self.any = True
             try:
-                path = located(uri, folder)
+                path = locate_uri(uri, folder)
                 self.present |= {} if is_outside(path) else {path: None}
             except UnfitReferenceError as error:
-                cause = f"{entry.place}: {short(uri)} {error}"
+                cause = f"{entry.place}: {quoted_uri(uri)} {error}"
                 self.obstacles[Obstacle(cause, error.obstacle.remedy)] = None
                 with suppress(UnfitReferenceError):
-                    self.missing[located(uri, folder, must_exist=False)] = None
+                    self.missing[locate_uri(uri, folder, must_exist=False)] = None
 
 
 def file_key(uri: str | None, index: int, folder: ModelFolder) -> Hashable:
     """Return the key that identifies a stored file; the index for bytes that are in no file of their own."""
     with suppress(UnfitReferenceError):  # an error when its bytes are asked for
         if uri is not None and not is_data(uri):
-            return located(uri, folder, must_exist=False)
+            return locate_uri(uri, folder, must_exist=False)
     return index

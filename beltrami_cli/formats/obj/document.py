@@ -152,17 +152,15 @@ class ObjDocument(Document):
             tokens = vertices.token_starts, vertices.token_ends
             starts, ends = (np.sort(shifted(places[:, 3:].ravel(), mentions)) for places in tokens)
             text = without_tokens(text, starts, ends)
-        parts, images, folder = {"statements": text}, dict[str, str](), self._folder
+        parts, shown = {"statements": text}, dict[str, str | None]()
         for number, library in enumerate(libraries, 1):
             there = [found for found, path in library.maps if path is not None]
             names: Spans = {(found.start, found.end): PLACEHOLDER for found in there}
             parts[f"material library {number}"] = exchange_spans(library.data, names)
             for index, (found, path) in enumerate(library.maps, 1):
-                label = f"material {found.material!r}, {found.keyword} ({number}.{index})"
-                tiles = folder.tiles.get(path or "", {})
-                images |= {f"{label}, tile {tile}": file for tile, file in tiles.items()}
-                images |= {label: path} if path is not None and not tiles else {}
-        return Fingerprint(parts, colours, labelled(images, folder.content))
+                shown[f"material {found.material!r}, {found.keyword} ({number}.{index})"] = path
+        images = self._folder.files_by_label(shown)
+        return Fingerprint(parts, colours, labelled(images, self._folder.content))
 
     def facts(self) -> dict[str, object]:
         return {
@@ -192,6 +190,10 @@ class ObjDocument(Document):
     def _scan(self) -> Scan:
         return self._read[0]
 
+    @property
+    def _materials(self) -> Materials:
+        return self._read[1]
+
     @cached_property
     def _polygons(self) -> tuple[Int32s, Int64s]:
         vertices = self._scan.vertices
@@ -215,10 +217,6 @@ class ObjDocument(Document):
         scale, notice = full_scale(vertices.colours, self.name)
         self.notices += [sentence for sentence in (vertices.notice, notice) if sentence]
         return scale
-
-    @property
-    def _materials(self) -> Materials:
-        return self._read[1]
 
     @cached_property
     def _coordinates(self) -> Coordinates:

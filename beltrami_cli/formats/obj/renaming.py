@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import posixpath
+from collections.abc import Mapping, Set
 from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
 
@@ -45,25 +46,7 @@ def renaming(materials: Materials, images: NewImages, source: str, naming: Namin
     names = NewFiles(naming, source, materials.paths, missing)
     edits = _take_images(materials, images, names)
     _rename_others(materials, names, edits)
-    spans: Spans = {}
-    changed: dict[str, tuple[Library, Spans]] = {}
-    for library in materials.libraries:
-        edits_of_file = edits.get(library.path, {})
-        outside = is_outside(library.path)
-        differs = any(library.data[start:end] != new for (start, end), new in edits_of_file.items())
-        is_new = bool(edits_of_file) and (outside or differs)
-        if not is_new and (outside or not names.copies):
-            for name, _, _ in library.mentions if outside else ():
-                names.leave(name)
-            continue
-        new = names.other(library.path, ".mtl")
-        for name, start, end in library.mentions:
-            spans[start, end] = new_reference(name, library.path, new)
-        if is_new:
-            changed[new] = library, edits_of_file
-        else:
-            names.copied[new] = library.path
-    return Renaming(names, spans, changed)
+    return _name_libraries(materials, names, edits)
 
 
 def _take_images(materials: Materials, images: NewImages, names: NewFiles) -> dict[str, Spans]:
@@ -73,11 +56,7 @@ def _take_images(materials: Materials, images: NewImages, names: NewFiles) -> di
         # Equal images of two slots are one file; maps of the base colour may be of other slots, too.
         maps = [each for slot in slots for each in materials.affected(slot, path)]
         affected = list({id(found): (library, found) for library, found in maps}.values())
-        followed = {id(found) for _, found in affected}
-        for library in materials.libraries:
-            for found, used in library.maps:
-                if used == path and id(found) not in followed and found.keyword not in SLOTS:
-                    names.note_stale_use(f"{found.keyword} of material {found.material}", path)
+        _note_stale_uses(materials, names, path, {id(found) for _, found in affected})
         # Its name is free only if no map that keeps the old image has it.
         is_replaced = len(affected) == materials.uses(path)
         suffix = common_suffix(image.suffix for _, image in files)
@@ -90,18 +69,26 @@ def _take_images(materials: Materials, images: NewImages, names: NewFiles) -> di
     return edits
 
 
+def _note_stale_uses(materials: Materials, names: NewFiles, path: str, followed: Set[int]) -> None:
+    """Note the maps outside of the slots that go on to show an old image; `followed`: identities of the others."""
+    for library in materials.libraries:
+        for found, used in library.maps:
+            if used == path and id(found) not in followed and found.keyword not in SLOTS:
+                names.note_stale_use(f"{found.keyword} of material {found.material}", path)
+
+
 def _rename_others(materials: Materials, names: NewFiles, edits: dict[str, Spans]) -> None:
     """Name the images that stay as they are, for libraries that are written, or copied, into another folder."""
     tiles, new_of = materials.folder.tiles, dict[str, str]()
     for library in materials.libraries:
-        comes_inside = is_outside(library.path)
-        if not edits.get(library.path) if comes_inside else not names.copies:
+        moves_inside = is_outside(library.path)
+        if not (edits.get(library.path) if moves_inside else names.copies):
             continue
         edits_of_file = edits.setdefault(library.path, {})
         for found, path in library.maps:
             if path is None or (found.start, found.end) in edits_of_file:
                 continue
-            if is_outside(path) and not comes_inside:
+            if is_outside(path) and not moves_inside:
                 names.leave(found.name)
                 continue
             if path not in new_of:
@@ -113,6 +100,30 @@ def _rename_others(materials: Materials, names: NewFiles, edits: dict[str, Spans
                     else:
                         names.copied[new] = old
             edits_of_file[found.start, found.end] = _spelled(found, path, new_of[path], library)
+
+
+def _name_libraries(materials: Materials, names: NewFiles, edits: Mapping[str, Spans]) -> Renaming:
+    """Name the libraries that change, or that another folder needs copies of."""
+    spans: Spans = {}
+    changed: dict[str, tuple[Library, Spans]] = {}
+    for library in materials.libraries:
+        own, outside = edits.get(library.path, {}), is_outside(library.path)
+        differs = any(library.data[start:end] != new for (start, end), new in own.items())
+        is_new = bool(own) and (outside or differs)
+        if not is_new and outside:
+            for name, _, _ in library.mentions:
+                names.leave(name)
+        if not is_new and (outside or not names.copies):
+            continue
+        new = names.other(library.path, ".mtl")
+        spans |= {
+            (start, end): new_reference(name, library.path, new) for name, start, end in library.mentions
+        }
+        if is_new:
+            changed[new] = library, own
+        else:
+            names.copied[new] = library.path
+    return Renaming(names, spans, changed)
 
 
 def _spelled(found: Map, path: str, new: str, library: Library) -> bytes:

@@ -71,7 +71,7 @@ class PlyDocument(Document):
     def _mesh(self) -> MeshContents:
         corners, offsets = self._polygons
         positions = self._positions if len(corners) else self._measured
-        if self._colours_faces:
+        if self._has_face_colours:
             positions, corners = dual(positions, *self._coloured_faces)
             offsets, corners = 3 * np.arange(len(corners) + 1), corners.ravel()
             self.notices.append("Its faces have the colours; each is a sample at the centre of its face.")
@@ -149,7 +149,7 @@ class PlyDocument(Document):
     def attributes(self) -> tuple[str, ...]:
         colours: tuple[str, ...] = ()
         if self.has_vertex_colours():
-            if self._colours_faces:
+            if self._has_face_colours:
                 return ()
             colours = self._properties.names
         others = tuple(name for name in self._kinds if name not in (*POSITION, *colours))
@@ -161,7 +161,7 @@ class PlyDocument(Document):
         return unit_vectors(values) if name == "normal" else values
 
     def require_movable(self) -> None:
-        if self._colours_faces:
+        if self._has_face_colours:
             raise InputError(
                 self.name, "its colours are of faces, which do not move", "leave --smooth-geometry out"
             )
@@ -175,8 +175,8 @@ class PlyDocument(Document):
         return list(dict.fromkeys(path for path in paths if path is not None and not is_outside(path)))
 
     def contents(self) -> MeshContents:
-        of_faces = self._properties.names if self._colours_faces else ()
-        corners, offsets = self._coloured_faces if self._colours_faces else self._polygons
+        of_faces = self._properties.names if self._has_face_colours else ()
+        corners, offsets = self._coloured_faces if self._has_face_colours else self._polygons
         return dataclasses.replace(
             self._mesh,
             positions=self._positions,
@@ -189,7 +189,7 @@ class PlyDocument(Document):
         )
 
     def colours_at_vertices(self, colours: Float32s) -> Float32s:
-        if not self._colours_faces:
+        if not self._has_face_colours:
             return colours
         self.notices += [_MEANS] if _MEANS not in self.notices else []
         corners, offsets = self._coloured_faces
@@ -280,7 +280,7 @@ class PlyDocument(Document):
         return self._tables[self._properties.element]
 
     @property
-    def _colours_faces(self) -> bool:
+    def _has_face_colours(self) -> bool:
         return self._properties.element == "face"
 
     @property
@@ -311,7 +311,7 @@ class PlyDocument(Document):
         return read_polygons(self._tables, self._vertices.element.count, self.name)
 
     def _alpha(self) -> Float32s | None:
-        if not self._properties.alpha or self._colours_faces:
+        if not self._properties.alpha or self._has_face_colours:
             return None
         alpha = self._vertices.columns((self._properties.alpha,), "alpha")[:, 0]
         kind = self._kinds[self._properties.alpha]

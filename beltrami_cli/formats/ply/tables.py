@@ -111,28 +111,28 @@ class Table:
         return self.element.lists
 
     @cached_property
-    def _alike(self) -> bool:
+    def _has_equal_rows(self) -> bool:
         return not self._lists or self.counts.strides[0] == 0
 
     @cached_property
     def _row_size(self) -> Int64s:
         """Units of every row, or of any row if all are equal: shape (N,) or (1,)."""
         items = np.array([self.body.size(known.type) for known in self._lists], np.int64)
-        counts = self.counts[:1] if self._alike else self.counts
+        counts = self.counts[:1] if self._has_equal_rows else self.counts
         return counts @ items + sum(self.body.size(p.count or p.type) for p in self.element.properties)
 
     @property
     def stop(self) -> int:
         if self.element.count == 0:
             return self.start
-        if self._alike:
+        if self._has_equal_rows:
             return self.start + self.element.count * int(self._row_size[0])
         return self.start + int(self._row_size.sum())
 
     def places(self, name: str) -> Places:
         """Return the units of a scalar, or of the counts of a list: a slice if all rows are equal."""
         row_size = self._row_size
-        if self._alike:
+        if self._has_equal_rows:
             first = self.start + int(self._offset(name, self.counts[:1])[0])
             step = int(row_size[0])
             return slice(first, first + step * (self.element.count - 1) + 1, step)

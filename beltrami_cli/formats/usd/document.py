@@ -6,7 +6,6 @@ import dataclasses
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -148,15 +147,12 @@ class UsdDocument(Document):
         sidecars, renamed = self._images.renamed(new.images, naming)
         if colours is not None and np.array_equal(colours, self._coloured_vertices.colours):
             colours = None
-        root = {}
+        root: dict[str, bytes] = {}
         if colours is not None or renamed or form != self.format:
-            same = form == self.format
-            suffix = Path(self._layers.root).suffix if same else f".{form}"
-            order: dict[str, Any] = {"task": "edit", "files": renamed, "suffix": suffix, "same": same}
-            order["blocks"] = [] if colours is None else list(map(dataclasses.asdict, self._contents.blocks))
-            said, made = self._layers.ask(order, {} if colours is None else {"colours": colours})
-            root = {self._layers.root: made["layer"].tobytes()}
-            notices = (*sidecars.notices, *([_VARIANTS_NOTICE] if said["hides"] else []))
+            suffix = "" if form == self.format else f".{form}"
+            layer, hides = self._layers.edited(self._contents.blocks, colours, renamed, suffix)
+            root[self._layers.root] = layer
+            notices = (*sidecars.notices, *([_VARIANTS_NOTICE] if hides else []))
             sidecars = dataclasses.replace(sidecars, notices=notices)
         if package is None:
             return dataclasses.replace(sidecars, main=[*root.values()] or [self.data])

@@ -32,13 +32,8 @@ class Images:
 
     def files(self) -> dict[str, str]:
         """Return every image file, by the slot or the attribute that refers to it."""
-        found: dict[str, str] = {}
-        for attribute, file in self._contents.images.items():
-            path = self.paths.get(file)
-            tiles = self._layers.folder.tiles.get(path or "", {})
-            found |= {f"{attribute}, tile {tile}": each for tile, each in tiles.items()}
-            found |= {attribute: path} if path is not None and not tiles else {}
-        return found
+        named = {attribute: self.paths.get(file) for attribute, file in self._contents.images.items()}
+        return self._layers.folder.files_by_label(named)
 
     def _attributes(self, path: str, slots: Sequence[Slot] | None = None) -> set[str]:
         """Return the attributes that refer to a path, in some slots or in all places."""

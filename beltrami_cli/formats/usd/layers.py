@@ -5,19 +5,20 @@ from __future__ import annotations
 import os
 import posixpath
 import re
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 
-from beltrami_cli.arrays import Array
+from beltrami_cli.arrays import Array, Float32s
 from beltrami_cli.errors import InputError, MemoryLimitError, Obstacle
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.foreign_library import ForeignLibrary, serve_files
 from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError, is_outside
 from beltrami_cli.formats.tile_names import found_tiles, has_token
-from beltrami_cli.formats.usd.contents import SceneContents
+from beltrami_cli.formats.usd.contents import ColourBlock, SceneContents
 from beltrami_cli.formats.usd.package import LAYERS, Package
 from beltrami_cli.surface.temporary_files import temporary_folder, writing_temporary_files
 from beltrami_cli.surface.worker_process import Message
@@ -76,6 +77,20 @@ class Layers:
         images = [use.attribute for use in contents.uses]
         colours = [block.attribute for block in contents.blocks]
         return str(self.ask({"task": "text", "images": images, "colours": colours}, {})[0])
+
+    def edited(
+        self, blocks: Sequence[ColourBlock], colours: Float32s | None, files: Mapping[str, str], suffix: str
+    ) -> tuple[bytes, bool]:
+        """Return the root layer with new colours of meshes (None: unchanged) and new files of some attributes.
+
+        It gets the form of a suffix, or keeps its own ("") with as many bytes as possible. Also return whether the new
+        values hide those of variants in other layers.
+        """
+        order: dict[str, Any] = {"task": "edit", "files": dict(files), "same": not suffix}
+        order["suffix"] = suffix or Path(self.root).suffix
+        order["blocks"] = [] if colours is None else [asdict(block) for block in blocks]
+        said, made = self.ask(order, {} if colours is None else {"colours": colours})
+        return made["layer"].tobytes(), said["hides"]
 
     def _fetch(self, layer: str, path: str) -> None:
         """Read a layer that another one refers to, or record that it is refused."""

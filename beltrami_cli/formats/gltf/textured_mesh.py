@@ -1,0 +1,117 @@
+"""The triangles of a glTF file at every place where they are shown, with all materials, for another format."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from beltrami_cli.arrays import Float32s, Float64s
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.gltf.accessors import fractions
+from beltrami_cli.formats.gltf.entries import Entry
+from beltrami_cli.formats.gltf.images import Images
+from beltrami_cli.formats.gltf.materials import SLOT_PATHS, read_material, texture_uses
+from beltrami_cli.formats.gltf.nodes import Placement, instances
+from beltrami_cli.formats.gltf.parts import Part, Parts, ShownMaterial
+from beltrami_cli.formats.gltf.primitives import TRIANGLES, Meshes, Primitive
+from beltrami_cli.formats.gltf.writer import OWN_COLOURS
+from beltrami_cli.surface import records
+
+# Colours of the vertices of a primitive by mesh and number, shape (n, 3) or with opacity (n, 4), linear.
+PrimitiveColours = Mapping[tuple[int, int], Float32s]
+
+_KEPT_ATTRIBUTES = ("POSITION", "NORMAL", "COLOR_0", OWN_COLOURS)
+
+
+def read_textured_mesh(
+    root: Entry, meshes: Meshes, images: Images, colours: PrimitiveColours, stored: str
+) -> records.MeshContents:
+    """Return the triangles of the default scene, at every place where a node shows them, with their materials."""
+    parts = _MeshParts(root, images)
+    for index, placement, name in instances(root):
+        for number, primitive in enumerate(meshes[index]):
+            parts.take(primitive, placement, name, colours.get((index, number)))
+    if not parts.groups:
+        raise InputError(root.name, "its scene has no triangles, so there is nothing to show a texture")
+    groups = {name: number for number, name in enumerate(dict.fromkeys(part.group for part in parts))}
+    group_of = parts.of_triangles([groups[part.group] for part in parts])
+    normals = np.concatenate([parts.normals(part) for part in parts])
+    mesh = parts.scene().mesh(parts.left_out, (tuple(groups), group_of), normals.reshape(-1, 3))
+    return dataclasses.replace(mesh, **parts.vertex_colours(stored))
+
+
+class _MeshParts(Parts):
+    """Each primitive at every place, with its colours, and with the textures of all slots."""
+
+    def __init__(self, root: Entry, images: Images) -> None:
+        super().__init__(root.name, images)
+        self.left_out: list[str] = []
+        self._colours: list[Float32s | None] = []
+        self._entries = root.entries("materials")
+        self._by_slot = {slot: texture_uses(root, slot) for slot in SLOT_PATHS}
+
+    def take(self, primitive: Primitive, placement: Placement, group: str, colours: Float32s | None) -> None:
+        if primitive.mode < TRIANGLES and "POSITION" in primitive:
+            self.left_out.append("points and lines")
+        found = self.drawn(primitive, placement)
+        if found is None:
+            return
+        material = self._material(primitive.entry)
+        part = Part(primitive, placement, *found, material, group=group)
+        self.groups[len(self.groups)] = [part]
+        self._colours.append(self._of_part(part, colours))
+        coordinates = {use.coordinates for use in material.uses.values()} or {"TEXCOORD_0"}
+        for name in primitive.attributes.value:
+            if name.startswith("TEXCOORD_"):
+                self.left_out += () if name in coordinates else ("further texture coordinates",)
+            elif name not in _KEPT_ATTRIBUTES and not name.startswith(("JOINTS_", "WEIGHTS_")):
+                self.left_out.append(f"attribute {name}")
+
+    def _material(self, primitive: Entry) -> ShownMaterial:
+        """Return the material of a primitive, and note what of it is lost."""
+        if "material" not in primitive:
+            return self.add_material(None, {}, records.Material(metalness=1.0))
+        index = primitive.integer("material", below=len(self._entries))
+        if index in self.materials:
+            return self.materials[index]
+        uses = {slot: found[index][0] for slot, found in self._by_slot.items() if found[index]}
+        self.left_out += self._entries[index].entry("extensions").value
+        for slot, use in uses.items():
+            factors = [key for key in ("scale", "strength") if use.info.number(key, default=1.0) != 1]
+            self.left_out += [f"the {key} of {slot} maps" for key in factors]
+            self.left_out += ["sharp texels"] if self._images.has_sharp_texels(use.texture) else []
+        return self.add_material(index, uses, read_material(self._entries[index]))
+
+    def _of_part(self, part: Part, colours: Float32s | None) -> Float32s | None:
+        """Return the colours of the vertices of a part, shape (n, 3) or (n, 4)."""
+        if colours is not None and "baseColor" in part.material.maps and (colours[:, :3] != 1).any():
+            self.left_out.append("the tint of textures by their vertex colours")
+        if colours is None and OWN_COLOURS in part.primitive:
+            colours = fractions(part.primitive.accessor(OWN_COLOURS).finite("colour"))
+        used = self.rows_of([part])
+        is_fitting = colours is not None and colours.shape in ((len(used), 3), (len(used), 4))
+        return colours[used] if colours is not None and is_fitting else None
+
+    def normals(self, part: Part) -> Float64s:
+        """Return the normals of the corners of a part, shape (F, 3, 3); NaN if there are none."""
+        if "NORMAL" not in part.primitive:
+            return np.full((len(part.faces), 3, 3), np.nan)
+        normals = part.primitive.fitting("NORMAL", "VEC3", part.position.count)
+        return part.placement.normals(normals)[part.faces]
+
+    def vertex_colours(self, stored: str) -> dict[str, Any]:
+        """Return the colours of all vertices; white for parts without colours, as glTF has it."""
+        if all(colours is None for colours in self._colours):
+            return {}
+        found = []
+        for parts, colours in zip(self.groups.values(), self._colours, strict=True):
+            rows = np.ones((np.count_nonzero(self.rows_of(parts)), 4), np.float32)
+            if colours is not None:
+                rows[:, : colours.shape[1]] = colours
+            found.append(rows)
+        joined = np.concatenate(found)
+        alpha = joined[:, 3] if (joined[:, 3] < 1).any() else None
+        return {"colours": joined[:, :3], "encoding": "linear", "stored": stored, "alpha": alpha}

@@ -1,0 +1,87 @@
+"""The triangles of a glTF file under the images of one slot, each where it stands first."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Hashable, Sequence
+
+import numpy as np
+
+from beltrami_cli.formats.gltf.entries import Entry
+from beltrami_cli.formats.gltf.images import Images
+from beltrami_cli.formats.gltf.materials import TextureUse, looks, texture_uses
+from beltrami_cli.formats.gltf.nodes import Placement
+from beltrami_cli.formats.gltf.parts import Part, Parts, ShownMaterial
+from beltrami_cli.formats.gltf.primitives import Meshes, Primitive
+from beltrami_cli.formats.scene import no_texture
+from beltrami_cli.surface import records
+from beltrami_cli.surface.records import Slot
+
+
+def read_textured_surface(
+    root: Entry, meshes: Meshes, places: Sequence[Placement], images: Images, slot: Slot
+) -> tuple[records.TexturedSurface, list[str]]:
+    """Return all triangles of a file and the images that one slot shows on them, with notices for the user."""
+    parts = _SurfaceParts(root, images, slot)
+    for mesh, placement in zip(meshes, places, strict=True):
+        for primitive in mesh:
+            parts.take(primitive, placement)
+    if not any(part.material.maps for part in parts):
+        raise no_texture(slot, root.name, (), is_bare=parts.counts["bare"] > 0)
+    surface, notices = parts.scene().surface(slot)
+    # Triangles of different looks or spaces do not meet.
+    spaces = [(members[0].placement.space, members[0].look) for members in parts.groups.values()]
+    number_of = {space: number for number, space in enumerate(dict.fromkeys(spaces))}
+    if len(number_of) > 1:
+        rows = [np.count_nonzero(parts.rows_of(members)) for members in parts.groups.values()]
+        numbers = np.array([number_of[space] for space in spaces], np.int32)
+        surface = dataclasses.replace(surface, space_of=np.repeat(numbers, rows))
+    sentences = {
+        "instanced": "{} textured part(s) are shown at several places; each is smoothed once, at its first place.",
+        "bare": f"{{}} primitive(s) have no texture coordinates for their {slot} texture.",
+    }
+    counted = [sentence.format(n) for key, sentence in sentences.items() if (n := parts.counts[key])]
+    return surface, [*notices, *parts.missing, *counted]
+
+
+class _SurfaceParts(Parts):
+    """Each primitive where it stands first, with all textures that it can have in one slot."""
+
+    def __init__(self, root: Entry, images: Images, slot: Slot) -> None:
+        super().__init__(root.name, images)
+        self._slot, self._uses = slot, texture_uses(root, slot)
+        self.counts = dict.fromkeys(("instanced", "bare"), 0)
+        self.missing: dict[str, None] = {}  # notices
+        self._seen: set[Hashable] = set()
+
+    def take(self, primitive: Primitive, placement: Placement) -> None:
+        found = self.drawn(primitive, placement)
+        if found is None:
+            return
+        place = found[0].identity
+        for look, use in looks(primitive.entry, self._uses):
+            key: tuple[Hashable, ...] = place, primitive.drawing_key()
+            if use is not None and use.coordinates not in primitive:
+                self.counts["bare"] += 1
+                use = None
+            if use is not None:
+                key += use.texture, use.transform, primitive.accessor(use.coordinates).identity
+            material = self._material(use)
+            shown = material.maps.get(self._slot)
+            is_shown = shown is not None and shown.path is not None
+            if look and not is_shown:
+                if shown is not None:
+                    left = f"The {self._slot} texture of {material.record.name!r} is left as it is"
+                    self.missing[f"{left}: '{shown.name}' {shown.obstacle.cause}."] = None
+                continue
+            self.counts["instanced"] += not look and is_shown and (placement.nodes > 1 or key in self._seen)
+            if key not in self._seen:
+                self._seen.add(key)
+                group = place, placement.matrix.tobytes(), placement.space, look
+                part = Part(primitive, placement, *found, material, look)
+                self.groups.setdefault(group, []).append(part)
+
+    def _material(self, use: TextureUse | None) -> ShownMaterial:
+        if use is None:
+            return self.add_material(None, {}, records.Material())
+        return self.add_material(use.info.place, {self._slot: use}, records.Material(use.material))
