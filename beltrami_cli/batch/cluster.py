@@ -20,7 +20,7 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from beltrami_cli.batch.item import Attempt, Item, do_item
-from beltrami_cli.batch.pool import Lost, Pool, Task
+from beltrami_cli.batch.pool import Advance, Lost, Pool, Task
 from beltrami_cli.batch.storage import canonical_path
 from beltrami_cli.errors import ProcessingError, install_hint
 from beltrami_cli.fields import with_files
@@ -138,7 +138,7 @@ class OnDask(Pool):
             if self._client.status not in ("running", "connecting"):
                 raise ProcessingError(_LOST) from None
             return
-        if isinstance(event, tuple):
+        if isinstance(event, Advance):
             if key in self._futures:
                 yield key, event
         elif self._futures.get(key) is event:  # otherwise the task was cancelled
@@ -167,8 +167,8 @@ class OnDask(Pool):
         self._client.unsubscribe_topic(self._topic)
 
     def _note(self, event: tuple[float, list[Any]]) -> None:
-        key, *progress = event[1]
-        self._events.put((key, tuple(progress)))
+        key, label, done, total = event[1]
+        self._events.put((key, Advance(label, done, total)))
 
 
 def _result(future: Any) -> Any:

@@ -150,10 +150,10 @@ def _done(
         try:
             # Files that the source refers to are downloaded when they are first looked for.
             access = Access(local.outside, memory, stage.note, stage.bring, columns=local.columns)
-            report = _made(copy, access, progress, chunking)
+            report = _smoothed(copy, access, progress, chunking)
         except BeltramiError as error:
-            own = {stage.source: item.source, stage.target: item.target}
-            error.name = own.get(error.name, error.name)
+            named = {stage.source: item.source, stage.target: item.target}
+            error.name = named.get(error.name, error.name)
             error.args = (str(error).replace(stage.source, item.source).replace(stage.target, item.target),)
             raise
         sidecars = report.written[1:]
@@ -172,7 +172,9 @@ def _forwarded(progress: Progress, label: str, share: float) -> None:
     progress(label, round(1000 * share), 1000)
 
 
-def _made(item: Item, access: Access, progress: Progress | None, chunking: Chunking | None) -> SmoothReport:
+def _smoothed(
+    item: Item, access: Access, progress: Progress | None, chunking: Chunking | None
+) -> SmoothReport:
     from beltrami_cli.jobs.smooth import smooth_file
 
     with FileSet() as files:

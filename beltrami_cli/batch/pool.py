@@ -10,6 +10,15 @@ Task = Callable[..., Any]  # called with the arguments that it was started with,
 
 
 @dataclass(frozen=True)
+class Advance:
+    """Progress of a task."""
+
+    label: str
+    done: int
+    total: int
+
+
+@dataclass(frozen=True)
 class Lost:
     """The result of a task whose worker died or failed: the cause, in words."""
 
@@ -28,7 +37,7 @@ class Pool(Protocol):
         """Start a task; `part` returns a large first argument, which workers keep for tasks with the same key."""
 
     def events(self) -> Iterator[tuple[int, Any]]:
-        """Wait for a while, and yield keys of tasks with their progress (a tuple of three) or their results."""
+        """Wait for a while, and yield keys of tasks, each with an `Advance`, a `Lost`, or its result."""
 
     def held(self) -> Collection[int]:
         """Return the keys of the parts that the next worker has, if that is known."""

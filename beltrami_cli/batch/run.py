@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from beltrami_cli.batch.item import Attempt, Item, Outcome, do_item, failed, outcome_of
-from beltrami_cli.batch.pool import Lost, Pool
+from beltrami_cli.batch.pool import Advance, Lost, Pool
 from beltrami_cli.batch.processes import Processes
 from beltrami_cli.batch.record import Record, is_done, is_own_output
 from beltrami_cli.batch.storage import exists, make_folder_of
@@ -43,38 +43,46 @@ class Batch:
     ) -> None:
         self._items, self._record, self._watcher = items, record, watcher
         self._fail_fast, self._stopped = fail_fast, False
-        self._earlier = [record.latest(item) for item in items]
+        self._earlier = [record.latest(item) for item in items]  # outcomes of an earlier run
         self._outcomes: dict[int, Outcome] = {}
-        self._writers: dict[str, tuple[int, str]] = {}  # the item that wrote a file, and the file's hash
+        self._writers: dict[str, tuple[int, str]] = {}  # by file: the item that wrote it, and its hash
 
     def run(self, at_once: int, memory: int | None, workers: Workers | None = None) -> list[Outcome]:
         """Return the outcomes of the items, in their order; without workers by `at_once` processes at a time.
 
         Each has an equal share of `memory` (bytes); what that is not enough for is done alone at the end, with all.
         """
-        waiting: deque[int] = deque()
-        for key, (item, earlier) in enumerate(zip(self._items, self._earlier, strict=True)):
-            if earlier is not None and is_done(item, earlier):
-                self._finish(key, Attempt(dataclasses.replace(earlier, status="skipped")))
-            else:
-                waiting.append(key)
+        waiting = self._unfinished()
         if workers is not None:
             self._work(waiting, workers, is_last=True)
         else:
-            count = max(1, min(at_once, len(waiting)))
-            share = None if memory is None else memory // count
-            threads = KernelParameters().thread_count
-            if waiting:
-                several = in_processes(count, share, max(1, threads // count))
-                waiting = self._work(waiting, several, is_last=count == 1)
-            if waiting:  # for the whole memory
-                self._work(waiting, in_processes(1, memory, threads), is_last=True)
+            self._work_in_processes(waiting, at_once, memory)
         for key in set(range(len(self._items))) - self._outcomes.keys():  # not tried because of --fail-fast
             written = _written(self._earlier[key])
             self._outcomes[key] = outcome_of(self._items[key], "not started", written=written)
         outcomes = [self._outcomes[key] for key in range(len(self._items))]
         self._record.close(outcomes)
         return outcomes
+
+    def _unfinished(self) -> deque[int]:
+        """Finish the items that an earlier run has done, and return the others."""
+        waiting: deque[int] = deque()
+        for key, (item, earlier) in enumerate(zip(self._items, self._earlier, strict=True)):
+            if earlier is not None and is_done(item, earlier):
+                self._finish(key, Attempt(dataclasses.replace(earlier, status="skipped")))
+            else:
+                waiting.append(key)
+        return waiting
+
+    def _work_in_processes(self, waiting: deque[int], at_once: int, memory: int | None) -> None:
+        count = max(1, min(at_once, len(waiting)))
+        share = None if memory is None else memory // count
+        threads = KernelParameters().thread_count
+        if waiting:
+            several = in_processes(count, share, max(1, threads // count))
+            waiting = self._work(waiting, several, is_last=count == 1)
+        if waiting:  # for the whole memory
+            self._work(waiting, in_processes(1, memory, threads), is_last=True)
 
     def _work(self, waiting: deque[int], workers: Workers, *, is_last: bool) -> deque[int]:
         """Run the waiting items. Unless `is_last`, return those that need more memory."""
@@ -85,8 +93,8 @@ class Batch:
                 while waiting and not pool.is_full and not self._stopped:
                     in_work |= self._started(waiting.popleft(), workers)
                 for key, event in pool.events() if in_work else ():
-                    if isinstance(event, tuple):
-                        self._watcher.advanced(key, *event)
+                    if isinstance(event, Advance):
+                        self._watcher.advanced(key, event.label, event.done, event.total)
                         continue
                     in_work.discard(key)
                     attempt = self._lost(key, event) if isinstance(event, Lost) else event
@@ -138,8 +146,8 @@ class Batch:
         if outcome.status == "failed":
             return outcome
         for name, digest in outcome.written.items():
-            other, theirs = self._writers.setdefault(name, (key, digest))
-            if theirs != digest:
+            other, other_digest = self._writers.setdefault(name, (key, digest))
+            if other_digest != digest:
                 cause = f"{name} is of {self._items[other].source}, too, with another content"
                 remedy = "give them different folders as OUTPUT, in a manifest"
                 error = OutputError(self._items[key].source, cause, remedy)
