@@ -14,7 +14,7 @@ from beltrami_cli.formats.image import DecodedImage
 from beltrami_cli.layers.reports import LevelReport
 from beltrami_cli.layers.settings import LevelSettings
 from beltrami_cli.levelling.correction import Levelled, level_canvas, level_mesh
-from beltrami_cli.levelling.exposures import CONFIDENCE, Verdict
+from beltrami_cli.levelling.judgement import CONFIDENCE, Verdict
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas
 from beltrami_cli.surface.records import SampledSurface, Texture

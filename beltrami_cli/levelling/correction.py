@@ -1,29 +1,17 @@
-"""Correction of exposure steps, which preserves the mean of the corrected colours.
-
-JPEG mixes hues at the borders of charts with colours beyond: a decoder interpolates subsampled chroma, so that texels
-near a border contain some of the colour beyond it, which may have another exposure. Such hues are extrapolated from
-further inside the chart. Brightness is stored for each texel, and is not extrapolated.
-"""
+"""Correction of exposure steps, which preserves the mean of the corrected colours."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Indices, Int32s, Int64s
-from beltrami_cli.levelling.exposures import (
-    VISIBLE,
-    Exposures,
-    Verdict,
-    fit_exposures,
-    have_steps,
-    judge,
-    squared_steps,
-)
+from beltrami_cli.levelling.exposures import Exposures, fit_exposures, squared_steps
+from beltrami_cli.levelling.hues import continue_hues, mixed_cells
+from beltrami_cli.levelling.judgement import VISIBLE, Verdict, judge_steps
 from beltrami_cli.levelling.steps import (
-    RIDGE,
     ChartPlaces,
     Steps,
     positions_of,
@@ -33,14 +21,10 @@ from beltrami_cli.levelling.steps import (
 )
 from beltrami_cli.quantities import BYTE_STEP
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import OWNED, Atlas, refresh_halo
-from beltrami_cli.surface.colour_values import limits_of
+from beltrami_cli.surface.atlas import Atlas, refresh_halo
 from beltrami_cli.surface.grouping import connected
-from beltrami_cli.surface.gutters import within
 
 Samples = Callable[[Int64s], tuple[Float32s, Indices, Float64s]]
-
-LUMA = np.array([0.299, 0.587, 0.114])  # of BT.601, as JPEG has it
 
 
 @dataclass(frozen=True)
@@ -62,11 +46,6 @@ class Levelled:
     exposures: Exposures | None
     facts: SeamFacts
     groups: Indices  # (charts,): group of each chart; seams without outliers join charts
-
-
-def judge_steps(steps: Steps, fixed: Bools | None = None) -> Verdict | None:
-    """Decide whether the charts differ in exposure; None if there are no steps."""
-    return judge(steps, fixed) if steps.between.any() and have_steps(steps) else None
 
 
 def find_exposures(
@@ -100,50 +79,59 @@ def _facts(steps: Steps, found: Exposures, strength: float) -> SeamFacts:
     )
 
 
+@dataclass(frozen=True)
 class Correction:
     """Removes exposures from colours, with a strength in [0, 1]."""
 
-    def __init__(self, levelled: Levelled, strength: float, fixed: Bools | None = None) -> None:
-        assert levelled.exposures is not None
-        self._found, self._strength = levelled.exposures, strength
-        channels, charts, _ = levelled.exposures.terms.shape
-        self._shift = np.zeros((charts, channels))
-        fixed = np.zeros(charts, bool) if fixed is None else fixed
-        self._moved = np.asarray(levelled.exposures.terms.any(axis=(0, 2))) & ~fixed
-        self._is_free = self._moved & ~np.isin(levelled.groups, levelled.groups[fixed])
+    exposures: Exposures
+    strength: float
+    is_moved: Bools  # (charts,): whether a chart is corrected
+    is_free: Bools  # (charts,): whether it is corrected, and not joined to a fixed one
+    shift: Float64s  # (charts, N): added to the corrected colours
 
-    def of(self, colours: Float32s, charts: Indices, places: Float64s) -> Float32s:
+    @classmethod
+    def of(cls, exposures: Exposures, groups: Indices, strength: float, fixed: Bools | None) -> Correction:
+        """Return the correction without shifts, given the group of each chart, see `Levelled`."""
+        channels, charts, _ = exposures.terms.shape
+        fixed = np.zeros(charts, bool) if fixed is None else fixed
+        is_moved = np.asarray(exposures.terms.any(axis=(0, 2))) & ~fixed
+        is_free = is_moved & ~np.isin(groups, groups[fixed])
+        return cls(exposures, strength, is_moved, is_free, np.zeros((charts, channels)))
+
+    def corrected(self, colours: Float32s, charts: Indices, places: Float64s) -> Float32s:
         """Return the corrected colours, shape (K, N), at places in charts."""
-        factor, offset = self._found.at(charts, places)
-        moved = self._moved[charts]
+        factor, offset = self.exposures.at(charts, places)
+        is_moved = self.is_moved[charts]
         after = np.empty_like(colours)
         for channel, column in enumerate(colours.T):
-            full = (column - offset[channel]) / factor[channel] + self._shift[charts, channel]
-            after[:, channel] = np.where(moved, column + self._strength * (full - column), column)
+            whole = (column - offset[channel]) / factor[channel] + self.shift[charts, channel]
+            after[:, channel] = np.where(is_moved, column + self.strength * (whole - column), column)
         return after
 
-    def keep_means(self, count: int, samples: Samples) -> float:
-        """Preserve the mean of charts that are not joined to fixed ones; return the mean change, 0 if invisible.
+    def preserving_means(self, count: int, samples: Samples) -> tuple[Correction, float]:
+        """Preserve the mean of charts that are not joined to fixed ones; return also the mean change, 0 if invisible.
 
         Groups of charts share one mean, even if no seam joins them. Preserving the mean of each group would preserve
         the exposures of its largest charts; that all terms are drawn to 0 is the better guess.
         """
-        areas, change = np.zeros(len(self._shift)), np.zeros_like(self._shift)
+        areas, change = np.zeros(len(self.shift)), np.zeros_like(self.shift)
         for charts, difference in self._changes(count, samples):
             areas += np.bincount(charts, minlength=len(areas))
             change += np.column_stack([np.bincount(charts, each, len(areas)) for each in difference.T])
-        mean = change[self._is_free].sum(axis=0) / max(1, areas[self._is_free].sum())
-        self._shift[self._is_free] = -mean / max(self._strength, np.finfo(float).tiny)
-        total = sum(float(np.abs(difference).sum()) for _, difference in self._changes(count, samples))
+        mean = change[self.is_free].sum(axis=0) / max(1, areas[self.is_free].sum())
+        shift = self.shift.copy()
+        shift[self.is_free] = -mean / max(self.strength, np.finfo(float).tiny)
+        shifted = replace(self, shift=shift)
+        total = sum(float(np.abs(difference).sum()) for _, difference in shifted._changes(count, samples))
         mean_change = total / max(1.0, float(areas.sum()) * change.shape[1])
-        return mean_change if mean_change >= BYTE_STEP / 2 else 0.0
+        return shifted, mean_change if mean_change >= BYTE_STEP / 2 else 0.0
 
     def _changes(self, count: int, samples: Samples) -> Iterator[tuple[Indices, Float64s]]:
         """Yield the charts of evenly spread samples, and the change of their colours."""
         rows = np.arange(0, count, max(1, count // large_arrays.BLOCK))
         for block in large_arrays.blocks(len(rows), large_arrays.CACHED):
             colours, charts, places = samples(rows[block])
-            yield charts, (self.of(colours, charts, places) - colours).astype(np.float64)
+            yield charts, (self.corrected(colours, charts, places) - colours).astype(np.float64)
 
 
 def level_canvas(
@@ -171,10 +159,10 @@ def level_canvas(
 
     change = 0.0
     if found.exposures is not None:
-        correction = Correction(found, strength, fixed)
-        change = correction.keep_means(len(atlas.owned_cells), samples)
+        correction = Correction.of(found.exposures, found.groups, strength, fixed)
+        correction, change = correction.preserving_means(len(atlas.owned_cells), samples)
         for block in large_arrays.blocks(len(atlas.owned_cells) if change else 0, large_arrays.SCATTERED):
-            flat[:, atlas.owned_cells[block]] = correction.of(*samples(block)).T
+            flat[:, atlas.owned_cells[block]] = correction.corrected(*samples(block)).T
     refresh_halo(planes, atlas)
     return found, change
 
@@ -187,60 +175,7 @@ def level_mesh(
     found = find_exposures(steps, judge_steps(steps), strength)
     if found.exposures is None:
         return found, 0.0, colours
-    correction = Correction(found, strength)
-    change = correction.keep_means(len(colours), lambda rows: (colours[rows], charts[rows], places[rows]))
-    return found, change, correction.of(colours, charts, places) if change else colours
-
-
-def mixed_cells(atlas: Atlas, spans: Sequence[int]) -> Int64s:
-    """Return the owned cells (flat indices) so close to a border of a chart that a decoder mixed their hue."""
-    found, (rows, columns), reach = [np.zeros(0, np.int64)], atlas.kind.shape, max(spans)
-    for band in large_arrays.blocks(rows, large_arrays.ROWS):
-        first = max(0, band.start - reach)
-        owned = atlas.kind[first : band.stop + reach] == OWNED
-        near = owned & within(~owned, reach)
-        inside = near[band.start - first :][: band.stop - band.start]
-        found.append(np.flatnonzero(inside) + band.start * columns)
-    cells = np.concatenate(found)
-    texels = atlas.owned_texels[np.searchsorted(atlas.owned_cells, cells)]
-    texture = np.searchsorted(atlas.texture_offsets, texels, side="right") - 1
-    return np.asarray(cells[np.asarray(spans)[texture] > 1])
-
-
-def continue_hues(atlas: Atlas, planes: Float32s, cells: Int64s, span: int) -> Float32s:
-    """Replace the hue of mixed cells by that extrapolated from the cells behind; return the old colours."""
-    flat, limits = planes.reshape(len(planes), -1), limits_of(planes)
-    before = flat[:, cells]
-    # The chart of each cell that is not mixed, counted from 1.
-    clear = large_arrays.zeros(flat.shape[1], np.int32)
-    for block in large_arrays.blocks(len(atlas.owned_cells), large_arrays.SCATTERED):
-        clear[atlas.owned_cells[block]] = atlas.chart_of[block] + 1
-    charts = clear[cells]
-    clear[cells] = 0
-    for block in large_arrays.blocks(len(cells), large_arrays.CACHED):
-        colours, is_known = _continued(flat, clear, cells[block], charts[block], atlas.kind.shape[1], span)
-        own = before[:, block].T
-        hued = (colours + ((own - colours) @ LUMA)[:, None]).clip(*limits)
-        flat[:, cells[block]] = np.where(is_known[:, None], hued, own).T
-    return before
-
-
-def _continued(
-    flat: Float32s, clear: Int32s, cells: Int64s, charts: Int32s, columns: int, span: int
-) -> tuple[Float64s, Bools]:
-    """Extrapolate colours to cells by linear regression on nearby unmixed cells; return also where these suffice."""
-    moments = np.zeros((len(cells), 3, 3))
-    products = np.zeros((len(cells), 3, len(flat)))
-    reach = 2 * span + 1  # twice the width of mixed colours
-    for down, right in np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1).T.tolist():
-        at = (cells + down * columns + right).clip(0, flat.shape[1] - 1)
-        rows = np.flatnonzero(clear[at] == charts)
-        place = np.array([1.0, down, right])
-        moments[rows] += np.outer(place, place)
-        products[rows] += place[:, None] * flat[:, at[rows]].T[:, None]
-    is_known = moments[:, 0, 0] >= 2 * len(place)  # cells for each unknown of the regression
-    drawn = RIDGE * (moments[:, 1, 1] + moments[:, 2, 2])
-    for axis in (1, 2):
-        moments[:, axis, axis] += drawn
-    moments[~is_known] = np.eye(3)
-    return np.asarray(np.linalg.solve(moments, products)[:, 0], np.float64), is_known
+    correction, change = Correction.of(found.exposures, found.groups, strength, None).preserving_means(
+        len(colours), lambda rows: (colours[rows], charts[rows], places[rows])
+    )
+    return found, change, correction.corrected(colours, charts, places) if change else colours

@@ -6,17 +6,11 @@ import numpy as np
 import pytest
 
 from beltrami_cli.flow.manifolds.canvas import on_canvas
-from beltrami_cli.levelling import exposures
-from beltrami_cli.levelling.correction import (
-    LUMA,
-    Correction,
-    Levelled,
-    SeamFacts,
-    continue_hues,
-    judge_steps,
-    mixed_cells,
-)
-from beltrami_cli.levelling.exposures import CONFIDENCE, SPREADS, Exposures, fit_exposures, judge, known_steps
+from beltrami_cli.levelling import judgement
+from beltrami_cli.levelling.correction import Correction
+from beltrami_cli.levelling.exposures import SPREADS, Exposures, fit_exposures, known_steps
+from beltrami_cli.levelling.hues import LUMA, continue_hues, mixed_cells
+from beltrami_cli.levelling.judgement import CONFIDENCE, judge, judge_steps
 from beltrami_cli.levelling.steps import ChartPlaces, Steps, steps_over_seams, weighted_median
 from cli.commands import SAMPLES
 from levelling.exposure_scene import ExposureScene, fall
@@ -113,9 +107,10 @@ def test_groups_that_no_seam_joins_do_not_keep_the_exposures_of_their_largest_ch
     terms = np.zeros((1, 7, 2))
     terms[0, :, 1] = [0.08, -0.02, -0.02, -0.02, -0.02, 0.03, -0.03]
     shown = (truth + terms[0, charts, 1:]).astype(np.float32)
-    correction = Correction(Levelled(None, Exposures(terms, np.ones(0)), SeamFacts(), groups), 1.0)
-    correction.keep_means(len(shown), lambda rows: (shown[rows], charts[rows], np.zeros((len(rows), 2))))
-    after = correction.of(shown, charts, np.zeros((len(shown), 2)))
+    correction, _ = Correction.of(Exposures(terms, np.ones(0)), groups, 1.0, None).preserving_means(
+        len(shown), lambda rows: (shown[rows], charts[rows], np.zeros((len(rows), 2)))
+    )
+    after = correction.corrected(shown, charts, np.zeros((len(shown), 2)))
     assert np.ptp(after) < 1e-6
     assert after.mean() == pytest.approx(shown.mean(), abs=1e-6)
 
@@ -240,7 +235,7 @@ def counted_fits(monkeypatch):
         fits.append(arguments)
         return fit_exposures(*arguments)
 
-    monkeypatch.setattr(exposures, "fit_exposures", fit)
+    monkeypatch.setattr(judgement, "fit_exposures", fit)
     return fits
 
 
@@ -252,7 +247,7 @@ def test_a_test_that_ends_early_decides_as_the_whole_one_does(monkeypatch, sprea
     steps, fits = grid(9, 0.1, 7, gains, step), counted_fits(monkeypatch)
     early = judge(steps)
     needed = len(fits)
-    monkeypatch.setattr(exposures, "CURTAILMENT", 1e6)
+    monkeypatch.setattr(judgement, "CURTAILMENT", 1e6)
     whole = judge(steps)
     assert needed < len(fits) - needed
     assert (early.is_sure, early.spread) == (whole.is_sure, whole.spread)
