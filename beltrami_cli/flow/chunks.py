@@ -159,9 +159,9 @@ def chunks_of_canvas(
             place = ..., rows, columns
             around = grown(place, before, after, owned.shape)
             sides = zip(place[1:], around[1:], strict=True)
-            own = ..., *(slice(side.start - first.start, side.stop - first.start) for side, first in sides)
+            core = ..., *(slice(side.start - first.start, side.stop - first.start) for side, first in sides)
             if owned[place].any():
-                chunks.append(Chunk(partial(cut, around, own), around, place))
+                chunks.append(Chunk(partial(cut, around, core), around, place))
     return chunks
 
 

@@ -40,9 +40,8 @@ def mixing_of(manifold: Manifold, colours: Float32s, noise: Float64s) -> Mixing:
     mixed = np.einsum("ki,ij,kj->k", forth, noise, forth)
     # A floor for channels almost without noise; the added variance is invisible.
     np.maximum(mixed, NOISELESS**2 * mixed.max(initial=0), out=mixed)
-    parts = forth, np.linalg.inv(forth), mixed, np.ones(count)
-    own, back, variances, shrinkage = (np.ascontiguousarray(part, np.float32) for part in parts)
-    return Mixing(own, back, variances, shrinkage)
+    back = np.linalg.inv(forth).astype(np.float32)
+    return Mixing(forth.astype(np.float32), back, mixed.astype(np.float32), np.ones(count, np.float32))
 
 
 def with_pilot(mixing: Mixing, manifold: Manifold) -> Mixing:

@@ -76,10 +76,10 @@ class Graph:
     @cached_property
     def chunks(self) -> list[Chunk]:
         """The chunks in which patches are estimated."""
-        wanted, neighbours = self.chunking, Neighbours(self.size, self.edges, _ones)
-        assert wanted is not None
+        chunking, neighbours = self.chunking, Neighbours(self.size, self.edges, _ones)
+        assert chunking is not None
         chunks = []
-        for first, last in runs(self.size, wanted.count):
+        for first, last in runs(self.size, chunking.count):
             # Groups also estimate samples around their starts, and the choice of starts depends on the patches of the
             # starts around them.
             rings = neighbours.distances(first, last, _RINGS_OF_GROUP + 2)
@@ -139,9 +139,10 @@ def _ones(edges: Int32s) -> Float32s:
 
 def sums_around(rows: Float64s, edges: Int32s) -> Float64s:
     """Sum rows of samples, shape (S, K), over the neighbours of each."""
-    one, other = edges.T
-    count = len(rows)
-    sums = [np.bincount(one, own[other], count) + np.bincount(other, own[one], count) for own in rows.T]
+    (low, high), count = edges.T, len(rows)
+    sums = [
+        np.bincount(low, column[high], count) + np.bincount(high, column[low], count) for column in rows.T
+    ]
     return np.stack(sums, axis=1)
 
 
@@ -153,11 +154,11 @@ def _independent(rank: Int64s, edges: Int32s) -> Bools:
         least = np.full(len(rank), len(rank))
         for this, other in (left.T, left.T[::-1]):
             np.minimum.at(least, this, rank[other])
-        found = is_open & (rank < least)
-        chosen |= found
-        is_open &= ~found
+        is_least = is_open & (rank < least)
+        chosen |= is_least
+        is_open &= ~is_least
         for this, other in (left.T, left.T[::-1]):
-            is_open[this[found[other]]] = False
+            is_open[this[is_least[other]]] = False
         left = left[is_open[left].all(axis=1)]
     return chosen
 
@@ -181,7 +182,7 @@ class Level:
 
     def means(self, rows: Float32s) -> Float32s:
         sums = [np.bincount(self.members, column, self.graph.size) for column in rows.T]
-        return np.stack([(own / self.counts).astype(np.float32) for own in sums], axis=1)
+        return np.stack([(column / self.counts).astype(np.float32) for column in sums], axis=1)
 
 
 def levels_of(samples: Graph) -> Iterator[Level]:
@@ -190,8 +191,8 @@ def levels_of(samples: Graph) -> Iterator[Level]:
     centres = members.astype(np.int64)
     while True:
         yield Level(graph, members, centres)
-        own, middle = graph.clusters()
-        graph, members, centres = graph.clustered(own, middle), own[members], centres[middle]
+        cluster_of, middles = graph.clusters()
+        graph, members, centres = graph.clustered(cluster_of, middles), cluster_of[members], centres[middles]
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,7 +234,7 @@ class MeshGaussian:
 def _sums_at_ends(count: int, edges: Int32s, weights: Float32s) -> Float64s:
     sums = np.zeros(count), np.zeros(count)
     for block in large_arrays.blocks(len(edges)):
-        for own, ends in zip(sums, edges[block].T, strict=True):
-            np.add.at(own, ends.astype(np.intp), weights[block].astype(np.float64))
+        for total, ends in zip(sums, edges[block].T, strict=True):
+            np.add.at(total, ends.astype(np.intp), weights[block].astype(np.float64))
     np.add(*sums, out=sums[0])
     return sums[0]

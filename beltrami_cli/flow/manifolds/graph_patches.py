@@ -34,21 +34,21 @@ def collaborate_on_graph(
 ) -> Stack:
     """Estimate colours from patches that are similar in the pilot; `relative`: noise variance by its mean."""
     stacks = [noisy, pilot, *([] if relative is None else [relative[:, None]])]
-    wanted = graph.chunking
+    chunking = graph.chunking
     # Colours without shared noise determine the parameters, so they must have the same bits for any number of chunks.
-    if wanted is None or is_whole:
+    if chunking is None or is_whole:
         sums, _ = _sums_of_patches(graph, stacks, graph.threads, mixing, progress)
     else:
         sums = [large_arrays.zeros(noisy.shape, np.float32) for _ in range(2)]
-        wanted.apply(
+        chunking.apply(
             graph.chunks, partial(_sums_of_patches, mixing=mixing), stacks, sums, progress,
             size=graph.size, threads=graph.threads, adds=True,
         )  # fmt: skip
     estimates, weights = sums
-    for own, weight, other in in_blocks(0, estimates, weights, pilot):
+    for estimate, weight, of_pilot in in_blocks(0, estimates, weights, pilot):
         is_known = weight > 0  # 0 for isolated samples
-        mixed = np.divide(own, weight, out=np.zeros_like(own), where=is_known)
-        own[:] = np.where(is_known, np.einsum("ij,sj->si", mixing.back, mixed), other)
+        mixed = np.divide(estimate, weight, out=np.zeros_like(estimate), where=is_known)
+        estimate[:] = np.where(is_known, np.einsum("ij,sj->si", mixing.back, mixed), of_pilot)
     return estimates
 
 

@@ -100,7 +100,6 @@ class GridGeometry(Geometry):
         return KernelWork(self.kernels, unit)
 
     def take(self, stack: Stack, samples: Indices) -> Float32s:
-        """Return the channels of cells, given by flat indices, one row per cell."""
         return colours_at(stack, samples)
 
     def steps(self, stack: Stack) -> Float32s:
@@ -111,7 +110,6 @@ class GridGeometry(Geometry):
         return (stack[:, rows, 1:] - stack[:, rows, :-1])[:, both].T
 
     def single(self, marked: Bools) -> Bools:
-        """Return the marked cells, shape (R, C), without marked ones among their eight neighbours."""
         counts = np.pad(marked, 1).astype(np.uint8)
         counts = counts[:-2] + counts[1:-1] + counts[2:]
         single: Bools = counts[:, :-2] + counts[:, 1:-1] + counts[:, 2:] == 1

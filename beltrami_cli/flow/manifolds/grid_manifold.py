@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import cast
 
 import numpy as np
@@ -112,23 +112,21 @@ class GridManifold(Manifold):
 
     def measure(self, colours: Stack, step: Step, gaussian: Gaussian | None = None) -> Metric:
         """Prepare the metric, eq. (1), which averaging then induces row block by row block."""
-        return Metric(step, len(colours), self._regularising(step, gaussian))
+        del colours
+        return Metric(step, self._regularising(step, gaussian))
 
     def average(
         self, stacks: list[Stack], metric: Metric, progress: Callable[[int], None] | None = None
     ) -> Averaged:
         """Average the channels by eq. (9): in place if there are several row blocks, or in chunks."""
-        grid, wanted = self.geometry, self.resources.chunking
-        if wanted is None:
+        chunking = self.resources.chunking
+        if chunking is None:
             return self._average_rows(stacks, metric, progress)
-        after = [grid.planes(len(stack)) for stack in stacks]
-        operation = partial(_average_chunk, step=metric.step, channels=metric.channels)
-        samples, _ = wanted.apply(
-            self._kernel_chunks, operation, stacks, after, progress, size=grid.size, threads=grid.threads
-        )
-        for stack in after:
-            refresh_halo(stack, grid.atlas)
-        return Averaged(after, round(samples))
+        return self._average_chunks(chunking, self._kernel_chunks, stacks, metric.step, progress)
+
+    def average_core(self, stacks: list[Stack], step: Step, core: Rectangle) -> tuple[list[Stack], Figures]:
+        done = self._average_rows(stacks, self.measure(stacks[0], step), None)
+        return [stack[core] for stack in done.stacks], (done.samples, 0)
 
     def _average_rows(
         self, stacks: list[Stack], metric: Metric, progress: Callable[[int], None] | None
@@ -172,26 +170,26 @@ class GridManifold(Manifold):
     @cached_property
     def _kernel_chunks(self) -> list[Chunk]:
         """The chunks of one iteration."""
-        wanted, margin = self.resources.chunking, kernel_margin(self.parameters)
+        chunking, margin = self.resources.chunking, kernel_margin(self.parameters)
         kind = self.geometry.atlas.kind
-        assert wanted is not None
-        return chunks_of_canvas(self._part, kind == OWNED, wanted.count, _TILE_ROWS, margin, margin)
+        assert chunking is not None
+        return chunks_of_canvas(self._part, kind == OWNED, chunking.count, _TILE_ROWS, margin, margin)
 
-    def _part(self, around: Rectangle, own: Rectangle) -> tuple[GridManifold, Rectangle]:
+    def _part(self, around: Rectangle, core: Rectangle) -> tuple[GridManifold, Rectangle]:
         inside = np.zeros_like(self.geometry.atlas.kind[around], bool)
-        inside[own] = True
-        return self.cut(around, inside), own
+        inside[core] = True
+        return self.cut(around, inside), core
 
     def _put(self, stacks: Sequence[Stack], rows: slice, planes: Float32s) -> None:
-        for stack, own in zip(stacks, _split(planes, stacks), strict=True):
-            stack[:, rows] = own
+        for stack, new in zip(stacks, _split(planes, stacks), strict=True):
+            stack[:, rows] = new
 
     def _apply_kernel(
         self, stacks: Sequence[Stack], metric: Metric, progress: Callable[[int], None] | None
     ) -> tuple[Float32s, int]:
         """Average stacks, colours first, in one pass; return also the number of samples in all kernels."""
         parameters, grid = at_step(self.parameters, metric.step), self.geometry
-        distances, beta = self._channels(stacks[0][: metric.channels], metric.step, metric.gaussian)
+        distances, beta = self._channels(stacks[0], metric.step, metric.gaussian)
         planes = [plane for stack in stacks for plane in stack]
         return smooth_grid(
             grid.atlas.kind, grid.atlas.squared_lengths, grid.scale, grid.repeats, distances, planes, beta,
@@ -309,15 +307,6 @@ def cut_blocks(whole: GridManifold, cells: Int64s, core: Bools, reach: int) -> G
     return dataclasses.replace(part, geometry=dataclasses.replace(part.geometry, atlas=atlas))
 
 
-def _average_chunk(
-    part: tuple[GridManifold, Rectangle], stacks: list[Stack], threads: int, step: Step, channels: int
-) -> tuple[list[Float32s], Figures]:
-    manifold, core = part
-    manifold = manifold.with_parameters(threads=threads)
-    done = manifold._average_rows(stacks, manifold.measure(stacks[0][:channels], step), None)
-    return [stack[core] for stack in done.stacks], (done.samples, 0)
-
-
 def row_blocks(rows: int, columns: int, margin: int, cells: int) -> list[slice]:
     """Return the rows averaged at a time, of at least so many cells; each block depends only on adjacent blocks."""
     height = -(-max(cells // max(1, columns), margin, 1) // _TILE_ROWS) * _TILE_ROWS
@@ -325,7 +314,6 @@ def row_blocks(rows: int, columns: int, margin: int, cells: int) -> list[slice]:
 
 
 def scheme_of(parameters: KernelParameters) -> str:
-    """Return the core's name for the scheme of distances."""
     if parameters.scheme == "metric":
         return "metric"
     return "sweep" if parameters.window <= _WIDEST_SWEEP else "triangles"

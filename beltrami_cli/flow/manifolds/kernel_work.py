@@ -91,13 +91,11 @@ class MeshWork(KernelWork):
         return dataclasses.replace(parameters, max_samples=min(parameters.max_samples, most))
 
     def samples(self, parameters: KernelParameters) -> float:
-        """Return an upper bound of the number of samples in all kernels of an iteration."""
         near_hubs = self.kernels if self._is_irregular else min(int(self._hub_degrees.sum()), self.kernels)
         each = min(self._on_even_surface(parameters), parameters.max_samples)
         return (self.kernels - near_hubs) * each + near_hubs * min(parameters.max_samples, self.kernels)
 
 
 def without_hubs(size: int, edges: Int32s) -> Int32s:
-    """Return the edges that do not end at a hub."""
     hubs = np.bincount(edges.ravel(), minlength=size) > _HUB
     return edges[~hubs[edges].any(axis=1)] if hubs.any() else edges

@@ -13,19 +13,20 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Int64s
-from beltrami_cli.flow.chunks import IN_ONE_PIECE, Resources
+from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunk, Chunking, Figures, Resources
 from beltrami_cli.flow.manifolds.domain import CoarseLevel, Domain, Gaussian, Geometry, Mixing, Stack
 from beltrami_cli.flow.manifolds.guides import GuideStack
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.manifolds.search_range import Rule, SearchRange
 from beltrami_cli.flow.noise.model import NoiseModel, choose_beta
 from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.large_arrays import Droppable
 
 if TYPE_CHECKING:
@@ -48,12 +49,11 @@ class Step:
 class Metric:
     """The metric of an iteration, eq. (1).
 
-    On a grid, and on a mesh in chunks, averaging induces it part by part from the first `channels` of the first stack.
-    The metric of a whole mesh is a `MeshMetric`.
+    On a grid, and on a mesh in chunks, averaging induces it part by part from the first stack. The metric of a whole
+    mesh is a `MeshMetric`.
     """
 
     step: Step
-    channels: int
     gaussian: Gaussian | None  # None: not regularised
 
 
@@ -129,6 +129,28 @@ class Manifold(ABC):
 
         The first stack contains the colours from which the metric was measured.
         """
+
+    @abstractmethod
+    def average_core(self, stacks: list[Stack], step: Step, core: Any) -> tuple[list[Stack], Figures]:
+        """Average stacks of a chunk, possibly in place, at the samples with the index `core`; return only these."""
+
+    def _average_chunks(
+        self,
+        chunking: Chunking,
+        chunks: Sequence[Chunk],
+        stacks: list[Stack],
+        step: Step,
+        progress: Callable[[int], None] | None,
+    ) -> Averaged:
+        """Average stacks chunk by chunk, see `average`."""
+        geometry, results = self.geometry, [large_arrays.zeros(stack.shape, np.float32) for stack in stacks]
+        samples, truncated = chunking.apply(
+            chunks, partial(_average_chunk, step=step), stacks, results, progress,
+            size=geometry.size, threads=geometry.threads,
+        )  # fmt: skip
+        for result in results:
+            geometry.refresh(result)
+        return Averaged(results, samples, truncated)
 
     def drop_kernels(self) -> None:
         """Free memory that only kernels use; it is computed again if needed."""
@@ -265,6 +287,13 @@ class SampleTrial:
     def scored(self, state: Stack) -> Float32s:
         """Return the colours of the evaluated samples, shape (S, N)."""
         return state if self.scored_samples is None else self.part.geometry.take(state, self.scored_samples)
+
+
+def _average_chunk(
+    part: tuple[Manifold, Any], stacks: list[Stack], threads: int, step: Step
+) -> tuple[list[Stack], Figures]:
+    manifold, core = part
+    return manifold.with_parameters(threads=threads).average_core(stacks, step, core)
 
 
 def wanted_probes(samples: int) -> int:

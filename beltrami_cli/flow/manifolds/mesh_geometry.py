@@ -6,7 +6,7 @@ import dataclasses
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import ClassVar, Protocol, TypeAlias
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from beltrami_cli.flow.chunks import Resources
 from beltrami_cli.flow.manifolds.domain import ENOUGH_STEPS, Domain, Geometry, Stack
 from beltrami_cli.flow.manifolds.fingerprints import fingerprints, quantised
 from beltrami_cli.flow.manifolds.kernel_work import MeshWork
+from beltrami_cli.flow.manifolds.manifold import Metric
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.vertex_graph import PASS_SCALE, PASS_VARIANCE, Graph, MeshGaussian
 from beltrami_cli.surface import large_arrays
@@ -34,15 +35,13 @@ from beltrami_cli.surface.records import SampledSurface
 Core: TypeAlias = SegmentManifold | TriangulatedManifold
 
 
-class InducedMetric(Protocol):
-    """The metric that positions and features induce; beta in length per unit of the features."""
+@dataclass(frozen=True, eq=False)
+class MeshMetric(Metric):
+    """The metric of a whole mesh, induced by positions and features."""
 
-    @property
-    def positions(self) -> Float64s: ...
-    @property
-    def features(self) -> Float32s: ...
-    @property
-    def beta(self) -> float: ...
+    positions: Float64s
+    features: Float32s
+    beta: float  # units of length per unit of the features
 
 
 @dataclass(kw_only=True, eq=False)
@@ -64,7 +63,7 @@ class MeshGeometry(Geometry, Domain):
     threads: int
     gain: float | None = None  # of the regularised metric of the whole surface; None: its own
 
-    _core: tuple[Core, InducedMetric | None] | None = field(default=None, init=False)
+    _core: tuple[Core, MeshMetric | None] | None = field(default=None, init=False)
 
     @classmethod
     def of(cls, surface: SampledSurface, parameters: KernelParameters) -> MeshGeometry:
@@ -102,7 +101,7 @@ class MeshGeometry(Geometry, Domain):
     def kind(self) -> Uint8s:
         return np.broadcast_to(np.uint8(OWNED), (self.size, 1))
 
-    def core_with(self, metric: InducedMetric, threads: int) -> Core:
+    def core_with(self, metric: MeshMetric, threads: int) -> Core:
         """Return the compiled core's manifold, which has one metric at a time, set to this metric."""
         kind = SegmentManifold if self.is_along_segments else TriangulatedManifold
         core, last = self._core or (kind(self.faces, self.size), None)

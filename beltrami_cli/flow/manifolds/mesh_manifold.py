@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli._native import PATCH_BLOCK_SIZE
-from beltrami_cli.arrays import Array, Float32s, Float64s
+from beltrami_cli.arrays import Array, Float32s
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunk, Chunking, Figures, Resources, runs
 from beltrami_cli.flow.manifolds.domain import Gaussian, Mixing, Stack
 from beltrami_cli.flow.manifolds.fingerprints import fingerprints, quantised, random_signs
@@ -31,7 +31,7 @@ from beltrami_cli.flow.manifolds.manifold import (
     kernel_values,
     wanted_probes,
 )
-from beltrami_cli.flow.manifolds.mesh_geometry import Core, MeshGeometry, rank_in
+from beltrami_cli.flow.manifolds.mesh_geometry import Core, MeshGeometry, MeshMetric, rank_in
 from beltrami_cli.flow.manifolds.moving_positions import GeometryParameters, MovingPositions
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.manifolds.search_range import ON_MESHES, RULE_ON_MESHES
@@ -39,7 +39,6 @@ from beltrami_cli.flow.manifolds.trial_patches import choose_patches
 from beltrami_cli.flow.noise.drawing import draw_noise_of_clusters
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.vertex_graph import Graph, levels_of
-from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.geometry import distinct_edges
 from beltrami_cli.surface.incidence import Neighbours
 from beltrami_cli.surface.large_arrays import Droppable, kept
@@ -114,15 +113,6 @@ def mesh_manifold(mesh: ColouredMesh, colours: MeshColours) -> MeshManifold:
     )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class MeshMetric(Metric):
-    """The metric of a whole mesh, induced by positions and features."""
-
-    positions: Float64s
-    features: Float32s
-    beta: float  # units of length per unit of the features
-
-
 _NO_GRAPH = Graph(np.zeros((0, 3)), np.zeros((0, 2), np.int32), np.zeros(0, np.uint64))
 
 
@@ -138,35 +128,50 @@ class MeshManifold(Manifold):
     def measure(self, colours: Stack, step: Step, gaussian: Gaussian | None = None) -> Metric:
         """Induce the metric, eq. (1). In chunks, averaging induces the metric of each chunk."""
         if self._chunking is not None:
-            return Metric(step, colours.shape[1], None)
+            return Metric(step, None)
         mesh, moving = self.geometry, self.moving
         positions = mesh.positions if moving is None else moving.positions
         features = () if moving is None else ((moving.normals, moving.beta),)
         gaussian = self._regularising(step, gaussian)
-        return MeshMetric(
-            step, colours.shape[1], gaussian, positions, *self._channels(colours, step, gaussian, features)
-        )
+        return MeshMetric(step, gaussian, positions, *self._channels(colours, step, gaussian, features))
 
     def average(
         self, stacks: list[Stack], metric: Metric, progress: Callable[[int], None] | None = None
     ) -> Averaged:
         """Average the channels, and the positions if they move, by eq. (9)."""
-        widths = np.cumsum([stack.shape[1] for stack in stacks])
+        if self._chunking is not None:
+            return self._average_chunks(self._chunking, self._kernel_chunks, stacks, metric.step, progress)
+        everywhere, moving = slice(0, self.geometry.size), self.moving
+        if moving is None:
+            after, (samples, truncated) = self._apply_kernels(stacks, metric, everywhere, progress)
+            return Averaged(after, samples, truncated)
+        before = moving.channels()
+        (*after, moved), (samples, truncated) = self._apply_kernels(
+            [*stacks, before], metric, everywhere, progress
+        )
+
+        def average_moves(moves: Float32s) -> Float32s:
+            return self._apply_kernels([moves], metric, everywhere)[0][0]
+
+        return Averaged(after, samples, truncated, moving.moved(before, moved, average_moves))
+
+    def average_core(self, stacks: list[Stack], step: Step, core: slice) -> tuple[list[Stack], Figures]:
+        return self._apply_kernels(stacks, self.measure(stacks[0], step), core)
+
+    def _apply_kernels(
+        self, stacks: list[Stack], metric: Metric, rows: slice, progress: Callable[[int], None] | None = None
+    ) -> tuple[list[Stack], Figures]:
+        """Average some rows of stacks, in one pass; return also the numbers of samples and of truncated kernels."""
+        parameters, widths = at_step(self.parameters, metric.step), [stack.shape[1] for stack in stacks]
         channels = stacks[0] if len(stacks) == 1 else np.concatenate(stacks, axis=1)
-        moving = self.moving
-        if moving is not None:
-            before = moving.channels()
-            channels = np.hstack([channels, before])
-        smoothed, samples, truncated = average_rows(self, channels, metric, progress)
-        if moving is not None:
-            moving = moving.moved(
-                before, smoothed[:, widths[-1] :], lambda moves: average_rows(self, moves, metric)[0]
-            )
-        parts = np.split(smoothed, widths, axis=1)[: len(stacks)]
-        return Averaged([np.ascontiguousarray(part) for part in parts], samples, truncated, moving)
+        smoothed, samples, truncated = self.core_with(metric).smooth(
+            channels, self.geometry.weights, parameters.t, parameters.radius, parameters.max_samples,
+            parameters.thread_count, progress, rows.start, rows.stop,
+        )  # fmt: skip
+        parts = np.split(smoothed[rows], np.cumsum(widths)[:-1], axis=1)
+        return [np.ascontiguousarray(part) for part in parts], (samples, truncated)
 
     def core_with(self, metric: Metric) -> Core:
-        """Return the compiled core's manifold with a metric of the whole mesh."""
         assert isinstance(metric, MeshMetric)
         return self.geometry.core_with(metric, self.parameters.thread_count)
 
@@ -184,8 +189,8 @@ class MeshManifold(Manifold):
     @cached_property
     def _kernel_chunks(self) -> list[Chunk]:
         """The chunks of one iteration."""
-        wanted, mesh, parameters = self._chunking, self.geometry, self.parameters
-        assert wanted is not None
+        chunking, mesh, parameters = self._chunking, self.geometry, self.parameters
+        assert chunking is not None
         whole = self
         if parameters.metric_steps and parameters.metric_scale > 0:
             gain = mesh.gaussian(parameters.metric_scale).gain
@@ -196,20 +201,20 @@ class MeshManifold(Manifold):
         # Edges including bridges.
         neighbours = Neighbours(mesh.size, distinct_edges(mesh.faces), mesh.scaled_lengths)
         chunks = []
-        for first, last in runs(mesh.size, wanted.count):
+        for first, last in runs(mesh.size, chunking.count):
             near = np.isfinite(neighbours.distances(first, last, reach))
             # Sort samples by index, so that the core groups them as in the whole mesh.
             missing = -int(np.count_nonzero(near[:first])) % PATCH_BLOCK_SIZE
             near[np.flatnonzero(~near[:first])[:missing]] = True
             samples = np.flatnonzero(near).astype(np.int32)
-            run = slice(*np.searchsorted(samples, [first, last]).tolist())
-            chunks.append(Chunk(partial(whole._part, samples, run), samples, slice(first, last)))
+            core = slice(*np.searchsorted(samples, [first, last]).tolist())
+            chunks.append(Chunk(partial(whole._part, samples, core), samples, slice(first, last)))
         return chunks
 
-    def _part(self, samples: Array, kept: slice) -> tuple[MeshManifold, slice]:
+    def _part(self, samples: Array, core: slice) -> tuple[MeshManifold, slice]:
         part = self.cut(samples)
         # A worker may have fewer threads than this process.
-        return dataclasses.replace(part, geometry=dataclasses.replace(part.geometry, threads=1)), kept
+        return dataclasses.replace(part, geometry=dataclasses.replace(part.geometry, threads=1)), core
 
     def kernel_at(self, sample: int, step: Step) -> SampledKernel:
         """Return the kernel of a sample, which is numbered in the caller's order."""
@@ -272,55 +277,17 @@ class MeshManifold(Manifold):
         covariances = self.noise.covariances
         levels = list(islice(levels_of(self.graph), len(covariances) + 1))
         signs = np.split(random_signs(colours, around, count * len(levels)), count)
-        drawn = np.stack([draw_noise_of_clusters(covariances, levels, own) for own in signs])
+        drawn = np.stack([draw_noise_of_clusters(covariances, levels, of_levels) for of_levels in signs])
         drawn /= np.float32(np.sqrt(np.mean(np.square(self.noise.sigma))))
         return drawn
 
 
-def average_rows(
-    manifold: MeshManifold, rows: Float32s, metric: Metric, progress: Callable[[int], None] | None = None
-) -> tuple[Float32s, float, int]:
-    """Average rows by the kernels of the metric; return also the numbers of samples and of truncated kernels."""
-    mesh, wanted = manifold.geometry, manifold._chunking
-    if wanted is None:
-        return _apply_kernels(manifold, rows, metric, slice(0, mesh.size), progress)
-    operation = partial(_average_chunk, step=metric.step, channels=metric.channels)
-    after = large_arrays.empty(rows.shape, np.float32)
-    samples, truncated = wanted.apply(
-        manifold._kernel_chunks, operation, [rows], [after], progress, size=mesh.size, threads=mesh.threads
-    )
-    return after, samples, truncated
-
-
-def _apply_kernels(
-    manifold: MeshManifold,
-    rows: Float32s,
-    metric: Metric,
-    wanted: slice,
-    progress: Callable[[int], None] | None,
-) -> tuple[Float32s, float, int]:
-    """Average the wanted rows, see `average_rows`; other rows are undefined."""
-    own = at_step(manifold.parameters, metric.step)
-    return manifold.core_with(metric).smooth(
-        rows, manifold.geometry.weights, own.t, own.radius, own.max_samples, own.thread_count, progress,
-        wanted.start, wanted.stop,
-    )  # fmt: skip
-
-
-def _average_chunk(
-    part: tuple[MeshManifold, slice], stacks: Sequence[Stack], threads: int, step: Step, channels: int
-) -> tuple[list[Float32s], Figures]:
-    (colours,), (manifold, kept) = stacks, part
-    manifold = manifold.with_parameters(threads=threads)
-    metric = manifold.measure(np.ascontiguousarray(colours[:, :channels]), step)
-    after, samples, truncated = _apply_kernels(manifold, colours, metric, kept, None)
-    return [after[kept]], (samples, truncated)
-
-
 def samples_per_kernel(manifold: MeshManifold, kernels: int, step: Step) -> float:
     """Measure the mean number of samples per kernel on evenly spread kernels."""
-    own, size = at_step(manifold.parameters, step), manifold.geometry.size
+    parameters, size = at_step(manifold.parameters, step), manifold.geometry.size
     core = manifold.core_with(manifold._whole.measure(manifold.colours, step))
     sources = np.linspace(0, size - 1, min(kernels, size), dtype=int)
-    counts = [len(core.distances(int(source), own.radius, own.max_samples)[0]) for source in sources]
+    counts = [
+        len(core.distances(int(source), parameters.radius, parameters.max_samples)[0]) for source in sources
+    ]
     return float(np.mean(counts))
