@@ -50,26 +50,24 @@ KEPT = {".ply", ".obj", ".gltf", ".glb", ".usd", ".usda", ".usdc", ".usdz"}
 READ = {".off", ".stl", ".3mf", ".dae", ".zae"}
 SETTINGS = SmoothSettings(kernel=KernelParameters(iterations=1, beta=10, clipping="keep", threads=1))
 ACCESS = Access(memory=4 << 30)
-PATIENCE = 180  # seconds
+TIMEOUT = 180  # seconds
 MAX_MEMORY = 8 << 30  # bytes of addresses, which are always more than the memory in use
 PRELOADED = ("layers.texture_layer", "layers.vertex_layer")
 OUTCOMES = {
     "smoothed": "only colours changed",
     "converted": "read, written as PLY",
-    "uncoloured": "no colours",
-    "missing": "files missing",
-    "refused": "damaged or not supported",
+    "uncoloured": "no colours that can be read",
+    "refused": "damaged, incomplete or not supported",
     "FAILED": "failed",
 }
 
 
 def models(folder: Path) -> list[Path]:
-    """Return all models in a folder and below."""
     return sorted(path for path in folder.rglob("*") if path.suffix.lower() in KEPT | READ and path.is_file())
 
 
 def attempt(source: Path, out: Path) -> tuple[str, str]:
-    """Smooth and compare; return the outcome and what was said."""
+    """Smooth and compare; return the outcome and its detail."""
     kept = source.suffix.lower() in KEPT
     target = out / (source.name if kept else f"{source.stem}.ply")
     try:
@@ -77,11 +75,8 @@ def attempt(source: Path, out: Path) -> tuple[str, str]:
         both = document.has_vertex_colours() and set(document.slots()) & set(SETTINGS.textures.slots)
         settings = replace(SETTINGS, on="both") if both else SETTINGS
         report = smooth_file(source, target, settings, job=Job(access=ACCESS))
-    except NoColoursError as error:
-        missing = "is missing" in error.cause
-        return _refused("missing" if missing else "uncoloured", error, out)
     except InputError as error:
-        return _refused("missing" if "is missing" in error.cause else "refused", error, out)
+        return _refused("uncoloured" if isinstance(error, NoColoursError) else "refused", error, out)
     except BeltramiError as error:
         return "FAILED", f"{type(error).__name__}: {error}"
     wrong = [path.name for path in out.rglob("*") if path.name.endswith(".tmp")]
@@ -114,8 +109,8 @@ def _refused(outcome: str, error: InputError, out: Path) -> tuple[str, str]:
     return outcome, error.cause
 
 
-def apart(source: Path, out: Path) -> tuple[str, str]:
-    """Do so in a process of its own, which is ended if it takes too long."""
+def attempt_in_process(source: Path, out: Path) -> tuple[str, str]:
+    """Attempt it in a process of its own, which is ended if it takes too long."""
     reader, writer = os.pipe()
     pid = os.fork()
     if pid == 0:
@@ -129,12 +124,12 @@ def apart(source: Path, out: Path) -> tuple[str, str]:
         os.write(writer, json.dumps(result).encode()[:4000])
         os._exit(0)
     os.close(writer)
-    end = time.monotonic() + PATIENCE
+    end = time.monotonic() + TIMEOUT
     while os.waitpid(pid, os.WNOHANG) == (0, 0):
         if time.monotonic() > end:
             os.kill(pid, signal.SIGKILL)
             os.waitpid(pid, 0)
-            return "FAILED", f"no end within {PATIENCE} s"
+            return "FAILED", f"no end within {TIMEOUT} s"
         time.sleep(0.002)
     with os.fdopen(reader, "rb") as file:
         said = file.read()
@@ -145,10 +140,9 @@ def apart(source: Path, out: Path) -> tuple[str, str]:
 
 
 def tried(source: Path) -> tuple[str, str]:
-    """Try one file."""
     out = Path(tempfile.mkdtemp(prefix="survey-"))
     try:
-        return apart(source, out)
+        return attempt_in_process(source, out)
     finally:
         shutil.rmtree(out)
 
@@ -176,8 +170,7 @@ def mutations(source: Path, count: int) -> Iterator[tuple[str, str]]:
         shutil.rmtree(folder)
 
 
-def state(folder: Path) -> dict[str, str]:
-    """Return the hashes of all files in a folder."""
+def hashes(folder: Path) -> dict[str, str]:
     return {
         str(path): hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
         for path in folder.rglob("*")
@@ -185,7 +178,6 @@ def state(folder: Path) -> dict[str, str]:
 
 
 def table(counts: dict[str, Counter[str]]) -> str:
-    """Return counts as a table in Markdown."""
     lines = [
         f"| what | files | {' | '.join(OUTCOMES.values())} |",
         "| --- |" + " ---: |" * (len(OUTCOMES) + 1),
@@ -197,7 +189,6 @@ def table(counts: dict[str, Counter[str]]) -> str:
 
 
 def main() -> int:
-    """Try everything, print the table."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -210,7 +201,7 @@ def main() -> int:
     counts: dict[str, Counter[str]] = {}
     for each in chosen.folders:
         label, folder = each.rpartition("=")[0], Path(each.rpartition("=")[2])
-        label, before = label or folder.name, state(folder)
+        label, before = label or folder.name, hashes(folder)
         for source in models(folder):
             what = f"{label}, {source.suffix.lower()}"
             found = [(what, *tried(source))]
@@ -220,7 +211,7 @@ def main() -> int:
                 counts.setdefault(row, Counter())[outcome] += 1
                 if outcome == "FAILED" or (chosen.list and row == what):
                     print(f"{outcome}: {source.relative_to(folder)}: {detail}", file=sys.stderr)
-        if state(folder) != before:
+        if hashes(folder) != before:
             print(f"FAILED: {folder} is not as it was", file=sys.stderr)
             counts[f"{label}, the folder itself"] = Counter(FAILED=1)
     counts["all"] = sum(counts.values(), Counter())
