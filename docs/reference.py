@@ -35,7 +35,8 @@ from beltrami_cli import (
     SmoothSettings,
     TextureSettings,
 )
-from beltrami_cli.cli.main import COMMANDS, group
+from beltrami_cli.cli.main import group
+from beltrami_cli.cli.registry import COMMANDS
 from beltrami_cli.fields import REQUIRED, Parameter, parameters
 
 HERE = Path(__file__).resolve().parent

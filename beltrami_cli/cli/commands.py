@@ -24,7 +24,6 @@ _NAMES_FILES = re.compile(r"FILE|OUT\.|DIR")
 
 
 def write_notes(formatter: click.HelpFormatter, text: str) -> None:
-    """Write the end of a help."""
     formatter.write_paragraph()
     with formatter.indentation():
         formatter.write_text(text)

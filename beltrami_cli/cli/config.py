@@ -5,15 +5,16 @@ from __future__ import annotations
 import copy
 import json
 from collections.abc import Iterator
-from typing import Any
 
 import click
 from click.core import ParameterSource
 
 from beltrami_cli.cli.commands import command
 from beltrami_cli.cli.configuration import Configuration
+from beltrami_cli.cli.configured import configured_values
 from beltrami_cli.cli.console import printable
 from beltrami_cli.cli.option_names import long_name, variable_in_force
+from beltrami_cli.cli.registry import COMMANDS, command_named
 
 
 @command("config", name="[COMMAND]")
@@ -22,13 +23,11 @@ def config(context: click.Context, name: str | None) -> None:
     """Show the options in force, and where each comes from: a file, the environment, or the default."""
     group = context.parent
     assert group is not None
-    commands: Any = group.command  # the `LazyGroup`
-    known = commands.list_commands(group)
-    if name is not None and name not in known:
-        raise click.UsageError(f"there is no command {name}; there are {', '.join(known)}")
+    if name is not None and name not in COMMANDS:
+        raise click.UsageError(f"there is no command {name}; there are {', '.join(COMMANDS)}")
     configuration: Configuration = group.obj
-    names = known if name is None else [name]
-    group.default_map = {each: commands.defaults_from(configuration, each) for each in names}
+    names = COMMANDS if name is None else [name]
+    group.default_map = {each: configured_values(configuration, each) for each in names}
     click.echo(f"# configuration file: {printable(configuration.path or 'none')}")
     is_whole = name is not None
     tables = {each: "\n".join(_lines(group, each, configuration, with_defaults=is_whole)) for each in names}
@@ -58,9 +57,8 @@ def _lines(
 
 def _all_values(group: click.Context, name: str) -> click.Context:
     """Let click find the values of all options of a command, and require none."""
-    commands: Any = group.command
     optional: list[click.Parameter] = []
-    for parameter in commands.get_command(group, name).params:
+    for parameter in command_named(name).params:
         if isinstance(parameter, click.Option):
             wanted = copy.copy(parameter)
             wanted.required = False

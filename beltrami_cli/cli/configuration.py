@@ -1,84 +1,30 @@
-"""Values of options from a TOML file: the search for it, and its values for a command.
-
-A file that is merely found, and not named, may have come with someone else's archive or repository. So it sets
-parameters of the method and of how results are encoded. What reaches a network, runs code, names files to read or
-write, or lifts a limit on resources comes from the command line, the environment, or a file that the user names.
-"""
+"""The configuration file in TOML: the search for it, and its tables."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import stat
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import click
 
 from beltrami_cli.cli.console import printable
-from beltrami_cli.cli.option_names import long_name, options_by_name, plain, values_for
-from beltrami_cli.cli.parameter_options import ParameterOption
-from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import unreadable
 from beltrami_cli.formats.bounded_text import CONFIGURATION, parse_toml, read_bounded, text_in
 
 OWN_NAME, SHARED_NAME = "beltrami.toml", "pyproject.toml"
-# The options that are not parameters of a record, but of the method or of encoding. Whatever is not here is refused.
-_IGNORED_OPTIONS = frozenset({
-    "preset", "output_format", "unwrap", "to", "at", "iteration", "whole", "no_labels",
-})  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Configuration:
-    """The values in a configuration file."""
-
     path: str | None = None  # None: no file
     is_named: bool = False  # by the user; otherwise it was found
     common: Mapping[str, object] = field(default_factory=dict)  # options for all commands that have them
     tables: Mapping[str, Mapping[str, object]] = field(default_factory=dict)  # options by command
-
-    def values(
-        self, name: str, command: Callable[[str], click.Command], names: Collection[str], shared: Collection[str]
-    ) -> dict[str, Any]:  # fmt: skip
-        """Return values of a command's options, of the `shared` ones also by the table of `smooth`; or UsageError."""
-        try:
-            for table in set(self.tables) - set(names):
-                raise ValueError(f"there is no command {table}")
-            known = options_by_name(command(name))
-            common = {key: value for key, value in self.common.items() if plain(key) in known}
-            for key in set(self.common) - set(common):
-                if not any(plain(key) in options_by_name(command(each)) for each in names):
-                    raise ValueError(f"{key} is not an option of any command")
-            values = values_for(known, common)
-            if shared:
-                theirs = values_for(options_by_name(command("smooth")), self.tables.get("smooth", {}))
-                values |= {key: value for key, value in theirs.items() if key in shared}
-            values |= values_for(known, self.tables.get(name, {}))
-            self._check(command(name), values)
-        except ValueError as error:
-            raise UsageError(f"{self.path}: {error}; see beltrami config --help") from error
-        return values
-
-    def _check(self, command: click.Command, values: Mapping[str, object]) -> None:
-        """Raise ValueError if a value does not fit its option, or may not be set by such a file."""
-        context = click.Context(command)
-        for option in command.params:
-            if option.name not in values:
-                continue
-            if not self.is_named and not may_be_found(option, values[option.name]):
-                raise ValueError(
-                    f"{long_name(option)} may not be set by a file that was only found, since it is not a parameter of "
-                    f"the method; give it on the command line, or name the file: --config {self.path}"
-                )
-            try:
-                option.type_cast_value(context, values[option.name])
-            except click.BadParameter as error:
-                raise ValueError(f"{long_name(option)}: {error.message.rstrip('.')}") from error
-            except UsageError as error:
-                raise ValueError(str(error)) from error
 
 
 def load(named: str | None) -> Configuration:
@@ -117,13 +63,6 @@ def _table_in(path: Path, text: str) -> dict[str, object] | None:
 
 class UntrustedError(Exception):
     """A file that other users may have written."""
-
-
-def may_be_found(option: click.Parameter, value: object = None) -> bool:
-    """Whether a discovered file may set an option: not one that names a file or lifts a limit."""
-    if isinstance(option, ParameterOption):
-        return not option.declared.is_deliberate(value)
-    return option.name in _IGNORED_OPTIONS
 
 
 def candidates() -> Iterator[Path]:

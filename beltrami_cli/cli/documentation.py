@@ -17,7 +17,6 @@ def docs_folder() -> Path:
 
 
 def pages() -> dict[str, Path]:
-    """Return the topics and their files."""
     return {path.stem: path for path in sorted(docs_folder().glob("*.md")) if path.stem not in _OMITTED_PAGES}
 
 

@@ -34,8 +34,6 @@ class Interruption(BaseException):
 
 
 class Interruptible:
-    """Runs a function that signals can interrupt."""
-
     def __init__(self) -> None:
         self._last = -_DUPLICATE
         self._is_over = False

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import importlib
 import io
 import os
 import signal
 import sys
 import traceback
-from collections.abc import Collection
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import NoReturn
 
 import click
 
@@ -17,33 +15,11 @@ from beltrami_cli.cli.commands import complete_files, write_notes
 from beltrami_cli.cli.console import printable
 from beltrami_cli.cli.documentation import notes_on
 from beltrami_cli.cli.interruption import Interruptible, Interruption
-from beltrami_cli.cli.option_names import refuse_unknown_variables, spelled, variable_behind, with_variables
+from beltrami_cli.cli.option_names import spelled, variable_behind
+from beltrami_cli.cli.registry import COMMANDS, command_named
 from beltrami_cli.cli.streams import ReaderGoneError, prepare_streams
 from beltrami_cli.errors import BeltramiError, InputError
 from beltrami_cli.signals import end_with_parent
-
-if TYPE_CHECKING:
-    from beltrami_cli.cli.configuration import Configuration
-
-# Summaries of commands, which fit 80 columns. A command is a function in a module of its name.
-COMMANDS = {
-    "bake": "Move colours from vertices to a texture, or back.",
-    "batch": "Smooth many files at the same time.",
-    "blender-extension": "Write the extension for Blender.",
-    "check": "List all differences between two files except colours.",
-    "compare": "Measure how much colours differ from a reference.",
-    "config": "Show the options in force, and where each comes from.",
-    "docs": "Show the documentation by topic.",
-    "info": "Show the coloured parts of files, and their noise.",
-    "kernel": "Write the distances and the weights of one kernel.",
-    "level": "Remove exposure steps between the charts of textures.",
-    "noise": "Add noise to colours, for tests.",
-    "render": "Draw models, points and images as one picture.",
-    "report": "Write a page that compares two files in the browser.",
-    "smooth": "Smooth the colours of a model, of points or of an image.",
-    "sweep": "Smooth with many settings, and show all results together.",
-    "view": "Show a model in the browser, and smooth it there.",
-}
 
 _ALIASES = {"denoise": "smooth"}
 
@@ -56,17 +32,8 @@ class LazyGroup(click.Group):
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
 
-    def defaults_from(self, configuration: Configuration, name: str) -> dict[str, Any]:
-        """Return the configured values for a command; batches also obey the options of `smooth`."""
-        shared = _shared_with_smooth(name)
-        for each in [name, "smooth"] if shared else [name]:
-            refuse_unknown_variables(_command(each), each)
-        if configuration.path is None:
-            return {}
-        return configuration.values(name, _command, COMMANDS, shared)
-
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        return _command(cmd_name) if cmd_name in COMMANDS else None
+        return command_named(cmd_name) if cmd_name in COMMANDS else None
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
@@ -114,31 +81,15 @@ class LazyGroup(click.Group):
 def group(context: click.Context, config_path: str | None) -> None:
     """Smooth the colours of 3-D meshes: on the surface itself, keeping edges."""
     from beltrami_cli.cli.configuration import load
+    from beltrami_cli.cli.configured import configured_values
 
     context.obj = load(config_path)
     name = context.invoked_subcommand
     if name is not None:
-        context.default_map = {name: group.defaults_from(context.obj, name)}
-
-
-def _command(name: str) -> click.Command:
-    function = name.replace("-", "_")
-    command: click.Command = getattr(importlib.import_module(f"beltrami_cli.cli.{function}"), function)
-    command.short_help = COMMANDS[name]
-    return with_variables(command, name, _shared_with_smooth(name))
-
-
-def _shared_with_smooth(name: str) -> Collection[str]:
-    """Return the options that a command inherits from `smooth`, so that both write equal files."""
-    if name != "batch":
-        return ()
-    from beltrami_cli.cli.batch_items import SHARED_WITH_SMOOTH
-
-    return SHARED_WITH_SMOOTH
+        context.default_map = {name: configured_values(context.obj, name)}
 
 
 def main() -> NoReturn:
-    """Run the command line and exit with the documented code."""
     # OpenBLAS reserves some 30 MB a processor for products of large matrices, and this program computes none.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if os.environ.pop("BELTRAMI_PARENT", "") == str(os.getppid()):

@@ -13,7 +13,8 @@ from pathlib import Path
 import click
 
 from beltrami_cli.cli.commands import DEFAULT_GROUP, HELP_ALL
-from beltrami_cli.cli.main import COMMANDS, group
+from beltrami_cli.cli.main import group
+from beltrami_cli.cli.registry import COMMANDS
 
 _ENVIRONMENT = (
     "Every option has a variable: {}, with _ for - in the option. Options come from a file, too. The command "
@@ -97,7 +98,6 @@ def _text(text: str) -> str:
 
 
 def main(target_name: str, version: str) -> None:
-    """Write the manual pages into a folder, which is made."""
     target = Path(target_name)
     target.mkdir(parents=True, exist_ok=True)
     for name, text in manual(version):

@@ -16,12 +16,10 @@ _PREFIX = "BELTRAMI"
 
 
 def long_name(option: click.Parameter) -> str:
-    """Return the documented name of an option, without leading dashes."""
     return next((text for text in option.opts if text.startswith("--")), option.opts[0]).lstrip("-")
 
 
 def plain(name: str) -> str:
-    """Return the name of an option without dashes."""
     return spelled(name).lstrip("-").replace("-", "_")
 
 
@@ -102,7 +100,6 @@ def refuse_unknown_variables(command: click.Command, name: str) -> None:
 
 
 def variable_in_force(option: click.Parameter) -> str:
-    """Return the environment variable of an option that is set."""
     names = [option.envvar] if isinstance(option.envvar, str) else option.envvar or []
     return next((name for name in names if os.environ.get(name)), "")
 

@@ -45,7 +45,6 @@ preset = click.option(
 
 
 def smoothing(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add all options that make up `SmoothSettings`."""
     return options_of(SmoothSettings)(preset(command))
 
 
@@ -54,7 +53,6 @@ SMOOTHING = ("preset", *filter(None, map(destination, parameters(SmoothSettings,
 
 
 def settings_from(values: Mapping[str, Any]) -> SmoothSettings:
-    """Make the settings from the values of `preset` and options of `SmoothSettings`."""
     return record_from(SmoothSettings, values, kernel=_kernel_from(values))
 
 

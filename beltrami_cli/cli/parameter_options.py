@@ -20,8 +20,6 @@ Record = TypeVar("Record")
 
 
 class ParameterOption(GroupedOption):
-    """An option made from the field of a parameter."""
-
     def __init__(self, *arguments: Any, declared: Parameter, **attributes: Any) -> None:
         super().__init__(*arguments, group="" if declared.is_daily else declared.group, **attributes)
         self.declared = declared
@@ -71,7 +69,6 @@ def options_of(
 
 
 def adding(parameters: Sequence[Parameter]) -> Decorator:
-    """Return a decorator that adds the options of parameters."""
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         for declared in reversed(parameters):
@@ -128,7 +125,6 @@ def values_given_to(record: type, values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def parsed(declared: Parameter, text: str) -> Any:
-    """Make the value of a parameter from the text of its option."""
     if declared.parse is None:
         return text
     try:

@@ -12,7 +12,6 @@ NO_AREA = "no face has an area"
 
 
 def counted(number: int, noun: str) -> str:
-    """Return a count with its noun."""
     plural = f"{noun[:-2]}ices" if noun.endswith("vertex") else f"{noun}s"
     return f"{number} {noun if number == 1 else plural}"
 
@@ -26,7 +25,6 @@ def outliers_in_words(found: dict[str, Any], noun: str) -> str:
 
 
 def output_name(path: str) -> str:
-    """Return the name of an output in messages."""
     return "<stdout>" if path == "-" else path
 
 
@@ -52,7 +50,6 @@ def lines_on(facts: dict[str, Any]) -> Iterator[str]:
 
 
 def label_of(key: str) -> str:
-    """Return the label of a key of a report or of `info`."""
     return _LABELS.get(key, key.replace("_", " "))
 
 

@@ -26,7 +26,6 @@ _NOT_APPEARANCE = ("slot", "on", "side_by_side", "labels")
 
 
 def _listed(declared: Parameter) -> Parameter:
-    """Return a parameter that takes a list of values instead of one."""
     numbers = "whole numbers" if declared.kind is int else "numbers"
 
     def values_in(text: str) -> tuple[float, ...]:

@@ -43,7 +43,6 @@ _preview = click.option(
 
 
 def reporting(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options of a report."""
     return options.as_json(_report(command))
 
 

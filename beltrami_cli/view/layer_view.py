@@ -75,7 +75,6 @@ class LayerView:
         return found
 
     def _packed(self, patch: Patch) -> dict[str, Any]:
-        """Return a patch as the viewer takes it."""
         packed = self._packed_vertices(patch) if patch.texture < 0 else self._packed_texels(patch)
         return {"layer": self._number, **packed}
 

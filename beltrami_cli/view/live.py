@@ -103,7 +103,6 @@ class Live:
         return all(lock.acquire(timeout=_STOP_TIMEOUT) for lock in locks)
 
     def answer(self, name: str, request: dict[str, Any], page: PageRequest) -> None:
-        """Answer a request, see `PageServer`."""
         if name not in ("change", "save"):
             raise MalformedError
         settings = settings_from(self._plain, _part(request, "values", dict))
@@ -263,7 +262,6 @@ def _focus(request: dict[str, Any]) -> Focus:
 
 
 def _target(source: str) -> str:
-    """Return the suggested name of the output."""
     path = Path(source)
     is_written = path.suffix.lower().lstrip(".") in OUTPUT_FORMATS or path.suffix.lower() in WRITABLE
     return str(path.with_name(f"{path.stem}-smooth{path.suffix if is_written else '.ply'}"))

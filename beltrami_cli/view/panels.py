@@ -43,7 +43,6 @@ def draw_panels(
     settings: RenderSettings,
     progress: Progress | None = None,
 ) -> list[Panel]:
-    """Draw all views with their details."""
     drawers = _drawers(views, settings)
     half = 0.5 / settings.zoom
     whole = 0.5 - half, 0.5 - half, 0.5 + half, 0.5 + half

@@ -37,7 +37,6 @@ def _parts(report: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
 
 
 def _kernel(requested: dict[str, Any], done: dict[str, Any]) -> Iterator[list[str]]:
-    """Yield the parameters of the kernel used for a part."""
     choice = done["choice"] or {"chosen": {}, "candidates": 0}
     used = {**requested, **choice["chosen"], "beta": done["beta"], "iterations": done["iterations"]}
     for name, value in requested.items():

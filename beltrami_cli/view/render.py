@@ -79,6 +79,5 @@ def picture_suffix(target: str, settings: RenderSettings, alternatives: str = ""
 
 
 def encoded(picture: Uint8s, target: str, suffix: str) -> Written:
-    """Return a picture as the file that it is written as."""
     file = write_image(new_image(picture, target), picture, suffix=suffix, small=True)
     return Written(main=[file.data])

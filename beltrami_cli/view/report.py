@@ -78,7 +78,6 @@ def _page(
     names: Sequence[str], compared: Compared, documents: tuple[Document, Document], used: dict[str, Any] | None, *,
     full_size: bool, progress: Progress | None,
 ) -> tuple[bytes, list[str]]:  # fmt: skip
-    """Return the page and its notices."""
     short = distinct_labels(names)
     differing = compared.differing()
     errors = np.concatenate([np.zeros(0, np.float32), *(each.errors for each in differing)])

@@ -87,7 +87,6 @@ class PageServer(ThreadingHTTPServer):
             return is_valid
 
     def run(self) -> None:
-        """Serve until the last page is closed."""
         threading.Thread(target=self.serve_forever, args=(_HEARTBEAT,), daemon=True).start()
         try:
             end = math.inf
@@ -105,8 +104,6 @@ class PageServer(ThreadingHTTPServer):
 
 
 class PageRequest(BaseHTTPRequestHandler):
-    """Answers the requests of one connection."""
-
     server: PageServer
     timeout = 60
 
@@ -114,7 +111,6 @@ class PageRequest(BaseHTTPRequestHandler):
         """Log nothing."""
 
     def version_string(self) -> str:
-        """Return the name of the program without its version."""
         return "beltrami"
 
     def do_GET(self) -> None:
@@ -161,7 +157,6 @@ class PageRequest(BaseHTTPRequestHandler):
             raise GoneError
 
     def is_gone(self) -> bool:
-        """Whether the page has closed the connection."""
         try:
             ready, _, _ = select.select([self.connection], [], [], 0)
             return bool(ready) and not self.connection.recv(1, socket.MSG_PEEK)
@@ -169,7 +164,6 @@ class PageRequest(BaseHTTPRequestHandler):
             return True
 
     def check_open(self) -> None:
-        """Raise GoneError if the program ends."""
         if self.server.closing.is_set():
             raise GoneError
 

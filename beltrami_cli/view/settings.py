@@ -27,8 +27,6 @@ _MAX_DEGREES = 36000
 
 @dataclass(frozen=True)
 class Crop:
-    """A square detail, drawn enlarged."""
-
     side: float = 0.2  # as a fraction of the shorter side of the view
     # Centre in fractions of the view's width and height, from the upper left; None: where brightness varies most.
     centre: tuple[float, float] | None = None

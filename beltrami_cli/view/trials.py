@@ -41,7 +41,6 @@ def best_of(trials: Sequence[Trial]) -> int | None:
 
 
 def columns_of(trials: Sequence[Trial]) -> tuple[list[str], list[str]]:
-    """Return the parameters and the known figures."""
     parameters = sorted({key for trial in trials for key in trial.parameters})
     return parameters, [key for key in FIGURES if any(key in trial.figures for trial in trials)]
 

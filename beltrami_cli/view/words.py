@@ -58,7 +58,6 @@ def doubt_in_words(part: Mapping[str, Any], *, is_smoothed: bool, moved: str = "
 
 
 def reason_in_words(part: Mapping[str, Any]) -> str:
-    """Say why a part that is not smoothed is left as it is."""
     strongest = max(part["noise"].values(), default=0.0)
     if not strongest:
         return "no noise" if part["reading"] is None else NO_NOISE_FOUND
@@ -99,7 +98,6 @@ def _rounded(share: float) -> str:
 
 
 def _details(part: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the noise by channel, level and place, and how many samples share it."""
     noise, model = part["noise"], part["noise_model"]
     # If strong, more is removed than the median.
     share = noise_size(part) / root_mean_square(noise) if any(noise.values()) else 1.0
@@ -114,7 +112,6 @@ def _details(part: Mapping[str, Any]) -> Iterator[str]:
 
 
 def reading_in_words(reading: Mapping[str, float]) -> str:
-    """Write the probabilities of a reading."""
     low, median, high = (_rounded(reading[key]) for key in ("low", "median", "high"))
     return (
         f"{median}/255 ({low} to {high}) with a probability of {100 * (1 - reading['none']):.0f} %, else none"

@@ -12,7 +12,7 @@ from pathlib import Path
 import click
 import pytest
 
-from beltrami_cli.cli.main import COMMANDS
+from beltrami_cli.cli.registry import COMMANDS
 from cli.commands import beltrami, command
 
 pty = pytest.importorskip("pty", reason="shells have no terminal here")

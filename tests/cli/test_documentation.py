@@ -14,8 +14,8 @@ import pytest
 import trimesh
 
 from beltrami_cli.cli.documentation import notes_on, pages
-from beltrami_cli.cli.main import COMMANDS
 from beltrami_cli.cli.parameter_options import ParameterOption
+from beltrami_cli.cli.registry import COMMANDS
 from cli.commands import COMMAND, SAMPLES, beltrami, command, copy_samples
 from formats.image_files import encode
 from formats.tiff_files import exr_file

@@ -9,9 +9,10 @@ import click
 import pytest
 
 from beltrami_cli.cli.commands import DEFAULT_GROUP
-from beltrami_cli.cli.main import COMMANDS, group
+from beltrami_cli.cli.main import group
 from beltrami_cli.cli.manual import manual
 from beltrami_cli.cli.option_names import options_by_name, values_for
+from beltrami_cli.cli.registry import COMMANDS
 from cli.commands import SAMPLES, beltrami, command
 
 

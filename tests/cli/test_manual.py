@@ -8,8 +8,8 @@ import sys
 import click
 import pytest
 
-from beltrami_cli.cli.main import COMMANDS
 from beltrami_cli.cli.manual import main, manual
+from beltrami_cli.cli.registry import COMMANDS
 from cli.commands import command
 
 PAGES = dict(manual("1.2.3"))

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from batch.batches import without_workers
-from beltrami_cli.cli.main import COMMANDS
 from beltrami_cli.cli.parameter_options import ParameterOption
+from beltrami_cli.cli.registry import COMMANDS
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import requiring_effect
 from beltrami_cli.formats.access import DEFAULT_ACCESS

@@ -18,7 +18,7 @@ from beltrami_cli.batch.record import _read_record, is_done, is_own_output
 from beltrami_cli.cli.batch import batch
 from beltrami_cli.cli.batch_items import item_with
 from beltrami_cli.cli.configuration import load
-from beltrami_cli.cli.main import group
+from beltrami_cli.cli.configured import configured_values
 from beltrami_cli.errors import BeltramiError, InputError, UsageError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.changes import Naming
@@ -191,7 +191,7 @@ def read_configuration(data):
     with _written("pyproject.toml" if data[:1] == b"\1" else "beltrami.toml", data) as path:
         configuration = load(str(path))
         for command in ("smooth", "batch"):
-            group.defaults_from(configuration, command)
+            configured_values(configuration, command)
 
 
 def read_manifest(data):

@@ -6,9 +6,10 @@ import os
 import click
 import pytest
 
-from beltrami_cli.cli.configuration import load, may_be_found
-from beltrami_cli.cli.main import COMMANDS, group
+from beltrami_cli.cli.configuration import load
+from beltrami_cli.cli.configured import configured_values, may_be_found
 from beltrami_cli.cli.option_names import long_name
+from beltrami_cli.cli.registry import COMMANDS
 from beltrami_cli.errors import UsageError
 from cli.commands import SAMPLES, beltrami, command
 
@@ -40,7 +41,7 @@ def test_other_options_are_refused_in_a_line_that_names_the_way_out(name, table,
         value = "true" if option.is_flag else '"x"'
         path.write_text(f"{table.format(name)}{long_name(option)} = {value}\n")
         with pytest.raises(UsageError) as refused:
-            group.defaults_from(load(None), name)
+            configured_values(load(None), name)
         reported = str(refused.value)
         assert all(word in reported for word in (str(path), long_name(option), "--config"))
         assert "\n" not in reported
@@ -61,11 +62,11 @@ def test_noise_may_be_a_number_but_no_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for text in ('"12"', '"attribute:error"'):
         (tmp_path / "beltrami.toml").write_text(f"noise = {text}\n")
-        assert group.defaults_from(load(None), "smooth")["noise"] == text.strip('"')
+        assert configured_values(load(None), "smooth")["noise"] == text.strip('"')
     for text in ('"sigma.exr"', '"frame:/dev/dark.png"'):
         (tmp_path / "beltrami.toml").write_text(f"noise = {text}\n")
         with pytest.raises(UsageError, match="--config"):
-            group.defaults_from(load(None), "smooth")
+            configured_values(load(None), "smooth")
 
 
 def test_a_named_file_and_variables_may_set_everything(tmp_path):

@@ -11,7 +11,7 @@ import pytest
 
 from batch.batches import without_workers
 from beltrami_cli.cli.batch_items import SHARED_WITH_SMOOTH
-from beltrami_cli.cli.main import COMMANDS as ALL
+from beltrami_cli.cli.registry import COMMANDS as ALL
 from cli.commands import beltrami, command
 from small_models import COLOURED, ply
 

@@ -13,7 +13,8 @@ from packaging.requirements import Requirement
 from packaging.version import Version
 
 import beltrami_cli
-from beltrami_cli.cli.main import COMMANDS, group
+from beltrami_cli.cli.main import group
+from beltrami_cli.cli.registry import COMMANDS
 from requirements import requirements
 
 ROOT = Path(__file__).parents[2]

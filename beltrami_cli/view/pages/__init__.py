@@ -68,7 +68,6 @@ def page_with_models(
 
 
 def asset(name: str) -> str:
-    """Return the text of a file of this folder."""
     return (files(__name__) / name).read_text(encoding="utf-8")
 
 
@@ -78,7 +77,6 @@ def data_address(picture: Uint8s) -> str:
 
 
 def png_of(picture: Uint8s) -> bytes:
-    """Return the picture as a PNG file."""
     return write_image(new_image(picture, "a picture"), picture, suffix=".png").data
 
 
