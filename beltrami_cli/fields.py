@@ -10,9 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Callable, Collection, Iterable, Iterator
 from functools import cache
 from numbers import Integral, Real
 from typing import Any, TypeVar
@@ -200,27 +198,14 @@ def given_parameters(record: object) -> list[Parameter]:
     return [*own, *(each for name in parts(record) for each in given_parameters(getattr(record, name)))]
 
 
-_TYPED: ContextVar[Sequence[Parameter]] = ContextVar("_TYPED", default=())
-
-
-@contextmanager
-def requiring_effect(typed: Sequence[Parameter]) -> Iterator[None]:
-    """Let `require_effect` refuse parameters that were typed for a single input; with several, they may fit some."""
-    token = _TYPED.set(typed)
-    try:
-        yield
-    finally:
-        _TYPED.reset(token)
-
-
 def without_effect(declared: Iterable[Parameter], kinds: Collection[str]) -> list[Parameter]:
     """Return the parameters that have an effect on none of the kinds of input."""
     return [each for each in declared if each.of and not {*each.of} & {*kinds}]
 
 
-def require_effect(kinds: Collection[str], name: str, given: Iterable[Parameter] = ()) -> None:
-    """Raise UsageError if a parameter that was typed, or is given, has no effect on an input of some kinds."""
-    for each in without_effect([*_TYPED.get(), *given], kinds):
+def require_effect(given: Iterable[Parameter], kinds: Collection[str], name: str) -> None:
+    """Raise UsageError if a given parameter has no effect on an input of some kinds."""
+    for each in without_effect(given, kinds):
         cause = f"{each.flag} has no effect on {' and '.join(kinds)}, only on {' and '.join(each.of)}"
         raise UsageError(f"{cause}; leave it out", name)
 

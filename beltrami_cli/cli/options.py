@@ -22,7 +22,7 @@ from beltrami_cli.cli.parameter_options import (
     values_given_to,
 )
 from beltrami_cli.errors import UsageError
-from beltrami_cli.fields import parameters, requiring_effect
+from beltrami_cli.fields import parameters
 from beltrami_cli.flow.parameters import PRESETS, KernelParameters, parameters_with
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
@@ -163,8 +163,9 @@ def writing(command: Callable[..., Any]) -> Callable[..., Any]:
 def reading_from(values: Mapping[str, Any], source: str, *, is_one: bool = True) -> Iterator[Access]:
     """Yield the access of a job, with limited memory; if `is_one`, all options must apply to this file."""
     access = record_from(Access, values)
-    access = dataclasses.replace(access, memory=access.memory or default_memory())
-    with limited_memory(access.memory, source), requiring_effect(typed_parameters() if is_one else []):
+    typed = tuple(typed_parameters()) if is_one else ()
+    access = dataclasses.replace(access, memory=access.memory or default_memory(), typed=typed)
+    with limited_memory(access.memory, source):
         yield access
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from beltrami_cli.errors import InputError, MemoryLimitError
-from beltrami_cli.fields import Checked, parameter
+from beltrami_cli.fields import Checked, Parameter, parameter
 from beltrami_cli.quantities import names_in, show_size, size_in
 
 # Without O_NONBLOCK, opening a FIFO without a writer would wait for ever.
@@ -47,6 +47,8 @@ class Access(Checked):
         Names of all columns of points in text files, where neither the file nor its values determine them.
     channels : tuple of str
         Channels of PLY vertices that are smoothed, one of which may be a scalar.
+    typed : tuple of Parameter
+        Parameters that the user typed for a single input, each of which must have an effect on it.
     """
 
     group: ClassVar[str] = "Files and memory"
@@ -68,6 +70,7 @@ class Access(Checked):
     bring: Callable[[Path], None] | None = field(default=None, compare=False)
     instead: Mapping[Path, Path] = field(default_factory=dict, compare=False)
     channels: tuple[str, ...] = ()
+    typed: tuple[Parameter, ...] = field(default=(), compare=False)
     columns: tuple[str, ...] = parameter(
         (),
         "For points in text files: the names of all columns, in their order, such as x,y,z,r,g,b,scalar. "

@@ -69,7 +69,7 @@ def bake_file(
             written = write_mesh(new.mesh(image), kind, stem)
             notices, texture = new.notices, words_on(image)
         else:
-            Selection(document, DEFAULTS, file.job.access, slots=("baseColor",)).require_memory()
+            Selection(document, DEFAULTS, slots=("baseColor",)).require_memory()
             contents, notices = _colours_from_textures(document)
             counts = {"coloured vertex": len(contents.positions), "triangle": len(contents.offsets) - 1}
             written, texture = write_mesh(contents, kind, stem), ""

@@ -53,7 +53,7 @@ def inspect_file(
     """
     job.begin("reading")
     document = open_input(os.fspath(source), settings, job.access)
-    selection = select(document, settings, job.access)
+    selection = select(document, settings)
     selection.require_scale()
     counts = selection.samples()
     job.expect(chain(*(phases_of(["laying out", "choosing parameters"], count) for count in counts)))
@@ -120,7 +120,7 @@ def _describe_under_textures(selection: Selection) -> dict[str, object]:
     if settings.on == "auto" and document.grid() is None and document.has_vertex_colours():
         # They stay as they are, so no parameters are chosen for them.
         plain = dataclasses.replace(DEFAULTS, kernel=dataclasses.replace(settings.kernel, free=()))
-        facts = vertex_layer(document, plain, selection.access).normalised().describe()
+        facts = vertex_layer(document, plain).normalised().describe()
         return {key: facts[key] for key in facts if key != "smooth"}
     surface = document.textured(selection.slots[0])
     place_of, first = group_places(surface.positions, surface.space_of, surface.faces)

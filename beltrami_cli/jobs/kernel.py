@@ -105,7 +105,7 @@ def kernel_file(
 def _only_layer(source: str, settings: SmoothSettings, access: Access) -> tuple[Document, Layer]:
     """Open a file, and return it and its selected layer; UsageError if there are several."""
     document = open_input(source, settings, access)
-    selection = select(document, settings, access)
+    selection = select(document, settings)
     selection.require_scale()
     if selection.vertices + len(selection.slots) + selection.image > 1:
         remedy = "choose --on vertices, or --on texture and one of --slots"

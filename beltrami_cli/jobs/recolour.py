@@ -77,9 +77,9 @@ def recolour(
     file = begin(source, target, settings, job)
     document, kind, watch = file.document, file.format, file.watch
     with watch.stage("read"):
-        selection = select(document, settings, file.job.access)
+        selection = select(document, settings)
         if not colour_filter.changes and kind.suffix is None:
-            selection = Selection(document, settings, file.job.access)
+            selection = Selection(document, settings)
         colour_filter.check(selection, kind)
         naming = file.reserve(partial(sidecar_names, selection, kind))
     place = None if file.output is None else target
@@ -104,9 +104,9 @@ def recolour_in_memory(
     document: Document, settings: SmoothSettings, colour_filter: ColourFilter[AnyResult], job: Job
 ) -> tuple[Document, list[AnyResult]]:
     """Recolour the selected parts, and return the document that would be written; the given one is unchanged."""
-    selection = Selection(document, settings, job.access)
+    selection = Selection(document, settings)
     if colour_filter.changes:
-        selection = select(document, settings, job.access)
+        selection = select(document, settings)
     colour_filter.check(selection, OutputFormat(document.format, is_patched=True))
     with selection.within_memory(in_files=colour_filter.works_in_files) as chunk_memory:
         results = apply_filter(selection, colour_filter, replace(job, chunk_memory=chunk_memory))

@@ -34,7 +34,7 @@ def smooth_unwrapped(
     file = begin(source, target, settings, job, models_only=True)
     with file.watch.stage("read"):
         selection = _selected(file, settings)
-        require_effect([*selection.kinds, "textures"], file.document.name)
+        require_effect(file.document.access.typed, [*selection.kinds, "textures"], file.document.name)
         stem = file.reserve_new(settings.textures.image_suffix or ".png")
     if settings.kernel.iterations:
         selection.require_scale()
@@ -69,12 +69,12 @@ def _check(settings: SmoothSettings) -> None:
 
 def _selected(file: FileJob, settings: SmoothSettings) -> Selection:
     """Choose the base colour or the vertex colours; InputError if there are no colours at all."""
-    document, access = file.document, file.job.access
+    document = file.document
     shown = document.readable(slot for slot in document.slots() if slot == "baseColor")
     if settings.on == "texture" or (settings.on != "vertices" and shown):
-        return Selection(document, settings, access, slots=("baseColor",))
+        return Selection(document, settings, slots=("baseColor",))
     document.coloured_vertices()  # raises if there are none
-    return Selection(document, settings, access, vertices=True)
+    return Selection(document, settings, vertices=True)
 
 
 def _require_possible(selection: Selection) -> None:

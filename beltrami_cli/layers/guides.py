@@ -34,13 +34,13 @@ _ONE_ROW_REMEDY = "it needs one row for each coloured vertex, in the order of th
 _VALUES_WITHOUT_TEXTURE = {"normal": (0.5, 0.5, 1.0), "emissive": (0.0, 0.0, 0.0)}
 
 
-def vertex_guides(document: Document, settings: SmoothSettings, access: Access) -> list[Guide]:
+def vertex_guides(document: Document, settings: SmoothSettings) -> list[Guide]:
     """Read all guides for the vertex colours of a document."""
     wanted = settings.embedding.weighted_guides
-    return [Guide(name, centred(_values(document, name, access)), beta) for name, beta in wanted]
+    return [Guide(name, centred(_values(document, name)), beta) for name, beta in wanted]
 
 
-def _values(document: Document, name: str, access: Access) -> Float64s:
+def _values(document: Document, name: str) -> Float64s:
     known = document.attributes()
     if name.lower() in {attribute.lower() for attribute in known}:
         values = document.attribute(name)
@@ -50,13 +50,14 @@ def _values(document: Document, name: str, access: Access) -> Float64s:
         attributes = ", ".join(known) or "no others"
         cause = f"no such file, and no attribute of the vertices of {document.name}, which has {attributes}"
         raise InputError(name, cause)
-    return read_table(name, len(document.coloured_vertices().positions), document.name, access)
+    return read_table(name, document)
 
 
-def read_table(path: str, rows: int, model: str, access: Access) -> Float64s:
-    """Read numbers of vertices, shape (V, G), from an array, an archive of one array, or vertex colours of a model."""
+def read_table(path: str, document: Document) -> Float64s:
+    """Read numbers for the vertices of a document, shape (V, G): an array, an archive of one, or vertex colours."""
     from beltrami_cli.formats.numpy_files import NPY_MAGIC, NpzArchive, is_npz, read_npy
 
+    access, rows = document.access, len(document.coloured_vertices().positions)
     data = read_source(path, access)
     if data[: len(NPY_MAGIC)] == NPY_MAGIC:
         table = read_npy(data, path)
@@ -77,29 +78,29 @@ def read_table(path: str, rows: int, model: str, access: Access) -> Float64s:
     if table.ndim != 2 or table.shape[0] != rows or not table.shape[1]:
         shape = " x ".join(map(str, table.shape))
         raise InputError(
-            path, f"its {shape} numbers do not fit the {rows} vertices of {model}", _ONE_ROW_REMEDY
+            path, f"its {shape} numbers do not fit the {rows} vertices of {document.name}", _ONE_ROW_REMEDY
         )
     numbers = table.astype(np.float64)
     require_single(numbers, path, "its row")
     return numbers
 
 
-def read_map(path: str, picture: DecodedImage, access: Access) -> Float32s:
-    """Read the numbers of a picture's pixels, shape (H * W, G)."""
-    image = read_of_size(path, picture, access, "recoloured")
+def read_map(path: str, target: DecodedImage, access: Access) -> Float32s:
+    """Read numbers for the pixels of an image, shape (H * W, G)."""
+    image = read_of_size(path, target, access, "recoloured")
     channels = [i for i in range(image.pixels.shape[2]) if i != image.alpha]
     numbers = np.asarray(full_scale_one(image.pixels[..., channels]), np.float32)
     return numbers.reshape(-1, numbers.shape[2])
 
 
-def read_of_size(path: str, picture: DecodedImage, access: Access, work: str) -> DecodedImage:
-    """Read an image with the size of a picture; `work`: see `require_memory`."""
+def read_of_size(path: str, target: DecodedImage, access: Access, work: str) -> DecodedImage:
+    """Read an image with the size of another; `work`: see `require_memory`."""
     data = read_source(path, access)
     require_memory([(path, data)], access, work)
     image = read_image(data, path, finite=False)
-    (rows, columns), size = image.pixels.shape[:2], picture.pixels.shape[:2]
+    (rows, columns), size = image.pixels.shape[:2], target.pixels.shape[:2]
     if (rows, columns) != size:
-        cause = f"its {columns} x {rows} pixels do not fit the {size[1]} x {size[0]} of {picture.name}"
+        cause = f"its {columns} x {rows} pixels do not fit the {size[1]} x {size[0]} of {target.name}"
         raise InputError(path, cause, "both must have the same size, pixel by pixel")
     return image
 
@@ -109,12 +110,12 @@ def _exists(path: str) -> bool:
 
 
 def read_guide_images(
-    picture: DecodedImage, valid: Bools, settings: SmoothSettings, access: Access
+    target: DecodedImage, valid: Bools, settings: SmoothSettings, access: Access
 ) -> tuple[Guide, ...]:
     """Read all guides for an image, one row per pixel."""
     guides = []
     for path, beta in settings.embedding.weighted_guides:
-        image = read_map(path, picture, access)
+        image = read_map(path, target, access)
         finite = np.isfinite(image).all(axis=1).reshape(valid.shape) | ~valid
         if not finite.all():
             row, column = np.unravel_index(int(np.argmin(finite)), finite.shape)
@@ -131,10 +132,9 @@ class GuidedTexels:
 
     document: Document
     surface: TexturedSurface
-    pictures: Sequence[DecodedImage]
+    images: Sequence[DecodedImage]
     atlas: Atlas
     settings: SmoothSettings
-    access: Access
 
     def guides(self) -> list[Guide]:
         return [self._guide(name, beta) for name, beta in self.settings.embedding.weighted_guides]
@@ -151,20 +151,20 @@ class GuidedTexels:
         return Guide(name, self._of_file(name), beta)
 
     def _of_file(self, path: str) -> Float32s:
-        if len(self.pictures) != 1:
+        if len(self.images) != 1:
             names = ", ".join(texture.name for texture in self.surface.textures)
             raise UsageError(
                 f"{path} guides one texture, but several are smoothed ({names}); choose one by --texture or --material"
             )
-        values = read_map(path, self.pictures[0], self.access)[self.atlas.owned_texels]
+        values = read_map(path, self.images[0], self.document.access)[self.atlas.owned_texels]
         require_single(values, path, "its pixel")
         return values
 
     def _of_slot(self, slot: Slot) -> Float32s:
         """Read the values of another slot at each owned texel."""
         guiding = self.document.textured(slot)
-        pictures = [read_texture(texture) for texture in guiding.textures]
-        colours = PixelColours.of(pictures, slot, SmoothSettings(space=self.settings.space))
+        images = [read_texture(texture) for texture in guiding.textures]
+        colours = PixelColours.of(images, slot, SmoothSettings(space=self.settings.space))
         width = len(colours.names)
         values = np.empty((len(self.atlas.owned_texels), width), np.float32)
         for index, inside, texels in texels_by_texture(self.atlas.texture_offsets, self.atlas.owned_texels):
@@ -172,8 +172,8 @@ class GuidedTexels:
             if shown is None:
                 values[inside] = np.resize(_VALUES_WITHOUT_TEXTURE.get(slot, (1.0,)), width)
                 continue
-            shape, size = pictures[shown].pixels.shape[:2], self.pictures[index].pixels.shape[:2]
-            image = colours.working(pictures[shown], np.arange(shape[0] * shape[1])).reshape(*shape, width)
+            shape, size = images[shown].pixels.shape[:2], self.images[index].pixels.shape[:2]
+            image = colours.working(images[shown], np.arange(shape[0] * shape[1])).reshape(*shape, width)
             values[inside] = _at_size(image, size, guiding.textures[shown], texels)
         return values
 
@@ -216,7 +216,7 @@ _FRAME_WINDOW = 17
 
 
 def noise_of_pixels(
-    kernel: KernelParameters, pictures: Sequence[DecodedImage], pixels: Int64s | Bools, access: Access
+    kernel: KernelParameters, images: Sequence[DecodedImage], pixels: Int64s | Bools, access: Access
 ) -> Float32s | None:
     """Read the standard deviations of all pixels, one row per pixel; None if no file is given."""
     given = kernel.given_noise
@@ -224,18 +224,18 @@ def noise_of_pixels(
         return None
     if given.kind == "attribute":
         raise UsageError(f"noise is of the attribute {given.source}, which only vertices have; name an image")
-    if len(pictures) != 1:
-        cause = f"{given.source} is the noise of one of {len(pictures)} textures; choose it by --texture"
+    if len(images) != 1:
+        cause = f"{given.source} is the noise of one of {len(images)} textures; choose it by --texture"
         raise UsageError(cause)
-    rows = read_map(given.source, pictures[0], access)
+    rows = read_map(given.source, images[0], access)
     if given.kind == "frame":
-        frame = rows.reshape(*pictures[0].pixels.shape[:2], -1)
+        frame = rows.reshape(*images[0].pixels.shape[:2], -1)
         rows = deviation_in_frame(frame).reshape(rows.shape)
     _check(rows[pixels], given.source, "pixel")
     return rows
 
 
-def noise_of_vertices(kernel: KernelParameters, document: Document, access: Access) -> Float32s | None:
+def noise_of_vertices(kernel: KernelParameters, document: Document) -> Float32s | None:
     """Read the standard deviations of vertices, shape (V, K); None if neither file nor attribute is given."""
     given = kernel.given_noise
     if given is None or not given.source:
@@ -243,10 +243,8 @@ def noise_of_vertices(kernel: KernelParameters, document: Document, access: Acce
     if given.kind == "frame":
         cause = f"{given.source} is a frame of pixels, but vertices are smoothed; name their deviations"
         raise UsageError(cause)
-    if given.kind == "attribute":
-        values = document.attribute(given.source)
-    else:
-        values = read_table(given.source, len(document.coloured_vertices().positions), document.name, access)
+    is_attribute = given.kind == "attribute"
+    values = document.attribute(given.source) if is_attribute else read_table(given.source, document)
     _check(values, given.source, "vertex")
     return values.astype(np.float32)
 

@@ -18,7 +18,6 @@ from beltrami_cli.flow.manifolds.grid_manifold import ColouredCanvas, GridManifo
 from beltrami_cli.flow.manifolds.guides import Guide
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.plan import Plan
-from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import DecodedImage, is_exact, label_of
 from beltrami_cli.formats.image.conversion import upright
@@ -53,17 +52,18 @@ class ImageLayer(PixelLayer):
 
     @classmethod
     def read(
-        cls, document: Document, settings: SmoothSettings, access: Access, *,
+        cls, document: Document, settings: SmoothSettings, *,
         suffix: str | None = None, colours_only: bool = False,
     ) -> ImageLayer:  # fmt: skip
         """Read an image and the files that settings name.
 
         `colours_only` leaves out channels that are not colours, unless settings name them.
         """
-        require_effect(["images"], document.name, binding_parameters(settings))
+        require_effect(binding_parameters(settings), ["images"], document.name)
         image, chosen = with_chosen_layer(document.image(), settings)
         only = colours_only or image.names_colours
         colours = PixelColours.of([image], "baseColor", chosen, is_image=True, colours_only=only)
+        access = document.access
         surface = read_surface(image, settings.image, access)
         usable = colours.finite(image)
         visible = ~colours.hidden(image, slice(None)).reshape(usable.shape)

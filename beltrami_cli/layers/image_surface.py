@@ -5,11 +5,10 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Indices, Int32s
 from beltrami_cli.errors import InputError
 from beltrami_cli.flow.manifolds.canvas import canvas_margin
 from beltrami_cli.flow.manifolds.grid_manifold import ColouredCanvas
@@ -22,8 +21,6 @@ from beltrami_cli.layers.guides import read_of_size
 from beltrami_cli.layers.settings import ImageSettings
 from beltrami_cli.surface.grid_atlas import grid_atlas
 from beltrami_cli.surface.precision import check_scale
-
-Pixels = NDArray[np.int64]
 
 # Names of channels with depth or height in files of renderers and cameras.
 _HEIGHTS = ("z", "depth", "height", "depth.z", "y")
@@ -45,9 +42,9 @@ class ImageSurface:
         Messages for users, one sentence each; set when the surface was read from files.
     """
 
-    heights: NDArray[Any] | None = None
-    positions: NDArray[Any] | None = None
-    valid: NDArray[np.bool_] | None = None
+    heights: Array | None = None
+    positions: Array | None = None
+    valid: Bools | None = None
     notices: tuple[str, ...] = ()
 
     @property
@@ -58,30 +55,30 @@ class ImageSurface:
         return "plane" if self.positions is None else "positions"
 
 
-def read_surface(picture: DecodedImage, wanted: ImageSettings, access: Access) -> ImageSurface:
-    """Read the images of a picture's surface and holes; InputError if one does not fit the picture."""
+def read_surface(target: DecodedImage, wanted: ImageSettings, access: Access) -> ImageSurface:
+    """Read the files of an image's surface and holes; InputError if one does not fit it."""
     heights = positions = None
-    valid = np.ones(picture.pixels.shape[:2], bool)
+    valid = np.ones(target.pixels.shape[:2], bool)
     notices: list[str] = []
     if wanted.height is not None:
-        pixels = _read(wanted.height, picture, access, notices)
+        pixels = _read(wanted.height, target, access, notices)
         heights = wanted.height_scale * _height_of(pixels)
         valid &= np.isfinite(heights) & _opaque(pixels)
     if wanted.positions is not None:
-        pixels = _read(wanted.positions, picture, access, notices)
+        pixels = _read(wanted.positions, target, access, notices)
         positions = _positions_of(pixels)
         check_scale(positions.reshape(-1, 3), _triangles(*positions.shape[:2]), wanted.positions)
         valid &= np.isfinite(positions).all(axis=2) & _opaque(pixels)
     if wanted.mask is not None:
-        mask = _read(wanted.mask, picture, access, [])  # a mask may be coarse
+        mask = _read(wanted.mask, target, access, [])  # a mask may be coarse
         colours = np.nan_to_num(mask.pixels[..., list(mask.colour)])
         valid &= (colours != 0).any(axis=2) & _opaque(mask)
     return ImageSurface(heights, positions, valid, tuple(notices))
 
 
-def _read(path: str, picture: DecodedImage, access: Access, notices: list[str]) -> DecodedImage:
-    """Read an image with the size of the picture; append notices about it to `notices`."""
-    read = read_of_size(path, picture, access, "mapped")
+def _read(path: str, target: DecodedImage, access: Access, notices: list[str]) -> DecodedImage:
+    """Read an image with the size of another; append notices about it to `notices`."""
+    read = read_of_size(path, target, access, "mapped")
     notices += read.notices
     if read.stored == "uint8":
         notices.append(
@@ -90,53 +87,51 @@ def _read(path: str, picture: DecodedImage, access: Access, notices: list[str]) 
     return read
 
 
-def _height_of(picture: DecodedImage) -> NDArray[np.float64]:
-    lower = [channel.lower() for channel in picture.channels]
+def _height_of(image: DecodedImage) -> Float64s:
+    lower = [channel.lower() for channel in image.channels]
     named = next((lower.index(name) for name in _HEIGHTS if name in lower), None)
-    colour_channels = [channel for channel in range(len(lower)) if channel != picture.alpha]
-    first, *rest = (picture.pixels[..., channel] for channel in colour_channels or [0])
+    colour_channels = [channel for channel in range(len(lower)) if channel != image.alpha]
+    first, *rest = (image.pixels[..., channel] for channel in colour_channels or [0])
     if named is None and not all(np.array_equal(first, each, equal_nan=True) for each in rest):
-        cause = f"which of its channels {', '.join(picture.channels)} is the height is not clear"
-        raise InputError(picture.name, cause, "give an image of one channel, or call it Z")
+        cause = f"which of its channels {', '.join(image.channels)} is the height is not clear"
+        raise InputError(image.name, cause, "give an image of one channel, or call it Z")
     column = colour_channels[0] if named is None else named
-    return full_scale_one(picture.pixels[..., column]).astype(np.float64)
+    return full_scale_one(image.pixels[..., column]).astype(np.float64)
 
 
-def _positions_of(picture: DecodedImage) -> NDArray[np.float64]:
+def _positions_of(image: DecodedImage) -> Float64s:
     """Return the channels x, y and z, or red, green and blue, or else the only three channels."""
-    lower = [channel.lower() for channel in picture.channels]
+    lower = [channel.lower() for channel in image.channels]
     columns = [lower.index(name) for name in "xyz" if name in lower]
     if len(columns) != 3:
-        columns = list(picture.colour)
+        columns = list(image.colour)
     if len(columns) != 3:
         remedy = "give an image with the three channels X, Y and Z, or red, green and blue"
-        raise InputError(
-            picture.name, f"its channels {', '.join(picture.channels)} are not positions", remedy
-        )
-    return full_scale_one(picture.pixels[..., columns]).astype(np.float64)
+        raise InputError(image.name, f"its channels {', '.join(image.channels)} are not positions", remedy)
+    return full_scale_one(image.pixels[..., columns]).astype(np.float64)
 
 
-def _triangles(rows: int, columns: int) -> NDArray[np.int32]:
+def _triangles(rows: int, columns: int) -> Int32s:
     """Return a triangle of each pixel and its neighbours on the right and below."""
     at = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)[:-1, :-1].ravel()
     return np.stack([at, at + 1, at + columns], axis=1).astype(np.int32)
 
 
-def _opaque(picture: DecodedImage) -> NDArray[np.bool_]:
+def _opaque(image: DecodedImage) -> Bools:
     """Return where a map has values: where its own alpha is not 0."""
-    if picture.alpha is None:
-        return np.ones(picture.pixels.shape[:2], bool)
-    return np.asarray(picture.pixels[..., picture.alpha] != 0)
+    if image.alpha is None:
+        return np.ones(image.pixels.shape[:2], bool)
+    return np.asarray(image.pixels[..., image.alpha] != 0)
 
 
 def canvas_of_image(
     surface: ImageSurface,
-    colours_of: Callable[[Pixels], NDArray[np.float32]],
+    colours_of: Callable[[Indices], Float32s],
     kernel: KernelParameters,
     *,
     guides: Sequence[Guide] = (),
     metric_channels: Sequence[int] | None = None,
-    deviations: NDArray[np.float32] | None = None,
+    deviations: Float32s | None = None,
     light: Space | None = None,
 ) -> ColouredCanvas:
     """Return the canvas of an image; its owned texels are the pixels except holes, row by row.
@@ -149,8 +144,9 @@ def canvas_of_image(
     assert valid is not None
     if surface.heights is not None:
         valid = valid & np.isfinite(surface.heights)
-        rows_of, columns_of = np.indices(valid.shape, sparse=True)
-        positions = np.stack(np.broadcast_arrays(columns_of, rows_of, surface.heights), axis=2)
+        rows, columns = surface.heights.shape
+        x, y = np.arange(columns), np.arange(rows)[:, None]
+        positions = np.stack(np.broadcast_arrays(x, y, surface.heights), axis=2)
         kernel = dataclasses.replace(kernel, units="world")
     atlas = grid_atlas(valid.shape, canvas_margin(kernel), positions, valid)
     del positions  # as large as the canvas

@@ -14,7 +14,6 @@ from beltrami_cli.arrays import Float64s, Int32s
 from beltrami_cli.errors import InputError, NoColoursError, Obstacle, UsageError
 from beltrami_cli.fields import given_parameters, require_effect
 from beltrami_cli.flow.chunks import chunk_memory
-from beltrami_cli.formats.access import DEFAULT_ACCESS, Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.sizes import measure_image, require_memory, sizes_of, too_large
 from beltrami_cli.layers.layer import Layer
@@ -46,7 +45,6 @@ class Selection:
 
     document: Document
     settings: SmoothSettings
-    access: Access
     vertices: bool = False
     slots: tuple[Slot, ...] = ()
     image: bool = False
@@ -80,7 +78,7 @@ class Selection:
     def require_memory(self, work: str = "recoloured") -> None:
         """Raise InputError if images do not fit into memory, slot by slot; `work`: see `require_memory`."""
         for images in self.images():
-            require_memory(images, self.access, work)
+            require_memory(images, self.document.access, work)
 
     @contextmanager
     def within_memory(self, target: str | None = None, *, in_files: bool = True) -> Iterator[int | None]:
@@ -93,10 +91,10 @@ class Selection:
         """
         if not in_files:
             self.require_memory("smoothed")
-        if self.access.memory is None or not in_files:
+        if self.document.access.memory is None or not in_files:
             yield None
             return
-        left = memory = self.access.memory - len(self.document.data)
+        left = memory = self.document.access.memory - len(self.document.data)
         for images in self.images():
             largest = texels = 0
             for name, size, stored in sizes_of(images):
@@ -115,20 +113,20 @@ class Selection:
     ) -> Iterator[Layer]:
         """Yield the selected layers; `in_groups`: a layer for each group of textures that touch."""
         # Other parameters: see `ImageLayer`.
-        document, settings, access = self.document, self.settings, self.access
+        document, settings = self.document, self.settings
         if self.image:
             from beltrami_cli.layers.image_layer import ImageLayer
 
-            yield ImageLayer.read(document, settings, access, suffix=suffix, colours_only=colours_only)
+            yield ImageLayer.read(document, settings, suffix=suffix, colours_only=colours_only)
         if self.vertices:
-            yield vertex_layer(document, settings, access)
+            yield vertex_layer(document, settings)
         counts = Counter(texture.key for surface in self.surfaces for texture in surface.textures)
         shared = frozenset(key for key, count in counts.items() if count > 1)
         for slot, surface in zip(self.slots, self.surfaces, strict=True):
             parts = separate_surfaces(surface) if in_groups and settings.kernel.is_open else [surface]
             for number, part in enumerate(parts, 1):
-                whole, name = (document, access), f"part {number} of {len(parts)}" if len(parts) > 1 else ""
-                yield TextureLayer.read(part, slot, settings, guided=whole, shared=shared, group=name)
+                name = f"part {number} of {len(parts)}" if len(parts) > 1 else ""
+                yield TextureLayer.read(part, slot, settings, guided=document, shared=shared, group=name)
 
     def samples(self) -> list[int]:
         """Estimate the work of each selected layer, in texels, without decoding an image."""
@@ -170,18 +168,18 @@ class Selection:
             document.notices += [each for each in coarse_rounding(*mesh) if each not in document.notices]
 
 
-def select(document: Document, settings: SmoothSettings, access: Access = DEFAULT_ACCESS) -> Selection:
+def select(document: Document, settings: SmoothSettings) -> Selection:
     """Select the parts by settings and document; errors if there are none, or for options that do not apply."""
-    selection = _select(document, settings, access)
+    selection = _select(document, settings)
     # Options that do not apply to images, and the surface of images, are refused if given.
     given = binding_parameters(settings) if selection.image else given_parameters(settings.image)
-    require_effect(selection.kinds, document.name, given)
+    require_effect([*document.access.typed, *given], selection.kinds, document.name)
     return selection
 
 
-def _select(document: Document, settings: SmoothSettings, access: Access) -> Selection:
+def _select(document: Document, settings: SmoothSettings) -> Selection:
     if document.kind == "image":
-        return Selection(document, settings, access, image=True)
+        return Selection(document, settings, image=True)
     present = document.slots()
     slots = tuple(slot for slot in present if slot in settings.textures.slots)
     wanted = settings.textures.slots
@@ -193,7 +191,7 @@ def _select(document: Document, settings: SmoothSettings, access: Access) -> Sel
     if settings.on == "vertices" or (settings.on == "auto" and not slots and coloured):
         if not coloured:
             document.coloured_vertices()  # raises an error that names what the file contains
-        return Selection(document, settings, access, vertices=True)
+        return Selection(document, settings, vertices=True)
     if settings.on == "both" and not (coloured and slots):
         missing = "vertex colours" if slots else "textures in the chosen slots"
         raise InputError(document.name, f"it has no {missing}", "use --on auto")
@@ -202,7 +200,7 @@ def _select(document: Document, settings: SmoothSettings, access: Access) -> Sel
     absent, both = absent_slots(document, settings), settings.on == "both"
     if coloured and not both:
         absent.append("its vertex colours stay as they are; --on both smooths them too")
-    return _without_empty_slots(Selection(document, settings, access, both, slots, notices=tuple(absent)))
+    return _without_empty_slots(Selection(document, settings, both, slots, notices=tuple(absent)))
 
 
 def absent_slots(document: Document, settings: SmoothSettings) -> list[str]:
@@ -211,7 +209,7 @@ def absent_slots(document: Document, settings: SmoothSettings) -> list[str]:
     return [] if wanted == SLOTS else [f"it has no {slot} textures" for slot in wanted if slot not in present]
 
 
-def vertex_layer(document: Document, settings: SmoothSettings, access: Access) -> VertexLayer:
+def vertex_layer(document: Document, settings: SmoothSettings) -> VertexLayer:
     """Make the layer of a model's coloured vertices: on a mesh, as points, on a grid, or on a level set."""
     from beltrami_cli.layers.grid_layer import GridLayer
     from beltrami_cli.layers.guides import noise_of_vertices, vertex_guides
@@ -219,8 +217,8 @@ def vertex_layer(document: Document, settings: SmoothSettings, access: Access) -
     from beltrami_cli.layers.mesh_layer import MeshLayer
 
     vertices, grid = document.coloured_vertices(), document.grid()
-    guides = vertex_guides(document, settings, access)
-    noise = noise_of_vertices(settings.kernel, document, access)
+    guides = vertex_guides(document, settings)
+    noise = noise_of_vertices(settings.kernel, document)
     if grid is None:
         in_triangles = document.kind == "volume"
         return MeshLayer(

@@ -20,7 +20,6 @@ from beltrami_cli.flow.manifolds.grid_manifold import ColouredCanvas, GridManifo
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.plan import Plan
-from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import DecodedImage, read_texture
 from beltrami_cli.formats.image.jpeg_tables import JpegTables, read_jpeg_tables
@@ -65,7 +64,7 @@ class TextureLayer(PixelLayer):
     @classmethod
     def read(
         cls, surface: TexturedSurface, slot: Slot, settings: SmoothSettings, *,
-        guided: tuple[Document, Access] | None = None, shared: Collection[str] = (), group: str = "",
+        guided: Document | None = None, shared: Collection[str] = (), group: str = "",
         decoded: Sequence[DecodedImage] | None = None,
     ) -> TextureLayer:  # fmt: skip
         """Decode the textures of a surface, unless they are `decoded`, and lay out their charts.
@@ -82,8 +81,8 @@ class TextureLayer(PixelLayer):
         atlas = _visible_atlas(surface, images, kernel, colours)
         noise = guides = None
         if guided is not None:
-            noise = noise_of_pixels(kernel, images, atlas.owned_texels, guided[1])
-            guides = GuidedTexels(guided[0], surface, images, atlas, settings, guided[1])
+            noise = noise_of_pixels(kernel, images, atlas.owned_texels, guided.access)
+            guides = GuidedTexels(guided, surface, images, atlas, settings)
         return cls(
             slot=slot, group=group, settings=settings, surface=surface, images=images,
             tables=tables or [None] * len(images), atlas=atlas, colours=colours, shared=shared, guided=guides,

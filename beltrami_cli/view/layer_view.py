@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.arrays import Float64s, Int64s, Uint8s
-from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import read_texture
 from beltrami_cli.layers.settings import SmoothSettings
@@ -26,9 +25,9 @@ _COMPRESSION_LEVEL = 1  # of zlib
 class LayerView:
     """The textures of a `slot`, or (None) vertices or pixels: the layer of a `number` on all open pages."""
 
-    def __init__(self, document: Document, slot: Slot | None, access: Access, number: int = 0) -> None:
+    def __init__(self, document: Document, slot: Slot | None, number: int = 0) -> None:
         self.slot, self._document, self._number = slot, document, number
-        self._previewer = previewer_of(document, slot, access)
+        self._previewer = previewer_of(document, slot)
         self._is_image = document.kind == "image"
         self._row_of: Int64s | None = None
         self._box: Box | None = None

@@ -82,9 +82,7 @@ class Live:
         slots: list[Slot | None] = [*self._document.slots()] if self._document.kind != "image" else [None]
         if slots != [None] and self._document.has_vertex_colours():
             slots.append(None)
-        self._layers = [
-            LayerView(self._document, slot, job.access, number) for number, slot in enumerate(slots)
-        ]
+        self._layers = [LayerView(self._document, slot, number) for number, slot in enumerate(slots)]
         self._rates = {"": _FIRST_RATE, _WITH_PATCHES: _FIRST_RATE / 5}
         # The values chosen last, by strength and noise.
         self._chosen: dict[tuple[float, str | None], dict[str, float]] = {}

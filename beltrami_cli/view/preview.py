@@ -16,7 +16,6 @@ from beltrami_cli.arrays import Float64s, Int64s
 from beltrami_cli.flow.beltrami_flow import smooth_in_place
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import read_texture
 from beltrami_cli.formats.image.jpeg_tables import CODED_TOGETHER
@@ -85,16 +84,16 @@ class Previewer(ABC):
     ) -> list[Patch]: ...
 
 
-def previewer_of(document: Document, slot: Slot | None, access: Access) -> Previewer:
+def previewer_of(document: Document, slot: Slot | None) -> Previewer:
     """Return the previewer of the pixels of an image, of the textures of a slot, or (None) of vertex colours."""
     if document.kind == "image":
-        return _ImagePreviewer(document, access)
-    return _VertexPreviewer(document) if slot is None else _TexturePreviewer(document, slot, access)
+        return _ImagePreviewer(document)
+    return _VertexPreviewer(document) if slot is None else _TexturePreviewer(document, slot)
 
 
 class _ImagePreviewer(Previewer):
-    def __init__(self, document: Document, access: Access) -> None:
-        self._document, self._access = document, access
+    def __init__(self, document: Document) -> None:
+        self._document = document
         self._layer: ImageLayer | None = None  # of the last settings
 
     def _smooth(
@@ -102,7 +101,7 @@ class _ImagePreviewer(Previewer):
     ) -> list[Patch]:
         kernel = settings.kernel
         if self._layer is None or dataclasses.replace(self._layer.settings, kernel=kernel) != settings:
-            self._layer = ImageLayer.read(self._document, settings, self._access).normalised()
+            self._layer = ImageLayer.read(self._document, settings).normalised()
         shape = self._layer.valid.shape
         window = _window(shape, focus.origin[1::-1] * shape, budget)
         top, left = (slice(axis.start // CODED_TOGETHER * CODED_TOGETHER, axis.stop) for axis in window)
@@ -160,8 +159,8 @@ class _VertexPreviewer(Previewer):
 
 
 class _TexturePreviewer(Previewer):
-    def __init__(self, document: Document, slot: Slot, access: Access) -> None:
-        self._document, self._slot, self._access = document, slot, access
+    def __init__(self, document: Document, slot: Slot) -> None:
+        self._document, self._slot = document, slot
 
     @cached_property
     def _pieces(self) -> tuple[TexturedSurface, Float64s]:
@@ -187,8 +186,8 @@ class _TexturePreviewer(Previewer):
             uv=surface.uv[order], texture_of=surface.texture_of[order],
             space_of=None if surface.space_of is None else surface.space_of[rows],
         )  # fmt: skip
-        chosen, around = choose_textures(part, settings.textures), (self._document, self._access)
-        layer = TextureLayer.read(chosen, self._slot, settings, guided=around).normalised()
+        chosen = choose_textures(part, settings.textures)
+        layer = TextureLayer.read(chosen, self._slot, settings, guided=self._document).normalised()
         new = _smoothed(layer, progress)
         offsets, patches = layer.atlas.texture_offsets, []
         keys = [each.key for each in surface.textures]

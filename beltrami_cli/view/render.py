@@ -47,7 +47,7 @@ def render_file(
     access = output.files.watching(job.access)
     views = open_views(names, settings, access, progress=progress)
     if all(isinstance(view, ImageView) for view in views):
-        require_effect(["images"], names[0])
+        require_effect(access.typed, ["images"], names[0])
     picture = draw_views(views, labels, settings, progress)
     output.write(encoded(picture, path, suffix))
     return picture.shape[1], picture.shape[0]

@@ -71,7 +71,7 @@ def test_moved_vertices_go_back_on_every_page():
         )
         for shown in (vertices, replace(vertices, positions=vertices.positions + 0.1))
     )
-    layer = LayerView(still, None, DEFAULT_ACCESS)
+    layer = LayerView(still, None)
     layer.add_to(ModelWriter(is_live=True))
     layer.whole(moved)
     for _ in range(2):  # two pages
@@ -125,7 +125,7 @@ def test_most_of_a_preview_is_what_the_whole_becomes(inputs, name, slot, budget,
     kernel = KernelParameters(iterations=2, t=1.0, beta=8.0, metric_steps=1)
     settings = override(replace(DEFAULTS, kernel=kernel), **{**more, **texts})
     document = open_input(str(SAMPLES / name.format(inputs)), settings, DEFAULT_ACCESS)
-    previewer = previewer_of(document, None if slot == "image" else slot, DEFAULT_ACCESS)
+    previewer = previewer_of(document, None if slot == "image" else slot)
     patches = previewer.smooth(settings, middle(slot, document), budget, None)
     assert budget / 4 < sum(len(patch.rows) for patch in patches) < 2 * budget
     whole, _ = recolour_in_memory(document, settings, Smoothing.of(settings), PLAIN_JOB)
@@ -151,7 +151,7 @@ def test_most_of_a_preview_is_what_the_whole_becomes(inputs, name, slot, budget,
 @pytest.mark.parametrize(("name", "slot"), [("knot-noisy.ply", None), ("torus-two-noisy.gltf", "baseColor")])
 def test_guides_have_no_preview(name, slot):
     document = open_input(str(SAMPLES / name), DEFAULTS, DEFAULT_ACCESS)
-    guided, previewer = override(DEFAULTS, guides=("x",)), previewer_of(document, slot, DEFAULT_ACCESS)
+    guided, previewer = override(DEFAULTS, guides=("x",)), previewer_of(document, slot)
     focus = middle(slot, document)
     with pytest.raises(NoPreviewError, match="guides are read"):
         previewer.smooth(guided, focus, 100, None)

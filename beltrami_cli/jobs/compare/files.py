@@ -165,7 +165,7 @@ def compare_documents(
     samples = sum(selection.samples())
     job.expect(phases_of(["comparing", "measuring", *further], samples))
     for document in documents:
-        dataclasses.replace(selection, document=document, access=job.access).require_memory()
+        dataclasses.replace(selection, document=document).require_memory()
     steps: list[Callable[[], list[ComparedColours]]] = []
     if selection.image:
         steps.append(lambda: [compare_images(documents, settings, job.access)])

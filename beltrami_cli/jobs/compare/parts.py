@@ -133,7 +133,7 @@ def compare_images(
     images = [(document.name, document.data) for document in documents]
     require_memory(images, access, "compared")
     require_same_size(documents[0].image(), documents[1].image(), names[1])
-    samples = [ImageLayer.read(document, settings, access, colours_only=True) for document in documents]
+    samples = [ImageLayer.read(document, settings, colours_only=True) for document in documents]
     one, other, valid = samples[0].colours, samples[1].colours, samples[0].valid
     pictures = [each.image for each in samples]
     if one.names != other.names:

@@ -19,8 +19,8 @@ def choose_parts(documents: Documents, settings: SmoothSettings) -> tuple[Select
         cause = f"it is {kinds[1]}, but {documents[0].name} is {kinds[0]}"
         raise InputError(documents[1].name, cause, "compare two files of one kind")
     if documents[0].kind == "image":
-        selection = Selection(documents[0], settings, documents[0].access, image=True)
-        require_effect(selection.kinds, documents[0].name)
+        selection = Selection(documents[0], settings, image=True)
+        require_effect(documents[0].access.typed, selection.kinds, documents[0].name)
         return selection, []
     notices: list[str] = []
     chosen = settings if settings.textures.slots else _everything(documents, settings, notices)
