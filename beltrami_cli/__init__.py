@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from beltrami_cli.jobs.settings import Limits as Limits
     from beltrami_cli.jobs.settings import NoiseSettings as NoiseSettings
     from beltrami_cli.jobs.smooth import smooth_file as smooth_file
-    from beltrami_cli.jobs.smoothing import SmoothReport as SmoothReport
+    from beltrami_cli.jobs.smooth_report import SmoothReport as SmoothReport
     from beltrami_cli.layers.image_surface import ImageSurface as ImageSurface
     from beltrami_cli.layers.settings import EmbeddingSettings as EmbeddingSettings
     from beltrami_cli.layers.settings import ImageSettings as ImageSettings
@@ -71,7 +71,7 @@ _NAMES_IN = {
     "jobs.noise": "NoiseReport noise_file",
     "jobs.settings": "BakeSettings Limits NoiseSettings",
     "jobs.smooth": "smooth_file",
-    "jobs.smoothing": "SmoothReport",
+    "jobs.smooth_report": "SmoothReport",
     "layers.image_surface": "ImageSurface",
     "layers.settings": "EmbeddingSettings ImageSettings LevelSetSettings LevelSettings SmoothSettings TextureSettings",
     "view.render": "render_file",

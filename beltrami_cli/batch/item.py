@@ -26,7 +26,7 @@ from beltrami_cli.surface.memory import limited_memory
 
 if TYPE_CHECKING:
     from beltrami_cli.flow.chunks import Chunking
-    from beltrami_cli.jobs.smoothing import SmoothReport
+    from beltrami_cli.jobs.smooth_report import SmoothReport
     from beltrami_cli.layers.settings import SmoothSettings
 
 
@@ -103,12 +103,10 @@ class Attempt:
 
 
 def outcome_of(item: Item, status: Status, **values: Any) -> Outcome:
-    """Return an outcome with the paths and parameters of an item."""
     return Outcome(item.source, item.target, status, parameters_sha256=item.parameters, **values)
 
 
 def failed(item: Item, error: str, exit_code: int, seconds: float = 0.0) -> Outcome:
-    """Return the outcome of an item that failed."""
     return outcome_of(item, "failed", seconds=round(seconds, 3), error=error, exit_code=exit_code)
 
 

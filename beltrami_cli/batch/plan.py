@@ -100,7 +100,6 @@ def _found(text: str, out_dir: str, suffixes: Collection[str]) -> list[tuple[str
 
 
 def _no_files_reason(text: str) -> tuple[str, str]:
-    """Return cause and remedy of an input without files to smooth."""
     path = Path(text)
     images = {each.suffix.lower() for each in path.glob("*")} if path.is_dir() else set[str]()
     if images := images & set(IMAGE_SUFFIXES):

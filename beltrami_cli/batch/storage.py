@@ -74,7 +74,6 @@ def filesystem(url: str) -> tuple[Any, str]:
 
 
 def exists(name: str) -> bool:
-    """Whether a file or folder of that name exists."""
     if not is_url(name):
         return is_there(name)
     files, path = filesystem(name)

@@ -25,7 +25,7 @@ from beltrami_cli.view.words import (
 
 if TYPE_CHECKING:
     from beltrami_cli.flow.given_noise import GivenNoise
-    from beltrami_cli.jobs.smoothing import SmoothReport
+    from beltrami_cli.jobs.smooth_report import SmoothReport
     from beltrami_cli.layers.reports import LayerReport
 
 

@@ -82,7 +82,7 @@ def run_and_write(
 
 def _open_report(path: str, target: str, job: Job) -> Output:
     """Check that a report can be written, before anything is computed."""
-    from beltrami_cli.jobs.smoothing import is_report
+    from beltrami_cli.jobs.smooth_report import is_report
     from beltrami_cli.jobs.writing.output import Output
 
     if path == target == "-":

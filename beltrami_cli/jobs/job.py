@@ -53,12 +53,10 @@ class Job:
     chunk_memory: int | None = None
 
     def expect(self, phases: Iterable[Expected]) -> None:
-        """Announce the phases that follow."""
         if isinstance(self.progress, Work):
             self.progress.expect(phases)
 
     def begin(self, label: str) -> None:
-        """Report that a phase begins."""
         if self.progress is not None:
             self.progress(label, 0, 1)
 

@@ -70,21 +70,21 @@ def level_file(
     OutputError
         If the target cannot be written, or exists and `job.overwrite` is not set. Existing files stay as they were.
     """
-    own = {field.name for field in dataclasses.fields(LevelSettings)}
-    levelling = override(levelling, **{name: value for name, value in overrides.items() if name in own})
-    settings = override(settings, **{name: value for name, value in overrides.items() if name not in own})
+    of_levelling = {field.name for field in dataclasses.fields(LevelSettings)} & overrides.keys()
+    levelling = override(levelling, **{name: overrides.pop(name) for name in of_levelling})
+    settings = override(settings, **overrides)
     if settings.space == "oklab":
         cause = "exposures are gains of channels, which the space oklab mixes"
         raise UsageError(f"{cause}; choose srgb or linear")
     source, target = os.fspath(source), os.fspath(target)
     still = dataclasses.replace(settings, kernel=unsmoothed(settings.kernel))
-    made, done = recolour(source, target, still, Smoothing(still, levelling), job)
+    report, results = recolour(source, target, still, Smoothing(still, levelling), job)
     levelled = [
         dataclasses.replace(each.levelled, change=each.report.change)
-        for each in done
+        for each in results
         if each.levelled is not None
     ]
     described, used = describe_settings(settings), ("threads", "space", "channels", "on", "textures")
     parameters = {name: value for name, value in described.items() if name in used}
     parameters |= dataclasses.asdict(levelling)
-    return LevelFileReport(**{**vars(made), "parameters": parameters}, levelled=levelled)
+    return LevelFileReport(**{**vars(report), "parameters": parameters}, levelled=levelled)

@@ -58,7 +58,6 @@ class NewTexture:
         return write_image(picture, self.pixels, suffix=suffix, jpeg_quality=jpeg_quality, small=small)
 
     def surface(self) -> TexturedSurface:
-        """Return the textured surface, as a document would."""
         texture = Texture("new", "the new texture", self.encoded().data, wrap=("clamp", "clamp"))
         texture_of = np.zeros(len(self.faces), np.int32)
         return TexturedSurface(self.positions, self.faces, self.uv, texture_of, (texture,), self.space_of)

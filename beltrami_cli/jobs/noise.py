@@ -180,7 +180,6 @@ def _rows_of(layer: VertexLayer) -> NDArray[np.intp]:
 
 
 def _places_of(vertices: ColouredVertices, rows: NDArray[np.intp]) -> Int32s:
-    """Return the number of the place of each of some vertices."""
     spaces = None if vertices.space_of is None else vertices.space_of[rows]
     return group_places(vertices.positions[rows], spaces)[0]
 

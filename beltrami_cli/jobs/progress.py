@@ -62,25 +62,29 @@ def phases_of(kinds: Sequence[str], samples: int) -> list[Expected]:
 class Work:
     """A progress callback that combines the phases of a job into one fraction of the whole.
 
-    Without news the share comes ever closer to 1, at the pace of the seconds that are left.
+    Between reports the share comes ever closer to 1, at the pace of the seconds that are left.
     """
 
-    # Clock and seconds left when phases were announced last.
-    _announced: tuple[float, float] = field(default_factory=lambda: (time.process_time(), _UNANNOUNCED_REST))
-    _ahead: list[Expected] = field(default_factory=list)  # phases to come
-    _rest: float = _UNANNOUNCED_REST  # expected seconds of unannounced phases
+    _coming: list[Expected] = field(default_factory=list)  # announced phases
+    _unannounced: float = _UNANNOUNCED_REST  # expected seconds of unannounced phases
+    _announced_at: float = field(default_factory=time.process_time)
+    _announced_seconds: float = _UNANNOUNCED_REST  # left when phases were announced
     _label: str | None = None  # of the current phase
-    _expected: float = 0.0  # expected seconds of the current phase
-    _done: float = 0.0  # the completed fraction of the current phase
-    _first: tuple[float, float] = (0.0, 1.0)  # share of the whole and seconds left when it began
-    _last: tuple[float, float, float] = (0.0, 0.0, 0.0)  # share, seconds left and clock at the last report
+    _phase_seconds: float = 0.0  # which the current phase is expected to take
+    _phase_done: float = 0.0  # fraction of the current phase
+    _start_share: float = 0.0  # of the whole, when the current phase began
+    _start_seconds: float = 1.0  # left when it began
+    _last_share: float = 0.0  # of the whole, at the last report
+    _last_seconds: float = 0.0  # left at the last report
+    _last_at: float = 0.0
     _lock: Any = field(default_factory=threading.RLock, repr=False)  # a terminal is drawn by another thread
 
     def expect(self, phases: Iterable[Expected]) -> None:
         """End the current phase, and announce the next; where no times are known, seconds may be any unit."""
         with self._lock:
-            self._ahead, self._rest, self._label, self._expected = list(phases), 0.0, None, 0.0
-            self._announced = time.process_time(), self._left()
+            self._coming, self._unannounced = list(phases), 0.0
+            self._label, self._phase_seconds = None, 0.0
+            self._announced_at, self._announced_seconds = time.process_time(), self._seconds_left()
 
     def __call__(self, label: str, done: int, total: int) -> None:
         """Report work of a phase; a new phase ends the previous one."""
@@ -89,36 +93,36 @@ class Work:
             if self._label is None or phase_of(label) != phase_of(self._label):
                 self._start(phase_of(label), shown)
             self._label = label
-            self._done = max(self._done, min(1.0, done / max(1, total)))
-            first, whole = self._first
-            left = self._left()
-            share = first + (1 - first) * (1 - left / whole if whole else 1.0)
-            now, (began, expected) = time.process_time(), self._announced
-            slowness = (_PRIOR + now - began) / (_PRIOR + max(0.0, expected - left))
-            self._last = max(shown, share), slowness * left, now
+            self._phase_done = max(self._phase_done, min(1.0, done / max(1, total)))
+            left = self._seconds_left()
+            progress = 1 - left / self._start_seconds if self._start_seconds else 1.0
+            self._last_share = max(shown, self._start_share + (1 - self._start_share) * progress)
+            now = time.process_time()
+            expected = max(0.0, self._announced_seconds - left)
+            slowness = (_PRIOR + now - self._announced_at) / (_PRIOR + expected)
+            self._last_seconds, self._last_at = slowness * left, now
 
     def _start(self, phase: str, shown: float) -> None:
-        number = next((n for n, (name, _) in enumerate(self._ahead) if name == phase), None)
-        self._expected = _UNANNOUNCED_PHASE if number is None else self._ahead[number][1]
-        if number is not None:
-            del self._ahead[: number + 1]
-        self._done = 0.0
-        self._first = shown, self._left()
+        names = [name for name, _ in self._coming]
+        self._phase_seconds, self._phase_done = _UNANNOUNCED_PHASE, 0.0
+        if phase in names:
+            number = names.index(phase)
+            self._phase_seconds = self._coming[number][1]
+            del self._coming[: number + 1]
+        self._start_share, self._start_seconds = shown, self._seconds_left()
 
-    def _left(self) -> float:
-        """Return the expected remaining seconds."""
-        return self._expected * (1 - self._done) + sum(seconds for _, seconds in self._ahead) + self._rest
+    def _seconds_left(self) -> float:
+        coming = sum(seconds for _, seconds in self._coming)
+        return self._phase_seconds * (1 - self._phase_done) + coming + self._unannounced
 
     @property
     def label(self) -> str:
-        """The label of the current phase."""
         return self._label or ""
 
     def share(self) -> float:
-        """Return the completed fraction of the whole."""
         with self._lock:
-            share, left, when = self._last
-            return 1 - (1 - share) * left / (left + time.process_time() - when) if left > 0 else share
+            left, since = self._last_seconds, time.process_time() - self._last_at
+            return 1 - (1 - self._last_share) * left / (left + since) if left > 0 else self._last_share
 
 
 @dataclass

@@ -67,7 +67,6 @@ def _is_new(document: Document, slot: Slot, key: str, image: ImageFile) -> bool:
 
 
 def _has_textures(document: Document, kind: OutputFormat) -> bool:
-    """Whether conversion of a document also converts textures."""
     return output_format.image_suffixes(kind.name) is not None and bool(document.readable(document.slots()))
 
 

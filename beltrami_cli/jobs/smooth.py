@@ -9,7 +9,8 @@ from beltrami_cli.fields import override
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.recolour import recolour
 from beltrami_cli.jobs.settings import BakeSettings
-from beltrami_cli.jobs.smoothing import Smoothing, SmoothReport, smooth_report
+from beltrami_cli.jobs.smooth_report import SmoothReport, smooth_report
+from beltrami_cli.jobs.smoothing import Smoothing
 from beltrami_cli.jobs.unwrapped import smooth_unwrapped
 from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
 

@@ -1,15 +1,12 @@
-"""The filter that removes exposure steps and smooths, and the record of what was done."""
+"""The filter that removes exposure steps and smooths."""
 
 from __future__ import annotations
 
 import dataclasses
-import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import count
-from typing import Any, ClassVar
-
-import numpy as np
+from typing import ClassVar
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import smooth_in_place
@@ -17,15 +14,13 @@ from beltrami_cli.flow.choice.choice import Choice
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Resources
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.output_format import OutputFormat
-from beltrami_cli.jobs.file_job import FileReport
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.progress import Label
 from beltrami_cli.jobs.recolour import ColourFilter, FilterResult
 from beltrami_cli.layers.layer import Layer, Part
-from beltrami_cli.layers.reports import ImageReport, LayerReport, LevelReport, SlotReport, VertexReport
+from beltrami_cli.layers.reports import LayerReport, LevelReport
 from beltrami_cli.layers.selection import Selection
-from beltrami_cli.layers.settings import LevelSettings, SmoothSettings, describe_settings
-from beltrami_cli.layers.storing import Change
+from beltrami_cli.layers.settings import LevelSettings, SmoothSettings
 
 _USUAL_TICKS = 30  # while parameters are chosen
 
@@ -76,7 +71,6 @@ def smooth_layer(
 
 
 def unsmoothed(kernel: KernelParameters) -> KernelParameters:
-    """Return parameters that leave colours as they are."""
     return dataclasses.replace(kernel, iterations=0, free=(), patches="off")
 
 
@@ -142,93 +136,3 @@ class Smoothing(ColourFilter[Smoothed]):
         if self.levelling is not None:
             layer = layer.levelled(self.levelling)
         return smooth_in_job(layer, job, layer.label) if "smoothing" in self.phases else smooth_layer(layer)
-
-
-def smooth_report(made: FileReport, done: Sequence[Smoothed], settings: SmoothSettings) -> SmoothReport:
-    """Add the changes of layers to the report of a file."""
-    groups: dict[object, list[Smoothed]] = {}
-    for number, each in enumerate(done):
-        report = each.report
-        key = (
-            (report.slot, str(report.choice), str(report.noise), str(report.wrong_samples))
-            if isinstance(report, SlotReport)
-            else number
-        )
-        groups.setdefault(key, []).append(each)
-    reports: dict[Part, list[Any]] = {"vertices": [], "textures": [], "image": []}
-    for group in groups.values():
-        reports[group[0].part].append(_joined(group))
-    return SmoothReport(
-        **{**vars(made), "parameters": describe_settings(settings)},
-        vertices=next(iter(reports["vertices"]), None),
-        textures=reports["textures"],
-        image=next(iter(reports["image"]), None),
-        levelled=[each.levelled for each in done if each.levelled is not None],
-    )
-
-
-def _joined(group: Sequence[Smoothed]) -> LayerReport:
-    """Return one report for groups of textures of one slot that have the same noise and parameters."""
-    reports = [each.report for each in group if isinstance(each.report, SlotReport)]
-    if len(reports) < 2:
-        return group[0].report
-    texels = [max(1, report.counts["covered"]) for report in reports]
-
-    def mean(name: str) -> float:
-        return float(np.average([getattr(report, name) or 0.0 for report in reports], weights=texels))
-
-    return dataclasses.replace(
-        reports[0],
-        textures=[texture for report in reports for texture in report.textures],
-        counts={key: sum(report.counts[key] for report in reports) for key in reports[0].counts},
-        pitch=mean("pitch"),
-        samples_per_kernel=round(mean("samples_per_kernel"), 2),
-        patches=None if reports[0].patches is None else mean("patches"),
-        change=Change.joined(each.stored.change for each in group).summary(),
-    )
-
-
-_HEAD = re.compile(rb'\{\n  "input": ".*",\n  "output": ".*",\n  "format": "\w+",\n  "parameters": \{')
-
-
-@dataclass(frozen=True, kw_only=True)
-class SmoothReport(FileReport):
-    """What was done to a file; `dataclasses.asdict` gives JSON types.
-
-    Attributes
-    ----------
-    input, output, format : str
-        Paths of the input and output, and the format written.
-    parameters : dict
-        The parameters that were requested. Those named in "given" are not as by default; those named in "free" were
-        chosen from the data, and the chosen values are in the records below.
-    vertices : VertexReport or None
-        Statistics of vertex colours, if they were smoothed.
-    textures : list of SlotReport
-        Statistics of each texture slot that was smoothed.
-    stages : dict
-        "wall" and "cpu" seconds per stage.
-    peak_memory : int or None
-        Peak resident size of the process in bytes.
-    written : list of str
-        The files that were written; none on a dry run.
-    warnings : list of str
-        Messages for the user.
-    image : ImageReport or None
-        Statistics of an image, if it was smoothed.
-    levelled : list of LevelReport
-        What was done to exposure steps before, if that was asked for.
-    new_texture : str
-        What kind of texture was made, in words; empty if none was.
-    """
-
-    vertices: VertexReport | None
-    textures: list[SlotReport]
-    image: ImageReport | None = None
-    levelled: list[LevelReport] = field(default_factory=list)
-    new_texture: str = ""
-
-
-def is_report(head: bytes) -> bool:
-    """Whether a file is a `SmoothReport` as JSON, by its first bytes."""
-    return _HEAD.match(head) is not None

@@ -15,7 +15,8 @@ from beltrami_cli.jobs.file_job import FileJob, begin
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.recolour import apply_filter
 from beltrami_cli.jobs.settings import BakeSettings
-from beltrami_cli.jobs.smoothing import Smoothed, Smoothing, SmoothReport, smooth_in_job, smooth_report
+from beltrami_cli.jobs.smooth_report import SmoothReport, smooth_report
+from beltrami_cli.jobs.smoothing import Smoothed, Smoothing, smooth_in_job
 from beltrami_cli.layers.selection import Selection
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.layers.storing import all_images

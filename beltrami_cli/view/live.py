@@ -27,7 +27,8 @@ from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.progress import Share, at_intervals
 from beltrami_cli.jobs.recolour import recolour_in_memory
 from beltrami_cli.jobs.smooth import smooth_file
-from beltrami_cli.jobs.smoothing import Smoothed, Smoothing, smooth_report
+from beltrami_cli.jobs.smooth_report import smooth_report
+from beltrami_cli.jobs.smoothing import Smoothed, Smoothing
 from beltrami_cli.layers.selection import select
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.records import Slot

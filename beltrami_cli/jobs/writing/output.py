@@ -320,7 +320,9 @@ def _collision(output: Output, name: str, other: str) -> OutputError:
 
 
 def _existing(name: str) -> OutputError:
-    return OutputError(name, "exists already", "choose another name, or --overwrite")
+    return OutputError(
+        name, "exists already", "choose another name, or --overwrite (in Python overwrite=True)"
+    )
 
 
 def _unwritable(name: str, error: OSError) -> OutputError:
