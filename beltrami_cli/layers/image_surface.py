@@ -5,10 +5,12 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Indices, Int32s
+from beltrami_cli.arrays import Bools, Float32s, Float64s, Indices, Int32s
 from beltrami_cli.errors import InputError
 from beltrami_cli.flow.manifolds.canvas import canvas_margin
 from beltrami_cli.flow.manifolds.grid_manifold import ColouredCanvas
@@ -42,9 +44,9 @@ class ImageSurface:
         Messages for users, one sentence each; set when the surface was read from files.
     """
 
-    heights: Array | None = None
-    positions: Array | None = None
-    valid: Bools | None = None
+    heights: NDArray[Any] | None = None
+    positions: NDArray[Any] | None = None
+    valid: NDArray[np.bool_] | None = None
     notices: tuple[str, ...] = ()
 
     @property
