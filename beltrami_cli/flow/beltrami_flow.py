@@ -21,7 +21,8 @@ from beltrami_cli.flow.corrections.clipping import (
     mark_clipped,
     restore_clipped_in_place,
 )
-from beltrami_cli.flow.manifolds.manifold import Averaged, Manifold, Step
+from beltrami_cli.flow.manifolds.iteration import Averaged, Step
+from beltrami_cli.flow.manifolds.manifold import Manifold
 from beltrami_cli.flow.patches import PASSES, blend_with_patches_in_place
 from beltrami_cli.flow.plan import AnyManifold, Plan
 

@@ -33,9 +33,10 @@ from beltrami_cli._native import blend_residual, blend_share_within, blend_terms
 from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.flow.corrections.clipping import ClippedChannels, normal_tables
 from beltrami_cli.flow.manifolds.blocks import block_rows, for_blocks, in_blocks, in_parallel
-from beltrami_cli.flow.manifolds.domain import CoarseLevel, Domain, Mixing, Stack
-from beltrami_cli.flow.manifolds.manifold import Averaged, Manifold, relative_variance
-from beltrami_cli.flow.mixing import NOISELESS, PERTURBATION, mixing_of, with_pilot
+from beltrami_cli.flow.manifolds.domain import CoarseLevel, Domain, Stack
+from beltrami_cli.flow.manifolds.iteration import Averaged
+from beltrami_cli.flow.manifolds.manifold import Manifold
+from beltrami_cli.flow.mixing import NOISELESS, PERTURBATION, Mixing
 from beltrami_cli.surface import large_arrays
 
 
@@ -112,14 +113,14 @@ def blend_with_patches_in_place(
     perturbed = averaged.stacks[0]
     manifold.drop_kernels()
     if clipped is not None:
-        for_blocks(clipped.impute_in_place, threads, axis, noisy, before, relative_variance(manifold))
-    mixing = mixing_of(manifold, before, manifold.noise.covariance)
-    mixing_with_pilot = with_pilot(mixing, manifold)
+        for_blocks(clipped.impute_in_place, threads, axis, noisy, before, manifold.relative_variance)
+    mixing = Mixing.of(geometry.steps(before), manifold.noise.covariance)
+    with_pilot = mixing.with_pilot(manifold.parameters.strength, is_shared=manifold.noise.is_shared)
 
     def estimate(pilot: Stack) -> Stack:
         first = manifold.collaborate(noisy, pilot, mixing, stage(PASSES[0]))
         for_blocks(lambda mean, other: np.divide(mean + other, 2, out=mean), threads, axis, first, pilot)
-        return manifold.collaborate(noisy, first, mixing_with_pilot, stage(PASSES[1]), replaces_pilot=True)
+        return manifold.collaborate(noisy, first, with_pilot, stage(PASSES[1]), replaces_pilot=True)
 
     after = estimate(before)
     probed = _Probed.of(manifold, perturbation.get(), size)
@@ -132,7 +133,7 @@ def blend_with_patches_in_place(
     del response
     for level in _plain_levels(manifold):
         means = _noisy_means(level, manifold, model, probed, results)
-        gain += _improve_means_in_place(level, model, mixing_with_pilot, means, (before, perturbed))
+        gain += _improve_means_in_place(level, model, with_pilot, means, (before, perturbed))
     count = max(1, geometry.kernels)
     return Blend(
         dataclasses.replace(averaged, stacks=[before]), share / count,
@@ -148,7 +149,7 @@ def _mix_in_place(
     responses: tuple[Stack, Stack],
 ) -> tuple[float, float]:
     """Blend the second result into the first; return the sum of the weights and of the gain."""
-    regions, relative = manifold.regions, relative_variance(manifold)
+    regions, relative = manifold.regions, manifold.relative_variance
     stacks = [
         np.moveaxis(stack, manifold.geometry.axis, 0)
         for stack in (noisy.colours, noisy.signs, relative, *results, *responses)
@@ -200,7 +201,7 @@ def _noisy_means(
     level: CoarseLevel, manifold: Manifold, model: _NoiseTerms, noisy: _Probed, results: tuple[Stack, Stack]
 ) -> _NoisyMeans:
     """Compute the means of noisy colours and their residual to the first result; the second result is overwritten."""
-    axis, relatives, (before, memory) = manifold.geometry.axis, relative_variance(manifold), results
+    axis, relatives, (before, memory) = manifold.geometry.axis, manifold.relative_variance, results
     means, probe = level.means(noisy.colours), noisy.size * level.means(noisy.signs)
 
     def cube_share(p: Array, shares: Array, relative: Array) -> None:

@@ -15,7 +15,8 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.choice.choice import Choice, is_noisy, tune
 from beltrami_cli.flow.corrections.coarse_levels import without_shared_noise
 from beltrami_cli.flow.corrections.mean_light import MeanLight
-from beltrami_cli.flow.manifolds.manifold import Manifold, Step
+from beltrami_cli.flow.manifolds.iteration import Step
+from beltrami_cli.flow.manifolds.manifold import Manifold
 from beltrami_cli.flow.noise.model import Reading
 from beltrami_cli.flow.parameters import KernelParameters, Space
 

@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter
 
 import beltrami_cli
 from beltrami_cli.flow.choice.risk import RiskEstimate
-from beltrami_cli.flow.manifolds.manifold import Step
+from beltrami_cli.flow.manifolds.iteration import Step
 from beltrami_cli.flow.noise.drawing import draw_model
 from beltrami_cli.flow.noise.model import sigma_of_covariances
 from flow.noisy_surfaces import by_camera, in_8_bits, noise_of_image

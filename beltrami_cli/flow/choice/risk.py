@@ -23,7 +23,8 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.flow.corrections.clipping import variance_of_clipped
-from beltrami_cli.flow.manifolds.manifold import SampleTrial, Step
+from beltrami_cli.flow.manifolds.iteration import Step
+from beltrami_cli.flow.manifolds.manifold import SampleTrial
 from beltrami_cli.flow.noise.stabiliser import VarianceStabiliser
 from beltrami_cli.surface.colour_values import limits_of
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 from beltrami_cli.flow.choice.risk import Risk, RiskEstimate, State
-from beltrami_cli.flow.manifolds.manifold import Step
+from beltrami_cli.flow.manifolds.iteration import Step
 from beltrami_cli.flow.parameters import MAX_GROWTH
 
 # Improvements below this share of the noise variance are due to chance: some 0.1 dB of a good result.

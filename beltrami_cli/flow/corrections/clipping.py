@@ -29,7 +29,7 @@ import numpy as np
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s
 from beltrami_cli.flow.manifolds.blocks import for_blocks
 from beltrami_cli.flow.manifolds.domain import Stack
-from beltrami_cli.flow.manifolds.manifold import Manifold, relative_variance
+from beltrami_cli.flow.manifolds.manifold import Manifold
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY
 from beltrami_cli.surface.colour_values import limits_of
@@ -156,7 +156,7 @@ def restore_clipped_in_place(
     manifold: Manifold, clipped: ClippedChannels, colours: Stack, marks: Stack
 ) -> None:
     """Turn averages of clipped colours into estimates of the colours without noise."""
-    geometry, relative = manifold.geometry, relative_variance(manifold)
+    geometry, relative = manifold.geometry, manifold.relative_variance
     for_blocks(clipped.restore_in_place, geometry.threads, geometry.axis, colours, marks, relative)
 
 

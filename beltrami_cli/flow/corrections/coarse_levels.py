@@ -27,8 +27,8 @@ from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.flow.corrections.clipping import ClippedChannels, clipped_on
 from beltrami_cli.flow.manifolds.blocks import block_rows, in_blocks
 from beltrami_cli.flow.manifolds.domain import CoarseLevel, Geometry
-from beltrami_cli.flow.manifolds.manifold import Manifold, relative_variance
-from beltrami_cli.flow.mixing import PERTURBATION, mixing_of, with_pilot
+from beltrami_cli.flow.manifolds.manifold import Manifold
+from beltrami_cli.flow.mixing import PERTURBATION, Mixing
 from beltrami_cli.flow.noise.model import sigma_of_covariances
 from beltrami_cli.surface import large_arrays
 
@@ -79,7 +79,7 @@ def _impute_clipped_in_place(manifold: Manifold) -> None:
     geometry, regions = manifold.geometry, manifold.regions
     found = clipped_on(manifold)
     colours, relative = (
-        np.moveaxis(each, geometry.axis, 0) for each in (manifold.colours, relative_variance(manifold))
+        np.moveaxis(each, geometry.axis, 0) for each in (manifold.colours, manifold.relative_variance)
     )
     for k, clipped in () if found is None else found.sides():
         channel = colours[k : k + 1]
@@ -106,7 +106,7 @@ def fill_dark_outliers_in_place(manifold: Manifold, level: CoarseLevel, sigma: F
     """Replace single samples in plain places that are too far below the local mean for noise."""
     geometry = manifold.geometry
     colours, relative = (
-        np.moveaxis(each, geometry.axis, 0) for each in (manifold.colours, relative_variance(manifold))
+        np.moveaxis(each, geometry.axis, 0) for each in (manifold.colours, manifold.relative_variance)
     )
     found = np.zeros(colours.shape[1:], bool)
     shares = np.maximum(level.spread(level.planes(1) + np.float32(1)), np.float32(_MIN_SHARE))
@@ -150,8 +150,8 @@ def _coarsest(covariances: Float64s) -> int:
 
 def _estimate_in_place(level: CoarseLevel, manifold: Manifold, noise: Float64s) -> float:
     """Estimate means; return their mean square error by SURE, see `risk`."""
-    first = mixing_of(manifold, manifold.colours, noise)
-    second, means = with_pilot(first, manifold), level.means(manifold.colours)
+    first, means = Mixing.of(manifold.geometry.steps(manifold.colours), noise), level.means(manifold.colours)
+    second = first.with_pilot(manifold.parameters.strength, is_shared=manifold.noise.is_shared)
     collaborate = partial(level.collaborate, shared=True)
 
     def estimate(noisy: Float32s) -> Float32s:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import ClassVar, Protocol
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Indices, Uint8s
 from beltrami_cli.flow.manifolds.blocks import block_rows, in_parallel
 from beltrami_cli.flow.manifolds.kernel_work import KernelWork
+from beltrami_cli.flow.mixing import Mixing
 
 Stack = Float32s
 
@@ -168,20 +168,3 @@ class CoarseLevel(Domain):
     @abstractmethod
     def add_enlarged(self, stack: Stack, changes: Stack) -> None:
         """Add interpolated changes of means to a stack, in place."""
-
-
-@dataclass(frozen=True)
-class Mixing:
-    """Linear mixing of N channels to decorrelated ones, shape (N, N), and their noise variance, shape (N,)."""
-
-    forth: Float32s
-    back: Float32s
-    variances: Float32s
-    shrinkage: Float32s  # shape (N,): factor of the noise with a pilot, where there is no detail
-    least_ratio: float = 0.0  # lower bound of that factor where there is detail
-    strength: float = 1.0  # further factor, everywhere
-    has_pilot: bool = field(default=False, kw_only=True)  # patches are compared on an estimate
-
-    @property
-    def parts(self) -> tuple[Float32s, Float32s, Float32s, Float32s, float, float]:
-        return self.forth, self.back, self.variances, self.shrinkage, self.least_ratio, self.strength

@@ -17,27 +17,25 @@ from beltrami_cli._native import grid_distances, smooth_grid
 from beltrami_cli.arrays import Array, Bools, Float32s, Int64s
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunk, Figures, Rectangle, Resources, chunks_of_canvas
 from beltrami_cli.flow.manifolds.canvas import FURTHEST_SUPPORT, canvas_colours, kernel_margin, on_canvas
-from beltrami_cli.flow.manifolds.domain import Gaussian, Mixing, Stack
+from beltrami_cli.flow.manifolds.domain import Gaussian, Stack
 from beltrami_cli.flow.manifolds.grid_gaussian import GridGaussian, guide_radius
 from beltrami_cli.flow.manifolds.grid_geometry import Cells, GridGeometry, pick
 from beltrami_cli.flow.manifolds.grid_patches import Squares, collaborate_on_canvas, largest_side
 from beltrami_cli.flow.manifolds.guides import Guide, GuideStack
-from beltrami_cli.flow.manifolds.manifold import (
+from beltrami_cli.flow.manifolds.iteration import (
     Averaged,
-    Manifold,
     Metric,
     SampledKernel,
-    SampleTrial,
-    StabilisedColours,
     Step,
     at_step,
     kernel_values,
-    wanted_probes,
 )
+from beltrami_cli.flow.manifolds.manifold import Manifold, SampleTrial, StabilisedColours, wanted_probes
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.manifolds.seams import end_at_seams_in_place
 from beltrami_cli.flow.manifolds.search_range import ON_GRIDS, RULE_ON_GRIDS
 from beltrami_cli.flow.manifolds.trial_blocks import choose_blocks, perturbations, tried_cells, with_halo
+from beltrami_cli.flow.mixing import Mixing
 from beltrami_cli.flow.parameters import KernelParameters, Space
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, OWNED, Atlas, refresh_halo

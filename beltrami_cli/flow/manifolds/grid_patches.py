@@ -20,8 +20,9 @@ from beltrami_cli._native import (
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Uint8s
 from beltrami_cli.flow.chunks import Chunking, Figures, Rectangle, chunks_of_canvas, grown
 from beltrami_cli.flow.manifolds.canvas import canvas_margin
-from beltrami_cli.flow.manifolds.domain import CoarseLevel, Mixing, Stack
+from beltrami_cli.flow.manifolds.domain import CoarseLevel, Stack
 from beltrami_cli.flow.manifolds.grid_gaussian import gaussian_taps
+from beltrami_cli.flow.mixing import Mixing
 from beltrami_cli.flow.noise.drawing import mixed_signs
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface import large_arrays

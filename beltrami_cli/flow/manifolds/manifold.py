@@ -14,47 +14,26 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Int64s
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunk, Chunking, Figures, Resources
-from beltrami_cli.flow.manifolds.domain import CoarseLevel, Domain, Gaussian, Geometry, Mixing, Stack
+from beltrami_cli.flow.manifolds.domain import CoarseLevel, Domain, Gaussian, Geometry, Stack
 from beltrami_cli.flow.manifolds.guides import GuideStack
+from beltrami_cli.flow.manifolds.iteration import Averaged, Metric, SampledKernel, Step
+from beltrami_cli.flow.manifolds.moving_positions import MovingPositions
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.manifolds.search_range import Rule, SearchRange
+from beltrami_cli.flow.mixing import Mixing
 from beltrami_cli.flow.noise.model import NoiseModel, choose_beta
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.large_arrays import Droppable
 
-if TYPE_CHECKING:
-    from beltrami_cli.flow.manifolds.moving_positions import MovingPositions
-
 # Number of samples for which one perturbation suffices, and maximum number of perturbations for fewer samples.
 _ENOUGH_SAMPLES, _MAX_PROBES = 5_000, 4
-
-
-@dataclass(frozen=True)
-class Step:
-    """One iteration: beta in length per unit of colour, the time step, and whether the metric is regularised."""
-
-    beta: float
-    t: float
-    regularised: bool
-
-
-@dataclass(frozen=True)
-class Metric:
-    """The metric of an iteration, eq. (1).
-
-    On a grid, and on a mesh in chunks, averaging induces it part by part from the first stack. The metric of a whole
-    mesh is a `MeshMetric`.
-    """
-
-    step: Step
-    gaussian: Gaussian | None  # None: not regularised
 
 
 @dataclass(frozen=True)
@@ -113,6 +92,15 @@ class Manifold(ABC):
         if parameters.beta is not None:
             return parameters.beta
         return choose_beta(sigma) * self.unit / math.sqrt(parameters.strength)
+
+    @property
+    def relative_variance(self) -> Stack:
+        """The variance of the noise relative to its mean, a stack of one channel."""
+        if self.noise.relative is not None:
+            return self.noise.relative
+        shape = list(self.colours.shape)
+        shape[self.geometry.axis] = 1
+        return np.broadcast_to(np.float32(1), shape)
 
     def with_parameters(self, **values: Any) -> Self:
         return dataclasses.replace(self, parameters=dataclasses.replace(self.parameters, **values))
@@ -238,27 +226,6 @@ class Manifold(ABC):
 
 
 @dataclass(frozen=True)
-class Averaged:
-    """Averages of channels by eq. (9), the number of samples in all kernels, and of truncated kernels."""
-
-    stacks: list[Float32s]
-    samples: float
-    truncated: int = 0
-    moving: MovingPositions | None = None  # after the iteration
-
-
-@dataclass(frozen=True)
-class SampledKernel:
-    """The K samples in the kernel of one sample p, ordered by distance; p is the first."""
-
-    samples: Int64s  # shape (K,)
-    distances: Float32s  # d(p, q), in the unit of length of the parameters; 0 at p
-    weights: Float32s  # w_q exp(-d(p, q)^2 / (4 t)), eqs. (8, 9), not yet divided by their sum
-    colours: Float32s  # I(q), before the iteration, in the working space, shape (K, N)
-    offsets: Int64s | None = None  # on a grid, rows and columns from p, shape (K, 2)
-
-
-@dataclass(frozen=True)
 class SampleTrial:
     """A part of a manifold on which iterations are tried; `scored_samples` are evaluated, None: all."""
 
@@ -301,16 +268,6 @@ def wanted_probes(samples: int) -> int:
     return min(_MAX_PROBES, -(-_ENOUGH_SAMPLES // max(1, samples)))
 
 
-def at_step(parameters: KernelParameters, step: Step) -> KernelParameters:
-    """Set the time step of an iteration, which determines the radius of kernels."""
-    return parameters if step.t == parameters.t else dataclasses.replace(parameters, t=step.t)
-
-
-def kernel_values(distances: Float32s, t: float) -> Float32s:
-    """exp(-d^2 / (4 t)), eq. (8)."""
-    return np.asarray(np.exp(-np.square(distances.astype(np.float64)) / (4 * t)), np.float32)
-
-
 def _join_channels(parts: Sequence[tuple[Float32s, float]], axis: int) -> tuple[Float32s, float]:
     """Scale channels of different beta to one beta, colours first, and join them; beta is 0 if all are."""
     weighted = [(values, beta) for values, beta in parts if beta > 0 and values.shape[axis] > 0]
@@ -321,12 +278,3 @@ def _join_channels(parts: Sequence[tuple[Float32s, float]], axis: int) -> tuple[
     common = weighted[0][1] if weighted[0][1] > 1e-9 * largest else largest
     scaled = [values if beta == common else values * np.float32(beta / common) for values, beta in weighted]
     return np.concatenate(scaled, axis=axis), common
-
-
-def relative_variance(manifold: Manifold) -> Stack:
-    """Return the variance of the noise relative to its mean, a stack of one channel."""
-    if manifold.noise.relative is not None:
-        return manifold.noise.relative
-    shape = list(manifold.colours.shape)
-    shape[manifold.geometry.axis] = 1
-    return np.broadcast_to(np.float32(1), shape)

@@ -15,8 +15,8 @@ from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Indices, Int32
 from beltrami_cli.flow.chunks import Resources
 from beltrami_cli.flow.manifolds.domain import ENOUGH_STEPS, Domain, Geometry, Stack
 from beltrami_cli.flow.manifolds.fingerprints import fingerprints, quantised
+from beltrami_cli.flow.manifolds.iteration import Metric
 from beltrami_cli.flow.manifolds.kernel_work import MeshWork
-from beltrami_cli.flow.manifolds.manifold import Metric
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.vertex_graph import PASS_SCALE, PASS_VARIANCE, Graph, MeshGaussian
 from beltrami_cli.surface import large_arrays

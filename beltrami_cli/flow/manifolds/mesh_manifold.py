@@ -14,28 +14,26 @@ from numpy.typing import NDArray
 from beltrami_cli._native import PATCH_BLOCK_SIZE
 from beltrami_cli.arrays import Array, Float32s
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunk, Chunking, Figures, Resources, runs
-from beltrami_cli.flow.manifolds.domain import Gaussian, Mixing, Stack
+from beltrami_cli.flow.manifolds.domain import Gaussian, Stack
 from beltrami_cli.flow.manifolds.fingerprints import fingerprints, quantised, random_signs
 from beltrami_cli.flow.manifolds.graph_patches import Clusters, clusters_for, collaborate_on_graph
 from beltrami_cli.flow.manifolds.guides import Guide, GuideStack
-from beltrami_cli.flow.manifolds.kernel_work import without_hubs
-from beltrami_cli.flow.manifolds.manifold import (
+from beltrami_cli.flow.manifolds.iteration import (
     Averaged,
-    Manifold,
     Metric,
     SampledKernel,
-    SampleTrial,
-    StabilisedColours,
     Step,
     at_step,
     kernel_values,
-    wanted_probes,
 )
+from beltrami_cli.flow.manifolds.kernel_work import without_hubs
+from beltrami_cli.flow.manifolds.manifold import Manifold, SampleTrial, StabilisedColours, wanted_probes
 from beltrami_cli.flow.manifolds.mesh_geometry import Core, MeshGeometry, MeshMetric, rank_in
 from beltrami_cli.flow.manifolds.moving_positions import GeometryParameters, MovingPositions
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.manifolds.search_range import ON_MESHES, RULE_ON_MESHES
 from beltrami_cli.flow.manifolds.trial_patches import choose_patches
+from beltrami_cli.flow.mixing import Mixing
 from beltrami_cli.flow.noise.drawing import draw_noise_of_clusters
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.vertex_graph import Graph, levels_of
