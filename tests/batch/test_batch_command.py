@@ -348,6 +348,7 @@ def test_a_dry_run_says_what_would_be_done_and_does_nothing(tmp_path):
     assert "would fail" not in again.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_installed", [True, False], ids=["no scheduler", "no Dask"])
 def test_a_batch_that_finds_no_workers_makes_no_folder(is_installed, tmp_path, monkeypatch):
     if is_installed:

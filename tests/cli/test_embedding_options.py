@@ -66,6 +66,7 @@ def test_the_normal_map_of_a_material_guides_its_base_colour(textured):
     assert (textured / "clean.png").read_bytes() == (SAMPLES / "head-tex-clean.png").read_bytes()
 
 
+@pytest.mark.slow
 def test_vertices_are_guided_by_models_arrays_and_attributes_alike(tmp_path):
     colours = vertices_of(CLEAN).colours
     np.save(tmp_path / "guide.npy", colours)
@@ -107,6 +108,7 @@ def test_channels_change_and_metric_channels_count(tmp_path):
     assert not np.array_equal(colours["alone"][:, 0], colours["all"][:, 0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("extension", ["ply", "obj", "glb"])
 def test_vertices_move_if_that_is_asked_for_and_the_report_says_how_far(extension, tmp_path):
     source, target = NOISY.with_suffix(f".{extension}"), tmp_path / f"out.{extension}"
@@ -128,6 +130,7 @@ def test_vertices_move_if_that_is_asked_for_and_the_report_says_how_far(extensio
     assert json.loads(info.stdout)["smooth"]["guide_betas"] == {str(CLEAN): 5.0}
 
 
+@pytest.mark.slow
 def test_moved_vertices_may_go_into_another_format(tmp_path):
     for name in ("same.ply", "other.glb"):  # in which the quads become triangles
         run("smooth", NOISY, tmp_path / name, "--smooth-geometry")

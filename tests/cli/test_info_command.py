@@ -25,6 +25,7 @@ def info(name, *options):
     return json.loads(run.stdout)
 
 
+@pytest.mark.slow
 def test_the_keys_in_the_examples_of_help_are_there():
     samples = {"ply": "nonmanifold-noisy.ply", "glb": "tiled-noisy.glb", "obj": "mirrored-noisy.obj"}
     examples = re.findall(r"scan\.(\w+) --json \| jq '?\.([.\w\[\]]+)", notes_on("info"))
@@ -55,6 +56,7 @@ def test_a_range_image_has_no_triangles_in_the_short_text(tmp_path):
     assert line.endswith("npz, 48 vertices")
 
 
+@pytest.mark.slow
 def test_each_of_several_textures_has_its_own_noise_charts_and_pitch(tmp_path):
     copy_samples(tmp_path, "torus-two-noisy*")
     shutil.copy(SAMPLES / "torus-two-clean-dough.png", tmp_path / "torus-two-noisy-dough.png")
@@ -91,6 +93,7 @@ def test_textures_in_other_slots_are_named(tmp_path):
     assert info(tmp_path / "both.gltf", "--fast", "--slots", "baseColor,emissive")["notices"] == []
 
 
+@pytest.mark.slow
 def test_vertex_colours_beside_textures_are_described_and_said_to_stay(tmp_path):
     copy_samples(tmp_path, "scan-noisy.jpg")
     rows = [[x, y, 0, 60 * x, 90, 200 * y, x, y] for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))]
@@ -112,6 +115,7 @@ def kinds_in(value):
     return {type(value)}.union(*map(kinds_in, inner))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "options"),
     [

@@ -128,6 +128,7 @@ def test_what_stands_in_a_file_or_the_environment_is_for_the_inputs_that_it_fits
     beltrami(*words, cwd=tmp_path, env={"BELTRAMI_SMOOTH_TEXTURE_FORMAT": "png"})
 
 
+@pytest.mark.slow
 def test_a_batch_warns_of_an_option_that_fits_none_of_its_files(tmp_path):
     vertices, textures = SAMPLES / "nonmanifold-noisy.ply", SAMPLES / "mirrored-noisy.obj"
     options = ("--jpeg-quality", 50, "--fast", "--overwrite")

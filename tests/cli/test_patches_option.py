@@ -35,6 +35,7 @@ def smoothed(source, *options):
     return run.stderr, colours_in(report), target.read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["picture", "mesh"])
 def test_the_share_of_patches_is_said_and_reported(kind, request):
     source = request.getfixturevalue(kind)

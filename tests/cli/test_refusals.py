@@ -4,6 +4,7 @@ import os
 import shlex
 import shutil
 import sys
+from functools import partial
 from importlib.metadata import packages_distributions, requires
 
 import numpy as np
@@ -12,6 +13,8 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 from batch.batches import without_workers
+from beltrami_cli.view import before_after
+from beltrami_cli.view.settings import RenderSettings
 from cli.commands import SAMPLES, beltrami, refused
 from cli.pictures import coloured_file, pixels
 from formats.image_files import encode
@@ -354,6 +357,7 @@ def test_pictures_of_surfaces_need_no_extra(tmp_path, monkeypatch):
         if {*map(canonicalize_name, distributions)} <= optional:
             hide(module, monkeypatch)
     source = f"{SAMPLES}/nonmanifold-noisy.ply"
+    monkeypatch.setattr(before_after, "RenderSettings", partial(RenderSettings, size=(30, 30)))
     beltrami("smooth", source, "a.ply", "--fast", "--preview", "a.png", cwd=tmp_path)
     beltrami("render", source, "b.png", "--size", "30", cwd=tmp_path)
     beltrami("sweep", source, "c.png", "--fast", "--beta", "4,8", "--size", "30", cwd=tmp_path)

@@ -23,6 +23,7 @@ def test_colours_come_out_as_they_are_shown_whatever_the_file_stores(tmp_path):
         assert (image[10:40, left + 10 : left + 40] == [200, 100, 30]).all()
 
 
+@pytest.mark.slow
 def test_views_stand_side_by_side_with_labels_details_and_one_camera(tmp_path):
     files = [SAMPLES / f"nonmanifold-{kind}.ply" for kind in ("noisy", "clean")]
     both, one = tmp_path / "both.png", tmp_path / "one.png"

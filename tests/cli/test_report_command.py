@@ -96,6 +96,7 @@ def test_the_page_says_how_many_samples_were_wrong(outliers, tmp_path):
     assert re.fullmatch(rf"{count} \(\S+ %\) {what}", shown["wrong samples"][0])
 
 
+@pytest.mark.slow
 def test_parameters_were_chosen_also_where_no_error_can_be_estimated(tmp_path):
     record = tmp_path / "run.json"
     beltrami("smooth", SAMPLES / "knot-noisy.ply", tmp_path / "out.ply", "--report", record)

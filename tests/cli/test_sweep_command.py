@@ -52,6 +52,7 @@ def test_figures_alone_are_those_of_compare_without_files_in_between(name, tmp_p
     assert float(rows[2]["delta_e"]) == pytest.approx(overall["delta_e"]["mean"])
 
 
+@pytest.mark.slow
 def test_without_a_reference_the_gain_is_estimated_and_goes_to_a_pipe():
     run = beltrami("sweep", NOISY, "-", "--format", "json", "-n", "1,3")
     trials = json.loads(run.stdout)

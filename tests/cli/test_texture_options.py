@@ -173,6 +173,7 @@ def test_world_units_are_those_of_the_file(square, tmp_path):
     assert np.abs(world - spacing).max() <= 1
 
 
+@pytest.mark.slow
 def test_small_files_hold_the_same_pixels(tmp_path):
     plain = smooth(MIRRORED, tmp_path / "plain" / "out.obj", "-n", "1")
     small = smooth(MIRRORED, tmp_path / "small" / "out.obj", "-n", "1", "--small")

@@ -119,6 +119,7 @@ def test_info_and_the_report_say_the_same_as_the_result(none, noisy, suppose):
     assert estimates[0] == estimates[1]
 
 
+@pytest.mark.slow
 def test_tables_have_the_same_noise_as_the_message_on_a_single_file(noisy):
     _, part, _ = smoothed(noisy)
     size = noise_of_255(part["reading"]["median"])

@@ -140,6 +140,7 @@ def test_jpeg_without_noise_stays(tmp_path):
     assert np.mean(np.square(result.colours - image)) < 10**-4.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dark", [0.0, 1.0])
 def test_noise_that_cells_share_makes_black_no_brighter_and_white_no_darker(dark):
     """Its mean after clipping is 0.4 standard deviations away, next to an edge as well; a third of that may be left."""

@@ -61,6 +61,7 @@ def test_variances_are_relative_to_their_mean_and_never_nothing():
     assert (relative_to_mean(np.zeros((3, 1), np.float32))[0] == 1).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("patches", "tolerance"), [("off", 1e-5), ("on", 1e-3)])
 def test_the_same_number_everywhere_is_that_number(patches, tolerance):
     """To the rounding of float32, in which deviations are stored; that may also decide which patches are similar."""
@@ -117,6 +118,7 @@ def test_a_frame_shows_the_deviation_at_each_place(tmp_path):
     assert report.image.noise_model["loud"] == pytest.approx(LOUD, rel=0.15)
 
 
+@pytest.mark.slow
 def test_an_attribute_of_vertices_is_their_noise(tmp_path):
     positions, faces = icosphere(3)
     colours = np.random.default_rng(0).integers(90, 160, (len(positions), 3))

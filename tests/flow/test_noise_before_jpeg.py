@@ -152,6 +152,7 @@ def test_a_jpeg_file_is_smoothed_better_than_its_pixels_alone(tmp_path):
     assert np.sqrt(np.mean(np.square(read))) == pytest.approx(true, rel=0.3)
 
 
+@pytest.mark.slow
 def test_the_paper_kernel_and_a_fixed_rule_leave_pictures_as_they_are_decoded(tmp_path):
     data = jpeg_file(stored(SMALL, 10), 80, "4:4:4")
     (tmp_path / "in.png").write_bytes(encode(decoded(data, tmp_path / "in.jpg"), "png"))
@@ -163,6 +164,7 @@ def test_the_paper_kernel_and_a_fixed_rule_leave_pictures_as_they_are_decoded(tm
         np.testing.assert_array_equal(*(decoded(out.read_bytes(), out) for out in outs))
 
 
+@pytest.mark.slow
 def test_the_number_of_threads_changes_nothing(tmp_path):
     decoded(jpeg_file(stored(SMALL[:64, :64], 10), 80), tmp_path / "in.jpg")
     outs = [tmp_path / f"{count}.png" for count in (1, 2)]

@@ -213,6 +213,7 @@ def test_replace_takes_what_stands_out_however_it_is_spread():
     assert np.abs(new - picture() / 255).max() < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fast", [False, True])
 def test_kept_outliers_keep_their_bits_and_do_not_change_the_others(fast):
     noisy = picture() + np.random.default_rng(2).normal(0, 8, (SIDE, SIDE, 3))
@@ -253,6 +254,7 @@ def test_outliers_are_found_across_seams():
     assert np.abs(new[y, x] - truth)[where & beside_seams].max() < 0.1
 
 
+@pytest.mark.slow
 def test_the_result_does_not_depend_on_threads_and_chunks():
     noisy = picture() + np.random.default_rng(2).normal(0, 8, (SIDE, SIDE, 3))
     image, _ = salted(np.rint(np.clip(noisy, 0, 255)).astype(np.uint8), 0.05)

@@ -33,6 +33,7 @@ def dots(image, depth):
     return np.count_nonzero((image < low - depth) | (image > high + depth))
 
 
+@pytest.mark.slow
 def test_a_plain_sky_keeps_few_dots():
     """Green that was cut off in linear light lies 6 standard deviations below the sky: patches took it for detail."""
     clean = sky()
@@ -44,6 +45,7 @@ def test_a_plain_sky_keeps_few_dots():
     assert psnr(result.colours, clean) > psnr(noisy, clean) + 12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["dark spots of several samples", "stars of single samples"])
 def test_details_that_are_no_outliers_stay(kind):
     """Neighbours that lie as far out say that there is something; and no noise of cameras is so bright in the dark."""

@@ -71,6 +71,7 @@ def test_drawn_noise_has_the_details_of_what_was_found(sphere):
     assert noise.std(axis=0) == pytest.approx(sigma_of_covariances(covariances), rel=0.1)
 
 
+@pytest.mark.slow
 def test_noise_that_vertices_share_is_removed_and_no_psnr_is_predicted(sphere):
     positions, faces = sphere
     clean = pattern(positions)

@@ -158,6 +158,7 @@ def test_what_is_lost_is_said_in_one_line(model, tmp_path):
     assert any("baseColor map 'skin.png', which cannot be read" in line for line in said)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "way", [("out.ply",), ("out.ply", "out.obj"), ("out.usda",), ("out.usda", "out.obj")]
 )

@@ -387,6 +387,7 @@ IN_MEMORY = [each for each in COMMANDS if each.startswith(_JOBS)]
 LIMITED = [(IMAGE_LIMIT, each) for each in COMMANDS] + [(LIMIT_IN_MEMORY, each) for each in IN_MEMORY]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("limit", "command"), LIMITED)
 def test_what_does_not_fit_is_refused_before_it_is_decoded(limit, command, folder):
     said = refused(folder, *command.split(), "--max-memory", limit, code=3)

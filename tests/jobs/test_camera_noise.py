@@ -32,6 +32,7 @@ def light_of_file(path):
     return srgb_to_linear((stored(path) / 65535).astype(np.float64))
 
 
+@pytest.mark.slow
 def test_the_variance_of_a_camera_grows_with_the_light(tmp_path):
     camera = NoiseSettings(kind="camera", shot=SHOT, read=READ, seed=3)
     levels = np.repeat([0.4, 0.6, 0.8], 20_000)

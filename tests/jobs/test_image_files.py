@@ -74,6 +74,7 @@ def test_a_file_keeps_its_type_its_alpha_and_what_cannot_be_seen(known, kind, ch
         assert np.median(step[seen]) < 0.5 * np.median(before[seen])
 
 
+@pytest.mark.slow
 def test_the_file_has_what_the_arrays_give(tmp_path):
     pixels = pixels_of("uint16", 3)
     smooth_file(save(tmp_path / "a.tif", pixels), tmp_path / "b.tif")

@@ -179,6 +179,7 @@ def test_a_position_chooses_the_vertex_nearest_to_it(tmp_path):
     assert kernel_of(HEAD, near, tmp_path).at == "vertex 1234"
 
 
+@pytest.mark.slow
 def test_texture_coordinates_are_those_of_the_file(tmp_path):
     # glTF counts v from the upper side of the image, OBJ from the lower.
     upper = kernel_of(TEXTURED, "0.3,0.2", tmp_path).at

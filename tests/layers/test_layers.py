@@ -56,6 +56,7 @@ def test_the_order_of_calls_makes_no_difference(layer):
         layer.settings = None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layer", ["mirrored-noisy.obj", "points.npz"], indirect=True)
 def test_levelling_leaves_the_layer_as_it_was(layer):
     before = smooth_layer(layer)

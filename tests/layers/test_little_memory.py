@@ -148,6 +148,7 @@ def test_a_full_disk_is_reported_and_leaves_nothing(tmp_path, monkeypatch, on_di
     assert not list((tmp_path / "out").iterdir())
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="only Linux counts memory of files")
 def test_an_atlas_leaves_memory_as_it_is_made(tmp_path, monkeypatch):
     """What it holds of its files at a time does not grow with the textures, as most may only lie around."""

@@ -57,6 +57,7 @@ def test_what_is_known_by_its_name_only_does_not_come_through_a_pipe():
         open_bytes(OBJ.encode(), "<stdin>", None)
 
 
+@pytest.mark.slow
 def test_a_texture_that_cannot_be_seen_is_distinguished_from_one_that_is_not_covered(tmp_path):
     model = write_model(tmp_path, "obj", "skin.png")
     noise = np.random.default_rng(1).integers(0, 256, (32, 32, 4), np.uint8)

@@ -66,6 +66,7 @@ def test_noise_of_one_is_none_of_another(tmp_path, noisy):
     assert clean.iterations == 0 < loud.iterations
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("gap", "settings", "enough"),
     [(0, SETTINGS, SIDE * SIDE // 2), (0.5, GIVEN, SIDE * SIDE // 2), (0.5, SETTINGS, 2 * SIDE * SIDE)],

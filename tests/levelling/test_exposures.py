@@ -204,6 +204,7 @@ def test_steps_that_charts_do_not_explain_pass_no_more_often_than_the_test_says(
     assert sum(passed) <= 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("brightness", [0.5, 1.5])
 def test_exposures_are_found_at_any_brightness_and_taken_out(brightness):
     gains = brightness * np.random.default_rng(3).uniform(0.85, 1.15, 16)
@@ -254,6 +255,7 @@ def test_a_test_that_ends_early_decides_as_the_whole_one_does(monkeypatch, sprea
     assert early.is_sure == (spread > 0)
 
 
+@pytest.mark.slow
 def test_nothing_is_fitted_without_steps(monkeypatch):
     fits = counted_fits(monkeypatch)
     assert judge_steps(grid(4, 0.1, 8)) is None
@@ -262,6 +264,7 @@ def test_nothing_is_fitted_without_steps(monkeypatch):
     assert fits
 
 
+@pytest.mark.slow
 def test_charts_of_unrelated_textures_are_kept_however_well_exposures_explain_their_steps():
     plain = grid(4, 0.0, 6, np.random.default_rng(6).uniform(0.9, 1.1, 16))
     noise = np.random.default_rng(7).normal(0, 6 / 255, plain.colours.shape)

@@ -104,6 +104,7 @@ def test_world_units_scale_with_the_mesh():
     assert flips(spacing, world)
 
 
+@pytest.mark.slow
 def test_isolated_vertices_and_meshes_without_faces_stay_and_change_nothing_elsewhere():
     positions, faces = surfaces.terrain(20, 25, 0.3, 1)
     random = np.random.default_rng(3)

@@ -55,6 +55,7 @@ def result_on(positions, faces, noisy, **parameters):
     return smooth(positions, faces, noisy, **parameters).colours
 
 
+@pytest.mark.slow
 def test_the_other_side_of_a_thin_sheet_is_no_neighbour():
     positions, faces, clean, _ = plane()
     clean = clean - 0.2

@@ -98,6 +98,7 @@ def test_integers_that_use_a_part_of_their_range_are_smoothed_as_those_that_use_
     assert errors[1] == pytest.approx(errors[0], rel=0.1, abs=1 / largest)  # their steps are coarser
 
 
+@pytest.mark.slow
 def test_16_bits_that_hold_those_of_8_become_what_these_become():
     levels = np.rint(255 * noisy().clip(0, 1))
     narrow, wide = (on_image(levels.astype(kind)) for kind in (np.uint8, np.uint16))

@@ -97,6 +97,7 @@ def test_huge_polygons_are_cut_without_warnings(size):
     assert cut(points, list(range(size))).shape == (size - 2, 3)
 
 
+@pytest.mark.slow
 def test_large_polygons_that_cross_themselves_are_cut_in_bounded_time():
     # Every corner is looked at for every other one at most: with the cube instead, this would take hours.
     points = np.random.default_rng(3).random((3000, 3))

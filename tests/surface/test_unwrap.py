@@ -109,6 +109,7 @@ def test_repetition_unit_stray_and_split_vertices_make_no_difference():
     assert unwrapped(*soup).charts == one.charts
 
 
+@pytest.mark.slow
 def test_triangles_without_area_get_a_single_place_of_their_vertex():
     positions, faces = surfaces.plane(5, 5)
     flat = [[0, 1, 2], [3, 3, 4], [7, 7, 7]]
