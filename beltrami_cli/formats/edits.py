@@ -113,7 +113,6 @@ def without_tokens(text: bytes, starts: Int64s, ends: Int64s) -> bytes:
 
 
 def exchange_spans(data: bytes, spans: Spans) -> bytes:
-    """Replace the bytes of each span."""
     pieces, done = [], 0
     for (start, end), new in sorted(spans.items()):
         pieces += [data[done:start], new]

@@ -70,8 +70,6 @@ def is_npz(data: bytes, _: str = "") -> bool:
 
 
 class NpzArchive(Archive):
-    """An archive of arrays."""
-
     def __init__(self, data: bytes, name: str) -> None:
         super().__init__(data, name)
         self.names = tuple(member[:-4] for member in self.members if member.endswith(".npy"))

@@ -111,7 +111,7 @@ def sidecar_names(name: str, stem: str, image_suffix: str | None) -> list[str]:
 
 
 def require_textures(name: str, image_suffix: str | None = None) -> Format:
-    """Return a format; UsageError if it cannot hold textures, or not those with this suffix."""
+    """Return a format; UsageError if it cannot hold textures, or textures with this suffix."""
     line = _writer(name)
     if not line.has_textures:
         raise UsageError(f"a .{name} file has no textures; end the name of the output in .glb, .obj or .ply")

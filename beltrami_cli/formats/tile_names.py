@@ -22,7 +22,6 @@ _FIRST = 1001
 
 
 def has_token(name: str) -> bool:
-    """Whether a name is that of a tile set."""
     return _TOKEN.search(name) is not None
 
 
@@ -33,8 +32,6 @@ def token_in(name: str) -> str:
 
 
 def tile_name(pattern: str, tile: Tile) -> str:
-    """Return the file name of a tile."""
-
     def number(token: re.Match[str]) -> str:
         if token[1].lower() == "udim":
             return str(_FIRST + tile[0] + COLUMNS * tile[1])

@@ -62,39 +62,39 @@ def test_every_value_is_read_as_it_was_and_written_back_so(known, kind, channels
     pixels = with_alpha(pixels) if channels in (2, 4) else pixels
     stored_alpha = {"oiio__UnassociatedAlpha": int(not is_associated)}
     source = exact_webp(pixels) if known == "webp" else encode(pixels, known, kind, **stored_alpha)
-    picture = read_image(source, f"x{suffix}")
-    np.testing.assert_array_equal(picture.pixels, pixels)
-    assert picture.pixels.dtype == (np.float32 if kind in ("half", "float") else kind)
-    assert picture.stored == {"half": "float16", "float": "float32"}.get(kind, kind)
-    assert picture.encoding == ("linear" if kind in ("half", "float") else "srgb")
-    assert picture.alpha == (channels - 1 if channels in (2, 4) else None)
-    assert [picture.channels[i] for i in picture.colour] == (["Y"] if channels < 3 else ["R", "G", "B"])
+    image = read_image(source, f"x{suffix}")
+    np.testing.assert_array_equal(image.pixels, pixels)
+    assert image.pixels.dtype == (np.float32 if kind in ("half", "float") else kind)
+    assert image.stored == {"half": "float16", "float": "float32"}.get(kind, kind)
+    assert image.encoding == ("linear" if kind in ("half", "float") else "srgb")
+    assert image.alpha == (channels - 1 if channels in (2, 4) else None)
+    assert [image.channels[i] for i in image.colour] == (["Y"] if channels < 3 else ["R", "G", "B"])
     if known in SUFFIXES:
         assert measure_image(source) == ImageSize(size[1], size[0], channels, BYTES[kind])
     target = None
     if (known, kind, channels) in ONLY_READ:
         refusal = r"^x\.\w+: images cannot be written as [^\n]*; choose \.tif, \.png or \.exr as [^\n]*$"
         with pytest.raises(UsageError, match=refusal):
-            check_writable(picture, None)
+            check_writable(image, None)
         known, suffix = "tiff", ".tif"
         target = suffix
-    for values, small in ((picture.pixels, False), (picture.pixels[::-1, ::-1], True)):
-        written = write_image(picture, values, suffix=target, small=small)
+    for values, small in ((image.pixels, False), (image.pixels[::-1, ::-1], True)):
+        written = write_image(image, values, suffix=target, small=small)
         again = read_image(written.data, f"y{suffix}")
         np.testing.assert_array_equal(again.pixels, values)
-        assert (again.stored, again.channels, again.format) == (picture.stored, picture.channels, known)
+        assert (again.stored, again.channels, again.format) == (image.stored, image.channels, known)
         assert written.suffix == suffix
         if known == "tiff" and channels in (2, 4):
             assert again.spec.get_int_attribute("oiio:UnassociatedAlpha") != is_associated
 
 
-def with_values(picture, values, changed):
-    """Return the pixels of a picture, of which some numbers are stored anew from float values."""
-    pixels = picture.pixels.copy()
+def with_values(image, values, changed):
+    """Return the pixels of an image, of which some numbers are stored anew from float values."""
+    pixels = image.pixels.copy()
     table, wanted = pixels.reshape(-1, pixels.shape[2]), changed.reshape(-1, pixels.shape[2])
     for channel, rows in enumerate(map(np.flatnonzero, wanted.T)):
         new = values.reshape(table.shape)[rows, channel, None]
-        store(picture, table, rows, new, [channel], threads=1)
+        store(image, table, rows, new, [channel], threads=1)
     return pixels
 
 
@@ -103,15 +103,15 @@ def with_values(picture, values, changed):
 def test_only_changed_entries_change_and_are_rounded_once(kind, seed):
     rng, channels = np.random.default_rng(seed), ["half"] * 4 + ["float"] if kind == "mixed" else [kind] * 4
     if kind == "mixed":
-        picture = read_image(encode(noise("float", 5), "openexr", "float", channels), "x.exr")
+        image = read_image(encode(noise("float", 5), "openexr", "float", channels), "x.exr")
     else:
-        picture = read_image(encode(noise(kind, 4), "tiff", kind), "x.tif")
-    values = full_scale_one(picture.pixels)
-    np.testing.assert_array_equal(with_values(picture, values, np.ones(values.shape, bool)), picture.pixels)
+        image = read_image(encode(noise(kind, 4), "tiff", kind), "x.tif")
+    values = full_scale_one(image.pixels)
+    np.testing.assert_array_equal(with_values(image, values, np.ones(values.shape, bool)), image.pixels)
     changed = rng.random(values.shape) < 0.5
     new = rng.normal(0.5, 1, values.shape).astype(np.float32)
-    pixels = with_values(picture, new, changed)
-    np.testing.assert_array_equal(pixels[~changed], picture.pixels[~changed])
+    pixels = with_values(image, new, changed)
+    np.testing.assert_array_equal(pixels[~changed], image.pixels[~changed])
     for channel, name in enumerate(channels):
         if name in ("uint8", "uint16"):
             full = np.iinfo(name).max
@@ -120,10 +120,10 @@ def test_only_changed_entries_change_and_are_rounded_once(kind, seed):
             expected = new.astype(np.float16) if name == "half" else new
         mine = changed[..., channel]
         np.testing.assert_array_equal(pixels[mine, channel], expected[mine, channel])
-    again = read_image(write_image(picture, pixels).data, "x")
+    again = read_image(write_image(image, pixels).data, "x")
     np.testing.assert_array_equal(again.pixels, pixels)
     if kind == "mixed":
-        tiff = read_image(write_image(picture, pixels, suffix=".tif").data, "x.tif")
+        tiff = read_image(write_image(image, pixels, suffix=".tif").data, "x.tif")
         assert tiff.stored == "float32"
         np.testing.assert_array_equal(
             tiff.pixels[..., 3:], pixels[..., 3:]
@@ -149,9 +149,9 @@ def test_the_coding_of_the_pixels_stays(known, channels, options, mark):
     smooth = np.linspace(0.1, 0.9, 48 * 64 * channels).reshape(48, 64, channels)
     pixels = smooth.astype(np.float16) if kind == "half" else np.rint(255 * smooth).astype(np.uint8)
     source = encode(pixels, known, kind, **options)
-    picture = read_image(source, "x" + SUFFIXES[known])
-    new = picture.pixels[::-1]
-    best, worst = (write_image(picture, new, jpeg_quality=quality) for quality in (98, 30))
+    image = read_image(source, "x" + SUFFIXES[known])
+    new = image.pixels[::-1]
+    best, worst = (write_image(image, new, jpeg_quality=quality) for quality in (98, 30))
     again = read_image(best.data, "x" + SUFFIXES[known])
     assert np.abs(again.pixels.astype(float) - new).mean() < 1
     assert (len(worst.data) < len(best.data)) == (known == "jpeg" or mark == b"VP8 ")
@@ -160,7 +160,7 @@ def test_the_coding_of_the_pixels_stays(known, channels, options, mark):
         assert mark in best.data
     for name in () if mark else options:
         attribute = name.replace("__", ":")
-        assert again.spec.getattribute(attribute) == picture.spec.getattribute(attribute) == options[name]
+        assert again.spec.getattribute(attribute) == image.spec.getattribute(attribute) == options[name]
 
 
 def picture_of(known, kind, channels):
@@ -181,37 +181,37 @@ def picture_of(known, kind, channels):
     ],
 )
 def test_every_format_can_be_written_as_every_other(known, kind, channels, target):
-    picture = picture_of(known, kind, channels)
-    written = write_image(picture, picture.pixels, suffix=target)
+    image = picture_of(known, kind, channels)
+    written = write_image(image, image.pixels, suffix=target)
     assert written.suffix == target
     again = read_image(written.data, "x" + target)
-    assert again.pixels.shape[:2] == picture.pixels.shape[:2]
-    said = " ".join(losses(picture, target))
+    assert again.pixels.shape[:2] == image.pixels.shape[:2]
+    said = " ".join(losses(image, target))
     assert any("PSNR" in notice for notice in written.notices) == (target == ".webp" != SUFFIXES[known])
-    assert ("no alpha" in said) == (picture.alpha is not None and again.alpha is None)
-    assert ("equal red" in said) == (len(again.colour) > len(picture.colour))
+    assert ("no alpha" in said) == (image.alpha is not None and again.alpha is None)
+    assert ("equal red" in said) == (len(again.colour) > len(image.colour))
     bits = {"uint8": 8, "uint16": 16, "float16": 16, "float32": 32}
-    fewer = bits[again.stored] < bits[picture.stored]
-    assert (f"{bits[again.stored]}-bit" in said) == (fewer or picture.encoding < again.encoding)
+    fewer = bits[again.stored] < bits[image.stored]
+    assert (f"{bits[again.stored]}-bit" in said) == (fewer or image.encoding < again.encoding)
     if target == SUFFIXES[known]:
         assert not said
     # Half floats have eleven bits. HDR has eight for the largest channel, fewer for the others.
     rounding = {"uint8": 0.51 / 255, "uint16": 0.51 / 65535, "float16": 2**-10, "float32": 1e-5}[again.stored]
     rounding, worst = (2 / 255, np.median) if target == ".hdr" else (rounding, np.max)
-    is_seen = picture.alpha is None or full_scale_one(picture.pixels)[..., picture.alpha] > 0.01
+    is_seen = image.alpha is None or full_scale_one(image.pixels)[..., image.alpha] > 0.01
     for as_data in (False, True) if target not in (".jpg", ".webp") else ():
-        written = write_image(picture, picture.pixels, suffix=target, as_data=as_data)
-        found, expected = (shown(each, as_data) for each in (read_image(written.data, "x" + target), picture))
+        written = write_image(image, image.pixels, suffix=target, as_data=as_data)
+        found, expected = (shown(each, as_data) for each in (read_image(written.data, "x" + target), image))
         assert worst(np.abs(found - expected)[is_seen]) <= rounding
 
 
-def shown(picture, as_data):
+def shown(image, as_data):
     """Return red, green and blue as display values, or as stored if they are data."""
-    values = full_scale_one(picture.pixels)
-    colours = values[..., list(picture.colour)]
-    if picture.format == "openexr" and picture.alpha is not None:  # which multiplies colours by alpha
-        colours = colours / np.maximum(values[..., picture.alpha, None], 0.01)
-    colours = linear_to_srgb(colours) if picture.encoding == "linear" and not as_data else colours
+    values = full_scale_one(image.pixels)
+    colours = values[..., list(image.colour)]
+    if image.format == "openexr" and image.alpha is not None:  # which multiplies colours by alpha
+        colours = colours / np.maximum(values[..., image.alpha, None], 0.01)
+    colours = linear_to_srgb(colours) if image.encoding == "linear" and not as_data else colours
     return np.broadcast_to(colours, (*values.shape[:2], 3)).clip(0, 1)
 
 
@@ -220,14 +220,14 @@ def shown(picture, as_data):
     [(".pfm", 3, b"PF"), (".ppm", 1, b"P6"), (".pgm", 1, b"P5"), (".pnm", 1, b"P5"), (".pnm", 3, b"P6")],
 )
 def test_files_hold_what_their_extension_says(suffix, channels, start):
-    picture = new_image(noise("uint8", channels, 32, 32), "x")
-    assert write_image(picture, picture.pixels, suffix=suffix).data.startswith(start)
+    image = new_image(noise("uint8", channels, 32, 32), "x")
+    assert write_image(image, image.pixels, suffix=suffix).data.startswith(start)
 
 
 @pytest.mark.parametrize("suffix", [*SUFFIXES.values(), ".pfm", ".ppm"])
 def test_a_single_pixel_is_read_back(suffix):
-    picture = new_image(np.full((1, 1, 3), 200, np.uint8), "x")
-    file = write_image(picture, picture.pixels, suffix=suffix)
+    image = new_image(np.full((1, 1, 3), 200, np.uint8), "x")
+    file = write_image(image, image.pixels, suffix=suffix)
     again = shown(read_image(file.data, f"x{suffix}"), as_data=False)
     np.testing.assert_allclose(again, 200 / 255, atol=2 / 255)
     assert "PSNR of inf" not in str(file.notices)
@@ -237,10 +237,10 @@ def test_a_single_pixel_is_read_back(suffix):
 def test_no_opacity_at_all_counts_as_full_opacity(known):
     pixels = noise("uint8", 4) * np.uint8([1, 1, 1, 0])
     source = encode(pixels, known)
-    picture = read_image(source, f"x{SUFFIXES[known]}")
-    np.testing.assert_array_equal(picture.pixels, pixels + np.uint8([0, 0, 0, 255]))
-    assert "opacity of 0 everywhere" in picture.notices[-1]
-    assert write_image(picture, picture.pixels).data == source  # the format keeps it
+    image = read_image(source, f"x{SUFFIXES[known]}")
+    np.testing.assert_array_equal(image.pixels, pixels + np.uint8([0, 0, 0, 255]))
+    assert "opacity of 0 everywhere" in image.notices[-1]
+    assert write_image(image, image.pixels).data == source  # the format keeps it
 
 
 def test_a_format_that_multiplies_colours_by_alpha_says_what_it_loses():
@@ -252,19 +252,19 @@ def test_a_format_that_multiplies_colours_by_alpha_says_what_it_loses():
 
 def test_a_profile_goes_along_where_it_still_holds():
     source = encode(noise("uint8", 3), "tiff", ICCProfile=icc_profile(), Artist="me", DateTime="")
-    picture = read_image(source, "x.tif")
-    png = dict(png_chunks(write_image(picture, picture.pixels, suffix=".png").data))
+    image = read_image(source, "x.tif")
+    png = dict(png_chunks(write_image(image, image.pixels, suffix=".png").data))
     name, _, packed = png[b"iCCP"].partition(b"\0")
     assert zlib.decompress(packed[1:]) == icc_profile()
     assert png[b"tEXt"] == b"Author\0me"
     assert not {b"sRGB", b"gAMA", b"cHRM", b"zTXt"} & png.keys()  # which may not stand beside a profile
     assert len(name) > 0
-    exr = read_image(write_image(picture, picture.pixels, suffix=".exr").data, "x.exr")
+    exr = read_image(write_image(image, image.pixels, suffix=".exr").data, "x.exr")
     assert exr.spec.getattribute("ICCProfile") is None
 
 
 @pytest.mark.parametrize("turned", range(1, 9))
-def test_where_no_tag_turns_a_picture_its_pixels_are_turned(turned, tmp_path):
+def test_where_no_tag_turns_an_image_its_pixels_are_turned(turned, tmp_path):
     source = tmp_path / "a.tif"
     source.write_bytes(encode(noise("uint8", 3), "tiff", Orientation=turned))
     upright = OpenImageIO.ImageBufAlgo.reorient(OpenImageIO.ImageBuf(str(source)))
@@ -288,39 +288,39 @@ def test_texts_that_are_no_utf_8_bar_no_format(what):
     data = encode(noise("float", 5, 8, 8), "openexr", "float", compression="none", title="Zoe")
     old, new = LATIN_1[what]
     assert old in data
-    picture = read_image(data.replace(old, new), "x.exr")
-    written = write_image(picture, picture.pixels)
+    image = read_image(data.replace(old, new), "x.exr")
+    written = write_image(image, image.pixels)
     again = read_image(written.data, "x.exr")
-    np.testing.assert_array_equal(again.pixels, picture.pixels)
-    assert again.channels == picture.channels
+    np.testing.assert_array_equal(again.pixels, image.pixels)
+    assert again.channels == image.channels
     assert new in written.data or what == "name that is left out"
     for suffix in (".tif", ".png", ".jpg", ".webp"):
-        converted = write_image(picture, picture.pixels, suffix=suffix)
+        converted = write_image(image, image.pixels, suffix=suffix)
         assert read_image(converted.data, f"x{suffix}").pixels.shape[:2] == (8, 8)
     header, *others = png_chunks(encode(noise("uint8", 3), "png"))
-    picture = read_image(png_file([header, (b"tEXt", b"Author\0Zo\xeb"), *others]), "x.png")
-    assert b"Zo\xeb" in write_image(picture, picture.pixels, suffix=".jpg").data
+    image = read_image(png_file([header, (b"tEXt", b"Author\0Zo\xeb"), *others]), "x.png")
+    assert b"Zo\xeb" in write_image(image, image.pixels, suffix=".jpg").data
 
 
 def test_a_jpeg_that_coding_would_change_more_than_the_result_stays():
     """Hues of single pixels, stored for 2 x 2 of them, are lost by far more than a step in one pixel."""
     hues = np.random.default_rng(0).random((64, 64, 3), np.float32)
     subsampled = jpeg_file(hues, 90)
-    picture = read_image(subsampled, "in.jpg")
-    nearly = picture.pixels.copy()
+    image = read_image(subsampled, "in.jpg")
+    nearly = image.pixels.copy()
     nearly[0, 0, 0] ^= 1
-    kept = write_image(picture, nearly)
+    kept = write_image(image, nearly)
     assert kept.data == subsampled
     assert kept.notices[0].startswith("in.jpg stays as it is")
-    assert write_image(picture, picture.pixels // 2).data != subsampled
+    assert write_image(image, image.pixels // 2).data != subsampled
 
 
 def test_without_files_in_memory_temporary_ones_do(monkeypatch, tmp_path):
     monkeypatch.delattr("os.memfd_create", raising=False)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     pixels = noise("uint16", 4)
-    picture = read_image(encode(pixels, "png"), "x.png")
-    again = read_image(write_image(picture, picture.pixels).data, "x.png")
+    image = read_image(encode(pixels, "png"), "x.png")
+    again = read_image(write_image(image, image.pixels).data, "x.png")
     np.testing.assert_array_equal(again.pixels, pixels)
     assert list(tmp_path.iterdir()) == []
 
@@ -417,9 +417,9 @@ def test_of_an_animation_the_first_image_is_taken_and_said_so():
         payload = riff(riff_chunks(encode(pixels, "webp")))[12:]
         frames.append((b"ANMF", bytes(6) + bytes([7, 0, 0, 7, 0, 0, 100, 0, 0, 0]) + payload))
     chunks = [(b"VP8X", bytes([0x12, 0, 0, 0, 7, 0, 0, 7, 0, 0])), (b"ANIM", bytes(6)), *frames]
-    picture = read_image(riff(chunks), "moving.webp")
-    assert picture.pixels.shape[:2] == (8, 8)
-    assert "moving.webp holds several images" in picture.notices[0]
+    image = read_image(riff(chunks), "moving.webp")
+    assert image.pixels.shape[:2] == (8, 8)
+    assert "moving.webp holds several images" in image.notices[0]
     assert not read_image(sample("webp"), "still.webp").notices
 
 

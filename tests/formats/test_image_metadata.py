@@ -67,11 +67,11 @@ _ALL = {**_TEXTS, **_BLOCKS, **_GEOREFERENCE, **_PRIVATE, **_DIRECTORIES}
 
 
 def rewritten(data, name):
-    picture = read_image(data, name)
-    pixels = picture.pixels[::-1].copy()
-    file = write_image(picture, pixels)
+    image = read_image(data, name)
+    pixels = image.pixels[::-1].copy()
+    file = write_image(image, pixels)
     np.testing.assert_array_equal(read_image(file.data, name).pixels, pixels)
-    assert file.data == write_image(picture, pixels).data
+    assert file.data == write_image(image, pixels).data
     return file
 
 
@@ -177,12 +177,12 @@ def test_every_chunk_of_a_png_is_kept_in_its_place_or_named(kind):
 @pytest.mark.parametrize(("channels", "compression"), [(3, "lossless"), (4, "lossless"), (3, "webp:90")])
 def test_every_chunk_of_a_webp_is_kept(channels, compression):
     plain = encode(noise("uint8", channels, 9, 12), "webp", compression=compression)
-    image = [chunk for chunk in riff_chunks(plain) if chunk[0] != b"VP8X"]
+    coded = [chunk for chunk in riff_chunks(plain) if chunk[0] != b"VP8X"]
     behind = [(b"EXIF", _SMALL_EXIF), (b"XMP ", b"<x/>"), (b"PRIV", b"some"), (b"PRIV", b"more")]
     flags = 0x3C if channels == 4 else 0x2C
     before = [(b"VP8X", bytes([flags, 0, 0, 0, 11, 0, 0, 8, 0, 0])), (b"ICCP", icc_profile())]
-    picture = read_image(riff([*before, *image, *behind]), "x.webp")
-    file = write_image(picture, picture.pixels[::-1])
+    image = read_image(riff([*before, *coded, *behind]), "x.webp")
+    file = write_image(image, image.pixels[::-1])
     written = riff_chunks(file.data)
     assert (written[:2], written[-4:]) == (before, behind)
     assert {name for name, _ in written[2:-4]} <= {b"VP8L", b"VP8 ", b"ALPH"}
@@ -201,8 +201,8 @@ def test_every_segment_of_a_jpeg_is_kept_in_its_place():
     behind = jfif + 2 + int.from_bytes(plain[jfif + 2 : jfif + 4])
     kept = [jpeg_segment(marker, payload) for marker, payload in payloads.items()]
     head = plain[:behind] + b"".join(kept)
-    picture = read_image(head + plain[behind:], "x.jpeg")
-    file = write_image(picture, picture.pixels // 2)
+    image = read_image(head + plain[behind:], "x.jpeg")
+    file = write_image(image, image.pixels // 2)
     assert file.data.startswith(head)
     assert [file.data.count(each) for each in kept] == [1] * len(kept)
     assert (file.notices, file.suffix) == ((), ".jpeg")
@@ -243,8 +243,8 @@ def test_all_in_and_behind_an_image_that_is_no_pixel_is_kept(name):
 
 def test_numbers_of_pfm_files_that_do_not_change_keep_their_bits():
     source = _FLOATS.replace(b"-0.25", b"-0.3") + noise("float", 3).tobytes()
-    picture = read_image(source, "x.pfm")
-    assert write_image(picture, picture.pixels).data == source
+    image = read_image(source, "x.pfm")
+    assert write_image(image, image.pixels).data == source
 
 
 @pytest.mark.parametrize("comment", [None, "by me"])
@@ -254,10 +254,10 @@ def test_boxes_and_comments_of_jpeg_2000_are_named(comment):
     at, end = data.index(b"jp2h"), data.index(b"jp2c") - 4
     resolution = b"\0\0\0\x1ares \0\0\0\x12resc" + bytes([0, 1, 0, 1] * 2 + [0, 0])
     header = (end - at + 30).to_bytes(4) + data[at:end] + resolution
-    picture = read_image(data[: at - 4] + header + data[end:], "x.jp2")
+    image = read_image(data[: at - 4] + header + data[end:], "x.jp2")
     lost = "box res, comment" if comment else "box res"
     notice = f"x.jp2: these metadata are not kept in TIF: {lost}."
-    assert write_image(picture, picture.pixels, suffix=".tif").notices == (notice,)
+    assert write_image(image, image.pixels, suffix=".tif").notices == (notice,)
 
 
 def exif_file(suffix):
@@ -281,8 +281,8 @@ _WITH_EXIF = [".jpg", ".png", ".tif", ".webp"]
 @pytest.mark.parametrize("source", _WITH_EXIF)
 def test_all_of_exif_goes_along_to_formats_that_have_a_place_for_it(source, target):
     data = exif_file(source)
-    picture = read_image(data, f"x{source}")
-    file = write_image(picture, picture.pixels // 2, suffix=None if target == source else target)
+    image = read_image(data, f"x{source}")
+    file = write_image(image, image.pixels // 2, suffix=None if target == source else target)
     assert exif_in(file.data, target).items() >= exif_in(data, source).items()
     # TIFF may have directories that EXIF does not know.
     others = [notice for notice in file.notices if "PSNR" not in notice]
@@ -293,26 +293,26 @@ def test_all_of_exif_goes_along_to_formats_that_have_a_place_for_it(source, targ
 @pytest.mark.parametrize("target", sorted({*SUFFIXES.values()} - {*_WITH_EXIF}))
 @pytest.mark.parametrize("source", _WITH_EXIF)
 def test_what_another_format_does_not_hold_is_named(source, target):
-    picture = read_image(exif_file(source), f"x{source}")
-    file = write_image(picture, picture.pixels, suffix=target)
+    image = read_image(exif_file(source), f"x{source}")
+    file = write_image(image, image.pixels, suffix=target)
     names = {each.name.lower() for each in read_image(file.data, f"x{target}").spec.extra_attribs}
     said = " ".join(file.notices)
     texts = ("Artist", "ImageDescription", "Exif:DateTimeOriginal", "ExposureTime", "GPS:Latitude")
-    expected = [each for each in texts if picture.spec.getattribute(each) is not None]
+    expected = [each for each in texts if image.spec.getattribute(each) is not None]
     assert len(expected) >= 4
     assert all((each.lower() in names) != (each in said) for each in expected)
     assert "37500" in said
 
 
 @pytest.mark.parametrize("known", sorted(SUFFIXES))
-def test_a_picture_without_metadata_gets_none_and_loses_none(known):
+def test_an_image_without_metadata_gets_none_and_loses_none(known):
     kind = "float" if known in ("openexr", "hdr") else "uint8"
     data = exr_file(planes("R", "G", "B")) if known == "openexr" else encode(noise(kind, 3) ** 2, known, kind)
     if known == "tiff":
         data = tiff_file(noise("uint8", 3), {})
-    picture = read_image(data, "x" + SUFFIXES[known])
+    image = read_image(data, "x" + SUFFIXES[known])
     for target in SUFFIXES.values():
-        file = write_image(picture, picture.pixels, suffix=target)
+        file = write_image(image, image.pixels, suffix=target)
         assert not [notice for notice in file.notices if "metadata" in notice]
         # HDR files say how they are turned, which EXIF data then repeat.
         assert known == "hdr" or not any(word in file.data for word in (b"EXIF", b"CreateDate"))
@@ -321,7 +321,7 @@ def test_a_picture_without_metadata_gets_none_and_loses_none(known):
 
 def test_damaged_metadata_are_reported():
     source = bytearray(tiff_file(noise("uint8", 3), _GEOREFERENCE))
-    picture = read_image(bytes(source), "x.tif")
-    object.__setattr__(picture, "content", bytes(source[:20]))
-    assert "damaged" in write_image(picture, picture.pixels // 2).notices[0]
+    image = read_image(bytes(source), "x.tif")
+    object.__setattr__(image, "content", bytes(source[:20]))
+    assert "damaged" in write_image(image, image.pixels // 2).notices[0]
     assert OpenImageIO.geterror() == ""

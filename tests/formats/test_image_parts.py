@@ -1,6 +1,6 @@
-"""Image files with several pictures: one holds the colours, and all others stay bit for bit.
+"""Image files with several images: one holds the colours, and all others stay bit for bit.
 
-Layers and parts of EXR files, and what follows the first picture of a JPEG file, whose tables of quantisation are read.
+Layers and parts of EXR files, and what follows the first image of a JPEG file, whose tables of quantisation are read.
 """
 
 import io
@@ -72,7 +72,7 @@ DEPTH = layer("View.Depth", "Z", np.float32) | layer("View.Normal", "XYZ") | lay
 LAYERED = {
     "final": ("View.Combined", half_seen(layer("View.Combined", "RGBA")) | DEPTH | layer("View.Albedo", "RGB")),
     "beauty": ("beauty", layer("beauty", "rgb") | layer("diffuse", "rgb")),
-    "the only picture": ("View.Noisy", layer("View.Noisy", "RGB") | DEPTH),
+    "the only image": ("View.Noisy", layer("View.Noisy", "RGB") | DEPTH),
     "outside of layers": ("", opaque(layer("", "RGBA")) | DEPTH | layer("Combined", "RGB") | layer("", "Z")),
     "no other layer": ("", opaque(layer("", "RGBA")) | layer("", "Z")),
     "grey": ("View.Combined", layer("View.Combined", "Y") | DEPTH),
@@ -148,22 +148,22 @@ def test_info_shows_the_channels_that_were_taken(tmp_path):
 
 
 def test_a_file_of_one_layer_is_read_as_one_without_layers():
-    picture = read_image(exr_file(layer("View.Normal", "XYZ")), "x.exr")
-    assert picture.colour == (0, 1, 2)
+    image = read_image(exr_file(layer("View.Normal", "XYZ")), "x.exr")
+    assert image.colour == (0, 1, 2)
 
 
 @pytest.mark.parametrize("target", [".png", ".tif", ".jpg", ".webp", ".tga"])
 def test_another_format_gets_the_colours_of_the_layer(target):
     channels = opaque(layer("Albedo", "RGB") | layer("View.Combined", "RGBA")) | layer("View.Depth", "Z")
-    picture = read_image(exr_file(channels), "x.exr")
-    again = read_image(write_image(picture, picture.pixels, suffix=target, as_data=True).data, f"x{target}")
+    image = read_image(exr_file(channels), "x.exr")
+    again = read_image(write_image(image, image.pixels, suffix=target, as_data=True).data, f"x{target}")
     assert again.channels[:3] == ("R", "G", "B")
     assert again.alpha == (None if target in (".jpg", ".webp") else 3)  # WebP leaves out what is opaque
     expected = np.stack([channels[f"View.Combined.{letter}"] for letter in "RGB"], axis=2)
     full = 1 if target == ".tif" else np.iinfo(again.pixels.dtype).max
     if target not in (".jpg", ".webp"):
         np.testing.assert_allclose(again.pixels[..., :3] / full, expected, atol=0.5 / 255 + 1e-6)
-    assert any("other channels are dropped" in loss for loss in losses(picture, target)) == (target != ".tif")
+    assert any("other channels are dropped" in loss for loss in losses(image, target)) == (target != ".tif")
 
 
 def parts_file(path, parts):
@@ -251,7 +251,7 @@ def with_segments(jpeg, *segments):
 
 
 def index_of(order, length, others):
-    """Return an index of pictures: the length of the first, and lengths and offsets of the others."""
+    """Return an index of images: the length of the first, and lengths and offsets of the others."""
     size = 16 * (1 + len(others))
     fields = [(0xB000, 7, 4, int.from_bytes(b"0100", "little" if order == "<" else "big"))]
     fields += [(0xB001, 4, 1, 1 + len(others)), (0xB002, 7, size, 50)]
@@ -264,7 +264,7 @@ def index_of(order, length, others):
 
 
 def in_one_file(first, others, order="<"):
-    """Put pictures into one file, with an index in front."""
+    """Put images into one file, with an index in front."""
     room = len(index_of(order, 0, [(0, 0)] * len(others)))
     length, places = len(first) + room, []
     for other in others:
@@ -274,7 +274,7 @@ def in_one_file(first, others, order="<"):
 
 
 def gain_map():
-    """Return a gain map that makes a picture up to four times as bright."""
+    """Return a gain map that makes an image up to four times as bright."""
     grey = np.tile(np.linspace(40, 240, 32).astype(np.uint8), (32, 1))[..., None]
     curve = (
         'hdrgm:GainMapMin="0" hdrgm:GainMapMax="2" hdrgm:Gamma="1" hdrgm:OffsetSDR="0.015625" '
@@ -307,7 +307,7 @@ def as_openimageio_reads(data):
 
 
 def pictures_of(data):
-    """Return all pictures of a file, found by its index."""
+    """Return all images of a file, found by its index."""
     with Image.open(io.BytesIO(data)) as file:
         found = []
         for number in range(getattr(file, "n_frames", 1)):
@@ -319,19 +319,19 @@ def pictures_of(data):
 @pytest.mark.parametrize("order", ["<", ">"])
 def test_a_gain_map_is_kept_and_not_applied(order):
     source = ultra_hdr(order)
-    picture = read_image(source, "x.jpg")
-    assert (picture.stored, picture.pixels.shape, picture.notices) == ("uint8", (64, 64, 3), ())
-    assert np.abs(picture.pixels.mean() - phantom(side=64).mean()) < 1
+    image = read_image(source, "x.jpg")
+    assert (image.stored, image.pixels.shape, image.notices) == ("uint8", (64, 64, 3), ())
+    assert np.abs(image.pixels.mean() - phantom(side=64).mean()) < 1
     size = measure_image(source, "x.jpg")
     assert (size.channels, size.sample) == (3, 1)
-    new = write_image(picture, picture.pixels // 2 + 60).data
+    new = write_image(image, image.pixels // 2 + 60).data
     assert new.endswith(gain_map())
     assert new.count(b"Item:Length") == new.count(_ISO) == 1
     before, after = as_openimageio_reads(source), as_openimageio_reads(new)
     if before[:2] == (3, "uint8"):
         pytest.skip("this build of OpenImageIO does not read gain maps")
     assert before[:2] == after[:2] == (4, "half")
-    light = srgb_to_linear((picture.pixels // 2 + 60) / np.float32(255))
+    light = srgb_to_linear((image.pixels // 2 + 60) / np.float32(255))
     assert after[2] > 1.1 * light.mean()  # since the map was found and applied
 
 
@@ -341,8 +341,8 @@ def test_the_index_finds_all_pictures_again(order, quality):
     others = [encode(np.full((16, 16, 3), level, np.uint8), "jpeg") for level in (50, 200)]
     source = in_one_file(encode(phantom(side=64), "jpeg", compression="jpeg:80"), others, order)
     assert len(pictures_of(source)) == 3
-    picture = read_image(source, "x.jpg")
-    new = write_image(picture, picture.pixels[::-1], jpeg_quality=quality).data
+    image = read_image(source, "x.jpg")
+    new = write_image(image, image.pixels[::-1], jpeg_quality=quality).data
     first, *further = pictures_of(new)
     np.testing.assert_array_equal(first, read_image(new, "x.jpg").pixels)
     assert [round(each.mean()) for each in further] == [50, 200]
@@ -353,9 +353,9 @@ def test_the_index_finds_all_pictures_again(order, quality):
 
 @pytest.mark.parametrize("suffix", [".png", ".tif", ".exr", ".webp"])
 def test_other_formats_report_the_loss_and_claim_no_gain_map(suffix):
-    picture = read_image(ultra_hdr(), "x.jpg")
-    assert any("what follows it in the JPEG file is dropped" in notice for notice in losses(picture, suffix))
-    new = write_image(picture, picture.pixels, suffix=suffix).data
+    image = read_image(ultra_hdr(), "x.jpg")
+    assert any("what follows it in the JPEG file is dropped" in notice for notice in losses(image, suffix))
+    new = write_image(image, image.pixels, suffix=suffix).data
     assert not any(word in new for word in (b"hdrgm", b"GainMap", _ISO))
     assert not losses(read_image(encode(phantom(side=64), "jpeg"), "x.jpg"), ".png")
 
@@ -363,18 +363,18 @@ def test_other_formats_report_the_loss_and_claim_no_gain_map(suffix):
 @pytest.mark.parametrize("damage", [b"MPF\0II*\0\xff\xff\xff\xff", b"MPF\0", b"MPF\0II*\0\x08\0\0\0\0\0"])
 def test_an_index_that_cannot_be_read_stays_as_it_is(damage):
     source = with_segments(encode(phantom(side=64), "jpeg"), jpeg_segment(0xE2, damage)) + b"video"
-    picture = read_image(source, "x.jpg")
-    new = write_image(picture, picture.pixels // 2).data
+    image = read_image(source, "x.jpg")
+    new = write_image(image, image.pixels // 2).data
     assert jpeg_segment(0xE2, damage) in new
     assert new.endswith(b"\xff\xd9video")
 
 
 @pytest.mark.parametrize("progressive", [0, 1])
-def test_the_end_of_a_picture_is_found_behind_all_its_scans(progressive):
+def test_the_end_of_an_image_is_found_behind_all_its_scans(progressive):
     plain = encode(phantom(side=64), "jpeg", jpeg__progressive=progressive)
-    picture = read_image(plain + b"\xff\xd8\xff", "x.jpg")
-    assert write_image(picture, 255 - picture.pixels).data.count(b"\xff\xd9\xff\xd8\xff") == 1
-    np.testing.assert_array_equal(picture.pixels, read_image(plain, "x.jpg").pixels)
+    image = read_image(plain + b"\xff\xd8\xff", "x.jpg")
+    assert write_image(image, 255 - image.pixels).data.count(b"\xff\xd9\xff\xd8\xff") == 1
+    np.testing.assert_array_equal(image.pixels, read_image(plain, "x.jpg").pixels)
 
 
 PIXELS = np.random.default_rng(1).integers(0, 256, (40, 56, 3)).astype(np.uint8)

@@ -33,28 +33,28 @@ TECHNICAL = (
 
 def losses(image: DecodedImage, suffix: str) -> tuple[str, ...]:
     """Return notices of losses and changes when an image is written with the suffix of another format."""
-    known = format_of_suffix(suffix)
-    if known is None or known == image.format:
+    file_format = format_of_suffix(suffix)
+    if file_format is None or file_format == image.format:
         return ()
-    traits, name, label = FORMATS[known], image.name, suffix.lower().lstrip(".").upper()
-    source, stored = _finest(image, known), _type_in(_finest(image, known), known)
+    traits, name, label = FORMATS[file_format], image.name, suffix.lower().lstrip(".").upper()
+    source, stored = _finest(image, file_format), _type_in(_finest(image, file_format), file_format)
     found = []
     if image.alpha is not None and not traits.alpha:
         found.append(f"{name}: {label} has no alpha, which is dropped.")
-    if len(image.channels) > len(image.colour) + (image.alpha is not None) and not _holds_any(known):
+    if len(image.channels) > len(image.colour) + (image.alpha is not None) and not _holds_any(file_format):
         found.append(f"{name}: {label} holds colours and alpha only; other channels are dropped.")
     if len(image.parts) > 1:
         found.append(
             f"{name}: {label} holds one part only; all but {image.parts[image.part or 0]} are dropped."
         )
-    if known == "openexr" and _has_hidden_colours(image):
+    if file_format == "openexr" and _has_hidden_colours(image):
         found.append(f"{name}: {label} multiplies colours by alpha, so those under an alpha of 0 are lost.")
     if jpeg.further_images(image.source):
         dropped = (
             "what follows it in the JPEG file is dropped (a gain map for HDR displays, previews, a video)"
         )
         found.append(f"{name}: {label} holds one image; {dropped}.")
-    if _needs_three(image, known):
+    if _needs_three(image, file_format):
         found.append(f"{name}: {label} has no such grey; it becomes equal red, green and blue.")
     if image.encoding == "linear" and stored.startswith("uint"):
         found.append(f"{name}: floats become {_BITS[stored]}-bit integers in {label}, clipped to 0..1.")
@@ -62,16 +62,16 @@ def losses(image: DecodedImage, suffix: str) -> tuple[str, ...]:
         found.append(f"{name}: {_BITS[source]}-bit samples become {_BITS[stored]}-bit ones in {label}.")
     if stored.startswith("uint") and image.pixels.dtype.kind == "f" and np.isnan(image.pixels).any():
         found.append(f"{name}: NaN becomes 0 in {label}.")
-    if known in _INEXACT:
+    if file_format in _INEXACT:
         found.append(f"{name}: {label} is not exact, so untouched colours change slightly as well.")
     return tuple(found)
 
 
 def upright(image: DecodedImage, pixels: Array, suffix: str | None) -> tuple[Array, list[str]]:
     """Turn pixels as they are to be seen, if another format has no tag that says so; return also a notice."""
-    known = None if suffix is None else format_of_suffix(suffix)
+    file_format = None if suffix is None else format_of_suffix(suffix)
     turned = image.spec.get_int_attribute("Orientation", 1)  # by EXIF, 1 to 8
-    if known in (None, image.format, *FORMATS_WITH_EXIF) or turned not in range(2, 9):
+    if file_format in (None, image.format, *FORMATS_WITH_EXIF) or turned not in range(2, 9):
         return pixels, []
     if turned in (5, 6, 7, 8):
         pixels = pixels.swapaxes(0, 1)
@@ -80,14 +80,14 @@ def upright(image: DecodedImage, pixels: Array, suffix: str | None) -> tuple[Arr
     if turned in (3, 4, 7, 8):
         pixels = pixels[::-1]
     what = "has no tag that says how an image is turned, so the pixels are turned"
-    return pixels, [f"{image.name}: {label_of(known)} {what}."]
+    return pixels, [f"{image.name}: {label_of(file_format)} {what}."]
 
 
-def converted(image: DecodedImage, pixels: Array, known: str, *, as_data: bool) -> tuple[Array, Any]:
+def converted(image: DecodedImage, pixels: Array, file_format: str, *, as_data: bool) -> tuple[Array, Any]:
     """Return pixels as another format stores them, and their OpenImageIO.ImageSpec for it."""
     # Unless they are data, colours become linear light in floats and sRGB in integers.
-    stored = _type_in(_finest(image, known), known)
-    kept = _kept_channels(image, known)
+    stored = _type_in(_finest(image, file_format), file_format)
+    kept = _kept_channels(image, file_format)
     values = without_alpha(image, full_scale_one(pixels))[:, :, kept]
     colour = [kept.index(channel) for channel in image.colour]
     alpha = kept.index(image.alpha) if image.alpha in kept else None
@@ -95,42 +95,44 @@ def converted(image: DecodedImage, pixels: Array, known: str, *, as_data: bool) 
         values[:, :, colour] = linear_to_srgb(np.maximum(values[:, :, colour], 0))
     if not as_data and image.encoding == "srgb" and stored.startswith("float"):
         values[:, :, colour] = srgb_to_linear(values[:, :, colour])
-    if known == "openexr" and alpha is not None:  # where alpha is always multiplied in
+    if file_format == "openexr" and alpha is not None:  # where alpha is always multiplied in
         values[:, :, colour] *= values[:, :, [alpha]]
     names = [image.channels[channel] for channel in kept]
-    if known != "openexr":  # elsewhere channels have no names of their own, but roles
+    if file_format != "openexr":  # elsewhere channels have no names of their own, but roles
         names[:] = [_role(image, channel) for channel in kept]
-    if _needs_three(image, known):
+    if _needs_three(image, file_format):
         values = values[:, :, [colour[0]] * 3 + ([alpha] if alpha is not None else [])]
         names = ["R", "G", "B", *(["A"] if alpha is not None else [])]
-    return as_stored(values, stored), _spec(image, values.shape, names, stored, known)
+    return as_stored(values, stored), _spec(image, values.shape, names, stored, file_format)
 
 
-def _finest(image: DecodedImage, known: str) -> str:
+def _finest(image: DecodedImage, file_format: str) -> str:
     """Return the type of the channels that another format takes over, the finest if they differ."""
-    return max((image.kinds[channel] for channel in _kept_channels(image, known)), key=_BITS.__getitem__)
+    return max(
+        (image.kinds[channel] for channel in _kept_channels(image, file_format)), key=_BITS.__getitem__
+    )
 
 
-def _type_in(stored: str, known: str) -> str:
+def _type_in(stored: str, file_format: str) -> str:
     """Return the type that a format stores samples of a type in: the coarsest that holds them, or the finest."""
-    types = FORMATS[known].types
+    types = FORMATS[file_format].types
     if stored in types:
         return stored
     finer = [kind for kind in types if _BITS[kind] > _BITS[stored] or stored == "uint8"]
     return finer[0] if finer else types[-1]
 
 
-def _holds_any(known: str) -> bool:
+def _holds_any(file_format: str) -> bool:
     """Whether a format holds channels besides colours and alpha."""
-    return known in ("tiff", "openexr")
+    return file_format in ("tiff", "openexr")
 
 
-def _kept_channels(image: DecodedImage, known: str) -> list[int]:
+def _kept_channels(image: DecodedImage, file_format: str) -> list[int]:
     """Return the channels that a format holds, colours and alpha first."""
-    alpha = [image.alpha] if image.alpha is not None and FORMATS[known].alpha else []
+    alpha = [image.alpha] if image.alpha is not None and FORMATS[file_format].alpha else []
     first = [*image.colour, *alpha]
     further = [channel for channel in range(len(image.channels)) if channel not in first]
-    return [*first, *further] if _holds_any(known) else first
+    return [*first, *further] if _holds_any(file_format) else first
 
 
 def _role(image: DecodedImage, channel: int) -> str:
@@ -142,11 +144,16 @@ def _role(image: DecodedImage, channel: int) -> str:
     return "RGB"[image.colour.index(channel)] if len(image.colour) == 3 else "Y"
 
 
-def _needs_three(image: DecodedImage, known: str) -> bool:
-    return len(_kept_channels(image, known)) not in FORMATS[known].channels and len(image.colour) == 1
+def _needs_three(image: DecodedImage, file_format: str) -> bool:
+    return (
+        len(_kept_channels(image, file_format)) not in FORMATS[file_format].channels
+        and len(image.colour) == 1
+    )
 
 
-def _spec(image: DecodedImage, shape: tuple[int, ...], names: list[str], stored: str, known: str) -> Any:
+def _spec(
+    image: DecodedImage, shape: tuple[int, ...], names: list[str], stored: str, file_format: str
+) -> Any:
     import OpenImageIO
 
     height, width, channels = shape
@@ -160,7 +167,7 @@ def _spec(image: DecodedImage, shape: tuple[int, ...], names: list[str], stored:
     # By patterns: names that are not UTF-8 cannot be given from Python.
     for pattern in (*(f"{prefix}.*" for prefix in TECHNICAL), "ICCProfile", "chromaticities"):
         spec.erase_attribute(pattern)
-    if known not in FORMATS_WITH_EXIF:
+    if file_format not in FORMATS_WITH_EXIF:
         spec.erase_attribute("Orientation")
     profile = image.spec.getattribute("ICCProfile")
     fits = image.encoding == "srgb" and stored.startswith("uint")

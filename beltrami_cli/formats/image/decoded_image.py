@@ -71,12 +71,12 @@ class DecodedImage:
 
 
 def image_from(
-    data: bytes, name: str, known: str, spec: Any, pixels: Array, notices: tuple[str, ...] = ()
+    data: bytes, name: str, file_format: str, spec: Any, pixels: Array, notices: tuple[str, ...] = ()
 ) -> DecodedImage:
-    """Return pixels and their OpenImageIO.ImageSpec as the image in a file (data) of a format (known)."""
+    """Return pixels and their OpenImageIO.ImageSpec as the image in a file (data) of a format (file_format)."""
     kinds = tuple(STORED[str(kind)] for kind in (spec.channelformats or [spec.format] * spec.nchannels))
     channels = tuple(spec.channelnames)
-    if known == "targa" and len(channels) == 2:  # OpenImageIO calls grey and alpha red and green there.
+    if file_format == "targa" and len(channels) == 2:  # OpenImageIO calls grey and alpha red and green there.
         channels = ("Y", "A")
     layer = colour_layer(channels)
     colour, alpha = colours_and_alpha(channels, layer)
@@ -89,7 +89,7 @@ def image_from(
         encoding="linear" if pixels.dtype.kind == "f" else "srgb",
         stored=kinds[colour[0]],
         kinds=kinds,
-        format=known,
+        format=file_format,
         suffix=suffix_for(data, name),
         notices=notices,
         content=data,

@@ -35,33 +35,42 @@ _ENDS = {"png": b"IEND\xaeB`\x82", "targa": TARGA_END}
 
 
 def encoded(
-    spec: Any, pixels: Array, known: str, name: str, quality: int, *, small: bool, lossless: bool = False
+    spec: Any,
+    pixels: Array,
+    file_format: str,
+    name: str,
+    quality: int,
+    *,
+    small: bool,
+    lossless: bool = False,
 ) -> bytes:
     """Encode pixels by their spec; of lossy WebP and JPEG with a quality, and WebP without loss if asked to.
 
     OutputError if that fails, such as on a full disk.
     """
-    if known not in ("jpeg", "webp"):
-        _set_options(spec, known, small=small)
-        return _encoded_by_openimageio(spec, pixels, known, name)
+    if file_format not in ("jpeg", "webp"):
+        _set_options(spec, file_format, small=small)
+        return _encoded_by_openimageio(spec, pixels, file_format, name)
     from PIL import Image
 
     quality, profile, buffer = min(max(quality, 1), 100), spec.getattribute("ICCProfile"), io.BytesIO()
     options: dict[str, Any] = {
         "icc_profile": b"" if profile is None else bytes(np.asarray(profile, np.uint8))
     }
-    if known == "jpeg":
+    if file_format == "jpeg":
         options |= _jpeg_options(spec, pixels.size, quality)
     elif lossless:
         options |= {"lossless": True, "quality": 100 if small else 50, "method": 6 if small else 3}
     else:
         options |= {"quality": quality, "method": 6 if small else 4}
-    if known == "webp":
+    if file_format == "webp":
         options["exact"] = True  # also the colours under an alpha of 0, which OpenImageIO lets libwebp clear
     try:
-        Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels).save(buffer, known, **options)
+        Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels).save(
+            buffer, file_format, **options
+        )
     except FAILURES as error:
-        raise unwritten(name, known, str(error)) from None
+        raise unwritten(name, file_format, str(error)) from None
     return buffer.getvalue()
 
 
@@ -75,25 +84,25 @@ def _jpeg_options(spec: Any, samples: int, quality: int) -> dict[str, Any]:
     return {"quality": quality, "progressive": progressive, "subsampling": subsampling}
 
 
-def unwritten(name: str, known: str, error: str) -> OutputError:
+def unwritten(name: str, file_format: str, error: str) -> OutputError:
     """Return the error that an encoder fails."""
     return OutputError(
-        name, f"the {label_of(known)} image cannot be written ({error.strip() or 'no reason given'})"
+        name, f"the {label_of(file_format)} image cannot be written ({error.strip() or 'no reason given'})"
     )
 
 
-def one_pixel(spec: Any, known: str, name: str) -> bytes:
+def one_pixel(spec: Any, file_format: str, name: str) -> bytes:
     """Encode a single pixel with the attributes of a spec, to see what OpenImageIO makes of them in a format."""
     import OpenImageIO
 
     bare = OpenImageIO.ImageSpec(1, 1, 3, "uint8")
     bare.extra_attribs = spec.extra_attribs
-    _set_options(bare, known, small=False)
-    return _encoded_by_openimageio(bare, np.zeros((1, 1, 3), np.uint8), known, name)
+    _set_options(bare, file_format, small=False)
+    return _encoded_by_openimageio(bare, np.zeros((1, 1, 3), np.uint8), file_format, name)
 
 
-def _set_options(spec: Any, known: str, *, small: bool) -> None:
-    match known:
+def _set_options(spec: Any, file_format: str, *, small: bool) -> None:
+    match file_format:
         case "png":
             spec.attribute("png:compressionLevel", 9 if small else 1)
             # Differences of rows repeat little but runs. To look for more gains next to nothing and takes time, as it
@@ -105,18 +114,18 @@ def _set_options(spec: Any, known: str, *, small: bool) -> None:
             spec.attribute("compression", "jpegxl:100")
         case "tiff":
             spec.attribute("tiff:half", 1)
-    if known in ("tiff", "openexr") and not spec.get_string_attribute("DateTime"):
+    if file_format in ("tiff", "openexr") and not spec.get_string_attribute("DateTime"):
         # Otherwise it would be the time of writing, and two runs would differ. A pair of numbers is not written at all.
-        nothing = ("int[2]", (0, 0)) if known == "tiff" else ("string", "")
+        nothing = ("int[2]", (0, 0)) if file_format == "tiff" else ("string", "")
         spec.attribute("DateTime", *nothing)
 
 
-def _encoded_by_openimageio(spec: Any, pixels: Array, known: str, name: str) -> bytes:
+def _encoded_by_openimageio(spec: Any, pixels: Array, file_format: str, name: str) -> bytes:
     import OpenImageIO
 
-    file = OpenImageIO.ImageOutput.create(plugin_of(known))
+    file = OpenImageIO.ImageOutput.create(plugin_of(file_format))
     if file is None:
-        raise ProcessingError(f"this OpenImageIO cannot write {known} images", name)
+        raise ProcessingError(f"this OpenImageIO cannot write {file_format} images", name)
     if str(spec.format) == "half" and not spec.channelformats:
         pixels = pixels.astype(np.float16)
     with scratch_file() as path:
@@ -125,12 +134,12 @@ def _encoded_by_openimageio(spec: Any, pixels: Array, known: str, name: str) -> 
         error = error_of(file)  # TIFF reports a missing EXIF directory though all is written.
         error_of(OpenImageIO)
         if not (written and closed):
-            raise unwritten(name, known, error.replace(str(path), "it"))
+            raise unwritten(name, file_format, error.replace(str(path), "it"))
         try:
             data = path.read_bytes()
         except OSError as failure:
-            raise unwritten(name, known, f"it cannot be read back: {failure.strerror}") from failure
-    _require_whole(data, spec, pixels, known, name)
+            raise unwritten(name, file_format, f"it cannot be read back: {failure.strerror}") from failure
+    _require_whole(data, spec, pixels, file_format, name)
     return data
 
 
@@ -143,20 +152,20 @@ def reading_back() -> Iterator[None]:
         raise OutputError(error.name, error.cause, error.remedy) from error
 
 
-def _require_whole(data: bytes, spec: Any, pixels: Array, known: str, name: str) -> None:
+def _require_whole(data: bytes, spec: Any, pixels: Array, file_format: str, name: str) -> None:
     """Raise OutputError unless a new image reads back with these pixels."""
     import OpenImageIO
 
     config = OpenImageIO.ImageSpec()
     config.attribute("oiio:UnassociatedAlpha", 1)
     with reading_back(), opened(data, config, name) as (file, path):
-        if file is None or not data.endswith(_ENDS.get(known, b"")):
-            raise unwritten(name, known, error_of(OpenImageIO).replace(str(path), "it"))
+        if file is None or not data.endswith(_ENDS.get(file_format, b"")):
+            raise unwritten(name, file_format, error_of(OpenImageIO).replace(str(path), "it"))
         for rows, again in _blocks_of(file):
             if again is None:
-                raise unwritten(name, known, error_of(file).replace(str(path), "it"))
-            if not _is_same(again, pixels[rows], spec, known):
-                raise unwritten(name, known, "what was written is not what is read back")
+                raise unwritten(name, file_format, error_of(file).replace(str(path), "it"))
+            if not _is_same(again, pixels[rows], spec, file_format):
+                raise unwritten(name, file_format, "it does not read back as it was written")
 
 
 def _blocks_of(file: Any) -> Iterator[tuple[slice, Array | None]]:
@@ -170,11 +179,11 @@ def _blocks_of(file: Any) -> Iterator[tuple[slice, Array | None]]:
         yield rows, file.read_scanlines(begin, end, 0, 0, spec.nchannels, spec.format)
 
 
-def _is_same(again: Array, pixels: Array, spec: Any, known: str) -> bool:
-    """Whether decoded pixels are those that were encoded, as far as the format keeps them."""
+def _is_same(again: Array, pixels: Array, spec: Any, file_format: str) -> bool:
+    """Whether decoded pixels equal the encoded ones, as far as the format keeps them."""
     if again.shape != pixels.shape:
         return False
-    if known == "hdr":
+    if file_format == "hdr":
         return bool((np.abs(again - pixels) <= _RGBE_STEP * pixels.max(axis=2, keepdims=True)).all())
     if spec.get_string_attribute("compression").partition(":")[0] in LOSSY_EXR:
         return True

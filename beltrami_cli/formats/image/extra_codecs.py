@@ -45,9 +45,9 @@ _DECODING_BYTES = {"ktx2": 16, "avif": 25}
 _THREAD_BYTES = 16 << 20
 
 
-def missing_package(known: str) -> str | None:
+def missing_package(file_format: str) -> str | None:
     """Return the package that a format needs and that is not installed, or None."""
-    module, package = _PACKAGES[known]
+    module, package = _PACKAGES[file_format]
     try:
         importlib.import_module(module)
     except ImportError:
@@ -55,23 +55,25 @@ def missing_package(known: str) -> str | None:
     return None
 
 
-def measured(data: bytes, known: str, name: str) -> tuple[int, int, int]:
+def measured(data: bytes, file_format: str, name: str) -> tuple[int, int, int]:
     """Return width, height and channels by the header; InputError if it promises what cannot be."""
-    package = missing_package(known)
+    package = missing_package(file_format)
     if package is not None:
-        raise InputError(name, f"{known.upper()} images need the package {package}", install_hint(EXTRA))
-    if known == "ktx2":
+        raise InputError(
+            name, f"{file_format.upper()} images need the package {package}", install_hint(EXTRA)
+        )
+    if file_format == "ktx2":
         return _measured_ktx2(data, name)
     with _opened_avif(data, name) as image:
         width, height = image.size
         return width, height, 4 if image.mode == "RGBA" else 3
 
 
-def decoded(data: bytes, known: str, name: str) -> tuple[Uint8s, tuple[str, ...], bytes | None]:
+def decoded(data: bytes, file_format: str, name: str) -> tuple[Uint8s, tuple[str, ...], bytes | None]:
     """Decode an image whose header `measured` has accepted: pixels (H, W, 3 or 4), notices, and an ICC profile."""
-    width, height, _ = measured(data, known, name)
-    _require_memory(width * height * _DECODING_BYTES[known])
-    if known == "ktx2":
+    width, height, _ = measured(data, file_format, name)
+    _require_memory(width * height * _DECODING_BYTES[file_format])
+    if file_format == "ktx2":
         return _decoded_ktx2(data, name), (), None
     with _opened_avif(data, name) as image:
         try:
@@ -86,9 +88,9 @@ def decoded(data: bytes, known: str, name: str) -> tuple[Uint8s, tuple[str, ...]
         return pixels, tuple(notices), image.info.get("icc_profile")
 
 
-def encoded(known: str, pixels: Uint8s, quality: int, source: bytes, *, as_data: bool) -> bytes:
+def encoded(file_format: str, pixels: Uint8s, quality: int, source: bytes, *, as_data: bool) -> bytes:
     """Encode pixels as decoded ones are; `source` is the file that they came from if it is of the format."""
-    if known == "ktx2":
+    if file_format == "ktx2":
         return _encoded_ktx2(pixels, quality, source, as_data=as_data)
     return _encoded_avif(pixels, quality, source)
 

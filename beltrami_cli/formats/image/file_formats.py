@@ -78,9 +78,9 @@ _WITHOUT_MARK = ("targa", "rla")
 
 def format_of(data: bytes, name: str) -> str | None:
     """Return a key of `FORMATS` by the content; for TGA and RLA, which need not have a mark, also by the name."""
-    for known, traits in FORMATS.items():
-        if data.startswith(traits.signatures) and (known != "webp" or data[8:12] == b"WEBP"):
-            return known
+    for file_format, traits in FORMATS.items():
+        if data.startswith(traits.signatures) and (file_format != "webp" or data[8:12] == b"WEBP"):
+            return file_format
     if data[4:8] == b"ftyp":
         # The major brand, its version, and the brands that the file is compatible with.
         end = min(int.from_bytes(data[:4], "big"), _MAX_BRANDS, len(data))
@@ -97,10 +97,10 @@ def format_of(data: bytes, name: str) -> str | None:
 
 def suffix_for(data: bytes, name: str) -> str:
     """Return the suffix of an image with its dot: its name's if that fits, else its format's, "" if unknown."""
-    known, suffix = format_of(data, name), suffix_of(name).lower()
-    if known is None:
+    file_format, suffix = format_of(data, name), suffix_of(name).lower()
+    if file_format is None:
         return ""
-    return suffix if suffix in FORMATS[known].suffixes else FORMATS[known].suffixes[0]
+    return suffix if suffix in FORMATS[file_format].suffixes else FORMATS[file_format].suffixes[0]
 
 
 def is_image(data: bytes, name: str) -> bool:
@@ -110,17 +110,21 @@ def is_image(data: bytes, name: str) -> bool:
 
 def format_of_suffix(suffix: str) -> str | None:
     """Return the format whose files have an extension (with the dot, in any case), or None."""
-    return next((known for known, traits in FORMATS.items() if suffix.lower() in traits.suffixes), None)
+    return next(
+        (file_format for file_format, traits in FORMATS.items() if suffix.lower() in traits.suffixes), None
+    )
 
 
-def plugin_of(known: str) -> str:
+def plugin_of(file_format: str) -> str:
     """Return OpenImageIO's name of a format."""
-    return {"j2k": "jpeg2000", **dict.fromkeys(("ppm", "pgm", "pfm", "pbm"), "pnm")}.get(known, known)
+    return {"j2k": "jpeg2000", **dict.fromkeys(("ppm", "pgm", "pfm", "pbm"), "pnm")}.get(
+        file_format, file_format
+    )
 
 
-def label_of(known: str) -> str:
+def label_of(file_format: str) -> str:
     """Return what users call a format."""
-    return FORMATS[known].suffixes[0][1:].upper()
+    return FORMATS[file_format].suffixes[0][1:].upper()
 
 
 def suffix_of(name: str) -> str:

@@ -1,4 +1,4 @@
-"""Metadata of image files: what a new file takes over from the one it is made from, and what is lost."""
+"""Metadata of image files: those that a new file takes over from its source, and those that are lost."""
 
 from __future__ import annotations
 
@@ -55,9 +55,9 @@ _KEEPING_METADATA = (
 )  # whose metadata are carried over as bytes
 
 
-def carry_over(source: bytes, encoded: bytes, known: str, part: int = 0) -> bytes:
+def carry_over(source: bytes, encoded: bytes, file_format: str, part: int = 0) -> bytes:
     """Return an encoded image, of a part of an EXR file, with what else another file of its format holds."""
-    match known:
+    match file_format:
         case "png":
             return png.carried_over(source, encoded)
         case "jpeg":
@@ -73,30 +73,32 @@ def carry_over(source: bytes, encoded: bytes, known: str, part: int = 0) -> byte
         case "openexr":
             return exr.with_attributes(source, encoded, part)
         case "hdr" | "ppm" | "pgm" | "pfm":
-            return text_headers.with_header(source, encoded, known)
+            return text_headers.with_header(source, encoded, file_format)
     return encoded
 
 
-def with_descriptions(image: DecodedImage, encoded: bytes, spec: Any, known: str) -> bytes:
+def with_descriptions(image: DecodedImage, encoded: bytes, spec: Any, file_format: str) -> bytes:
     """Return a new image, of another format than that which it is made from, with its texts and EXIF data."""
-    if known == "jpeg":
+    if file_format == "jpeg":
         # OpenImageIO's XMP data hold also what IPTC data would.
         xmp = tiff_tags.value_of(one_pixel(spec, "tiff", image.name), _XMP)
         comment = spec.get_string_attribute("ImageDescription").encode()
         encoded = jpeg.with_texts(encoded, comment=comment, xmp=xmp)
     # OpenImageIO makes EXIF data of some attributes; Pillow, which writes these two formats, does not.
-    by_pillow = known in ("jpeg", "webp")
-    made = _exif_of(one_pixel(spec, "png", image.name), "png") if by_pillow else _exif_of(encoded, known)
+    by_pillow = file_format in ("jpeg", "webp")
+    made = (
+        _exif_of(one_pixel(spec, "png", image.name), "png") if by_pillow else _exif_of(encoded, file_format)
+    )
     exif = _exif_of(image.source, image.format)
     with suppress(*DAMAGED):
         made = tiff_tags.with_exif(exif, made) if tiff_tags.exif_tags(exif) else made
-    return _with_exif(made, encoded, known) if tiff_tags.exif_tags(made) else encoded
+    return _with_exif(made, encoded, file_format) if tiff_tags.exif_tags(made) else encoded
 
 
-def _exif_of(data: bytes, known: str) -> bytes:
+def _exif_of(data: bytes, file_format: str) -> bytes:
     """Return the EXIF data of a PNG, JPEG, WebP or TIFF file, which are a TIFF file without pixels; or nothing."""
     found = b""
-    match known:
+    match file_format:
         case "tiff":
             return data
         case "png":
@@ -108,9 +110,9 @@ def _exif_of(data: bytes, known: str) -> bytes:
     return found.removeprefix(_EXIF_START)
 
 
-def _with_exif(exif: bytes, encoded: bytes, known: str) -> bytes:
+def _with_exif(exif: bytes, encoded: bytes, file_format: str) -> bytes:
     """Return an image with other EXIF data instead of its own; the same image if the format holds none."""
-    match known:
+    match file_format:
         case "tiff":
             return exif
         case "png":
@@ -129,36 +131,38 @@ def _is_exif(segment: bytes | memoryview) -> bool:
     return segment[1] == jpeg.APP1 and segment[4:10] == _EXIF_START
 
 
-def lost_metadata(image: DecodedImage, data: bytes, known: str) -> tuple[str, ...]:
+def lost_metadata(image: DecodedImage, data: bytes, file_format: str) -> tuple[str, ...]:
     """Return a notice that names the metadata of an image that a file of a format, made from it, does not have."""
-    is_own = known == image.format
+    is_own = file_format == image.format
     try:
         items = _items(image.source, image.format)
         if is_own:
-            lost = items.keys() - _items(data, known).keys()
+            lost = items.keys() - _items(data, file_format).keys()
         else:
             lost = {name for name, is_read in items.items() if not is_read}
-        if not is_own or known not in _KEEPING_METADATA:
-            lost |= _lost_attributes(image, data, known)
+        if not is_own or file_format not in _KEEPING_METADATA:
+            lost |= _lost_attributes(image, data, file_format)
     except DAMAGED:
         return (f"{image.name}: its metadata are damaged, and only a part of them is kept.",)
     if not lost:
         return ()
-    return (f"{image.name}: these metadata are not kept in {label_of(known)}: {', '.join(sorted(lost))}.",)
+    return (
+        f"{image.name}: these metadata are not kept in {label_of(file_format)}: {', '.join(sorted(lost))}.",
+    )
 
 
-def _lost_attributes(image: DecodedImage, data: bytes, known: str) -> set[str]:
+def _lost_attributes(image: DecodedImage, data: bytes, file_format: str) -> set[str]:
     """Return the names of the attributes in OpenImageIO's view that the new file lacks."""
     now = set[str]()
-    if known not in extra_codecs.EXTRA_CODECS:
+    if file_format not in extra_codecs.EXTRA_CODECS:
         with reading_back(), opened(data, name=image.name) as (file, _):
             if file is None:
-                raise unwritten(image.name, known, "it is not read back")
+                raise unwritten(image.name, file_format, "it is not read back")
             now = {each.name.lower() for each in file.spec().extra_attribs}
     exif, new_exif = (
-        tiff_tags.exif_tags(_exif_of(*each)) for each in ((image.source, image.format), (data, known))
+        tiff_tags.exif_tags(_exif_of(*each)) for each in ((image.source, image.format), (data, file_format))
     )
-    technical = _STORAGE if known == image.format else (*TECHNICAL, "thumbnail_")
+    technical = _STORAGE if file_format == image.format else (*TECHNICAL, "thumbnail_")
     # In another format OpenImageIO calls some of EXIF otherwise, or does not read them.
     seen = (*technical, *_OF_EXIF) if exif and new_exif else technical
     lost = {
@@ -178,9 +182,9 @@ def _is_default(attribute: Any) -> bool:
     return np.shape(attribute.value) == np.shape(default) and np.allclose(attribute.value, default, atol=1e-6)
 
 
-def _items(data: bytes, known: str) -> dict[str, bool]:
+def _items(data: bytes, file_format: str) -> dict[str, bool]:
     """Return names for the pieces of metadata in a file, and whether OpenImageIO reads each, for another format."""
-    match known:
+    match file_format:
         case "png":
             kinds = {kind.decode("latin-1") for kind, _ in png.chunks(data) if kind[:1].islower()}
             return {f"PNG chunk {kind}": kind in _PNG_READ for kind in kinds - {*_PNG_STRUCTURE}}
@@ -196,10 +200,12 @@ def _items(data: bytes, known: str) -> dict[str, bool]:
         case "jpeg2000" | "j2k" | "jpegxl":
             boxes = (kind.decode("latin-1").strip() for kind in _boxes(data) if kind not in _BOXES)
             lost = [f"box {box}" for box in boxes]
-            has_comment = known != "jpegxl" and _JPEG_2000_COMMENT.search(data.partition(_JPEG_2000_TILE)[0])
+            has_comment = file_format != "jpegxl" and _JPEG_2000_COMMENT.search(
+                data.partition(_JPEG_2000_TILE)[0]
+            )
             return dict.fromkeys([*lost, "comment"] if has_comment else lost, False)
         case "hdr" | "ppm" | "pgm" | "pfm":
-            return dict.fromkeys(text_headers.header_lines(data, known), False)
+            return dict.fromkeys(text_headers.header_lines(data, file_format), False)
         case "targa" if data.endswith(bitmaps.TARGA_END) and any(data[-22:-18]):
             return {"developer area": False}
         case "bmp" if data[70:74] in _BMP_PROFILES and data[14] >= _PROFILE_HEADER:

@@ -60,37 +60,39 @@ def read_image(data: bytes, name: str, *, finite: bool = True) -> DecodedImage:
     """Decode an image file; InputError if it is damaged or unsupported, or, with `finite`, not finite."""
     import OpenImageIO
 
-    known = format_of(data, name)
+    file_format = format_of(data, name)
     if not data:
         raise InputError(name, "the file is empty", "export it again")
-    if known is None:
+    if file_format is None:
         raise InputError(name, "the content is of no known image format", READABLE)
-    if known in EXTRA_CODECS:
-        return _read_extra(data, name, known)
-    if plugin_of(known) not in OpenImageIO.get_string_attribute("input_format_list").split(","):
-        cause = f"this build of OpenImageIO does not read {label_of(known)}"
+    if file_format in EXTRA_CODECS:
+        return _read_extra(data, name, file_format)
+    if plugin_of(file_format) not in OpenImageIO.get_string_attribute("input_format_list").split(","):
+        cause = f"this build of OpenImageIO does not read {label_of(file_format)}"
         raise InputError(name, cause, "convert it to PNG or EXR")
-    if known == "bmp" and not bitmaps.has_usual_bits(data):
+    if file_format == "bmp" and not bitmaps.has_usual_bits(data):
         cause = "its header, or the order of its red, green, blue and alpha, is a rare one that is not read"
         raise InputError(name, cause, "export it as PNG")
-    if known == "pfm" and not has_usual_scale(data):
+    if file_format == "pfm" and not has_usual_scale(data):
         raise InputError(name, "the scale in its header is 0, or no number", "correct it, or use EXR")
     OpenImageIO.attribute("limits:imagesize_MB", _MAX_MEGABYTES)
     config = OpenImageIO.ImageSpec()
     config.attribute("oiio:UnassociatedAlpha", 1)
     with opened(data, config, name) as (file, path):
         if file is None:
-            raise _damaged(name, known, error_of(OpenImageIO), path)
+            raise _damaged(name, file_format, error_of(OpenImageIO), path)
         parts, part = seek_colours(file)
         spec = file.spec().copy()
-        _check(spec, file.format_name(), known, name)
+        _check(spec, file.format_name(), file_format, name)
         pixels = file.read_image(part or 0, 0, 0, spec.nchannels, spec.format)
         error = error_of(file)
         if pixels is None or error:
-            raise _damaged(name, known, error, path)
-        notices = _changes(file, part or 0, data, known, name)
+            raise _damaged(name, file_format, error, path)
+        notices = _changes(file, part or 0, data, file_format, name)
     pixels = pixels.reshape(spec.height, spec.width, spec.nchannels)
-    is_alpha_empty = known in ("bmp", "targa") and spec.nchannels in (2, 4) and not pixels[..., -1].any()
+    is_alpha_empty = (
+        file_format in ("bmp", "targa") and spec.nchannels in (2, 4) and not pixels[..., -1].any()
+    )
     if is_alpha_empty:
         # Programs that make these files leave the byte for opacity empty where an image has none.
         pixels[..., -1] = np.iinfo(pixels.dtype).max
@@ -101,27 +103,27 @@ def read_image(data: bytes, name: str, *, finite: bool = True) -> DecodedImage:
         if unfit:
             cause = f"{unfit} of its values are not finite numbers"
             raise InputError(name, cause, "repair or export it again")
-    image = image_from(data, name, known, spec, large_arrays.kept(pixels), notices)
+    image = image_from(data, name, file_format, spec, large_arrays.kept(pixels), notices)
     return replace(image, parts=tuple(parts), part=part, is_alpha_empty=is_alpha_empty)
 
 
-def _read_extra(data: bytes, name: str, known: str) -> DecodedImage:
+def _read_extra(data: bytes, name: str, file_format: str) -> DecodedImage:
     import OpenImageIO
 
-    spec = OpenImageIO.ImageSpec(*measured(data, known, name), "uint8")
-    _check(spec, known, known, name)
-    pixels, notices, profile = decoded(data, known, name)
+    spec = OpenImageIO.ImageSpec(*measured(data, file_format, name), "uint8")
+    _check(spec, file_format, file_format, name)
+    pixels, notices, profile = decoded(data, file_format, name)
     if profile:
         kind = OpenImageIO.TypeDesc(f"uint8[{len(profile)}]")
         spec.attribute("ICCProfile", kind, np.frombuffer(profile, np.uint8))
-    return image_from(data, name, known, spec, pixels, notices)
+    return image_from(data, name, file_format, spec, pixels, notices)
 
 
-def _check(spec: Any, format_name: str, known: str, name: str) -> None:
+def _check(spec: Any, format_name: str, file_format: str, name: str) -> None:
     """Refuse what must not or cannot be decoded, going by the header."""
     width, height = spec.width, spec.height
-    if format_name != plugin_of(known):
-        raise InputError(name, f"it starts like a {known} image, but is not one", READABLE)
+    if format_name != plugin_of(file_format):
+        raise InputError(name, f"it starts like a {file_format} image, but is not one", READABLE)
     if spec.deep:
         raise InputError(name, "it is a deep image, with many samples a pixel", "flatten it")
     if width <= 0 or height <= 0 or not 0 < spec.nchannels <= _MAX_CHANNELS or spec.depth > 1:
@@ -145,37 +147,41 @@ def _check(spec: Any, format_name: str, known: str, name: str) -> None:
         raise InputError(name, f"its colours are {colour_space}", "convert it to RGB")
 
 
-def _damaged(name: str, known: str, error: str, path: Path) -> InputError:
+def _damaged(name: str, file_format: str, error: str, path: Path) -> InputError:
     lines = [line.strip() for line in error.replace(str(path), "it").splitlines() if line.strip()]
     shown = lines[0][:150] if lines else "no reason given"
     if any(word in shown for word in _NOT_BUILT_IN):
-        cause = f"this build of OpenImageIO does not read how the {label_of(known)} image is compressed"
+        cause = f"this build of OpenImageIO does not read how the {label_of(file_format)} image is compressed"
         return InputError(name, f"{cause} ({shown})", "save it without compression, or with another one")
-    return InputError(name, f"the {label_of(known)} image is damaged or cut off ({shown})", "export it again")
+    return InputError(
+        name, f"the {label_of(file_format)} image is damaged or cut off ({shown})", "export it again"
+    )
 
 
-def _changes(file: Any, part: int, data: bytes, known: str, name: str) -> tuple[str, ...]:
+def _changes(file: Any, part: int, data: bytes, file_format: str, name: str) -> tuple[str, ...]:
     """Return notices of the parts of an OpenImageIO.ImageInput that are not kept."""
     notices, spec = list[str](), file.spec().copy()
-    if known == "psd":  # whose first image is all its layers together
+    if file_format == "psd":  # whose first image is all its layers together
         notices.append(f"{name} is taken as it is shown, its layers together.")
-    elif known != "openexr" and (_is_animated(data, known) or file.seek_subimage(1, 0)):
+    elif file_format != "openexr" and (_is_animated(data, file_format) or file.seek_subimage(1, 0)):
         notices.append(f"{name} holds several images; only the first is read and kept.")
     if file.seek_subimage(part, 1):
         notices.append(f"{name} holds smaller copies of itself (mip levels), which are left out.")
     in_tiff = spec.get_int_attribute("tiff:PhotometricInterpretation") == _PALETTE_IN_TIFF
     # In a palette of greys alone OpenImageIO sees grey, and so writes it.
-    palette = in_tiff or _has_palette(data, known)
-    if palette and known != "png" and spec.nchannels >= _COLOURED:
+    palette = in_tiff or _has_palette(data, file_format)
+    if palette and file_format != "png" and spec.nchannels >= _COLOURED:
         notices.append(f"{name} has a palette, which becomes full colours.")
-    if known == "targa" and spec.nchannels in (1, 3) and data[17] & 0x0F:
+    if file_format == "targa" and spec.nchannels in (1, 3) and data[17] & 0x0F:
         notices.append(f"{name} has an alpha of few bits, which is dropped.")
-    if known == "png" and not palette and any(kind == b"tRNS" for kind, _ in png.chunks(data)):
+    if file_format == "png" and not palette and any(kind == b"tRNS" for kind, _ in png.chunks(data)):
         notices.append(f"{name} has a colour that is transparent, which becomes an alpha channel.")
-    bits = data[24] if known == "png" else int(spec.get_int_attribute("oiio:BitsPerSample"))  # 0: not said
+    bits = (
+        data[24] if file_format == "png" else int(spec.get_int_attribute("oiio:BitsPerSample"))
+    )  # 0: not said
     if bits and not palette and bits not in _WHOLE_BYTES:
         notices.append(f"{name} has {bits}-bit samples, which become {8 * spec.format.size()}-bit ones.")
-    if known != "tiff":
+    if file_format != "tiff":
         return tuple(notices)
     if spec.get_string_attribute("tiff:ColorSpace") == "YCbCr":
         notices.append(f"{name} stores brightness and hues (YCbCr), which become red, green and blue.")
@@ -186,17 +192,19 @@ def _changes(file: Any, part: int, data: bytes, known: str, name: str) -> tuple[
     return tuple(notices)
 
 
-def _is_animated(data: bytes, known: str) -> bool:
-    return (known == "png" and png.is_animated(data)) or (known == "webp" and webp.is_animated(data))
+def _is_animated(data: bytes, file_format: str) -> bool:
+    return (file_format == "png" and png.is_animated(data)) or (
+        file_format == "webp" and webp.is_animated(data)
+    )
 
 
-def _has_palette(data: bytes, known: str) -> bool:
+def _has_palette(data: bytes, file_format: str) -> bool:
     """Whether a PNG, BMP, TGA or GIF file stores indices into a palette."""
-    match known:
+    match file_format:
         case "png":
             return png.has_palette(data)
         case "bmp":
             return bitmaps.bmp_has_palette(data)
         case "targa":
             return bitmaps.targa_has_palette(data)
-    return known == "gif"
+    return file_format == "gif"

@@ -45,10 +45,10 @@ class ImageSize:
 
 def measure_image(data: bytes, name: str = UNNAMED) -> ImageSize | None:
     """Return the size of an image file without decoding it; None if it cannot be opened."""
-    known = format_of(data, name)
-    if known in EXTRA_CODECS:
+    file_format = format_of(data, name)
+    if file_format in EXTRA_CODECS:
         try:
-            return ImageSize(*measured(data, known, name), 1)
+            return ImageSize(*measured(data, file_format, name), 1)
         except InputError:
             return None
     head = data[:_HEAD] if data.startswith(_SIZE_FIRST) else data

@@ -65,45 +65,45 @@ def write_image(
     as_data: bool = False,  # normals and the like, whose numbers no change of encoding may touch
 ) -> ImageFile:
     """Encode new pixels of an image as the file that it came from, or in another format."""
-    known = check_writable(image, suffix)
-    if known in extra_codecs.EXTRA_CODECS:
-        return _write_extra(image, pixels, known, jpeg_quality, as_data=as_data)
-    if known != image.format:
-        return _write_converted(image, pixels, known, jpeg_quality, small=small, as_data=as_data)
+    file_format = check_writable(image, suffix)
+    if file_format in extra_codecs.EXTRA_CODECS:
+        return _write_extra(image, pixels, file_format, jpeg_quality, as_data=as_data)
+    if file_format != image.format:
+        return _write_converted(image, pixels, file_format, jpeg_quality, small=small, as_data=as_data)
     return _write_alike(image, pixels, jpeg_quality, small=small)
 
 
 def _write_converted(
-    image: DecodedImage, pixels: Array, known: str, quality: int, *, small: bool, as_data: bool
+    image: DecodedImage, pixels: Array, file_format: str, quality: int, *, small: bool, as_data: bool
 ) -> ImageFile:
-    values, spec = converted(image, pixels, known, as_data=as_data)
-    data = encoded(spec, values, known, image.name, quality, small=small)
-    if known == "png":
+    values, spec = converted(image, pixels, file_format, as_data=as_data)
+    data = encoded(spec, values, file_format, image.name, quality, small=small)
+    if file_format == "png":
         data = png.without_additions(data)
-    if known in FORMATS_WITH_EXIF:  # OpenImageIO writes some fields of it
-        data = with_descriptions(image, data, spec, known)
-    notices = lost_metadata(image, data, known)
-    if known == "webp":
-        notices += encoding_cost(known, values, _pixels_of(data, image.name), image.name)
-    return ImageFile(data, FORMATS[known].suffixes[0], notices)
+    if file_format in FORMATS_WITH_EXIF:  # OpenImageIO writes some fields of it
+        data = with_descriptions(image, data, spec, file_format)
+    notices = lost_metadata(image, data, file_format)
+    if file_format == "webp":
+        notices += encoding_cost(file_format, values, _pixels_of(data, image.name), image.name)
+    return ImageFile(data, FORMATS[file_format].suffixes[0], notices)
 
 
 def _write_alike(image: DecodedImage, pixels: Array, quality: int, *, small: bool) -> ImageFile:
     """Write pixels in the image's own format."""
     # PNG, TIFF, TGA, BMP, lossless WebP and floats keep every value, also under an alpha of 0. What came as lossy WebP
     # stays so, since lossless files are several times as large.
-    known, exact, notices = image.format, is_exact(image), tuple[str, ...]()
+    file_format, exact, notices = image.format, is_exact(image), tuple[str, ...]()
     if image.is_alpha_empty:
         pixels = pixels.copy()
         pixels[..., -1] = 0
-    if known == "png" and png.has_palette(image.source):
+    if file_format == "png" and png.has_palette(image.source):
         notices = (f"{image.name} has a palette, which becomes full colours.",)
-    spec = _bare_spec(image) if known in _KEEPING_BYTES else _kept_spec(image)
+    spec = _bare_spec(image) if file_format in _KEEPING_BYTES else _kept_spec(image)
     encode = partial(
-        encoded, spec, known=known, name=image.name, quality=quality, small=small, lossless=exact
+        encoded, spec, file_format=file_format, name=image.name, quality=quality, small=small, lossless=exact
     )
     data = encode(pixels)
-    if known == "targa" and (data[17] ^ image.source[17]) & _FROM_TOP:
+    if file_format == "targa" and (data[17] ^ image.source[17]) & _FROM_TOP:
         # OpenImageIO puts the top row first in runs, and last otherwise; engines may expect one order of all files.
         turned = bytearray(encode(pixels[::-1]))
         turned[17] ^= _FROM_TOP
@@ -111,13 +111,13 @@ def _write_alike(image: DecodedImage, pixels: Array, quality: int, *, small: boo
     if not exact:
         again = _pixels_of(data, image.name)
         if _square_error(again, pixels) > _square_error(image.pixels, pixels) > 0:
-            what = f"coded as {label_of(known)} again, it would be further from the result than it is"
+            what = f"coded as {label_of(file_format)} again, it would be further from the result than it is"
             notice = f"{image.name} stays as it is: {what}; a format without loss would hold the result."
             return ImageFile(image.source, image.suffix, (notice,))
-        if known == "webp":
-            notices = encoding_cost(known, pixels, again, image.name)
+        if file_format == "webp":
+            notices = encoding_cost(file_format, pixels, again, image.name)
     data = _with_own_metadata(image, data)
-    return ImageFile(data, image.suffix, (*notices, *lost_metadata(image, data, known)))
+    return ImageFile(data, image.suffix, (*notices, *lost_metadata(image, data, file_format)))
 
 
 def is_kept(image: DecodedImage, file: ImageFile) -> bool:
@@ -161,35 +161,39 @@ def _with_own_metadata(image: DecodedImage, encoded: bytes) -> bytes:
 
 def check_writable(image: DecodedImage, suffix: str | None) -> str:
     """Return the format of a suffix (None: the image's own); UsageError if it cannot hold this image."""
-    known = image.format if suffix is None else format_of_suffix(suffix)
-    missing = extra_codecs.missing_package(known) if known in extra_codecs.EXTRA_CODECS else None
-    if known is not None and missing is not None:
-        cause = f"{image.name}: to write {label_of(known)} the package {missing} is needed"
+    file_format = image.format if suffix is None else format_of_suffix(suffix)
+    missing = extra_codecs.missing_package(file_format) if file_format in extra_codecs.EXTRA_CODECS else None
+    if file_format is not None and missing is not None:
+        cause = f"{image.name}: to write {label_of(file_format)} the package {missing} is needed"
         raise UsageError(f"{cause}; {install_hint(extra_codecs.EXTRA)}")
-    if known is not None and len(image.colour) > max(FORMATS[known].channels):
-        cause = f"{label_of(known)} holds grey only, but the image has colours"
+    if file_format is not None and len(image.colour) > max(FORMATS[file_format].channels):
+        cause = f"{label_of(file_format)} holds grey only, but the image has colours"
         raise UsageError(f"{image.name}: {cause}; choose .ppm")
-    what = label_of(known) if known is not None else suffix
-    if known == image.format == "bmp" and not bitmaps.is_plain_bmp(image.source):
+    what = label_of(file_format) if file_format is not None else suffix
+    if file_format == image.format == "bmp" and not bitmaps.is_plain_bmp(image.source):
         what = "BMP with a palette, 16 bits or a header of OS/2"
-    elif known is not None and FORMATS[known].writable:
-        return known
+    elif file_format is not None and FORMATS[file_format].writable:
+        return file_format
     raise UsageError(f"{image.name}: images cannot be written as {what}; choose {_CHOICES}")
 
 
-def _write_extra(image: DecodedImage, pixels: Array, known: str, quality: int, *, as_data: bool) -> ImageFile:
+def _write_extra(
+    image: DecodedImage, pixels: Array, file_format: str, quality: int, *, as_data: bool
+) -> ImageFile:
     source, values = image.source, pixels
-    if known != image.format:
-        source, values = b"", converted(image, pixels, known, as_data=as_data)[0]
+    if file_format != image.format:
+        source, values = b"", converted(image, pixels, file_format, as_data=as_data)[0]
     quality = min(max(quality, 1), 100)
     try:
-        data = extra_codecs.encoded(known, values, quality, source, as_data=as_data)
+        data = extra_codecs.encoded(file_format, values, quality, source, as_data=as_data)
     except extra_codecs.FAILURES as error:
-        raise unwritten(image.name, known, str(error)) from None
+        raise unwritten(image.name, file_format, str(error)) from None
     with reading_back():
-        again = extra_codecs.decoded(data, known, image.name)[0]
-    cost = encoding_cost(known, values, again, image.name)
-    return ImageFile(data, FORMATS[known].suffixes[0], (*cost, *lost_metadata(image, data, known)))
+        again = extra_codecs.decoded(data, file_format, image.name)[0]
+    cost = encoding_cost(file_format, values, again, image.name)
+    return ImageFile(
+        data, FORMATS[file_format].suffixes[0], (*cost, *lost_metadata(image, data, file_format))
+    )
 
 
 def _bare_spec(image: DecodedImage) -> Any:
@@ -220,7 +224,7 @@ def _kept_spec(image: DecodedImage) -> Any:
     return spec
 
 
-def encoding_cost(known: str, pixels: Uint8s, again: Uint8s, name: str) -> tuple[str, ...]:
+def encoding_cost(file_format: str, pixels: Uint8s, again: Uint8s, name: str) -> tuple[str, ...]:
     """Report the loss by encoding of pixels, shape (H, W, C), if any: their PSNR, full scale 255."""
     # Also of those under an alpha of 0, which opaque materials show.
     differences = again[..., :3].astype(np.float32) - pixels[..., :3]
@@ -228,5 +232,5 @@ def encoding_cost(known: str, pixels: Uint8s, again: Uint8s, name: str) -> tuple
     if not error:
         return ()
     psnr = 10 * math.log10(255**2 / error)
-    inexact = f"{name}: {known.upper()} is not exact, so untouched colours change slightly as well"
+    inexact = f"{name}: {file_format.upper()} is not exact, so untouched colours change slightly as well"
     return (f"{inexact}: the written image has a PSNR of {psnr:.1f} dB.",)

@@ -1,4 +1,4 @@
-"""What the readers of scanners' point clouds share: the columns of a scan, and what is read and written of them."""
+"""The interface of the readers of scanners' point clouds, and what they share."""
 
 from __future__ import annotations
 

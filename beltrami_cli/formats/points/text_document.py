@@ -48,8 +48,6 @@ _NO_TABLE = "is not a number, so this is not a table of points"
 
 @dataclass(frozen=True)
 class _Table:
-    """The points of a text."""
-
     names: tuple[str, ...]  # of the columns, in lower case, from a line above the points; or empty
     counts: tuple[int, ...]  # of the points that follow lines of a single number
     values: Float64s  # shape (P, K), maybe infinite or NaN

@@ -41,8 +41,6 @@ def kind_of(data: bytes, name: str) -> str | None:
 
 
 class ReadOnlyDocument(Document):
-    """A file of a read-only format."""
-
     format: str  # type: ignore[misc]  # one class reads all formats, so only an instance knows its own
 
     def _open(self, folder: Path | None) -> None:

@@ -84,7 +84,6 @@ class _Model:
 
 
 def read_3mf(data: bytes, name: str, access: Access) -> ColouredPolygons:
-    """Read a 3MF file."""
     building = _Building(Archive(data, name, access, TREE_SIZE), name, access)
     for part in building.model(building.root).built:
         building.add(part, np.eye(4), building.root, 0)

@@ -1,4 +1,4 @@
-"""Headers of BMP and TGA files: which kinds are read and written, and what is carried over."""
+"""Headers of BMP and TGA files: which kinds are read and written, and metadata that a new file keeps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""EXR files: parts, each with a header and chunks of pixels of its own, of which all but new pixels are carried over.
+"""Parts of EXR files, each with a header and chunks of pixels; a new file keeps all but the pixels of one part.
 
 References
 ----------

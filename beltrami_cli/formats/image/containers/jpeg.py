@@ -1,4 +1,4 @@
-"""JPEG files: segments and what follows the first image, which are carried over.
+"""Segments of JPEG files, and the bytes after the first image; a new file keeps both.
 
 References
 ----------
@@ -87,7 +87,6 @@ def segments(data: bytes | memoryview) -> Iterator[tuple[int, bytes | memoryview
 
 
 def segment_names(data: bytes) -> Iterator[str]:
-    """Yield what the segments of metadata are called."""
     for marker, segment in segments(data):
         if marker == _COMMENT:
             yield "COM"
@@ -112,7 +111,6 @@ def with_segment(encoded: bytes, marker: int, payload: bytes) -> bytes:
 
 
 def _end(data: bytes) -> int:
-    """Return where the first image of a JPEG file ends."""
     return next((end for marker, _, end in _markers(data) if marker == _END_OF_IMAGE), len(data))
 
 

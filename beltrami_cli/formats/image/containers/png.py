@@ -1,4 +1,4 @@
-"""PNG files: chunks, of which all that OpenImageIO leaves out is carried over.
+"""Chunks of PNG files; a new file keeps those that OpenImageIO does not write.
 
 References
 ----------
@@ -40,7 +40,6 @@ def without_additions(encoded: bytes) -> bytes:
 
 
 def is_animated(data: bytes) -> bool:
-    """Whether there is a chunk that controls an animation."""
     return any(kind == b"acTL" for kind, _ in chunks(data))
 
 
@@ -61,5 +60,4 @@ def chunks(data: bytes) -> Iterator[tuple[bytes, memoryview]]:
 
 
 def packed_chunk(kind: bytes, data: bytes) -> bytes:
-    """Return a chunk with its length and checksum."""
     return len(data).to_bytes(4) + kind + data + zlib.crc32(kind + data).to_bytes(4)

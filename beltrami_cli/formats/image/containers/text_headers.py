@@ -1,4 +1,4 @@
-"""Headers in text, of Radiance HDR and Netpbm files: comments and variables, which are carried over.
+"""Text headers of Radiance HDR and Netpbm files; a new file keeps comments and variables.
 
 References
 ----------
@@ -21,9 +21,9 @@ _NETPBM_TEXT, _NETPBM_FLOATS = (b"1", b"2", b"3"), (b"F", b"f")
 _MADE_BY_ENCODERS = (b"#?", b"FORMAT=")
 
 
-def with_header(source: bytes, encoded: bytes, known: str) -> bytes:
+def with_header(source: bytes, encoded: bytes, file_format: str) -> bytes:
     """Return an image with the comments and variables of another file of its format."""
-    if known == "hdr":
+    if file_format == "hdr":
         head, end, _ = source.partition(_END)
         return b"".join([head, end, encoded.partition(_END)[2]])
     comments, old_header, header = _comments(source), _NETPBM.match(source), _NETPBM.match(encoded)
@@ -61,9 +61,8 @@ def has_usual_scale(data: bytes) -> bool:
     return bool(limits.tiny <= scale <= limits.max)
 
 
-def header_lines(data: bytes, known: str) -> list[str]:
-    """Return the comments and variables of an HDR or Netpbm file."""
-    if known == "hdr":
+def header_lines(data: bytes, file_format: str) -> list[str]:
+    if file_format == "hdr":
         lines = data.partition(_END)[0].splitlines()
         return [line.decode("latin-1") for line in lines if not line.startswith(_MADE_BY_ENCODERS)]
     return [line.decode("latin-1").strip() for line in _comments(data)]

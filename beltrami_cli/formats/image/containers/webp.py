@@ -1,4 +1,4 @@
-"""WebP files: chunks, of which all without pixels are carried over.
+"""Chunks of WebP files; a new file keeps those without pixels.
 
 References
 ----------
@@ -17,17 +17,15 @@ _STRUCTURE = (b"VP8X", b"ANIM", b"ANMF", *_PIXELS)
 
 
 def carried_over(source: bytes, encoded: bytes) -> bytes:
-    """Return an encoded WebP with the metadata of another one, and what is behind that."""
+    """Return an encoded WebP with the metadata of another one, and the bytes after its end."""
     return with_metadata(metadata_chunks(source), encoded) + source[_end(source) :]
 
 
 def is_animated(data: bytes) -> bool:
-    """Whether the extended header announces frames."""
     return data[12:16] == b"VP8X" and len(data) > 20 and bool(data[20] & _ANIMATION)
 
 
 def is_lossless(data: bytes) -> bool:
-    """Whether the (first) image is coded without loss."""
     return any(kind == b"VP8L" or b"VP8L" in payload[16:40] for kind, payload in chunks(data))
 
 

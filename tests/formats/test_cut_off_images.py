@@ -1,4 +1,4 @@
-"""A picture whose temporary file is cut off is refused, whatever its encoder says, and its old file stays."""
+"""An image whose temporary file is cut off is refused, whatever its encoder says, and its old file stays."""
 
 import contextlib
 import errno
@@ -37,13 +37,13 @@ def files_of_at_most(size):
 
 @pytest.mark.parametrize("in_memory", [True, False])
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_a_picture_that_is_cut_off_is_refused(suffix, in_memory, monkeypatch):
+def test_an_image_that_is_cut_off_is_refused(suffix, in_memory, monkeypatch):
     if not in_memory:
         monkeypatch.delattr(os, "memfd_create", raising=False)
-    picture = new_image(NOISE, "skin.png")
-    whole = write_image(picture, NOISE, suffix=suffix).data
+    image = new_image(NOISE, "skin.png")
+    whole = write_image(image, NOISE, suffix=suffix).data
     own = read_image(whole, f"skin{suffix}")
-    for convert, source in ((suffix, picture), (None, own)):
+    for convert, source in ((suffix, image), (None, own)):
         pixels = source.pixels[::-1].copy()
         expected = write_image(source, pixels, suffix=convert).data
         outcomes = []
