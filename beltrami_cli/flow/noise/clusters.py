@@ -71,9 +71,9 @@ class ClusterScale(Scale):
 
     def padded(self, values: Array, empty: float = 0.0) -> Float32s:
         shape = int(self.of_cells.max(initial=-1)) + 1, int(self.slot.max(initial=0)) + 1
-        found = np.full((*values.shape[:-1], *shape), empty, np.float32)
-        found[..., self.of_cells, self.slot] = values
-        return found
+        table = np.full((*values.shape[:-1], *shape), empty, np.float32)
+        table[..., self.of_cells, self.slot] = values
+        return table
 
     @cached_property
     def across(self) -> tuple[Int64s, Int64s, Int64s]:
@@ -213,12 +213,12 @@ class VertexClusters(Neighbourhoods):
         return sum(products) / max(1, len(values) * len(one))
 
     def over_samples(self, variances: Float64s, parts: Float64s) -> Float32s:
-        found = variances[self.nearest(self.graph.positions)].astype(np.float32)
+        whole = variances[self.nearest(self.graph.positions)].astype(np.float32)
         for scale in reversed(self.scales[:-1]):
             parts = scale.spread(parts)
-        found[self.chosen] = np.where(np.isnan(parts), found[self.chosen], parts)
-        even = self.graph.smoothed(found[:, None], _SPREAD**2)
-        return np.asarray(even / even.mean(dtype=np.float64), np.float32)
+        whole[self.chosen] = np.where(np.isnan(parts), whole[self.chosen], parts)
+        blended = self.graph.smoothed(whole[:, None], _SPREAD**2)
+        return np.asarray(blended / blended.mean(dtype=np.float64), np.float32)
 
 
 def _some_samples(graph: Graph) -> tuple[Int64s, Graph]:
@@ -245,7 +245,6 @@ def _numbered(mask: Bools) -> Int64s:
 
 
 def _ranks_within(groups: Int64s) -> Int64s:
-    """Return the rank of each item within its group."""
     order = np.argsort(groups, kind="stable")
     counts = np.bincount(groups)
     ranks = np.empty(len(groups), np.int64)

@@ -84,8 +84,8 @@ class Cells:
 def describe(described: Float32s, cells: Sequence[Cells]) -> Float32s:
     """Return the features of each neighbourhood, shape (P, F)."""
     columns = [described]
-    for own in cells:
-        columns += _describe_scale(own)
+    for scale in cells:
+        columns += _describe_scale(scale)
     return np.concatenate(columns, axis=1).astype(np.float32)
 
 
@@ -131,21 +131,21 @@ def describe_even_cells(cells: Sequence[Cells]) -> tuple[Float32s, Float32s]:
     its energy in even cells is an unbiased estimate. Deviations, as log2, have the shape (SCALES, 6, 3): of components,
     by `EVEN_SHARES` of all cells, and by statistic over the neighbourhoods.
     """
-    found, deviations, by_place = [np.log2([len(cells[0].freedom)])], [], []
-    for own in cells:
-        known, whole = _known_cells(own)
-        found.append(np.log2([1 + whole.sum()]))
-        if not own.is_grid:
-            found.append(np.array([whole.sum() / max(1, known.sum())]))
-        by_share = [_describe_even(own, whole, share) for share in EVEN_SHARES]
-        found += [column for columns in by_share for column in columns]
-        if not own.is_grid:
-            blocks = np.sort(own.blocks.reshape(3, -1), axis=1)
-            found += [quantile[:, 0] for quantile in _quantiles(blocks[:, None], _SHARES_OF_BLOCKS)]
-        by_place.append(_even_by_neighbourhood(own, whole))
+    features, deviations, by_place = [np.log2([len(cells[0].freedom)])], [], []
+    for scale in cells:
+        known, whole = _known_cells(scale)
+        features.append(np.log2([1 + whole.sum()]))
+        if not scale.is_grid:
+            features.append(np.array([whole.sum() / max(1, known.sum())]))
+        by_share = [_describe_even(scale, whole, share) for share in EVEN_SHARES]
+        features += [column for columns in by_share for column in columns]
+        if not scale.is_grid:
+            blocks = np.sort(scale.blocks.reshape(3, -1), axis=1)
+            features += [quantile[:, 0] for quantile in _quantiles(blocks[:, None], _SHARES_OF_BLOCKS)]
+        by_place.append(_even_by_neighbourhood(scale, whole))
         deviations.append([*(columns[0] for columns in by_share), *by_place[-1]])
-    found += [np.ravel(own) for own in by_place]
-    return np.concatenate(found).astype(np.float32), np.array(deviations, np.float32)
+    features += [statistics.ravel() for statistics in by_place]
+    return np.concatenate(features).astype(np.float32), np.array(deviations, np.float32)
 
 
 def _even_by_neighbourhood(cells: Cells, whole: Bools) -> Float32s:
@@ -154,37 +154,42 @@ def _even_by_neighbourhood(cells: Cells, whole: Bools) -> Float32s:
     They are the mean, median and lower quartile of the energy of components over the neighbourhoods, as logarithms of
     deviations, shape (3, 3).
     """
-    some = whole.any(axis=1)
-    if not some.any():
+    has_even = whole.any(axis=1)
+    if not has_even.any():
         return np.full((3, 3), log_deviation(0))
-    whole = whole[some]
-    uneven = np.where(whole, cells.unevenness[some], np.inf)
+    whole = whole[has_even]
+    uneven = np.where(whole, cells.unevenness[has_even], np.inf)
     last = (_EVEN_SHARE * (whole.sum(axis=1) - 1)).astype(np.intp)
     limit = np.take_along_axis(np.sort(uneven, axis=1), last[:, None], axis=1)
-    weights = cells.freedom[some] * ((uneven <= limit) & whole)
-    energies = np.einsum("kpn,pn->kp", cells.products[:3, some], weights) / weights.sum(axis=1)
+    weights = cells.freedom[has_even] * ((uneven <= limit) & whole)
+    energies = np.einsum("kpn,pn->kp", cells.products[:3, has_even], weights) / weights.sum(axis=1)
     parts = [energies.mean(axis=1), *np.quantile(energies, (0.5, 0.25), axis=1)]
     return np.stack([log_deviation(own) for own in parts])
 
 
-def even_covariances(cells: Sequence[Cells], chosen: Bools, variances: Float64s) -> tuple[Float64s, Float64s]:
+def even_covariances(
+    scales: Sequence[Cells], chosen: Bools, variances: Float64s
+) -> tuple[Float64s, Float64s]:
     """Return the covariance of components in the even cells of some neighbourhoods, shape (SCALES, 3, 3).
 
     It is divided by the relative variance of each neighbourhood, shape (P,). The second result is the number of details
     by scale that it was measured from, shape (SCALES,).
     """
-    found, counts = np.zeros((SCALES, 3, 3)), np.zeros(SCALES)
-    for scale, own in enumerate(cells):
-        whole = _known_cells(own, chosen[:, None])[1]
+    covariances, counts = np.zeros((SCALES, 3, 3)), np.zeros(SCALES)
+    for number, cells in enumerate(scales):
+        whole = _known_cells(cells, chosen[:, None])[1]
         if not whole.any():
             continue
-        unevenness = (own.unevenness / variances[:, None])[whole]
+        unevenness = (cells.unevenness / variances[:, None])[whole]
         even = unevenness <= np.sort(unevenness)[int(_EVEN_SHARE * (len(unevenness) - 1))]
-        products, freedom = (own.products / variances[:, None])[:, whole][:, even], own.freedom[whole][even]
+        products, freedom = (
+            (cells.products / variances[:, None])[:, whole][:, even],
+            cells.freedom[whole][even],
+        )
         total = freedom.sum()
-        found[scale] = symmetric(np.einsum("kn,n->k", products, freedom, dtype=np.float64) / total)
-        counts[scale] = total
-    return found, counts
+        covariances[number] = symmetric(np.einsum("kn,n->k", products, freedom, dtype=np.float64) / total)
+        counts[number] = total
+    return covariances, counts
 
 
 def _known_cells(cells: Cells, chosen: Bools | bool = True) -> tuple[Bools, Bools]:
@@ -204,34 +209,35 @@ def _describe_even(cells: Cells, whole: Bools, share: float) -> list[Float32s]:
     residuals = cells.residuals if share == _SHARE_OF_RESIDUALS else None
     products, freedom, unevenness = cells.products[:, whole], cells.freedom[whole], cells.unevenness[whole]
     if not len(unevenness):
+        # As many columns as below.
         others = 6 + (0 if cells.is_grid else 5) + (0 if residuals is None else 9)
         return [np.full(size, log_deviation(0)) for size in (3, others)]
     # Cells within one coarser cell are equally even, so ties are included.
     even = unevenness <= np.sort(unevenness)[int(share * (len(unevenness) - 1))]
-    own, weights = products[:, even], freedom[even]
-    found = _variances_and_correlations(np.einsum("kn,n->k", own, weights)[None] / weights.sum())
+    chosen, weights = products[:, even], freedom[even]
+    features = _deviations_and_correlations(np.einsum("kn,n->k", chosen, weights)[None] / weights.sum())
     if not cells.is_grid:
-        scatter = (np.square(own[:3]).mean(axis=1) + 1e-3) / (np.square(own[:3].mean(axis=1)) + 1e-3)
+        scatter = (np.square(chosen[:3]).mean(axis=1) + 1e-3) / (np.square(chosen[:3].mean(axis=1)) + 1e-3)
         around = np.minimum(unevenness[even], 1e6).mean()
-        found.append(np.log2(scatter) / 4)
-        found.append(np.array([log_deviation(around), np.mean(own[:3].sum(axis=0) < _CONSTANT)]))
+        features.append(np.log2(scatter) / 4)
+        features.append(np.array([log_deviation(around), np.mean(chosen[:3].sum(axis=0) < _CONSTANT)]))
     if residuals is not None:
-        found += _variances_and_correlations(residuals[:, whole][:, even].mean(axis=1)[None])
-    return [np.asarray(column, np.float32) for column in found]
+        features += _deviations_and_correlations(residuals[:, whole][:, even].mean(axis=1)[None])
+    return [np.asarray(column, np.float32) for column in features]
 
 
-def _variances_and_correlations(means: Float32s) -> list[Float32s]:
-    """Return features of mean products, shape (1, 6): variances of components and channels, and correlations."""
-    variances = [log_deviation(part[0]) for part in (means[:, :3], _variances_of_channels(means))]
-    return [*variances, _correlations(means)[0]]
+def _deviations_and_correlations(means: Float32s) -> list[Float32s]:
+    """Return log2 of the deviations of components and channels, and correlations, from mean products, shape (1, 6)."""
+    deviations = [log_deviation(part[0]) for part in (means[:, :3], _variances_of_channels(means))]
+    return [*deviations, _correlations(means)[0]]
 
 
 def symmetric(products: Array) -> Array:
     """Return symmetric matrices, shape (..., 3, 3), from products of `PAIRS`, shape (..., 6)."""
-    found = np.empty((*products.shape[:-1], 3, 3), products.dtype)
+    matrices = np.empty((*products.shape[:-1], 3, 3), products.dtype)
     for number, (one, other) in enumerate(PAIRS):
-        found[..., one, other] = found[..., other, one] = products[..., number]
-    return found
+        matrices[..., one, other] = matrices[..., other, one] = products[..., number]
+    return matrices
 
 
 def _variances_of_channels(products: Float32s) -> Float32s:

@@ -70,9 +70,9 @@ class SquareScale(Scale):
         """Return the three Haar details of each cell, shape (N, 3, cells); 0 where cells lack parts."""
         a, b, c, d = self.quarters(fine)
         right, left, factor = a - b, c - d, np.sqrt(self.counts) / 2
-        found = np.stack([right + left, a + b - c - d, right - left], axis=1).reshape(len(fine), 3, -1)
-        found *= self.is_whole * factor
-        return found
+        details = np.stack([right + left, a + b - c - d, right - left], axis=1).reshape(len(fine), 3, -1)
+        details *= self.is_whole * factor
+        return details
 
     def sums_of_details(self, values: Array) -> Array:
         return np.asarray(values.sum(axis=-2))
@@ -120,22 +120,22 @@ class Grid(Neighbourhoods):
 
     def _cut_out(self, plane: Array) -> Array:
         """Return the squares of a plane, with 0 beyond its border."""
-        found = np.zeros((len(self.corners), SIDE, SIDE), plane.dtype)
-        for square, (row, column) in zip(found, self.corners, strict=True):
-            own = plane[row : row + SIDE, column : column + SIDE]
-            square[: own.shape[0], : own.shape[1]] = own
-        return found
+        squares = np.zeros((len(self.corners), SIDE, SIDE), plane.dtype)
+        for square, (row, column) in zip(squares, self.corners, strict=True):
+            inside = plane[row : row + SIDE, column : column + SIDE]
+            square[: inside.shape[0], : inside.shape[1]] = inside
+        return squares
 
     @cached_property
     def scales(self) -> list[SquareScale]:
-        whole, present, found = self._squares, self._present, []
+        whole, present, scales = self._squares, self._present, []
         for number in range(SCALES + 1):
             whole = np.logical_and.reduce([whole[:, i::2, j::2] for i in (0, 1) for j in (0, 1)])
             is_whole, samples = whole.ravel(), np.full(1, 4.0**number, np.float32)  # equal in all parts
             freedom = np.float32(3) * is_whole
-            found.append(SquareScale(samples, freedom, is_whole, whole.shape[-1], present))
+            scales.append(SquareScale(samples, freedom, is_whole, whole.shape[-1], present))
             present = None
-        return found
+        return scales
 
     @cached_property
     def of_samples(self) -> Int64s:
@@ -151,7 +151,9 @@ class Grid(Neighbourhoods):
 
     def chosen_of(self, planes: Float32s) -> Float32s:
         cut = [self._cut_out(plane) for plane in planes]
-        return np.stack([own.ravel() if self._present is None else own[self._squares] for own in cut])
+        return np.stack(
+            [squares.ravel() if self._present is None else squares[self._squares] for squares in cut]
+        )
 
     def energies_for_order(self, samples: Samples) -> Float32s:
         finest = self.scales[0]
@@ -245,13 +247,13 @@ class Grid(Neighbourhoods):
         rows, columns = (np.arange(-(-size // SIDE)) for size in self.filled.shape)
         every = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1).reshape(-1, 2)
         nearest = variances[self.nearest(every)].reshape(len(rows), len(columns))
-        found = _stretched(_stretched(nearest, 2 * len(columns), 2).T, 2 * len(rows), 2).T
+        coarse = _stretched(_stretched(nearest, 2 * len(columns), 2).T, 2 * len(rows), 2).T
         firsts = np.rint(self.corners / _PART).astype(int)
         for (row, column), given in zip(firsts, parts.reshape(-1, 2, 2), strict=True):
-            square = found[row : row + 2, column : column + 2]
+            square = coarse[row : row + 2, column : column + 2]
             given = given[: square.shape[0], : square.shape[1]]
             square[:] = np.where(np.isnan(given), square, given)
-        return found
+        return coarse
 
 
 def _stretched(rows: Float64s, count: int, factor: int) -> Float64s:

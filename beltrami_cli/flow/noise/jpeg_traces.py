@@ -44,14 +44,16 @@ def coefficients(luma: Float32s, filled: Bools) -> list[Float32s]:
     across = np.einsum("vj,paibj->paibv", _COSINES, luma.reshape(shape))
     waves = np.abs(np.einsum("ui,paibv->puvab", _COSINES, across))
     is_whole: Bools = np.asarray(filled.reshape(shape).all(axis=(2, 4)))
-    found = []
+    features = []
     for band in range(1, _BANDS.max() + 1):  # band 0 is the mean of a block
-        own = waves[:, band == _BANDS]
-        own = np.where(is_whole[:, None], own, np.inf).reshape(len(luma), -1)
-        ordered, known = np.sort(own, axis=1), np.isfinite(own).sum(axis=1)
-        zeros = (own < _ZERO_WAVE).sum(axis=1)
+        of_band = waves[:, band == _BANDS]
+        of_band = np.where(is_whole[:, None], of_band, np.inf).reshape(len(luma), -1)
+        ordered, known = np.sort(of_band, axis=1), np.isfinite(of_band).sum(axis=1)
+        zeros = (of_band < _ZERO_WAVE).sum(axis=1)
         for place in (known // 2, zeros + (known - zeros) // 10):
-            picked = np.take_along_axis(ordered, np.minimum(place, own.shape[1] - 1)[:, None], axis=1)[:, 0]
-            found.append(log_deviation(np.square(np.where(np.isfinite(picked), picked, 0))))
-        found.append(zeros / np.maximum(known, 1))
-    return found
+            picked = np.take_along_axis(ordered, np.minimum(place, of_band.shape[1] - 1)[:, None], axis=1)[
+                :, 0
+            ]
+            features.append(log_deviation(np.square(np.where(np.isfinite(picked), picked, 0))))
+        features.append(zeros / np.maximum(known, 1))
+    return features

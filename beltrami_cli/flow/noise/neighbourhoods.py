@@ -123,14 +123,14 @@ class Neighbourhoods(ABC):
 
     def nearest(self, places: Float64s) -> Int64s:
         """Return the neighbourhood nearest to each place."""
-        middle, found = self.centres.mean(axis=0), np.empty(len(places), np.int64)
+        middle, nearest = self.centres.mean(axis=0), np.empty(len(places), np.int64)
         centres = np.ascontiguousarray((self.centres - middle).T)
         halves = np.square(centres).sum(axis=0) / 2
         # |p - c|^2 / 2 without |p|^2 / 2. For 100,000 places and the 164 neighbourhoods that are read of a large mesh
         # this takes 28 ms, and SciPy's tree 40 ms and 250 ms to import.
         for block in large_arrays.blocks(len(places), 1024):
-            found[block] = (halves - np.einsum("pd,dc->pc", places[block] - middle, centres)).argmin(axis=1)
-        return found
+            nearest[block] = (halves - np.einsum("pd,dc->pc", places[block] - middle, centres)).argmin(axis=1)
+        return nearest
 
     @cached_property
     def around(self) -> Int64s:
@@ -193,10 +193,10 @@ class Samples:
     @cached_property
     def means(self) -> list[Array]:
         """The means of the parts of each scale by channel, shape (3, n)."""
-        found: list[Array] = [self.colours.astype(self.where.precision)]
+        means: list[Array] = [self.colours.astype(self.where.precision)]
         for scale in self.where.scales:
-            found.append(scale.means(found[-1]))
-        return found
+            means.append(scale.means(means[-1]))
+        return means
 
     @cached_property
     def details(self) -> list[Array]:
@@ -210,22 +210,22 @@ class Samples:
     @cached_property
     def products(self) -> list[Array]:
         """The mean products of the components' details in each cell of each scale, shape (6, cells)."""
-        return [
-            np.stack([scale.sums_of_details(own[k] * own[m]) for k, m in PAIRS])
-            / np.maximum(scale.freedom, 1)
-            for scale, own in zip(self.where.scales, self.details, strict=True)
-        ]
+        found = []
+        for scale, details in zip(self.where.scales, self.details, strict=True):
+            sums = np.stack([scale.sums_of_details(details[k] * details[m]) for k, m in PAIRS])
+            found.append(sums / np.maximum(scale.freedom, 1))
+        return found
 
     def cells(self) -> list[Cells]:
         """Return the measured cells of each scale."""
-        found, is_grid = [], self.where.kind == "grid"
+        cells, is_grid = [], self.where.kind == "grid"
         clipped = self.is_clipped.mean(axis=0, dtype=np.float64)
         for number, (scale, above) in enumerate(pairwise(self.where.scales)):
             products = self.products[number]
             blocks = above.sums(scale.freedom * products[:3]) / np.maximum(above.sums(scale.freedom), 1)
             clipped = scale.means(clipped)
             fourth, others, residuals = self.where.cell_features(self, number)
-            found.append(
+            cells.append(
                 Cells(
                     products=scale.padded(products),
                     freedom=scale.padded(scale.freedom),
@@ -239,12 +239,12 @@ class Samples:
                     is_grid=is_grid,
                 )
             )
-        return found
+        return cells
 
     def unevenness(self, number: int) -> Array:
         """Return the energy of the next two scales around each cell of a scale; infinite where it is unknown."""
         above, *further = self.where.scales[number + 1 : number + 3]
-        totals = [3 * own[:3].sum(axis=0) for own in self.products[number + 1 : number + 3]]
+        totals = [3 * products[:3].sum(axis=0) for products in self.products[number + 1 : number + 3]]
         if further:
             totals[0] = totals[0] + further[0].spread(totals[1])
         return above.spread(np.where(above.is_whole, totals[0], np.inf))

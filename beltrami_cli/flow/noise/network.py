@@ -91,12 +91,12 @@ def read(layers: Layers[Any], squares: Any, starts: Int64s, even: Any) -> dict[s
     whole = layers.join([layers.pool(inner, starts), even])
     context = layers.dense(layers.dense(whole, "whole 1"), "whole 2")
     # One layer suffices: where noise is obvious, readings are nearly linear in the features of even cells.
-    found = {
+    outputs = {
         name: layers.dense(context, name, is_last=True) for name in ("total", "deviations", "correlations")
     }
     place = layers.dense(layers.join([inner, layers.spread(context, counts)]), "place 1")
-    found["places"] = layers.dense(place, "place 2", is_last=True)
-    return {**found, "context": context}
+    outputs["places"] = layers.dense(place, "place 2", is_last=True)
+    return {**outputs, "context": context}
 
 
 def mixed(outputs: Array, candidates: Array) -> Array:
@@ -117,13 +117,13 @@ def split_mixture(outputs: Array, candidates: Array) -> tuple[Array, Array]:
     return outputs[..., :count], weights / weights.sum(axis=-1, keepdims=True)
 
 
-def readings(found: dict[str, Array], candidates: dict[str, Array]) -> dict[str, Array]:
-    """Return the outputs of `read`, with those that `candidates_of` estimates combined with the candidates."""
-    read_as = {
-        name: mixed(found[name].reshape(*own.shape[:-1], -1), own).reshape(len(own), -1)
-        for name, own in candidates.items()
+def readings(outputs: dict[str, Array], candidates: dict[str, Array]) -> dict[str, Array]:
+    """Combine outputs of `read` with the candidates of `candidates_of`; other outputs stay."""
+    combined = {
+        name: mixed(outputs[name].reshape(*given.shape[:-1], -1), given).reshape(len(given), -1)
+        for name, given in candidates.items()
     }
-    return {**found, **read_as}
+    return {**outputs, **combined}
 
 
 def candidates_of(even: Float32s, quiet: Float32s, starts: Int64s) -> dict[str, Array]:
