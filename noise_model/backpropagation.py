@@ -59,10 +59,10 @@ class Tape(Layers):
         def back(gradient):
             of_mean, of_most, of_least = np.split(gradient, 3, axis=1)
             total = np.repeat(of_mean / counts[:, None], counts, axis=0)
-            for extreme, own in ((most, of_most), (least, of_least)):
-                is_it = rows.value == np.repeat(extreme, counts, axis=0)
-                held = np.maximum(np.add.reduceat(is_it, starts, dtype=np.float32), 1)
-                total += is_it * np.repeat(own / held, counts, axis=0)
+            for extreme, of_extreme in ((most, of_most), (least, of_least)):
+                is_extreme = rows.value == np.repeat(extreme, counts, axis=0)
+                count = np.maximum(np.add.reduceat(is_extreme, starts, dtype=np.float32), 1)
+                total += is_extreme * np.repeat(of_extreme / count, counts, axis=0)
             rows.add(total)
 
         return self._record(value, back)
@@ -76,8 +76,8 @@ class Tape(Layers):
         ends = np.cumsum([part.value.shape[1] for part in parts])[:-1]
 
         def back(gradient):
-            for part, own in zip(parts, np.split(gradient, ends, axis=1), strict=True):
-                part.add(own)
+            for part, gradient_of_part in zip(parts, np.split(gradient, ends, axis=1), strict=True):
+                part.add(gradient_of_part)
 
         return self._record(super().join([part.value for part in parts]), back)
 
@@ -87,12 +87,29 @@ class Tape(Layers):
             step()
 
 
-def descend(layers, moments, gradients, rate, step) -> None:
-    """Take a step of Adam, in place, with decay of the weights."""
-    norm = np.sqrt(sum(float(np.vdot(own, own)) for own in gradients.values()))
-    for name, (first, second) in moments.items():
-        gradient = gradients[name] * np.float32(min(1, LARGEST_GRADIENT / norm))
-        first += 0.1 * (gradient - first)
-        second += 0.001 * (gradient**2 - second)
-        change = (first / (1 - 0.9**step)) / (np.sqrt(second / (1 - 0.999**step)) + 1e-8)
-        layers[name] -= (rate * (change + DECAY * layers[name])).astype(np.float32)
+def initial_layer(rng: np.random.Generator, name: str, inputs: int, outputs: int) -> dict[str, np.ndarray]:
+    matrix = rng.normal(0, np.sqrt(2 / inputs), (inputs, outputs)).astype(np.float32)
+    return {f"{name}.matrix": matrix, f"{name}.bias": np.zeros(outputs, np.float32)}
+
+
+class Adam:
+    """Steps of Adam with decay of the weights, at a rate that rises over some steps and falls to 0 along a cosine."""
+
+    def __init__(self, layers: dict[str, np.ndarray], rate: float, steps: int, warm_up: int) -> None:
+        self.layers, self.rate, self.steps, self.warm_up = layers, rate, steps, warm_up
+        self.moments = {name: (0 * values, 0 * values) for name, values in layers.items()}
+        self.number = 0
+
+    def step(self, gradients: dict[str, np.ndarray]) -> None:
+        """Change the layers in place."""
+        self.number += 1
+        rise = min(1, self.number / self.warm_up)
+        rate = self.rate * (rise * (1 + np.cos(np.pi * self.number / self.steps)) / 2)
+        norm = np.sqrt(sum(float(np.vdot(values, values)) for values in gradients.values()))
+        for name, (first, second) in self.moments.items():
+            gradient = gradients[name] * np.float32(min(1, LARGEST_GRADIENT / norm))
+            first += 0.1 * (gradient - first)
+            second += 0.001 * (gradient**2 - second)
+            unbiased = second / (1 - 0.999**self.number)
+            change = (first / (1 - 0.9**self.number)) / (np.sqrt(unbiased) + 1e-8)
+            self.layers[name] -= (rate * (change + DECAY * self.layers[name])).astype(np.float32)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,6 +34,9 @@ class Sample:
     noise: np.ndarray
     loss: np.ndarray  # error of the same compression without noise
 
+    def mapped(self, change: Callable[[np.ndarray], np.ndarray]) -> Sample:
+        return Sample(*map(change, (self.noisy, self.noise, self.loss)))
+
 
 def to_linear(x):
     """Decode sRGB."""
@@ -48,8 +52,8 @@ def to_srgb(x):
 
 def of_one_channel(clean: np.ndarray, recipe: Recipe) -> tuple[np.ndarray, Recipe]:
     """Replace all channels by the first, with the same noise in all."""
-    alike = replace(recipe, correlation=1.0, gains=(1.0, 1.0, 1.0), mosaic="")
-    return np.repeat(clean[..., :1], 3, axis=2), alike
+    shared = replace(recipe, correlation=1.0, gains=(1.0, 1.0, 1.0), mosaic="")
+    return np.repeat(clean[..., :1], 3, axis=2), shared
 
 
 def degrade(rng: np.random.Generator, clean: np.ndarray, recipe: Recipe) -> Sample:
@@ -67,7 +71,7 @@ def degrade(rng: np.random.Generator, clean: np.ndarray, recipe: Recipe) -> Samp
         value = rng.uniform(0.5, 1, hit.sum()) if recipe.impulses < 0 else rng.integers(0, 2, hit.sum())
         pair[0][hit] = np.maximum(pair[0][hit], value[:, None]) if recipe.impulses < 0 else value[:, None]
     if recipe.mosaic:
-        pair = np.stack([_demosaiced(own.clip(0, None), recipe.mosaic) for own in pair])
+        pair = np.stack([_demosaiced(each.clip(0, None), recipe.mosaic) for each in pair])
     if recipe.saturation:
         pair = _saturated(pair, 1 + recipe.saturation)
     if is_linear:
@@ -75,7 +79,7 @@ def degrade(rng: np.random.Generator, clean: np.ndarray, recipe: Recipe) -> Samp
     if recipe.contrast:
         pair = pair - np.float32(recipe.contrast / (2 * np.pi)) * np.sin(2 * np.pi * pair.clip(0, 1))
     if recipe.resampled != 1:
-        pair = np.stack([_resized(own, recipe.resampled, recipe.kernel) for own in pair])
+        pair = np.stack([_resized(each, recipe.resampled, recipe.kernel) for each in pair])
     if recipe.luma or recipe.chroma:
         pair = _denoised_in_camera(pair, recipe)
     if recipe.denoised > 0:
@@ -114,12 +118,12 @@ def _stored(pair: np.ndarray, recipe: Recipe) -> Sample:
     if not recipe.codec:
         # The noise is taken before clipping and rounding.
         return Sample(stored[0], pair[0] - pair[1], np.zeros_like(pair[0]))
-    coded, reference = np.stack([_coded(own, recipe) for own in stored]), stored[1]
+    coded, reference = np.stack([_coded(each, recipe) for each in stored]), stored[1]
     if recipe.second_quality:
-        coded, reference = (own[..., recipe.shifted :, recipe.shifted :, :] for own in (coded, reference))
-        coded = np.stack([_coded(own, replace(recipe, quality=recipe.second_quality)) for own in coded])
+        coded, reference = (each[..., recipe.shifted :, recipe.shifted :, :] for each in (coded, reference))
+        coded = np.stack([_coded(each, replace(recipe, quality=recipe.second_quality)) for each in coded])
     if recipe.after_codec != 1:
-        coded = np.stack([_resized(own, recipe.after_codec, 1).clip(0, 1) for own in coded])
+        coded = np.stack([_resized(each, recipe.after_codec, 1).clip(0, 1) for each in coded])
         reference = _resized(reference, recipe.after_codec, 1).clip(0, 1)
         coded = np.rint(coded * 255).astype(np.float32) / 255
     return Sample(coded[0], coded[0] - reference, coded[1] - reference)
@@ -136,11 +140,9 @@ def _noise(rng: np.random.Generator, clean: np.ndarray, recipe: Recipe) -> np.nd
         return (rng.poisson(photons * clean.clip(0, None)) / photons - clean).astype(np.float32)
     noise = _field(rng, clean.shape, recipe)
     if recipe.places == "blend":  # of two exposures, one of them quieter
-        other, mask = (
-            _field(rng, clean.shape, recipe) * np.float32(recipe.place_gain),
-            _mask(rng, clean.shape, "blob"),
-        )
-        noise = mask * noise + (1 - mask) * other
+        quieter = _field(rng, clean.shape, recipe) * np.float32(recipe.place_gain)
+        mask = _mask(rng, clean.shape, "blob")
+        noise = mask * noise + (1 - mask) * quieter
     elif recipe.places:
         mask = _mask(rng, clean.shape, recipe.places)
         noise *= recipe.place_gain + (1 - recipe.place_gain) * mask
@@ -200,10 +202,8 @@ def _mask(rng: np.random.Generator, shape: tuple[int, ...], kind: str) -> np.nda
         side = int(rng.integers(24, 128))
         mask = (y // side + x // side) % 2
     elif kind == "halves":
-        angle, middle = (
-            rng.uniform(0, 2 * np.pi),
-            (rng.uniform(0.2, 0.8) * shape[0], rng.uniform(0.2, 0.8) * shape[1]),
-        )
+        angle = rng.uniform(0, 2 * np.pi)
+        middle = rng.uniform(0.2, 0.8) * shape[0], rng.uniform(0.2, 0.8) * shape[1]
         mask = (y - middle[0]) * np.sin(angle) + (x - middle[1]) * np.cos(angle) > 0
     elif kind == "part":  # a rectangle of 5 to 60 % of the picture
         sides = np.sqrt(np.exp(rng.uniform(*np.log((0.05, 0.6))))) * np.exp(
@@ -248,11 +248,11 @@ def _demosaiced(colours: np.ndarray, method: str) -> np.ndarray:
             np.array([[1, 2, 1], [2, 4, 2], [1, 2, 1]]),
         )
         planes = [
-            convolve(raw * own, (square, cross, square)[c] / 4, mode="mirror") for c, own in enumerate(seen)
+            convolve(raw * each, (square, cross, square)[c] / 4, mode="mirror") for c, each in enumerate(seen)
         ]
         return np.stack(planes, axis=2).astype(np.float32)
     green, along, down, across = (
-        convolve(raw, own / 8, mode="mirror") for own in (_GREEN, _ALONG, _ALONG.T, _ACROSS)
+        convolve(raw, each / 8, mode="mirror") for each in (_GREEN, _ALONG, _ALONG.T, _ACROSS)
     )
     in_red_rows = np.zeros(shape, bool)
     in_red_rows[::2] = True
@@ -297,8 +297,8 @@ def _in_blocks_of_four(colours: np.ndarray) -> np.ndarray:
     axis /= np.linalg.norm(axis, axis=1, keepdims=True) + 1e-9
     along = np.einsum("bik,bk->bi", centred, axis)
     ends = [
-        np.rint((means[:, 0] + own[:, None] * axis).clip(0, 1) * steps) / steps
-        for own in (along.min(1), along.max(1))
+        np.rint((means[:, 0] + each[:, None] * axis).clip(0, 1) * steps) / steps
+        for each in (along.min(1), along.max(1))
     ]
     palette = np.stack(
         [ends[0] + (ends[1] - ends[0]) * np.float32(share) for share in (0, 1 / 3, 2 / 3, 1)], axis=1

@@ -69,18 +69,12 @@ def random_samples(
             np.abs(x * rng.uniform(1, 2.5)) ** rng.uniform(0.7, 3) + np.abs(y * rng.uniform(1, 2.5)) ** 2
             < 0.25
         )
-    return in_squares(_window(sample, top, left, side), filled)
+    return in_squares(sample.mapped(lambda planes: planes[top : top + side, left : left + side]), filled)
 
 
 def _part_of(rng, pixels, side):
     top, left = (int(rng.integers(max(1, size - side + 1))) for size in pixels.shape[:2])
     return pixels[top : top + side, left : left + side]
-
-
-def _window(sample: Sample, top: int, left: int, side: int) -> Sample:
-    return Sample(
-        *(own[top : top + side, left : left + side] for own in (sample.noisy, sample.noise, sample.loss))
-    )
 
 
 def in_squares(sample: Sample, filled: np.ndarray) -> Observed | None:

@@ -70,7 +70,7 @@ def random_samples(
     sides = np.ceil(
         side * np.array([stretch, 1 / stretch]) ** 0.5 / min(1, recipe.resampled * recipe.after_codec)
     )
-    height, width = (int(own) for own in np.minimum(sides + 8, pixels.shape[:2]))
+    height, width = (int(each) for each in np.minimum(sides + 8, pixels.shape[:2]))
     top, left = int(rng.integers(len(pixels) - height + 1)), int(rng.integers(pixels.shape[1] - width + 1))
     clean = picture(rng, pixels[top : top + height, left : left + width])
     if rng.random() < ONE_CHANNEL:
@@ -90,19 +90,17 @@ def sampled(
     of_picture = replace(recipe, sigma=0.0, impulses=0.0) if is_on_vertices else recipe
     sample, order = degrade(rng, picture, of_picture), int(rng.integers(2))
     at = places.T * (np.array(sample.noisy.shape[:2])[:, None] - 1)
-    parts = [_sampled(own, at, order) for own in (sample.noisy, sample.noise, sample.loss)]
-    if not is_on_vertices:
-        if recipe.bits:
-            parts[0] = np.rint(parts[0] * 255) / np.float32(255)
-        return Sample(*parts)
-    return degrade(rng, parts[0][:, None], of_vertices(recipe))
+    sample = sample.mapped(lambda planes: _sampled(planes, at, order))
+    if is_on_vertices:
+        return degrade(rng, sample.noisy[:, None], of_vertices(recipe))
+    return replace(sample, noisy=np.rint(sample.noisy * 255) / np.float32(255)) if recipe.bits else sample
 
 
 def _sampled(picture: np.ndarray, at: np.ndarray, order: int) -> np.ndarray:
     if not picture.any():
         return np.zeros((at.shape[1], 3), np.float32)
     planes = np.moveaxis(picture, 2, 0)
-    return np.stack([map_coordinates(own, at, order=order, mode="nearest") for own in planes], axis=-1)
+    return np.stack([map_coordinates(each, at, order=order, mode="nearest") for each in planes], axis=-1)
 
 
 def of_vertices(recipe: Recipe) -> Recipe:
@@ -119,8 +117,8 @@ def in_clusters(sample: Sample, clusters: VertexClusters) -> Observed | None:
     if not clusters.count:
         return None
     noisy, noise, loss = (
-        own.reshape(-1, 3).T.astype(np.float32) for own in (sample.noisy, sample.noise, sample.loss)
+        each.reshape(-1, 3).T.astype(np.float32) for each in (sample.noisy, sample.noise, sample.loss)
     )
     seen = clusters.cut(noisy)
-    noise, loss = (clusters.cut(own, seen.order) if own.any() else None for own in (noise, loss))
+    noise, loss = (clusters.cut(each, seen.order) if each.any() else None for each in (noise, loss))
     return seen, noise, loss

@@ -99,7 +99,7 @@ def pictures_of(crops: list[Crop], kind: str) -> Iterator[tuple[np.random.Genera
 def cases(crops: list[Crop], kind: str) -> Iterator[tuple[Grid, Sample]]:
     for rng, clean, recipe in pictures_of(crops, kind):
         made = degrade(rng, clean, recipe)
-        sample = Sample(*(own[:SIDE, :SIDE] for own in (made.noisy, made.noise, made.loss)))
+        sample = made.mapped(lambda planes: planes[:SIDE, :SIDE])
         yield Grid(np.ones(sample.noisy.shape[:2], bool)), sample
 
 
@@ -110,7 +110,7 @@ def cases_on_surfaces(crops: list[Crop], kind: str) -> Iterator[tuple[VertexClus
         side = int(np.clip(np.sqrt(len(places)), 16, SIDE))
         on_vertices = KINDS_ON_SURFACES[kind]
         sample = sampled(rng, clean[:side, :side], places, recipe, is_on_vertices=on_vertices)
-        yield clusters, Sample(*(own.reshape(1, -1, 3) for own in (sample.noisy, sample.noise, sample.loss)))
+        yield clusters, sample.mapped(lambda planes: planes.reshape(1, -1, 3))
 
 
 def truth_of(sample: Sample) -> float:

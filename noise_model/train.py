@@ -18,10 +18,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-import observations
 import surfaces
 import table
-from backpropagation import Node, Tape, descend
+from backpropagation import Adam, Node, Tape, initial_layer
 from beltrami_cli.flow.noise import network
 from beltrami_cli.flow.noise.network import (
     QUANTILES,
@@ -34,7 +33,7 @@ from beltrami_cli.flow.noise.network import (
 )
 from configuration import NETWORK, configuration
 from crops import Crop, clean_crops, folders_of_packages
-from observations import Observation, draw_recipe_of_grids, observed
+from observations import Observation, draw_recipe_of_grids, observed, random_samples
 from recipes import draw_recipe
 
 # The folder of the repository, not of an installed package.
@@ -44,7 +43,7 @@ CHUNK = 2_000  # observations that are made together
 FIRST_SEED = 300  # of training; lower seeds served to choose features and layers
 EPOCHS, BATCH, RATE = 12, 96, 2e-3  # of Adam; the rate is its maximum
 SEED = 49
-SAMPLES = {"grid": observations.random_samples, "cluster": surfaces.random_samples}
+SAMPLES = {"grid": random_samples, "cluster": surfaces.random_samples}
 RECIPES = {"grid": draw_recipe_of_grids, "cluster": draw_recipe}
 WARM_UP = 500  # steps until the rate is at its height
 ROWS = 100_000  # of features that are standardised at a time
@@ -54,7 +53,6 @@ COUNTED = {"total": 3.0, "deviations": 2.0, "correlations": 2.0, "places": 0.5}
 
 @cache
 def crops_of(roots: tuple[Path, ...], part: str) -> list[Crop]:
-    """Return clean crops, once for each process."""
     return clean_crops(list(roots), part, SEED)
 
 
@@ -62,44 +60,43 @@ def make_observations(job: tuple[str, str, int, int, list[Path]]) -> Batches:
     """Make observations; `job`: the kind of neighbourhoods, the part of the pictures, seed, count, folders."""
     kind, part, seed, count, roots = job
     crops = crops_of(tuple(roots), part)
-    rng, found = np.random.default_rng([SEED, seed, part == "training"]), []
-    while len(found) < count:
+    rng, observations = np.random.default_rng([SEED, seed, part == "training"]), []
+    while len(observations) < count:
         drawn = SAMPLES[kind](rng, crops, RECIPES[kind])
-        made = None if drawn is None else observed(*drawn)
-        if made is not None:
-            found.append(made)
-    return Batches(found)
+        observation = None if drawn is None else observed(*drawn)
+        if observation is not None:
+            observations.append(observation)
+    return Batches(observations)
 
 
 class Batches:
     """Concatenated observations; the features of squares are in half precision."""
 
     def __init__(self, observations: list[Observation]) -> None:
-        self.counts = np.array([len(own.squares) for own in observations])
+        self.counts = np.array([len(each.squares) for each in observations])
         self.starts = np.append(0, np.cumsum(self.counts))
         self.parts = {
-            "squares": np.concatenate([own.squares for own in observations]).astype(np.float16),
-            "quiet": np.concatenate([own.quiet for own in observations]).astype(np.float16),
-            "places": np.concatenate([own.by_square for own in observations]).astype(np.float32)[:, None],
+            "squares": np.concatenate([each.squares for each in observations]).astype(np.float16),
+            "quiet": np.concatenate([each.quiet for each in observations]).astype(np.float16),
+            "places": np.concatenate([each.by_square for each in observations]).astype(np.float32)[:, None],
         }
         for name in ("even", "even_deviations", "total", "deviations", "correlations"):
-            self.parts[name] = np.stack([getattr(own, name) for own in observations]).astype(np.float32)
+            self.parts[name] = np.stack([getattr(each, name) for each in observations]).astype(np.float32)
         self.parts["total"] = self.parts["total"][:, None]
 
     def extend(self, others: list[Batches]) -> None:
         """Append the observations of others."""
-        every = [self, *others]
-        self.counts = np.concatenate([own.counts for own in every])
+        all_batches = [self, *others]
+        self.counts = np.concatenate([each.counts for each in all_batches])
         self.starts = np.append(0, np.cumsum(self.counts))
-        self.parts = {name: np.concatenate([own.parts[name] for own in every]) for name in self.parts}
+        self.parts = {name: np.concatenate([each.parts[name] for each in all_batches]) for name in self.parts}
 
     def standard(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
         """Return the means and standard deviations of features."""
         some = self.parts["squares"][:: max(1, len(self.parts["squares"]) // 200_000)].astype(np.float32)
         kinds = {"squares": some, "even": self.parts["even"]}
-        return {name: own.mean(axis=0) for name, own in kinds.items()}, {
-            name: own.std(axis=0) + 1e-3 for name, own in kinds.items()
-        }
+        means = {name: rows.mean(axis=0) for name, rows in kinds.items()}
+        return means, {name: rows.std(axis=0) + 1e-3 for name, rows in kinds.items()}
 
     def standardise(self, weights: Weights) -> None:
         """Standardise the features of neighbourhoods, in place."""
@@ -110,7 +107,7 @@ class Batches:
 
     def take(self, chosen: np.ndarray, weights: Weights) -> tuple[tuple, dict, dict]:
         """Return the arguments of `read` for some observations, the truths, and the candidates."""
-        rows = np.concatenate([np.arange(self.starts[own], self.starts[own + 1]) for own in chosen])
+        rows = np.concatenate([np.arange(self.starts[each], self.starts[each + 1]) for each in chosen])
         counts, even = self.counts[chosen], self.parts["even"][chosen]
         starts = np.append(0, np.cumsum(counts)[:-1])
         given = self.parts["squares"][rows].astype(np.float32), starts, weights.standardised("even", even)
@@ -127,16 +124,16 @@ class Batches:
 
 
 def losses(
-    found: dict[str, np.ndarray],
+    all_outputs: dict[str, np.ndarray],
     truths: dict[str, np.ndarray],
     candidates: dict[str, np.ndarray],
     counted: dict[str, float],
 ) -> tuple[dict[str, float], dict[str, np.ndarray]]:
     """Return the loss of each head and its gradient: pinball losses of quantiles, squared errors of correlations."""
     values, gradients = {}, {}
-    for name, own in found.items():
+    for name, given in all_outputs.items():
         truth, known = truths[name], np.isfinite(truths[name])
-        count, outputs = max(1, known.sum()), own.reshape(*truth.shape, -1)
+        count, outputs = max(1, known.sum()), given.reshape(*truth.shape, -1)
         if name == "correlations":
             read_as = np.tanh(outputs)
             error = np.where(known[..., None], np.nan_to_num(truth)[..., None] - read_as, 0)
@@ -151,17 +148,17 @@ def losses(
         gradient = -counted[name] * slope / count / parts
         if name in candidates:
             gradient = _through_mixture(gradient, read_as, outputs, candidates[name])
-        gradients[name] = gradient.reshape(own.shape).astype(np.float32)
+        gradients[name] = gradient.reshape(given.shape).astype(np.float32)
     return values, gradients
 
 
 def _through_mixture(gradient, read_as, outputs, candidates):
     """Return the gradient of the outputs from that of the readings, in which they are combined with candidates."""
-    own, weights = split_mixture(outputs, candidates)
+    readings, weights = split_mixture(outputs, candidates)
     toward = [
         (gradient * (part[..., None] - read_as)).sum(axis=-1) for part in np.moveaxis(candidates, -1, 0)
     ]
-    toward.append((gradient * (own - read_as)).sum(axis=-1))
+    toward.append((gradient * (readings - read_as)).sum(axis=-1))
     return np.concatenate([gradient * weights[..., -1:], weights * np.stack(toward, axis=-1)], axis=-1)
 
 
@@ -176,52 +173,47 @@ def initial(
         "total": context, "deviations": context,
         "correlations": context,
     }  # fmt: skip
-    weights = {}
+    layers = {}
     for name, size in inputs.items():
-        outputs = width.get(name) or network.OUTPUTS[name]
-        weights[f"{name}.matrix"] = rng.normal(0, np.sqrt(2 / size), (size, outputs)).astype(np.float32)
-        weights[f"{name}.bias"] = np.zeros(outputs, np.float32)
-    return weights
+        layers |= initial_layer(rng, name, size, width.get(name) or network.OUTPUTS[name])
+    return layers
 
 
 def slopes_of(
     chosen: np.ndarray, data: Batches, weights: Weights
 ) -> tuple[dict[str, float], dict[str, np.ndarray]]:
     """Return the losses of some observations, and the gradients of the weights."""
-    (squares, starts, *others), truths, candidates = data.take(chosen, weights)
+    (squares, starts, even), truths, candidates = data.take(chosen, weights)
     tape = Tape(weights.layers)
-    found = read(tape, Node(squares), starts, *map(Node, others))
-    del found["context"]  # an intermediate value without a loss
-    outputs = {name: own.value for name, own in found.items()}
+    nodes = read(tape, Node(squares), starts, Node(even))
+    del nodes["context"]  # an intermediate value without a loss
+    outputs = {name: node.value for name, node in nodes.items()}
     values, gradients = losses(outputs, truths, candidates, COUNTED)
-    for name, own in found.items():
-        own.gradient = gradients[name]
+    for name, node in nodes.items():
+        node.gradient = gradients[name]
     tape.go_back()
     return values, tape.gradients
 
 
 def train(kind: str, training: Batches, validation: Batches, epochs: int) -> Weights:
-    """Train by Adam with a rate that falls to 0 along a cosine."""
     rng = np.random.default_rng(SEED)
     means, scales = training.standard()
-    columns = {name: len(own) for name, own in means.items()}
+    columns = {name: len(mean) for name, mean in means.items()}
     weights = Weights(initial(rng, columns, network.WIDTHS[kind]), means, scales, configuration(NETWORK))
     for data in (training, validation):
         data.standardise(weights)
-    moments = {name: (0 * own, 0 * own) for name, own in weights.layers.items()}
-    step, steps, began = 0, epochs * (len(training.counts) // BATCH), time.monotonic()
+    adam = Adam(weights.layers, RATE, epochs * (len(training.counts) // BATCH), WARM_UP)
+    began = time.monotonic()
     for epoch in range(epochs):
         order, sums = rng.permutation(len(training.counts)), []
         for at in range(0, len(order) - BATCH + 1, BATCH):
             values, gradients = slopes_of(order[at : at + BATCH], training, weights)
             sums.append(values)
-            step += 1
-            share = min(1, step / WARM_UP) * (1 + np.cos(np.pi * step / steps)) / 2
-            descend(weights.layers, moments, gradients, RATE * share, step)
+            adam.step(gradients)
         if epoch % 5 == 4 or epoch == epochs - 1:
             valued, _ = slopes_of(np.arange(len(validation.counts)), validation, weights)
             line = ", ".join(
-                f"{name} {np.mean([own[name] for own in sums]):.4f} / {value:.4f}"
+                f"{name} {np.mean([values[name] for values in sums]):.4f} / {value:.4f}"
                 for name, value in valued.items()
             )
             print(f"epoch {epoch + 1}, {time.monotonic() - began:.0f} s: {line}", flush=True)
@@ -272,8 +264,8 @@ def train_kind(kind: str, roots: list[Path], options: argparse.Namespace) -> Non
     with Pool(options.processes) as pool:
         training, *parts, validation = pool.imap(make_observations, jobs)
     training.extend(parts)
-    held = f"{len(training.counts)} observations, {training.starts[-1]} neighbourhoods"
-    print(f"{kind}: {held}: {time.monotonic() - began:.0f} s", flush=True)
+    size = f"{len(training.counts)} observations, {training.starts[-1]} neighbourhoods"
+    print(f"{kind}: {size}: {time.monotonic() - began:.0f} s", flush=True)
     del parts
     path = options.weights / f"{kind}_weights.npz"
     save(rounded(train(kind, training, validation, options.epochs)), path)

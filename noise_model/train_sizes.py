@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import ndtr
 
 import observations
-from backpropagation import Node, Tape, descend
+from backpropagation import Adam, Node, Tape, initial_layer
 from beltrami_cli.flow.noise.channel_noise import read_network
 from beltrami_cli.flow.noise.network import OFFSET, Weights, weights_of
 from beltrami_cli.flow.noise.size import EDGES, LAYERS, WIDTHS, evidence, removal_curve, sizes_of
@@ -26,7 +26,12 @@ from train import SAMPLES, WEIGHTS, crops_of, save
 
 TEST_ROWS = 1_000  # per family
 CHUNK = 500  # rows that are made together
-EPOCHS, BATCH, RATE = 40, 128, 2e-3  # of Adam; the rate is its maximum
+EPOCHS, BATCH, RATE, WARM_UP = (
+    40,
+    128,
+    2e-3,
+    200,
+)  # of Adam; the rate is its maximum, reached after the warm-up
 SEED = 77
 DROPPED = 0.1  # share of the units of a layer, in training
 WIDTH = 0.12  # standard deviation of the labels, in log2 of the strength
@@ -39,8 +44,8 @@ def make_rows(job: tuple[str, str, int, int, int, list[Path]]) -> list[np.ndarra
     kind, part, number, seed, count, roots = job
     family = FAMILIES[kind][number]
     crops, weights = crops_of(tuple(roots), part), weights_of(kind)
-    rng, found = np.random.default_rng([SEED, seed, part == "training", number]), []
-    while len(found) < count:
+    rng, rows = np.random.default_rng([SEED, seed, part == "training", number]), []
+    while len(rows) < count:
         drawn = SAMPLES[kind](rng, crops, family.draw, family.picture)
         if drawn is None or drawn[0].where.scales[0].freedom.sum() < observations.FEWEST_DETAILS:
             continue
@@ -49,16 +54,15 @@ def make_rows(job: tuple[str, str, int, int, int, list[Path]]) -> list[np.ndarra
             0.0 if own is None else float(np.mean(np.square(own.colours, dtype=np.float64))) for own in parts
         )
         outputs, candidates = read_network(seen, weights)
-        found.append((
+        rows.append((
             outputs["context"][0], np.sort(outputs["total"][0]), candidates[0, 0], removal_curve(seen),
             seen.where.count, np.sqrt(max(0.0, noise - loss)),
         ))  # fmt: skip
-    *columns, truth = (np.array(own) for own in zip(*found, strict=True))
+    *columns, truth = (np.array(own) for own in zip(*rows, strict=True))
     return [*evidence(*columns), truth]
 
 
 def labels_of(truth: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Return the target probabilities."""
     logs = np.log2((truth + OFFSET) / (first + OFFSET)).clip(EDGES[0] + WIDTH, EDGES[-1] - WIDTH)
     shares = np.diff(ndtr((EDGES - logs[:, None]) / WIDTH), axis=1)
     none = np.clip((SOME - truth) / (SOME - NONE), 0, 1)[:, None]
@@ -73,12 +77,10 @@ def train(rows: np.ndarray, first: np.ndarray, truth: np.ndarray) -> Weights:
     sizes = rows.shape[1], *WIDTHS, labels.shape[1]
     layers = {}
     for name, inputs, outputs in zip(LAYERS, sizes, sizes[1:], strict=False):
-        layers[f"{name}.matrix"] = rng.normal(0, np.sqrt(2 / inputs), (inputs, outputs)).astype(np.float32)
-        layers[f"{name}.bias"] = np.zeros(outputs, np.float32)
+        layers |= initial_layer(rng, name, inputs, outputs)
     means, scales = {"evidence": rows.mean(axis=0)}, {"evidence": rows.std(axis=0) + np.float32(1e-3)}
     weights = Weights(layers, means, scales, configuration(SIZES))
-    moments = {name: (0 * own, 0 * own) for name, own in layers.items()}
-    step, steps = 0, EPOCHS * (len(rows) // BATCH)
+    adam = Adam(layers, RATE, EPOCHS * (len(rows) // BATCH), WARM_UP)
     standardised = weights.standardised("evidence", rows)
     for _ in range(EPOCHS):
         order = rng.permutation(len(rows))
@@ -94,14 +96,7 @@ def train(rows: np.ndarray, first: np.ndarray, truth: np.ndarray) -> Weights:
                 BATCH
             )
             tape.go_back()
-            step += 1
-            descend(
-                layers,
-                moments,
-                tape.gradients,
-                RATE * min(1, step / 200) * (1 + np.cos(np.pi * step / steps)) / 2,
-                step,
-            )
+            adam.step(tape.gradients)
     return weights
 
 
