@@ -1,4 +1,4 @@
-"""The rarer image formats, files with more in them than one plain image, and colours that an alpha of 0 hides.
+"""The rarer image formats, files with more in them than one plain picture, and colours that an alpha of 0 hides.
 
 KTX2 and AVIF: read, written again as they were, taken back to plain images in glTF, refused in one line.
 """
@@ -20,7 +20,7 @@ from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
-from formats.gltf_comparison import EXTENSIONS, with_better_image
+from formats.gltf_comparison import EXTENSIONS, image_bytes, with_better_image
 from formats.gltf_files import opened
 from formats.image_files import (
     encode,
@@ -118,7 +118,7 @@ def test_the_extension_of_a_texture_follows_the_image_that_is_written(tmp_path, 
     target = tmp_path / "out.glb"
     settings = SmoothSettings(kernel=ONCE, textures=TextureSettings(image_suffix=suffix))
     report = smooth_file(source, target, settings)
-    tree, _, _ = opened(target)
+    tree, buffers, _ = opened(target)
     (texture,) = tree["textures"]
     written = suffix or (".png" if fallback else f".{known}")
     own = {".webp": "EXT_texture_webp", ".ktx2": "KHR_texture_basisu", ".avif": "EXT_texture_avif"}.get(
@@ -135,8 +135,8 @@ def test_the_extension_of_a_texture_follows_the_image_that_is_written(tmp_path, 
     reported = [each for each in report.warnings if "PSNR" in each]
     assert len(reported) == (kept not in (None, "EXT_texture_webp") or suffix == ".webp")
     if fallback and suffix is None:
-        images = open_document(str(target))._images
-        plain, better = (read_image(images.data(index), "x").pixels for index in (0, 1))
+        both = (image_bytes(tree, buffers, {}, index) for index in (0, 1))
+        plain, better = (read_image(data, "x").pixels for data in both)
         assert psnr(plain / 255, better / 255) > psnr(phantom() / 255, better / 255) + 3
 
 
@@ -180,9 +180,9 @@ def test_headers_of_ktx2_that_promise_too_much_are_refused_before_decoding(lie):
 @needs("ktx2")
 def test_keys_of_ktx2_that_are_lost_are_named():
     data = file_of("ktx2").replace(b"KTXwriter\0", b"licensing\0")
-    image = read_image(data, "x.ktx2")
+    picture = read_image(data, "x.ktx2")
     for suffix, label in ((None, "KTX2"), (".png", "PNG")):
-        notices = write_image(image, image.pixels // 2, suffix=suffix).notices
+        notices = write_image(picture, picture.pixels // 2, suffix=suffix).notices
         assert f"x.ktx2: these metadata are not kept in {label}: KTX2 key licensing." in notices
     plain = read_image(file_of("ktx2"), "x.ktx2")
     assert not any("metadata" in notice for notice in write_image(plain, plain.pixels // 2).notices)
@@ -219,11 +219,11 @@ def read_only():
 @pytest.mark.parametrize("name", read_only())
 def test_formats_that_are_only_read_say_what_else_there_is(name):
     make, pixels = read_only()[name]
-    image = read_image(make(), name)
-    np.testing.assert_array_equal(image.pixels, pixels)
+    picture = read_image(make(), name)
+    np.testing.assert_array_equal(picture.pixels, pixels)
     with pytest.raises(UsageError, match=f"images cannot be written as {name[2:].upper()}; choose .tif"):
-        check_writable(image, None)
-    again = read_image(write_image(image, image.pixels, suffix=".tif").data, "x.tif")
+        check_writable(picture, None)
+    again = read_image(write_image(picture, picture.pixels, suffix=".tif").data, "x.tif")
     np.testing.assert_array_equal(again.pixels, pixels)
 
 
@@ -231,10 +231,10 @@ def test_formats_that_are_only_read_say_what_else_there_is(name):
 def test_of_mip_mapped_files_the_full_size_is_kept_and_said_so(suffix, tmp_path):
     pixels, path = noise("float", 3, 64, 64), tmp_path / f"skin{suffix}"
     OpenImageIO.ImageBufAlgo.make_texture(OpenImageIO.MakeTxTexture, OpenImageIO.ImageBuf(pixels), str(path))
-    image = read_image(path.read_bytes(), path.name)
-    assert "mip levels" in image.notices[0]
+    picture = read_image(path.read_bytes(), path.name)
+    assert "mip levels" in picture.notices[0]
     for target in (".exr", ".tif"):  # an EXR that announces levels it does not have counts as damaged
-        again = read_image(write_image(image, image.pixels, suffix=target).data, f"skin{target}")
+        again = read_image(write_image(picture, picture.pixels, suffix=target).data, f"skin{target}")
         np.testing.assert_array_equal(again.pixels, pixels)
         assert not again.notices
 
@@ -246,22 +246,24 @@ def test_of_mip_mapped_files_the_full_size_is_kept_and_said_so(suffix, tmp_path)
 )  # fmt: skip
 def test_a_palette_is_reported_and_becomes_full_colours(suffix, bits, is_transparent):
     random = np.random.default_rng(bits)
-    indexed = Image.fromarray(random.integers(0, 1 << bits, (13, 19)).astype(np.uint8), "P")
-    indexed.putpalette(random.integers(0, 256, 3 << bits).astype(np.uint8).tobytes())
+    image = Image.fromarray(random.integers(0, 1 << bits, (13, 19)).astype(np.uint8), "P")
+    image.putpalette(random.integers(0, 256, 3 << bits).astype(np.uint8).tobytes())
     options = {"bits": bits, "dpi": (72, 72)} if suffix == ".png" else {}
     if is_transparent:
         options["transparency"] = bytes(random.integers(0, 256, 1 << bits).tolist())
-    source = saved(indexed, suffix, **options)
-    image = read_image(source, f"x{suffix}")
-    file = write_image(image, image.pixels[::-1, ::-1], suffix=".png" if suffix in (".gif", ".bmp") else None)
-    assert any("palette" in notice for notice in (*image.notices, *file.notices))
+    source = saved(image, suffix, **options)
+    picture = read_image(source, f"x{suffix}")
+    file = write_image(
+        picture, picture.pixels[::-1, ::-1], suffix=".png" if suffix in (".gif", ".bmp") else None
+    )
+    assert any("palette" in notice for notice in (*picture.notices, *file.notices))
     with Image.open(io.BytesIO(file.data)) as new, Image.open(io.BytesIO(source)) as old:
         assert suffix != ".png" or new.info["dpi"] == pytest.approx((72, 72), abs=0.1)
         shown, expected = (np.asarray(each.convert("RGBA")).astype(int) for each in (new, old))
     # Pillow multiplies levels by 256 for the 16 bits of a TIFF, of which the full scale is 257 times 255.
     assert np.abs(shown - expected[::-1, ::-1]).max() <= (1 if suffix == ".tif" else 0)
     for kind in ("RGB", "L") if suffix != ".gif" else ():
-        assert not read_image(saved(indexed.convert(kind), suffix), f"x{suffix}").notices
+        assert not read_image(saved(image.convert(kind), suffix), f"x{suffix}").notices
 
 
 @pytest.mark.parametrize(
@@ -283,8 +285,8 @@ def test_what_a_tiff_stores_otherwise_is_reported_once(mode, options, reported):
     across, down = np.meshgrid(np.arange(48), np.arange(32))
     slope = np.stack([5 * across, 7 * down, 80 + across + down], axis=2).astype(np.uint8)
     deep = Image.fromarray(slope[..., 0].astype(np.uint16))
-    drawn = deep if mode == "I;16" else Image.fromarray(slope).convert(mode)
-    image = read_image(saved(drawn, ".tif", **options), "x.tif")
+    picture = deep if mode == "I;16" else Image.fromarray(slope).convert(mode)
+    image = read_image(saved(picture, ".tif", **options), "x.tif")
     assert len(image.notices) == len(reported)
     assert all(words in notice for words, notice in zip(reported, image.notices, strict=True))
     if mode == "YCbCr":
@@ -302,48 +304,48 @@ def test_a_transparent_colour_of_png_is_reported(channels, colour):
     pixels = np.full((2, 2, channels), 7, np.uint8)
     pixels[0] = 9
     header, *others = png_chunks(encode(pixels, "png"))
-    image = read_image(png_file([header, (b"tRNS", colour), *others]), "x.png")
-    assert image.pixels[..., -1].tolist() == [[255, 255], [0, 0]]
-    assert image.notices == ("x.png has a colour that is transparent, which becomes an alpha channel.",)
+    picture = read_image(png_file([header, (b"tRNS", colour), *others]), "x.png")
+    assert picture.pixels[..., -1].tolist() == [[255, 255], [0, 0]]
+    assert picture.notices == ("x.png has a colour that is transparent, which becomes an alpha channel.",)
 
 
 def test_values_that_are_not_finite_can_be_asked_for_and_stay():
     pixels = noise("float", 3)
     pixels[0, 0], pixels[1, 1, 1] = np.nan, -np.inf
-    image = read_image(encode(pixels, "openexr", "float"), "x.exr", finite=False)
-    again = read_image(write_image(image, image.pixels).data, "x.exr", finite=False)
+    picture = read_image(encode(pixels, "openexr", "float"), "x.exr", finite=False)
+    again = read_image(write_image(picture, picture.pixels).data, "x.exr", finite=False)
     np.testing.assert_array_equal(again.pixels, pixels)
-    assert any("NaN becomes 0" in loss for loss in losses(image, ".png"))
-    png = read_image(write_image(image, image.pixels, suffix=".png").data, "x.png")
+    assert any("NaN becomes 0" in loss for loss in losses(picture, ".png"))
+    png = read_image(write_image(picture, picture.pixels, suffix=".png").data, "x.png")
     assert png.pixels[0, 0].tolist() == [0, 0, 0]
 
 
 @pytest.mark.parametrize("kind", ["palette", "16 bits", "OS/2"])
 def test_rare_kinds_of_bmp_are_read_and_not_written(kind):
-    drawn = Image.fromarray(noise("uint8", 3))
-    plain = saved(drawn, ".bmp")
+    image = Image.fromarray(noise("uint8", 3))
+    plain = saved(image, ".bmp")
     made = {
-        "palette": saved(drawn.quantize(16), ".bmp"),
+        "palette": saved(image.quantize(16), ".bmp"),
         "16 bits": plain[:28] + b"\x10" + plain[29:54] + bytes(16 * 5),
         "OS/2": b"BM" + bytes(8) + struct.pack("<IIHHHH", 26, 12, 7, 5, 1, 24) + plain[54:],
     }
-    image = read_image(made[kind], "x.bmp")
+    picture = read_image(made[kind], "x.bmp")
     for suffix in (None, ".bmp", ".dib"):
         with pytest.raises(
             UsageError, match=r"x\.bmp: images cannot be written as BMP with a palette.*; choose \.tif"
         ):
-            check_writable(image, suffix)
-    again = read_image(write_image(image, image.pixels, suffix=".png").data, "x.png")
-    np.testing.assert_array_equal(again.pixels, image.pixels)
+            check_writable(picture, suffix)
+    again = read_image(write_image(picture, picture.pixels, suffix=".png").data, "x.png")
+    np.testing.assert_array_equal(again.pixels, picture.pixels)
 
 
 def test_chunks_of_a_palette_go_with_it_and_are_reported():
-    image = read_image(
+    picture = read_image(
         two_pixels((b"tRNS", bytes([7])), (b"bKGD", bytes([1])), (b"tEXt", b"Title\0t")), "x.png"
     )
-    assert image.pixels.tolist() == [[[1, 2, 3, 7], [200, 100, 50, 255]]]
-    file = write_image(image, image.pixels[:, ::-1])
-    np.testing.assert_array_equal(read_image(file.data, "x.png").pixels, image.pixels[:, ::-1])
+    assert picture.pixels.tolist() == [[[1, 2, 3, 7], [200, 100, 50, 255]]]
+    file = write_image(picture, picture.pixels[:, ::-1])
+    np.testing.assert_array_equal(read_image(file.data, "x.png").pixels, picture.pixels[:, ::-1])
     assert [kind for kind, _ in png_chunks(file.data)] == [b"IHDR", b"tEXt", b"IDAT", b"IEND"]
     assert any("PNG chunk bKGD" in notice for notice in file.notices)
 

@@ -140,25 +140,26 @@ class _ShownImages:
         first = self._images.shown(old)
         image = self._images.canonical(first)
         extensions = texture.pop("extensions", {})
+        # By extension, "" for the plain image, the objects that name the images of the texture.
         holders = {"": texture} | {name: extensions[name] for name in IMAGE_EXTENSIONS if name in extensions}
         media = MEDIA[file.suffix.lower()]
         fitting = next((name for name, kind in IMAGE_EXTENSIONS.items() if kind == media), "")
         was_plain = media_type(self._images.data(image)) == media and fitting not in extensions
         target = "" if was_plain else fitting
-        has_fallback = target == WEBP in extensions
         named = {
             name: source for name, each in holders.items() if isinstance(source := each.get("source"), int)
         }
         present = next((name for name in (WEBP, "", *IMAGE_EXTENSIONS) if name in named), "")
-        for name, source in named.items():
-            renewed = None if name == target else self._renew(source, image, file)
-            if renewed is not None and (name or has_fallback):
+        for name in [each for each in named if each != target]:
+            is_fallback = not name and target == WEBP and WEBP in extensions
+            renewed = self._renew(named[name], image, file)
+            if renewed is not None and (name or is_fallback):
                 self.files[id(holders[name])] = renewed
-            elif name == "" and has_fallback:
+            elif is_fallback:
                 self._edit.notices.append(f"{place} keeps its fallback for viewers without WebP as it was.")
-            elif name == "" != target:
+            elif not name:
                 del texture["source"]
-            elif name != target:
+            else:
                 del extensions[name]
                 if name not in (fitting, present):
                     lost = f"{place} loses its {kind_of(name)} image ({name})"

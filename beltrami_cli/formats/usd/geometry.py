@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from pxr import Usd, UsdGeom, UsdShade
 
-from beltrami_cli.arrays import Array, Float64s, Int64s
+from beltrami_cli.arrays import Array, Bools, Float64s, Int64s
 from beltrami_cli.formats.usd.contents import ColourBlock, MaterialInputs
 from beltrami_cli.formats.usd.materials import AS_STORED, INPUTS, ShownImage, UvMapping, read_material
 from beltrami_cli.surface.records import Slot
@@ -51,21 +51,16 @@ class Geometry:
             self.counts["instanced"] += 1
             return
         self._seen.add(path)
+        self._add_mesh(prim)
+
+    def _add_mesh(self, prim: Any) -> None:
         mesh, time = UsdGeom.Mesh(prim), Usd.TimeCode.EarliestTime()
         points = _values(mesh.GetPointsAttr()).reshape(-1, 3)
-        sizes = _values(mesh.GetFaceVertexCountsAttr()).astype(np.int64)
-        corners = _values(mesh.GetFaceVertexIndicesAttr()).astype(np.int64)
-        name = prim.GetPath()
-        if (sizes < 0).any() or sizes.sum() != len(corners):
-            raise ValueError(f"{name}: its polygons have {sizes.sum()} corners, but there are {len(corners)}")
-        if len(corners) and (corners.min() < 0 or corners.max() >= len(points)):
-            raise ValueError(f"{name}: a polygon names a vertex beyond the {len(points)} of its mesh")
         matrix = np.array(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time))
-        turned = (mesh.GetOrientationAttr().Get() == "leftHanded") != (np.linalg.det(matrix[:3, :3]) < 0)
-        polygons = _Polygons.of(sizes, corners, len(points), turned=bool(turned))
+        polygons = _Polygons.of(mesh, len(points), is_mirrored=bool(np.linalg.det(matrix[:3, :3]) < 0))
         with np.errstate(over="ignore", invalid="ignore"):
             self.add(positions=points @ matrix[:3, :3] + matrix[3, :3])
-        materials = self._materials_of(prim, len(sizes))
+        materials = self._materials_of(prim, len(polygons.sizes))
         rows = self._colour_rows(prim, polygons)
         of_corners = self._coordinates(prim, polygons, materials) | {
             "corners": polygons.vertex + self._vertices,
@@ -77,12 +72,15 @@ class Geometry:
         read |= {"normals", "displayColor", *(["displayOpacity"] if (rows >= 0).any() else [])}
         primvars = UsdGeom.PrimvarsAPI(prim).GetPrimvarsWithAuthoredValues()
         self.counts["further"] += int(any(each.GetPrimvarName() not in read for each in primvars))
-        holes = np.array(mesh.GetHoleIndicesAttr().Get(time) or [], np.int64)
-        is_kept = sizes >= 3
-        is_kept[holes[(holes >= 0) & (holes < len(sizes))]] = False
-        mesh_of = np.full(len(sizes), len(self.meshes))
-        self.add(sizes=sizes[is_kept], mesh_of=mesh_of[is_kept], material_of=materials[is_kept])
-        self.add(**{name: values[np.repeat(is_kept, sizes)] for name, values in of_corners.items()})
+        of_polygons = {
+            "sizes": polygons.sizes,
+            "material_of": materials,
+            "mesh_of": np.full(len(materials), len(self.meshes)),
+        }
+        is_kept = _are_shown(mesh, polygons.sizes)
+        self.add(**{name: values[is_kept] for name, values in of_polygons.items()})
+        in_kept = np.repeat(is_kept, polygons.sizes)
+        self.add(**{name: values[in_kept] for name, values in of_corners.items()})
         self.meshes.append(prim.GetName())
         self._vertices += len(points)
 
@@ -165,12 +163,18 @@ class _Polygons:
     points: int  # how many vertices there are
 
     @classmethod
-    def of(cls, sizes: Int64s, corners: Int64s, points: int, *, turned: bool) -> _Polygons:
-        ends = np.repeat(np.cumsum(sizes), sizes)
-        corner = np.arange(len(corners))
-        return cls(
-            sizes, 2 * ends - np.repeat(sizes, sizes) - 1 - corner if turned else corner, corners, points
-        )
+    def of(cls, mesh: Any, points: int, *, is_mirrored: bool) -> _Polygons:
+        """Read the polygons of a mesh of so many points; ValueError if they do not fit."""
+        sizes = _values(mesh.GetFaceVertexCountsAttr()).astype(np.int64)
+        stored = _values(mesh.GetFaceVertexIndicesAttr()).astype(np.int64)
+        name, corner = mesh.GetPath(), np.arange(len(stored))
+        if (sizes < 0).any() or sizes.sum() != len(stored):
+            raise ValueError(f"{name}: its polygons have {sizes.sum()} corners, but there are {len(stored)}")
+        if len(stored) and (stored.min() < 0 or stored.max() >= points):
+            raise ValueError(f"{name}: a polygon names a vertex beyond the {points} of its mesh")
+        if (mesh.GetOrientationAttr().Get() == "leftHanded") != is_mirrored:
+            corner = 2 * np.repeat(np.cumsum(sizes), sizes) - np.repeat(sizes, sizes) - 1 - corner
+        return cls(sizes, corner, stored, points)
 
     @property
     def vertex(self) -> Int64s:
@@ -185,6 +189,14 @@ class _Polygons:
 
 def _values(attribute: Any) -> Float64s:
     return np.array(attribute.Get(Usd.TimeCode.EarliestTime()) if attribute.HasValue() else [], np.float64)
+
+
+def _are_shown(mesh: Any, sizes: Int64s) -> Bools:
+    """Return which polygons are faces, and no holes."""
+    is_shown = sizes >= 3
+    holes = np.array(mesh.GetHoleIndicesAttr().Get(Usd.TimeCode.EarliestTime()) or [], np.int64)
+    is_shown[holes[(holes >= 0) & (holes < len(sizes))]] = False
+    return is_shown
 
 
 def _flat(primvar: Any) -> Float64s | None:

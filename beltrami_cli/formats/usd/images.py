@@ -53,8 +53,10 @@ class Images:
 
         return slots_by_path(images, paths_of)
 
-    def _kept(self, images: NewImages) -> list[str]:
-        """Return the image files that are still referred to after others are replaced."""
+    def _copied(self, images: NewImages, naming: Naming) -> list[str]:
+        """Return the files that an output in another folder needs copies of: other layers, and images that stay."""
+        if not naming.copies or self._layers.package is not None:
+            return []
         slots_of: dict[str, list[Slot]] = defaultdict(list)
         for (path, _), slots in self._replaced(images).items():
             slots_of[path] += slots
@@ -64,20 +66,20 @@ class Images:
             if self._attributes(path, slots) == self._attributes(path)
         ]
         replaced = {file for path in gone for file in self._layers.folder.files(path)}
-        return [file for file in dict.fromkeys(self.files().values()) if file not in replaced]
+        images_left = [file for file in dict.fromkeys(self.files().values()) if file not in replaced]
+        copied = [*self._layers.others, *images_left]
+        taken = next((file for file in copied if naming.is_taken(file)), None)
+        if taken is not None:  # other layers refer to the copied files
+            cause = f"there is another '{taken}' in OUTPUT's folder, and one of its files needs that name"
+            raise InputError(self._name, cause, "choose an empty folder")
+        return copied
 
     def renamed(self, images: NewImages, naming: Naming) -> tuple[Written, dict[str, str]]:
         """Return the new files of the root layer or package, and the attributes with the new names."""
-        kept = list[str]()
-        if naming.copies and self._layers.package is None:
-            kept = [*self._layers.others, *self._kept(images)]
-            taken = next((file for file in kept if naming.is_taken(file)), None)
-            if taken is not None:  # other layers refer to the copied files
-                cause = f"there is another '{taken}' in OUTPUT's folder, and one of its files needs that name"
-                raise InputError(self._name, cause, "choose an empty folder")
+        copied = self._copied(images, naming)
         present = self._layers.package.members if self._layers.package else self.references()
-        names = NewFiles(naming, self._name, present, [*self.obstacles, *kept])
-        names.copied |= {file: file for file in kept}
+        names = NewFiles(naming, self._name, present, [*self.obstacles, *copied])
+        names.copied |= {file: file for file in copied}
         renamed: dict[str, str] = {}
         for (path, changed), slots in self._replaced(images).items():
             attributes = self._attributes(path, slots)
