@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.arrays import Float32s
-from beltrami_cli.batch.item import Attempt, Item, do_item
+from beltrami_cli.batch.item import Attempt, Item
 from beltrami_cli.batch.pool import Lost, Pool, Task
 from beltrami_cli.batch.run import Workers
+from beltrami_cli.batch.work import do_item
 from beltrami_cli.errors import ProcessingError
 from beltrami_cli.flow.chunks import Answers, Chunk, Chunking, Figures, Operation
 from beltrami_cli.jobs.progress import Progress, at_intervals

@@ -14,9 +14,8 @@ from collections.abc import Callable, Collection, Iterator
 from multiprocessing.connection import wait
 from typing import Any
 
-from beltrami_cli.batch.channel import Channel, Order
 from beltrami_cli.batch.pool import Advance, Lost, Pool, Task
-from beltrami_cli.batch.worker import serve
+from beltrami_cli.batch.worker import Channel, Order, serve
 from beltrami_cli.errors import ProcessingError
 from beltrami_cli.formats.image.opening import scratch_file
 

@@ -9,11 +9,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from beltrami_cli.batch.item import Attempt, Item, Outcome, do_item, failed, outcome_of
+from beltrami_cli.batch.item import Attempt, Item, Outcome, failed, outcome_of
 from beltrami_cli.batch.pool import Advance, Lost, Pool
 from beltrami_cli.batch.processes import Processes
 from beltrami_cli.batch.record import Record, is_done, is_own_output
 from beltrami_cli.batch.storage import exists, make_folder_of
+from beltrami_cli.batch.work import do_item
 from beltrami_cli.errors import OutputError
 from beltrami_cli.flow.parameters import KernelParameters
 
@@ -115,9 +116,9 @@ class Batch:
         overwrite = item.overwrite or is_own_output(earlier)
         # Written by an earlier run, or by a process of this run that died.
         latest = self._record.latest(item)
-        again = latest is not None and latest.status == "started"
+        is_retry = latest is not None and latest.status == "started"
         try:
-            if exists(item.target) and not (overwrite or again):
+            if exists(item.target) and not (overwrite or is_retry):
                 remedy = "choose another --out-dir or --suffix, or --overwrite"
                 raise OutputError(item.target, "exists already", remedy)
             make_folder_of(item.target)
@@ -128,7 +129,9 @@ class Batch:
             kernel = dataclasses.replace(item.settings.kernel, threads=workers.threads)
             item = dataclasses.replace(item, settings=dataclasses.replace(item.settings, kernel=kernel))
         self._record.add(outcome_of(item, "started", written=_written(earlier)))
-        workers.pool.start(key, *workers.call(dataclasses.replace(item, overwrite=overwrite, again=again)))
+        workers.pool.start(
+            key, *workers.call(dataclasses.replace(item, overwrite=overwrite, is_retry=is_retry))
+        )
         return {key}
 
     def _finish(self, key: int, attempt: Attempt) -> None:

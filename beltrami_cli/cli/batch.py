@@ -162,7 +162,8 @@ def _workers(
     with contextlib.ExitStack() as stack:
         client: Any = None
         if scheduler is not None:
-            from beltrami_cli.batch.cluster import OnDask, connected, do_on_worker, portable
+            from beltrami_cli.batch.cluster import OnDask, connected, portable
+            from beltrami_cli.batch.cluster_worker import do_on_worker
 
             client = stack.enter_context(connected(scheduler))
             if not client.nthreads():

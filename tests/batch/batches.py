@@ -7,7 +7,7 @@ from unittest.mock import patch
 
 from beltrami_cli.batch import run
 from beltrami_cli.batch.chunks import InProcess
-from beltrami_cli.batch.item import do_item
+from beltrami_cli.batch.work import do_item
 from cli.commands import SAMPLES, beltrami
 from hostile.textured_models import write_model
 

@@ -24,7 +24,8 @@ from batch.batches import (
     without_workers,
     write_textured,
 )
-from beltrami_cli.batch.item import Item, do_item
+from beltrami_cli.batch.item import Item
+from beltrami_cli.batch.work import do_item
 from beltrami_cli.fields import override
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.layers.settings import DEFAULTS

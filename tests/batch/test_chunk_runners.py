@@ -17,10 +17,10 @@ import pytest
 
 from batch.batches import batch, files_in
 from batch.chunk_work import add, die, die_once, refuse, sleep
-from beltrami_cli.batch.channel import Channel
 from beltrami_cli.batch.chunks import ChunkRunner
 from beltrami_cli.batch.cluster import OnDask
 from beltrami_cli.batch.processes import Processes
+from beltrami_cli.batch.worker import Channel
 from beltrami_cli.errors import InputError, NoColoursError, OutputError, ProcessingError
 from beltrami_cli.flow import chunks
 from beltrami_cli.flow.chunks import Chunk

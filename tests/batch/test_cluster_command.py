@@ -18,7 +18,8 @@ from batch.dask_cluster import Cluster
 from beltrami_cli.batch import cluster as cluster_module
 from beltrami_cli.batch.chunks import ChunkRunner
 from beltrami_cli.batch.cluster import OnDask
-from beltrami_cli.batch.item import Item, do_item
+from beltrami_cli.batch.item import Item
+from beltrami_cli.batch.work import do_item
 from beltrami_cli.cli.main import group
 from beltrami_cli.flow import chunks
 from beltrami_cli.flow.chunks import Chunking, Resources
@@ -196,7 +197,7 @@ def test_nothing_is_uploaded_over_what_is_there(tmp_path):
     memory.pipe_file("/there/out/a.ply", b"mine")
     settings = SmoothSettings(KernelParameters(**FIXED))
     item = Item("memory://there/in/a.ply", "memory://there/out/a.ply", settings)
-    again = dataclasses.replace(item, again=True)  # after an attempt that was cut off
+    again = dataclasses.replace(item, is_retry=True)  # after an attempt that was cut off
     for each in (item, again):
         outcome = do_item(each, None).outcome
         assert outcome.status == "failed"

@@ -230,7 +230,7 @@ def test_every_signal_that_ends_a_process_and_can_be_caught_ends_the_command_in_
 WORKER = """
 import multiprocessing, sys, time
 from pathlib import Path
-from beltrami_cli.batch.channel import Channel, Order
+from beltrami_cli.batch.worker import Channel, Order
 from beltrami_cli.batch.worker import serve
 from beltrami_cli.formats.image.opening import scratch_file
 from beltrami_cli.formats.changes import Written
