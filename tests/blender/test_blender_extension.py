@@ -82,7 +82,7 @@ def test_what_is_gone_when_the_result_comes_is_said(scene, extension):
     run = extension.Run(bpy.context)
     item.data.color_attributes.remove(item.data.color_attributes["colour"])
     run.process.wait()
-    with pytest.raises(extension.exchange.ExchangeError, match="was changed meanwhile"):
+    with pytest.raises(extension.ExchangeError, match="was changed meanwhile"):
         run.finish()
     assert not Path(run._temporary.name).exists()
     bpy.ops.object.mode_set(mode="EDIT")
@@ -234,7 +234,7 @@ def test_an_image_is_smoothed_where_it_lies_with_undo_and_redo(scene, extension,
         image.pack()
     elif place == "on disk":
         bpy.data.images.remove(image)
-        extension.exchange._save(dirty, path, "OPEN_EXR" if is_float else "PNG", is_float=is_float)
+        extension.images.save_pixels(dirty, path, "OPEN_EXR" if is_float else "PNG", is_float=is_float)
         image = bpy.data.images.load(str(path))
     bpy.ops.mesh.primitive_plane_add()
     textured(bpy.context.active_object, image)
@@ -303,7 +303,7 @@ def test_all_tiles_of_an_image_are_one_surface(scene, extension, tmp_path, packe
     assert bool(image.packed_files) == packed
     out = tmp_path / "out"
     out.mkdir()
-    extension.exchange.save_copy(image, out / "skin.<UDIM>.png")
+    extension.images.save_copy(image, out / "skin.<UDIM>.png")
     for number, (clean, dirty) in pictures.items():
         found = bpy.data.images.load(str(out / f"skin.{number}.png"))
         assert psnr(of_image(found)[..., :3], clean[..., :3]) > psnr(dirty[..., :3], clean[..., :3]) + 5
