@@ -181,21 +181,21 @@ def parameters(record: Any, *, deep: bool = False) -> tuple[Parameter, ...]:
 
 @cache
 def _parameters_of(record: type, deep: bool) -> tuple[Parameter, ...]:
-    found: list[Parameter] = []
+    collected: list[Parameter] = []
     for each in dataclasses.fields(record):
         if _PARAMETER in each.metadata:
             declared, group = each.metadata[_PARAMETER], getattr(record, "group", "")
             flags = (f"--{each.name.replace('_', '-')}",) if declared.flags is None else declared.flags
-            found.append(dataclasses.replace(declared, name=each.name, group=group, flags=flags))
+            collected.append(dataclasses.replace(declared, name=each.name, group=group, flags=flags))
         elif deep and _PART in each.metadata:
-            found += _parameters_of(each.metadata[_PART], deep)
-    return tuple(found)
+            collected += _parameters_of(each.metadata[_PART], deep)
+    return tuple(collected)
 
 
 def given_parameters(record: object) -> list[Parameter]:
     """Return the parameters of a record, and of the records in it, that are not as by default."""
-    own = [each for each in parameters(record) if getattr(record, each.name) != each.default]
-    return [*own, *(each for name in parts(record) for each in given_parameters(getattr(record, name)))]
+    changed = [each for each in parameters(record) if getattr(record, each.name) != each.default]
+    return [*changed, *(each for name in parts(record) for each in given_parameters(getattr(record, name)))]
 
 
 def without_effect(declared: Iterable[Parameter], kinds: Collection[str]) -> list[Parameter]:
@@ -255,9 +255,9 @@ def override(record: Record, **values: Any) -> Record:
             raise UsageError(f"there is no parameter {name}{_alike(name, known)}")
     changed = {each.name: values[each.name] for each in parameters(record) if each.name in values}
     for name, kind in parts(record).items():
-        theirs = {each.name: values[each.name] for each in parameters(kind, deep=True) if each.name in values}
-        if theirs:
-            changed[name] = override(getattr(record, name), **theirs)
+        nested = {each.name: values[each.name] for each in parameters(kind, deep=True) if each.name in values}
+        if nested:
+            changed[name] = override(getattr(record, name), **nested)
     if hasattr(record, "with_values"):  # which depend on each other
         return record.with_values(**changed)  # type: ignore[no-any-return]
     return dataclasses.replace(record, **changed)  # type: ignore[type-var]

@@ -164,7 +164,7 @@ def open_any(source: str, settings: SmoothSettings, access: Access) -> Document:
     name, folder = ("<stdin>", None) if source == "-" else (source, Path(source).parent)
     line = registry.recognised(data, name)
     if line is not None and line.kind == "volume":
-        from beltrami_cli.layers.level_set import read_level_set
+        from beltrami_cli.layers.level_set_document import read_level_set
 
         return read_level_set(data, name, folder, settings.level_set, access, settings.kernel.thread_count)
     return registry.open_as(line, data, name, folder, access)

@@ -55,7 +55,7 @@ def inspect_file(
     document = open_input(os.fspath(source), settings, job.access)
     selection = select(document, settings)
     selection.require_scale()
-    counts = selection.samples()
+    counts = selection.work()
     job.expect(chain(*(phases_of(["laying out", "choosing parameters"], count) for count in counts)))
     surface = dict[str, object]()
     if selection.slots and not selection.vertices:

@@ -164,7 +164,7 @@ def _texel_at(at: str, cells: Cells, what: str, *, is_flipped: bool) -> Place:
     nearest = np.square(np.stack([column, row], axis=1) - numbers).sum(axis=1).argmin()
     name, columns = f"{column[nearest]},{row[nearest]}", {"x": cells.column, "y": cells.row}
     if not is_image:
-        columns = {"texture": np.array(names)[cells.picture], **columns}
+        columns = {"texture": np.array(names)[cells.image], **columns}
     name = f"pixel {name}" if is_image else f"texel {name} of {names[fitting[0]]}"
     return Place(name, int(np.flatnonzero(in_texture)[nearest]), columns)
 

@@ -118,7 +118,7 @@ def apply_filter(
 ) -> list[AnyResult]:
     """Recolour the selected parts, layer by layer; `suffix`: of the image format of the output, if it differs."""
     results = []
-    counts = selection.samples()
+    counts = selection.work()
     phases = [phases_of(["laying out", *colour_filter.phases], count) for count in counts]
     job.expect([*chain(*phases), *phases_of(["writing"], sum(counts))])
     job.begin("laying out")

@@ -146,10 +146,12 @@ class ImageLayer(PixelLayer):
         pixels, change = self.new_pixels(0, new)
         pixels, turned = upright(self.image, pixels, self.suffix)
         wanted = self.settings.textures
-        file, said = rewritten(self.image, pixels, wanted, self.suffix, as_data=self.as_data)
+        file, file_notices = rewritten(self.image, pixels, wanted, self.suffix, as_data=self.as_data)
         image = dataclasses.replace(file, suffix=self.suffix or Path(self.image.name).suffix)
         change = self.change_in(image, 0, new, change)
-        return StoredColours(change, images={("baseColor", ""): image}, notices=(*said, *turned, *notices))
+        return StoredColours(
+            change, images={("baseColor", ""): image}, notices=(*file_notices, *turned, *notices)
+        )
 
     def places(self) -> Cells:
         row, column = np.nonzero(self.valid)

@@ -37,8 +37,8 @@ def level_charts(
     fixed = (
         _reference(charts, max(1, atlas.charts), wanted.reference_charts) if wanted.reference_charts else None
     )
-    found, change = level_canvas(atlas, planes, wanted.exposure_strength, fixed, spans)
-    return _report(what, found, change, [facts for _, facts in charts])
+    levelled, change = level_canvas(atlas, planes, wanted.exposure_strength, fixed, spans)
+    return _report(what, levelled, change, [facts for _, facts in charts])
 
 
 def level_photographs(
@@ -48,8 +48,8 @@ def level_photographs(
     if wanted.reference_charts:
         raise UsageError("--reference-charts is of charts of textures; parts of vertex colours have no names")
     mesh = surface.positions, surface.all_faces
-    found, change, colours = level_mesh(*mesh, surface.colours, photograph_of, wanted.exposure_strength)
-    return colours, _report(what, found, change, [{"chart": part} for part in range(len(found.groups))])
+    levelled, change, colours = level_mesh(*mesh, surface.colours, photograph_of, wanted.exposure_strength)
+    return colours, _report(what, levelled, change, [{"chart": part} for part in range(len(levelled.groups))])
 
 
 def _charts_of(atlas: Atlas, textures: Sequence[Texture], images: Sequence[DecodedImage]) -> list[Chart]:
@@ -70,7 +70,7 @@ def _charts_of(atlas: Atlas, textures: Sequence[Texture], images: Sequence[Decod
 
 def _reference(charts: Sequence[Chart], count: int, wanted: Sequence[str]) -> Bools:
     """Return which charts stay as they are, shape (count,), by their numbers, textures or materials."""
-    found = np.zeros(count, bool)
+    is_reference = np.zeros(count, bool)
     for word in wanted:
         fits = [
             int(str(facts["chart"]))
@@ -85,24 +85,24 @@ def _reference(charts: Sequence[Chart], count: int, wanted: Sequence[str]) -> Bo
                 f"--reference-charts {word} is neither one of the charts 0 to {count - 1} nor a texture or material; "
                 f"there are {names}"
             )
-        found[fits] = True
-    if all(found[int(str(facts["chart"]))] for _, facts in charts):
+        is_reference[fits] = True
+    if all(is_reference[int(str(facts["chart"]))] for _, facts in charts):
         raise UsageError(
             f"--reference-charts {' '.join(wanted)} keeps all charts as they are, so none is levelled"
         )
-    return found
+    return is_reference
 
 
-def _report(what: str, found: Levelled, change: float, charts: Sequence[dict[str, object]]) -> LevelReport:
-    facts, verdict = found.facts, found.verdict
+def _report(what: str, levelled: Levelled, change: float, charts: Sequence[dict[str, object]]) -> LevelReport:
+    facts, verdict = levelled.facts, levelled.verdict
     reason = "" if change else _INVISIBLE_CHANGE
     if verdict is None:
         reason = _NO_STEPS if facts.seams else _NO_SEAMS
-    elif found.exposures is None:
+    elif levelled.exposures is None:
         reason = _refusal_reason(verdict)
     exposures = []
-    if found.exposures is not None:
-        terms = np.round(found.exposures.terms, 5)
+    if levelled.exposures is not None:
+        terms = np.round(levelled.exposures.terms, 5)
         for each in charts:
             of_chart = terms[:, int(str(each["chart"]))]
             if of_chart.any():
@@ -142,5 +142,5 @@ def photographs_of(document: Document, wanted: str | None = None) -> Int64s:
         remedy = f"name one with --photographs of `beltrami level`; its attributes: {has}"
         raise InputError(document.name, cause, remedy)
     values = document.attribute(name)
-    found = np.unique(values, axis=0, return_inverse=True)[1]
-    return np.asarray(found.reshape(-1), np.int64)
+    numbers = np.unique(values, axis=0, return_inverse=True)[1]
+    return np.asarray(numbers.reshape(-1), np.int64)

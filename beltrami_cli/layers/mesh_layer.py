@@ -95,9 +95,9 @@ class MeshLayer(VertexLayer):
     def plan(
         self, tick: Callable[[], None] | None = None, resources: Resources = IN_ONE_PIECE
     ) -> Plan[MeshManifold]:
-        own, sampling, geometry = self.settings, self.sampling, None
-        if own.embedding.smooth_geometry:
-            geometry = GeometryParameters(sampling.place_of, own.embedding.normal_beta)
+        embedding, sampling, geometry = self.settings.embedding, self.sampling, None
+        if embedding.smooth_geometry:
+            geometry = GeometryParameters(sampling.place_of, embedding.normal_beta)
         mesh = ColouredMesh.of(
             self.surface(), self.kernel, metric_channels=self.channels.metric, geometry=geometry,
             guides=[Guide(guide.name, sampling.means(guide.values), guide.beta) for guide in self.guides],

@@ -130,13 +130,13 @@ class PixelLayer(Layer):
         image, colours, threads = self.images[index], self.colours, self.settings.kernel.thread_count
         table, changes = pixels.reshape(-1, pixels.shape[2]), []
         for block in large_arrays.blocks(len(texels), large_arrays.CACHED):
-            inside, here = self._of_image(texels[block], index)
-            if not len(here):
+            inside, chosen = self._of_image(texels[block], index)
+            if not len(chosen):
                 continue
-            values = colours.stored(image, table, here, take(block, inside))
+            values = colours.stored(image, table, chosen, take(block, inside))
             if is_dithered and image.stored == "uint8":
-                values = dithered(values, here, image.pixels.shape[1])
-            changes.append(store(image, table, here, values, colours.columns(image), threads))
+                values = dithered(values, chosen, image.pixels.shape[1])
+            changes.append(store(image, table, chosen, values, colours.columns(image), threads))
         return Change.joined(changes)
 
 

@@ -83,15 +83,15 @@ class VertexReport(LayerReport):
     geometry: dict[str, float] | None = None
 
     def warnings(self, max_samples: int) -> list[str]:
-        found, outliers = list[str](), self.counts.get("outliers", 0)
+        messages, outliers = list[str](), self.counts.get("outliers", 0)
         if outliers:
             alone = "is left as it is: it is" if outliers == 1 else "are left as they are: they are"
             where = "too far from others, in one line with them, or nowhere"
-            found.append(f"{outliers} of {self.counts['vertices']} points {alone} {where}")
+            messages.append(f"{outliers} of {self.counts['vertices']} points {alone} {where}")
         if truncated := self.counts["truncated_kernels"]:
             remedy = "lower t, or raise --max-samples"
-            found.append(f"{truncated} kernels were cut short at {max_samples} samples; {remedy}")
-        return found
+            messages.append(f"{truncated} kernels were cut short at {max_samples} samples; {remedy}")
+        return messages
 
 
 @dataclass(frozen=True, kw_only=True)

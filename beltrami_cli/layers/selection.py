@@ -128,7 +128,7 @@ class Selection:
                 name = f"part {number} of {len(parts)}" if len(parts) > 1 else ""
                 yield TextureLayer.read(part, slot, settings, guided=document, shared=shared, group=name)
 
-    def samples(self) -> list[int]:
+    def work(self) -> list[int]:
         """Estimate the work of each selected layer, in texels, without decoding an image."""
         counts = []
         if self.image:
@@ -155,7 +155,7 @@ class Selection:
             document.require_movable()
 
     def require_scale(self) -> None:
-        """Raise InputError if distances cannot be computed; return notices if positions are too coarse."""
+        """Raise InputError if distances cannot be computed; note in the document if positions are too coarse."""
         document, meshes = self.document, list[tuple[Float64s, Int32s]]()
         if self.vertices:
             vertices = document.coloured_vertices()

@@ -339,9 +339,9 @@ class SmoothSettings:
 
     def input_files(self, source: str | None = None) -> list[str]:
         """Return the files that are named here, besides the one that is smoothed."""
-        own = None if source in (None, "-") else Path(str(source)).resolve()
+        smoothed = None if source in (None, "-") else Path(str(source)).resolve()
         paths = map(Path, named_files(self))
-        return [str(path) for path in paths if is_file(path) and path.resolve() != own]
+        return [str(path) for path in paths if is_file(path) and path.resolve() != smoothed]
 
     @property
     def fits_parts(self) -> bool:

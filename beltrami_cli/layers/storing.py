@@ -58,9 +58,9 @@ class Change:
     def between(cls, before: Float32s, after: Float32s) -> Change:
         parts = []
         for block in blocks(len(before)) if before.size else ():
-            own = np.abs(after[block] - before[block]).ravel()
-            squares = float(np.einsum("i,i->", own, own, dtype=np.float64))
-            parts.append(cls(own.size, float(own.sum(dtype=np.float64)), squares, float(own.max())))
+            steps = np.abs(after[block] - before[block]).ravel()
+            squares = float(np.einsum("i,i->", steps, steps, dtype=np.float64))
+            parts.append(cls(steps.size, float(steps.sum(dtype=np.float64)), squares, float(steps.max())))
         return cls.joined(parts)
 
     @classmethod
@@ -101,7 +101,8 @@ def dithered(values: Float32s, texels: Indices, width: int) -> Float32s:
     row, column = np.divmod(texels.astype(np.int32), np.int32(width))
     pattern = (52.9829189 * ((0.06711056 * column + 0.00583715 * row) % 1)) % 1
     steps = values * np.float32(255)
-    is_whole = np.abs(steps - np.rint(steps)) < 2e-3
+    is_whole = np.abs(steps - np.rint(steps)) < 2e-3  # conversions to the working space and back are rounded
+    # By less than half a step, to which rounding would go either way.
     spread = (steps + (0.98 * (pattern - 0.5)).astype(np.float32)[:, None]) / np.float32(255)
     return np.where(is_whole, values, spread)
 
@@ -143,7 +144,7 @@ def all_images(
     for *others, last in (group for groups in joined.values() for group in groups):
         for other in others:
             last.pixels[..., other.columns] = other.pixels[..., other.columns]
-        file, said = last.write(last.pixels)
+        file, file_notices = last.write(last.pixels)
         images |= {(each.slot, last.key): file for each in (*others, last)}
-        notices += said
+        notices += file_notices
     return images, notices

@@ -118,8 +118,8 @@ class TextureLayer(PixelLayer):
         """Return the stored colours of some owned cells in the working space, shape (T, N)."""
         texels = self.atlas.owned_texels[rows]
         table = np.empty((len(texels), len(self.names)), np.float32)
-        for index, inside, own in texels_by_texture(self.atlas.texture_offsets, texels):
-            table[inside] = self.colours.working(self.images[index], own)
+        for index, inside, of_texture in texels_by_texture(self.atlas.texture_offsets, texels):
+            table[inside] = self.colours.working(self.images[index], of_texture)
         return table
 
     def all_texel_colours(self) -> Float32s:
@@ -212,10 +212,10 @@ class TextureLayer(PixelLayer):
                 shared.append(SharedImage(self.slot, texture.key, pixels, columns, write))
                 changes.append(change)
                 continue
-            file, said = write(pixels)
+            file, file_notices = write(pixels)
             images[self.slot, texture.key] = file
             changes.append(self.change_in(file, index, new, change))
-            notices += said
+            notices += file_notices
         change = Change.joined(changes)
         return StoredColours(change, images=images, shared=tuple(shared), notices=tuple(notices))
 
@@ -259,17 +259,17 @@ class TextureLayer(PixelLayer):
         is_coloured = self.names == ("red", "green", "blue")
         spans = [max(each.span) if is_coloured and each is not None else 1 for each in self.tables]
         report = level_charts(self.label, planes, self.atlas, textures, self.images, wanted, spans)
-        made = dataclasses.replace(self, level_report=report)
+        reported = dataclasses.replace(self, level_report=report)
         if not report.levelled:
-            return made
+            return reported
         levelled = colours_at(planes, self.atlas.owned_cells)
-        return dataclasses.replace(made, levelled_colours=levelled, tables=[None] * len(self.tables))
+        return dataclasses.replace(reported, levelled_colours=levelled, tables=[None] * len(self.tables))
 
     def places(self) -> Cells:
         atlas, sizes = self.atlas, [image.pixels.shape[:2] for image in self.images]
         image = np.searchsorted(atlas.texture_offsets, atlas.owned_texels, side="right") - 1
-        own = atlas.owned_texels - atlas.texture_offsets[image]
-        row, column = np.divmod(own, np.array([columns for _, columns in sizes], np.int64)[image])
+        of_image = atlas.owned_texels - atlas.texture_offsets[image]
+        row, column = np.divmod(of_image, np.array([columns for _, columns in sizes], np.int64)[image])
         names = [texture.name for texture in self.surface.textures]
         return Cells(sizes, image, row, column, atlas.chart_of, names)
 

@@ -179,15 +179,15 @@ def build_atlas(
 ) -> Atlas:
     """Lay out the charts of a textured surface, and extend each by `margin` cells over its seams."""
     build = partial(_build, surface, sizes, margin, threads)
-    made = build()
-    lengths = large_arrays.Droppable(made.pop("squared_lengths"), lambda: build()["squared_lengths"])
-    numbers = made["chart_of"]  # in the smallest integer type
-    made["chart_of"] = large_arrays.empty(len(numbers), np.min_scalar_type(-made["charts"] - 1))
+    arrays = build()
+    lengths = large_arrays.Droppable(arrays.pop("squared_lengths"), lambda: build()["squared_lengths"])
+    numbers = arrays["chart_of"]  # in the smallest integer type
+    arrays["chart_of"] = large_arrays.empty(len(numbers), np.min_scalar_type(-arrays["charts"] - 1))
     for block in large_arrays.blocks(len(numbers)):
-        made["chart_of"][block] = numbers[block]
+        arrays["chart_of"][block] = numbers[block]
     texels = np.array([width * height for width, height in sizes], np.int64)
     offsets = np.concatenate([[0], np.cumsum(texels)])
-    return Atlas(texture_offsets=offsets, lengths=lengths, owned=owned_of(made["kind"]), **made)
+    return Atlas(texture_offsets=offsets, lengths=lengths, owned=owned_of(arrays["kind"]), **arrays)
 
 
 def _build(surface: TexturedSurface, sizes: Sequence[tuple[int, int]], margin: int, threads: int) -> Any:
@@ -225,12 +225,12 @@ def lines_over_seams(atlas: Atlas, reach: int) -> list[list[Int64s]]:
     beyond = np.zeros(size, bool)
     beyond[atlas.halo_cells[atlas.halo_seams >= 0]] = True
     first = np.flatnonzero(beyond)
-    found = []
+    lines = []
     for step in (1, -1, columns, -columns):
         line = [first - step * (k + 1) for k in range(reach)] + [first + step * k for k in range(reach)]
         fits = np.ones(len(first), bool)
         for number, cells in enumerate(line):
             inside = (cells >= 0) & (cells < size)
             fits &= inside & (owned if number < reach else beyond)[np.where(inside, cells, 0)]
-        found.append([cells[fits] for cells in line])
-    return found
+        lines.append([cells[fits] for cells in line])
+    return lines

@@ -25,19 +25,19 @@ _LOOKUP_MARGIN = 1.0  # texels beyond a border that bilinear lookups on it read
 
 @dataclass(frozen=True)
 class Cells:
-    """Pixels of pictures: picture, row, column and chart of each, shapes (K,)."""
+    """Pixels of images: image, row, column and chart of each, shapes (K,)."""
 
-    sizes: Sequence[tuple[int, int]]  # rows and columns of each picture
-    picture: Int64s
+    sizes: Sequence[tuple[int, int]]  # rows and columns of each image
+    image: Int64s
     row: Int64s
     column: Int64s
     chart: NDArray[np.signedinteger[Any]]
-    names: Sequence[str] = ()  # of the pictures; empty: a single image
+    names: Sequence[str] = ()  # of the images; empty: a single image
 
     def of(self, index: int) -> tuple[Bools, tuple[Int64s, Int64s]]:
-        """Return a mask of the samples in a picture, and their rows and columns."""
-        mine = self.picture == index
-        return mine, (self.row[mine], self.column[mine])
+        """Return a mask of the samples in an image, and their rows and columns."""
+        inside = self.image == index
+        return inside, (self.row[inside], self.column[inside])
 
 
 def places_of_texels(surface: TexturedSurface, cells: Cells) -> tuple[Float64s, Float64s]:
@@ -52,9 +52,9 @@ def places_of_texels(surface: TexturedSurface, cells: Cells) -> tuple[Float64s, 
         uv = surface.uv[faces]
         uv = uv - np.floor(uv.mean(axis=1, keepdims=True))  # repeated textures
         corners = surface.positions[surface.faces[faces]]
-        texels, found, apart = _texels_in_space(corners, uv, (columns, rows), of_corners[faces])
+        texels, positions, apart = _texels_in_space(corners, uv, (columns, rows), of_corners[faces])
         nearest = np.minimum(np.searchsorted(texels, row * columns + column), len(texels) - 1)
-        places[in_texture], spacing[in_texture] = found[nearest], apart[nearest]
+        places[in_texture], spacing[in_texture] = positions[nearest], apart[nearest]
     return places, spacing
 
 
@@ -81,8 +81,8 @@ def _texels_in_space(
 
     Shapes: `positions` of corners (F, 3, 3), `spacing` (F, 3).
     """
-    found = [(part.texels, part.faces, part.weights) for part in cover(uv, size, _COVER_MARGIN)]
-    texels, faces, weights = map(np.concatenate, zip(*found, strict=True))
+    covers = [(part.texels, part.faces, part.weights) for part in cover(uv, size, _COVER_MARGIN)]
+    texels, faces, weights = map(np.concatenate, zip(*covers, strict=True))
     outside = np.maximum(0, -np.column_stack([weights, 1 - weights.sum(axis=1)])).max(axis=1)
     order = np.lexsort((faces, outside > EDGE, texels))
     texels, first = np.unique(texels[order], return_index=True)

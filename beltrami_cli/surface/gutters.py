@@ -24,8 +24,8 @@ def fill_gutter(
     for texels, nearest in nearest_covered(covered, width, known, threads):
         share = None if visible is None else visible[texels] / visible[nearest]
         for channel in range(pixels.shape[2]) if channels is None else channels:
-            found = table[nearest, channel]
-            table[texels, channel] = found if share is None else _scaled(found, share)
+            colours = table[nearest, channel]
+            table[texels, channel] = colours if share is None else _scaled(colours, share)
 
 
 def nearest_covered(
@@ -116,7 +116,7 @@ def keep_foreign_texels(
 
 def _is_half(marked: Bools, counted: Bools) -> Bools:
     """Return where at least half of the counted texels in a 3 x 3 window are marked, including the centre."""
-    found = np.empty(marked.shape, bool)
+    is_half = np.empty(marked.shape, bool)
     for rows in large_arrays.blocks(len(marked), large_arrays.ROWS):
         first = max(0, rows.start - 1)
         # Sums of slices: importing the filters of SciPy takes longer than smoothing a small texture.
@@ -125,8 +125,8 @@ def _is_half(marked: Bools, counted: Bools) -> Bools:
         )
         balance = balance[:-2] + balance[1:-1] + balance[2:]
         balance = balance[:, :-2] + balance[:, 1:-1] + balance[:, 2:]
-        found[rows] = balance[rows.start - first :][: rows.stop - rows.start] >= 0
-    return found
+        is_half[rows] = balance[rows.start - first :][: rows.stop - rows.start] >= 0
+    return is_half
 
 
 def _rms_change_at_borders(

@@ -44,10 +44,10 @@ class Neighbours:
     def __init__(self, count: int, edges: Int32s, lengths_of: Callable[[Int32s], Float32s]) -> None:
         """Take a function that returns the lengths of edges, shape (K, 2)."""
         both = large_arrays.empty((2, len(edges)), np.int64)
-        for own, this, other in zip(both, edges.T, edges.T[::-1], strict=True):
-            own[:] = this
-            own <<= 32
-            own |= other
+        for keys, this, other in zip(both, edges.T, edges.T[::-1], strict=True):
+            keys[:] = this
+            keys <<= 32
+            keys |= other
         both = both.reshape(-1)
         both.sort()
         self._targets = large_arrays.kept(both.astype(np.int32))  # the sample in the lower half
@@ -61,21 +61,21 @@ class Neighbours:
         """Return up to `most` neighbours of each sample, shape (B, most), padded by -1."""
         starts, ends = self._offsets[samples, None], self._offsets[samples + 1, None]
         places = starts + np.arange(most)
-        found = self._targets.take(places, mode="clip") if len(self._targets) else places
-        return np.where(places < ends, found, -1).astype(np.int64)
+        neighbours = self._targets.take(places, mode="clip") if len(self._targets) else places
+        return np.where(places < ends, neighbours, -1).astype(np.int64)
 
     def distances(self, first: int, last: int, limit: float) -> Float32s:
         """Return the distances along edges to the nearest sample in [first, last); infinite beyond the limit."""
-        found = np.full(len(self._offsets) - 1, np.inf, np.float32)
-        found[first:last] = 0
+        distances = np.full(len(self._offsets) - 1, np.inf, np.float32)
+        distances[first:last] = 0
         front: Array = np.arange(first, last, dtype=np.int32)
         while len(front):
             places, counts = entries(self._offsets, front)
             sources, targets = np.repeat(front, counts), self._targets[places]
-            leads_on = found[sources] < found[targets]
+            leads_on = distances[sources] < distances[targets]
             sources, targets = sources[leads_on], targets[leads_on]
-            after = found[sources] + self._lengths_of(np.stack([sources, targets], axis=1))
-            nearer = (after <= limit) & (after < found[targets])
-            np.minimum.at(found, targets[nearer], after[nearer])
+            after = distances[sources] + self._lengths_of(np.stack([sources, targets], axis=1))
+            nearer = (after <= limit) & (after < distances[targets])
+            np.minimum.at(distances, targets[nearer], after[nearer])
             front = np.unique(targets[nearer])
-        return found
+        return distances

@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import DTypeLike
 
-from beltrami_cli.arrays import Array, Int8s
+from beltrami_cli.arrays import Array, Indices, Int8s
 from beltrami_cli.errors import OutputError
 from beltrami_cli.surface.temporary_files import unwritable
 
@@ -55,20 +55,20 @@ class _Limit:
 
     folder: Path | None  # None: for temporary files
     most: int
-    held: int = 0  # bytes of arrays in memory
+    in_memory: int = 0  # bytes of arrays in memory
     maps: weakref.WeakSet[mmap.mmap] = field(default_factory=weakref.WeakSet)
 
     def has_room(self, size: int) -> bool:
-        return size < SMALLEST or self.held + size <= self.most
+        return size < SMALLEST or self.in_memory + size <= self.most
 
     def count(self, array: Array) -> None:
         """Count the bytes of an array during its lifetime."""
         if array.nbytes >= SMALLEST:
-            self.held += array.nbytes
+            self.in_memory += array.nbytes
             weakref.finalize(array, self._release, array.nbytes).atexit = False
 
     def _release(self, size: int) -> None:
-        self.held -= size
+        self.in_memory -= size
 
 
 _LIMIT: ContextVar[_Limit | None] = ContextVar("limit", default=None)
@@ -190,15 +190,15 @@ def copy_of(array: Array) -> Array:
     return copy
 
 
-def find(array: Array, value: int) -> NDArray[np.signedinteger[Any]]:
+def find(array: Array, value: int) -> Indices:
     """Return the flat indices of elements with a value, ascending, in the smallest integer type."""
     flat, at = array.reshape(-1), 0
     counts = [int(np.count_nonzero(flat[block] == value)) for block in blocks(len(flat))]
-    found: NDArray[np.signedinteger[Any]] = empty(sum(counts), np.int32 if len(flat) < 1 << 31 else np.int64)
+    indices: Indices = empty(sum(counts), np.int32 if len(flat) < 1 << 31 else np.int64)
     for block, count in zip(blocks(len(flat)), counts, strict=True):
-        found[at : at + count] = np.flatnonzero(flat[block] == value) + block.start
+        indices[at : at + count] = np.flatnonzero(flat[block] == value) + block.start
         at += count
-    return found
+    return indices
 
 
 def blocks(count: int, size: int = BLOCK) -> Iterator[slice]:

@@ -27,7 +27,7 @@ import numpy as np
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s
 from beltrami_cli.surface.geometry import edges_of, without_unused
 from beltrami_cli.surface.grouping import connected
-from beltrami_cli.surface.records import Encoding
+from beltrami_cli.surface.records import ColouredVertices, Encoding
 
 # In units of the change of values across the surface: values nearer to the level are moved outside by this much, since
 # marching cubes leaves holes where values equal the level.
@@ -65,6 +65,10 @@ class NearColours:
     samples: Array  # (P, C): numbers as stored, as in `GridColours`
     encoding: Encoding = "srgb"  # what the numbers mean
     stored: str = ""  # type in the file if `samples` are of full scale 1; empty: that of `samples`
+
+    @classmethod
+    def of(cls, vertices: ColouredVertices) -> NearColours:
+        return cls(vertices.positions, vertices.colours, vertices.encoding, vertices.stored)
 
 
 @dataclass(frozen=True)

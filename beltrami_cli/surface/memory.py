@@ -49,8 +49,8 @@ def _left_in_cgroups() -> Iterator[int]:
             root, most, current = _CGROUPS / "memory", "memory.limit_in_bytes", "memory.usage_in_bytes"
         else:
             continue
-        own = root / path.strip("/")
-        for folder in (own, *own.parents):
+        cgroup = root / path.strip("/")
+        for folder in (cgroup, *cgroup.parents):
             if folder.is_relative_to(root):
                 with contextlib.suppress(OSError, ValueError):  # "max" is not a limit
                     limit = int((folder / most).read_text())

@@ -122,12 +122,12 @@ def with_surface(vertices: ColouredVertices, threads: int) -> ColouredVertices:
     if measured.all():
         return dataclasses.replace(vertices, faces=kept(faces_of_points(vertices, threads)))
     rows = np.flatnonzero(measured).astype(np.int32)
-    there = vertices.only(rows)
-    middle = there.positions.mean(axis=0) if len(rows) else np.zeros(vertices.positions.shape[1])
+    finite = vertices.only(rows)
+    middle = finite.positions.mean(axis=0) if len(rows) else np.zeros(vertices.positions.shape[1])
     return dataclasses.replace(
         vertices,
         positions=np.where(measured[:, None], vertices.positions, middle),
-        faces=rows[faces_of_points(there, threads)],
+        faces=rows[faces_of_points(finite, threads)],
     )
 
 

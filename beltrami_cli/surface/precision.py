@@ -71,8 +71,9 @@ def typical_edge(positions: Float64s, faces: Int32s) -> float:
             steps = steps[np.isfinite(corners).all(axis=(1, 2))]
         else:
             # Points are treated as spread evenly over a surface of their extent.
-            there = positions[np.isfinite(positions).all(axis=1)]
-            steps = np.ptp(there, axis=0).max(keepdims=True) / np.sqrt(len(there)) if len(there) else there
+            finite = positions[np.isfinite(positions).all(axis=1)]
+            extent = np.ptp(finite, axis=0).max(initial=0, keepdims=True) if len(finite) else np.zeros(1)
+            steps = extent / np.sqrt(max(1, len(finite)))
     return upper_median(steps[steps > 0])
 
 

@@ -26,8 +26,8 @@ def temporary_folder() -> Iterator[Path]:
     with ExitStack() as stack:
         with writing_temporary_files():
             # The work is complete when the folder is removed, so a failed removal is ignored.
-            made = TemporaryDirectory(prefix="beltrami-", ignore_cleanup_errors=True)
-            folder = stack.enter_context(made)
+            temporary = TemporaryDirectory(prefix="beltrami-", ignore_cleanup_errors=True)
+            folder = stack.enter_context(temporary)
         yield Path(folder)
 
 

@@ -88,7 +88,7 @@ def _crossings(uv: Float64s, ends: Int32s) -> Float64s:
     turned = ends[:, :, 0] > ends[:, :, 1]
     one, other = uv, np.roll(uv, -1, axis=1)
     start, stop = np.where(turned[..., None], other, one), np.where(turned[..., None], one, other)
-    found = np.full(turned.shape, np.nan)
+    shares = np.full(turned.shape, np.nan)
     for axis, last in ((0, COLUMNS), (1, ROWS)):
         # With v down the borders are the integers from 1 downwards.
         below, above = (0, last) if axis == 0 else (1 - last, 1)
@@ -98,8 +98,8 @@ def _crossings(uv: Float64s, ends: Int32s) -> Float64s:
         crosses = (border > low) & (border < high)
         at = np.divide(border - a, b - a, out=np.full(a.shape, np.nan), where=crosses)
         at[~((at > _BORDER_TOLERANCE) & (at < 1 - _BORDER_TOLERANCE))] = np.nan
-        found = np.where(np.isnan(found), at, found)
-    return found
+        shares = np.where(np.isnan(shares), at, shares)
+    return shares
 
 
 def _split(surface: TexturedSurface, new_of: Int64s, before: Float64s) -> TexturedSurface:

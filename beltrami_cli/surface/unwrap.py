@@ -158,8 +158,8 @@ def unwrapped(
 
     def packed(scale: float) -> tuple[Float64s, float]:
         mesh = texels.astype(np.float32), corners
-        places, theirs, _ = _generated("add_uv_mesh", mesh, padding, texels_per_unit=scale)
-        return places[theirs], max(1.0, float(places.max()))
+        places, corners_of, _ = _generated("add_uv_mesh", mesh, padding, texels_per_unit=scale)
+        return places[corners_of], max(1.0, float(places.max()))
 
     scale, size = 1.0, sizes[-1]
     if len(sizes) > 1:

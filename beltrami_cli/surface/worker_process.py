@@ -97,6 +97,6 @@ def _packed(message: Message) -> bytes:
 
 
 def _unpacked(data: bytes) -> Message:
-    with np.load(io.BytesIO(data), allow_pickle=False) as made:
-        arrays = {name: made[name] for name in made.files if name != "words"}
-        return json.loads(str(made["words"])), arrays
+    with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+        arrays = {name: archive[name] for name in archive.files if name != "words"}
+        return json.loads(str(archive["words"])), arrays

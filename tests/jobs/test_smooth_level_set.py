@@ -137,7 +137,7 @@ def test_volumes_without_a_coloured_surface_are_refused_with_the_cause(arrays, l
 
 
 def test_noise_in_place_of_a_level_set_is_refused_before_it_becomes_triangles(tmp_path, monkeypatch):
-    monkeypatch.setattr("beltrami_cli.layers.level_set.MAX_CROSSINGS", 1000)
+    monkeypatch.setattr("beltrami_cli.layers.level_set_document.MAX_CROSSINGS", 1000)
     values = RANDOM.standard_normal((12, 12, 12))
     path = write(tmp_path / "v.npz", npz(values=values, colours=np.zeros((12, 12, 12, 3), np.uint8)))
     with pytest.raises(InputError, match="as noise does"):

@@ -162,7 +162,7 @@ def compare_documents(
 ) -> Compared:
     """Compare the colours of two models, or of two images; `further` phases of progress follow."""
     selection, notices = choose_parts(documents, settings)
-    samples = sum(selection.samples())
+    samples = sum(selection.work())
     job.expect(phases_of(["comparing", "measuring", *further], samples))
     for document in documents:
         dataclasses.replace(selection, document=document).require_memory()

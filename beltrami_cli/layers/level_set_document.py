@@ -42,8 +42,8 @@ def _find_colours(
     data, folder = read_source(path, access), Path(path).parent
     colours = read_colours(data, path, ModelFolder(folder, access), max_size)
     if colours is None:
-        found = open_bytes(data, path, folder, access).coloured_vertices()
-        colours = level_sets.NearColours(found.positions, found.colours, found.encoding, found.stored)
+        vertices = open_bytes(data, path, folder, access).coloured_vertices()
+        colours = level_sets.NearColours.of(vertices)
     return colours, path
 
 
@@ -52,16 +52,16 @@ def _colours_at(
 ) -> Float64s:
     """Return the stored colours of vertices, shape (V, C); voxels that are not `known` supply none."""
     if isinstance(source, level_sets.GridColours):
-        own = source.lattice
+        grid = source.lattice
         same = source.samples.shape[:3] == known.shape
-        same = same and np.array_equal(own.axes, lattice.axes) and np.array_equal(own.origin, lattice.origin)
+        same &= np.array_equal(grid.axes, lattice.axes) and np.array_equal(grid.origin, lattice.origin)
         return level_sets.interpolate_colours(source, positions, known if same else None)
     voxel = float(np.linalg.norm(lattice.axes, axis=1).max())
     return level_sets.nearest_colours(source, positions, voxel, threads)
 
 
 def _scaled(
-    source: Source, stored: Float64s, found: Bools, name: str
+    source: Source, stored: Float64s, is_coloured: Bools, name: str
 ) -> tuple[Float32s, Float32s | None, list[str]]:
     """Return colours and opacity of full scale 1, white where there are none, and notices."""
     width = 3 if stored.shape[1] >= 3 else 1
@@ -74,17 +74,17 @@ def _scaled(
     elif kind in ("uint8", "uint16"):
         scale, notice = integer_scale(int(source.samples.max(initial=0)), kind)
     else:  # for other types full scale is derived from usual values
-        scale, notice = full_scale(stored[found, :width], name)
+        scale, notice = full_scale(stored[is_coloured, :width], name)
     notices += [notice] if notice else []
-    colours = np.where(found[:, None], stored[:, :width] / scale, 1.0).astype(np.float32)
+    colours = np.where(is_coloured[:, None], stored[:, :width] / scale, 1.0).astype(np.float32)
     alpha = None
     if stored.shape[1] > width:
-        opacity = stored[:, width] / (scale if stored[found, width].max() > 1 else 1.0)
+        opacity = stored[:, width] / (scale if stored[is_coloured, width].max() > 1 else 1.0)
         # Vertices without a colour are still part of the surface.
-        alpha = np.where(found, np.clip(opacity, 0, 1), 1.0).astype(np.float32)
-    if not found.all():
-        bare = int(len(found) - np.count_nonzero(found))
-        far = f"{bare} of {len(found)} vertices have no colour nearby"
+        alpha = np.where(is_coloured, np.clip(opacity, 0, 1), 1.0).astype(np.float32)
+    if not is_coloured.all():
+        bare = int(len(is_coloured) - np.count_nonzero(is_coloured))
+        far = f"{bare} of {len(is_coloured)} vertices have no colour nearby"
         notices.append(f"{far}; they are white and lend none.")
     return colours, alpha, notices
 
@@ -138,18 +138,19 @@ def read_level_set(
     positions = level_sets.places(volume.lattice, vertices)
     source, where = _find_colours(volume, settings.colours, name, access, max_voxels)
     values = _colours_at(source, volume.lattice, known, positions, threads)
-    found = level_sets.has_colour(values)
-    if not found.any():
+    is_coloured = level_sets.has_colour(values)
+    if not is_coloured.any():
         raise InputError(where, "none of its colours is on the surface", "check the spacings and origins")
-    colours, alpha, notices = _scaled(source, values, found, where)
+    colours, alpha, notices = _scaled(source, values, is_coloured, where)
     names = ("red", "green", "blue") if colours.shape[1] == 3 else ("grey",)
     encoding: Encoding = "srgb"
     stored = source.samples.dtype.name
     if isinstance(source, level_sets.NearColours):
         encoding, stored = source.encoding, source.stored or stored
-    whole = np.ascontiguousarray(faces[found[faces].all(axis=1)])  # triangles whose corners have colours
+    # Triangles whose corners have colours.
+    whole = np.ascontiguousarray(faces[is_coloured[faces].all(axis=1)])
     offsets = np.arange(0, faces.size + 1, 3, dtype=np.int64)
-    made = LevelSetDocument(
+    document = LevelSetDocument(
         name,
         folder,
         access,
@@ -157,8 +158,8 @@ def read_level_set(
         contents=MeshContents(positions, faces.ravel(), offsets, colours, encoding, stored, alpha),
         facts=facts,
     )
-    made.notices += notices
-    return made
+    document.notices += notices
+    return document
 
 
 def _triangulated(
