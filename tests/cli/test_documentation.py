@@ -14,7 +14,6 @@ import pytest
 import trimesh
 
 from beltrami_cli.cli.documentation import notes_on, pages
-from beltrami_cli.cli.parameter_options import ParameterOption
 from beltrami_cli.cli.registry import COMMANDS
 from cli.commands import COMMAND, SAMPLES, beltrami, command, copy_samples
 from formats.image_files import encode
@@ -170,14 +169,6 @@ def test_docs_writes_pages_as_markdown_without_the_markup_of_the_site(name):
     shown = beltrami("docs", name, text=True).stdout
     assert shown.startswith("# ")
     assert not re.search(r"^(:::|<!--|    options: {)", shown, re.MULTILINE)
-
-
-def test_the_page_of_parameters_has_every_parameter_of_smooth():
-    shown = beltrami("docs", "parameters", text=True).stdout
-    options = [each for each in command("smooth").params if isinstance(each, ParameterOption)]
-    named = [option.declared.name for option in options]
-    assert len(named) > 30
-    assert [name for name in named if f"| `{name}` |" not in shown] == []
 
 
 @pytest.mark.parametrize("name", ["api.md", "commands.md", "parameters.md"])

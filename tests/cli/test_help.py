@@ -10,7 +10,6 @@ import pytest
 
 from beltrami_cli.cli.commands import DEFAULT_GROUP
 from beltrami_cli.cli.main import group
-from beltrami_cli.cli.manual import manual
 from beltrami_cli.cli.option_names import options_by_name, values_for
 from beltrami_cli.cli.registry import COMMANDS
 from cli.commands import SAMPLES, beltrami, command
@@ -106,12 +105,6 @@ def test_examples_take_no_option_that_the_help_does_not_list(name):
     assert [each for each in options if not re.search(rf"^  (-\w, )?{each}\b", text, re.MULTILINE)] == []
 
 
-def test_the_first_help_has_no_words_of_the_method_and_no_option_that_it_does_not_list():
-    text = shown("--help").partition("Examples:")[0]
-    assert "dimensions" not in text
-    assert "--overwrite" not in shown("--help")
-
-
 @pytest.mark.parametrize("name", COMMANDS)
 def test_help_all_shows_every_option_below_its_group(name):
     text = shown(name, "--help-all")
@@ -119,13 +112,6 @@ def test_help_all_shows_every_option_below_its_group(name):
     for title, options in groups_of(name).items():
         section = re.search(rf"^{title}:\n((?:  .*\n|\n(?=  -))*)", text, re.MULTILINE)[1]
         assert [each.name for each in options if not (each.hidden or listed(section, each))] == []
-
-
-def test_manual_pages_have_the_groups():
-    page = dict(manual("1.2.3"))["beltrami-smooth.1"]
-    assert [f'"{title}"' for title in groups_of("smooth") if title != DEFAULT_GROUP] == re.findall(
-        r"^\.SS (.*)$", page, re.MULTILINE
-    )
 
 
 def test_the_version_is_that_of_the_package_and_has_a_letter():

@@ -8,6 +8,7 @@ import sys
 import click
 import pytest
 
+from beltrami_cli.cli.commands import DEFAULT_GROUP
 from beltrami_cli.cli.manual import main, manual
 from beltrami_cli.cli.registry import COMMANDS
 from cli.commands import command
@@ -22,12 +23,15 @@ def test_there_is_a_page_for_every_command_and_one_for_all():
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_option_is_on_the_page_with_the_name_that_is_typed(name):
+def test_every_option_is_on_the_page_with_the_name_that_is_typed_in_its_group(name):
     shown = [each for each in command(name).params if isinstance(each, click.Option) and not each.hidden]
     options = [text for each in shown for text in each.opts]
     page = PAGES[f"beltrami-{name}.1"].replace("\\-", "-")
     assert [text for text in options if not re.search(rf"^\.B .*{text}\b", page, re.MULTILINE)] == []
     assert re.findall(r"\.B (.*)\n\n", page) == []  # each is explained
+    groups = command(name).option_groups(click.Context(command(name), info_name=name))
+    titles = [f'"{title}"' for title in groups if title != DEFAULT_GROUP]
+    assert re.findall(r"^\.SS (.*)$", page, re.MULTILINE) == titles
 
 
 def test_pages_are_written_where_only_what_builds_the_package_is_installed(tmp_path):

@@ -11,6 +11,7 @@ import pytest
 from beltrami_cli.errors import OutputError
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.jobs.writing.output import Output
+from hostile.users import acting_as, let_others_pass
 
 pytestmark = pytest.mark.skipif(
     not hasattr(os, "setxattr") or os.geteuid() != 0, reason="only root can act for several users"
@@ -40,21 +41,6 @@ LISTS = {
 }
 
 
-@contextlib.contextmanager
-def acting_as(user, groups):
-    """Have this process do what another user may do; a process of theirs for each look would take most of the time."""
-    before = os.getegid(), os.getgroups()
-    os.setgroups(groups)
-    os.setegid(groups[0])
-    os.seteuid(user)
-    try:
-        yield
-    finally:
-        os.seteuid(0)
-        os.setegid(before[0])
-        os.setgroups(before[1])
-
-
 def may_open(path, flag):
     with contextlib.suppress(PermissionError):
         os.close(os.open(path, flag))
@@ -79,9 +65,7 @@ def write(folder, sidecars):
 
 def shared_folder(tmp_path, *, mode=0o640, entries=None, inherited=None):
     """Return a folder of the file's owner, which all may look into, with an OUTPUT of certain rights."""
-    for path in (tmp_path, *tmp_path.parents):
-        if path.stat().st_mode & 0o077 == 0:  # pytest keeps other users out of its folders
-            path.chmod(0o711)
+    let_others_pass(tmp_path)
     folder = tmp_path / "folder"
     folder.mkdir(mode=0o755)
     target = folder / "out.obj"
