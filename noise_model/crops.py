@@ -21,7 +21,7 @@ FEWEST = 16  # texels per side of a picture
 SIDE = 288  # of crops, in texels
 CROPS = {"photograph": 10, "texture": 1}  # of each file
 PHOTOGRAPHS = "wallpapers", "backgrounds", "sklearn", "skimage"
-# Pictures of scikit-image that count as textures; and those that are excluded, since the benchmarks use them.
+# Pictures of scikit-image that count as textures; and pictures that are excluded, since the benchmarks use them.
 SURFACES = {"brick", "grass", "gravel", "text", "page", "logo", "color", "phantom", "horse"}
 BENCHMARKED = {"astronaut", "coffee", "chelsea", "ihc", "motorcycle_right"}
 PARTS = {8: "validation", 9: "test"}  # last digit of the hash; all others: "training"

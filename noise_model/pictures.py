@@ -94,7 +94,7 @@ def _one_channel(rng: np.random.Generator, pixels: np.ndarray) -> np.ndarray:
 
 
 def _partly_constant(rng: np.random.Generator, pixels: np.ndarray) -> np.ndarray:
-    """Draw constant shapes on a picture, as beside lit areas."""
+    """Draw constant shapes on a picture, like the unlit parts of light maps."""
     height, width = pixels.shape[:2]
     picture = Image.fromarray(pixels)
     pen = ImageDraw.Draw(picture)

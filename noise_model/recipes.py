@@ -83,7 +83,7 @@ def draw_recipe_of_textures(rng: np.random.Generator) -> Recipe:
 
 
 def _with_one_step(rng: np.random.Generator, recipe: Recipe) -> Recipe:
-    """Add at most one step to the noise, half of which is independent and equally strong everywhere."""
+    """Add at most one step to noise, which with a probability of one half is independent and even."""
     if rng.random() < 0.5:
         is_one_of_rays = recipe.tail in ("gamma", "binomial")
         recipe = replace(

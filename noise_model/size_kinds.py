@@ -1,4 +1,4 @@
-"""Noise and pictures that the second network is trained on, besides those of the first."""
+"""Further noise and pictures, which only the second network is trained on."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Kind = Callable[[np.random.Generator, Recipe], Recipe]
 
 
 def draw_recipe_of_sizes(rng: np.random.Generator) -> Recipe:
-    """Draw noise of which half is as for the first network, and half is of kinds that even cells do not show."""
+    """Draw noise as for the first network, or with a probability of one half of kinds that even cells do not show."""
     choice, chance = rng.random(), rng.random
     if choice < 0.5:
         recipe = draw_recipe(rng)

@@ -29,7 +29,7 @@ Samples = Callable[[Int64s], tuple[Float32s, Indices, Float64s]]
 
 @dataclass(frozen=True)
 class SeamFacts:
-    """The number of seams between different charts, of those with steps, and the median of the steps."""
+    """Numbers of seams between different charts, and the medians of their steps."""
 
     seams: int = 0
     stepped: int = 0

@@ -129,7 +129,7 @@ def _solved(
     unknowns = 2 * channels + terms - 2  # of a chart
     index = np.empty((channels, terms), np.int64)  # indices of a channel's terms among them
     index[:, :2], index[:, 2:] = np.arange(2 * channels).reshape(-1, 2), np.arange(2 * channels, unknowns)
-    # A row sums the terms of both sides, with those of the first side negated.
+    # A row sums the terms of both sides; the terms of the first side are negated.
     rows = np.ones((len(colours), channels, 2, terms))
     rows[..., 0] = colours[:, :, None]
     by_gain = colours[:, :, None] * (1 + found.terms[:, steps.ends, 0].transpose(1, 0, 2))

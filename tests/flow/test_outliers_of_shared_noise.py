@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import maximum_filter, minimum_filter
 
 import beltrami_cli
-from beltrami_cli.flow.corrections.coarse_levels import fill_dark_outliers_in_place
+from beltrami_cli.flow.corrections.dark_outliers import fill_dark_outliers_in_place
 from flow.noisy_surfaces import by_camera, in_8_bits, manifold_of, with_grain
 from oracles import surfaces
 from oracles.pictures import psnr

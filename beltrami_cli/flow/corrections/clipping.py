@@ -27,7 +27,7 @@ from typing import ClassVar
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s
-from beltrami_cli.flow.manifolds.blocks import for_blocks
+from beltrami_cli.flow.manifolds.blocks import block_rows, for_blocks
 from beltrami_cli.flow.manifolds.domain import Stack
 from beltrami_cli.flow.manifolds.manifold import Manifold
 from beltrami_cli.surface import large_arrays
@@ -47,6 +47,9 @@ _NOISE_EXTENT = 3.0
 # Lengths of the tables: over the share of samples at a limit, up to one half; over limits, for a quarter of their
 # range.
 _TABLE = 1024
+
+# Smaller than the share of any sample in a mean of its neighbourhood.
+MIN_SHARE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -160,6 +163,39 @@ def restore_clipped_in_place(
     for_blocks(clipped.restore_in_place, geometry.threads, geometry.axis, colours, marks, relative)
 
 
+def impute_clipped_in_place(manifold: Manifold) -> None:
+    """Replace samples at a limit by the mean of the noise beyond it, given the samples around."""
+    geometry, clipped = manifold.geometry, clipped_on(manifold)
+    if clipped is None:
+        return
+    colours, relative = (
+        np.moveaxis(each, geometry.axis, 0) for each in (manifold.colours, manifold.relative_variance)
+    )
+    for k, side in clipped.sides():
+        _impute_side_in_place(manifold, side, colours[k : k + 1], relative)
+    geometry.refresh(manifold.colours)
+
+
+def _impute_side_in_place(
+    manifold: Manifold, side: ClippedChannels, channel: Float32s, relative: Float32s
+) -> None:
+    regions, threads = manifold.regions, manifold.geometry.threads
+
+    def terms(rows: slice) -> Float32s:
+        block = channel[:, rows]
+        marks = np.empty(block.shape, np.float32)
+        side.mark(block, marks)
+        # Samples beyond an edge are not near the limit, and are ignored.
+        return np.concatenate([np.ones_like(block), block, marks]) * side.near_limit(block, relative[:, rows])
+
+    sums = regions.spread(regions.gathered(3, terms, channel, threads))
+    for rows in block_rows(channel, regions.side):
+        means, variance = regions.enlarged(sums, rows), relative[0, rows]
+        means[1:] /= np.maximum(means[:1], MIN_SHARE)
+        side.restore_in_place(means[1:2], means[2:], variance, threads)
+        side.impute_in_place(channel[:, rows], means[1:2], variance, threads)
+
+
 def variance_of_clipped(share: Float64s) -> Float64s:
     """Return the variance of unit noise after clipping [1]_, given the share of samples at the limit."""
     table = _censored_normal()
@@ -222,7 +258,6 @@ class NormalTables:
 
 @cache
 def normal_tables() -> NormalTables:
-    """Return the tables, which are computed once."""
     from math import erfc, sqrt
 
     limits = np.linspace(-NormalTables.furthest, NormalTables.furthest, 4 * _TABLE + 1)

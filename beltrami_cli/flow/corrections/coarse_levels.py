@@ -4,10 +4,6 @@ In means of squares of cells, or of clusters of vertices, such noise is closer t
 patches on the coarsest level first. Their change is interpolated and added to the next finer level, and on each level
 only the details of its own samples remain to be estimated [1]_.
 
-Noise of cameras is not normal in the dark: encoding stretches dark values down to 0, and some samples are so far out
-that patches would keep them as detail. So dark outliers in plain places are replaced first. Genuine detail spans
-several samples there, since the process that correlated the noise blurred the detail too.
-
 References
 ----------
 .. [1] M. Lebrun, M. Colom, J.-M. Morel, "Multiscale image blind denoising", IEEE Trans. Image Processing 24(10), 2015.
@@ -24,9 +20,9 @@ from typing import TypeVar
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s
-from beltrami_cli.flow.corrections.clipping import ClippedChannels, clipped_on
-from beltrami_cli.flow.manifolds.blocks import block_rows, in_blocks
-from beltrami_cli.flow.manifolds.domain import CoarseLevel, Geometry
+from beltrami_cli.flow.corrections.clipping import impute_clipped_in_place
+from beltrami_cli.flow.corrections.dark_outliers import fill_dark_outliers_in_place
+from beltrami_cli.flow.manifolds.domain import CoarseLevel
 from beltrami_cli.flow.manifolds.manifold import Manifold
 from beltrami_cli.flow.mixing import PERTURBATION, Mixing
 from beltrami_cli.flow.noise.model import sigma_of_covariances
@@ -43,13 +39,6 @@ _RESIDUAL_SHARE = 0.1
 # A level is the coarsest if the noise grows by no more than this factor beyond it.
 _GROWTH_LIMIT = 1.1
 
-# Outliers are this many standard deviations below the mean around. Places are plain where the local variance is less
-# than this factor of that of noise. The search is repeated this often, since outliers add to the variance.
-_OUTLIER, _PLAIN, _ROUNDS = 4.0, 1.4, 2
-
-# Smaller than the share of any sample in a mean of its neighbourhood.
-_MIN_SHARE = 1e-6
-
 
 def without_shared_noise(
     manifold: AnyManifold, tick: Callable[[], None] | None = None
@@ -62,7 +51,7 @@ def without_shared_noise(
     covariances = manifold.noise.covariances
     manifold = dataclasses.replace(manifold, colours=large_arrays.copy_of(manifold.colours))
     if manifold.parameters.clipping == "restore":
-        _impute_clipped_in_place(manifold)
+        impute_clipped_in_place(manifold)
     levels, error = manifold.levels(_coarsest(covariances), tick), 0.0
     if not levels:
         return manifold, 0.0
@@ -72,74 +61,6 @@ def without_shared_noise(
         error += max(0.0, _estimate_in_place(level, manifold, noise))
     left = dataclasses.replace(manifold.noise, covariances=_residual_covariances(covariances))
     return dataclasses.replace(manifold, noise=left), manifold.noise.square_to_input(error)
-
-
-def _impute_clipped_in_place(manifold: Manifold) -> None:
-    """Replace samples at a limit by the mean of the noise beyond it, given the samples around."""
-    geometry, regions = manifold.geometry, manifold.regions
-    found = clipped_on(manifold)
-    colours, relative = (
-        np.moveaxis(each, geometry.axis, 0) for each in (manifold.colours, manifold.relative_variance)
-    )
-    for k, clipped in () if found is None else found.sides():
-        channel = colours[k : k + 1]
-
-        def terms(rows: slice, channel: Array = channel, clipped: ClippedChannels = clipped) -> Float32s:
-            block = channel[:, rows]
-            marks = np.empty(block.shape, np.float32)
-            clipped.mark(block, marks)
-            # Samples beyond an edge are not near the limit, and are ignored.
-            return np.concatenate([np.ones_like(block), block, marks]) * clipped.near_limit(
-                block, relative[:, rows]
-            )
-
-        sums = regions.spread(regions.gathered(3, terms, channel, geometry.threads))
-        for rows in block_rows(channel, regions.side):
-            means, variance = regions.enlarged(sums, rows), relative[0, rows]
-            means[1:] /= np.maximum(means[:1], _MIN_SHARE)
-            clipped.restore_in_place(means[1:2], means[2:], variance, geometry.threads)
-            clipped.impute_in_place(channel[:, rows], means[1:2], variance, geometry.threads)
-    geometry.refresh(manifold.colours)
-
-
-def fill_dark_outliers_in_place(manifold: Manifold, level: CoarseLevel, sigma: Float64s) -> None:
-    """Replace single samples in plain places that are too far below the local mean for noise."""
-    geometry = manifold.geometry
-    colours, relative = (
-        np.moveaxis(each, geometry.axis, 0) for each in (manifold.colours, manifold.relative_variance)
-    )
-    found = np.zeros(colours.shape[1:], bool)
-    shares = np.maximum(level.spread(level.planes(1) + np.float32(1)), np.float32(_MIN_SHARE))
-    for _ in range(_ROUNDS):
-        for channel, size in zip(colours, sigma, strict=True):
-            planes = _local_moments(geometry, level, channel, shares)
-            for own, variance, (mean, spread), far in in_blocks(
-                0, channel[None], relative, planes, found[None]
-            ):
-                noise, below = np.float32(size**2) * variance[0], mean - own[0]
-                far[0] = (below > 0) & (np.square(below) > _OUTLIER**2 * noise) & (spread < _PLAIN * noise)
-            single = geometry.single(found)
-            channel[single] = planes[0][single]
-    geometry.refresh(manifold.colours)
-
-
-def _local_moments(geometry: Geometry, level: CoarseLevel, channel: Float32s, shares: Float32s) -> Float32s:
-    """Return the local mean and variance of a channel, along the first axis, computed from means of a level.
-
-    `shares`: the result of spreading ones over the level.
-    """
-    axis = geometry.axis
-    both = geometry.planes(2)
-    for own, (value, square) in in_blocks(0, channel[None], both):
-        value[:], square[:] = own[0], np.square(own[0])
-    means = np.ascontiguousarray(np.moveaxis(level.means(np.moveaxis(both, 0, axis)), axis, 0))
-    means = level.spread(means)
-    means /= shares
-    means[1] -= np.square(means[0])
-    both[:] = 0
-    enlarged = np.ascontiguousarray(np.moveaxis(both, 0, axis))
-    level.add_enlarged(enlarged, np.ascontiguousarray(np.moveaxis(means, 0, axis)))
-    return np.moveaxis(enlarged, axis, 0)
 
 
 def _coarsest(covariances: Float64s) -> int:

@@ -32,7 +32,8 @@ _OUTLIER_LIMIT = 3.0, 0.1
 # deviations: 8.1 and 0.05, 9.5 and 0.01, 13 and 0 %.
 _WEAK_LIMIT = 1 / 3
 
-# Share of the range within which values are one; so is a ground, relative to what is on it [0.03, 0.12].
+# Share of the range within which values count as one; and share of the contrast within which a ground is plain
+# [0.03, 0.12].
 _SAME_VALUE = 0.06
 
 # Clumps from which on their spread can be judged [10, 30].
@@ -175,7 +176,7 @@ def _ranges(colours: Float32s) -> Float64s:
 
 @dataclass(frozen=True)
 class _Search:
-    """Search for outliers in colours, of which `sampled` rows represent all."""
+    """Search for outliers in colours; the `sampled` rows represent all samples."""
 
     surface: _Surface
     sampled: _Rows

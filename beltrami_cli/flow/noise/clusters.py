@@ -188,7 +188,7 @@ class VertexClusters(Neighbourhoods):
         return np.stack(columns, axis=1).astype(np.float32)
 
     def _residuals(self, samples: Samples, number: int) -> Float32s:
-        """Return the mean products of the residuals in each cell, or those of details in cells without residuals."""
+        """Return the mean products of the residuals in each cell, or of the details where there are no residuals."""
         scale, values = self.scales[number], in_components(samples.means[number])
         inside = scale.degree >= _NEIGHBOURS
         differences = [own - scale.sums_around(own) / np.maximum(scale.degree, 1) for own in values]

@@ -193,7 +193,7 @@ def even_covariances(
 
 
 def _known_cells(cells: Cells, chosen: Bools | bool = True) -> tuple[Bools, Bools]:
-    """Return masks of shape (P, n): cells with a known unevenness, and those of them that are not clipped.
+    """Return masks of shape (P, n): cells with a known unevenness, and the unclipped ones among them.
 
     A condition that too few cells meet is dropped.
     """

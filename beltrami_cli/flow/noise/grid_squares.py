@@ -257,7 +257,7 @@ class Grid(Neighbourhoods):
 
 
 def _stretched(rows: Float64s, count: int, factor: int) -> Float64s:
-    """Interpolate rows of cells at the centres of `count` smaller cells, `factor` of which span one cell."""
+    """Interpolate rows of cells at the centres of `count` smaller cells, `factor` to a cell."""
     middles = (np.arange(count) + 0.5) / factor - 0.5
     return np.stack([np.interp(middles, np.arange(len(row)), row) for row in rows])
 

@@ -201,7 +201,7 @@ class Samples:
     @cached_property
     def details(self) -> list[Array]:
         """The details of the components of each scale, shape (3, ...)."""
-        # Details are computed by channel first, so that those of equal colours are exactly 0.
+        # Details are computed by channel first, so that equal colours have details of exactly 0.
         return [
             in_components(scale.details(*means))
             for scale, means in zip(self.where.scales, pairwise(self.means), strict=True)

@@ -83,8 +83,8 @@ class Layers(Generic[Value]):
 def read(layers: Layers[Any], squares: Any, starts: Int64s, even: Any) -> dict[str, Any]:
     """Read the noise of N pictures.
 
-    `squares` are the standardised features of the squares of all pictures. Those of a picture begin at its entry in
-    `starts`. `even` are the features of pictures, shape (N, F).
+    `squares` are the standardised features of the squares of all pictures. The squares of a picture begin at its entry
+    in `starts`. `even` are the features of pictures, shape (N, F).
     """
     counts = np.diff(np.append(starts, len(getattr(squares, "value", squares))))
     inner = layers.dense(layers.dense(squares, "square 1"), "square 2")
@@ -102,8 +102,8 @@ def read(layers: Layers[Any], squares: Any, starts: Int64s, even: Any) -> dict[s
 def mixed(outputs: Array, candidates: Array) -> Array:
     """Combine M candidates and the network's own readings to Q readings, by weights that the network chooses.
 
-    Outputs have the shape (..., Q + M + 1): own readings, then logarithms of the weights, of which the last belongs to
-    the own readings. Candidates have the shape (..., M).
+    Outputs have the shape (..., Q + M + 1): the network's own readings, then logarithms of the weights, the last one
+    for the own readings. Candidates have the shape (..., M).
     """
     own, weights = split_mixture(outputs, candidates)
     mean: Array = (weights[..., :-1] * candidates).sum(axis=-1)[..., None] + weights[..., -1:] * own

@@ -96,7 +96,7 @@ def read_noise(
     """Read the noise of channels on a grid, shape (N, R, C), or of vertices, shape (N, S).
 
     With `varies`, its dependence on level and place is read too. `sigma` is the RMS noise of the colours, if known.
-    `weights` of the network default to those of the package.
+    `weights`: of the network; by default the ones of the package.
     """
     weights, count = weights or weights_of(where.kind), len(planes)
     if not where.count:
@@ -104,7 +104,7 @@ def read_noise(
     singles = [slice(channel, channel + 1) for channel in range(count)]
     groups = [slice(0, COLOURS), *singles[COLOURS:]] if count >= COLOURS else singles
     noises = [ChannelNoise.read(planes[group], where, weights) for group in groups]
-    # Those of the colours; the others, such as opacity, are not levels.
+    # Number of groups of colours; further channels, such as opacity, are not levels.
     first = 1 if count >= COLOURS else count
     if sigma is not None:
         noises[:first] = [noise.with_sigma(sigma) for noise in noises[:first]]

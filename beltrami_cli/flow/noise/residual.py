@@ -122,7 +122,7 @@ class Residual:
 def _squares_in_blocks(samples: Samples) -> Array:
     """Return the squared differences of samples from the means of their blocks, shape (3, n).
 
-    Their sums equal those of the squared details of the finest two scales in each block.
+    In each block they have the same sum as the squared details of the finest two scales.
     """
     fine, coarse = samples.where.scales[:2]
     return np.asarray(np.square(samples.means[0] - fine.spread(coarse.spread(samples.means[2]))))

@@ -128,8 +128,8 @@ class Structure:
     def _in_parts(self, residual: Residual) -> Float64s:
         """Return the relative variances of the parts of neighbourhoods at which noise ends; NaN for other parts.
 
-        If the energy of a part is between those of the adjacent neighbourhoods, its variance is interpolated. Texture
-        counts as quiet, and the quiet neighbourhood with the most energy represents all quiet ones.
+        If the energy of a part is between the energies of adjacent neighbourhoods, its variance is interpolated.
+        Texture counts as quiet, and the quiet neighbourhood with the most energy represents all quiet ones.
         """
         where, squares = residual.samples.where, np.square(residual.removed.colours).mean(axis=0)
         if self.curve is not None:
@@ -202,7 +202,7 @@ def _logs_of_level(blocks: Blocks, curve: LevelCurve) -> Float64s:
 
 
 def _with_quiet_tiles(residual: Residual, variances: Float64s, sigma: float) -> Float64s:
-    """Reduce relative variances of neighbourhoods towards those of their quieter tiles."""
+    """Reduce relative variances of neighbourhoods towards the variances of their quieter tiles."""
     variances, samples = _of_mean_1(variances), residual.samples
     shape = np.diag(residual.even_covariance(variances))
     if not shape.any():

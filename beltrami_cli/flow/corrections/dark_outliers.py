@@ -1,0 +1,60 @@
+"""Dark outliers of noise that neighbours share.
+
+Noise of cameras is not normal in the dark: encoding stretches dark values down to 0, and some samples are so far out
+that patches would keep them as detail. So dark outliers in plain places are replaced first. Genuine detail spans
+several samples there, since the process that correlated the noise blurred the detail too.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from beltrami_cli.arrays import Float32s, Float64s
+from beltrami_cli.flow.corrections.clipping import MIN_SHARE
+from beltrami_cli.flow.manifolds.blocks import in_blocks
+from beltrami_cli.flow.manifolds.domain import CoarseLevel, Geometry
+from beltrami_cli.flow.manifolds.manifold import Manifold
+
+# Outliers are this many standard deviations below the mean around. Places are plain where the local variance is less
+# than this factor of that of noise. The search is repeated this often, since outliers add to the variance.
+_OUTLIER, _PLAIN, _ROUNDS = 4.0, 1.4, 2
+
+
+def fill_dark_outliers_in_place(manifold: Manifold, level: CoarseLevel, sigma: Float64s) -> None:
+    """Replace single samples in plain places that are too far below the local mean for noise."""
+    geometry = manifold.geometry
+    colours, relative = (
+        np.moveaxis(each, geometry.axis, 0) for each in (manifold.colours, manifold.relative_variance)
+    )
+    found = np.zeros(colours.shape[1:], bool)
+    shares = np.maximum(level.spread(level.planes(1) + np.float32(1)), np.float32(MIN_SHARE))
+    for _ in range(_ROUNDS):
+        for channel, size in zip(colours, sigma, strict=True):
+            planes = _local_moments(geometry, level, channel, shares)
+            for own, variance, (mean, spread), far in in_blocks(
+                0, channel[None], relative, planes, found[None]
+            ):
+                noise, below = np.float32(size**2) * variance[0], mean - own[0]
+                far[0] = (below > 0) & (np.square(below) > _OUTLIER**2 * noise) & (spread < _PLAIN * noise)
+            single = geometry.single(found)
+            channel[single] = planes[0][single]
+    geometry.refresh(manifold.colours)
+
+
+def _local_moments(geometry: Geometry, level: CoarseLevel, channel: Float32s, shares: Float32s) -> Float32s:
+    """Return the local mean and variance of a channel, along the first axis, computed from means of a level.
+
+    `shares`: the result of spreading ones over the level.
+    """
+    axis = geometry.axis
+    both = geometry.planes(2)
+    for own, (value, square) in in_blocks(0, channel[None], both):
+        value[:], square[:] = own[0], np.square(own[0])
+    means = np.ascontiguousarray(np.moveaxis(level.means(np.moveaxis(both, 0, axis)), axis, 0))
+    means = level.spread(means)
+    means /= shares
+    means[1] -= np.square(means[0])
+    both[:] = 0
+    enlarged = np.ascontiguousarray(np.moveaxis(both, 0, axis))
+    level.add_enlarged(enlarged, np.ascontiguousarray(np.moveaxis(means, 0, axis)))
+    return np.moveaxis(enlarged, axis, 0)
