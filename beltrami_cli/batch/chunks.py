@@ -20,7 +20,7 @@ from beltrami_cli.flow.chunks import Answers, Chunk, Chunking, Figures, Operatio
 from beltrami_cli.jobs.progress import Progress, at_intervals
 
 # Attempts at a chunk before its file fails: a machine that restarts loses a few workers, and a chunk that is too large
-# for the memory kills every worker. A choice.
+# for the memory kills every worker.
 _MAX_ATTEMPTS = 5
 _PROGRESS_INTERVAL = 0.1  # seconds between two messages on progress
 Advanced = Callable[[int, str, int, int], None]  # called with a key and its progress

@@ -24,6 +24,7 @@ from beltrami_cli.surface.atlas import build_atlas, texels_by_texture
 from beltrami_cli.surface.records import Texture
 
 Value = TypeVar("Value")
+Finding = tuple[str, bool]  # how something differs, and whether in colour
 
 
 @dataclass(frozen=True)
@@ -70,13 +71,15 @@ def check_files(
         kinds = [f"{document.name} is {document.format}" for document in documents]
         raise UsageError(f"{' and '.join(kinds)}; give two of one format")
     old, new = (document.fingerprint() for document in documents)
-    found = _between(old.colours, new.colours, _of_colours)
+    differences = _differences(old.colours, new.colours, _difference_of_colours)
     visible = cache(partial(_visible_texels, original))
-    found += _between(old.images, new.images, lambda one, other: _of_images(one, other, visible, job.access))
-    found += _between(old.parts, new.parts, _of_parts)
+    differences += _differences(
+        old.images, new.images, lambda one, other: _difference_of_images(one, other, visible, job.access)
+    )
+    differences += _differences(old.parts, new.parts, _difference_of_bytes)
     faults = [fault for fault in new.faults if fault not in old.faults]
-    found += [Difference("package", fault, of_colour=False) for fault in faults]
-    return CheckReport(documents[0].name, documents[1].name, formats[0], found)
+    differences += [Difference("package", fault, of_colour=False) for fault in faults]
+    return CheckReport(documents[0].name, documents[1].name, formats[0], differences)
 
 
 def _visible_texels(document: Document) -> dict[bytes, Bools]:
@@ -98,24 +101,24 @@ def _visible_texels(document: Document) -> dict[bytes, Bools]:
     return visible
 
 
-def _between(
+def _differences(
     old: Mapping[str, Value],
     new: Mapping[str, Value],
-    differ: Callable[[Value, Value], tuple[str, bool] | None],
+    differ: Callable[[Value, Value], Finding | None],
 ) -> list[Difference]:
-    """Compare what two files hold by its place; `differ` says how, and whether in colour, or None."""
-    found = []
+    """Compare the contents of two files by their names; `differ` compares two of one name."""
+    differences = []
     for what in {**old, **new}:
         if what in old and what in new:
             difference = differ(old[what], new[what])
         else:
             difference = "is new" if what in new else "is missing", False
         if difference is not None:
-            found.append(Difference(what, *difference))
-    return found
+            differences.append(Difference(what, *difference))
+    return differences
 
 
-def _of_colours(before: Array, after: Array) -> tuple[str, bool] | None:
+def _difference_of_colours(before: Array, after: Array) -> Finding | None:
     if before.shape != after.shape:
         return f"{before.shape} became {after.shape}", False
     return None if np.array_equal(before, after) else (_amount(before, after), True)
@@ -134,9 +137,9 @@ def _amount(before: Array, after: Array) -> str:
     return f"{rows} of {len(before)} differ, by {mean:.2f}/255 on average and {255 * largest:.1f}/255 at most"
 
 
-def _of_images(
+def _difference_of_images(
     old: Texture, new: Texture, visible: Callable[[], Mapping[bytes, Bools]], access: Access
-) -> tuple[str, bool] | None:
+) -> Finding | None:
     if old.data == new.data:
         return None
     require_memory([(old.name, old.data), (new.name, new.data)], access)
@@ -170,7 +173,7 @@ def _cleared(before: DecodedImage, after: DecodedImage) -> int:
     return 0 if new.any() else int(np.count_nonzero(old.any(axis=1)))
 
 
-def _of_parts(old: bytes, new: bytes) -> tuple[str, bool] | None:
+def _difference_of_bytes(old: bytes, new: bytes) -> Finding | None:
     """Say where two parts begin to differ: by the line in text, otherwise by the byte."""
     if old == new:
         return None

@@ -91,11 +91,11 @@ def recolour(
             colour_filter.check_results(source, results)
         with watch.stage("write"):
             new = [each.stored for each in results]
-            images, said = all_images(new)
+            images, image_notices = all_images(new)
             written = files_with_new_colours(
                 document, new, images, kind, naming, in_place=not is_moved(source, target)
             )
-        notices = [*selection.notices, *(notice for each in new for notice in each.notices), *said]
+        notices = [*selection.notices, *(notice for each in new for notice in each.notices), *image_notices]
         report = file.write(written, notices, [warning for each in results for warning in each.warnings])
     return report, results
 

@@ -23,7 +23,7 @@ from beltrami_cli.layers.selection import Selection
 from beltrami_cli.layers.storing import StoredColours, all_images
 from beltrami_cli.surface.geometry import vertex_normals
 from beltrami_cli.surface.grouping import group_equal_rows
-from beltrami_cli.surface.records import ImageFile, MovedVertices, PlannedImage, Slot
+from beltrami_cli.surface.records import ImageFile, MeshContents, MovedVertices, PlannedImage, Slot
 
 
 def files_with_new_colours(
@@ -38,25 +38,26 @@ def files_with_new_colours(
         images = {key: image for key, image in images.items() if _is_new(document, *key, image)}
     if kind.is_patched:
         return document.patch(colours, naming, images=images, places=moved, form=kind.name)
-    if _has_textures(document, kind):
-        if moved is not None:
-            raise UsageError(
-                f"positions that --smooth-geometry moves cannot be converted together with textures; "
-                f"give the output the extension .{document.format}",
-                document.name,
-            )
+    if not _has_textures(document, kind):
+        mesh = _with_positions(vertex_mesh(document, colours), moved)
+    elif moved is None:
         mesh = with_images(document.textured_mesh(colours), images)
     else:
-        mesh = vertex_mesh(document, colours)
-    if moved is not None:
-        normals = mesh.normals
-        if normals is not None and moved.normals is not None:
-            normals = np.where(np.isnan(moved.normals), normals, moved.normals)
-        mesh = replace(mesh, positions=moved.positions, normals=normals)
+        cause = "positions that --smooth-geometry moves cannot be converted together with textures"
+        raise UsageError(f"{cause}; give the output the extension .{document.format}", document.name)
     mesh, notices = with_suffixes(mesh, output_format.image_suffixes(kind.name) or ())
     stem = naming.free_stem(partial(output_format.sidecars_of, mesh, kind.name))
     written = output_format.write_mesh(mesh, kind.name, stem)
     return replace(written, notices=(*notices, *written.notices))
+
+
+def _with_positions(mesh: MeshContents, moved: MovedVertices | None) -> MeshContents:
+    if moved is None:
+        return mesh
+    normals = mesh.normals
+    if normals is not None and moved.normals is not None:
+        normals = np.where(np.isnan(moved.normals), normals, moved.normals)
+    return replace(mesh, positions=moved.positions, normals=normals)
 
 
 def _is_new(document: Document, slot: Slot, key: str, image: ImageFile) -> bool:
@@ -121,7 +122,7 @@ def with_new_colours(document: Document, stored: Sequence[StoredColours]) -> Doc
         return ImageDocument(images.get(("baseColor", ""), document.data), document.name)
     if new is None or new.colours is None:
         return document.with_colours(None, images)
-    vertices, colours = document.coloured_vertices(), new.colours
-    colours = as_in_file(vertices, colours)
+    vertices = document.coloured_vertices()
+    colours = as_in_file(vertices, new.colours)
     positions = vertices.positions if new.positions is None else new.positions
     return document.with_colours(replace(vertices, colours=colours, positions=positions), images)
