@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from fnmatch import fnmatch
 
 import numpy as np
@@ -25,7 +26,11 @@ _NO_STEPS = "hardly any of its seams has a step beyond the noise"
 _INVISIBLE_CHANGE = "the change would be too small to be seen"
 
 
-Chart = tuple[Texture, dict[str, object]]  # of a chart with texels: texture, and facts for reports
+@dataclass(frozen=True)
+class _Chart:
+    number: int
+    names: tuple[str, ...] = ()  # of its texture and materials
+    place: dict[str, object] = field(default_factory=dict)  # for reports
 
 
 def level_charts(
@@ -38,7 +43,7 @@ def level_charts(
         _reference(charts, max(1, atlas.charts), wanted.reference_charts) if wanted.reference_charts else None
     )
     levelled, change = level_canvas(atlas, planes, wanted.exposure_strength, fixed, spans)
-    return _report(what, levelled, change, [facts for _, facts in charts])
+    return _report(what, levelled, change, charts)
 
 
 def level_photographs(
@@ -49,13 +54,13 @@ def level_photographs(
         raise UsageError("--reference-charts is of charts of textures; parts of vertex colours have no names")
     mesh = surface.positions, surface.all_faces
     levelled, change, colours = level_mesh(*mesh, surface.colours, photograph_of, wanted.exposure_strength)
-    return colours, _report(what, levelled, change, [{"chart": part} for part in range(len(levelled.groups))])
+    return colours, _report(what, levelled, change, [_Chart(part) for part in range(len(levelled.groups))])
 
 
-def _charts_of(atlas: Atlas, textures: Sequence[Texture], images: Sequence[DecodedImage]) -> list[Chart]:
-    """Return for each chart its texture, and its number, centre texel and number of texels there."""
+def _charts_of(atlas: Atlas, textures: Sequence[Texture], images: Sequence[DecodedImage]) -> list[_Chart]:
+    """Return the charts with texels, each with the place of one of these and their number."""
     areas = np.bincount(atlas.chart_of, minlength=max(1, atlas.charts))
-    texel, charts = np.zeros(len(areas), np.int64), list[Chart]()
+    texel, charts = np.zeros(len(areas), np.int64), list[_Chart]()
     for block in large_arrays.blocks(len(atlas.chart_of)):
         texel[atlas.chart_of[block]] = atlas.owned_texels[block]
     texture_of = np.searchsorted(atlas.texture_offsets, texel, side="right") - 1
@@ -63,37 +68,34 @@ def _charts_of(atlas: Atlas, textures: Sequence[Texture], images: Sequence[Decod
         index = int(texture_of[chart])
         of_texture = int(texel[chart] - atlas.texture_offsets[index])
         row, column = divmod(of_texture, images[index].pixels.shape[1])
-        place = {"texture": textures[index].name, "column": column, "row": row}
-        charts.append((textures[index], {"chart": chart, **place, "samples": int(areas[chart])}))
+        names = textures[index].name, *textures[index].materials
+        place = {"texture": names[0], "column": column, "row": row, "samples": int(areas[chart])}
+        charts.append(_Chart(chart, names, place))
     return charts
 
 
-def _reference(charts: Sequence[Chart], count: int, wanted: Sequence[str]) -> Bools:
+def _reference(charts: Sequence[_Chart], count: int, wanted: Sequence[str]) -> Bools:
     """Return which charts stay as they are, shape (count,), by their numbers, textures or materials."""
     is_reference = np.zeros(count, bool)
     for word in wanted:
-        fits = [
-            int(str(facts["chart"]))
-            for texture, facts in charts
-            if any(fnmatch(name, word) for name in (texture.name, *texture.materials))
-        ]
+        fits = [chart.number for chart in charts if any(fnmatch(name, word) for name in chart.names)]
         if word.isdecimal() and int(word) < count:
             fits = [int(word)]
         if not fits:
-            names = ", ".join(dict.fromkeys(texture.name for texture, _ in charts))
+            names = ", ".join(dict.fromkeys(chart.names[0] for chart in charts))
             raise UsageError(
                 f"--reference-charts {word} is neither one of the charts 0 to {count - 1} nor a texture or material; "
                 f"there are {names}"
             )
         is_reference[fits] = True
-    if all(is_reference[int(str(facts["chart"]))] for _, facts in charts):
+    if all(is_reference[chart.number] for chart in charts):
         raise UsageError(
             f"--reference-charts {' '.join(wanted)} keeps all charts as they are, so none is levelled"
         )
     return is_reference
 
 
-def _report(what: str, levelled: Levelled, change: float, charts: Sequence[dict[str, object]]) -> LevelReport:
+def _report(what: str, levelled: Levelled, change: float, charts: Sequence[_Chart]) -> LevelReport:
     facts, verdict = levelled.facts, levelled.verdict
     reason = "" if change else _INVISIBLE_CHANGE
     if verdict is None:
@@ -104,10 +106,10 @@ def _report(what: str, levelled: Levelled, change: float, charts: Sequence[dict[
     if levelled.exposures is not None:
         terms = np.round(levelled.exposures.terms, 5)
         for each in charts:
-            of_chart = terms[:, int(str(each["chart"]))]
+            of_chart = terms[:, each.number]
             if of_chart.any():
                 pair = {"gain": (1 + of_chart[:, 0]).tolist(), "offset": of_chart[:, 1].tolist()}
-                exposures.append({**each, **pair})
+                exposures.append({"chart": each.number, **each.place, **pair})
     return LevelReport(
         what=what, charts=len(charts), seams=facts.seams, stepped=facts.stepped, painted=facts.edges,
         before=facts.before, after=facts.after if change else facts.before,

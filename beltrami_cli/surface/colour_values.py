@@ -1,4 +1,4 @@
-"""Numeric colours: sRGB transfer function, colour spaces, limits, colour maps, and storage as integers."""
+"""Numeric colours: sRGB transfer function, colour spaces, limits, and storage as integers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from beltrami_cli._native import store_colours
-from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Indices, Uint8s
+from beltrami_cli.arrays import Array, Float32s, Float64s, Indices
 from beltrami_cli.errors import UsageError
 from beltrami_cli.surface.precision import require_finite
 from beltrami_cli.surface.records import Encoding
@@ -19,15 +19,6 @@ _OFFSET = 0.055
 _EXPONENT = 2.4
 _KNEE_SRGB = 0.04045  # end of the linear segment in the standard, on either side
 _KNEE_LINEAR = 0.0031308
-# The colour map viridis in steps of a tenth: its lightness grows evenly, also for the colour-blind and in grey. S. van
-# der Walt, N. Smith, "A better default colormap for matplotlib" (2015), in the public domain (CC0).
-VIRIDIS = np.array([
-    [0.267, 0.005, 0.329], [0.283, 0.141, 0.458], [0.254, 0.265, 0.530], [0.207, 0.372, 0.553],
-    [0.164, 0.471, 0.558], [0.128, 0.567, 0.551], [0.135, 0.659, 0.518], [0.267, 0.749, 0.441],
-    [0.478, 0.821, 0.318], [0.741, 0.873, 0.150], [0.993, 0.906, 0.144],
-])  # fmt: skip
-# Range of greys where there is no value: neither black nor white.
-_GREY_FROM, _GREY_TO = 0.35, 0.9
 
 # Maximum share of samples beyond 0 or full scale for these to be limits, in view of spikes and rounding.
 _MAX_SHARE_BEYOND = 1e-3
@@ -62,20 +53,6 @@ def limits_of(colours: Array) -> tuple[float, float]:
     if colours.max(initial=1) > 1 and np.count_nonzero(colours > 1) > few:
         high = np.inf
     return low, high
-
-
-def colour_by_value(values: Float32s, colours: Float32s, known: Bools) -> Float64s:
-    """Map values in [0, 1], of any shape, to viridis; where unknown, show the grey of `colours`."""
-    at = np.clip(np.where(known, values, 0), 0, 1)
-    steps = np.linspace(0, 1, len(VIRIDIS))
-    colours = np.stack([np.interp(at, steps, channel) for channel in VIRIDIS.T], axis=-1)
-    grey = _GREY_FROM + (_GREY_TO - _GREY_FROM) * (colours.astype(np.float64) @ LUMINANCE)
-    return np.where(known[..., None], colours, grey[..., None])
-
-
-def as_bytes(colours: Float64s) -> Uint8s:
-    """Round display values in [0, 1] to bytes."""
-    return np.rint(255 * colours).astype(np.uint8)
 
 
 # B. Ottosson, "A perceptual color space for image processing" (2020): linear sRGB -> cone response -> Lab.

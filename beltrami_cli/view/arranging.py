@@ -11,7 +11,8 @@ from PIL import Image, ImageDraw
 from beltrami_cli.arrays import Float32s, Float64s, Uint8s
 from beltrami_cli.errors import ProcessingError, one_line
 from beltrami_cli.formats.image.opening import error_of
-from beltrami_cli.surface.colour_values import LUMINANCE, as_bytes, linear_to_srgb, srgb_to_linear
+from beltrami_cli.surface.colour_map import as_bytes
+from beltrami_cli.surface.colour_values import LUMINANCE, linear_to_srgb, srgb_to_linear
 from beltrami_cli.view.cameras import Window
 from beltrami_cli.view.settings import Colour
 

@@ -30,7 +30,7 @@ from beltrami_cli.formats.gltf.buffers import INDEX_DATA
 from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, glb_pieces
 from beltrami_cli.formats.gltf.images import WRAPS
 from beltrami_cli.formats.gltf.writer import Arrays
-from beltrami_cli.surface.colour_values import VIRIDIS
+from beltrami_cli.surface.colour_map import VIRIDIS
 from beltrami_cli.surface.geometry import edges_of
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.records import ColouredVertices, Slot, Texture, TexturedSurface

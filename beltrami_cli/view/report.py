@@ -21,7 +21,7 @@ from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.progress import Progress, tracked
 from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.layers.settings import SmoothSettings
-from beltrami_cli.surface.colour_values import as_bytes, colour_by_value
+from beltrami_cli.surface.colour_map import as_bytes, colour_by_value
 from beltrami_cli.surface.records import Slot
 from beltrami_cli.view import pages
 from beltrami_cli.view.models import ModelWriter

@@ -18,7 +18,7 @@ from beltrami_cli.jobs.compare.figures import ComparedColours, Measured
 from beltrami_cli.jobs.writing.output import Output, Overwrite
 from beltrami_cli.layers.settings import IMAGE_SUFFIXES, SmoothSettings
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.colour_values import as_bytes, colour_by_value
+from beltrami_cli.surface.colour_map import as_bytes, colour_by_value
 
 # The brightest colour stands for this Delta E 2000 at least: 1 can hardly be seen.
 _MIN_SCALE = 1.0
