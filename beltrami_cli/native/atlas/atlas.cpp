@@ -13,7 +13,7 @@
 #include "atlas/charts.hpp"
 #include "atlas/layout.hpp"
 #include "atlas/lengths.hpp"
-#include "atlas/lookers.hpp"
+#include "atlas/looked_up.hpp"
 #include "atlas/ownership.hpp"
 #include "atlas/windows.hpp"
 #include "parallel.hpp"

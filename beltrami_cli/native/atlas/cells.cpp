@@ -72,7 +72,7 @@ void Cells::enter(const Band& band) {
   for (auto& coordinates : positions_) coordinates.resize(cells);
   faces_.resize(cells);
   nearness_.resize(cells);
-  ways_.clear();
+  paths_.clear();
   halo.clear();
   gutter.clear();
 }
@@ -198,21 +198,21 @@ void Cells::make_halo(std::size_t cell, Point2 place, bool record) {
 std::optional<Sample> Cells::continue_chart(std::size_t cell, Point2 place) {
   const Edge edge = plan_.charts.borders[static_cast<std::size_t>(nearest_[cell].border)].edge;
   const Plane plane = plane_at(edge, place);
-  const Way way(plan_.mesh, edge, plane, place);
+  const Path path(plan_.mesh, edge, plane, place);
   faces_[cell] = none;
-  if (way.end() != End::landed) return std::nullopt;
-  const Landing landing = way.landing();
+  if (path.end() != End::landed) return std::nullopt;
+  const Landing landing = path.landing();
   auto sample = look_up(plan_, landing);
   const Point2 ahead = plane.across();
   for (std::int64_t i = 1; !sample && i <= plan_.margin; ++i) {
-    const Way further(plan_.mesh, edge, plane, place + static_cast<double>(i) * ahead);
+    const Path further(plan_.mesh, edge, plane, place + static_cast<double>(i) * ahead);
     if (further.end() != End::landed) break;
     sample = look_up(plan_, further.landing());
     if (sample) sample->position = position_of(plan_.mesh, landing);
   }
   if (sample && sample->near_open) {
-    faces_[cell] = -1 - static_cast<Index>(ways_.size());
-    ways_.push_back(way);
+    faces_[cell] = -1 - static_cast<Index>(paths_.size());
+    paths_.push_back(path);
   }
   return sample;
 }
@@ -265,9 +265,9 @@ bool Cells::is_on(std::size_t cell, std::size_t other) const {
   if (((nearness_[cell] | nearness_[other]) & near_open) == 0) return true;
   if (face >= 0) return connections_.outwards(face, place_of(cell), place_of(other));
   if (other_face >= 0) return connections_.outwards(other_face, place_of(other), place_of(cell));
-  const bool has_way = (nearness_[cell] & near_open) != 0;
-  const Way& way = ways_[static_cast<std::size_t>(-1 - (has_way ? face : other_face))];
-  return way.on_to(plan_.mesh, place_of(has_way ? other : cell)) != End::open;
+  const bool has_path = (nearness_[cell] & near_open) != 0;
+  const Path& path = paths_[static_cast<std::size_t>(-1 - (has_path ? face : other_face))];
+  return path.continued(plan_.mesh, place_of(has_path ? other : cell)) != End::open;
 }
 
 Point2 Cells::place_of(std::size_t cell) const {

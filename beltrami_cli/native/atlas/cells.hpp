@@ -88,9 +88,9 @@ class Cells {
   std::vector<Index> covering_;         // the face of the chart that covers a wanted cell
   std::vector<Kind> kinds_;
   std::array<std::vector<double>, 3> positions_;  // [axis]
-  std::vector<Index> faces_;            // the chart's face at a cell; outside the chart -1 - number of its way,
+  std::vector<Index> faces_;            // the chart's face at a cell; outside the chart -1 - number of its path,
                                         // if an open edge may be near
-  std::vector<Way> ways_;
+  std::vector<Path> paths_;
   std::vector<std::uint8_t> nearness_;  // to where charts end, see NearBorders
   Connections connections_;
   NearestBorders nearest_;

@@ -30,8 +30,8 @@ bool touch(Point2 from, Point2 to, Point2 a, Point2 b) {
   if (std::max(a.x, b.x) < std::min(from.x, to.x) - touching || std::min(a.x, b.x) > std::max(from.x, to.x) + touching ||
       std::max(a.y, b.y) < std::min(from.y, to.y) - touching || std::min(a.y, b.y) > std::max(from.y, to.y) + touching)
     return false;
-  const Point2 way = to - from, edge = b - a;
-  return !is_clear(from, way, std::sqrt(dot(way, way)), a, b) && !is_clear(a, edge, std::sqrt(dot(edge, edge)), from, to);
+  const Point2 line = to - from, edge = b - a;
+  return !is_clear(from, line, std::sqrt(dot(line, line)), a, b) && !is_clear(a, edge, std::sqrt(dot(edge, edge)), from, to);
 }
 
 // The faces of a chart that a line touches, starting with a given face, also over edges that it only touches; and the
@@ -121,9 +121,9 @@ bool Connections::inside(Index face, Point2 from, Index other, Point2 to) const 
   Touched touched(mesh_, face, from, to);
   if (touched.find([&](Index found) { return other == none ? holds(mesh_, found, to) : found == other; })) return true;
   return std::any_of(touched.seams().begin(), touched.seams().end(), [&](Edge seam) {
-    const Way way(mesh_, seam, to);
-    if (way.end() != End::landed) return false;
-    const Landing landing = way.landing();
+    const Path path(mesh_, seam, to);
+    if (path.end() != End::landed) return false;
+    const Landing landing = path.landing();
     const auto landed = static_cast<std::size_t>(landing.face);
     if (charts_.chart_of[landed] != charts_.chart_of[static_cast<std::size_t>(face)]) return false;
     Point2 offset = -1 * to;
@@ -137,7 +137,7 @@ bool Connections::outwards(Index face, Point2 from, Point2 to) const {
   if (touched.find([](Index) { return false; })) return true;
   if (touched.seams().empty()) return !touched.meets_open();
   return std::any_of(touched.seams().begin(), touched.seams().end(),
-                     [&](Edge seam) { return Way(mesh_, seam, to).end() != End::open; });
+                     [&](Edge seam) { return Path(mesh_, seam, to).end() != End::open; });
 }
 
 }  // namespace beltrami::atlas

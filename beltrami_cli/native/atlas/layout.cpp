@@ -192,7 +192,7 @@ Bands make_bands(const Blueprint& plan, double reach) {
   const auto visit_faces = [&](const auto& put) {
     for (std::size_t i = 0; i < first_band.size(); ++i) {
       const auto window = static_cast<std::size_t>(plan.layout.rectangles[i].window);
-      if (plan.windows.windows[window].alone && plan.ownership.loser[chart_of(i)] == 0) continue;
+      if (plan.windows.windows[window].alone && plan.ownership.overlapping[chart_of(i)] == 0) continue;
       for (const Index face : plan.charts.faces_of(chart_of(i)))
         visit_near(i, plan.mesh.texels[static_cast<std::size_t>(face)], 0, face, put);
     }

@@ -42,7 +42,7 @@ class Lookup {
     if (plan_.ownership.window[static_cast<std::size_t>(texel)] == none) return false;
     if (is_flat_) return true;
     if (is_of_owners_chart(texel)) return is_joined(texel, x, y);
-    return plan_.ownership.loser[static_cast<std::size_t>(plan_.charts.chart_of[static_cast<std::size_t>(face_)])] != 0 &&
+    return plan_.ownership.overlapping[static_cast<std::size_t>(plan_.charts.chart_of[static_cast<std::size_t>(face_)])] != 0 &&
            is_covered(plan_.mesh, face_, {x, y});
   }
 

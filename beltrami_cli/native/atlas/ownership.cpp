@@ -27,7 +27,7 @@ class Rasteriser {
       }
     }
     result_.extents.resize(windows.windows.size());
-    result_.loser.assign(charts.size(), 0);
+    result_.overlapping.assign(charts.size(), 0);
     overlapped_.assign(texels, false);
     covered_in_.assign(mesh.surface->textures.size(), 0);
     overlapped_in_.assign(mesh.surface->textures.size(), 0);
@@ -55,7 +55,7 @@ class Rasteriser {
     const Window& window = windows_.windows[index];
     const Texture& grid = grid_of(window);
     if (is_full(window, overlapped_in_)) {  // nothing is left to find out here
-      result_.loser[static_cast<std::size_t>(window.chart)] = 1;
+      result_.overlapping[static_cast<std::size_t>(window.chart)] = 1;
       return;
     }
     for (std::size_t i = window.begin; i < window.end; ++i) {
@@ -117,7 +117,7 @@ class Rasteriser {
       ++covered_in_[static_cast<std::size_t>(window.texture)];
       return;
     }
-    if (owner != static_cast<Index>(index)) result_.loser[static_cast<std::size_t>(window.chart)] = 1;
+    if (owner != static_cast<Index>(index)) result_.overlapping[static_cast<std::size_t>(window.chart)] = 1;
     if (overlapped_[texel]) return;
     overlapped_[texel] = true;
     ++overlapped_in_[static_cast<std::size_t>(window.texture)];

@@ -23,7 +23,7 @@ struct Ownership {
   Array<Index> window;              // [texel]; none where no face covers it
   Array<Index> face;                // [texel]
   std::vector<Extent> extents;      // [window]
-  std::vector<std::uint8_t> loser;  // [chart]: whether it covers texels that it does not own at that place
+  std::vector<std::uint8_t> overlapping;  // [chart]: whether it covers texels that it does not own at that place
   std::int64_t covered = 0, overlapped = 0;
 };
 

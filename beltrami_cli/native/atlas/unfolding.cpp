@@ -44,45 +44,45 @@ bool is_beyond(Base edge, Point2 point, double reach) {
 }
 
 // Code in the mesh of edge k of an unfolded face, which may have the opposite direction there.
-Edge edge_of(const Laid& laid, std::size_t k) {
-  const std::size_t from = laid.corner[k], to = laid.corner[next(k)];
-  return static_cast<Edge>(3 * static_cast<std::size_t>(laid.face) + (next(from) == to ? from : to));
+Edge edge_of(const UnfoldedFace& unfolded, std::size_t k) {
+  const std::size_t from = unfolded.corner[k], to = unfolded.corner[next(k)];
+  return static_cast<Edge>(3 * static_cast<std::size_t>(unfolded.face) + (next(from) == to ? from : to));
 }
 
 // Unfolds the face beyond an edge, which leads from `place` at base.a to base.b.
-End enter(const Mesh& mesh, Edge edge, Base base, Index place, Laid& laid) {
+End enter(const Mesh& mesh, Edge edge, Base base, Index place, UnfoldedFace& unfolded) {
   const Edge twin = mesh.twins[static_cast<std::size_t>(edge)];
   if (twin == none) return End::open;
   const auto face = static_cast<std::size_t>(twin / 3), j = static_cast<std::size_t>(twin % 3);
   const bool along = mesh.places[face][j] == place;
   const std::size_t ka = along ? j : next(j), kb = along ? next(j) : j, kd = next(next(j));
   const Point2 apex = raise(base, apex_of(mesh.corner(face, ka), mesh.corner(face, kb), mesh.corner(face, kd)));
-  laid = {static_cast<Index>(face),
+  unfolded = {static_cast<Index>(face),
           {static_cast<std::uint8_t>(ka), static_cast<std::uint8_t>(kd), static_cast<std::uint8_t>(kb)},
           {base.a, apex, base.b}};
   return End::landed;
 }
 
 // The edge, other than the entry, over which a line leaves a face for a point outside; no_edge for a point inside.
-std::size_t exit_of(const Laid& laid, std::size_t entered, Point2 from, Point2 to, double reach) {
+std::size_t exit_of(const UnfoldedFace& unfolded, std::size_t entered, Point2 from, Point2 to, double reach) {
   std::size_t found = no_edge;
   for (std::size_t k = 0; k < 3; ++k) {
-    if (k == entered || !is_beyond({laid.at[k], laid.at[next(k)]}, to, reach)) continue;
+    if (k == entered || !is_beyond({unfolded.at[k], unfolded.at[next(k)]}, to, reach)) continue;
     // If the point is beyond two edges, the line passes their common corner on one side or the other.
     const bool corner_is_between = found + 1 == k;
-    if (found == no_edge || (left_of(from, to, laid.at[corner_is_between ? k : 0]) > 0) == corner_is_between) found = k;
+    if (found == no_edge || (left_of(from, to, unfolded.at[corner_is_between ? k : 0]) > 0) == corner_is_between) found = k;
   }
   return found;
 }
 
-End follow(const Mesh& mesh, Point2 from, Point2 to, std::size_t entered, Laid& laid) {
+End follow(const Mesh& mesh, Point2 from, Point2 to, std::size_t entered, UnfoldedFace& unfolded) {
   const double reach = std::sqrt(dot(to - from, to - from));
   for (int step = 0; step < longest_walk; ++step) {
-    const std::size_t k = exit_of(laid, entered, from, to, reach);
+    const std::size_t k = exit_of(unfolded, entered, from, to, reach);
     if (k == no_edge) return End::landed;
-    const Index place = mesh.places[static_cast<std::size_t>(laid.face)][laid.corner[k]];
-    const Base base{laid.at[k], laid.at[next(k)]};
-    if (const End end = enter(mesh, edge_of(laid, k), base, place, laid); end != End::landed) return end;
+    const Index place = mesh.places[static_cast<std::size_t>(unfolded.face)][unfolded.corner[k]];
+    const Base base{unfolded.at[k], unfolded.at[next(k)]};
+    if (const End end = enter(mesh, edge_of(unfolded, k), base, place, unfolded); end != End::landed) return end;
     entered = entry;
   }
   return End::lost;
@@ -143,36 +143,36 @@ Point2 Plane::nearest(Point2 place) const {
   return {std::clamp(dot(place - origin_, along_) / dot(along_, along_), 0.0, 1.0) * length_, 0};
 }
 
-Way::Way(const Mesh& mesh, Edge edge, const Plane& plane, Point2 place) : plane_(plane), end_(End::lost) {
+Path::Path(const Mesh& mesh, Edge edge, const Plane& plane, Point2 place) : plane_(plane), end_(End::lost) {
   if (!plane_.is_flat()) return;
   from_ = plane_.nearest(place);
   to_ = plane_.at(place);
   const Index first = mesh.places[static_cast<std::size_t>(edge / 3)][static_cast<std::size_t>(edge % 3)];
-  end_ = enter(mesh, edge, {{0, 0}, {plane_.length(), 0}}, first, laid_);
-  if (end_ == End::landed) end_ = follow(mesh, from_, to_, entry, laid_);
+  end_ = enter(mesh, edge, {{0, 0}, {plane_.length(), 0}}, first, face_);
+  if (end_ == End::landed) end_ = follow(mesh, from_, to_, entry, face_);
 }
 
-Landing Way::landing() const {
+Landing Path::landing() const {
   std::array<double, 3> weights;
   double sum = 0;
   for (std::size_t k = 0; k < 3; ++k)
-    sum += weights[k] = std::max(-left_of(laid_.at[next(k)], laid_.at[next(next(k))], to_), 0.0);
-  Landing landing{laid_.face, {}};
+    sum += weights[k] = std::max(-left_of(face_.at[next(k)], face_.at[next(next(k))], to_), 0.0);
+  Landing landing{face_.face, {}};
   if (sum > 0) {
-    for (std::size_t k = 0; k < 3; ++k) landing.weights[laid_.corner[k]] = weights[k] / sum;
+    for (std::size_t k = 0; k < 3; ++k) landing.weights[face_.corner[k]] = weights[k] / sum;
     return landing;
   }
   // A degenerate face: a point of the edge over which the path entered.
-  const Point2 a = laid_.at[next(entry)], along = laid_.at[entry] - a;
+  const Point2 a = face_.at[next(entry)], along = face_.at[entry] - a;
   const double t = std::clamp(dot(to_ - a, along) / dot(along, along), 0.0, 1.0);
-  landing.weights[laid_.corner[next(entry)]] = 1 - t;
-  landing.weights[laid_.corner[entry]] = t;
+  landing.weights[face_.corner[next(entry)]] = 1 - t;
+  landing.weights[face_.corner[entry]] = t;
   return landing;
 }
 
-End Way::on_to(const Mesh& mesh, Point2 place) const {
-  Laid laid = laid_;
-  return follow(mesh, to_, plane_.at(place), no_edge, laid);
+End Path::continued(const Mesh& mesh, Point2 place) const {
+  UnfoldedFace unfolded = face_;
+  return follow(mesh, to_, plane_.at(place), no_edge, unfolded);
 }
 
 }  // namespace beltrami::atlas

@@ -15,11 +15,11 @@ struct Landing {
 enum class End : std::uint8_t {
   landed,
   open,  // at an open edge
-  lost   // the way begins at a face without extent, or crosses more than a fixed number of faces
+  lost   // the path begins at a face without extent, or crosses more than a fixed number of faces
 };
 
 // A face in the plane of another one, its corners clockwise, so that the plane outside lies on the left of its edges.
-struct Laid {
+struct UnfoldedFace {
   Index face = none;
   std::array<std::uint8_t, 3> corner{};  // which corner of the face each is
   std::array<Point2, 3> at;
@@ -55,22 +55,22 @@ class Plane {
 
 // The straight path from an edge to a point of the texture's plane beyond it. The map of the edge's face to space is
 // extended to that point, and the line from the nearest point on the edge is followed over the unfolded faces.
-class Way {
+class Path {
  public:
-  Way(const Mesh& mesh, Edge edge, const Plane& plane, Point2 place);
-  Way(const Mesh& mesh, Edge edge, Point2 place) : Way(mesh, edge, Plane(mesh, edge), place) {}
+  Path(const Mesh& mesh, Edge edge, const Plane& plane, Point2 place);
+  Path(const Mesh& mesh, Edge edge, Point2 place) : Path(mesh, edge, Plane(mesh, edge), place) {}
 
   End end() const { return end_; }
   // End of the path.
   Landing landing() const;
   // Continues straight on to another point; returns where that line ends.
-  End on_to(const Mesh& mesh, Point2 place) const;
+  End continued(const Mesh& mesh, Point2 place) const;
 
  private:
   Plane plane_;
   Point2 from_, to_;
   End end_;
-  Laid laid_;
+  UnfoldedFace face_;
 };
 
 }  // namespace beltrami::atlas

@@ -1,4 +1,4 @@
-#include "atlas/lookers.hpp"
+#include "atlas/looked_up.hpp"
 
 #include <algorithm>
 #include <array>
@@ -85,7 +85,7 @@ class Finder {
   Index owner_beside(Index face, std::int64_t x, std::int64_t y) const {
     const Texture& grid = mesh_.grid(static_cast<std::size_t>(face));
     const Index own = charts_.chart_of[static_cast<std::size_t>(face)];
-    const bool overlaps = ownership_.loser[static_cast<std::size_t>(own)] != 0;
+    const bool overlaps = ownership_.overlapping[static_cast<std::size_t>(own)] != 0;
     Index found = none;
     for (std::int64_t j = y - 1; j <= y + 1; ++j)
       for (std::int64_t i = x - 1; i <= x + 1; ++i) {
