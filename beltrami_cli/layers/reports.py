@@ -134,6 +134,6 @@ class LevelReport:
     levelled: bool  # whether colours were changed
     reason: str  # of not changing them
     change: dict[str, float] = field(default_factory=dict)  # as for `LayerReport`
-    # For each chart with seams: its number, texture, column and row of one of its texels, number of texels, and the gain
+    # For each chart with seams: its number, texture, column and row of one of its texels, number of texels, and gain
     # and offset per channel of its exposure, in the working space.
     exposures: list[dict[str, object]] = field(default_factory=list)
