@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from beltrami_cli.arrays import Float64s, Int64s, Uint8s
+from beltrami_cli.arrays import Float64s, Uint8s
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import read_texture
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.records import Slot
 from beltrami_cli.view.light import displayed_colours, displayed_pixels
-from beltrami_cli.view.models import Box, ModelWriter
+from beltrami_cli.view.models import ModelWriter, Placement
 from beltrami_cli.view.page_images import image_of, textures_of
 from beltrami_cli.view.pages import packed_array
 from beltrami_cli.view.preview import Focus, Patch, Progress, previewer_of
@@ -29,8 +29,7 @@ class LayerView:
         self.slot, self._document, self._number = slot, document, number
         self._previewer = previewer_of(document, slot)
         self._is_image = document.kind == "image"
-        self._row_of: Int64s | None = None
-        self._box: Box | None = None
+        self._placement: Placement | None = None  # in the model of the page; None: an image
         self._can_move = False  # whether vertices have moved, on any page
         # Pixels sent last, by texture, if they differ from the document.
         self._shown: dict[int, Uint8s] = {}
@@ -41,16 +40,15 @@ class LayerView:
 
     def add_to(self, writer: ModelWriter) -> None:
         """Add the part to a model for the viewer, with equal colours before and after."""
-        writer.add((self._document, self._document), self.slot)
-        if not self._is_image:
-            self._box, self._row_of = writer.boxes[-1], writer.row_of
+        self._placement = writer.add((self._document, self._document), self.slot)
 
     def preview(
         self, settings: SmoothSettings, focus: Focus, budget: int, progress: Progress | None
     ) -> tuple[list[dict[str, Any]], int]:
         """Smooth about `budget` samples around the focus, in the box of the model; return patches and samples."""
-        if focus.direction is not None and self._box is not None:
-            focus = Focus(self._box.low + self._box.size * focus.origin, focus.direction)
+        if focus.direction is not None and self._placement is not None:
+            box = self._placement.box
+            focus = Focus(box.low + box.size * focus.origin, focus.direction)
         patches = self._previewer.smooth(settings, focus, budget, progress)
         return [self._packed(patch) for patch in patches], sum(len(patch.rows) for patch in patches)
 
@@ -78,13 +76,13 @@ class LayerView:
         return {"layer": self._number, **packed}
 
     def _packed_vertices(self, patch: Patch) -> dict[str, Any]:
-        assert self._row_of is not None
-        assert self._box is not None
-        rows = self._row_of[patch.rows]
+        assert self._placement is not None
+        assert self._placement.row_of is not None
+        rows = self._placement.row_of[patch.rows]
         drawn = rows >= 0  # points without a position are not drawn
         arrays = {"rows": rows.astype(np.uint32), "colours": patch.colours}
         if patch.positions is not None:
-            arrays["places"] = self._box.shares(patch.positions).astype(np.float32)
+            arrays["places"] = self._placement.box.shares(patch.positions).astype(np.float32)
         return {name: packed_array(values[drawn], _COMPRESSION_LEVEL) for name, values in arrays.items()}
 
     def _packed_texels(self, patch: Patch) -> dict[str, Any]:

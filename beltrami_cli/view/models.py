@@ -17,6 +17,7 @@ from __future__ import annotations
 import json
 import zlib
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -54,8 +55,30 @@ _MIN_SHARE = 1e-4  # of the width of pictures: 10,000 pixels become one
 _MIN_REACH, _MAX_REACH = 4, 128  # 255ths of full scale
 
 
+class Box:
+    """The bounding box of a model without outliers, whose longest side becomes 1."""
+
+    def __init__(self, model: ColouredVertices | TexturedSurface) -> None:
+        positions = framed(model.positions, model.faces)
+        self.low, high = positions.min(axis=0), positions.max(axis=0)
+        self.size = max(float((high - self.low).max()), np.finfo(float).tiny)
+        self.middle = ((high - self.low) / self.size / 2).tolist()
+
+    def shares(self, positions: Float64s) -> Float64s:
+        """Return positions in units of the box, 0 where they are not finite."""
+        return _finite((positions - self.low) / self.size)
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where the positions of a layer went in the file."""
+
+    box: Box
+    row_of: Int64s | None = None  # row of each vertex; -1: omitted; None: a layer of textures
+
+
 class ModelWriter:
-    """Collects the layers of a model: the textures of a slot each, the vertex colours, or an image."""
+    """Collects the layers of a model, and then writes it once, by `glb` or by `packed`."""
 
     def __init__(self, *, is_live: bool = False) -> None:
         self._is_live = is_live  # colours will change to arbitrary 16-bit values
@@ -63,29 +86,34 @@ class ModelWriter:
         self._tree: dict[str, list[Any]] = {name: [] for name in ("scenes", "nodes", "meshes")}
         self._textures: dict[Any, int] = {}
         self._images: list[Callable[[], ImageBytes]] = []
-        self.row_of: Int64s | None = None  # rows of vertices in the glTF file; -1: omitted
-        self.boxes: list[Box] = []  # of the layers of models
 
-    def add(self, documents: Pair, slot: Slot | None) -> None:
-        """Add the textures of a slot, the vertex colours, or the image of two documents that differ in colours."""
+    def add(self, documents: Pair, slot: Slot | None) -> Placement | None:
+        """Add the textures of a slot, the vertex colours, or the image of two documents that differ in colours.
+
+        Return where positions went; None for images.
+        """
         if documents[0].kind == "image":
-            images = [
-                self._texture(texture, partial(image_of, texture, "baseColor", each.image))
-                for each in documents
-                for texture in textures_of(each, None)
-            ]
-            self._scene("image", [], middle=[0, 0, 0], pairs=[images], flatOnly=True)
-            return
+            self._add_images(documents)
+            return None
         if slot is None:
-            self._add_vertices(*(document.coloured_vertices() for document in documents))
-            return
+            return self._add_vertices(*(document.coloured_vertices() for document in documents))
+        return self._add_textures(documents, slot)
+
+    def _add_images(self, documents: Pair) -> None:
+        images = [
+            self._texture(texture, partial(image_of, texture, "baseColor", each.image))
+            for each in documents
+            for texture in textures_of(each, None)
+        ]
+        self._scene("image", [], middle=[0, 0, 0], pairs=[images], flatOnly=True)
+
+    def _add_textures(self, documents: Pair, slot: Slot) -> Placement:
         surface, other = (document.textured(slot) for document in documents)
         pairs = [
             [self._texture(each, partial(image_of, each, slot)) for each in both]
             for both in zip(surface.textures, other.textures, strict=True)
         ]
-        self.boxes.append(box := Box(surface))
-        chart_of, seams = charts_of(surface)
+        box, (chart_of, seams) = Box(surface), charts_of(surface)
         nodes = []
         for number in np.unique(surface.texture_of).tolist():
             pair = None if number < 0 else pairs[number]
@@ -101,6 +129,7 @@ class ModelWriter:
             ends = self._positions(box.shares(ends_of(surface.positions[surface.faces], seams)))
             nodes.append(self._node({"POSITION": ends}, _LINES, {}))
         self._scene(f"{slot} textures", nodes, middle=box.middle, pairs=pairs)
+        return Placement(box)
 
     def glb(self, reach: float) -> bytes:
         """Return the file; `reach`: change in 255ths that is shown brightest."""
@@ -108,25 +137,15 @@ class ModelWriter:
 
     def packed(self, reach: float, limit: float = np.inf) -> tuple[dict[str, Any], float]:
         """Return the file for a page, of about `limit` characters, and the scale of its pictures."""
-        arrays, tables = self._arrays, []  # offset, length, bytes of an element
-        data = np.frombuffer(arrays.binary, np.uint8).copy()
-        for accessor in arrays.accessors:
-            view = arrays.views[accessor["bufferView"]]
-            start, length, count = view["byteOffset"], view["byteLength"], max(1, accessor["count"])
-            stride = length // count * (3 if view["target"] == INDEX_DATA else 1)  # a triangle, or a vertex
-            rows = data[start : start + length].reshape(-1, max(1, stride))
-            rows[1:] -= rows[:-1].copy()
-            data[start : start + length] = rows.T.ravel()
-            tables.append((start, length, stride))
-        arrays.binary[:] = data.tobytes()
+        arrays, tables = self._arrays, _replace_by_differences(self._arrays)
         images, share = [image() for image in self._images], 1.0
-        room = max(3 / 4 * limit - len(zlib.compress(data.tobytes())), _MIN_PICTURES)
+        room = max(3 / 4 * limit - len(zlib.compress(bytes(arrays.binary))), _MIN_PICTURES)
         while (size := sum(len(content) for _, content in images)) > room and share > _MIN_SHARE:
             share *= _FILLED * float(np.sqrt(room / size))
             images = [resized(image(), share) for image in self._images]
         file = np.frombuffer(self._written(images, reach), np.uint8)
         first = len(file) - len(arrays.binary)
-        moved = [(first + start, length, stride) for start, length, stride in tables if length]
+        moved = [(first + start, length, stride) for start, length, stride in tables]
         return {"tables": moved, "data": packed_array(file, 9)}, share
 
     def _written(self, images: list[ImageBytes], reach: float) -> bytes:
@@ -160,17 +179,16 @@ class ModelWriter:
             self._images.append(image)
         return self._textures[key]
 
-    def _add_vertices(self, one: ColouredVertices, other: ColouredVertices) -> None:
+    def _add_vertices(self, one: ColouredVertices, other: ColouredVertices) -> Placement:
         finite = np.asarray(np.isfinite(np.hstack([one.positions, other.positions])).all(axis=1))
-        self.boxes.append(box := Box(one))
-        size = 0.0
+        box, size = Box(one), 0.0
         if len(one.faces):
             rows, index = _sorted(one.faces, len(finite))
         else:
             rows, index = np.flatnonzero(finite), None
             size = 2 * float(np.median(disc_radii(one.positions[finite]))) / box.size
-        self.row_of = np.full(len(finite), -1, np.int64)
-        self.row_of[rows] = np.arange(len(rows))
+        row_of = np.full(len(finite), -1, np.int64)
+        row_of[rows] = np.arange(len(rows))
         colours = [np.pad(displayed_colours(each)[rows], [(0, 0), (0, 1)]) for each in (one, other)]
         if not self._is_live and not any((each % _BYTE).any() for each in colours):
             colours = [(each // _BYTE).astype("<u1") for each in colours]
@@ -182,6 +200,7 @@ class ModelWriter:
             attributes["_MOVED"] = self._arrays.add(box.shares(other.positions[rows]).astype("<f4"))
         node = self._node(attributes, _POINTS if index is None else _TRIANGLES, {"size": size}, index)
         self._scene(VERTICES, [node], middle=box.middle)
+        return Placement(box, row_of)
 
     def _part(
         self, surface: TexturedSurface, box: Box, number: int, chart_of: Int32s, pair: list[int] | None
@@ -221,18 +240,25 @@ class ModelWriter:
         return self._arrays.add(_quantised(shares), bounds=True)
 
 
-class Box:
-    """The bounding box of a model without outliers, whose longest side becomes 1."""
+def _replace_by_differences(arrays: Arrays) -> list[tuple[int, int, int]]:
+    """Replace elements by their differences from the one before, with the bytes of one rank together.
 
-    def __init__(self, model: ColouredVertices | TexturedSurface) -> None:
-        positions = framed(model.positions, model.faces)
-        self.low, high = positions.min(axis=0), positions.max(axis=0)
-        self.size = max(float((high - self.low).max()), np.finfo(float).tiny)
-        self.middle = ((high - self.low) / self.size / 2).tolist()
-
-    def shares(self, positions: Float64s) -> Float64s:
-        """Return positions in units of the box, 0 where they are not finite."""
-        return _finite((positions - self.low) / self.size)
+    Return offset, length and bytes of an element for each array that is not empty.
+    """
+    data, tables = np.frombuffer(arrays.binary, np.uint8).copy(), []
+    for accessor in arrays.accessors:
+        view = arrays.views[accessor["bufferView"]]
+        start, length = view["byteOffset"], view["byteLength"]
+        if not length:
+            continue
+        # Indices are grouped by triangle.
+        stride = length // accessor["count"] * (3 if view["target"] == INDEX_DATA else 1)
+        rows = data[start : start + length].reshape(-1, stride)
+        rows[1:] -= rows[:-1].copy()
+        data[start : start + length] = rows.T.ravel()
+        tables.append((start, length, stride))
+    arrays.binary[:] = data.tobytes()
+    return tables
 
 
 def _finite(values: Array) -> Float64s:

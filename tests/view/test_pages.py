@@ -189,17 +189,17 @@ def scattered(side):
 def test_what_is_packed_is_restored_and_takes_little_space(browser, squares):
     vertices, writer = scattered(81), ModelWriter()
     document = SimpleNamespace(kind="mesh", coloured_vertices=lambda: vertices)
-    writer.add((document, document), None)
+    row_of = writer.add((document, document), None).row_of
     packed, _ = writer.packed(8)
     # A report of 400,000 triangles shall take at most 2 MB, including 0.3 MB of scripts.
     assert len(packed["data"]) < 1.7e6 * len(vertices.faces) / 400_000
     page = Viewer(browser, squares).page
     index, positions, colours = page.evaluate(RESTORED, packed)
-    order = np.argsort(writer.row_of)
+    order = np.argsort(row_of)
     assert np.abs(positions - (vertices.positions - vertices.positions.min(axis=0))[order]).max() < 1e-5
     assert np.abs(colours - vertices.colours[order]).max() < 1e-6
     assert {tuple(face) for face in np.sort(np.reshape(index, (-1, 3))).tolist()} == {
-        tuple(face) for face in np.sort(writer.row_of[vertices.faces]).tolist()
+        tuple(face) for face in np.sort(row_of[vertices.faces]).tolist()
     }
 
 
