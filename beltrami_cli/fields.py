@@ -110,7 +110,6 @@ class Parameter:
         return value
 
     def check(self, value: Any) -> None:
-        """Raise UsageError if the parameter cannot have a value."""
         if value is None and self.optional:
             return
         if self.several and not isinstance(value, (tuple, list)):
@@ -199,7 +198,6 @@ def given_parameters(record: object) -> list[Parameter]:
 
 
 def without_effect(declared: Iterable[Parameter], kinds: Collection[str]) -> list[Parameter]:
-    """Return the parameters that have an effect on none of the kinds of input."""
     return [each for each in declared if each.of and not {*each.of} & {*kinds}]
 
 
@@ -211,7 +209,6 @@ def require_effect(given: Iterable[Parameter], kinds: Collection[str], name: str
 
 
 def parts(record: Any) -> dict[str, type]:
-    """Return the records in a record, by the names of their fields."""
     return {each.name: each.metadata[_PART] for each in dataclasses.fields(record) if _PART in each.metadata}
 
 
@@ -235,7 +232,6 @@ def with_files(record: Record, renamed: Callable[[str], str]) -> Record:
 
 
 def check(record: Any) -> None:
-    """Raise UsageError if a parameter of a record has a value that it cannot have."""
     for each in parameters(record):
         each.check(getattr(record, each.name))
 

@@ -40,8 +40,6 @@ from beltrami_cli.surface.baking import Cells
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ImageLayer(PixelLayer):
-    """The pixels of an image, except holes."""
-
     part: ClassVar[Part] = "image"
     label = "image"
 

@@ -52,8 +52,7 @@ class Layer(ABC):
 
     @property
     @abstractmethod
-    def label(self) -> str:
-        """Name in messages."""
+    def label(self) -> str: ...
 
     @property
     def notices(self) -> Sequence[str]:
@@ -62,22 +61,19 @@ class Layer(ABC):
 
     @property
     @abstractmethod
-    def channels(self) -> ChosenChannels:
-        """The sampled channels."""
+    def channels(self) -> ChosenChannels: ...
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the sampled channels."""
         return self.channels.names
 
+    @abstractmethod
     def normalised(self) -> Self:
         """Return the layer with colours in a unit of their own, so that noise is judged independently of their unit."""
-        return self
 
+    @abstractmethod
     def unit_in(self, space: str) -> float:
         """Return the unit of plans, which divides the colours of this layer in `space`."""
-        del space
-        return 1.0
 
     @property
     def unit(self) -> float:
@@ -127,7 +123,6 @@ class Layer(ABC):
         """Raise errors of output images before anything is computed."""
 
     def _common_report(self, plan: Plan[Any], result: FlowResult[Any]) -> dict[str, Any]:
-        """Return the fields that all reports share."""
         return {
             "beta": plan.beta / self.unit,
             "iterations": plan.parameters.iterations,

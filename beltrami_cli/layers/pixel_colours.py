@@ -91,7 +91,6 @@ class PixelColours:
 
     @property
     def changing(self) -> list[int]:
-        """The colour channels that change."""
         return [i for i in self.channels.changing if i < self.width]
 
     @property
@@ -154,7 +153,6 @@ class PixelColours:
         return ~supplies_colour(image, table[pixels, image.alpha])
 
     def columns(self, image: DecodedImage) -> list[int]:
-        """Return the channels of an image that change."""
         is_grey, first = len(image.colour) == 1, len(self.kept)
         colours = {image.colour[0 if is_grey else i]: None for i in self.changing}
         further = list(self.others.values())

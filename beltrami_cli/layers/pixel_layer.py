@@ -39,8 +39,6 @@ _ROWS = 64  # processed at a time
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PixelLayer(Layer):
-    """Pixels of one or several images."""
-
     images: Sequence[DecodedImage]
     tables: Sequence[JpegTables | None]  # of each image; None: not a JPEG file
     colours: PixelColours

@@ -40,8 +40,6 @@ def describe_reading(reading: Reading | None, unit: float) -> dict[str, float] |
 
 @dataclass(frozen=True, kw_only=True)
 class LayerReport:
-    """Report on samples of any kind."""
-
     beta: float  # as used
     iterations: int  # 0 without noise, unless a number was given
     noise: dict[str, float]  # standard deviation per channel, estimated or given; 0: none is removed
@@ -72,8 +70,6 @@ class LayerReport:
 
 @dataclass(frozen=True, kw_only=True)
 class VertexReport(LayerReport):
-    """Report on vertex colours."""
-
     # Vertices, triangles, samples, samples of hard edges, samples per kernel, truncated kernels. For points without
     # faces the triangles are those around each, and there are "outliers": points in none of them, left as they are.
     counts: dict[str, float]
@@ -96,8 +92,6 @@ class VertexReport(LayerReport):
 
 @dataclass(frozen=True, kw_only=True)
 class SlotReport(LayerReport):
-    """Report on the textures of a slot."""
-
     slot: str
     textures: list[dict[str, object]]  # name, size, type, and coverage
     # Numbers of charts, seams, jumps, covered and overlapped texels of all textures together. Jumps are seams whose
@@ -109,8 +103,6 @@ class SlotReport(LayerReport):
 
 @dataclass(frozen=True, kw_only=True)
 class ImageReport(LayerReport):
-    """Report on an image."""
-
     # Size, format, channels, smoothed channels, kind of surface ("plane", "height" or "positions"), and number of
     # holes.
     image: dict[str, object]
@@ -120,8 +112,6 @@ class ImageReport(LayerReport):
 
 @dataclass(frozen=True)
 class LevelReport:
-    """Report on exposure steps."""
-
     what: str  # name of the colours
     charts: int  # number of charts, or of connected vertices of one photograph
     seams: int  # number of seams between charts

@@ -357,9 +357,6 @@ def binding_parameters(settings: SmoothSettings) -> list[Parameter]:
     return [each for each in given_parameters(settings) if each.name != "solver"]
 
 
-_PARTS = ("textures", "image", "level_set", "embedding")
-
-
 def given_values(settings: SmoothSettings) -> dict[str, Any]:
     """Return the values that differ from their defaults, by name; tunable ones unless they are free."""
     given: dict[str, Any] = {}
@@ -373,11 +370,10 @@ def given_values(settings: SmoothSettings) -> dict[str, Any]:
 
 
 def describe_settings(settings: SmoothSettings) -> dict[str, object]:
-    """Describe the requested settings in JSON types."""
     return {
         "given": [*given_values(settings)],
         **dataclasses.asdict(settings.kernel),
         "threads": settings.kernel.thread_count,
         **{name: getattr(settings, name) for name in ("space", "channels", "on", "level_seams")},
-        **{name: dataclasses.asdict(getattr(settings, name)) for name in _PARTS},
+        **{name: dataclasses.asdict(getattr(settings, name)) for name in parts(settings) if name != "kernel"},
     }

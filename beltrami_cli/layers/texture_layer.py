@@ -183,7 +183,6 @@ class TextureLayer(PixelLayer):
         }
 
     def _manifold_alone(self, index: int) -> GridManifold:
-        """Return the manifold of one of several textures."""
         surface, images = only_textures(self.surface, [index]), [self.images[index]]
         atlas = _visible_atlas(surface, images, self.kernel, self.colours)
         alone = dataclasses.replace(

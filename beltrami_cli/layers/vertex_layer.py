@@ -29,8 +29,6 @@ from beltrami_cli.surface.records import ColouredVertices
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class VertexLayer(Layer):
-    """Vertices of a document."""
-
     part: ClassVar[Part] = "vertices"
 
     vertices: ColouredVertices

@@ -82,18 +82,15 @@ class Atlas:
 
     @property
     def counts(self) -> dict[str, int]:
-        """The numbers of charts, seams and texels."""
         return {name: getattr(self, name) for name in ("charts", "seams", "covered", "overlapped")}
 
     @property
     def is_owned(self) -> Bools:
-        """Mask of owned cells, shape (R, C)."""
         owned: Bools = large_arrays.empty(self.kind.shape, bool)
         return np.equal(self.kind, OWNED, out=owned)
 
     @property
     def is_filled(self) -> Bools:
-        """Mask of cells that are not empty, shape (R, C)."""
         filled: Bools = large_arrays.empty(self.kind.shape, bool)
         return np.not_equal(self.kind, EMPTY, out=filled)
 

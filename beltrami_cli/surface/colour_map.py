@@ -28,5 +28,4 @@ def colour_by_value(values: Float32s, colours: Float32s, known: Bools) -> Float6
 
 
 def as_bytes(colours: Float64s) -> Uint8s:
-    """Round display values in [0, 1] to bytes."""
     return np.rint(255 * colours).astype(np.uint8)

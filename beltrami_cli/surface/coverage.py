@@ -19,8 +19,6 @@ EDGE = 1e-9
 
 @dataclass(frozen=True)
 class Cover:
-    """Texels and the triangles that cover them."""
-
     texels: Int64s  # (K,): row * width + column
     faces: Int64s  # (K,): their triangles
     # Shape (K, 2): barycentric weights of the second and third corner; for texels inside, not below 0 up to rounding.

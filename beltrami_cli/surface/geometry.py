@@ -19,7 +19,6 @@ from beltrami_cli.surface.grouping import group_equal_rows
 
 
 def bounds(positions: Float64s) -> list[list[float]]:
-    """Return the minimum and maximum coordinates; empty without positions."""
     return [positions.min(axis=0).tolist(), positions.max(axis=0).tolist()] if len(positions) else []
 
 
@@ -127,7 +126,6 @@ def _sums_over_groups(values: Float64s, faces: Int32s, group_of: Int32s) -> Floa
 
 
 def on_boundary(faces: Int32s, count: int) -> Bools:
-    """Return which vertices are ends of a boundary edge."""
     edges, uses = _edge_uses(_distinct(_without_degenerate(faces)), count)
     alone = edges[uses == 1]
     boundary = np.zeros(count, bool)

@@ -132,7 +132,6 @@ def _is_half(marked: Bools, counted: Bools) -> Bools:
 def _rms_change_at_borders(
     old: Array, new: Array, covered: Bools, shown: Callable[[Array], Float32s]
 ) -> float:
-    """Return the RMS change of the texels at the borders of charts."""
     edge = np.flatnonzero(covered & within(~covered, 1))
     total = 0.0
     for block in large_arrays.blocks(len(edge), large_arrays.CACHED):
@@ -142,5 +141,4 @@ def _rms_change_at_borders(
 
 
 def _rms_over_channels(differences: Float32s) -> Float64s:
-    """Return the root mean square over the channels."""
     return np.asarray(np.sqrt(np.square(differences, dtype=np.float64).mean(axis=1)))

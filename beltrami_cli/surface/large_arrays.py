@@ -218,7 +218,6 @@ def release_pages() -> None:
 
 
 def any_in_files() -> bool:
-    """Whether any array is in a file."""
     limit = _LIMIT.get()
     return limit is not None and len(limit.maps) > 0
 

@@ -73,8 +73,6 @@ class NearColours:
 
 @dataclass(frozen=True)
 class Volume:
-    """A level set sampled on a lattice."""
-
     lattice: Lattice  # where the samples stand
     # Shape (X, Y, Z): of any integer, floating or boolean type. Values that are not finite are unknown.
     values: Array

@@ -53,12 +53,10 @@ def triangulate_corners(positions: Float64s, corners: Int32s, offsets: Int64s) -
 
 
 def polygons_of(offsets: Int64s) -> Int64s:
-    """Return the polygon of every corner."""
     return np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
 
 
 def polygons_with(marked: Bools, offsets: Int64s) -> Bools:
-    """Return which polygons have a marked corner."""
     return np.bincount(polygons_of(offsets)[marked], minlength=len(offsets) - 1) > 0
 
 

@@ -17,8 +17,6 @@ Encoding = Literal["srgb", "linear"]
 
 @dataclass(frozen=True)
 class ColouredVertices:
-    """Vertex colours and their surface."""
-
     # Rows are the colour entries of the document in file order, so that new colours can be returned row by row.
     # Vertices that the format splits are still split.
 
@@ -77,8 +75,6 @@ class ColouredVertices:
 
 @dataclass(frozen=True)
 class MovedVertices:
-    """New positions of coloured vertices."""
-
     positions: Float64s  # (V, 3): rows and space as in `ColouredVertices`
     # Shape (V, 3): new unit normals, for documents with one per vertex; NaN keeps the old normal. None: all are kept.
     normals: Float32s | None = None
@@ -98,8 +94,6 @@ Slot = Literal["baseColor", "emissive", "normal", "occlusion", "metallicRoughnes
 
 @dataclass(frozen=True)
 class Texture:
-    """An image file shown on a surface."""
-
     key: str  # key of the image in the document, also for new images
     name: str  # for messages and globs: the file's name, or the image's name in a container
     # The stored image file (PNG, JPEG, ...), or a function that reads it, since tiles may exceed memory.
@@ -135,8 +129,6 @@ class TexturedSurface:
 
 @dataclass(frozen=True)
 class ImageFile:
-    """An encoded image."""
-
     # A view of a file where large arrays are in files.
     content: bytes | memoryview = field(hash=False)
     suffix: str  # usual extension in lower case: ".png", ".jpg", ".webp", ".exr"
@@ -162,8 +154,6 @@ AlphaMode = Literal["opaque", "mask", "blend"]
 
 @dataclass(frozen=True)
 class MeshImage:
-    """An image of a mesh with textures."""
-
     file: ImageFile
     name: str = ""  # name of the source file; empty: named after the model
     key: str = ""  # as in `Texture`
@@ -172,8 +162,6 @@ class MeshImage:
 
 @dataclass(frozen=True)
 class MaterialMap:
-    """The image of a material in a slot."""
-
     image: MeshImage
     wrap: tuple[Wrap, Wrap] = ("repeat", "repeat")
 
@@ -235,7 +223,6 @@ class MeshContents:
 
     @property
     def images(self) -> tuple[MeshImage, ...]:
-        """The images of its materials, each once."""
         return tuple(dict.fromkeys(shown.image for each in self.materials for shown in each.maps.values()))
 
     def polygons(self, chosen: Int64s) -> MeshContents:

@@ -50,7 +50,6 @@ class VertexSampling:
 
 
 def sample_vertices(vertices: ColouredVertices) -> VertexSampling:
-    """Merge coincident vertices of the same colour."""
     place_of, first_of_place = group_places(vertices.positions, vertices.space_of, vertices.faces)
     if len(first_of_place) == len(place_of):  # no vertex is split: the vertices are the samples
         every = np.arange(len(place_of), dtype=np.int32)

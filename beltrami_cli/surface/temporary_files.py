@@ -32,6 +32,5 @@ def temporary_folder() -> Iterator[Path]:
 
 
 def unwritable(cause: str) -> OutputError:
-    """Return the error that temporary files cannot be written."""
     remedy = "free space, or name another folder in the variable TMPDIR"
     return OutputError("temporary files", f"cannot be written ({cause})", remedy)

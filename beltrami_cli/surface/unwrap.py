@@ -35,8 +35,6 @@ _FLAT = 1e-6  # relative to the squared longest edge: a triangle without area in
 
 @dataclass(frozen=True)
 class Unwrapped:
-    """A new atlas."""
-
     # Shape (F, 3, 2): texture coordinates of every corner in [0, 1], u to the right, v down. All corners of a triangle
     # without area coincide.
     uv: Float64s
@@ -119,7 +117,6 @@ MIN_TIMEOUT = 120.0
 
 
 def expected_seconds(faces: int) -> float:
-    """Return the expected time of unwrapping a number of triangles."""
     return float(_SECONDS * (faces / _FACES) ** _GROWTH)
 
 
