@@ -6,6 +6,7 @@ Large canvases are averaged in place, row block by row block, which needs little
 from __future__ import annotations
 
 import dataclasses
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -130,40 +131,47 @@ class GridManifold(Manifold):
         self, stacks: list[Stack], metric: Metric, progress: Callable[[int], None] | None
     ) -> Averaged:
         """Average row block by row block, see `average`."""
-        grid, threads = self.geometry, self.parameters.thread_count
-        (rows, columns), margin = grid.atlas.kind.shape, kernel_margin(self.parameters)
-        blocks = row_blocks(rows, columns, margin, self.cells_per_thread * max(_MIN_THREADS, threads))
+        atlas, margin = self.geometry.atlas, kernel_margin(self.parameters)
+        cells = self.cells_per_thread * max(_MIN_THREADS, self.parameters.thread_count)
+        rows, columns = atlas.kind.shape
+        blocks = row_blocks(rows, columns, margin, cells)
         if not self.changes_stacks or len(blocks) < 2:
-            after, samples = self._apply_kernel(stacks, metric, progress)
-            refresh_halo(after, grid.atlas)
-            return Averaged(_split(after, stacks), samples)
-        samples, finished = 0, None
+            planes, samples = self._apply_kernel(stacks, metric, progress)
+            refresh_halo(planes, atlas)
+            return Averaged(_split(planes, stacks), samples)
+        samples, averaged = 0, deque[tuple[slice, Float32s]]()
         for block in blocks:
             large_arrays.release_pages()
-            around = slice(max(0, block.start - margin), min(rows, block.stop + margin))
-            core = slice(block.start - around.start, block.stop - around.start)
-            inside = np.zeros((around.stop - around.start, 1), bool)
-            inside[core] = True
-            part, gaussian = self.cut(around, inside), cast("GridGaussian | None", metric.gaussian)
-            if gaussian is not None:
-                gaussian = gaussian.from_row(around.start)
-            share = (block.stop - block.start) / len(inside)
-            before = [stack[:, around] for stack in stacks]
-            after, kernel_samples = part._apply_kernel(
-                before,
-                dataclasses.replace(metric, gaussian=gaussian),
-                _scaled_progress(progress, block.start * columns, share),
-            )
-            # The next block depends on the rows replaced here, but on none above.
-            if finished is not None:
-                self._put(stacks, *finished)
-            finished, samples = (block, after[:, core]), samples + kernel_samples
-        if finished is not None:
-            self._put(stacks, *finished)
+            planes, counted = self._average_block(stacks, metric, block, margin, progress)
+            averaged.append((block, planes))
+            samples += counted
+            # The next block reads the rows of this one before they are replaced, but none above.
+            if len(averaged) > 1:
+                self._put(stacks, *averaged.popleft())
+        self._put(stacks, *averaged.popleft())
         large_arrays.release_pages()
         for stack in stacks:
-            refresh_halo(stack, grid.atlas)
+            refresh_halo(stack, atlas)
         return Averaged(stacks, samples)
+
+    def _average_block(
+        self, stacks: list[Stack], metric: Metric, block: slice, margin: int, progress: Callable[[int], None] | None
+    ) -> tuple[Float32s, int]:  # fmt: skip
+        """Average some rows of stacks, which are not changed."""
+        rows, columns = self.geometry.atlas.kind.shape
+        around = slice(max(0, block.start - margin), min(rows, block.stop + margin))
+        core = slice(block.start - around.start, block.stop - around.start)
+        inside = np.zeros((around.stop - around.start, 1), bool)
+        inside[core] = True
+        gaussian = cast("GridGaussian | None", metric.gaussian)
+        if gaussian is not None:
+            gaussian = gaussian.from_row(around.start)
+        planes, samples = self.cut(around, inside)._apply_kernel(
+            [stack[:, around] for stack in stacks],
+            dataclasses.replace(metric, gaussian=gaussian),
+            _scaled_progress(progress, block.start * columns, (block.stop - block.start) / len(inside)),
+        )
+        return planes[:, core], samples
 
     @cached_property
     def _kernel_chunks(self) -> list[Chunk]:
