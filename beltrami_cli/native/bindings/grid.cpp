@@ -10,6 +10,7 @@
 #include "grid/local_means.hpp"
 #include "grid/repeats.hpp"
 #include "grid/squares.hpp"
+#include "grid/window_march.hpp"
 #include "grid/window_sweep.hpp"
 #include "instruction_set.hpp"
 

@@ -53,14 +53,14 @@ void local_scale(std::size_t rows, std::size_t columns, const float* right, cons
   const auto reach = static_cast<std::size_t>(window_radius);
   // Sums over the window's rows, one per column, move down with the window, and those over its columns along the row.
   // The rows in the window are stored. In double precision, subtracting a value that was added leaves no error.
-  const std::size_t held = 2 * reach + 1;
-  Sums kept(held * columns), window(columns);
+  const std::size_t side = 2 * reach + 1;
+  Sums stored(side * columns), window(columns);
   // Beyond both ends there are no cells.
-  std::vector<double> padded(columns + held), padded_counts(columns + held);
+  std::vector<double> padded(columns + side), padded_counts(columns + side);
   double *down = padded.data() + reach + 1, *counts_down = padded_counts.data() + reach + 1;
   const auto move = [&](std::size_t row, bool in) {
-    float* logarithms = kept.logarithms.data() + row % held * columns;
-    float* counts = kept.counts.data() + row % held * columns;
+    float* logarithms = stored.logarithms.data() + row % side * columns;
+    float* counts = stored.counts.data() + row % side * columns;
     if (in) take_logarithms(right + row * columns, below + row * columns, columns, logarithms, counts);
     const double sign = in ? 1 : -1;
     for (std::size_t column = 0; column < columns; ++column) {
@@ -78,8 +78,8 @@ void local_scale(std::size_t rows, std::size_t columns, const float* right, cons
       count += counts_down[column];
     }
     for (std::size_t column = 0; column < columns; ++column) {
-      logarithm_sum += padded[column + held] - padded[column];
-      count += padded_counts[column + held] - padded_counts[column];
+      logarithm_sum += padded[column + side] - padded[column];
+      count += padded_counts[column + side] - padded_counts[column];
       window.logarithms[column] = static_cast<float>(logarithm_sum);
       window.counts[column] = static_cast<float>(count);  // whole, so it comes out exactly
     }

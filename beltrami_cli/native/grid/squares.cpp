@@ -63,15 +63,17 @@ void add_enlarged(const Squares& squares, const std::uint8_t* kinds, const float
     // For the squares above and below: the share of owned ones, and the changes of each plane times that share.
     std::vector<float> shares(across), sums(across);
     for (std::size_t row = begin; row < end; ++row) {
-      const Between own(row, side, down);
-      const std::uint8_t *above = kinds + own.low * across, *below = kinds + own.high * across;
+      const Between between(row, side, down);
+      const std::uint8_t *above = kinds + between.low * across, *below = kinds + between.high * across;
       const std::uint8_t* kind = squares.kind + row * squares.columns;
       for (std::size_t plane = 0; plane < count; ++plane) {
-        const float *high = changes + (plane * down + own.low) * across, *low = changes + (plane * down + own.high) * across;
+        const float* changes_above = changes + (plane * down + between.low) * across;
+        const float* changes_below = changes + (plane * down + between.high) * across;
         for (std::size_t square = 0; square < across; ++square) {
-          const float upper = above[square] == owned ? 1 - own.share : 0, lower = below[square] == owned ? own.share : 0;
+          const float upper = above[square] == owned ? 1 - between.share : 0;
+          const float lower = below[square] == owned ? between.share : 0;
           shares[square] = upper + lower;
-          sums[square] = upper * high[square] + lower * low[square];
+          sums[square] = upper * changes_above[square] + lower * changes_below[square];
         }
         float* values = planes + (plane * squares.rows + row) * squares.columns;
         for (std::size_t column = 0; column < squares.columns; ++column) {

@@ -14,7 +14,7 @@ namespace {
 constexpr float unreached = 1e8F;
 
 struct Totals {
-  Lanes held, kernel;
+  Lanes samples, kernel;
 };
 
 // Converts the window's distances to kernel values, 0 beyond the radius, and sums them with that of the centre.
@@ -31,7 +31,7 @@ Totals weigh(const TileJob& job, const Layout& layout, const float* shares, std:
     const Lanes distance = select(within, phi, Lanes{});
     Lanes kernel = select(within, exponential(distance * distance * factor), Lanes{});
     if constexpr (shared) kernel = kernel * load(shares + centre + layout.at(target.offset));
-    totals.held += select(within, splat(1), Lanes{});
+    totals.samples += select(within, splat(1), Lanes{});
     totals.kernel += kernel;
     store(slot, kernel);
   }
@@ -79,7 +79,7 @@ std::int64_t write_owned(const TileJob& job, const Layout& layout, const Totals&
     }
   }
   std::int64_t samples = 0;
-  for (std::size_t l = 0; l < count; ++l) samples += kind[l] == owned ? static_cast<std::int64_t>(totals.held[l]) : 0;
+  for (std::size_t l = 0; l < count; ++l) samples += kind[l] == owned ? static_cast<std::int64_t>(totals.samples[l]) : 0;
   return samples;
 }
 

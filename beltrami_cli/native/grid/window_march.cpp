@@ -1,4 +1,4 @@
-#include "grid/window_sweep.hpp"
+#include "grid/window_march.hpp"
 
 #include <algorithm>
 #include <limits>

@@ -10,7 +10,7 @@
 #include <cstdint>
 #include <vector>
 
-#include "grid/stencils.hpp"
+#include "grid/grid.hpp"
 #include "parallel.hpp"
 
 namespace beltrami::grid {
@@ -63,15 +63,5 @@ std::int64_t smooth_by_sweeps(const Grid& grid, Planes metric, Planes colours, c
 // parameters.radius. The time step has no effect.
 void distances_by_sweeps(const Grid& grid, Planes metric, const SweepParameters& parameters, const WindowProgram& program,
                          std::size_t cell, float* distances);
-
-// As smooth_by_sweeps, by fast marching over the stencils from every owned cell, without cells further than
-// window_radius in rows or columns; 0: no limit.
-std::int64_t smooth_by_marching(const Grid& grid, Planes metric, Planes colours, const SweepParameters& parameters,
-                                int window_radius, Scheme scheme, float* smoothed, unsigned threads,
-                                const Poll& poll = {});
-
-// As distances_by_sweeps, by the march of smooth_by_marching.
-void distances_by_marching(const Grid& grid, Planes metric, const SweepParameters& parameters, int window_radius,
-                           Scheme scheme, std::size_t cell, float* distances);
 
 }  // namespace beltrami::grid

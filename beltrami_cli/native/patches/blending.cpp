@@ -21,9 +21,9 @@ constexpr float beyond_reach = 5.5F;
 class Channel {
  public:
   Channel(const BlendNoise& noise, std::size_t channel, std::size_t first, std::size_t count)
-      : noise_(noise), own_(noise.channels[channel]), channel_(channel), first_(first), count_(count) {
-    if (own_.low || own_.high)
-      for (std::size_t i = 0; i < count; ++i) sigma_[i] = own_.sigma * std::sqrt(noise.relative.at(0, first + i));
+      : noise_(noise), channel_noise_(noise.channels[channel]), channel_(channel), first_(first), count_(count) {
+    if (channel_noise_.low || channel_noise_.high)
+      for (std::size_t i = 0; i < count; ++i) sigma_[i] = channel_noise_.sigma * std::sqrt(noise.relative.at(0, first + i));
   }
 
   void read(const Values& from, Run& to) const {
@@ -36,16 +36,17 @@ class Channel {
 
   // Imputed colours before imputation.
   void cut_off(Run& values) const {
-    if (own_.low)
+    if (channel_noise_.low)
       for (std::size_t i = 0; i < count_; ++i) values[i] = std::max(values[i], 0.0F);
-    if (own_.high)
+    if (channel_noise_.high)
       for (std::size_t i = 0; i < count_; ++i) values[i] = std::min(values[i], 1.0F);
   }
 
   // Replaces colours without noise by the mean of noisy, clipped colours.
   void expect(Run& values) const {
     Run lost{};
-    near_limits(values, noise_.tables.lost, [&](std::size_t i, float found, float sign) { lost[i] += sign * sigma_[i] * found; });
+    near_limits(values, noise_.tables.lost,
+                [&](std::size_t i, float found, float sign) { lost[i] += sign * sigma_[i] * found; });
     for (std::size_t i = 0; i < count_; ++i) values[i] += lost[i];
   }
 
@@ -58,7 +59,8 @@ class Channel {
   // The same, multiplied by the variance of each sample.
   void variance_within(const Run& values, Run& variances) const {
     share_within(values, variances);
-    for (std::size_t i = 0; i < count_; ++i) variances[i] = own_.variance * (variances[i] * noise_.relative.at(0, first_ + i));
+    for (std::size_t i = 0; i < count_; ++i)
+      variances[i] = channel_noise_.variance * (variances[i] * noise_.relative.at(0, first_ + i));
   }
 
  private:
@@ -67,7 +69,7 @@ class Channel {
   template <class F>
   void near_limits(const Run& values, std::span<const float> table, F f) const {
     for (const bool is_high : {true, false}) {
-      if (!(is_high ? own_.high : own_.low)) continue;
+      if (!(is_high ? channel_noise_.high : channel_noise_.low)) continue;
       Run limits;
       int within_reach = 0;
       for (std::size_t i = 0; i < count_; ++i) {
@@ -88,7 +90,7 @@ class Channel {
   }
 
   const BlendNoise& noise_;
-  const ChannelNoise& own_;
+  const ChannelNoise& channel_noise_;
   std::size_t channel_, first_, count_;
   Run sigma_;
 };

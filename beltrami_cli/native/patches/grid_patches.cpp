@@ -61,9 +61,9 @@ using Cells = std::array<float, finished_cells>;
 // an estimate get the pilot.
 void finish(const Canvas& canvas, const Band& band, std::size_t cell, std::size_t count, std::vector<Cells>& mixed,
             float* estimates) {
-  const std::size_t own = cell - band.first * canvas.columns, stride = band.rows * canvas.columns, n = canvas.channels;
+  const std::size_t in_band = cell - band.first * canvas.columns, stride = band.rows * canvas.columns, n = canvas.channels;
   for (std::size_t c = 0; c < n; ++c) {
-    const float *sums = band.estimates.data() + c * stride + own, *weights = band.weights.data() + c * stride + own;
+    const float *sums = band.estimates.data() + c * stride + in_band, *weights = band.weights.data() + c * stride + in_band;
     for (std::size_t i = 0; i < count; ++i) mixed[c][i] = sums[i] / weights[i];  // no number without an estimate
   }
   for (std::size_t c = 0; c < n; ++c) {
@@ -73,7 +73,7 @@ void finish(const Canvas& canvas, const Band& band, std::size_t cell, std::size_
     const std::size_t at = c * canvas.rows * canvas.columns + cell;
     for (std::size_t i = 0; i < count; ++i)
       estimates[at + i] =
-          canvas.kind[cell + i] == grid::owned && band.weights[own + i] > 0 ? values[i] : canvas.pilot[at + i];
+          canvas.kind[cell + i] == grid::owned && band.weights[in_band + i] > 0 ? values[i] : canvas.pilot[at + i];
   }
 }
 
@@ -84,7 +84,9 @@ void collaborate(const Canvas& canvas, bool has_pilot, float* estimates, unsigne
   const auto rows = rows_of_tiles(canvas);
   std::size_t total = 0, before = 0;
   for (const auto& row : rows) total += row[0].size() + row[1].size();
-  const auto counted = [&](std::size_t done) { return poll((before + done) * canvas.rows * canvas.columns / std::max<std::size_t>(1, total)); };
+  const auto counted = [&](std::size_t done) {
+    return poll((before + done) * canvas.rows * canvas.columns / std::max<std::size_t>(1, total));
+  };
   std::vector<TileScratch> scratch(std::max(1U, threads));
   Band band{};
   // The canvas is processed from above. An odd row of tiles waits for the even ones above and below, and tiles of one
@@ -95,10 +97,10 @@ void collaborate(const Canvas& canvas, bool has_pilot, float* estimates, unsigne
     const bool is_last = row + step >= rows.size();
     const std::size_t end = is_last ? rows.size() : row + step - 1;
     std::array<std::vector<Tile>, 4> colours;
-    for (std::size_t own = row == 0 ? 0 : row - 1; own < end; ++own)
+    for (std::size_t ready = row == 0 ? 0 : row - 1; ready < end; ++ready)
       for (std::size_t side = 0; side < 2; ++side) {
-        auto& tiles = colours[own % 2 * 2 + side];
-        tiles.insert(tiles.end(), rows[own][side].begin(), rows[own][side].end());
+        auto& tiles = colours[ready % 2 * 2 + side];
+        tiles.insert(tiles.end(), rows[ready][side].begin(), rows[ready][side].end());
       }
     move_band(band, canvas, finished, is_last ? canvas.rows : std::min(canvas.rows, end * tile_side + margin));
     for (const auto& tiles : colours) {

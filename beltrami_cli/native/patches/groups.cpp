@@ -100,8 +100,8 @@ class Estimate {
     noise *= (count - 1) / count;
     const float kept = squares > noise ? 1 - noise / squares : 0;
     for (std::size_t p = 0; p < group_.count; ++p) {
-      float& own = mean_[group_.used[p]];
-      own = level + kept * (own - level);
+      float& value = mean_[group_.used[p]];
+      value = level + kept * (value - level);
     }
   }
 

@@ -40,6 +40,10 @@ constexpr std::size_t few = 16, medium = 32, many = 48;
 // Values per row of the patches of surfaces and of grids, including padding.
 constexpr std::size_t short_row = 32, long_row = 64;
 
+// Value of cells and nodes without a colour. It is so far from all colours that no candidate lacks a value that the first
+// patch has: distances of such patches are above `too_far`.
+constexpr float far_away = 1e9F, too_far = 1e17F;
+
 // Mixing of channels: `forth`, channels * channels factors, gives the channels that are estimated separately; `back` is
 // its inverse.
 struct Mixing {

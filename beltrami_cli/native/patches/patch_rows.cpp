@@ -12,14 +12,14 @@ using namespace beltrami::lanes::BELTRAMI_VARIANT;
 void compare_rows(const float* rows, std::size_t length, const float* mask, std::span<const std::int32_t> places,
                   float* distances) {
   constexpr std::size_t width = 16, packs = width / lane_count;
-  const float* own = rows + static_cast<std::size_t>(places[0]) * length;
+  const float* first = rows + static_cast<std::size_t>(places[0]) * length;
   for (std::size_t k = 0; k < places.size(); ++k) {
     const float* other = rows + static_cast<std::size_t>(places[k]) * length;
     std::array<Lanes, packs> sums{};
     for (std::size_t i = 0; i < length; i += width)
       for (std::size_t v = 0; v < packs; ++v) {
         const std::size_t at = i + v * lane_count;
-        const Lanes difference = (load(other + at) - load(own + at)) * load(mask + at);
+        const Lanes difference = (load(other + at) - load(first + at)) * load(mask + at);
         sums[v] += difference * difference;
       }
     // As many partial sums for any number of lanes.

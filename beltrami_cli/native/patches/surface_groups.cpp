@@ -12,9 +12,6 @@ namespace {
 // Number of parts whose sums are added at a time.
 constexpr std::size_t parts_in_wave = 32;
 
-// As in grids, see tile_patches.cpp.
-constexpr float far_away = 1e9F, too_far = 1e17F;
-
 struct Variant {
   EstimateGroup estimate_group;
   CompareRows compare_rows;
@@ -74,16 +71,16 @@ class SurfacePatches::Worker {
     std::int32_t* numbers = number_.data();
     for (std::size_t i = 0; i < vertices.size(); ++i) {
       const Nodes& patch = surface.patches_[static_cast<std::size_t>(vertices[i])];
-      Numbers& own = patches_[i];
+      Numbers& patch_members = patches_[i];
       for (std::size_t node = 0; node < nodes; ++node) {
-        own[node] = -1;
+        patch_members[node] = -1;
         if (patch[node] < 0) continue;
         std::int32_t& number = numbers[patch[node]];
         if (number < 0) {
           number = static_cast<std::int32_t>(members.size());
           members.push_back(patch[node]);
         }
-        own[node] = number;
+        patch_members[node] = number;
       }
     }
   }
@@ -117,14 +114,14 @@ class SurfacePatches::Worker {
     weights_.assign(count * n, 0);
     is_chosen_.assign(count, false);
     for (std::size_t i = 0; i < count; ++i) {
-      const Numbers own = patches_[i];
+      const Numbers patch_members = patches_[i];
       for (std::size_t c = 0; c < n; ++c) {
         const float *noisy = noisy_.data() + c, *pilot = pilot_.data() + c;
         float *noisy_row = noisy_rows_.data() + i * length_ + c * nodes, *pilot_row = pilot_rows_.data() + i * length_ + c * nodes;
         for (std::size_t node = 0; node < nodes; ++node) {
-          const std::size_t from = static_cast<std::size_t>(std::max(own[node], 0)) * n;
+          const std::size_t from = static_cast<std::size_t>(std::max(patch_members[node], 0)) * n;
           noisy_row[node] = noisy[from];
-          pilot_row[node] = own[node] < 0 ? far_away : pilot[from];
+          pilot_row[node] = patch_members[node] < 0 ? far_away : pilot[from];
         }
       }
     }
@@ -132,12 +129,12 @@ class SurfacePatches::Worker {
 
   // Finds the candidates most similar to the first in the pilot, with vertices at all of its nodes.
   void choose(std::span<const std::int32_t> candidates, std::size_t size, std::size_t channels, const Variant& variant) {
-    const Numbers& own = patches_[static_cast<std::size_t>(candidates[0])];
+    const Numbers& patch_members = patches_[static_cast<std::size_t>(candidates[0])];
     compared_.assign(length_, 0);
     node_mask_.fill(0);
     group_.count = 0;
     for (std::size_t node = 0; node < nodes; ++node) {
-      if (own[node] < 0) continue;
+      if (patch_members[node] < 0) continue;
       node_mask_[node] = 1;
       group_.used[group_.count++] = static_cast<std::uint8_t>(node);
       for (std::size_t c = 0; c < channels; ++c) compared_[c * nodes + node] = 1;
@@ -206,13 +203,13 @@ class SurfacePatches::Worker {
   void add_to_members(std::size_t channels, PartSums& to) const {
     for (std::size_t i = 0; i < patches_.size(); ++i) {
       if (!is_chosen_[i]) continue;
-      const Numbers& own = patches_[i];
+      const Numbers& patch_members = patches_[i];
       for (std::size_t c = 0; c < channels; ++c) {
         std::array<float, 2>* sums = to.sums.data() + c;
         const float *row = sum_rows_.data() + i * length_ + c * nodes, weight = weights_[i * channels + c];
         for (std::size_t node = 0; node < nodes; ++node) {
-          if (own[node] < 0) continue;
-          auto& [estimate, total] = sums[static_cast<std::size_t>(own[node]) * channels];
+          if (patch_members[node] < 0) continue;
+          auto& [estimate, total] = sums[static_cast<std::size_t>(patch_members[node]) * channels];
           estimate += row[node];
           total += weight;
         }

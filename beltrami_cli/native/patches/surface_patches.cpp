@@ -122,8 +122,8 @@ class SurfacePatches::VertexRings {
     for (std::size_t ring = 0; ring < count && count < enough;) {
       const std::size_t end = count;
       for (; ring < end; ++ring) {
-        const auto own = static_cast<std::size_t>(found_[ring]);
-        for (std::size_t i = first[own]; i < first[own + 1] && count < most; ++i) {
+        const auto from = static_cast<std::size_t>(found_[ring]);
+        for (std::size_t i = first[from]; i < first[from + 1] && count < most; ++i) {
           const std::int32_t neighbour = found_[count] = neighbours[i];
           count += seen[neighbour] != visit;
           seen[neighbour] = visit;
@@ -136,7 +136,7 @@ class SurfacePatches::VertexRings {
 
   // Number of vertices in the first whole rings with `enough`: the order within a ring is arbitrary.
   std::size_t whole_rings(std::size_t enough) const {
-    const auto end = std::find_if(ends_.begin(), ends_.end(), [&](std::size_t own) { return own >= enough; });
+    const auto end = std::find_if(ends_.begin(), ends_.end(), [&](std::size_t count) { return count >= enough; });
     return end != ends_.end() ? *end : ends_.empty() ? 1 : ends_.back();
   }
 
@@ -239,12 +239,12 @@ void SurfacePatches::find_candidates(const std::vector<std::int32_t>& starts, co
       part.first.push_back(0);
       for (std::size_t i = first; i < last; ++i) {
         for (const std::int32_t vertex : rings[worker].around(starts[i], enough_candidates, first_, neighbours_)) {
-          std::int32_t& own = rank[static_cast<std::size_t>(vertex)];
-          if (own < 0) {
-            own = static_cast<std::int32_t>(part.vertices.size());
+          std::int32_t& place = rank[static_cast<std::size_t>(vertex)];
+          if (place < 0) {
+            place = static_cast<std::int32_t>(part.vertices.size());
             part.vertices.push_back(vertex);
           }
-          part.candidates.push_back(own);
+          part.candidates.push_back(place);
         }
         part.without_pilot.push_back(rings[worker].whole_rings(few_candidates));
         part.first.push_back(part.candidates.size());

@@ -19,33 +19,33 @@ constexpr Index candidates = (2 * rows_beside + 1) * candidate_columns;
 constexpr int patch_side = 2 * patch_reach + 1, patch_cells = patch_side * patch_side;
 static_assert(candidates <= 1024 && candidate_columns % lane_count == 0);
 
-// Value of empty cells, far from all colours, so that no candidate has an empty cell where the first patch has none.
-constexpr float far_away = 1e9F, too_far = 1e17F, least_distance = 1e-30F;
+// Lower bound of distances, far below those of colours.
+constexpr float least_distance = 1e-30F;
 
 // The cells of a tile and its surroundings, with mixed channels.
 class TilePlanes {
  public:
-  TilePlanes(const Canvas& canvas, const Tile& tile, TileScratch& scratch) : canvas_(canvas), tile_(tile), own_(scratch) {
+  TilePlanes(const Canvas& canvas, const Tile& tile, TileScratch& scratch) : canvas_(canvas), tile_(tile), scratch_(scratch) {
     const std::size_t all = canvas.channels * static_cast<std::size_t>(area);
-    own_.kind.assign(static_cast<std::size_t>(area), grid::empty);
-    own_.noisy.assign(all, far_away);
-    own_.pilot.assign(all, far_away);
-    own_.estimates.assign(all, 0);
-    own_.weights.assign(all, 0);
-    own_.counts.assign(static_cast<std::size_t>(area), enough_estimates);
-    own_.distances.resize(static_cast<std::size_t>(candidates));
-    own_.keys.resize(static_cast<std::size_t>(candidates));
-    if (canvas.relative != nullptr) own_.relative.assign(static_cast<std::size_t>(area), 1);
+    scratch_.kind.assign(static_cast<std::size_t>(area), grid::empty);
+    scratch_.noisy.assign(all, far_away);
+    scratch_.pilot.assign(all, far_away);
+    scratch_.estimates.assign(all, 0);
+    scratch_.weights.assign(all, 0);
+    scratch_.counts.assign(static_cast<std::size_t>(area), enough_estimates);
+    scratch_.distances.resize(static_cast<std::size_t>(candidates));
+    scratch_.keys.resize(static_cast<std::size_t>(candidates));
+    if (canvas.relative != nullptr) scratch_.relative.assign(static_cast<std::size_t>(area), 1);
     each_row([&](Index local, Index cell, Index count) { read(local, cell, count); });
   }
 
   // The mixed channels, one plane of `area` values after the other.
   Colours channels() const {
-    const float* relative = canvas_.relative != nullptr ? own_.relative.data() : nullptr;
-    return {own_.noisy.data(), own_.pilot.data(), canvas_.channels, canvas_.mixing, relative};
+    const float* relative = canvas_.relative != nullptr ? scratch_.relative.data() : nullptr;
+    return {scratch_.noisy.data(), scratch_.pilot.data(), canvas_.channels, canvas_.mixing, relative};
   }
 
-  Sums sums() const { return {own_.estimates.data(), own_.weights.data()}; }
+  Sums sums() const { return {scratch_.estimates.data(), scratch_.weights.data()}; }
 
   void add_to(Band& band) const {
     each_row([&](Index local, Index cell, Index count) {
@@ -53,8 +53,8 @@ class TilePlanes {
         const Index from = local + static_cast<Index>(channel) * area;
         const std::size_t to = static_cast<std::size_t>(cell) + (channel * band.rows - band.first) * canvas_.columns;
         for (Index i = 0; i < count; ++i) {
-          band.estimates[to + static_cast<std::size_t>(i)] += own_.estimates[static_cast<std::size_t>(from + i)];
-          band.weights[to + static_cast<std::size_t>(i)] += own_.weights[static_cast<std::size_t>(from + i)];
+          band.estimates[to + static_cast<std::size_t>(i)] += scratch_.estimates[static_cast<std::size_t>(from + i)];
+          band.weights[to + static_cast<std::size_t>(i)] += scratch_.weights[static_cast<std::size_t>(from + i)];
         }
       }
     });
@@ -73,13 +73,13 @@ class TilePlanes {
 
   void read(Index local, Index cell, Index count) {
     const std::size_t n = canvas_.channels;
-    std::copy_n(canvas_.kind + cell, count, own_.kind.begin() + local);
-    std::transform(canvas_.kind + cell, canvas_.kind + cell + count, own_.counts.begin() + local,
+    std::copy_n(canvas_.kind + cell, count, scratch_.kind.begin() + local);
+    std::transform(canvas_.kind + cell, canvas_.kind + cell + count, scratch_.counts.begin() + local,
                    [](std::uint8_t kind) { return kind == grid::empty ? enough_estimates : std::uint16_t{0}; });
-    if (canvas_.relative != nullptr) std::copy_n(canvas_.relative + cell, count, own_.relative.begin() + local);
+    if (canvas_.relative != nullptr) std::copy_n(canvas_.relative + cell, count, scratch_.relative.begin() + local);
     for (std::size_t channel = 0; channel < n; ++channel) {
-      mix(canvas_.noisy, channel, local, cell, count, own_.noisy);
-      mix(canvas_.pilot, channel, local, cell, count, own_.pilot);
+      mix(canvas_.noisy, channel, local, cell, count, scratch_.noisy);
+      mix(canvas_.pilot, channel, local, cell, count, scratch_.pilot);
     }
   }
 
@@ -91,14 +91,14 @@ class TilePlanes {
       const float factor = canvas_.mixing.forth[channel * n + from], *plane = planes + from * cells + cell;
       for (Index i = 0; i < count; ++i) sums[static_cast<std::size_t>(i)] += factor * plane[i];
     }
-    const std::uint8_t* kind = own_.kind.data() + local;
+    const std::uint8_t* kind = scratch_.kind.data() + local;
     float* mixed = all.data() + static_cast<Index>(channel) * area + local;
     for (Index i = 0; i < count; ++i) mixed[i] = kind[i] == grid::empty ? far_away : sums[static_cast<std::size_t>(i)];
   }
 
   const Canvas& canvas_;
   Tile tile_;
-  TileScratch& own_;
+  TileScratch& scratch_;
 };
 
 // The existing cells of the patch at a centre; patches have rows of `row_length` cells, the last of them padding.
@@ -145,10 +145,10 @@ void compare(const float* pilot, std::size_t channels, const Shape& shape, Index
         const auto& offsets = channel == 0 ? shape.offsets : shape.every_second;
         const std::size_t count = channel == 0 ? shape.count : shape.half_count;
         for (std::size_t p = 0; p < count; ++p) {
-          const Lanes own = splat(plane[centre + offsets[p]]);
+          const Lanes here = splat(plane[centre + offsets[p]]);
           const float* other = plane + first + offsets[p];
           for (Index row = 0; row < rows_at_once; ++row) {
-            const Lanes difference = load(other + row * side) - own;
+            const Lanes difference = load(other + row * side) - here;
             sums[static_cast<std::size_t>(row)] += difference * difference;
           }
         }

@@ -1,7 +1,6 @@
 #include "triangulated/fast_marching.hpp"
 
 #include <algorithm>
-#include <bit>
 #include <cmath>
 #include <cstdlib>
 
@@ -28,7 +27,7 @@ std::span<const Reached> FastMarching::march(Index source, float radius, std::si
   relax(source, 0);
   while (!heap_.empty()) {
     const std::uint64_t key = pop();
-    const auto vertex = static_cast<Index>(key & 0xffffffffU);
+    const Index vertex = vertex_of(key);
     Node& node = nodes_[static_cast<std::size_t>(vertex)];
     // A vertex is pushed again each time that its distance falls; all but its first pop are stale.
     if (node.mark == accepted_mark_) continue;
@@ -48,7 +47,7 @@ std::span<const Reached> FastMarching::march(Index source, float radius, std::si
 // a hub does not fill it.
 void FastMarching::keep_nearest() {
   std::erase_if(heap_, [&](std::uint64_t key) {
-    const auto vertex = static_cast<Index>(key & 0xffffffffU);
+    const Index vertex = vertex_of(key);
     const Node& node = nodes_[static_cast<std::size_t>(vertex)];
     return node.mark == accepted_mark_ || key != make_key(node.distance, vertex);
   });
@@ -56,7 +55,7 @@ void FastMarching::keep_nearest() {
     std::nth_element(heap_.begin(), heap_.begin() + static_cast<std::ptrdiff_t>(wanted_) - 1, heap_.end());
     heap_.resize(wanted_);
     bound_ = heap_.back();
-    radius_ = std::bit_cast<float>(static_cast<std::uint32_t>(bound_ >> 32));
+    radius_ = distance_of(bound_);
   }
   std::sort(heap_.begin(), heap_.end());  // a heap of any arity
 }

@@ -4,25 +4,15 @@
 // phi(source) = 0 (eq. (10) of the Beltrami kernel paper) by accepting vertices in order of distance.
 #pragma once
 
-#include <bit>
 #include <cstdint>
 #include <span>
 #include <unordered_map>
 #include <vector>
 
+#include "triangulated/reached.hpp"
 #include "triangulated/stencils.hpp"
 
 namespace beltrami::triangulated {
-
-// Non-negative floats order like their bit patterns; the vertex below them makes the order total.
-inline std::uint64_t make_key(float distance, Index vertex) {
-  return std::uint64_t{std::bit_cast<std::uint32_t>(distance)} << 32 | static_cast<std::uint32_t>(vertex);
-}
-
-struct Reached {
-  Index vertex;
-  float distance;
-};
 
 // Position of a vertex on a grid, if any.
 struct GridPlace {

@@ -56,7 +56,7 @@ class GroupAverage {
   // Computes kernel values, K = exp(-d^2 / 4 t), sums them up, and counts the samples of each kernel.
   Numbers evaluate() {
     const float factor = -1 / (4 * job_.parameters.time_step);
-    std::array<Lanes, parts> sums{}, held{};
+    std::array<Lanes, parts> sums{}, samples{};
     for (std::size_t i = 0; i < region_.places.size(); ++i)
       for (std::size_t part = 0; part < parts; ++part) {
         RegionPlace& place = region_.places[i];
@@ -66,12 +66,12 @@ class GroupAverage {
         if (job_.weights != nullptr) kernel = kernel * job_.weights[region_.vertices[i]];
         store(place.kernel().data() + part * lane_count, kernel);
         sums[part] += kernel;
-        held[part] += select(within, splat(1), Lanes{});
+        samples[part] += select(within, splat(1), Lanes{});
       }
     Numbers counts;
     for (std::size_t part = 0; part < parts; ++part) {
       store(totals_.lane.data() + part * lane_count, sums[part]);
-      store(counts.lane.data() + part * lane_count, held[part]);
+      store(counts.lane.data() + part * lane_count, samples[part]);
     }
     return counts;
   }

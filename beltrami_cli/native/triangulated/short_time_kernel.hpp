@@ -26,7 +26,7 @@ struct KernelParameters {
 };
 
 struct KernelStatistics {
-  std::int64_t samples = 0;    // sum over all kernels of how many samples each held
+  std::int64_t samples = 0;    // in all kernels
   std::int64_t truncated = 0;  // kernels that max_samples cut short
 
   KernelStatistics& operator+=(const KernelStatistics& more) {

@@ -1,0 +1,98 @@
+#include "triangulated/segment_march.hpp"
+
+#include <algorithm>
+#include <functional>
+
+namespace beltrami::triangulated {
+
+SegmentMarch::SegmentMarch(const Segments& segments, const HubLists& hubs)
+    : segments_(segments), hubs_(hubs), nodes_(static_cast<std::size_t>(segments.vertex_count())) {}
+
+std::span<const Reached> SegmentMarch::march(Index source, float radius, std::size_t max_count) {
+  heap_.clear();
+  waiting_.clear();
+  reached_.clear();
+  truncated_ = false;
+  radius_ = radius;
+  if (++mark_ == 0) {
+    std::fill(nodes_.begin(), nodes_.end(), Node{});
+    mark_ = 1;
+  }
+  relax(source, 0);
+  while (!heap_.empty() || !waiting_.empty()) {
+    if (!waiting_.empty() && (heap_.empty() || waiting_.front().key < heap_.front())) {
+      take_hub_segment();
+      continue;
+    }
+    std::pop_heap(heap_.begin(), heap_.end(), std::greater<>());
+    const std::uint64_t key = heap_.back();
+    heap_.pop_back();
+    const Index vertex = vertex_of(key);
+    const float distance = nodes_[static_cast<std::size_t>(vertex)].distance;
+    // A vertex is pushed again each time that its distance falls; all but its first pop are stale.
+    if (key != make_key(distance, vertex)) continue;
+    if (reached_.size() == max_count) {
+      truncated_ = true;
+      break;
+    }
+    reached_.push_back({vertex, distance});
+    pass_on(vertex, distance);
+    // One more than the kernel takes, to detect that it is truncated.
+    const std::size_t wanted = max_count - reached_.size() + 1;
+    if (heap_.size() / 2 > wanted) keep_nearest(wanted);
+  }
+  return reached_;
+}
+
+// Truncates the heap to the nearest vertices. Others are never taken, since distances only decrease.
+void SegmentMarch::keep_nearest(std::size_t count) {
+  std::erase_if(heap_, [&](std::uint64_t key) {
+    const Index vertex = vertex_of(key);
+    return key != make_key(nodes_[static_cast<std::size_t>(vertex)].distance, vertex);
+  });
+  if (heap_.size() > count) {
+    std::nth_element(heap_.begin(), heap_.begin() + static_cast<std::ptrdiff_t>(count) - 1, heap_.end());
+    heap_.resize(count);
+    radius_ = distance_of(heap_.back());
+  }
+  std::make_heap(heap_.begin(), heap_.end(), std::greater<>());
+}
+
+void SegmentMarch::relax(Index target, float distance) {
+  if (!(distance <= radius_)) return;
+  Node& node = nodes_[static_cast<std::size_t>(target)];
+  if (node.mark == mark_ && node.distance <= distance) return;
+  node = {distance, mark_};
+  heap_.push_back(make_key(distance, target));
+  std::push_heap(heap_.begin(), heap_.end(), std::greater<>());
+}
+
+void SegmentMarch::pass_on(Index vertex, float distance) {
+  const std::uint32_t* offset = segments_.offsets.data() + vertex;
+  if (offset[1] - offset[0] > most_segments) {
+    const auto found = std::lower_bound(hubs_.hubs.begin(), hubs_.hubs.end(), vertex);
+    const auto hub = static_cast<std::uint32_t>(found - hubs_.hubs.begin());
+    wait_for(hub, hubs_.offsets[hub]);
+    return;
+  }
+  for (std::uint32_t i = offset[0]; i < offset[1]; ++i) relax(segments_.targets[i], distance + segments_.lengths[i]);
+}
+
+void SegmentMarch::wait_for(std::uint32_t hub, std::uint32_t next) {
+  if (next == hubs_.offsets[hub + 1]) return;
+  const std::uint32_t place = hubs_.places[next];
+  const float distance = nodes_[static_cast<std::size_t>(hubs_.hubs[hub])].distance + segments_.lengths[place];
+  if (!(distance <= radius_)) return;
+  waiting_.push_back({make_key(distance, segments_.targets[place]), hub, next});
+  std::push_heap(waiting_.begin(), waiting_.end(), std::greater<>());
+}
+
+void SegmentMarch::take_hub_segment() {
+  std::pop_heap(waiting_.begin(), waiting_.end(), std::greater<>());
+  const Waiting taken = waiting_.back();
+  waiting_.pop_back();
+  relax(vertex_of(taken.key), distance_of(taken.key));
+  wait_for(taken.hub, taken.next + 1);
+}
+
+}  // namespace beltrami::triangulated
