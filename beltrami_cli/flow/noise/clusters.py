@@ -88,7 +88,7 @@ class ClusterScale(Scale):
         return np.bincount(self.edges.ravel(), minlength=len(self.parents)).astype(np.int64)
 
     @cached_property
-    def of_residuals(self) -> Float64s:
+    def deviations_of_residuals(self) -> Float64s:
         """Standard deviation of independent noise in the difference of each part from the mean of its neighbours."""
         around = self.sums_around(1 / self.counts) / np.maximum(self.degree, 1) ** 2
         return np.asarray(np.sqrt(1 / self.counts + around), np.float64)
@@ -122,7 +122,7 @@ class VertexClusters(Neighbourhoods):
     def of_samples(self) -> Int64s:
         return self._cut[2]
 
-    def chosen_of(self, planes: Float32s) -> Float32s:
+    def sampled(self, planes: Float32s) -> Float32s:
         return planes[:, self.chosen]
 
     @cached_property
@@ -132,11 +132,11 @@ class VertexClusters(Neighbourhoods):
         levels = list(islice(levels_of(graph), SCALES + 2))
         large = _large_ones(levels[-1].counts)
         # The neighbourhood of each cluster by level, -1 if it is not read, and consecutive numbers of those read.
-        tiles = [large[levels[-1].members[level.centres]] for level in levels]
-        numbers = [_numbered(own >= 0) for own in tiles]
+        of_clusters = [large[levels[-1].members[level.centres]] for level in levels]
+        numbers = [_numbered(own >= 0) for own in of_clusters]
         scales = []
         for place, (fine, coarse) in enumerate(pairwise(levels)):
-            used, of_cells = tiles[place] >= 0, tiles[place + 1][tiles[place + 1] >= 0]
+            used, of_cells = of_clusters[place] >= 0, of_clusters[place + 1][of_clusters[place + 1] >= 0]
             parents = numbers[place + 1][coarse.members[fine.centres]][used]
             edges = numbers[place][fine.graph.edges]
             scale = ClusterScale(
@@ -149,9 +149,9 @@ class VertexClusters(Neighbourhoods):
                 edges=edges[(edges >= 0).all(axis=1)],
             )
             scales.append(scale)
-        return chosen[tiles[0] >= 0], scales, tiles[0][tiles[0] >= 0]
+        return chosen[of_clusters[0] >= 0], scales, of_clusters[0][of_clusters[0] >= 0]
 
-    def energies_for_order(self, samples: Samples) -> Float32s:
+    def channel_energies(self, samples: Samples) -> Float32s:
         finest = self.scales[0]
         means = np.stack([finest.means(own)[finest.parents] for own in samples.colours])
         return np.asarray(np.abs(samples.colours - means).sum(axis=1), np.float32)
@@ -165,7 +165,7 @@ class VertexClusters(Neighbourhoods):
         residuals = self._residuals(samples, number) if number < _SCALES_OF_RESIDUALS else None
         return (
             self._mean_squares(samples, number),
-            self._neighbours(self.scales[number], samples.details[number]),
+            self._correlations(self.scales[number], samples.details[number]),
             residuals,
         )
 
@@ -177,13 +177,13 @@ class VertexClusters(Neighbourhoods):
         cells = np.maximum(np.bincount(scale.of_cells[used], minlength=self.count), 1)
         return (np.stack(sums, axis=1) / cells[:, None]).astype(np.float32)
 
-    def _neighbours(self, scale: ClusterScale, details: Float64s) -> Float32s:
+    def _correlations(self, scale: ClusterScale, details: Float64s) -> Float32s:
         """Return the correlation of neighbouring details in each neighbourhood, by component, shape (P, 3)."""
-        one, other, tile = scale.across
+        one, other, of_one = scale.across
         columns = []
         for values in details:
-            both = np.bincount(tile, values[one] * values[other], self.count)
-            energy = np.bincount(tile, values[one] ** 2 + values[other] ** 2, self.count) / 2
+            both = np.bincount(of_one, values[one] * values[other], self.count)
+            energy = np.bincount(of_one, values[one] ** 2 + values[other] ** 2, self.count) / 2
             columns.append(both / np.maximum(energy, 1e-9))
         return np.stack(columns, axis=1).astype(np.float32)
 
@@ -192,7 +192,7 @@ class VertexClusters(Neighbourhoods):
         scale, values = self.scales[number], in_components(samples.means[number])
         inside = scale.degree >= _NEIGHBOURS
         differences = [own - scale.sums_around(own) / np.maximum(scale.degree, 1) for own in values]
-        residuals = np.stack(differences)[:, inside] / scale.of_residuals[inside]
+        residuals = np.stack(differences)[:, inside] / scale.deviations_of_residuals[inside]
         parents, cells = scale.parents[inside], len(scale.of_cells)
         sums = np.stack([np.bincount(parents, residuals[k] * residuals[m], cells) for k, m in PAIRS])
         count = np.bincount(parents, minlength=cells)

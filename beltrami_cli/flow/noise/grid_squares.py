@@ -34,7 +34,7 @@ _TILE = 8
 # Quantile of the energies of tiles in a square that is assumed to be free of texture; and its value for white noise of
 # variance 1, found by simulation, for the quieter of two components and for the quietest of three.
 _QUIET = 0.3
-_OF_NOISE = {2: 0.795, 3: 0.754}
+_QUIET_OF_NOISE = {2: 0.795, 3: 0.754}
 
 # Share of the largest variance of a component above which another component has noise, too.
 _NOISY = 0.1
@@ -149,13 +149,10 @@ class Grid(Neighbourhoods):
         squares = laid_out(rows, self._present, SIDE).reshape(len(rows), self.count, -1)
         return np.asarray(squares.sum(axis=2, dtype=np.float32) / self.counts, np.float32)
 
-    def chosen_of(self, planes: Float32s) -> Float32s:
-        cut = [self._cut_out(plane) for plane in planes]
-        return np.stack(
-            [squares.ravel() if self._present is None else squares[self._squares] for squares in cut]
-        )
+    def sampled(self, planes: Float32s) -> Float32s:
+        return np.stack([self._cut_out(plane)[self._squares] for plane in planes])
 
-    def energies_for_order(self, samples: Samples) -> Float32s:
+    def channel_energies(self, samples: Samples) -> Float32s:
         finest = self.scales[0]
         a, b, c, d = finest.quarters(samples.colours)
         is_whole = finest.is_whole.reshape(a.shape[1:])
@@ -212,12 +209,11 @@ class Grid(Neighbourhoods):
             return None
         finest = self.scales[0]
         energies = finest.padded(samples.products[0][noisy] / variances[noisy, None])
-        tiles = (
-            energies.reshape(len(noisy), -1, *2 * (SIDE // _TILE, _TILE // 2)).mean(axis=(3, 5)).min(axis=0)
-        )
+        in_tiles = energies.reshape(len(noisy), -1, *2 * (SIDE // _TILE, _TILE // 2))
+        tiles = in_tiles.mean(axis=(3, 5)).min(axis=0)
         ordered = np.sort(tiles.reshape(len(tiles), -1), axis=1).astype(np.float64)
         is_whole = finest.padded(finest.is_whole).all(axis=1)
-        quiet = ordered[:, int(_QUIET * (ordered.shape[1] - 1))] / _OF_NOISE[len(noisy)]
+        quiet = ordered[:, int(_QUIET * (ordered.shape[1] - 1))] / _QUIET_OF_NOISE[len(noisy)]
         return np.where(is_whole, quiet, np.nan)
 
     def product_of_neighbours(self, values: Float32s) -> float:

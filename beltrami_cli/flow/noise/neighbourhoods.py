@@ -75,11 +75,11 @@ class Neighbourhoods(ABC):
         """The neighbourhood of each sample that is read."""
 
     @abstractmethod
-    def chosen_of(self, planes: Float32s) -> Float32s:
+    def sampled(self, planes: Float32s) -> Float32s:
         """Return the values of planes at the samples that are read, shape (N, n)."""
 
     @abstractmethod
-    def energies_for_order(self, samples: Samples) -> Float32s:
+    def channel_energies(self, samples: Samples) -> Float32s:
         """Return the energy of the finest details of each channel, by which channels are sorted."""
 
     @abstractmethod
@@ -154,9 +154,9 @@ class Neighbourhoods(ABC):
 
     def cut(self, planes: Float32s, order: Int64s | None = None) -> Samples:
         """Return the samples that are read from three channels; by default `order` sorts these by energy."""
-        samples = Samples(self, self.chosen_of(planes) * STEPS, np.arange(3))
+        samples = Samples(self, self.sampled(planes) * STEPS, np.arange(3))
         if order is None:
-            order = np.argsort(self.energies_for_order(samples), kind="stable")
+            order = np.argsort(self.channel_energies(samples), kind="stable")
         return Samples(self, samples.colours[order], order)
 
 

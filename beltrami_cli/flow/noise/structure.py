@@ -116,10 +116,10 @@ class Structure:
     def variances(self, residual: Residual) -> Float32s:
         """Return the relative variance of each sample, averaged over channels, of mean 1."""
         where = residual.samples.where
-        found = self.places[where.of_samples].astype(np.float32)
+        relative = self.places[where.of_samples].astype(np.float32)
         if self.curve is not None:
-            found *= self.curve.at(residual.pilot.colours).mean(axis=0)
-        return np.asarray(found / max(1e-9, float(found.mean())), np.float32)
+            relative *= self.curve.at(residual.pilot.colours).mean(axis=0)
+        return np.asarray(relative / max(1e-9, float(relative.mean())), np.float32)
 
     def over_samples(self, residual: Residual) -> Float32s:
         """Return the variance by place at each sample relative to its mean, a stack of one channel."""
@@ -138,15 +138,15 @@ class Structure:
         for scale in where.scales[:-1]:
             parts = scale.means(parts)
         last = where.scales[-1]
-        energies, inner = (own[0] / np.maximum(own[1], 1e-9) for own in (last.means(parts), parts))
+        energies, inner = (each[0] / np.maximum(each[1], 1e-9) for each in (last.means(parts), parts))
         places, energies = self.places[where.around], energies[where.around]
         least, most = places.min(axis=1), places.max(axis=1)
         loud = np.take_along_axis(energies, places.argmax(axis=1)[:, None], axis=1)[:, 0]
         quiet = np.where(places <= np.sqrt(least * most)[:, None], energies, 0).max(axis=1)
         shares = (inner - last.spread(quiet)) / np.maximum(last.spread(loud - quiet), 1e-9)
-        found = last.spread(least) + shares.clip(0, 1) * last.spread(most - least)
+        variances = last.spread(least) + shares.clip(0, 1) * last.spread(most - least)
         is_even = last.spread(most <= _MIN_RATIO_AT_BORDER * least) | (parts[1] == 0)
-        return np.asarray(np.where(is_even, np.nan, found), np.float64)
+        return np.asarray(np.where(is_even, np.nan, variances), np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,6 +169,8 @@ def structure_of(
     where = residual.samples.where
     even, blocks = Structure.even(where), residual.blocks()
     curve = LevelCurve.of(blocks, channels) if are_levels else None
+    if curve is not None and not curve.differs:
+        curve = None
 
     def fit(structure: Structure) -> _Fit:
         variances = np.float32(sigma**2) * structure.variances(residual)
@@ -178,7 +180,7 @@ def structure_of(
         return _Fit(structure, _deviance(left, structure))
 
     best = _Fit(even, _deviance(blocks, even))
-    if curve is not None and curve.differs:
+    if curve is not None:
         best = min(best, fit(Structure(curve, even.places)), key=lambda each: each.deviance)
     by_place = fit(Structure(None, _with_quiet_tiles(residual, 4.0**places, sigma)))
     low, high = np.quantile(np.median(places[where.around], axis=1), (_MIN_SHARE, 1 - _MIN_SHARE))
@@ -186,7 +188,7 @@ def structure_of(
     is_much_better = by_place.deviance < _MAX_DEVIANCE_RATIO * best.deviance
     if is_much_better or (is_wide and by_place.deviance <= best.deviance):
         best = by_place
-    if curve is not None and curve.differs:
+    if curve is not None:
         relative = _of_mean_1(4.0 ** (places - _logs_of_level(blocks, curve)))
         both = fit(Structure(curve, relative))
         if both.deviance < _MAX_DEVIANCE_RATIO * best.deviance:
