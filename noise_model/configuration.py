@@ -1,4 +1,7 @@
-"""Hash of the code and settings that trained weights depend on."""
+"""Hash of the code and settings that trained weights depend on.
+
+``python noise_model/configuration.py`` writes the hash into the weights after a change that alters no value of training.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,10 @@ import ast
 import hashlib
 import re
 from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).parents[1]
 
 
 def _in(folder: str, *names: str) -> tuple[str, ...]:
@@ -28,8 +35,7 @@ SIZES = (
 
 def configuration(files: tuple[str, ...]) -> str:
     """Return the hash of the code in source files."""
-    root = Path(__file__).parents[1]
-    text = "\n".join(code_of((root / path).read_text(encoding="utf-8"), Path(path).suffix) for path in files)
+    text = "\n".join(code_of((ROOT / path).read_text(encoding="utf-8"), Path(path).suffix) for path in files)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -43,3 +49,15 @@ def code_of(text: str, suffix: str) -> str:
         if isinstance(value, ast.Constant) and isinstance(value.value, str):
             lines[node.lineno - 1 : node.end_lineno] = [""] * (node.end_lineno - node.lineno + 1)
     return re.sub(r"\s+|#.*", "", "\n".join(lines))
+
+
+def stamp(path: Path, files: tuple[str, ...]) -> None:
+    with np.load(path) as arrays:
+        stamped = {**arrays, "configuration": np.array(configuration(files))}
+    np.savez_compressed(path, **stamped)
+
+
+if __name__ == "__main__":
+    for kind in ("grid", "cluster"):
+        stamp(ROOT / f"beltrami_cli/flow/noise/{kind}_weights.npz", NETWORK)
+        stamp(ROOT / f"beltrami_cli/flow/noise/{kind}_sizes.npz", SIZES)

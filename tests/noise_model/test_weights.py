@@ -13,8 +13,9 @@ MOST_BYTES = 400 * 1024  # of all weights
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_weights_belong_to_the_configuration(kind):
-    assert network.weights_of(kind).configuration == configuration(NETWORK), "run `make noise-model`"
-    assert size.size_weights(kind).configuration == configuration(SIZES), "run `make noise-model`"
+    remedy = "run `make noise-model`, or noise_model/configuration.py if no value of training changed"
+    assert network.weights_of(kind).configuration == configuration(NETWORK), remedy
+    assert size.size_weights(kind).configuration == configuration(SIZES), remedy
 
 
 @pytest.mark.parametrize(
