@@ -1,6 +1,6 @@
 """Hash of the code and settings that trained weights depend on.
 
-``python noise_model/configuration.py`` writes the hash into the weights after a change that alters no value of training.
+After a change that alters no value of training, ``python noise_model/configuration.py`` stamps the weights with it.
 """
 
 from __future__ import annotations
@@ -12,7 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
+# The folder of the repository, not of an installed package.
 ROOT = Path(__file__).parents[1]
+WEIGHTS = ROOT / "beltrami_cli/flow/noise"
 
 
 def _in(folder: str, *names: str) -> tuple[str, ...]:
@@ -59,5 +61,5 @@ def stamp(path: Path, files: tuple[str, ...]) -> None:
 
 if __name__ == "__main__":
     for kind in ("grid", "cluster"):
-        stamp(ROOT / f"beltrami_cli/flow/noise/{kind}_weights.npz", NETWORK)
-        stamp(ROOT / f"beltrami_cli/flow/noise/{kind}_sizes.npz", SIZES)
+        stamp(WEIGHTS / f"{kind}_weights.npz", NETWORK)
+        stamp(WEIGHTS / f"{kind}_sizes.npz", SIZES)

@@ -31,13 +31,11 @@ from beltrami_cli.flow.noise.network import (
     read,
     split_mixture,
 )
-from configuration import NETWORK, configuration
+from configuration import NETWORK, WEIGHTS, configuration
 from crops import Crop, clean_crops, folders_of_packages
 from observations import Observation, draw_recipe_of_grids, observed, random_samples
 from recipes import draw_recipe
 
-# The folder of the repository, not of an installed package.
-WEIGHTS = Path(__file__).parents[1] / "beltrami_cli/flow/noise"
 OBSERVATIONS = {"grid": 140_000, "cluster": 60_000, "validation": 4_000}  # maximum number for validation
 CHUNK = 2_000  # observations that are made together
 FIRST_SEED = 300  # of training; lower seeds served to choose features and layers

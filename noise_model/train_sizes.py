@@ -19,10 +19,10 @@ from backpropagation import Adam, Node, Tape, initial_layer
 from beltrami_cli.flow.noise.channel_noise import read_network
 from beltrami_cli.flow.noise.network import OFFSET, Weights, weights_of
 from beltrami_cli.flow.noise.size import EDGES, LAYERS, WIDTHS, evidence, removal_curve, sizes_of
-from configuration import SIZES, configuration
+from configuration import SIZES, WEIGHTS, configuration
 from crops import folders_of_packages
 from size_kinds import FAMILIES
-from train import SAMPLES, WEIGHTS, crops_of, save
+from train import SAMPLES, crops_of, save
 
 TEST_ROWS = 1_000  # per family
 CHUNK = 500  # rows that are made together
