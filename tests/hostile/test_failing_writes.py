@@ -185,7 +185,7 @@ def run_with_small_files(most, folder, *arguments):
 def test_a_limit_on_the_size_of_files(most, tmp_path):
     (tmp_path / "out.ply").write_text("precious")
     before = snapshot(tmp_path)
-    smooth = ("smooth", SAMPLES / "terrain-noisy.ply", "out.ply", "--overwrite")
+    smooth = ("smooth", SAMPLES / "terrain-noisy.ply", "out.ply", "--overwrite", "--fast")
     assert run_with_small_files(most, tmp_path, *smooth) == 4
     assert snapshot(tmp_path) == before
 

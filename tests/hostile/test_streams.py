@@ -32,7 +32,7 @@ def test_a_file_is_written_whatever_the_streams_are(redirection, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "redirection", "why"),
     [
-        (("info", str(SCAN)), ">&-", b"is closed"),
+        (("info", str(SCAN), "--fast"), ">&-", b"is closed"),
         (("smooth", str(SCAN), "-", *QUICK), ">/dev/full", b"No space left"),
         (("--help",), ">&-", b"is closed"),
         (("config",), ">/dev/full", b"No space left"),
