@@ -186,11 +186,11 @@ MAX_READS = 40
 # So large that it is not kept in memory, but read whenever it is needed.
 LARGE = encode(np.random.default_rng(1).integers(0, 256, (600, 600, 3), np.uint8), "png")
 RUNS = {
-    "smooth": ("smooth", "{model}", "out/new{suffix}", "-n", "1", "--beta", "1"),
+    "smooth": ("smooth", "{model}", "out/new{suffix}", "-n", "1", "--beta", "1", "--fast"),
     "copy": ("smooth", "{model}", "out/new{suffix}", "-n", "0"),
     "convert": ("smooth", "{model}", "out/new.glb", "-n", "0"),
     "bake": ("bake", "{model}", "out/new.ply", "--to", "vertices"),
-    "info": ("info", "{model}"),
+    "info": ("info", "{model}", "--fast"),
     "compare": ("compare", "{model}", "{model}"),
     "check": ("check", "{model}", "{model}"),
     "render": ("render", "{model}", "out/new.png", "--size", "32x32"),
