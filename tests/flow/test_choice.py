@@ -14,8 +14,8 @@ from beltrami_cli.flow.choice.risk import PERTURBATION, Risk, RiskEstimate
 from beltrami_cli.flow.choice.search import Candidates, Search
 from beltrami_cli.flow.manifolds.fingerprints import fingerprints, random_signs
 from beltrami_cli.flow.manifolds.iteration import Step
+from beltrami_cli.flow.manifolds.mesh_trial import TRIED_VERTICES, choose_patches
 from beltrami_cli.flow.manifolds.search_range import RULE_ON_GRIDS, RULE_ON_MESHES
-from beltrami_cli.flow.manifolds.trial_patches import TRIED_VERTICES, choose_patches
 from beltrami_cli.flow.noise.model import NoiseModel, Reading
 from beltrami_cli.flow.parameters import STRENGTHS, TUNABLE, KernelParameters
 from cli.commands import SAMPLES, beltrami

@@ -68,7 +68,7 @@ class RiskEstimate:
     trial: SampleTrial
     noisy: Float32s  # the scored colours, shape (S, N)
     variance: Float64s  # of the noise
-    counts: Float32s | float  # factors from squared errors of stabilised colours to those of the input
+    to_input: Float32s | float  # factors from squared errors of stabilised colours to those of the input
     weights: tuple[Float64s, ...]  # from the response to each stack of signs to the divergence
     size: np.float32  # of the perturbation
 
@@ -79,19 +79,19 @@ class RiskEstimate:
         """Prepare the estimate for noise of standard deviation `sigma` by channel, shape (N,)."""
         noisy, size = trial.scored(trial.start), PERTURBATION * float(np.sqrt(np.square(sigma).mean()))
         variance = np.square(sigma) * _unclipped_variance(trial, noisy) * trial.relative
-        counts = 1.0 if stabiliser is None else np.square(stabiliser.slopes(noisy.T)).T
+        to_input = 1.0 if stabiliser is None else np.square(stabiliser.slopes(noisy.T)).T
         signs = [trial.scored(drawn) for drawn in trial.signs]
         # Weights are 1 for signs. Correlated perturbations have the size of the noise in each channel, and need no
         # weights.
         power = np.mean([np.mean(np.square(drawn), axis=0) for drawn in signs], axis=0)
-        weight = 2 * variance * counts / np.maximum(power, np.finfo(float).tiny)
+        weight = 2 * variance * to_input / np.maximum(power, np.finfo(float).tiny)
         weights = tuple(weight / (len(signs) * size) * drawn for drawn in signs)
-        return cls(trial, noisy, variance, counts, weights, np.float32(size))
+        return cls(trial, noisy, variance, to_input, weights, np.float32(size))
 
     @property
     def noise(self) -> float:
         """Mean variance of the noise."""
-        return float(np.mean(np.broadcast_to(self.variance, self.noisy.shape) * self.counts))
+        return float(np.mean(np.broadcast_to(self.variance, self.noisy.shape) * self.to_input))
 
     @property
     def start(self) -> State:
@@ -107,7 +107,7 @@ class RiskEstimate:
         divergence = np.zeros_like(smoothed)
         for weights, colours in zip(self.weights, state.perturbed, strict=True):
             divergence += weights * (self.trial.scored(colours) - smoothed)
-        misfit = (np.square(smoothed - self.noisy) - self.variance) * self.counts
+        misfit = (np.square(smoothed - self.noisy) - self.variance) * self.to_input
         # `mean` along so short an axis takes three times as long.
         each = np.einsum("sn->s", misfit + divergence) / misfit.shape[1]
         parts = np.array([part.mean() for part in np.array_split(each, _PARTS) if len(part)])

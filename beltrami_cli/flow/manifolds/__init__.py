@@ -1,1 +1,4 @@
-"""Image manifolds on meshes and canvases, their geometry, and the samples on which parameters are tried."""
+"""Image manifolds: what smoothing needs of a surface, and both kinds of surfaces.
+
+`grid_*`, `canvas` and `seams` are about the canvases of textures and images, `mesh_*` about triangulated surfaces.
+"""

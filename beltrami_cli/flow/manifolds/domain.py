@@ -39,10 +39,10 @@ class Domain(Samples):
     """Standard deviation of `spread`, in sample spacings."""
 
     noise: float = 1.0
-    """The variance of the noise of samples, by that of the samples that these are means of."""
+    """Variance of the noise, relative to that of the averaged samples."""
 
     side: int = 1
-    """How many rows of the samples that these are means of belong to a row of these."""
+    """Number of rows of averaged samples in a row of means."""
 
     @abstractmethod
     def total(self, planes: Float32s) -> Float64s:
@@ -53,11 +53,11 @@ class Domain(Samples):
         """Average planes over the surface, nearly by a Gaussian of standard deviation `width`."""
 
     def means_of_rows(self, planes: Float32s, rows: slice) -> tuple[slice, Float32s]:
-        """Return the means of planes for some rows, whole multiples of `side`, preceded by the rows of the result."""
+        """Average planes of some rows, in whole multiples of `side`; return the rows of the means, and the means."""
         return rows, planes
 
     def gathered(self, count: int, terms: Callable[[slice], Float32s], like: Array, threads: int) -> Float32s:
-        """Return the means of `count` terms, a function of rows, over the domain; `like`: a stack of all samples."""
+        """Compute `count` terms row by row, and average them to the domain; `like`: a stack of all samples."""
         planes = self.planes(count)
 
         def gather(rows: slice) -> None:
@@ -100,14 +100,9 @@ class Geometry(Samples):
         """Number of samples that an iteration visits, for its progress."""
 
     @property
+    @abstractmethod
     def kernels(self) -> int:
         """Number of samples that have a kernel."""
-        return len(self.samples)
-
-    @property
-    @abstractmethod
-    def samples(self) -> Indices:
-        """Indices in a stack of the samples that have a kernel."""
 
     @property
     @abstractmethod
@@ -152,7 +147,7 @@ class CoarseLevel(Domain):
     """Means of groups of neighbouring samples, which are the samples of a coarser surface."""
 
     relative: Float32s
-    """The variance of the noise of each mean, relative to this."""
+    """Variance of the noise of each mean, relative to `noise`."""
 
     @abstractmethod
     def means(self, stack: Stack) -> Stack: ...

@@ -73,10 +73,6 @@ class GridGeometry(Geometry):
         return int(np.count_nonzero(self.atlas.kind == OWNED))
 
     @property
-    def samples(self) -> Indices:
-        return self.atlas.owned_cells
-
-    @property
     def kind(self) -> Uint8s:
         return self.atlas.kind[None]
 

@@ -22,6 +22,7 @@ from beltrami_cli.flow.manifolds.domain import Gaussian, Stack
 from beltrami_cli.flow.manifolds.grid_gaussian import GridGaussian, guide_radius
 from beltrami_cli.flow.manifolds.grid_geometry import Cells, GridGeometry, pick
 from beltrami_cli.flow.manifolds.grid_patches import Squares, collaborate_on_canvas, largest_side
+from beltrami_cli.flow.manifolds.grid_trial import choose_blocks, perturbations, tried_cells, with_halo
 from beltrami_cli.flow.manifolds.guides import Guide, GuideStack
 from beltrami_cli.flow.manifolds.iteration import (
     Averaged,
@@ -35,7 +36,6 @@ from beltrami_cli.flow.manifolds.manifold import Manifold, SampleTrial, Stabilis
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.manifolds.seams import end_at_seams_in_place
 from beltrami_cli.flow.manifolds.search_range import ON_GRIDS, RULE_ON_GRIDS
-from beltrami_cli.flow.manifolds.trial_blocks import choose_blocks, perturbations, tried_cells, with_halo
 from beltrami_cli.flow.mixing import Mixing
 from beltrami_cli.flow.parameters import KernelParameters, Space
 from beltrami_cli.surface import large_arrays

@@ -94,10 +94,6 @@ class MeshGeometry(Geometry, Domain):
         return self.size
 
     @property
-    def samples(self) -> Indices:
-        return np.arange(self.size)
-
-    @property
     def kind(self) -> Uint8s:
         return np.broadcast_to(np.uint8(OWNED), (self.size, 1))
 

@@ -16,7 +16,6 @@ from beltrami_cli.arrays import Array, Float32s
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunk, Chunking, Figures, Resources, runs
 from beltrami_cli.flow.manifolds.domain import Gaussian, Stack
 from beltrami_cli.flow.manifolds.fingerprints import fingerprints, quantised, random_signs
-from beltrami_cli.flow.manifolds.graph_patches import Clusters, clusters_for, collaborate_on_graph
 from beltrami_cli.flow.manifolds.guides import Guide, GuideStack
 from beltrami_cli.flow.manifolds.iteration import (
     Averaged,
@@ -29,10 +28,11 @@ from beltrami_cli.flow.manifolds.iteration import (
 from beltrami_cli.flow.manifolds.kernel_work import without_hubs
 from beltrami_cli.flow.manifolds.manifold import Manifold, SampleTrial, StabilisedColours, wanted_probes
 from beltrami_cli.flow.manifolds.mesh_geometry import Core, MeshGeometry, MeshMetric, rank_in
+from beltrami_cli.flow.manifolds.mesh_patches import Clusters, clusters_for, collaborate_on_graph
+from beltrami_cli.flow.manifolds.mesh_trial import choose_patches
 from beltrami_cli.flow.manifolds.moving_positions import GeometryParameters, MovingPositions
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.manifolds.search_range import ON_MESHES, RULE_ON_MESHES
-from beltrami_cli.flow.manifolds.trial_patches import choose_patches
 from beltrami_cli.flow.mixing import Mixing
 from beltrami_cli.flow.noise.drawing import draw_noise_of_clusters
 from beltrami_cli.flow.parameters import KernelParameters
@@ -119,7 +119,7 @@ class MeshManifold(Manifold):
     """The image manifold of a sampled surface."""
 
     geometry: MeshGeometry
-    graph: Graph  # of the samples, for patches and clusters; None in parts, where only kernels run
+    graph: Graph  # of the samples, for patches and clusters; empty in parts, where only kernels run
     plain_levels = 2, 1
     search_range, rule = ON_MESHES, RULE_ON_MESHES
 

@@ -1,4 +1,4 @@
-"""Similar patches on the graph of a mesh, and its coarse levels."""
+"""Similar patches on a mesh, and its coarse levels."""
 
 from __future__ import annotations
 
