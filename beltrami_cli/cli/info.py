@@ -65,8 +65,8 @@ def info(sources: tuple[str, ...], as_json: bool, verbose: int, **smoothing: Any
             if as_json:
                 click.echo(json.dumps(facts, indent=2 if is_one else None))
     if is_one and not as_json:
-        _put_choices_in_words(facts, settings)
-        for line in lines_on(facts) if verbose else _summary(facts):
+        described = _with_choices_in_words(facts, settings)
+        for line in lines_on(described) if verbose else _summary(described):
             click.echo(printable(line))
     elif rows and not as_json:
         show_table(_COLUMNS, rows)
@@ -149,22 +149,29 @@ def _answer(part: dict[str, Any]) -> Iterator[tuple[str, str]]:
     yield "smooth", choice
 
 
-def _put_choices_in_words(facts: dict[str, Any], settings: SmoothSettings) -> None:
-    slots: Any = facts.get("textures", [])
+def _with_choices_in_words(facts: dict[str, Any], settings: SmoothSettings) -> dict[str, Any]:
+    """Return facts whose parts have a sentence on what smoothing would do, instead of the choice."""
     image: Any = facts.get("image", {"width": 1, "height": 1, "holes": 0})
     samples = image["width"] * image["height"] - image["holes"]
     iterations = (facts.get("smooth") or {}).get("iterations")
     is_flat = facts.get("surface", {}).get("mean_edge_length") == 0 and not iterations
-    planned: list[Any] = [
-        (facts, NO_AREA if is_flat else "" if samples else _NO_SAMPLES),
-        *((slot, "" if slot["covered"] else _NO_SAMPLES) for slot in slots),
+    obstacle = NO_AREA if is_flat else "" if samples else _NO_SAMPLES
+    slots = [
+        _with_choice_in_words(slot, "" if slot["covered"] else _NO_SAMPLES, settings)
+        for slot in facts.get("textures", [])
     ]
-    for part, obstacle in planned:
-        smooth = part.get("smooth") or {}  # empty if only textures are smoothed
-        if smooth and settings.kernel.iterations:
-            smooth["choice"] = f"nothing to smooth: {obstacle}" if obstacle else _choice(part)
-        if smooth and "samples_per_kernel" in smooth:  # `smooth` gives the mean over all iterations
-            smooth["samples_per_kernel"] = f"{smooth['samples_per_kernel']:.5g} in the first iteration"
+    return {**_with_choice_in_words(facts, obstacle, settings), "textures": slots}
+
+
+def _with_choice_in_words(part: dict[str, Any], obstacle: str, settings: SmoothSettings) -> dict[str, Any]:
+    smooth = dict(part.get("smooth") or {})
+    if not smooth:  # only textures are smoothed
+        return part
+    if settings.kernel.iterations:
+        smooth["choice"] = f"nothing to smooth: {obstacle}" if obstacle else _choice(part)
+    if "samples_per_kernel" in smooth:  # `smooth` gives the mean over all iterations
+        smooth["samples_per_kernel"] = f"{smooth['samples_per_kernel']:.5g} in the first iteration"
+    return {**part, "smooth": smooth}
 
 
 def _choice(part: dict[str, Any]) -> str | None:
