@@ -39,16 +39,13 @@ def _parts(report: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
 def _kernel(requested: dict[str, Any], done: dict[str, Any]) -> Iterator[list[str]]:
     choice = done["choice"] or {"chosen": {}, "candidates": 0}
     used = {**requested, **choice["chosen"], "beta": done["beta"], "iterations": done["iterations"]}
-    for name, value in requested.items():
-        if (
-            isinstance(value, dict)
-            or name in _NEVER_SHOWN
-            or (name != "iterations" and not done["iterations"])
-        ):
-            continue
+    names = [
+        each for each, value in requested.items() if not isinstance(value, dict) and each not in _NEVER_SHOWN
+    ]
+    for name in names if done["iterations"] else ["iterations"]:
         if name in choice["chosen"]:
             how = "chosen from the data" if choice["candidates"] else "by the fixed rule"
-        elif name == "beta" and value is None:
+        elif name == "beta" and requested[name] is None:
             how = "from the noise"
         elif name == "iterations" and name in requested["free"] and not done["iterations"]:
             how = "as no noise is removed"
