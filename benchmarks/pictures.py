@@ -16,7 +16,7 @@ from beltrami_cli.errors import BeltramiError
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.jobs.noise_kinds import NumberedSamples, add_grain, seen_by_camera
 from beltrami_cli.jobs.settings import NoiseSettings
-from beltrami_cli.surface.baking import Cells
+from beltrami_cli.surface.records import Cells
 
 PHOTOGRAPHS = ("astronaut", "coffee", "chelsea", "immunohistochemistry")
 SIDE = 224  # pixels per side of windows of images

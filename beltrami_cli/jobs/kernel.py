@@ -30,9 +30,9 @@ from beltrami_cli.layers.layer import Layer, SampledVertices
 from beltrami_cli.layers.selection import select
 from beltrami_cli.layers.settings import DEFAULTS, IMAGE_SUFFIXES, SmoothSettings
 from beltrami_cli.surface.atlas import EMPTY
-from beltrami_cli.surface.baking import Cells
 from beltrami_cli.surface.colour_map import as_bytes, colour_by_value
 from beltrami_cli.surface.colour_values import from_space
+from beltrami_cli.surface.records import Cells
 
 _ZOOM, _GAP = 28, 12  # pixels of a cell in a picture, and between its panels
 _SURROUNDINGS = 4  # cells that are shown around the window

@@ -28,10 +28,10 @@ from beltrami_cli.layers.settings import DEFAULTS, SLOTS, SmoothSettings
 from beltrami_cli.layers.storing import StoredColours
 from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.layers.vertex_layer import VertexLayer, change_of
-from beltrami_cli.surface.baking import Cells, places_of_texels
+from beltrami_cli.surface.baking import places_of_texels
 from beltrami_cli.surface.colour_values import from_space, to_space
 from beltrami_cli.surface.grouping import group_places
-from beltrami_cli.surface.records import ColouredVertices
+from beltrami_cli.surface.records import Cells, ColouredVertices
 
 
 @dataclass(frozen=True)

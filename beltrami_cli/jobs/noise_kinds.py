@@ -24,8 +24,8 @@ from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.baking import Cells
 from beltrami_cli.surface.colour_values import from_space, limits_of, to_space
+from beltrami_cli.surface.records import Cells
 
 _BAYER = np.array([[0, 1], [1, 2]])  # the channel that is measured, by row and column
 _LATTICE = 1 << 16  # random numbers, which points of a lattice share by a hash

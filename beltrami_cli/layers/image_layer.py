@@ -35,7 +35,7 @@ from beltrami_cli.layers.pixel_layer import PixelLayer
 from beltrami_cli.layers.reports import ImageReport
 from beltrami_cli.layers.settings import SmoothSettings, binding_parameters
 from beltrami_cli.layers.storing import StoredColours, rewritten
-from beltrami_cli.surface.baking import Cells
+from beltrami_cli.surface.records import Cells
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -84,7 +84,7 @@ class ImageLayer(PixelLayer):
             surface=dataclasses.replace(surface, valid=valid), valid=valid,
             guides=read_guide_images(image, valid, settings, access),
             noise=noise_of_pixels(settings.kernel, [image], valid.reshape(-1), access),
-            tables=[read_jpeg_tables(document.data)], suffix=suffix, remarks=tuple(remarks),
+            jpeg_tables=[read_jpeg_tables(document.data)], suffix=suffix, remarks=tuple(remarks),
         )  # fmt: skip
 
     @property

@@ -25,8 +25,7 @@ from beltrami_cli.layers.channels import ChosenChannels
 from beltrami_cli.layers.reports import LayerReport, LevelReport, describe_choice, describe_reading, named
 from beltrami_cli.layers.settings import LevelSettings, SmoothSettings
 from beltrami_cli.layers.storing import StoredColours
-from beltrami_cli.surface.baking import Cells
-from beltrami_cli.surface.records import ColouredVertices
+from beltrami_cli.surface.records import Cells, ColouredVertices
 
 Part = Literal["vertices", "textures", "image"]
 

@@ -40,7 +40,7 @@ _ROWS = 64  # processed at a time
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PixelLayer(Layer):
     images: Sequence[DecodedImage]
-    tables: Sequence[JpegTables | None]  # of each image; None: not a JPEG file
+    jpeg_tables: Sequence[JpegTables | None]  # of each image; None: not a JPEG file
     colours: PixelColours
     atlas: Atlas | None = None  # None: not a texture
     suffix: str | None = None  # extension of another output format
@@ -73,11 +73,26 @@ class PixelLayer(Layer):
     def plan(
         self, tick: Callable[[], None] | None = None, resources: Resources = IN_ONE_PIECE
     ) -> Plan[GridManifold]:
-        canvas, images = dataclasses.replace(self.canvas(), resources=resources), list[CodedPicture]()
-        if self.colours.shows_all and decodes_again(canvas.parameters):
-            pixels = [image.pixels for image in self.images]
-            images = coded_images(canvas.atlas, list(zip(pixels, self.tables, strict=True)))
-        return plan_on_canvas(canvas, images, tick)
+        canvas = dataclasses.replace(self.canvas(), resources=resources)
+        is_coded = self.colours.shows_all and decodes_again(canvas.parameters)
+        return plan_on_canvas(canvas, self._coded_images(canvas.atlas) if is_coded else (), tick)
+
+    def _coded_images(self, atlas: Atlas) -> list[CodedPicture]:
+        """Return the images with the tables of their files; empty unless all are JPEG, and all grey or all coloured."""
+        pairs = zip(self.images, self.jpeg_tables, strict=True)
+        coded = [
+            (image.pixels, tables) for image, tables in pairs if tables and image.pixels.dtype == np.uint8
+        ]
+        if len(coded) < len(self.images) or len({pixels.shape[2] for pixels, _ in coded}) != 1:
+            return []
+        used = [large_arrays.zeros(pixels.shape[:2], bool) for pixels, _ in coded]
+        for block in large_arrays.blocks(len(atlas.owned_texels)):
+            for index, _, texels in texels_by_texture(atlas.texture_offsets, atlas.owned_texels[block]):
+                used[index].reshape(-1)[texels] = True
+        return [
+            CodedPicture(pixels, mask, tables.steps, tables.span)
+            for (pixels, tables), mask in zip(coded, used, strict=True)
+        ]
 
     def require_writable(self) -> None:
         for image in self.images:
@@ -136,18 +151,3 @@ class PixelLayer(Layer):
                 values = dithered(values, chosen, image.pixels.shape[1])
             changes.append(store(image, table, chosen, values, colours.columns(image), threads))
         return Change.joined(changes)
-
-
-def coded_images(atlas: Atlas, coded: Sequence[tuple[Array, JpegTables | None]]) -> list[CodedPicture]:
-    """Return images with the tables of their files; empty unless all are JPEG, and all grey or all coloured."""
-    known = [(pixels, tables) for pixels, tables in coded if tables is not None and pixels.dtype == np.uint8]
-    if len(known) < len(coded) or len({pixels.shape[2] for pixels, _ in known}) != 1:
-        return []
-    used = [large_arrays.zeros(pixels.shape[:2], bool) for pixels, _ in known]
-    for block in large_arrays.blocks(len(atlas.owned_texels)):
-        for index, _, texels in texels_by_texture(atlas.texture_offsets, atlas.owned_texels[block]):
-            used[index].reshape(-1)[texels] = True
-    return [
-        CodedPicture(pixels, mask, tables.steps, tables.span)
-        for (pixels, tables), mask in zip(known, used, strict=True)
-    ]

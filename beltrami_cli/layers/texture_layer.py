@@ -33,9 +33,8 @@ from beltrami_cli.layers.storing import Change, SharedImage, StoredColours, rewr
 from beltrami_cli.layers.texture_groups import only_textures
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas, build_atlas, texels_by_texture, without_owned
-from beltrami_cli.surface.baking import Cells
 from beltrami_cli.surface.gutters import fill_gutter, keep_foreign_texels, within
-from beltrami_cli.surface.records import ImageFile, Slot, TexturedSurface
+from beltrami_cli.surface.records import Cells, ImageFile, Slot, TexturedSurface
 
 _UNCOVERED_NOTICE = (
     "no texel is covered by the surface, so nothing was changed; `smooth --unwrap` makes a new atlas"
@@ -85,7 +84,7 @@ class TextureLayer(PixelLayer):
             guides = GuidedTexels(guided, surface, images, atlas, settings)
         return cls(
             slot=slot, group=group, settings=settings, surface=surface, images=images,
-            tables=tables or [None] * len(images), atlas=atlas, colours=colours, shared=shared, guided=guides,
+            jpeg_tables=tables or [None] * len(images), atlas=atlas, colours=colours, shared=shared, guided=guides,
             noise=None if noise is None else noise[atlas.owned_texels], suffix=settings.textures.image_suffix,
         )  # fmt: skip
 
@@ -192,11 +191,12 @@ class TextureLayer(PixelLayer):
         return grid_manifold(canvas, estimate_on_canvas(canvas))
 
     def encode(self, new: NewColours, *, is_smoothed: bool = True) -> StoredColours:
-        is_tried, is_covered = is_smoothed or self.level_report is not None, len(self.atlas.owned_texels) > 0
-        notices = _notices_of(self.atlas) if is_tried or not is_covered else []
         is_levelled, wanted = self.levelled_colours is not None, self.settings.textures
         gutter = wanted.gutter if is_smoothed or is_levelled else None
         is_dithered = is_levelled and not is_smoothed
+        notices = list[str]()
+        if is_smoothed or self.level_report is not None or not len(self.atlas.owned_texels):
+            notices += _notices_of(self.atlas)
         changes: list[Change] = []
         images: dict[tuple[Slot, str], ImageFile] = {}
         shared: list[SharedImage] = []
@@ -256,13 +256,13 @@ class TextureLayer(PixelLayer):
         planes = fill_canvas(self.atlas, len(self.names), self._colours_of)
         textures = self.surface.textures
         is_coloured = self.names == ("red", "green", "blue")
-        spans = [max(each.span) if is_coloured and each is not None else 1 for each in self.tables]
+        spans = [max(each.span) if is_coloured and each is not None else 1 for each in self.jpeg_tables]
         report = level_charts(self.label, planes, self.atlas, textures, self.images, wanted, spans)
         reported = dataclasses.replace(self, level_report=report)
         if not report.levelled:
             return reported
         levelled = colours_at(planes, self.atlas.owned_cells)
-        return dataclasses.replace(reported, levelled_colours=levelled, tables=[None] * len(self.tables))
+        return dataclasses.replace(reported, levelled_colours=levelled, jpeg_tables=[None] * len(self.images))
 
     def places(self) -> Cells:
         atlas, sizes = self.atlas, [image.pixels.shape[:2] for image in self.images]

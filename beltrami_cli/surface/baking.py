@@ -3,41 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from beltrami_cli.arrays import Array, Bools, Float64s, Int32s, Int64s
+from beltrami_cli.arrays import Array, Float64s, Int32s, Int64s
 from beltrami_cli.surface.coverage import EDGE, border_faces, cover
 from beltrami_cli.surface.geometry import cross_in_plane, triangle_areas
 from beltrami_cli.surface.grouping import group_places
 from beltrami_cli.surface.gutters import fill_gutter
-from beltrami_cli.surface.records import TexturedSurface
+from beltrami_cli.surface.records import Cells, TexturedSurface
 
 Shade = Callable[[Int64s, Float64s], Array]
 
 
 _COVER_MARGIN = 0.75  # texels: distance at which a centre may belong to a triangle
 _LOOKUP_MARGIN = 1.0  # texels beyond a border that bilinear lookups on it read
-
-
-@dataclass(frozen=True)
-class Cells:
-    """Pixels of images: image, row, column and chart of each, shapes (K,)."""
-
-    sizes: Sequence[tuple[int, int]]  # rows and columns of each image
-    image: Int64s
-    row: Int64s
-    column: Int64s
-    chart: NDArray[np.signedinteger[Any]]
-    names: Sequence[str] = ()  # of the images; empty: a single image
-
-    def of(self, index: int) -> tuple[Bools, tuple[Int64s, Int64s]]:
-        """Return a mask of the samples in an image, and their rows and columns."""
-        inside = self.image == index
-        return inside, (self.row[inside], self.column[inside])
 
 
 def places_of_texels(surface: TexturedSurface, cells: Cells) -> tuple[Float64s, Float64s]:

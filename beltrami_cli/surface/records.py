@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Float32s, Float64s, Indices, Int32s, Int64s
+from beltrami_cli.arrays import Bools, Float32s, Float64s, Indices, Int32s, Int64s
 from beltrami_cli.surface.ranges import entries
 
 Encoding = Literal["srgb", "linear"]
@@ -252,3 +252,20 @@ class SampledSurface:
     def all_faces(self) -> Int32s:
         """Triangles of the surface and of its bridges, shape (F + W, 3)."""
         return np.concatenate([self.faces, self.bridges]) if len(self.bridges) else self.faces
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Pixels of images: image, row, column and chart of each, shapes (K,)."""
+
+    sizes: Sequence[tuple[int, int]]  # rows and columns of each image
+    image: Int64s
+    row: Int64s
+    column: Int64s
+    chart: Indices
+    names: Sequence[str] = ()  # of the images; empty: a single image
+
+    def of(self, index: int) -> tuple[Bools, tuple[Int64s, Int64s]]:
+        """Return a mask of the samples in an image, and their rows and columns."""
+        inside = self.image == index
+        return inside, (self.row[inside], self.column[inside])

@@ -9,8 +9,7 @@ from beltrami_cli.flow.noise.reading import read_noise
 from beltrami_cli.flow.parameters import parameters_with
 from beltrami_cli.jobs.noise_kinds import NumberedSamples, add_grain, seen_by_camera
 from beltrami_cli.jobs.settings import NoiseSettings
-from beltrami_cli.surface.baking import Cells
-from beltrami_cli.surface.records import SampledSurface
+from beltrami_cli.surface.records import Cells, SampledSurface
 
 
 def noise_of_image(image, **options):
