@@ -18,7 +18,7 @@ Pair = tuple[Float32s, Float32s]  # the same samples, or means of them, in refer
 # Samples that are worked on at a time: three channels in double precision stay in the processor's cache, and below
 # 256 KB, from which on NumPy searches the call stack before each sum.
 _BLOCK = 1 << 13
-_SAMPLES_SHARE = 0.7  # of the time of a picture: 4.6 s of 16.7 million samples, and 2.1 s of their windows
+_SAMPLES_SHARE = 0.7  # of the time of an image: 4.6 s of 16.7 million samples, and 2.1 s of their windows
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,6 +51,9 @@ class ComparedColours:
         covered = np.zeros(self.size, bool)
         covered.reshape(-1)[self.index] = True
         return covered
+
+    def is_near_seam(self) -> Bools:
+        return np.zeros(len(self.index), bool) if self.near_seams is None else self.near_seams
 
     def read_rows(self, rows: slice) -> Pair:
         """Return rows of pixels of an image or texture, (R, W, N)."""
@@ -89,7 +92,7 @@ class Measured:
 
 
 def measure(part: ComparedColours, tick: Callable[[float], None] = lambda share: None) -> Measured:
-    """Go through the samples of a part, and the windows of a picture; `tick` is called with the share that is done."""
+    """Go through the samples of a part, and the windows of an image; `tick` is called with the share that is done."""
     first, samples = 1.0 if part.size is None else _SAMPLES_SHARE, len(part.index)
     errors, rms, delta_e = (large_arrays.empty(samples, np.float32) for _ in range(3))
     total = 0.0
@@ -115,22 +118,16 @@ def figures(measured: Sequence[Measured]) -> dict[str, Any]:
     delta_e = _joined([each.delta_e for each in measured])
     is_weighted = any(part.weights is not None for part in parts)
     weights = _joined([_weights(part) for part in parts]) if is_weighted else None
-    near = (
-        _joined([_whole(part, False) if part.near_seams is None else part.near_seams for part in parts]) > 0
-    )
+    near = np.concatenate([np.zeros(0, bool), *(part.is_near_seam() for part in parts)])
     structured = [(each.ssim, _weights(each.part).sum()) for each in measured if each.ssim is not None]
     worst = [each.worst() for each in measured if len(each.errors)]
-    weights_near = None if weights is None else weights[near]
     return {
         "samples": len(rms),
         "psnr": _psnr(rms, weights),
         "ssim": _mean(*np.array(structured).T) if structured else None,
         "delta_e": _spread(delta_e, weights),
-        "worst": max(worst, key=lambda found: float(found["error"]), default=None),
-        "near_seams": {
-            "samples": int(near.sum()), "psnr": _psnr(rms[near], weights_near),
-            "delta_e": _mean(delta_e[near], weights_near),
-        } if near.any() else None,
+        "worst": max(worst, key=lambda each: float(each["error"]), default=None),
+        "near_seams": _near_seams(rms[near], delta_e[near], None if weights is None else weights[near]),
         "seam_jump": _jumps([part.jumps for part in parts if part.jumps is not None]),
         "around_charts": _around([part.around for part in parts if part.around is not None]),
     }  # fmt: skip
@@ -140,12 +137,8 @@ def _joined(arrays: Sequence[Array]) -> Array:
     return arrays[0] if len(arrays) == 1 else np.concatenate(arrays or [np.zeros(0)])
 
 
-def _whole(part: ComparedColours, value: float) -> Array:
-    return np.broadcast_to(value, len(part.index))
-
-
 def _weights(part: ComparedColours) -> Float64s:
-    return _whole(part, 1.0) if part.weights is None else part.weights
+    return np.broadcast_to(1.0, len(part.index)) if part.weights is None else part.weights
 
 
 def _known(values: Array, weights: Float64s | None) -> tuple[Array, Float64s | None]:
@@ -176,6 +169,12 @@ def _spread(delta_e: Array, weights: Float64s | None) -> dict[str, float] | None
         return None
     p95 = np.quantile(values, 0.95, weights=weights, method="inverted_cdf")
     return {"mean": mean, "p95": float(p95), "worst": float(values.max())}
+
+
+def _near_seams(rms: Array, delta_e: Array, weights: Float64s | None) -> dict[str, object] | None:
+    if not len(rms):
+        return None
+    return {"samples": len(rms), "psnr": _psnr(rms, weights), "delta_e": _mean(delta_e, weights)}
 
 
 def _around(pairs: Sequence[Pair]) -> dict[str, object] | None:

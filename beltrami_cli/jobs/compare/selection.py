@@ -22,8 +22,7 @@ def choose_parts(documents: Documents, settings: SmoothSettings) -> tuple[Select
         selection = Selection(documents[0], settings, image=True)
         require_effect(documents[0].access.typed, selection.kinds, documents[0].name)
         return selection, []
-    notices: list[str] = []
-    chosen = settings if settings.textures.slots else _everything(documents, settings, notices)
+    chosen, notices = (settings, []) if settings.textures.slots else _everything(documents, settings)
     selection = select(documents[0], chosen)
     notices += absent_slots(documents[0], chosen) if selection.slots else []
     uncompared = [f"{slot} textures" for slot in _slots_of(documents) if slot not in selection.slots]
@@ -33,7 +32,9 @@ def choose_parts(documents: Documents, settings: SmoothSettings) -> tuple[Select
         uncompared.append("textures that --texture and --material leave out")
     if settings.channels is not None:
         uncompared.append("other channels")
-    return selection, [*notices, *([f"not compared: {', '.join(uncompared)}"] if uncompared else [])]
+    if uncompared:
+        notices.append(f"not compared: {', '.join(uncompared)}")
+    return selection, notices
 
 
 def _slots_of(documents: Documents) -> tuple[Slot, ...]:
@@ -41,12 +42,17 @@ def _slots_of(documents: Documents) -> tuple[Slot, ...]:
     return tuple(sorted(known, key=SLOTS.index))
 
 
-def _everything(documents: Documents, settings: SmoothSettings, notices: list[str]) -> SmoothSettings:
-    """Return settings that select all coloured parts of both models; InputError if only one model has some part."""
+def _everything(documents: Documents, settings: SmoothSettings) -> tuple[SmoothSettings, list[str]]:
+    """Return settings that select all coloured parts of both models, and notices on textures that cannot be read.
+
+    InputError if only one model has some part.
+    """
     slots = () if settings.on == "vertices" else _slots_of(documents)
     for slot in slots:
         _require_both(documents, [slot in document.slots() for document in documents], f"{slot} textures")
-    slots = tuple(slot for slot in slots if _is_readable(documents, slot, notices))
+    unreadable = {slot: cause for slot in slots if (cause := _why_unreadable(documents, slot))}
+    notices = [f"not compared: {slot} textures, because {cause}" for slot, cause in unreadable.items()]
+    slots = tuple(slot for slot in slots if slot not in unreadable)
     has_globs = bool(settings.textures.names or settings.textures.materials)
     vertices = settings.on != "texture" and not (settings.on == "auto" and has_globs and slots)
     if vertices and slots:
@@ -57,7 +63,7 @@ def _everything(documents: Documents, settings: SmoothSettings, notices: list[st
     on = settings.on
     if slots:
         on = "both" if vertices else "texture"
-    return dataclasses.replace(settings, on=on, textures=textures)
+    return dataclasses.replace(settings, on=on, textures=textures), notices
 
 
 def _require_both(documents: Documents, has: list[bool], what: str) -> None:
@@ -67,9 +73,9 @@ def _require_both(documents: Documents, has: list[bool], what: str) -> None:
         raise InputError(names[1], cause, "choose what both have with --slots or --on")
 
 
-def _is_readable(documents: Documents, slot: Slot, notices: list[str]) -> bool:
-    """Whether the textures of a slot can be read in both models; raises the error if only in one."""
-    errors = []
+def _why_unreadable(documents: Documents, slot: Slot) -> str:
+    """Return why the textures of a slot can be read in neither model; raises the error if in one of them only."""
+    errors = list[InputError]()
     for document in documents:
         try:
             document.textured(slot)
@@ -77,5 +83,4 @@ def _is_readable(documents: Documents, slot: Slot, notices: list[str]) -> bool:
             errors.append(error)
     if len(errors) == 1:
         raise errors[0]
-    notices += [f"not compared: {slot} textures, because {error.cause}" for error in errors[:1]]
-    return not errors
+    return errors[0].cause if errors else ""
