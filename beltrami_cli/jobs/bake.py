@@ -82,9 +82,9 @@ def _colours_from_textures(document: Document) -> tuple[MeshContents, tuple[str,
     # Where a seam runs through a vertex each side is looked up, and if they agree within the noise the vertex has
     # their mean. Otherwise there is a real colour edge, and the vertex stays split.
     surface = document.textured("baseColor")
-    pictures = [read_texture(texture) for texture in surface.textures]
+    images = [read_texture(texture) for texture in surface.textures]
     corners, textured = surface.faces.ravel(), np.repeat(surface.texture_of >= 0, 3)
-    values, noise = _corner_colours(surface, pictures)
+    values, noise = _corner_colours(surface, images)
     place = group_places(surface.positions, surface.space_of, surface.faces)[0][corners]
     uv = np.where(textured[:, None], surface.uv.reshape(-1, 2), 0.0)
     side, _ = group_equal_rows(place, np.repeat(surface.texture_of, 3), *uv.T)
@@ -96,9 +96,9 @@ def _colours_from_textures(document: Document) -> tuple[MeshContents, tuple[str,
         corners=vertex_of,
         offsets=np.arange(0, len(corners) + 1, 3, dtype=np.int64),
         colours=colours[:, :3],
-        encoding=_encoding(pictures),
-        stored=max((picture.stored for picture in pictures), key=_FINENESS.index),
-        alpha=colours[:, 3] if any(picture.alpha is not None for picture in pictures) else None,
+        encoding=_encoding(images),
+        stored=max((image.stored for image in images), key=_FINENESS.index),
+        alpha=colours[:, 3] if any(image.alpha is not None for image in images) else None,
         left_out=_left_out(document),
         frame=document.frame,
     )
@@ -119,23 +119,23 @@ def _left_out(document: Document) -> tuple[str, ...]:
     return (*found, *mesh.left_out, *document.hidden_places())
 
 
-def _encoding(pictures: Sequence[DecodedImage]) -> Encoding:
-    return "linear" if all(picture.encoding == "linear" for picture in pictures) else "srgb"
+def _encoding(images: Sequence[DecodedImage]) -> Encoding:
+    return "linear" if all(image.encoding == "linear" for image in images) else "srgb"
 
 
-def _corner_colours(surface: TexturedSurface, pictures: Sequence[DecodedImage]) -> tuple[Float64s, Float64s]:
+def _corner_colours(surface: TexturedSurface, images: Sequence[DecodedImage]) -> tuple[Float64s, Float64s]:
     """Return red, green, blue and alpha at every corner, white where there is no texture, and their noise."""
     texture_of = np.repeat(surface.texture_of, 3)
     uv = surface.uv.reshape(-1, 2)
     values, residues = np.ones((len(uv), 4)), np.zeros((len(uv), 4))
-    common = _encoding(pictures)
-    for index, picture in enumerate(pictures):
+    common = _encoding(images)
+    for index, image in enumerate(images):
         in_texture = texture_of == index
-        image, wrap = as_rgba(picture), surface.textures[index].wrap
-        found = look_up(image, uv[in_texture], wrap, None if picture.alpha is None else 3)
-        if picture.encoding != common:
-            found[:, :3] = linear_to_srgb(found[:, :3])
-        values[in_texture], residues[in_texture] = found, noise_around(image, uv[in_texture], wrap)
+        rgba, wrap = as_rgba(image), surface.textures[index].wrap
+        looked_up = look_up(rgba, uv[in_texture], wrap, None if image.alpha is None else 3)
+        if image.encoding != common:
+            looked_up[:, :3] = linear_to_srgb(looked_up[:, :3])
+        values[in_texture], residues[in_texture] = looked_up, noise_around(rgba, uv[in_texture], wrap)
     known = residues[texture_of >= 0]
     return values, _MEDIAN * np.median(np.abs(known), axis=0) if len(known) else np.zeros(4)
 

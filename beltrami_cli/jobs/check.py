@@ -169,7 +169,7 @@ def _cleared(before: DecodedImage, after: DecodedImage) -> int:
     if before.alpha is None or after.alpha is None:
         return 0
     hidden = (before.pixels[..., before.alpha] == 0) & (after.pixels[..., after.alpha] == 0)
-    old, new = (picture.pixels[hidden][:, list(picture.colour)] for picture in (before, after))
+    old, new = (image.pixels[hidden][:, list(image.colour)] for image in (before, after))
     return 0 if new.any() else int(np.count_nonzero(old.any(axis=1)))
 
 

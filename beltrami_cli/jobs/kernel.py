@@ -1,4 +1,4 @@
-"""Show the kernel of one sample: on the mesh or in a picture, bright where it is near, or as a table."""
+"""Show the kernel of one sample: on the mesh or in an image, bright where it is near, or as a table."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from beltrami_cli.surface.colour_map import as_bytes, colour_by_value
 from beltrami_cli.surface.colour_values import from_space
 from beltrami_cli.surface.records import Cells
 
-_ZOOM, _GAP = 28, 12  # pixels of a cell in a picture, and between its panels
+_ZOOM, _GAP = 28, 12  # pixels of a cell in an image, and between its panels
 _SURROUNDINGS = 4  # cells that are shown around the window
 
 

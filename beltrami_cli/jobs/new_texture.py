@@ -54,8 +54,8 @@ class NewTexture:
 
     def encoded(self, suffix: str | None = None, jpeg_quality: int = 98, *, small: bool = False) -> ImageFile:
         """Return the texture as a file, PNG by default; options as for `write_image`."""
-        picture = new_image(self.pixels, "the new texture")
-        return write_image(picture, self.pixels, suffix=suffix, jpeg_quality=jpeg_quality, small=small)
+        image = new_image(self.pixels, "the new texture")
+        return write_image(image, self.pixels, suffix=suffix, jpeg_quality=jpeg_quality, small=small)
 
     def surface(self) -> TexturedSurface:
         texture = Texture("new", "the new texture", self.encoded().data, wrap=("clamp", "clamp"))
@@ -125,26 +125,26 @@ def texture_from_textures(
 ) -> NewTexture:
     """Move all base colour textures to one new atlas."""
     old = document.textured("baseColor")
-    pictures = [read_texture(texture) for texture in old.textures]
-    texels = texels_of(old, np.array([picture.pixels.shape[1::-1] for picture in pictures]))
+    images = [read_texture(texture) for texture in old.textures]
+    texels = texels_of(old, np.array([image.pixels.shape[1::-1] for image in images]))
     unwrapped = _unwrapped(document, old.positions, old.faces, old.space_of, texels, settings, progress)
-    channels = 4 if any(picture.alpha is not None for picture in pictures) else 3
-    rgba = [as_rgba(picture) for picture in pictures]
-    dtype = np.uint8 if all(picture.stored == "uint8" for picture in pictures) else np.uint16
+    channels = 4 if any(image.alpha is not None for image in images) else 3
+    rgba = [as_rgba(image) for image in images]
+    dtype = np.uint8 if all(image.stored == "uint8" for image in images) else np.uint16
 
     def shade(owners: Int64s, weights: Float64s) -> Array:
         colours = np.ones((len(owners), 4))
         # Points outside a triangle are moved into it, since its texture shows other things there.
         inside = np.clip(weights, 0, 1)
         uv = interpolated(old.uv, owners, inside / np.maximum(inside.sum(axis=1, keepdims=True), 1))
-        for index, (picture, texture) in enumerate(zip(pictures, old.textures, strict=True)):
+        for index, (image, texture) in enumerate(zip(images, old.textures, strict=True)):
             is_shown = old.texture_of[owners] == index
-            values = look_up(rgba[index], uv[is_shown], texture.wrap, None if picture.alpha is None else 3)
-            colours[is_shown] = _as_srgb(values, picture.encoding)
+            values = look_up(rgba[index], uv[is_shown], texture.wrap, None if image.alpha is None else 3)
+            colours[is_shown] = _as_srgb(values, image.encoding)
         return _rounded(colours[:, :channels], dtype)
 
     pixels = bake(unwrapped.uv, unwrapped.size, shade, channels, dtype)
-    notices = _notices_on_textures(document, old, pictures)
+    notices = _notices_on_textures(document, old, images)
     return NewTexture(
         old.positions,
         old.faces,
@@ -215,13 +215,13 @@ def _notices_on_vertices(contents: MeshContents) -> tuple[str, ...]:
 
 
 def _notices_on_textures(
-    document: Document, old: TexturedSurface, pictures: list[DecodedImage]
+    document: Document, old: TexturedSurface, images: list[DecodedImage]
 ) -> tuple[str, ...]:
     what = f"{document.format.upper()} content other than triangles and the base colour"
     notices = [f"{what} is not in the new file.", *(f"Nor are {each}." for each in document.hidden_places())]
     if untextured := int((old.texture_of < 0).sum()):
         notices.append(f"{untextured} triangles have no texture, and are white in the new one.")
-    if any(picture.encoding == "linear" for picture in pictures):
+    if any(image.encoding == "linear" for image in images):
         notices.append("Float textures become 16-bit sRGB, clipped to 0..1.")
     return tuple(notices)
 
@@ -234,11 +234,11 @@ def texels_of(surface: TexturedSurface, sizes: Int64s) -> float:
     return float(np.abs(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]).sum() / 2)
 
 
-def as_rgba(picture: DecodedImage) -> Float32s:
+def as_rgba(image: DecodedImage) -> Float32s:
     """Convert an image to red, green, blue and opacity of full scale 1."""
-    values = without_alpha(picture, full_scale_one(picture.pixels))
-    colour = values[..., [*picture.colour] * (3 // len(picture.colour))]
-    alpha = np.ones_like(values[..., :1]) if picture.alpha is None else values[..., [picture.alpha]]
+    values = without_alpha(image, full_scale_one(image.pixels))
+    colour = values[..., [*image.colour] * (3 // len(image.colour))]
+    alpha = np.ones_like(values[..., :1]) if image.alpha is None else values[..., [image.alpha]]
     return np.concatenate([colour, alpha], axis=2)
 
 

@@ -141,7 +141,7 @@ def _samples_of(layer: Layer) -> NumberedSamples:
     # Texels are numbered by their place in the textures, and not on the canvas.
     number = np.empty(len(atlas.owned_texels), np.int64)
     number[np.argsort(atlas.owned_texels)] = np.arange(len(number))
-    is_grey = np.array([len(picture.colour) == 1 for picture in layer.images], bool)
+    is_grey = np.array([len(image.colour) == 1 for image in layer.images], bool)
     return NumberedSamples(
         colours=layer.all_texel_colours(),
         number_of=number,
@@ -234,19 +234,19 @@ def _spacing(vertices: ColouredVertices, rows: NDArray[np.intp]) -> Float64s:
 
 
 def _coded_as_jpeg(layer: Layer, quality: int) -> Float32s:
-    """Return the colours of the samples as they are after their pictures went through JPEG."""
+    """Return the colours of the samples as they are after their images went through JPEG."""
     if not isinstance(layer, PixelLayer):
         remedy = "put the colours into a texture first: `beltrami bake --to texture`"
-        raise UsageError(f"{layer.label}: JPEG codes pictures; {remedy}")
+        raise UsageError(f"{layer.label}: JPEG codes images; {remedy}")
     if layer.names not in (("red", "green", "blue"), ("grey",)):
         cause = f"{layer.label}: JPEG codes all channels together; leave out --channels and --alpha"
         raise UsageError(cause)
     cells, space = layer.places(), layer.colours.space
     assert isinstance(cells, Cells)
     coded = np.empty((len(cells.row), len(layer.names)), np.float32)
-    for index, picture in enumerate(layer.images):
-        working = layer.colours.working(picture, np.arange(picture.pixels[..., 0].size))
-        shown = from_space(working, "srgb", space).reshape(*picture.pixels.shape[:2], -1)
+    for index, image in enumerate(layer.images):
+        working = layer.colours.working(image, np.arange(image.pixels[..., 0].size))
+        shown = from_space(working, "srgb", space).reshape(*image.pixels.shape[:2], -1)
         inside, place = cells.of(index)
         coded[inside] = to_space(as_jpeg(shown, quality)[place], "srgb", space)
     return coded

@@ -4,7 +4,7 @@ Samples at one place have one random number, so that split vertices stay equal, 
 Noise of samples by themselves is a function of a colour and of a uniform random number of the sample: the inverse of a
 distribution function. So samples with one colour and one number change equally, and samples at one place with different
 colours change in the same direction. A camera counts photons in linear light, which makes a variance of A L + B^2, and
-in pictures through a Bayer mosaic that is demosaiced chart by chart, bilinearly. Grain is a function of the place in
+in images through a Bayer mosaic that is demosaiced chart by chart, bilinearly. Grain is a function of the place in
 space: random numbers on a lattice, mixed linearly between its points and divided by the deviation of the mixture.
 """
 
@@ -48,18 +48,18 @@ class NumberedSamples:
 
 
 def as_jpeg(shown: Float32s, quality: int) -> Float32s:
-    """Return display values of a picture, (H, W, 1 or 3), as they are after JPEG with colour at half the resolution."""
-    coded = read_image(jpeg_file(shown, quality), "a picture").pixels
+    """Return display values of an image, (H, W, 1 or 3), as they are after JPEG with colour at half the resolution."""
+    coded = read_image(jpeg_file(shown, quality), "an image").pixels
     return np.asarray(coded[..., : shown.shape[2]] / np.float32(255), np.float32)
 
 
 def jpeg_file(shown: Float32s, quality: int) -> bytes:
     """Return the JPEG file of display values, (H, W, 1 or 3), with colour at half the resolution."""
     pixels = np.rint(255 * np.clip(shown, 0, 1)).astype(np.uint8)
-    new = new_image(np.ascontiguousarray(np.broadcast_to(pixels, (*pixels.shape[:2], 3))), "a picture")
+    new = new_image(np.ascontiguousarray(np.broadcast_to(pixels, (*pixels.shape[:2], 3))), "an image")
     new.spec.attribute("jpeg:subsampling", "4:2:0")
-    picture = dataclasses.replace(new, format="jpeg", suffix=".jpg")
-    return write_image(picture, new.pixels, jpeg_quality=quality).data
+    image = dataclasses.replace(new, format="jpeg", suffix=".jpg")
+    return write_image(image, new.pixels, jpeg_quality=quality).data
 
 
 def _generator(samples: NumberedSamples, settings: NoiseSettings) -> np.random.Generator:
@@ -104,7 +104,7 @@ def _changed(colours: Float64s, numbers: Float64s, settings: NoiseSettings) -> F
 
 
 def seen_by_camera(samples: NumberedSamples, cells: Cells | None, settings: NoiseSettings) -> Float32s:
-    """Return colours as a camera sees them: with a mosaic in pictures of three channels, else each by itself."""
+    """Return colours as a camera sees them: with a mosaic in images of three channels, else each by itself."""
     from scipy.special import ndtri
 
     light = from_space(samples.colours, "linear", samples.space).astype(np.float64)

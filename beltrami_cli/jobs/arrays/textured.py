@@ -110,16 +110,16 @@ def smooth_textured(
     if images is None:
         images = [] if arrays.image is None else [arrays.image]
     given = [image_array(image, f"image {number}") for number, image in enumerate(images)]
-    pictures = _images_of(given, encoding)
-    names = [picture.name for picture in pictures]
+    decoded = _images_of(given, encoding)
+    names = [image.name for image in decoded]
     surface = _textured_surface(arrays, names, texture_of, origin)
     # Images that other slots show, too, are handed back as pixels, not as files: here all of them.
-    layer = TextureLayer.read(surface, slot, settings, shared=names, decoded=pictures)
+    layer = TextureLayer.read(surface, slot, settings, shared=names, decoded=decoded)
     done = smooth_layer(layer.levelled(LevelSettings()) if settings.level_seams else layer, progress)
     assert isinstance(done.report, SlotReport)
     smoothed = [
-        in_type_of(old, picture.pixels, new.pixels).reshape(old.shape)
-        for old, picture, new in zip(given, pictures, done.stored.shared, strict=True)
+        in_type_of(old, image.pixels, new.pixels).reshape(old.shape)
+        for old, image, new in zip(given, decoded, done.stored.shared, strict=True)
     ]
     return TexturedResult(smoothed, done.report, [*done.warnings, *done.stored.notices])
 
@@ -154,7 +154,7 @@ def _textured_surface(
 def _images_of(images: Sequence[Array], encoding: Encoding) -> list[DecodedImage]:
     """Take textures: numbers as for `colour_table`, grey or RGB, with opacity or without."""
     require_choice("encoding", encoding)
-    pictures = []
+    decoded = []
     for number, image in enumerate(images):
         name = f"image {number}"
         if image.ndim not in (2, 3) or image.size == 0 or image.shape[2:] > (4,):
@@ -166,5 +166,5 @@ def _images_of(images: Sequence[Array], encoding: Encoding) -> list[DecodedImage
             if not np.isfinite(pixels).all():
                 raise InputError(name, "some of its values are not finite", "repair it")
         stored = "float16" if kind == np.float16 else str(pixels.dtype)
-        pictures.append(array_image(pixels, name, encoding, stored))
-    return pictures
+        decoded.append(array_image(pixels, name, encoding, stored))
+    return decoded

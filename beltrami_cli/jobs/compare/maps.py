@@ -1,4 +1,4 @@
-"""Maps of differences: pictures, or meshes of vertices, dark where files are equal and bright where they differ."""
+"""Maps of differences: images, or meshes of vertices, dark where files are equal and bright where they differ."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def open_map(target: str, names: tuple[str, str], settings: SmoothSettings, over
 
 
 def is_map(head: bytes) -> bool:
-    """Whether the first bytes of a file belong to a map of vertices; pictures have no mark."""
+    """Whether the first bytes of a file belong to a map of vertices; images have no mark."""
     return head.startswith(b"ply\n") and _SCALAR in head.partition(b"end_header\n")[0]
 
 

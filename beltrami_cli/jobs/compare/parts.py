@@ -78,8 +78,8 @@ def compare_vertices(
     )  # fmt: skip
 
 
-def _opacity(picture: DecodedImage) -> Float32s | None:
-    return None if picture.alpha is None else full_scale_one(picture.pixels[..., picture.alpha])
+def _opacity(image: DecodedImage) -> Float32s | None:
+    return None if image.alpha is None else full_scale_one(image.pixels[..., image.alpha])
 
 
 def _opacities_differ(one: Float32s | None, other: Float32s | None) -> bool:
@@ -130,21 +130,20 @@ def compare_images(
     names = [document.name for document in documents]
     slots = settings.textures.slots or DEFAULTS.textures.slots  # which images do without
     settings = dataclasses.replace(settings, textures=dataclasses.replace(settings.textures, slots=slots))
-    images = [(document.name, document.data) for document in documents]
-    require_memory(images, access, "compared")
+    require_memory([(document.name, document.data) for document in documents], access, "compared")
     require_same_size(documents[0].image(), documents[1].image(), names[1])
     samples = [ImageLayer.read(document, settings, colours_only=True) for document in documents]
     one, other, valid = samples[0].colours, samples[1].colours, samples[0].valid
-    pictures = [each.image for each in samples]
+    images = [each.image for each in samples]
     if one.names != other.names:
         cause = f"it has the channels {', '.join(other.names)}, but {names[0]} {', '.join(one.names)}"
         raise InputError(names[1], cause, "compare images with the same channels, or choose with --channels")
-    if count := int(np.count_nonzero(~other.finite(pictures[1])[valid])):
+    if count := int(np.count_nonzero(~other.finite(images[1])[valid])):
         raise InputError(names[1], f"{count} of its pixels are not finite numbers, but are in {names[0]}")
-    opacities = [None if "alpha" in one.names else _opacity(picture) for picture in pictures]
+    opacities = [None if "alpha" in one.names else _opacity(image) for image in images]
     return ComparedColours(
         name="image", kind="image", index=large_arrays.find(valid, True),
-        read=partial(_both_colours, (one, pictures[0]), (other, pictures[1])),
+        read=partial(_both_colours, (one, images[0]), (other, images[1])),
         space=settings.space if set(one.names) <= {"red", "green", "blue", "grey"} else "data",
         size=(valid.shape[0], valid.shape[1]), other_opacity=_opacities_differ(*opacities),
     )  # fmt: skip

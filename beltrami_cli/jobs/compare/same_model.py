@@ -22,7 +22,7 @@ _ONE_MODEL_REMEDY = "compare two files of one model"
 
 
 def require_same_size(old: DecodedImage, new: DecodedImage, name: str) -> None:
-    sizes = [f"{picture.pixels.shape[1]} x {picture.pixels.shape[0]}" for picture in (old, new)]
+    sizes = [f"{image.pixels.shape[1]} x {image.pixels.shape[0]}" for image in (old, new)]
     if sizes[0] != sizes[1]:
         cause = f"it has {sizes[1]} pixels, but {old.name} {sizes[0]}"
         raise InputError(name, cause, "compare images of one size")

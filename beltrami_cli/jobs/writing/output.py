@@ -31,7 +31,7 @@ _SIGNATURE_BYTES = 1 << 16  # bytes searched for the signature
 
 
 class Output:
-    """The destination of a result, a report or a picture: `target` is a path, or "-" for standard output.
+    """The destination of a result, a report or an image: `target` is a path, or "-" for standard output.
 
     `what` it is, for messages: OUTPUT may replace the file that it was made of, all else replaces nothing that is read.
     `is_own` recognises what this program wrote by its first bytes, for `overwrite="own"`.
