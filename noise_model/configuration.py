@@ -22,8 +22,8 @@ def _in(folder: str, *names: str) -> tuple[str, ...]:
 
 
 NETWORK = (
-    *_in("noise_model", "backpropagation.py", "crops.py", "noises.py", "observations.py", "pictures.py"),
-    *_in("noise_model", "recipes.py", "surfaces.py", "train.py"),
+    *_in("noise_model", "backpropagation.py", "batches.py", "crops.py", "losses.py", "noises.py"),
+    *_in("noise_model", "observations.py", "pictures.py", "recipes.py", "surfaces.py", "train.py"),
     *_in("beltrami_cli/flow/noise", "clusters.py", "features.py", "grid_squares.py", "jpeg_traces.py"),
     *_in("beltrami_cli/flow/noise", "neighbourhoods.py", "network.py"),
 )

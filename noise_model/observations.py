@@ -29,7 +29,8 @@ HARD = 0.2  # share of the pictures with noise of `draw_recipe_of_textures`
 # Shares of the scales in the variance of independent noise. The last value is the share of the remaining means.
 OF_SCALES = np.array([0.75, 0.1875, 0.046875, 0.015625])
 FEWEST_DETAILS = 3 * SIDE**2 / 16  # minimum number of details of the finest cells in a picture
-CORRELATED = 1.0  # minimum noise whose correlation is trained, in 8-bit steps
+# Minimum noise of the loudest and of the quietest component whose correlation is trained, in 8-bit steps.
+CORRELATED, MIN_DEVIATION = 1.0, 0.05
 
 
 @dataclass(frozen=True)
@@ -106,21 +107,22 @@ def observed(seen: Samples, noise: Samples | None, loss: Samples | None) -> Obse
     known = np.where(np.isnan(covariances), covariances[0], covariances)
     total = max(0.0, float(np.einsum("l,lkk->", OF_SCALES, known)) / 3)
     variances = np.einsum("lkk->lk", covariances).clip(0, None)
-    deviations = np.sqrt(variances)
+    return Observation(
+        features.describe(seen.features(), cells), features.quiet_deviations(cells[0]),
+        *features.describe_even_cells(cells),
+        log_of(total), log_of(variances).ravel(), _correlations(covariances).ravel(), _by_square(truths),
+    )  # fmt: skip
+
+
+def _correlations(covariances: np.ndarray) -> np.ndarray:
+    """Return the correlations of components by scale, shape (SCALES, 3); NaN where there is too little noise."""
+    deviations = np.sqrt(np.einsum("lkk->lk", covariances).clip(0, None))
     pairs = [
         covariances[:, a, b] / np.maximum(deviations[:, a] * deviations[:, b], 1e-6)
         for a, b in ((0, 1), (0, 2), (1, 2))
     ]
-    least = np.minimum(np.minimum(deviations[:, 0], deviations[:, 1]), deviations[:, 2])
-    largest = deviations.max(axis=1)
-    correlations = np.where(
-        (largest > CORRELATED)[:, None] & (least > 0.05)[:, None], np.stack(pairs, axis=1).clip(-1, 1), np.nan
-    )
-    return Observation(
-        features.describe(seen.features(), cells), features.quiet_deviations(cells[0]),
-        *features.describe_even_cells(cells),
-        log_of(total), log_of(variances).ravel(), correlations.ravel(), _by_square(truths),
-    )  # fmt: skip
+    is_known = (deviations.max(axis=1) > CORRELATED) & (deviations.min(axis=1) > MIN_DEVIATION)
+    return np.where(is_known[:, None], np.stack(pairs, axis=1).clip(-1, 1), np.nan)
 
 
 def covariance_of(cells: Cells) -> np.ndarray:

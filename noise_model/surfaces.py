@@ -33,17 +33,7 @@ def surface(number: int) -> tuple[VertexClusters, np.ndarray]:
     count = int(np.exp(rng.uniform(*np.log(SIZES))))
     kind = rng.choice(["jittered", "jittered", "random", "triangles", "squares", "cloud"])
     side = int(np.sqrt(count)) + 1
-    places = np.stack(np.mgrid[:side, :side], axis=-1).reshape(-1, 2).astype(float)
-    if kind in ("random", "cloud"):
-        places = rng.uniform(0, side, places.shape)
-    elif kind == "triangles":
-        places[:, 1] += places[:, 0] % 2 / 2
-    elif kind == "jittered":
-        places += rng.uniform(-1, 1, places.shape) * rng.uniform(0.05, 0.5)
-    places += rng.normal(0, 1e-6, places.shape)
-    if kind != "triangles" and rng.random() < 0.3:  # denser on one side
-        places[:, 1] = side * (places[:, 1].clip(0) / side) ** rng.uniform(1, 2)
-    places = places[np.argsort(places[:, 0], kind="stable")]
+    places = _places(rng, kind, side)
     if kind == "cloud":
         nearest = cKDTree(places).query(places, k=int(rng.integers(6, 11)))[1]
         pairs = np.stack([np.repeat(nearest[:, 0], nearest.shape[1] - 1), nearest[:, 1:].ravel()], axis=1)
@@ -54,6 +44,21 @@ def surface(number: int) -> tuple[VertexClusters, np.ndarray]:
     priorities = rng.integers(0, 2**63, len(places), dtype=np.uint64)
     positions = np.column_stack([places, np.zeros(len(places))])
     return VertexClusters(Graph(positions, edges, priorities)), (places / side).clip(0, 1)
+
+
+def _places(rng: np.random.Generator, kind: str, side: int) -> np.ndarray:
+    """Draw positions in a square of a side, one per unit of area, ascending along the first axis."""
+    places = np.stack(np.mgrid[:side, :side], axis=-1).reshape(-1, 2).astype(float)
+    if kind in ("random", "cloud"):
+        places = rng.uniform(0, side, places.shape)
+    elif kind == "triangles":
+        places[:, 1] += places[:, 0] % 2 / 2
+    elif kind == "jittered":
+        places += rng.uniform(-1, 1, places.shape) * rng.uniform(0.05, 0.5)
+    places += rng.normal(0, 1e-6, places.shape)
+    if kind != "triangles" and rng.random() < 0.3:  # denser on one side
+        places[:, 1] = side * (places[:, 1].clip(0) / side) ** rng.uniform(1, 2)
+    return places[np.argsort(places[:, 0], kind="stable")]
 
 
 def random_samples(

@@ -26,12 +26,8 @@ from train import SAMPLES, crops_of, save
 
 TEST_ROWS = 1_000  # per family
 CHUNK = 500  # rows that are made together
-EPOCHS, BATCH, RATE, WARM_UP = (
-    40,
-    128,
-    2e-3,
-    200,
-)  # of Adam; the rate is its maximum, reached after the warm-up
+EPOCHS, BATCH, RATE = 40, 128, 2e-3  # of Adam; the rate is its maximum
+WARM_UP = 200  # steps until the rate is at its height
 SEED = 77
 DROPPED = 0.1  # share of the units of a layer, in training
 WIDTH = 0.12  # standard deviation of the labels, in log2 of the strength
@@ -39,9 +35,10 @@ WIDTH = 0.12  # standard deviation of the labels, in log2 of the strength
 NONE, SOME = 0.2, 0.8
 
 
-def make_rows(job: tuple[str, str, int, int, int, list[Path]]) -> list[np.ndarray]:
-    """Draw samples; return evidence, first readings, and the true RMS noise in 8-bit steps."""
-    kind, part, number, seed, count, roots = job
+def make_rows(
+    kind: str, part: str, number: int, seed: int, count: int, roots: list[Path]
+) -> list[np.ndarray]:
+    """Draw samples of a family; return evidence, first readings, and the true RMS noise in 8-bit steps."""
     family = FAMILIES[kind][number]
     crops, weights = crops_of(tuple(roots), part), weights_of(kind)
     rng, rows = np.random.default_rng([SEED, seed, part == "training", number]), []
@@ -66,9 +63,8 @@ def labels_of(truth: np.ndarray, first: np.ndarray) -> np.ndarray:
     logs = np.log2((truth + OFFSET) / (first + OFFSET)).clip(EDGES[0] + WIDTH, EDGES[-1] - WIDTH)
     shares = np.diff(ndtr((EDGES - logs[:, None]) / WIDTH), axis=1)
     none = np.clip((SOME - truth) / (SOME - NONE), 0, 1)[:, None]
-    return np.concatenate([none, (1 - none) * shares / shares.sum(axis=1, keepdims=True)], axis=1).astype(
-        np.float32
-    )
+    some = (1 - none) * shares / shares.sum(axis=1, keepdims=True)
+    return np.concatenate([none, some], axis=1).astype(np.float32)
 
 
 def train(rows: np.ndarray, first: np.ndarray, truth: np.ndarray) -> Weights:
@@ -86,15 +82,14 @@ def train(rows: np.ndarray, first: np.ndarray, truth: np.ndarray) -> Weights:
         order = rng.permutation(len(rows))
         for at in range(0, len(order) - BATCH + 1, BATCH):
             chosen, tape = order[at : at + BATCH], Tape(layers)
-            values = Node(standardised[chosen])
+            logits = Node(standardised[chosen])
             for name in LAYERS:
-                values = tape.dense(values, name, is_last=name == LAYERS[-1])
+                logits = tape.dense(logits, name, is_last=name == LAYERS[-1])
                 if name != LAYERS[-1]:
-                    values = tape.dropped(values, rng.random(values.value.shape) < DROPPED)
-            shares = np.exp(values.value - values.value.max(axis=1, keepdims=True))
-            values.gradient = (shares / shares.sum(axis=1, keepdims=True) - labels[chosen]) / np.float32(
-                BATCH
-            )
+                    logits = tape.dropped(logits, rng.random(logits.value.shape) < DROPPED)
+            shares = np.exp(logits.value - logits.value.max(axis=1, keepdims=True))
+            excess = shares / shares.sum(axis=1, keepdims=True) - labels[chosen]
+            logits.gradient = excess / np.float32(BATCH)
             tape.go_back()
             adam.step(tape.gradients)
     return weights
@@ -139,7 +134,7 @@ def train_kind(kind: str, roots: list[Path], options: argparse.Namespace) -> Non
         for seed in range(count // CHUNK)
     ]
     with Pool(options.processes) as pool:
-        made = list(zip(jobs, pool.map(make_rows, jobs, chunksize=1), strict=True))
+        made = list(zip(jobs, pool.starmap(make_rows, jobs, chunksize=1), strict=True))
 
     def rows_of(part, numbers):
         chosen = [rows for job, rows in made if job[1] == part and job[2] in numbers]

@@ -1,0 +1,74 @@
+"""Observations as arrays, from which batches for training are taken."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from beltrami_cli.flow.noise.network import Weights, candidates_of
+from observations import Observation
+
+ROWS = 100_000  # of features that are standardised at a time
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Concatenated observations; the features of squares are in half precision."""
+
+    counts: np.ndarray  # squares of each observation
+    parts: dict[str, np.ndarray]
+
+    @classmethod
+    def of(cls, observations: list[Observation]) -> Batch:
+        parts = {
+            "squares": np.concatenate([each.squares for each in observations]).astype(np.float16),
+            "quiet": np.concatenate([each.quiet for each in observations]).astype(np.float16),
+            "places": np.concatenate([each.by_square for each in observations]).astype(np.float32)[:, None],
+        }
+        for name in ("even", "even_deviations", "total", "deviations", "correlations"):
+            parts[name] = np.stack([getattr(each, name) for each in observations]).astype(np.float32)
+        parts["total"] = parts["total"][:, None]
+        return cls(np.array([len(each.squares) for each in observations]), parts)
+
+    @classmethod
+    def joined(cls, batches: list[Batch]) -> Batch:
+        parts = {name: np.concatenate([each.parts[name] for each in batches]) for name in batches[0].parts}
+        return cls(np.concatenate([each.counts for each in batches]), parts)
+
+    @cached_property
+    def starts(self) -> np.ndarray:
+        """The first square of each observation, and the number of all squares."""
+        return np.append(0, np.cumsum(self.counts))
+
+    def standard(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+        """Return the means and standard deviations of features."""
+        some = self.parts["squares"][:: max(1, len(self.parts["squares"]) // 200_000)].astype(np.float32)
+        kinds = {"squares": some, "even": self.parts["even"]}
+        means = {name: rows.mean(axis=0) for name, rows in kinds.items()}
+        return means, {name: rows.std(axis=0) + 1e-3 for name, rows in kinds.items()}
+
+    def standardise_in_place(self, weights: Weights) -> None:
+        """Standardise the features of squares; a copy would not fit into memory."""
+        squares = self.parts["squares"]
+        for first in range(0, len(squares), ROWS):
+            block = squares[first : first + ROWS]
+            block[:] = weights.standardised("squares", block.astype(np.float32))
+
+    def take(self, chosen: np.ndarray, weights: Weights) -> tuple[tuple, dict, dict]:
+        """Return the arguments of `read` for some observations, the truths, and the candidates."""
+        rows = np.concatenate([np.arange(self.starts[each], self.starts[each + 1]) for each in chosen])
+        counts, even = self.counts[chosen], self.parts["even"][chosen]
+        starts = np.append(0, np.cumsum(counts)[:-1])
+        given = self.parts["squares"][rows].astype(np.float32), starts, weights.standardised("even", even)
+        quiet = self.parts["quiet"][rows].astype(np.float32)
+        candidates = candidates_of(self.parts["even_deviations"][chosen], quiet, starts)
+        truths = {name: self.parts[name][chosen] for name in ("total", "deviations", "correlations")}
+        # Squares are read relative to their mean, since often only the mean is uncertain.
+        places = self.parts["places"][rows]
+        means = np.add.reduceat(np.nan_to_num(places), starts) / np.maximum(
+            np.add.reduceat(np.isfinite(places), starts, dtype=np.float32), 1
+        )
+        truths["places"] = places - np.repeat(means, counts, axis=0)
+        return given, truths, candidates
