@@ -10,7 +10,7 @@ import csv
 import io
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import unreadable
@@ -19,30 +19,41 @@ from beltrami_cli.formats.bounded_text import MANIFEST, parse_json, parse_toml, 
 _WAY_OUT = "see beltrami batch --help for what a manifest looks like"
 
 
-def entries_of(path: str) -> list[tuple[str, object]]:
-    """Read a manifest: the origin, for messages, and the table of every file."""
+class Entry(NamedTuple):
+    """A file of a manifest."""
+
+    origin: str  # the manifest and the line or entry, for messages
+    source: str
+    target: str  # may be empty
+    options: dict[str, object]
+
+
+def is_manifest(name: str) -> bool:
+    return Path(name).suffix.lower() in _READERS
+
+
+def read_manifest(path: str) -> list[Entry]:
     try:
         text = read_bounded(Path(path), MANIFEST)
     except (OSError, ValueError) as error:
         raise unreadable(path, error, "check that it is a file in UTF-8") from error
     try:
-        found = list(READERS[Path(path).suffix.lower()](text))
+        tables = list(_READERS[Path(path).suffix.lower()](text))
     except (ValueError, csv.Error) as error:
         raise InputError(path, f"the manifest cannot be read ({error})", _WAY_OUT) from error
-    if not found:
+    if not tables:
         raise InputError(path, "the manifest names no files", _WAY_OUT)
-    return [(f"{path}, {where}", entry) for where, entry in found]
+    return [_entry(f"{path}, {where}", table) for where, table in tables]
 
 
-def parts_of(entry: object, origin: str) -> tuple[str, str, dict[str, object]]:
-    """Return the input, the output, which may be empty, and the options that are not."""
-    if not isinstance(entry, dict):
+def _entry(origin: str, table: object) -> Entry:
+    if not isinstance(table, dict):
         raise InputError(origin, "there is no table of names and values", _WAY_OUT)
-    options = {key: value for key, value in entry.items() if value not in ("", None)}
+    options = {key: value for key, value in table.items() if value not in ("", None)}
     source, target = options.pop("input", None), options.pop("output", "")
     if not isinstance(source, str) or not isinstance(target, str):
         raise InputError(origin, "it has no input, or one that is not text", _WAY_OUT)
-    return source, target, options
+    return Entry(origin, source, target, options)
 
 
 def _from_toml(text: str) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -74,7 +85,7 @@ def _from_json_lines(text: str) -> Iterator[tuple[str, Any]]:
                 raise ValueError(f"line {number}: {error}") from error
 
 
-READERS: dict[str, Callable[[str], Iterator[tuple[str, Any]]]] = {
+_READERS: dict[str, Callable[[str], Iterator[tuple[str, Any]]]] = {
     ".toml": _from_toml,
     ".csv": _from_csv,
     ".jsonl": _from_json_lines,

@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 
-from beltrami_cli.batch.manifest import READERS, entries_of, parts_of
+from beltrami_cli.batch.manifest import is_manifest, read_manifest
 from beltrami_cli.batch.storage import canonical_path, find, is_glob, joined, without_scheme
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import is_file, is_url
@@ -50,7 +50,7 @@ def plan(inputs: Iterable[str], out_dir: str, suffix: str, extension: str | None
     for text in map(without_scheme, inputs):
         if text == "-":
             raise UsageError("a batch takes files, not standard input (-); beltrami smooth reads it")
-        if Path(text).suffix.lower() in READERS and not is_glob(text):  # a manifest
+        if is_manifest(text) and not is_glob(text):
             requests += list(_of_manifest(text, out_dir, suffix, extension))
         else:
             requests += [
@@ -122,21 +122,19 @@ def _refuse_clashes(requests: Iterable[Request]) -> None:
             raise UsageError(f"{cause}; {remedy} instead, or a manifest with outputs")
 
 
-# ---- manifests
-
-
 def _of_manifest(path: str, out_dir: str, suffix: str, extension: str | None) -> Iterator[Request]:
     folder = Path(path).parent
-    for origin, entry in entries_of(path):
-        source_text, target_text, options = parts_of(entry, origin)
-        name = without_scheme(source_text)
+    for entry in read_manifest(path):
+        name = without_scheme(entry.source)
         source = name if is_url(name) else str(folder / name)
         if not is_url(source) and not is_file(source):
-            raise InputError(source, "there is no such file", f"check {origin}")
-        own_name = PurePath(name.rpartition("/")[2] if is_url(name) else Path(name).name)
-        named = _place_below(out_dir, target_text, origin) if target_text else None
-        place = named or _result_name(own_name, suffix, extension)
-        yield Request(source, joined(out_dir, place), options, origin, folder)
+            raise InputError(source, "there is no such file", f"check {entry.origin}")
+        if entry.target:
+            place = _place_below(out_dir, entry.target, entry.origin)
+        else:
+            file_name = PurePath(name.rpartition("/")[2] if is_url(name) else Path(name).name)
+            place = _result_name(file_name, suffix, extension)
+        yield Request(source, joined(out_dir, place), entry.options, entry.origin, folder)
 
 
 def _place_below(out_dir: str, target: str, origin: str) -> PurePath:
