@@ -1,4 +1,4 @@
-"""The rarer image formats, files with more in them than one plain picture, and colours that an alpha of 0 hides.
+"""The rarer image formats, files with more in them than one plain image, and colours that an alpha of 0 hides.
 
 KTX2 and AVIF: read, written again as they were, taken back to plain images in glTF, refused in one line.
 """
