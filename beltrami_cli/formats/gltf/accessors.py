@@ -24,6 +24,7 @@ COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5
 SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 """Components of one element by glTF's type."""
 
+MAX_ROWS = np.iinfo(np.int32).max  # vertices and colours of a file, whose indices are int32
 # Corners, for all slots together: a byte is an index at least, and vertices take a dozen each.
 _MIN_DRAWN, _MAX_DRAWN = 1 << 20, 16
 

@@ -28,7 +28,7 @@ from beltrami_cli.formats.gltf.primitives import Meshes, read_meshes
 from beltrami_cli.formats.gltf.textured_mesh import read_textured_mesh
 from beltrami_cli.formats.gltf.textured_surface import read_textured_surface
 from beltrami_cli.formats.gltf.uris import SidecarFiles
-from beltrami_cli.formats.gltf.vertex_colours import Surface
+from beltrami_cli.formats.gltf.vertex_colours import ColouredBlocks
 from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.surface.records import ColouredVertices, MeshContents, Slot, TexturedSurface
 
@@ -62,14 +62,14 @@ class GltfDocument(Document):
         return read_meshes(self._root, self._accessors)
 
     @cached_property
-    def _surface(self) -> Surface:
-        surface = Surface(self.name, self._meshes, self._places)
-        self.notices += surface.notices()
-        return surface
+    def _blocks(self) -> ColouredBlocks:
+        blocks = ColouredBlocks(self.name, self._meshes, self._places)
+        self.notices += blocks.notices()
+        return blocks
 
     @cached_property
     def _coloured_vertices(self) -> ColouredVertices:
-        return self._surface.vertices()
+        return self._blocks.vertices()
 
     def has_vertex_colours(self) -> bool:
         primitives = primitives_of(self._container.tree)
@@ -88,22 +88,22 @@ class GltfDocument(Document):
         return ("further places of a mesh",) if len({*shown}) < len(shown) else ()
 
     def attributes(self) -> tuple[str, ...]:
-        return self._surface.attribute_names()
+        return self._blocks.attribute_names()
 
     def _attribute(self, name: str) -> Float64s:
-        if name == "normal" and (normals := self._surface.normals()) is not None:
+        if name == "normal" and (normals := self._blocks.normals()) is not None:
             return normals.astype(np.float64)
-        return self._surface.attribute(name)
+        return self._blocks.attribute(name)
 
     def require_movable(self) -> None:
-        self._surface.require_movable()
+        self._blocks.require_movable()
 
     def _patched(self, new: Changes, naming: Naming) -> Written:
         edit = Edit(self._container, self._accessors)
         if new.colours is not None:
-            self._surface.recolour(edit, self.coloured_vertices().colours, new.colours)
+            self._blocks.recolour(edit, self.coloured_vertices().colours, new.colours)
         if new.places is not None:
-            self._surface.move(edit, self.coloured_vertices().positions, new.places)
+            self._blocks.move(edit, self.coloured_vertices().positions, new.places)
         show_images(edit, self._images, new.images)
         return write_files(edit, naming, new.form or self.format, self._files)
 
@@ -115,7 +115,7 @@ class GltfDocument(Document):
             return []
         edit = Edit(self._container, self._accessors)
         if colours:
-            self._surface.put_dummies(edit, places=places)
+            self._blocks.put_dummies(edit, places=places)
         show_images(edit, self._images, images)
         edit.finish()
         return place_files(edit, naming, form, self._files).written().sidecar_names
@@ -132,8 +132,8 @@ class GltfDocument(Document):
             colours=shown.colours,
             encoding="linear",
             stored=shown.stored,
-            alpha=self._surface.opacity(),
-            normals=self._surface.normals(),
+            alpha=self._blocks.opacity(),
+            normals=self._blocks.normals(),
             left_out=(*_omitted(self._container.tree), *self._extensions(), *self.hidden_places()),
         )
 
@@ -142,7 +142,7 @@ class GltfDocument(Document):
         if self.has_vertex_colours():
             shown = self.coloured_vertices()
             stored = shown.stored
-            by_primitive = self._surface.by_primitive(shown.colours if colours is None else colours)
+            by_primitive = self._blocks.by_primitive(shown.colours if colours is None else colours)
         mesh = read_textured_mesh(self._root, self._meshes, self._images, by_primitive, stored)
         losses = [what for what in _omitted(self._container.tree) if what in _NOT_TEXTURED]
         losses += self._extensions()
@@ -161,7 +161,7 @@ class GltfDocument(Document):
         if self.has_vertex_colours():
             colours["vertex colours"] = self.coloured_vertices().colours
             opacity = [
-                stored[:, 3].tobytes() for stored in self._surface.stored_colours if stored.shape[1] == 4
+                stored[:, 3].tobytes() for stored in self._blocks.stored_colours if stored.shape[1] == 4
             ]
             parts["opacity of vertex colours"] = b"".join(opacity)
         return Fingerprint(parts, colours, images)

@@ -24,10 +24,10 @@ IMAGE_EXTENSIONS = {
 }
 """Extensions of textures that name an image of another type than core glTF has."""
 
-UNREAD = ("MSFT_texture_dds",)  # whose images are not read
+_UNREAD = ("MSFT_texture_dds",)  # whose images are not read
 
-EMBEDDED_FORMATS = ("png", "jpeg", "webp", "ktx2", "avif")
-MEDIA = {suffix: f"image/{known}" for known in EMBEDDED_FORMATS for suffix in FORMATS[known].suffixes}
+_EMBEDDED_FORMATS = ("png", "jpeg", "webp", "ktx2", "avif")
+MEDIA = {suffix: f"image/{known}" for known in _EMBEDDED_FORMATS for suffix in FORMATS[known].suffixes}
 """Media types of the images that glTF can hold, by suffix."""
 
 WRAPS: dict[Wrap, int] = {"repeat": 10497, "mirror": 33648, "clamp": 33071}
@@ -76,11 +76,11 @@ class Images:
         # WebP comes before plain images; a plain one is the better source where the other loses more.
         entry = self.textures[texture]
         extensions = entry.entry("extensions")
-        readable = [name for name in IMAGE_EXTENSIONS if name not in (WEBP, *UNREAD)]
+        readable = [name for name in IMAGE_EXTENSIONS if name not in (WEBP, *_UNREAD)]
         for holder in (extensions.entry(WEBP), entry, *map(extensions.entry, readable)):
             if "source" in holder:
                 return holder.integer("source", below=len(self))
-        for extension in UNREAD:
+        for extension in _UNREAD:
             if extension in extensions:
                 raise UnfitReferenceError(f"is a {kind_of(extension)} image ({extension}), which is not read")
         raise UnfitReferenceError("has no image")
@@ -143,4 +143,4 @@ def kind_of(extension: str) -> str:
 def media_type(data: bytes) -> str | None:
     """Return the media type that the first bytes of an image show, if it is one that glTF knows."""
     known = format_of(data, "")
-    return f"image/{known}" if known in EMBEDDED_FORMATS else None
+    return f"image/{known}" if known in _EMBEDDED_FORMATS else None

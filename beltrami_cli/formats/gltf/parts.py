@@ -9,7 +9,7 @@ from itertools import chain
 import numpy as np
 
 from beltrami_cli.arrays import Bools, Float64s, Int64s
-from beltrami_cli.formats.gltf.accessors import Accessor
+from beltrami_cli.formats.gltf.accessors import MAX_ROWS, Accessor
 from beltrami_cli.formats.gltf.images import Images, image_key
 from beltrami_cli.formats.gltf.materials import TextureUse
 from beltrami_cli.formats.gltf.nodes import Placement
@@ -18,8 +18,6 @@ from beltrami_cli.formats.model_folder import UnfitReferenceError
 from beltrami_cli.formats.scene import Scene, ShownMap
 from beltrami_cli.surface import records
 from beltrami_cli.surface.records import Slot
-
-_MAX_ROWS = np.iinfo(np.int32).max
 
 
 @dataclass(frozen=True)
@@ -104,8 +102,8 @@ class Parts:
             row_of = np.cumsum(used) - 1 + rows
             corners += [row_of[part.faces].ravel() for part in parts]
             rows += int(np.count_nonzero(used))
-            if rows > _MAX_ROWS:
-                raise first.position.entry.fault("", f"more than {_MAX_ROWS} vertices")
+            if rows > MAX_ROWS:
+                raise first.position.entry.fault("", f"more than {MAX_ROWS} vertices")
             positions.append(first.placement.positions(first.position, used))
         material_of = self.of_triangles([part.material.number for part in self])
         keys = {image_key(index): index for index in range(len(self._images))}

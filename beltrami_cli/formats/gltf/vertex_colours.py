@@ -17,7 +17,7 @@ import numpy as np
 from beltrami_cli.arrays import Float32s, Float64s, Int32s
 from beltrami_cli.errors import NoColoursError
 from beltrami_cli.formats.colours import quantised
-from beltrami_cli.formats.gltf.accessors import Accessor, Stored, fractions
+from beltrami_cli.formats.gltf.accessors import MAX_ROWS, Accessor, Stored, fractions
 from beltrami_cli.formats.gltf.edit import Edit
 from beltrami_cli.formats.gltf.entries import primitives_of
 from beltrami_cli.formats.gltf.new_attributes import Column, exchange
@@ -27,7 +27,6 @@ from beltrami_cli.surface.geometry import unit_vectors
 from beltrami_cli.surface.records import ColouredVertices, MovedVertices
 
 _COLOUR_TYPES = ("uint8", "uint16", "float32")  # component types of COLOR_0, the coarsest first
-_MAX_ROWS = np.iinfo(np.int32).max
 _NAMED_SEPARATELY = ("POSITION", "COLOR_0", "NORMAL")  # not among the attributes by name
 _INDICES = ("JOINTS_", "WEIGHTS_")
 _STALE_NOTICE = "The vertices moved, but their {} are as they were; make them again, or leave them out."
@@ -54,7 +53,7 @@ class Block:
         return slice(self.first_row, self.first_row + self.count)
 
 
-class Surface:
+class ColouredBlocks:
     """All blocks and their triangles: of primitives that have COLOR_0, in file order."""
 
     def __init__(self, name: str, meshes: Meshes, places: Sequence[Placement]) -> None:
@@ -99,8 +98,8 @@ class Surface:
             block = self._block_of[key] = Block(named, placement, self._rows, count)
             self.blocks.append(block)
             self._rows += count
-            if self._rows > _MAX_ROWS:
-                raise primitive.attributes.fault("COLOR_0", f"more than {_MAX_ROWS} colours in one model")
+            if self._rows > MAX_ROWS:
+                raise primitive.attributes.fault("COLOR_0", f"more than {MAX_ROWS} colours in one model")
             self._counts["instanced"] += placement.nodes > 1
         block = self._block_of[key]
         block.users[number] = primitive

@@ -44,7 +44,7 @@ _OPTION = re.compile(
 _END_OF_NAME = re.compile(r"\.mtl(?=\s|$)", re.IGNORECASE)
 _WORD = re.compile(r"\S+")
 
-_MAX_BYTES = 1 << 24  # bytes of a material file that are read
+_MAX_BYTES = 1 << 24  # of a material file that are read: some 50,000 materials of ten lines
 _MAX_NOTICES = 20
 
 

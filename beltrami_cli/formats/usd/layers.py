@@ -25,7 +25,7 @@ from beltrami_cli.surface.worker_process import Message
 
 _EXPORT = "open and save it with a program for USD"
 _USD_CORE = ForeignLibrary("beltrami_cli.formats.usd.layers", "usd", 5, _EXPORT)
-_MAX_LAYERS = 2000
+_MAX_LAYERS = 2000  # bounds the time: each that names another one takes a further process, of 0.3 s
 _CRATE = b"PXR-USDC"
 _NO_MEMORY = "std::bad_alloc"  # in messages of usd-core
 _UNFIT = re.compile(r"[^\w .()+-]")

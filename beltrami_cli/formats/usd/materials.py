@@ -46,7 +46,7 @@ _COLOURS = ("diffuseColor", "emissiveColor")
 _SCALES: dict[Slot, tuple[int, int, int]] = {"normal": (2, 2, -1), "occlusion": (1, 1, 0)}
 _USUAL_SCALE = (0, 1, 0)  # of the other slots
 _UNFIT = " laid out otherwise than in glTF"
-_MAX_TRANSFORMS = 8  # transforms of texture coordinates in a chain
+_MAX_TRANSFORMS = 8  # of texture coordinates in a chain, which may be a cycle
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import tempfile
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +22,7 @@ def read(order: dict[str, Any], _: dict[str, Array]) -> tuple[dict[str, Any], di
         stage = opened(order["root"], order["layers"], order["refused"])
     except NeedsLayersError as error:
         return {"needs": error.needs}, {}
-    geometry = Geometry()
-    other_types: set[str] = set()
+    geometry, others = Geometry(), set[str]()
     images = files_in_variants(stage, order["layers"])
     for prim in Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()):
         if prim.IsA(UsdGeom.Mesh):
@@ -30,23 +30,31 @@ def read(order: dict[str, Any], _: dict[str, Array]) -> tuple[dict[str, Any], di
             continue
         images |= files_of(prim)
         if prim.IsA(UsdGeom.Gprim):
-            other_types.add(str(prim.GetTypeName()))
+            others.add(str(prim.GetTypeName()))
             colours = UsdGeom.Gprim(prim).GetDisplayColorAttr().Get(Usd.TimeCode.EarliestTime())
             geometry.counts["no mesh"] += int(colours is not None and len(colours) > 1)
+    contents = _contents(stage, geometry, images, others)
+    return dataclasses.asdict(contents), geometry.joined()
+
+
+def _contents(
+    stage: Any, geometry: Geometry, images: Mapping[str, str], others: Iterable[str]
+) -> SceneContents:
+    """Return the contents of a scene; `images`: those that meshes do not show, by attribute."""
     uses = tuple(
         TextureUse(material, slot, shown.attribute, shown.file, shown.wrap)
         for material, by_slot in enumerate(geometry.images)
         for slot, shown in by_slot.items()
     )
-    contents = SceneContents(
+    return SceneContents(
         uses=uses,
-        images={use.attribute: use.file for use in uses} | images,
+        images={use.attribute: use.file for use in uses} | dict(images),
         materials=tuple(geometry.materials),
         blocks=tuple(geometry.blocks),
         meshes=tuple(geometry.meshes),
         counts=dict(geometry.counts),
         slots=tuple(sorted(geometry.slots)),
-        others=tuple(sorted(other_types)),
+        others=tuple(sorted(others)),
         up=str(UsdGeom.GetStageUpAxis(stage)),
         # `UsdGeom.GetStageMetersPerUnit` refuses single precision, as old exporters wrote it.
         unit=float(stage.GetMetadata("metersPerUnit")),
@@ -57,7 +65,6 @@ def read(order: dict[str, Any], _: dict[str, Array]) -> tuple[dict[str, Any], di
             for name in sets.GetNames()
         ),
     )
-    return dataclasses.asdict(contents), geometry.joined()
 
 
 def text(order: dict[str, Any], _: dict[str, Array]) -> tuple[str, dict[str, Array]]:
