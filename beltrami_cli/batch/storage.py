@@ -100,7 +100,7 @@ def is_glob(name: str) -> bool:
 
 
 def find(name: str) -> tuple[str, list[tuple[str, PurePath]]]:
-    """Return the base folder of a folder or a glob (None for a file), and the files with their relative paths."""
+    """Return the base folder of a folder or a glob (empty for a file), and the files with their relative paths."""
     if is_url(name):
         return _find_at(name)
     path = Path(name)

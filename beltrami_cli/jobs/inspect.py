@@ -61,19 +61,19 @@ def inspect_file(
     if selection.slots and not selection.vertices:
         surface = _describe_under_textures(selection)
     notices = [*document.notices, *selection.notices]
-    described, of_layers = _describe_layers(selection, job)
-    notices += of_layers
-    # Of images they are known once there is enough memory to decode them.
+    described, layer_notices = _describe_layers(selection, job)
+    notices += layer_notices
+    # The facts of an image are known once there is enough memory to decode it.
     file = {"name": document.name, "format": document.format, **document.facts()}
-    found: dict[str, object] = {"file": file, **surface}
+    facts: dict[str, object] = {"file": file, **surface}
     for each in (*described["vertices"], *described["image"]):
-        found |= each
+        facts |= each
     if described["textures"]:
-        found["textures"] = described["textures"]
+        facts["textures"] = described["textures"]
         left = [slot for slot in document.slots() if slot not in settings.textures.slots]
         if left:
             notices.append(f"it has textures in other slots, too; --slots {','.join(left)} shows them")
-    return {**found, "notices": notices}
+    return {**facts, "notices": notices}
 
 
 def _describe_layers(selection: Selection, job: Job) -> tuple[dict[Part, list[dict[str, object]]], list[str]]:
@@ -115,7 +115,7 @@ def describe_exposure(layer: Layer) -> dict[str, object] | None:
 
 
 def _describe_under_textures(selection: Selection) -> dict[str, object]:
-    """Describe the surface that only textures are smoothed on, and the vertex colours that it has besides."""
+    """Describe the surface that only textures are smoothed on, and its vertex colours, which stay."""
     document, settings = selection.document, selection.settings
     if settings.on == "auto" and document.grid() is None and document.has_vertex_colours():
         # They stay as they are, so no parameters are chosen for them.

@@ -22,7 +22,7 @@ from beltrami_cli.layers.reports import LayerReport, LevelReport
 from beltrami_cli.layers.selection import Selection
 from beltrami_cli.layers.settings import LevelSettings, SmoothSettings
 
-_USUAL_TICKS = 30  # while parameters are chosen
+_USUAL_STEPS = 30  # of choosing parameters, for progress alone
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,18 +46,17 @@ def smooth_layer(
     """
     layer = layer.normalised()
     plan = layer.plan(tick, resources)
-    is_worse = _is_worse(plan.choice, layer.settings.kernel)
-    if is_worse:
+    stays = _should_stay(plan.choice, layer.settings.kernel)
+    if stays:
         # Outliers are replaced all the same.
         kernel = dataclasses.replace(layer.settings.kernel, free=(), patches="off")
-        settings = dataclasses.replace(layer.settings, kernel=kernel)
-        layer = dataclasses.replace(layer, settings=settings)
+        layer = dataclasses.replace(layer, settings=dataclasses.replace(layer.settings, kernel=kernel))
         plan = dataclasses.replace(layer.plan().stopped_before(0), choice=plan.choice)
     result = smooth_in_place(plan, progress)
     report, new = layer.report(plan, result), result.manifold.new_colours()
     warnings = report.warnings(plan.parameters.max_samples)
     is_smoothed = plan.parameters.iterations > 0 or bool(plan.outliers.get("replaced"))
-    if is_worse:
+    if stays:
         warnings.append(f"{layer.label}: smoothing was estimated to make the colours worse, so they stay.")
     choice = None if result.choice is None else result.choice.in_unit(layer.unit)
     samples_per_kernel = result.samples_per_kernel
@@ -74,10 +73,10 @@ def unsmoothed(kernel: KernelParameters) -> KernelParameters:
     return dataclasses.replace(kernel, iterations=0, free=(), patches="off")
 
 
-def _is_worse(choice: Choice | None, wanted: KernelParameters) -> bool:
+def _should_stay(choice: Choice | None, given: KernelParameters) -> bool:
     """Whether a result is estimated to be worse than the input, and no option asks for smoothing all the same."""
-    insists = "iterations" not in wanted.free or wanted.given_noise is not None or wanted.strength > 1
-    return not insists and choice is not None and choice.gain is not None and choice.gain < 0
+    is_asked_for = "iterations" not in given.free or given.given_noise is not None or given.strength > 1
+    return not is_asked_for and choice is not None and choice.gain is not None and choice.gain < 0
 
 
 def smooth_in_job(layer: Layer, job: Job, label: str) -> Smoothed:
@@ -85,9 +84,9 @@ def smooth_in_job(layer: Layer, job: Job, label: str) -> Smoothed:
     choosing, steps = job.progress_of(Label(f"{label}: choosing parameters", "choosing parameters")), count()
 
     def tick() -> None:
-        # The number of steps is not known before: shown is their share of it and of a usual number more.
+        # The number of steps is unknown: progress shows n / (n + 30) after n of them.
         assert choosing is not None
-        choosing(number := next(steps), number + _USUAL_TICKS)
+        choosing(number := next(steps), number + _USUAL_STEPS)
 
     if choosing is not None:
         tick()
@@ -110,15 +109,17 @@ class Smoothing(ColourFilter[Smoothed]):
         return cls(settings, LevelSettings() if settings.level_seams else None)
 
     @property
+    def _has_iterations(self) -> bool:
+        return self.settings.kernel.iterations != 0
+
+    @property
     def phases(self) -> Sequence[str]:
-        return (
-            ("choosing parameters", "smoothing") if self.settings.kernel.iterations != 0 else ("recolouring",)
-        )
+        return ("choosing parameters", "smoothing") if self._has_iterations else ("recolouring",)
 
     @property
     def changes(self) -> bool:
         encodes = self.settings.textures.image_suffix is not None
-        return self.settings.kernel.iterations != 0 or self.levelling is not None or encodes
+        return self._has_iterations or self.levelling is not None or encodes
 
     @property
     def works_in_groups(self) -> bool:
@@ -135,4 +136,4 @@ class Smoothing(ColourFilter[Smoothed]):
     def apply(self, layer: Layer, job: Job) -> Smoothed:
         if self.levelling is not None:
             layer = layer.levelled(self.levelling)
-        return smooth_in_job(layer, job, layer.label) if "smoothing" in self.phases else smooth_layer(layer)
+        return smooth_in_job(layer, job, layer.label) if self._has_iterations else smooth_layer(layer)
