@@ -186,7 +186,7 @@ MAX_READS = 40
 # So large that it is not kept in memory, but read whenever it is needed.
 LARGE = encode(np.random.default_rng(1).integers(0, 256, (600, 600, 3), np.uint8), "png")
 RUNS = {
-    "smooth": ("smooth", "{model}", "out/new{suffix}", "-n", "1", "--beta", "1", "--fast"),
+    "noise": ("noise", "{model}", "out/new{suffix}", "--sigma", "5"),
     "copy": ("smooth", "{model}", "out/new{suffix}", "-n", "0"),
     "convert": ("smooth", "{model}", "out/new.glb", "-n", "0"),
     "bake": ("bake", "{model}", "out/new.ply", "--to", "vertices"),
@@ -220,7 +220,7 @@ def model_in(folder, kind):
 @pytest.mark.parametrize(
     ("run", "kind"),
     [
-        *(("smooth", kind) for kind in (*KINDS, "tiles")),
+        *(("noise", kind) for kind in (*KINDS, "tiles")),
         *(("check", kind) for kind in ("gltf", "tiles")),
         ("copy", "tiles"), ("convert", "ply"), ("bake", "gltf"),
         ("info", "obj"), ("compare", "tiles"), ("render", "ply"),
