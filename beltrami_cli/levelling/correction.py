@@ -56,18 +56,18 @@ def find_exposures(
         return Levelled(None, None, SeamFacts(), np.arange(steps.charts))
     if verdict is None:
         return Levelled(None, None, _facts(steps, Exposures.none(steps), 0.0), np.arange(steps.charts))
-    found = fit_exposures(steps, verdict.spread, fixed)
+    exposures = fit_exposures(steps, verdict.spread, fixed)
     if not verdict.is_sure:
-        return Levelled(verdict, None, _facts(steps, found, 0.0), np.arange(steps.charts))
-    groups = connected(steps.charts, steps.ends[found.weights > 0])
-    return Levelled(verdict, found, _facts(steps, found, strength), groups)
+        return Levelled(verdict, None, _facts(steps, exposures, 0.0), np.arange(steps.charts))
+    groups = connected(steps.charts, steps.ends[exposures.weights > 0])
+    return Levelled(verdict, exposures, _facts(steps, exposures, strength), groups)
 
 
-def _facts(steps: Steps, found: Exposures, strength: float) -> SeamFacts:
+def _facts(steps: Steps, exposures: Exposures, strength: float) -> SeamFacts:
     inside = steps.between
-    between, outliers = steps.part(inside), found.are_outliers(steps)[inside]
+    between, outliers = steps.part(inside), exposures.are_outliers(steps)[inside]
     _, first, seam = np.unique(between.seams, return_index=True, return_inverse=True)
-    changed = between.colours + strength * (found.sides(between) - between.colours)
+    changed = between.colours + strength * (exposures.sides(between) - between.colours)
     before, after = (np.sqrt(squared_steps(between, each, seam)) for each in (between.colours, changed))
     texels = np.bincount(seam, between.counts).astype(np.float64)
     return SeamFacts(
@@ -151,20 +151,20 @@ def level_canvas(
         steps = steps_over_seams(atlas, planes, places)
         verdict = judge_steps(steps, fixed)
         flat[:, mixed] = before
-    found = find_exposures(steps, verdict, strength, fixed)
+    levelled = find_exposures(steps, verdict, strength, fixed)
 
     def samples(rows: Int64s | slice) -> tuple[Float32s, Indices, Float64s]:
         cells, charts = atlas.owned_cells[rows], atlas.chart_of[rows]
         return flat[:, cells].T, charts, places.at(positions_of(atlas, cells), charts)
 
     change = 0.0
-    if found.exposures is not None:
-        correction = Correction.of(found.exposures, found.groups, strength, fixed)
+    if levelled.exposures is not None:
+        correction = Correction.of(levelled.exposures, levelled.groups, strength, fixed)
         correction, change = correction.preserving_means(len(atlas.owned_cells), samples)
         for block in large_arrays.blocks(len(atlas.owned_cells) if change else 0, large_arrays.SCATTERED):
             flat[:, atlas.owned_cells[block]] = correction.corrected(*samples(block)).T
     refresh_halo(planes, atlas)
-    return found, change
+    return levelled, change
 
 
 def level_mesh(
@@ -172,10 +172,10 @@ def level_mesh(
 ) -> tuple[Levelled, float, Float32s]:
     """Remove exposures from the colours of vertices, shape (S, N), each from one photograph."""
     steps, charts, places = steps_over_edges(positions, faces, colours.astype(np.float64), photographs)
-    found = find_exposures(steps, judge_steps(steps), strength)
-    if found.exposures is None:
-        return found, 0.0, colours
-    correction, change = Correction.of(found.exposures, found.groups, strength, None).preserving_means(
+    levelled = find_exposures(steps, judge_steps(steps), strength)
+    if levelled.exposures is None:
+        return levelled, 0.0, colours
+    correction, change = Correction.of(levelled.exposures, levelled.groups, strength, None).preserving_means(
         len(colours), lambda rows: (colours[rows], charts[rows], places[rows])
     )
-    return found, change, correction.corrected(colours, charts, places) if change else colours
+    return levelled, change, correction.corrected(colours, charts, places) if change else colours

@@ -57,11 +57,11 @@ class Exposures:
 
     def sides(self, steps: Steps) -> Float64s:
         """Return the corrected colours of both sides, shape (K, 2, N)."""
-        found = []
+        corrected = []
         for side in (0, 1):
             factor, offset = self.at(steps.ends[:, side], steps.places[:, side])
-            found.append(((steps.colours[:, side].T - offset) / factor).T)
-        return np.stack(found, axis=1)
+            corrected.append(((steps.colours[:, side].T - offset) / factor).T)
+        return np.stack(corrected, axis=1)
 
     def are_outliers(self, steps: Steps) -> Bools:
         """Return for each stretch whether the steps of its seam are mostly outliers."""
@@ -70,14 +70,14 @@ class Exposures:
 
 def fit_exposures(steps: Steps, spread: tuple[float, ...], fixed: Bools | None = None) -> Exposures:
     """Fit the terms of all charts, whose deviation from 0 is `spread`; `fixed` charts have terms of 0."""
-    found = Exposures.none(steps, len(spread))
+    exposures = Exposures.none(steps, len(spread))
     if not len(steps.seams):
-        return found
+        return exposures
     used, lengths = may_be_exposure(steps), np.bincount(steps.seams, steps.counts)[steps.seams]
     trust = steps.counts / np.maximum(STRETCH, lengths / PARTS)
     for number, scale in enumerate(SCALES):
         is_settled = 3 * number >= 2 * len(SCALES)
-        sides = found.sides(steps)
+        sides = exposures.sides(steps)
         known = known_steps(steps, sides)
         noise = deviations(steps, sides)
         squares = np.where(known, np.square(sides[:, 1] - sides[:, 0]), 0).sum(axis=1)
@@ -87,11 +87,11 @@ def fit_exposures(steps: Steps, spread: tuple[float, ...], fixed: Bools | None =
         allowed = np.square(scale * OUTLIER * np.minimum(noise, limit))
         weights = np.where(used & known.any(axis=1), 1 / np.square(1 + squares / allowed), 0)
         if is_settled:
-            used &= ~Exposures(found.terms, weights).are_outliers(steps)
+            used &= ~Exposures(exposures.terms, weights).are_outliers(steps)
             weights *= used
         by_channel = (weights * trust / np.square(noise))[:, None] * known
-        found = Exposures(_solved(steps, found, by_channel, spread, fixed), weights)
-    return found
+        exposures = Exposures(_solved(steps, exposures, by_channel, spread, fixed), weights)
+    return exposures
 
 
 def known_steps(steps: Steps, sides: Float64s) -> Bools:
@@ -119,7 +119,7 @@ def squared_steps(steps: Steps, sides: Float64s, units: Int64s) -> Float64s:
 
 
 def _solved(
-    steps: Steps, found: Exposures, weights: Float64s, spread: tuple[float, ...], fixed: Bools | None
+    steps: Steps, exposures: Exposures, weights: Float64s, spread: tuple[float, ...], fixed: Bools | None
 ) -> Float64s:
     """Solve for the terms, shape (N, charts, terms), that explain steps with weights of shape (K, N).
 
@@ -128,14 +128,14 @@ def _solved(
     from scipy.sparse import csr_array, diags_array
     from scipy.sparse.linalg import splu
 
-    colours, (channels, charts, terms) = found.sides(steps).mean(axis=1), found.terms.shape
+    colours, (channels, charts, terms) = exposures.sides(steps).mean(axis=1), exposures.terms.shape
     unknowns = 2 * channels + terms - 2  # of a chart
     index = np.empty((channels, terms), np.int64)  # indices of a channel's terms among them
     index[:, :2], index[:, 2:] = np.arange(2 * channels).reshape(-1, 2), np.arange(2 * channels, unknowns)
     # A row sums the terms of both sides; the terms of the first side are negated.
     rows = np.ones((len(colours), channels, 2, terms))
     rows[..., 0] = colours[:, :, None]
-    by_gain = colours[:, :, None] * (1 + found.terms[:, steps.ends, 0].transpose(1, 0, 2))
+    by_gain = colours[:, :, None] * (1 + exposures.terms[:, steps.ends, 0].transpose(1, 0, 2))
     rows[..., 2:] = by_gain[..., None] * steps.places[:, None, :, : terms - 2]
     rows[:, :, 0] *= -1
     if fixed is not None:

@@ -23,14 +23,14 @@ LUMA = np.array([0.299, 0.587, 0.114])  # of BT.601, as JPEG has it
 
 def mixed_cells(atlas: Atlas, spans: Sequence[int]) -> Int64s:
     """Return the owned cells (flat indices) so close to a border of a chart that a decoder mixed their hue."""
-    found, (rows, columns), reach = [np.zeros(0, np.int64)], atlas.kind.shape, max(spans)
+    parts, (rows, columns), reach = [np.zeros(0, np.int64)], atlas.kind.shape, max(spans)
     for band in large_arrays.blocks(rows, large_arrays.ROWS):
         first = max(0, band.start - reach)
         owned = atlas.kind[first : band.stop + reach] == OWNED
         near = owned & within(~owned, reach)
         inside = near[band.start - first :][: band.stop - band.start]
-        found.append(np.flatnonzero(inside) + band.start * columns)
-    cells = np.concatenate(found)
+        parts.append(np.flatnonzero(inside) + band.start * columns)
+    cells = np.concatenate(parts)
     texels = atlas.owned_texels[np.searchsorted(atlas.owned_cells, cells)]
     texture = np.searchsorted(atlas.texture_offsets, texels, side="right") - 1
     return np.asarray(cells[np.asarray(spans)[texture] > 1])
@@ -48,9 +48,9 @@ def continue_hues(atlas: Atlas, planes: Float32s, cells: Int64s, span: int) -> F
     clear[cells] = 0
     for block in large_arrays.blocks(len(cells), large_arrays.CACHED):
         colours, is_known = _continued(flat, clear, cells[block], charts[block], atlas.kind.shape[1], span)
-        own = before[:, block].T
-        hued = (colours + ((own - colours) @ LUMA)[:, None]).clip(*limits)
-        flat[:, cells[block]] = np.where(is_known[:, None], hued, own).T
+        stored = before[:, block].T
+        hued = (colours + ((stored - colours) @ LUMA)[:, None]).clip(*limits)
+        flat[:, cells[block]] = np.where(is_known[:, None], hued, stored).T
     return before
 
 

@@ -143,9 +143,9 @@ class _CrossValidation:
 
     def predict(self, sides: Float64s, fold: int, spread: tuple[float, ...], fixed: Bools | None) -> None:
         """Correct the stretches of a fold in `sides` by the exposures fitted to the other folds."""
-        held = self.folds == fold
-        rows = held[self.whole.between]
-        sides[rows] = fit_exposures(self.whole.part(~held), spread, fixed).sides(self.steps.part(rows))
+        is_held = self.folds == fold
+        rows = is_held[self.whole.between]
+        sides[rows] = fit_exposures(self.whole.part(~is_held), spread, fixed).sides(self.steps.part(rows))
 
     def up_to(self, fold: int) -> _CrossValidation:
         """Return the test restricted to the units of the first folds."""

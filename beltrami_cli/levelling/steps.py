@@ -130,8 +130,8 @@ def steps_over_seams(atlas: Atlas, planes: Float32s, places: ChartPlaces) -> Ste
 
     first, both = order[starts], mean(np.stack(where, axis=1))
     is_low, is_high = (mean(each) > 0 for each in (low, high))
-    found = Steps(atlas.charts, ends[first], mean(colours), both, seams[first], counts, is_low, is_high)
-    return _reduce_noise(found.oriented())
+    steps = Steps(atlas.charts, ends[first], mean(colours), both, seams[first], counts, is_low, is_high)
+    return _reduce_noise(steps.oriented())
 
 
 def _ordered(keys: Int64s) -> tuple[Int64s, Int64s]:
@@ -190,13 +190,13 @@ def deviations(steps: Steps, sides: Float64s) -> Float64s:
         # `sort` orders complex numbers by their real part first: four times as fast as `lexsort`.
         return np.asarray(np.sort(steps.seams + 1j * values).imag[middles])
 
-    found = np.zeros(len(lengths))
+    of_seams = np.zeros(len(lengths))
     for column in (sides[:, 1] - sides[:, 0]).T:
-        found += medians(np.abs(column - medians(column)[steps.seams]))
-    found *= 1.4826 / sides.shape[2]  # standard deviation of a normal variable from its median magnitude
-    usual = weighted_median(found[steps.seams], steps.counts)
+        of_seams += medians(np.abs(column - medians(column)[steps.seams]))
+    of_seams *= 1.4826 / sides.shape[2]  # standard deviation of a normal variable from its median magnitude
+    usual = weighted_median(of_seams[steps.seams], steps.counts)
     # A seam of few stretches gets the usual deviation.
-    whole = np.sqrt((lengths * np.square(found) + PARTS * usual**2) / (lengths + PARTS))
+    whole = np.sqrt((lengths * np.square(of_seams) + PARTS * usual**2) / (lengths + PARTS))
     return np.asarray(np.maximum(whole, BYTE_STEP)[steps.seams])
 
 

@@ -77,12 +77,12 @@ class ClippedChannels:
         reach = np.float32(_NOISE_EXTENT) * (np.float32(self.sigma[0]) * np.sqrt(relative))
         return channel < reach if self.low[0] else channel > 1 - reach
 
-    def mark(self, channels: Float32s, found: Float32s) -> None:
+    def mark(self, channels: Float32s, marks: Float32s) -> None:
         """Mark samples at a limit, to be averaged like colours, by 1, 0 or -1; shape (clipped channels, ...)."""
         # Both limits share one plane, because an average seldom contains many samples of both.
         for mark, k in enumerate(self.clipped):
             high, low = self.high[k] & (channels[k] >= 1), self.low[k] & (channels[k] <= 0)
-            np.subtract(high, low, out=found[mark], dtype=np.float32)
+            np.subtract(high, low, out=marks[mark], dtype=np.float32)
 
     def restore_in_place(
         self, channels: Float32s, marks: Float32s, relative: Float32s, threads: int = 1
@@ -93,8 +93,8 @@ class ClippedChannels:
         table, relative = _censored_normal(), np.broadcast_to(relative, (1, *channels.shape[1:]))
         tables = table.share, table.alpha, table.gap
         for mark, k in enumerate(self.clipped):
-            own, share = channels[k : k + 1], marks[mark : mark + 1]
-            restore_cut_off(own, share, self._cut_off(k), _MAX_LOCAL_NOISE, *tables, relative, threads)
+            channel, share = channels[k : k + 1], marks[mark : mark + 1]
+            restore_cut_off(channel, share, self._cut_off(k), _MAX_LOCAL_NOISE, *tables, relative, threads)
 
     def impute_in_place(
         self, channels: Float32s, pilot: Float32s, relative: Float32s, threads: int = 1
@@ -104,8 +104,8 @@ class ClippedChannels:
 
         tables, relative = normal_tables(), np.broadcast_to(relative, (1, *channels.shape[1:]))
         for k in self.clipped:
-            own, around = channels[k : k + 1], pilot[k : k + 1]
-            impute_cut_off(own, around, self._cut_off(k), tables.limits, tables.beyond, relative, threads)
+            channel, around = channels[k : k + 1], pilot[k : k + 1]
+            impute_cut_off(channel, around, self._cut_off(k), tables.limits, tables.beyond, relative, threads)
 
     def _cut_off(self, k: int) -> tuple[float, bool, bool]:
         return float(self.sigma[k]), self.low[k], self.high[k]
@@ -146,9 +146,9 @@ def mark_clipped(manifold: Manifold, clipped: ClippedChannels) -> Stack:
     planes = geometry.planes(len(clipped.clipped))
     marks = np.ascontiguousarray(np.moveaxis(planes, 0, geometry.axis))
 
-    def mark(own: Array, found: Array, kind: Array) -> None:
-        clipped.mark(own, found)
-        np.copyto(found, 0, where=kind == EMPTY)
+    def mark(channels: Array, block: Array, kind: Array) -> None:
+        clipped.mark(channels, block)
+        np.copyto(block, 0, where=kind == EMPTY)
 
     for_blocks(mark, geometry.threads, geometry.axis, manifold.colours, marks, geometry.kind)
     geometry.refresh(marks)

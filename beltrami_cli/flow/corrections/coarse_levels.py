@@ -98,8 +98,7 @@ def _noise_of_level(covariances: Float64s, level: int, *, is_coarsest: bool) -> 
     """Return the covariance of the noise left in the means of a level, shape (N, N), in units of that of cells."""
     above = covariances[min(level + 1, len(covariances) - 1)]
     shared = _SHARE_IN_MEANS if is_coarsest else _RESIDUAL_SHARE
-    own: Float64s = (1 - _SHARE_IN_MEANS) * covariances[level] + shared * above
-    return own
+    return np.asarray((1 - _SHARE_IN_MEANS) * covariances[level] + shared * above)
 
 
 def _residual_covariances(covariances: Float64s) -> Float64s:

@@ -94,9 +94,9 @@ class CodedPicture:
     def pixels_of(self, planes: Sequence[Float32s], shape: tuple[int, ...]) -> Float32s:
         """Convert changes of planes to changes of pixels (R, C, 1 or 3); 0 beyond the planes."""
         whole = np.zeros((len(planes), *shape[:2]), np.float32)
-        for plane, own, span in zip(planes, whole, [(1, 1), self.span, self.span], strict=False):
+        for plane, target, span in zip(planes, whole, [(1, 1), self.span, self.span], strict=False):
             large = _interpolated(plane, span)
-            own[: len(large), : large.shape[1]] = large[: len(own), : own.shape[1]]
+            target[: len(large), : large.shape[1]] = large[: len(target), : target.shape[1]]
         if len(planes) == 1:
             return np.asarray(whole[0][..., None])
         return np.asarray(np.einsum("ij,jrc->rci", _RGB.astype(np.float32), whole))
@@ -106,7 +106,7 @@ class CodedPicture:
         if self.pixels.shape[2] == 1:
             return [sigma]
         luma, *chroma = (sigma * np.sqrt(np.square(YCC).sum(axis=1))).tolist()
-        return [luma, *(own / np.sqrt(self.span[0] * self.span[1]) for own in chroma)]
+        return [luma, *(each / np.sqrt(self.span[0] * self.span[1]) for each in chroma)]
 
 
 def decode_in_place(picture: CodedPicture, pilot: Float32s, sigma: float) -> None:
@@ -127,8 +127,8 @@ def expected(
     of_planes = picture.tables, picture.sigma_of_planes(255 * sigma)
     darker = normal_tables().clipping_bias(pilot / np.float32(255), sigma) * np.float32(255)
     differences = []
-    for own, near, steps, noise in zip(planes, picture.planes(pilot - darker), *of_planes, strict=True):
-        changes, means = coefficients_of(near), coefficients_of(own)
+    for plane, near, steps, noise in zip(planes, picture.planes(pilot - darker), *of_planes, strict=True):
+        changes, means = coefficients_of(near), coefficients_of(plane)
         for mean, row in zip(changes, means, strict=True):  # one by one, as this takes many arrays
             mean[:] = _truncated_normal_mean(mean, noise, np.rint(row / steps) * steps, steps / 2) - mean
         differences.append(_from_coefficients(changes))
@@ -136,9 +136,9 @@ def expected(
     whole = tuple(
         slice(0, size - size % (SIDE * span)) for size, span in zip(stored.shape, picture.span, strict=False)
     )
-    found = stored + darker
-    found[whole] = (pilot + picture.pixels_of(differences, stored.shape))[whole]
-    return found
+    pixels = stored + darker
+    pixels[whole] = (pilot + picture.pixels_of(differences, stored.shape))[whole]
+    return pixels
 
 
 def _truncated_normal_mean(mean: Float32s, sigma: float, middle: Float64s, reach: Float64s) -> Float32s:
@@ -197,7 +197,6 @@ def _uninterpolated(means: Float32s, span: tuple[int, int]) -> Float32s:
 
 
 def _means_over(plane: Float32s, span: tuple[int, int]) -> Float32s:
-    """Return the means over whole spans."""
     rows, columns = (size // own for size, own in zip(plane.shape, span, strict=True))
     whole = plane[: rows * span[0], : columns * span[1]]
     return np.asarray(whole.reshape(rows, span[0], columns, span[1]).mean(axis=(1, 3)), np.float32)
@@ -218,7 +217,6 @@ def coefficients_of(plane: Float32s) -> Float32s:
 
 
 def _from_coefficients(blocks: Array) -> Float32s:
-    """Return the plane with these DCT coefficients."""
     from scipy.fft import idctn
 
     rows, columns = blocks.shape[:2]

@@ -16,7 +16,8 @@ from beltrami_cli.flow.manifolds.domain import CoarseLevel, Geometry
 from beltrami_cli.flow.manifolds.manifold import Manifold
 
 # Outliers are this many standard deviations below the mean around. Places are plain where the local variance is less
-# than this factor of that of noise. The search is repeated this often, since outliers add to the variance.
+# than this factor of that of noise. The search is repeated this often, since outliers add to the variance. Of normal
+# noise, 3 in 100,000 samples are as far below the mean.
 _OUTLIER, _PLAIN, _ROUNDS = 4.0, 1.4, 2
 
 
@@ -26,17 +27,17 @@ def fill_dark_outliers_in_place(manifold: Manifold, level: CoarseLevel, sigma: F
     colours, relative = (
         np.moveaxis(each, geometry.axis, 0) for each in (manifold.colours, manifold.relative_variance)
     )
-    found = np.zeros(colours.shape[1:], bool)
+    are_far = np.zeros(colours.shape[1:], bool)
     shares = np.maximum(level.spread(level.planes(1) + np.float32(1)), np.float32(MIN_SHARE))
     for _ in range(_ROUNDS):
-        for channel, size in zip(colours, sigma, strict=True):
+        for channel, deviation in zip(colours, sigma, strict=True):
             planes = _local_moments(geometry, level, channel, shares)
-            for own, variance, (mean, spread), far in in_blocks(
-                0, channel[None], relative, planes, found[None]
+            for colour, variance, (mean, spread), is_far in in_blocks(
+                0, channel[None], relative, planes, are_far[None]
             ):
-                noise, below = np.float32(size**2) * variance[0], mean - own[0]
-                far[0] = (below > 0) & (np.square(below) > _OUTLIER**2 * noise) & (spread < _PLAIN * noise)
-            single = geometry.single(found)
+                noise, below = np.float32(deviation**2) * variance[0], mean - colour[0]
+                is_far[0] = (below > 0) & (np.square(below) > _OUTLIER**2 * noise) & (spread < _PLAIN * noise)
+            single = geometry.single(are_far)
             channel[single] = planes[0][single]
     geometry.refresh(manifold.colours)
 
@@ -48,8 +49,8 @@ def _local_moments(geometry: Geometry, level: CoarseLevel, channel: Float32s, sh
     """
     axis = geometry.axis
     both = geometry.planes(2)
-    for own, (value, square) in in_blocks(0, channel[None], both):
-        value[:], square[:] = own[0], np.square(own[0])
+    for colour, (value, square) in in_blocks(0, channel[None], both):
+        value[:], square[:] = colour[0], np.square(colour[0])
     means = np.ascontiguousarray(np.moveaxis(level.means(np.moveaxis(both, 0, axis)), axis, 0))
     means = level.spread(means)
     means /= shares

@@ -61,10 +61,10 @@ class MeanLight:
             before, after = self.planes[channel : channel + 1], light[channel : channel + 1]
             _give_back(manifold.regions, before, after, manifold.geometry.threads)
         axis = manifold.geometry.axis
-        for own, new in zip(in_blocks(axis, manifold.colours), in_blocks(0, light), strict=True):
-            own[0][:] = _converted(new[0], lambda rows: to_space(rows, "linear", space))
+        for block, new in zip(in_blocks(axis, manifold.colours), in_blocks(0, light), strict=True):
+            block[0][:] = _converted(new[0], lambda rows: to_space(rows, "linear", space))
             if stabiliser is not None:
-                stabiliser.stabilise_in_place(own[0])
+                stabiliser.stabilise_in_place(block[0])
         manifold.geometry.refresh(manifold.colours)
 
 
@@ -88,8 +88,8 @@ def _give_back(regions: Domain, before: Float32s, after: Float32s, threads: int)
 def _light_of(manifold: Manifold, space: Space) -> Float32s:
     axis, stabiliser = manifold.geometry.axis, manifold.noise.stabiliser
     planes = manifold.geometry.planes(manifold.colours.shape[axis])
-    for own, light in zip(in_blocks(axis, manifold.colours), in_blocks(0, planes), strict=True):
-        colours = own[0].copy()
+    for block, light in zip(in_blocks(axis, manifold.colours), in_blocks(0, planes), strict=True):
+        colours = block[0].copy()
         if stabiliser is not None:
             stabiliser.restore_in_place(colours)
         light[0][:] = _converted(colours, lambda rows: from_space(rows, "linear", space))
@@ -99,8 +99,8 @@ def _light_of(manifold: Manifold, space: Space) -> Float32s:
 def _bands(light: Float32s) -> list[int]:
     """Return the bands that contain light other than 0."""
     below: set[int] = set()
-    for (own,) in in_blocks(0, light):
-        below.update(np.unique(np.floor(_levels(own[own != 0])).astype(int)).tolist())
+    for (block,) in in_blocks(0, light):
+        below.update(np.unique(np.floor(_levels(block[block != 0])).astype(int)).tolist())
     return sorted(below | {band + 1 for band in below})
 
 

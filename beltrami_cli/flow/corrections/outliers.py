@@ -188,7 +188,7 @@ class _Search:
         """Return the outliers among rows that stand out."""
         if not self.range > 0:
             return rows.samples[:0]
-        contrasts, found = rows.contrasts(self.range), [rows.samples[:0]]
+        contrasts, outliers = rows.contrasts(self.range), [rows.samples[:0]]
         for sign in (-1, 1):
             # Bright light needs twice the contrast, since its noise has a longer tail.
             is_bright_light = self.is_light and sign > 0
@@ -202,10 +202,10 @@ class _Search:
             if self.takes_all or (
                 is_bright_light and is_rare and self._is_random(outlying, contrast, strongest, everywhere)
             ):
-                found.append(outlying.samples[small])
+                outliers.append(outlying.samples[small])
             elif len(strongest) >= _MIN_CLUMPS:
-                found.append(self._with_common_value(outlying, sign * contrast, small, strongest))
-        return np.unique(np.concatenate(found))
+                outliers.append(self._with_common_value(outlying, sign * contrast, small, strongest))
+        return np.unique(np.concatenate(outliers))
 
     def _with_common_value(self, rows: _Rows, contrast: Float32s, small: Bools, strongest: Int64s) -> Int64s:
         """Return the outliers that have the most frequent value, if they are spread at random."""
@@ -232,14 +232,14 @@ class _Search:
 
     def _samples_of_value(self, value: Float32s, spread: float) -> Int64s:
         """Return isolated samples of a value, with a lower threshold of contrast."""
-        surface, found = self.surface, [np.zeros(0, np.int64)]
+        surface, parts = self.surface, [np.zeros(0, np.int64)]
         for block in large_arrays.blocks(surface.count, large_arrays.CACHED):
             samples = np.asarray(surface.where.samples[block], np.int64)
             rows = surface.compared(
                 samples[np.abs(surface.at(samples) - value[:, None]).max(axis=0) <= spread]
             )
-            found.append(rows.samples[np.abs(rows.contrasts(self.range)) > _WEAK_LIMIT])
-        samples = np.concatenate(found)
+            parts.append(rows.samples[np.abs(rows.contrasts(self.range)) > _WEAK_LIMIT])
+        samples = np.concatenate(parts)
         small, _ = self._small_clumps(
             samples, np.full(len(samples), spread), np.zeros(len(samples), np.float32)
         )

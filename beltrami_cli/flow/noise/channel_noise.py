@@ -121,18 +121,18 @@ class ChannelNoise:
             residual, sigma = residual.stabilised(stabiliser, self.step), sigma * stabiliser.scale
         of_singles = residual.even_covariance(structure.places)
         is_shared = self._is_shared(residual)
-        found = self.components if is_shared else np.repeat(of_singles[None], SCALES, axis=0)
-        total = float(np.trace(covariance_of_cells(found)))
+        covariances = self.components if is_shared else np.repeat(of_singles[None], SCALES, axis=0)
+        total = float(np.trace(covariance_of_cells(covariances)))
         if not of_singles.any() or not total:
             return nothing, 1.0
-        found = found * (COLOURS * sigma**2 / total)
+        covariances = covariances * (COLOURS * sigma**2 / total)
         if is_shared:
             is_whole = self.samples.clipped_shares() < MAX_CLIPPED_SHARE
             cells = residual.samples.cells()
-            found = _combined(found, *even_covariances(cells, is_whole, structure.places))
-            ratio = float(np.sqrt(np.trace(covariance_of_cells(found)) / COLOURS) / sigma)
+            covariances = _combined(covariances, *even_covariances(cells, is_whole, structure.places))
+            ratio = float(np.sqrt(np.trace(covariance_of_cells(covariances)) / COLOURS) / sigma)
         mixing = COMPONENTS.astype(np.float64)[:, self.order] * self.step
-        return np.asarray(np.einsum("kc,lkm,md->lcd", mixing, found, mixing), np.float64), ratio
+        return np.asarray(np.einsum("kc,lkm,md->lcd", mixing, covariances, mixing), np.float64), ratio
 
     def _is_shared(self, residual: Residual) -> bool:
         """Whether neighbours share noise, by the network or, if it is uncertain, by the residual."""
@@ -176,11 +176,11 @@ def read_network(samples: Samples, weights: Weights) -> tuple[dict[str, Array], 
     return readings(outputs, candidates), candidates["total"]
 
 
-def _components(found: dict[str, Array]) -> Float64s:
+def _components(outputs: dict[str, Array]) -> Float64s:
     """Return the covariances of components by scale, as read by the network."""
-    medians = _medians(found["deviations"].reshape(SCALES, COLOURS, len(QUANTILES)))
+    medians = _medians(outputs["deviations"].reshape(SCALES, COLOURS, len(QUANTILES)))
     deviations = np.maximum(2.0**medians - OFFSET, 1e-3)
-    correlations = np.tanh(found["correlations"].reshape(SCALES, COLOURS).astype(np.float64))
+    correlations = np.tanh(outputs["correlations"].reshape(SCALES, COLOURS).astype(np.float64))
     mixed = np.stack([np.eye(COLOURS)] * SCALES)
     for number, (one, other) in enumerate(((0, 1), (0, 2), (1, 2))):
         mixed[:, one, other] = mixed[:, other, one] = correlations[:, number]

@@ -39,12 +39,12 @@ def _with_details(noise: Float32s, details: list[Float32s], size: np.float32) ->
     finer: Float32s = large_arrays.empty((channels, 2 * rows, 2 * columns), np.float32)
     cells = finer.reshape(channels, rows, 2, columns, 2)
     for block in large_arrays.blocks(rows, _BLOCK_ROWS):
-        own = noise[:, block]
+        coarse = noise[:, block]
         across, down, both = (detail[:, block] / size for detail in details)
-        cells[:, block, 0, :, 0] = own + across + down + both
-        cells[:, block, 0, :, 1] = own - across + down - both
-        cells[:, block, 1, :, 0] = own + across - down - both
-        cells[:, block, 1, :, 1] = own - across - down + both
+        cells[:, block, 0, :, 0] = coarse + across + down + both
+        cells[:, block, 0, :, 1] = coarse - across + down - both
+        cells[:, block, 1, :, 0] = coarse + across - down - both
+        cells[:, block, 1, :, 1] = coarse - across - down + both
     return finer
 
 
@@ -69,13 +69,13 @@ def root_of(covariance: Float64s) -> Float32s:
 def draw_noise_of_clusters(covariances: Float64s, levels: Sequence[Level], signs: Float32s) -> Float32s:
     """Draw the noise on clusters instead, from independent signs of samples for each level."""
     noise: Float32s = np.zeros(signs.shape[1:], np.float32)
-    for number, (level, own) in enumerate(zip(levels, signs, strict=True)):
+    for number, (level, of_level) in enumerate(zip(levels, signs, strict=True)):
         root = root_of(covariances[min(number, len(covariances) - 1)])
-        drawn = np.einsum("ij,sj->si", root, own[level.centres]) / np.sqrt(level.counts)[:, None]
+        drawn = np.einsum("ij,sj->si", root, of_level[level.centres]) / np.sqrt(level.counts)[:, None]
         if number + 1 < len(levels):  # details: differences from the mean of the next level
-            above, held = levels[number + 1], drawn * level.counts[:, None]
+            above, weighted = levels[number + 1], drawn * level.counts[:, None]
             parents = above.members[level.centres]
-            sums = np.stack([np.bincount(parents, column, above.graph.size) for column in held.T], axis=1)
+            sums = np.stack([np.bincount(parents, column, above.graph.size) for column in weighted.T], axis=1)
             drawn -= (sums / above.counts[:, None])[parents].astype(np.float32)
         noise += drawn[level.members]
     return noise

@@ -241,8 +241,8 @@ class Grid(Neighbourhoods):
     def _in_parts(self, variances: Float64s, parts: Float64s) -> Float64s:
         """Return the variances of all parts of the grid: those given, or interpolated between the nearest squares."""
         rows, columns = (np.arange(-(-size // SIDE)) for size in self.filled.shape)
-        every = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1).reshape(-1, 2)
-        nearest = variances[self.nearest(every)].reshape(len(rows), len(columns))
+        squares = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1).reshape(-1, 2)
+        nearest = variances[self.nearest(squares)].reshape(len(rows), len(columns))
         coarse = _stretched(_stretched(nearest, 2 * len(columns), 2).T, 2 * len(rows), 2).T
         firsts = np.rint(self.corners / _PART).astype(int)
         for (row, column), given in zip(firsts, parts.reshape(-1, 2, 2), strict=True):

@@ -203,20 +203,20 @@ class NoiseModel:
 
         "dark", "middle" and "bright": sigma at these levels; "quiet" and "loud": sigma at places, if they differ.
         """
-        found: dict[str, float] = {}
+        facts: dict[str, float] = {}
         if not len(self.sigma):
-            return found
+            return facts
         sigma = float(np.sqrt(np.mean(np.square(self.sigma[:COLOURS]))))
         if self.stabiliser is not None:
             for name, level in _DESCRIBED_LEVELS.items():
-                found[name] = float(self.stabiliser.sigma_at(level, sigma))
+                facts[name] = float(self.stabiliser.sigma_at(level, sigma))
         if self.relative is not None:
             quiet, loud = np.quantile(self.relative, (_QUIET_QUANTILE, _LOUD_QUANTILE))
-            found |= {
+            facts |= {
                 "quiet": self.overall * float(np.sqrt(quiet)),
                 "loud": self.overall * float(np.sqrt(loud)),
             }
-        return {**found, "grain": self.grain}
+        return {**facts, "grain": self.grain}
 
 
 def relative_to_mean(deviations: Float32s) -> tuple[Float32s, Float64s]:

@@ -105,8 +105,8 @@ def mixed(outputs: Array, candidates: Array) -> Array:
     Outputs have the shape (..., Q + M + 1): the network's own readings, then logarithms of the weights, the last one
     for the own readings. Candidates have the shape (..., M).
     """
-    own, weights = split_mixture(outputs, candidates)
-    mean: Array = (weights[..., :-1] * candidates).sum(axis=-1)[..., None] + weights[..., -1:] * own
+    readings, weights = split_mixture(outputs, candidates)
+    mean: Array = (weights[..., :-1] * candidates).sum(axis=-1)[..., None] + weights[..., -1:] * readings
     return mean
 
 

@@ -68,9 +68,9 @@ def _measured(noise: NoiseModel, relative: Float32s, sigma: Float64s) -> NoiseMo
     if len(sigma) not in (1, channels):
         cause = f"noise has {len(sigma)} channels, but must have one, or one for each colour"
         raise UsageError(cause)
-    every = noise.sigma
-    every[:channels] = sigma
-    return dataclasses.replace(NoiseModel.independent(every), relative=relative)
+    sigmas = noise.sigma
+    sigmas[:channels] = sigma
+    return dataclasses.replace(NoiseModel.independent(sigmas), relative=relative)
 
 
 def _assumed(channels: Float32s, where: Neighbourhoods, strength: float, *, varies: bool) -> NoiseModel:
@@ -112,8 +112,8 @@ def read_noise(
     structure = _common_structure(colours) if varies else Structure.even(where)
     covariances, ratios = np.zeros((SCALES, count, count)), []
     for number, (group, noise) in enumerate(zip(groups, noises, strict=True)):
-        own = structure if number < first else dataclasses.replace(structure, curve=None)
-        covariances[:, group, group], ratio = noise.covariances(own)
+        structure_of_group = structure if number < first else dataclasses.replace(structure, curve=None)
+        covariances[:, group, group], ratio = noise.covariances(structure_of_group)
         ratios.append(ratio)
     # Even cells may show no noise where some was read.
     is_refuted = any(noise.sigma for noise in colours) and not covariances.any()

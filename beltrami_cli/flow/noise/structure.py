@@ -83,11 +83,11 @@ class LevelCurve:
 
     def at(self, levels: Float32s) -> Float32s:
         """Interpolate the relative variance at levels in steps of 8 bits."""
-        found = levels.ravel() / STEPS
+        values = levels.ravel() / STEPS
         # `levels` are a subset of the middles, so that the curve is the same through all of them, which are evenly
         # spaced.
-        interpolate(found, _MIDDLES, np.interp(_MIDDLES, self.levels, self.variances))
-        return np.asarray(found.reshape(levels.shape), np.float32)
+        interpolate(values, _MIDDLES, np.interp(_MIDDLES, self.levels, self.variances))
+        return np.asarray(values.reshape(levels.shape), np.float32)
 
     def stabiliser(self, full_scale: float) -> VarianceStabiliser:
         return VarianceStabiliser(full_scale * self.levels, np.sqrt(self.variances), self.counts, full_scale)
