@@ -46,7 +46,7 @@ class Access(Checked):
     columns : tuple of str
         Names of all columns of points in text files, where neither the file nor its values determine them.
     channels : tuple of str
-        Channels of PLY vertices that are smoothed, one of which may be a scalar.
+        Channels of PLY vertices to smooth: colours, or a scalar.
     typed : tuple of Parameter
         Parameters that the user typed for a single input, each of which must have an effect on it.
     """

@@ -24,7 +24,7 @@ class Naming:
     """How the sidecar files of an output are named."""
 
     stem: str  # of the output, without folder and extension
-    keeps: bool = False  # whether the output and its sidecar files replace those of the source
+    in_place: bool = False  # whether the output replaces the source, and its sidecar files theirs
     copies: bool = False  # whether the output is in another folder and needs copies of unchanged files
     # Whether a path in the output's folder belongs to another model.
     is_taken: Callable[[str], bool] = lambda _: False

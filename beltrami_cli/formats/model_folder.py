@@ -1,4 +1,4 @@
-"""The files that a model refers to: which references are followed, and the paths that they resolve to."""
+"""Files that a model refers to: which references are followed, and their paths."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ class ModelFolder:
             return there.relative_to(self._folder).as_posix()
         return path
 
-    def locate_alike(
+    def locate_similar(
         self, name: str, within: PurePosixPath = _MODEL_FOLDER, *, tiles: bool = True
     ) -> tuple[str, str]:
         """Return the path of a file (`tiles`: or tile set) by a name or a similar one, and the end of a notice or "".

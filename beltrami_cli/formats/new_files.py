@@ -45,17 +45,17 @@ class NewFiles:
         self, path: str, suffix: str | None = None, *, is_replaced: bool = True, tiles: Iterable[Tile] = ()
     ) -> str:
         """Return the new path of an image or tile set; `is_replaced`: nothing shows the old one any more."""
-        keeps = self._naming.keeps and is_replaced
+        in_place = self._naming.in_place and is_replaced
         new = path_inside(path)
-        if not keeps:
+        if not in_place:
             new = _renamed(new, self._source, self._naming.stem)
         if suffix is not None:
             new = _with_suffix(new, suffix)
-        return self._reserve(new, may_stay=keeps and new == path, tiles=tuple(tiles))
+        return self._reserve(new, may_stay=in_place and new == path, tiles=tuple(tiles))
 
     def other(self, path: str, suffix: str) -> str:
         """Return the new path of a file that is not an image."""
-        if self._naming.keeps and not is_outside(path):
+        if self._naming.in_place and not is_outside(path):
             return self._reserve(path, may_stay=True)
         return self.new(suffix, PurePosixPath(path_inside(path)).parent)
 

@@ -58,7 +58,7 @@ def test_one_wrong_vertex_is_found_and_counts_by_its_area(tmp_path):
     document = open_document(str(SAMPLES / "terrain-clean.ply"))
     colours = document.coloured_vertices().colours.copy()
     colours[77, 1] = 1 - colours[77, 1]
-    (tmp_path / "t.ply").write_bytes(b"".join(document.patch(colours, Naming("t", keeps=True)).main))
+    (tmp_path / "t.ply").write_bytes(b"".join(document.patch(colours, Naming("t", in_place=True)).main))
     compared = compare_files(SAMPLES / "terrain-clean.ply", tmp_path / "t.ply")
     error = compared.overall["worst"]["error"]
     assert compared.overall["worst"]["vertex"] == 77

@@ -268,7 +268,7 @@ def test_only_the_compressed_colours_change(tmp_path_factory, extension, seed, f
         colours = opened.coloured_vertices().colours
         flat = np.full(colours.shape, 0.5)
         made = {"noise": rng.random(colours.shape), "flat": flat, "turned": 1 - colours}
-        written = opened.patch(made[step].astype(np.float32), Naming("out", keeps=True))
+        written = opened.patch(made[step].astype(np.float32), Naming("out", in_place=True))
         for name, octets in written.sidecars.items():
             (folder / name).write_bytes(bytes(octets))
         data = joined(written)
@@ -329,7 +329,7 @@ def test_a_substitute_that_becomes_part_of_the_file_is_no_substitute_any_more(tm
     (tmp_path / "plain.bin").write_bytes(bytes(model.fallback))
     (tmp_path / "packed.bin").write_bytes(bytes(model.binary))
     opened = GltfDocument(json.dumps(model.tree).encode(), "model.gltf", tmp_path)
-    merged = joined(opened.patch(None, Naming("out", keeps=True), form="glb"))
+    merged = joined(opened.patch(None, Naming("out", in_place=True), form="glb"))
     (buffer,) = unpacked(merged)[0]["buffers"]
     assert "extensions" not in buffer
     again = GltfDocument(merged, "out.glb", None)

@@ -67,7 +67,7 @@ def test_files_inside_the_folder_are_found_and_listed(tmp_path, uri):
     assert len(document.coloured_vertices().colours) == 5
     assert document.references() == ["sub dir/ü.bin", "x.png"]
     assert [notice for notice in document.notices if "'y.png' is missing" in notice]
-    written = document.patch(1 - document.coloured_vertices().colours, Naming("out", keeps=True))
+    written = document.patch(1 - document.coloured_vertices().colours, Naming("out", in_place=True))
     assert list(written.sidecars) == ["sub dir/ü.bin"]
     moved = document.patch(1 - document.coloured_vertices().colours, Naming("out"))
     assert list(moved.sidecars) == ["sub dir/out.bin"]
@@ -146,7 +146,7 @@ def test_several_buffers_and_images_become_one_chunk(tmp_path):
     for name, data in files.items():
         (tmp_path / name).write_bytes(data)
     document = GltfDocument(json.dumps(tree, indent=1).encode(), "a.gltf", tmp_path)
-    written = document.patch(document.coloured_vertices().colours, Naming("b", keeps=True), form="glb")
+    written = document.patch(document.coloured_vertices().colours, Naming("b", in_place=True), form="glb")
     after, buffers = unpacked(joined(written))
     assert not written.sidecars
     assert len(after["buffers"]) == len(buffers) == 1

@@ -169,7 +169,7 @@ def test_webp_stays_webp_or_leaves_no_trace(tmp_path, fallback, suffix):
     model = with_better_image("webp", picture(2, WEBP), picture(1) if fallback else None)
     model.tree["extensionsUsed"].insert(0, "KHR_other")
     (better,) = model.tree["textures"][0]["extensions"]["EXT_texture_webp"].values()
-    written = with_image(model.written_to(tmp_path), new_image(1, suffix), f"image {better}", keeps=True)
+    written = with_image(model.written_to(tmp_path), new_image(1, suffix), f"image {better}", in_place=True)
     tree, buffers = unpacked(joined(written))
     assert image_of(tree, buffers, {}, tree["textures"][0]) == new_image(1, suffix).data
     if suffix == ".webp":
@@ -200,7 +200,7 @@ def test_image_files_are_named_after_the_output_and_spare_the_sources(
     model.tree["images"][0]["uri"] = name.replace("%", "%25").replace(" ", "%20")
     model.tree["images"].append({"uri": "Taken.jpg"})
     model.files = {name: picture(1), "Taken.jpg": picture(3)}
-    written = with_image(model.written_to(tmp_path, "gltf"), new_image(1, suffix), keeps=moved)
+    written = with_image(model.written_to(tmp_path, "gltf"), new_image(1, suffix), in_place=moved)
     assert list(written.sidecars) == [expected]
     uri = json.loads(joined(written))["images"][0]["uri"]
     assert uri == expected.replace("%", "%25").replace(" ", "%20")
@@ -211,7 +211,7 @@ def test_a_name_that_stays_keeps_its_spelling(tmp_path):
     model.tree["images"][0]["uri"] = "sk%69n,(1).png"
     model.files = {"skin,(1).png": picture(1)}
     source = model.written_to(tmp_path, "gltf")
-    written = with_image(source, new_image(1), keeps=True)
+    written = with_image(source, new_image(1), in_place=True)
     assert joined(written) == source.read_bytes()
     assert written.sidecars == {"skin,(1).png": new_image(1).data}
 
@@ -336,7 +336,7 @@ def test_an_image_over_the_bytes_of_another_changes_unless_something_shows_it(tm
     model.triangles(SQUARE, SQUARE[:, :2], model.material(**slots))
     source, new = model.written_to(tmp_path), new_image(1)
     (tmp_path / "out").mkdir()
-    target = save(with_image(source, new, keeps=True), source.name, tmp_path / "out")
+    target = save(with_image(source, new, in_place=True), source.name, tmp_path / "out")
     for name in model.files:
         (tmp_path / "out" / name).parent.mkdir(exist_ok=True)
         if not (tmp_path / "out" / name).exists():

@@ -80,7 +80,7 @@ def test_only_changed_colours_change_and_each_is_rounded_once(
     changed = rng.random(vertices.colours.shape) < 0.4
     colours = np.where(changed, rng.random(vertices.colours.shape), vertices.colours).astype(np.float32)
 
-    written = document.patch(colours, Naming("out", keeps=moved))
+    written = document.patch(colours, Naming("out", in_place=moved))
 
     expected = case.stored.copy()
     exact = colours.astype(np.float64) * scale

@@ -132,7 +132,7 @@ def test_an_image_in_two_slots_is_replaced_in_one(tmp_path):
     mtl = "newmtl one\nmap_Kd a.png\nmap_Ke a.png\n"
     document = model(tmp_path, mtl)
     for moved in (True, False):
-        written = document.patch(None, Naming("out", keeps=moved), images={("emissive", "a.png"): NEW})
+        written = document.patch(None, Naming("out", in_place=moved), images={("emissive", "a.png"): NEW})
         library = written.sidecars["m.mtl" if moved else "out.mtl"]
         assert library == b"newmtl one\nmap_Kd a.png\nmap_Ke out_a.png\n"
         assert written.sidecars["out_a.png"] == b"new image"

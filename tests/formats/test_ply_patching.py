@@ -270,7 +270,7 @@ def test_only_the_name_changes_and_colours_beside_it(
             row[5] = 255 - colour
     suffix = data.draw(st.sampled_from([".png", ".exr"]))
     image = ImageFile(b"new", suffix)
-    written = document.patch(colours, Naming("out", keeps=moved), images={("baseColor", "a b.png"): image})
+    written = document.patch(colours, Naming("out", in_place=moved), images={("baseColor", "a b.png"): image})
     name = ("a b" if moved else "out_a b") + suffix
     comments = ["made by a test", f"TextureFile {name}", "TextureFile b.png", f"TextureFile {name}", "last"]
     assert b"".join(bytes(piece) for piece in written.main) == build(tables, encoding, newline, comments).data

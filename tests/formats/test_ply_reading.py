@@ -353,7 +353,7 @@ def test_texture_coordinates_of_all_dialects_are_the_same(tmp_path, encoding):
         assert [texture.data for texture in surface.textures] == [b"an image"]
         assert [texture.data for texture in document.fingerprint().images.values()] == [b"an image"]
         images = {("baseColor", "t.png"): ImageFile(b"new", ".png")}
-        written = document.patch(None, Naming("in", keeps=True), images=images)
+        written = document.patch(None, Naming("in", in_place=True), images=images)
         assert (joined(written), dict(written.sidecars)) == (document.data, {"t.png": b"new"})
 
 

@@ -121,7 +121,7 @@ def test_they_are_smoothed_and_written_as_another_format_with_a_line_that_says_s
     smoothed = linear_to_srgb(again.colours) if again.encoding == "linear" else again.colours
     assert smoothed.std() < (levels / 255).std()
     with pytest.raises(InputError, match="name an output in"):
-        opened((tmp_path / "in.off").read_bytes(), "x.off").patch(None, Naming("out", keeps=True))
+        opened((tmp_path / "in.off").read_bytes(), "x.off").patch(None, Naming("out", in_place=True))
     for name, words in {"x.vrm": "a .off file is not converted", "x.png": "end the name in .ply"}.items():
         with pytest.raises(UsageError, match=words):
             smooth_file(tmp_path / "in.off", tmp_path / name)

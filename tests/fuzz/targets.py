@@ -62,7 +62,7 @@ def read_model(data, name):
                 assert np.isfinite(surface.uv[surface.texture_of >= 0]).all()
                 images = {(slot, texture.key): ImageFile(b"new", ".png") for texture in surface.textures}
                 _compare(
-                    document, document.patch(None, Naming("out", keeps=True), images=images), Path(folder)
+                    document, document.patch(None, Naming("out", in_place=True), images=images), Path(folder)
                 )
 
 
@@ -81,7 +81,7 @@ def _use_vertices(document, folder):
     doubtful = any("taken for" in notice for notice in document.notices)
     if any(document.format == line.name for line in TEXTURED) and not doubtful:
         colours = np.clip(vertices.colours * np.float32(0.5), 0, 1)
-        _compare(document, document.patch(colours, Naming("out", keeps=True)), folder)
+        _compare(document, document.patch(colours, Naming("out", in_place=True)), folder)
 
 
 def _convert(document):

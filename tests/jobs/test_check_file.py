@@ -31,7 +31,9 @@ def halved(source, target):
     """Write a file with darker vertex colours."""
     document = open_document(str(source))
     colours = document.coloured_vertices().colours * np.float32(0.5)
-    return saved(document.patch(colours, Naming(target.stem, keeps=source.parent != target.parent)), target)
+    return saved(
+        document.patch(colours, Naming(target.stem, in_place=source.parent != target.parent)), target
+    )
 
 
 def everything(encoding):
@@ -93,7 +95,7 @@ def sample_as_text(name, folder):
     before = folder / "before.gltf"
     if name == "nonmanifold":
         document = open_document(str(SAMPLES / f"{name}-noisy.glb"))
-        saved(document.patch(None, Naming("x", keeps=True), form="gltf"), before)
+        saved(document.patch(None, Naming("x", in_place=True), form="gltf"), before)
     else:
         (copy_samples(folder, "torus-two-noisy*") / name).rename(before)
     return before

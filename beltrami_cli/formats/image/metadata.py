@@ -22,7 +22,7 @@ DAMAGED = (ValueError, LookupError, struct.error)
 """Errors that damaged metadata raise."""
 _EXIF_START = b"Exif\0\0"
 _XMP = 700  # a tag of TIFF
-_PNG_STRUCTURE = ("tRNS", "acTL", "fcTL", "fdAT")  # other notices tell what becomes of these
+_PNG_STRUCTURE = ("tRNS", "acTL", "fcTL", "fdAT")  # other notices report these
 _PNG_READ = ("tEXt", "zTXt", "iTXt", "pHYs", "eXIf", "iCCP", "gAMA", "cHRM", "sRGB", "cICP", "tIME", "oFFs")
 _BMP_PROFILES = (b"KNIL", b"DEBM")  # in another file, or behind the pixels; by the header of version 5
 _PROFILE_HEADER = 124  # bytes of it
@@ -45,14 +45,8 @@ _DEFAULTS: dict[str, Any] = {
     "Orientation": 1, "PixelAspectRatio": 1.0, "ResolutionUnit": "in", "screenWindowWidth": 1.0,
     "screenWindowCenter": (0.0, 0.0), "chromaticities": (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329),
 }  # fmt: skip
-_KEEPING_METADATA = (
-    "png",
-    "jpeg",
-    "webp",
-    "tiff",
-    "openexr",
-    "avif",
-)  # whose metadata are carried over as bytes
+# Formats whose metadata are carried over as bytes.
+_KEEPING_METADATA = ("png", "jpeg", "webp", "tiff", "openexr", "avif")
 
 
 def carry_over(source: bytes, encoded: bytes, file_format: str, part: int = 0) -> bytes:
@@ -78,17 +72,17 @@ def carry_over(source: bytes, encoded: bytes, file_format: str, part: int = 0) -
 
 
 def with_descriptions(image: DecodedImage, encoded: bytes, spec: Any, file_format: str) -> bytes:
-    """Return a new image, of another format than that which it is made from, with its texts and EXIF data."""
+    """Return an image that was converted to another format with its texts and EXIF data."""
     if file_format == "jpeg":
         # OpenImageIO's XMP data hold also what IPTC data would.
         xmp = tiff_tags.value_of(one_pixel(spec, "tiff", image.name), _XMP)
         comment = spec.get_string_attribute("ImageDescription").encode()
         encoded = jpeg.with_texts(encoded, comment=comment, xmp=xmp)
     # OpenImageIO makes EXIF data of some attributes; Pillow, which writes these two formats, does not.
-    by_pillow = file_format in ("jpeg", "webp")
-    made = (
-        _exif_of(one_pixel(spec, "png", image.name), "png") if by_pillow else _exif_of(encoded, file_format)
-    )
+    if file_format in ("jpeg", "webp"):
+        made = _exif_of(one_pixel(spec, "png", image.name), "png")
+    else:
+        made = _exif_of(encoded, file_format)
     exif = _exif_of(image.source, image.format)
     with suppress(*DAMAGED):
         made = tiff_tags.with_exif(exif, made) if tiff_tags.exif_tags(exif) else made

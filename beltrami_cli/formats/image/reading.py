@@ -60,21 +60,9 @@ def read_image(data: bytes, name: str, *, finite: bool = True) -> DecodedImage:
     """Decode an image file; InputError if it is damaged or unsupported, or, with `finite`, not finite."""
     import OpenImageIO
 
-    file_format = format_of(data, name)
-    if not data:
-        raise InputError(name, "the file is empty", "export it again")
-    if file_format is None:
-        raise InputError(name, "the content is of no known image format", READABLE)
+    file_format = _readable_format(data, name)
     if file_format in EXTRA_CODECS:
         return _read_extra(data, name, file_format)
-    if plugin_of(file_format) not in OpenImageIO.get_string_attribute("input_format_list").split(","):
-        cause = f"this build of OpenImageIO does not read {label_of(file_format)}"
-        raise InputError(name, cause, "convert it to PNG or EXR")
-    if file_format == "bmp" and not bitmaps.has_usual_bits(data):
-        cause = "its header, or the order of its red, green, blue and alpha, is a rare one that is not read"
-        raise InputError(name, cause, "export it as PNG")
-    if file_format == "pfm" and not has_usual_scale(data):
-        raise InputError(name, "the scale in its header is 0, or no number", "correct it, or use EXR")
     OpenImageIO.attribute("limits:imagesize_MB", _MAX_MEGABYTES)
     config = OpenImageIO.ImageSpec()
     config.attribute("oiio:UnassociatedAlpha", 1)
@@ -83,12 +71,12 @@ def read_image(data: bytes, name: str, *, finite: bool = True) -> DecodedImage:
             raise _damaged(name, file_format, error_of(OpenImageIO), path)
         parts, part = seek_colours(file)
         spec = file.spec().copy()
-        _check(spec, file.format_name(), file_format, name)
+        _require_decodable(spec, file.format_name(), file_format, name)
         pixels = file.read_image(part or 0, 0, 0, spec.nchannels, spec.format)
         error = error_of(file)
         if pixels is None or error:
             raise _damaged(name, file_format, error, path)
-        notices = _changes(file, part or 0, data, file_format, name)
+        notices = _reading_notices(file, part or 0, data, file_format, name)
     pixels = pixels.reshape(spec.height, spec.width, spec.nchannels)
     is_alpha_empty = (
         file_format in ("bmp", "targa") and spec.nchannels in (2, 4) and not pixels[..., -1].any()
@@ -107,11 +95,32 @@ def read_image(data: bytes, name: str, *, finite: bool = True) -> DecodedImage:
     return replace(image, parts=tuple(parts), part=part, is_alpha_empty=is_alpha_empty)
 
 
+def _readable_format(data: bytes, name: str) -> str:
+    """Return the format of a file; InputError if it is unknown, or OpenImageIO cannot read this kind of it."""
+    import OpenImageIO
+
+    file_format = format_of(data, name)
+    if not data:
+        raise InputError(name, "the file is empty", "export it again")
+    if file_format is None:
+        raise InputError(name, "the content is of no known image format", READABLE)
+    built_in = OpenImageIO.get_string_attribute("input_format_list").split(",")
+    if plugin_of(file_format) not in (*built_in, *EXTRA_CODECS):
+        cause = f"this build of OpenImageIO does not read {label_of(file_format)}"
+        raise InputError(name, cause, "convert it to PNG or EXR")
+    if file_format == "bmp" and not bitmaps.has_usual_bits(data):
+        cause = "its header, or the order of its red, green, blue and alpha, is a rare one that is not read"
+        raise InputError(name, cause, "export it as PNG")
+    if file_format == "pfm" and not has_usual_scale(data):
+        raise InputError(name, "the scale in its header is 0, or no number", "correct it, or use EXR")
+    return file_format
+
+
 def _read_extra(data: bytes, name: str, file_format: str) -> DecodedImage:
     import OpenImageIO
 
     spec = OpenImageIO.ImageSpec(*measured(data, file_format, name), "uint8")
-    _check(spec, file_format, file_format, name)
+    _require_decodable(spec, file_format, file_format, name)
     pixels, notices, profile = decoded(data, file_format, name)
     if profile:
         kind = OpenImageIO.TypeDesc(f"uint8[{len(profile)}]")
@@ -119,8 +128,8 @@ def _read_extra(data: bytes, name: str, file_format: str) -> DecodedImage:
     return image_from(data, name, file_format, spec, pixels, notices)
 
 
-def _check(spec: Any, format_name: str, file_format: str, name: str) -> None:
-    """Refuse what must not or cannot be decoded, going by the header."""
+def _require_decodable(spec: Any, format_name: str, file_format: str, name: str) -> None:
+    """Raise InputError for what must not or cannot be decoded, by its header."""
     width, height = spec.width, spec.height
     if format_name != plugin_of(file_format):
         raise InputError(name, f"it starts like a {file_format} image, but is not one", READABLE)
@@ -158,8 +167,8 @@ def _damaged(name: str, file_format: str, error: str, path: Path) -> InputError:
     )
 
 
-def _changes(file: Any, part: int, data: bytes, file_format: str, name: str) -> tuple[str, ...]:
-    """Return notices of the parts of an OpenImageIO.ImageInput that are not kept."""
+def _reading_notices(file: Any, part: int, data: bytes, file_format: str, name: str) -> tuple[str, ...]:
+    """Return notices of what an opened OpenImageIO.ImageInput holds that is changed or left out."""
     notices, spec = list[str](), file.spec().copy()
     if file_format == "psd":  # whose first image is all its layers together
         notices.append(f"{name} is taken as it is shown, its layers together.")
@@ -176,9 +185,9 @@ def _changes(file: Any, part: int, data: bytes, file_format: str, name: str) -> 
         notices.append(f"{name} has an alpha of few bits, which is dropped.")
     if file_format == "png" and not palette and any(kind == b"tRNS" for kind, _ in png.chunks(data)):
         notices.append(f"{name} has a colour that is transparent, which becomes an alpha channel.")
-    bits = (
-        data[24] if file_format == "png" else int(spec.get_int_attribute("oiio:BitsPerSample"))
-    )  # 0: not said
+    bits = int(spec.get_int_attribute("oiio:BitsPerSample"))  # 0: unknown
+    if file_format == "png":
+        bits = data[24]
     if bits and not palette and bits not in _WHOLE_BYTES:
         notices.append(f"{name} has {bits}-bit samples, which become {8 * spec.format.size()}-bit ones.")
     if file_format != "tiff":
@@ -193,9 +202,9 @@ def _changes(file: Any, part: int, data: bytes, file_format: str, name: str) -> 
 
 
 def _is_animated(data: bytes, file_format: str) -> bool:
-    return (file_format == "png" and png.is_animated(data)) or (
-        file_format == "webp" and webp.is_animated(data)
-    )
+    if file_format == "webp":
+        return webp.is_animated(data)
+    return file_format == "png" and png.is_animated(data)
 
 
 def _has_palette(data: bytes, file_format: str) -> bool:

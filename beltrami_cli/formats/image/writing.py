@@ -70,7 +70,7 @@ def write_image(
         return _write_extra(image, pixels, file_format, jpeg_quality, as_data=as_data)
     if file_format != image.format:
         return _write_converted(image, pixels, file_format, jpeg_quality, small=small, as_data=as_data)
-    return _write_alike(image, pixels, jpeg_quality, small=small)
+    return _write_in_own_format(image, pixels, jpeg_quality, small=small)
 
 
 def _write_converted(
@@ -88,8 +88,7 @@ def _write_converted(
     return ImageFile(data, FORMATS[file_format].suffixes[0], notices)
 
 
-def _write_alike(image: DecodedImage, pixels: Array, quality: int, *, small: bool) -> ImageFile:
-    """Write pixels in the image's own format."""
+def _write_in_own_format(image: DecodedImage, pixels: Array, quality: int, *, small: bool) -> ImageFile:
     # PNG, TIFF, TGA, BMP, lossless WebP and floats keep every value, also under an alpha of 0. What came as lossy WebP
     # stays so, since lossless files are several times as large.
     file_format, exact, notices = image.format, is_exact(image), tuple[str, ...]()
@@ -191,9 +190,8 @@ def _write_extra(
     with reading_back():
         again = extra_codecs.decoded(data, file_format, image.name)[0]
     cost = encoding_cost(file_format, values, again, image.name)
-    return ImageFile(
-        data, FORMATS[file_format].suffixes[0], (*cost, *lost_metadata(image, data, file_format))
-    )
+    lost = lost_metadata(image, data, file_format)
+    return ImageFile(data, FORMATS[file_format].suffixes[0], (*cost, *lost))
 
 
 def _bare_spec(image: DecodedImage) -> Any:

@@ -208,7 +208,7 @@ class Materials:
     def _found(self, name: str, within: PurePosixPath) -> str | None:
         """Return the path of a file or tile set, and record it; None, with a notice, if it cannot be used."""
         try:
-            path, instead = self.folder.locate_alike(name, within)
+            path, instead = self.folder.locate_similar(name, within)
             notice = f"'{name}' {instead}"
             self.notices += [notice] if instead and notice not in self.notices else []
         except UnfitReferenceError as error:

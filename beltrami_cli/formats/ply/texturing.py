@@ -61,7 +61,7 @@ def read_comments(header: bytes, folder: model_folder.ModelFolder) -> list[Textu
     for match in _COMMENT.finditer(header):
         name = os.fsdecode(match[1])
         try:
-            path, instead = folder.locate_alike(name, tiles=False)
+            path, instead = folder.locate_similar(name, tiles=False)
             found.append(TextureComment(name, path, *match.span(1), f"'{name}' {instead}" if instead else ""))
         except model_folder.UnfitReferenceError as error:
             why = Obstacle(f"'{name}' {error}", error.obstacle.remedy)
