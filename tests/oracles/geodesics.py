@@ -26,6 +26,8 @@ from math import inf, log, sqrt
 
 import numpy as np
 from pygeodesic import geodesic
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
 
 # A corner counts as obtuse only if its cosine is below this. Right angles of a grid must not be split or left
 # whole by the last bit of a square root; both ways are correct there, but they differ in value.
@@ -210,3 +212,28 @@ def exact_distances(positions, faces, source):
     solver = geodesic.PyGeodesicAlgorithmExact(points, np.ascontiguousarray(faces, dtype=np.int32))
     found, _ = solver.geodesicDistances(np.array([source], dtype=np.int32), None)
     return np.asarray(found)
+
+
+def graph_distances(embedded, faces, extra):
+    """Return the shortest paths between vertices through some extra points on every edge of every face."""
+    points, links, number = list(embedded), [], {}
+
+    def on_edge(a, b):
+        a, b = min(a, b), max(a, b)
+        if (a, b) not in number:
+            steps = np.arange(1, extra + 1) / (extra + 1)
+            number[a, b] = range(len(points), len(points) + extra)
+            points.extend(embedded[a] + s * (embedded[b] - embedded[a]) for s in steps)
+        return [a, *number[a, b], b]
+
+    for a, b, c in np.asarray(faces).tolist():
+        rim = sorted({*on_edge(a, b), *on_edge(b, c), *on_edge(a, c)})
+        links += [(p, q) for p in rim for q in rim if p < q]
+    count = len(embedded)
+    if not links:
+        return np.where(np.eye(count, dtype=bool), 0, np.inf)
+    places, ends = np.array(points), np.array(sorted(set(links)), np.int32)
+    # A graph takes a weight of 0 for no link.
+    lengths = np.maximum(np.linalg.norm(places[ends[:, 0]] - places[ends[:, 1]], axis=1), 1e-12)
+    graph = coo_array((lengths, ends.T), shape=(len(points),) * 2).tocsr()
+    return dijkstra(graph, directed=False, indices=range(count))[:, :count]

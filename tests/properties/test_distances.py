@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import dijkstra
 
 from beltrami_cli.flow.parameters import KernelParameters
 from oracles import strategies, surfaces
-from oracles.geodesics import Manifold, exact_distances
+from oracles.geodesics import Manifold, exact_distances, graph_distances
 from properties.manifolds import apply_kernel, distances, image_manifold, segment_manifold
 
 
@@ -87,31 +85,6 @@ def test_distances_lie_between_geodesics_and_paths_over_edges_on_any_mesh(mesh):
         scale = 1e-3 * np.where(np.isfinite(over_edges[source]), over_edges[source], 0) + 1e-5
         assert (ours <= over_edges[source] + scale).all()
         assert (ours >= 0.96 * nearly_geodesic[source] - 2 * gap - scale)[np.isfinite(ours)].all()
-
-
-def graph_distances(embedded, faces, extra):
-    """Return the shortest paths between vertices through some extra points on every edge of every face."""
-    points, links, number = list(embedded), [], {}
-
-    def on_edge(a, b):
-        a, b = min(a, b), max(a, b)
-        if (a, b) not in number:
-            steps = np.arange(1, extra + 1) / (extra + 1)
-            number[a, b] = range(len(points), len(points) + extra)
-            points.extend(embedded[a] + s * (embedded[b] - embedded[a]) for s in steps)
-        return [a, *number[a, b], b]
-
-    for a, b, c in np.asarray(faces).tolist():
-        rim = sorted({*on_edge(a, b), *on_edge(b, c), *on_edge(a, c)})
-        links += [(p, q) for p in rim for q in rim if p < q]
-    count = len(embedded)
-    if not links:
-        return np.where(np.eye(count, dtype=bool), 0, np.inf)
-    places, ends = np.array(points), np.array(sorted(set(links)), np.int32)
-    # A graph takes a weight of 0 for no link.
-    lengths = np.maximum(np.linalg.norm(places[ends[:, 0]] - places[ends[:, 1]], axis=1), 1e-12)
-    graph = coo_array((lengths, ends.T), shape=(len(points),) * 2).tocsr()
-    return dijkstra(graph, directed=False, indices=range(count))[:, :count]
 
 
 @given(strategies.coloured_meshes(strategies.meshes(general=True)), st.sampled_from((0.05, 5.0)))

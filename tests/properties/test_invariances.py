@@ -17,6 +17,7 @@ from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.layers.image_surface import ImageSurface
 from oracles import surfaces
 from properties import textured_planes
+from properties.manifolds import require_same
 from properties.textured_planes import Board
 
 ROWS, COLUMNS = 20, 26
@@ -143,13 +144,6 @@ FRAMES = {
     "in five dimensions": lambda positions: positions @ np.linalg.qr(np.ones((5, 5)) + np.eye(5))[0][:3],
 }
 IN_SPACE = [kind for kind in SCENES if kind == "cloud" or "texture" in kind]
-
-
-def require_same(result, expected):
-    """Check that results agree but for samples that rounding moves over the cut-off (weight 0.01 in some 30)."""
-    difference = np.abs(result - expected)
-    assert difference.mean() < 1e-5
-    assert difference.max() < 5e-3
 
 
 @pytest.mark.parametrize("frame", FRAMES)
