@@ -67,14 +67,15 @@ def reason_in_words(part: Mapping[str, Any]) -> str:
 
 
 def advice_in_words(part: Mapping[str, Any]) -> str:
-    """Advise how to smooth a part that was left, if there is a way that would be seen."""
+    """Advise how to smooth a part that was left, unless it has less noise than rounding makes."""
     reading, choice = part["reading"], _choice_of(part)
     was_worse = bool(choice and choice["chosen"].get("iterations"))
     if reading is None or (any(part["noise"].values()) and not was_worse):
         return ""
-    if reading["median"] < VISIBLE:
+    if reading["median"] <= BYTE_STEP / 2:
         return ""
-    return f"; to smooth all the same, give --noise {noise_to_give(reading)}"
+    at_least = {"median": max(reading["median"], VISIBLE)}  # less would change hardly any colour of 8 bits
+    return f"; to smooth all the same, give --noise {noise_to_give(at_least)}"
 
 
 def _choice_of(part: Mapping[str, Any]) -> Any:
