@@ -7,9 +7,6 @@
 namespace beltrami::triangulated {
 namespace {
 
-// Four children per node: half the levels of a binary heap, and they share a cache line.
-constexpr std::size_t arity = 4;
-
 // Vertices with more links are hubs: the time of a kernel that reaches one must not be proportional to its links.
 constexpr Index most_links = 512;
 
@@ -26,10 +23,9 @@ std::span<const Reached> FastMarching::march(Index source, float radius, std::si
   if (selection_.places != nullptr) centre_ = selection_.places[source];
   relax(source, 0);
   while (!heap_.empty()) {
-    const std::uint64_t key = pop();
+    const std::uint64_t key = heap_.pop();
     const Index vertex = vertex_of(key);
     Node& node = nodes_[static_cast<std::size_t>(vertex)];
-    // A vertex is pushed again each time that its distance falls; all but its first pop are stale.
     if (node.mark == accepted_mark_) continue;
     if (reached_.size() == max_count) {
       truncated_ = true;
@@ -46,18 +42,13 @@ std::span<const Reached> FastMarching::march(Index source, float radius, std::si
 // Truncates the heap to the vertices that can still be taken; further ones never are, since distances only decrease. So
 // a hub does not fill it.
 void FastMarching::keep_nearest() {
-  std::erase_if(heap_, [&](std::uint64_t key) {
-    const Index vertex = vertex_of(key);
-    const Node& node = nodes_[static_cast<std::size_t>(vertex)];
-    return node.mark == accepted_mark_ || key != make_key(node.distance, vertex);
+  const auto furthest = heap_.keep_nearest(wanted_, [&](std::uint64_t key) {
+    const Node& node = nodes_[static_cast<std::size_t>(vertex_of(key))];
+    return node.mark == accepted_mark_ || distance_of(key) != node.distance;
   });
-  if (heap_.size() > wanted_) {
-    std::nth_element(heap_.begin(), heap_.begin() + static_cast<std::ptrdiff_t>(wanted_) - 1, heap_.end());
-    heap_.resize(wanted_);
-    bound_ = heap_.back();
-    radius_ = distance_of(bound_);
-  }
-  std::sort(heap_.begin(), heap_.end());  // a heap of any arity
+  if (!furthest) return;
+  bound_ = *furthest;
+  radius_ = distance_of(bound_);
 }
 
 void FastMarching::begin_march() {
@@ -151,35 +142,8 @@ void FastMarching::relax(Index target, float distance) {
   Node& node = nodes_[static_cast<std::size_t>(target)];
   if (node.mark == close_mark_ && node.distance <= distance) return;
   node = {distance, close_mark_};
-  std::size_t hole = heap_.size();
-  heap_.push_back(key);
-  while (hole > 0) {
-    const std::size_t parent = (hole - 1) / arity;
-    if (heap_[parent] <= key) break;
-    heap_[hole] = heap_[parent];
-    hole = parent;
-  }
-  heap_[hole] = key;
+  heap_.push(key);
   if (heap_.size() / 2 > wanted_) keep_nearest();
-}
-
-std::uint64_t FastMarching::pop() {
-  const std::uint64_t top = heap_.front();
-  const std::uint64_t moved = heap_.back();
-  heap_.pop_back();
-  const std::size_t size = heap_.size();
-  if (size == 0) return top;
-  std::size_t hole = 0;
-  for (std::size_t first = 1; first < size; first = arity * hole + 1) {
-    std::size_t least = first;
-    for (std::size_t child = first + 1; child < std::min(first + arity, size); ++child)
-      if (heap_[child] < heap_[least]) least = child;
-    if (heap_[least] >= moved) break;
-    heap_[hole] = heap_[least];
-    hole = least;
-  }
-  heap_[hole] = moved;
-  return top;
 }
 
 }  // namespace beltrami::triangulated

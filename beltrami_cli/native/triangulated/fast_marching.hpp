@@ -9,7 +9,7 @@
 #include <unordered_map>
 #include <vector>
 
-#include "triangulated/reached.hpp"
+#include "triangulated/march_heap.hpp"
 #include "triangulated/stencils.hpp"
 
 namespace beltrami::triangulated {
@@ -61,7 +61,6 @@ class FastMarching {
   void update_from_hub(Index vertex, float distance);
   const Hub& hub_of(Index vertex);
   float through_partner(const Partner& partner, float distance, float best) const;
-  std::uint64_t pop();
   void keep_nearest();
 
   bool outside_window(Index vertex) const;
@@ -70,7 +69,7 @@ class FastMarching {
   Selection selection_;
   GridPlace centre_{};
   std::vector<Node> nodes_;
-  std::vector<std::uint64_t> heap_;  // distance bits in the high half, vertex in the low half
+  MarchHeap heap_;
   std::vector<Reached> reached_;
   std::unordered_map<Index, Hub> hubs_;  // as far as they were reached
   std::uint32_t close_mark_ = 0, accepted_mark_ = 0;

@@ -20,42 +20,30 @@ std::span<const Reached> SegmentMarch::march(Index source, float radius, std::si
   }
   relax(source, 0);
   while (!heap_.empty() || !waiting_.empty()) {
-    if (!waiting_.empty() && (heap_.empty() || waiting_.front().key < heap_.front())) {
+    if (!waiting_.empty() && (heap_.empty() || waiting_.front().key < heap_.nearest())) {
       take_hub_segment();
       continue;
     }
-    std::pop_heap(heap_.begin(), heap_.end(), std::greater<>());
-    const std::uint64_t key = heap_.back();
-    heap_.pop_back();
-    const Index vertex = vertex_of(key);
-    const float distance = nodes_[static_cast<std::size_t>(vertex)].distance;
-    // A vertex is pushed again each time that its distance falls; all but its first pop are stale.
-    if (key != make_key(distance, vertex)) continue;
+    const std::uint64_t key = heap_.pop();
+    if (is_stale(key)) continue;
     if (reached_.size() == max_count) {
       truncated_ = true;
       break;
     }
-    reached_.push_back({vertex, distance});
-    pass_on(vertex, distance);
+    reached_.push_back({vertex_of(key), distance_of(key)});
+    pass_on(vertex_of(key), distance_of(key));
     // One more than the kernel takes, to detect that it is truncated.
     const std::size_t wanted = max_count - reached_.size() + 1;
-    if (heap_.size() / 2 > wanted) keep_nearest(wanted);
+    if (heap_.size() / 2 <= wanted) continue;
+    // Others are never taken, since distances only decrease.
+    if (const auto furthest = heap_.keep_nearest(wanted, [&](std::uint64_t each) { return is_stale(each); }))
+      radius_ = distance_of(*furthest);
   }
   return reached_;
 }
 
-// Truncates the heap to the nearest vertices. Others are never taken, since distances only decrease.
-void SegmentMarch::keep_nearest(std::size_t count) {
-  std::erase_if(heap_, [&](std::uint64_t key) {
-    const Index vertex = vertex_of(key);
-    return key != make_key(nodes_[static_cast<std::size_t>(vertex)].distance, vertex);
-  });
-  if (heap_.size() > count) {
-    std::nth_element(heap_.begin(), heap_.begin() + static_cast<std::ptrdiff_t>(count) - 1, heap_.end());
-    heap_.resize(count);
-    radius_ = distance_of(heap_.back());
-  }
-  std::make_heap(heap_.begin(), heap_.end(), std::greater<>());
+bool SegmentMarch::is_stale(std::uint64_t key) const {
+  return distance_of(key) != nodes_[static_cast<std::size_t>(vertex_of(key))].distance;
 }
 
 void SegmentMarch::relax(Index target, float distance) {
@@ -63,8 +51,7 @@ void SegmentMarch::relax(Index target, float distance) {
   Node& node = nodes_[static_cast<std::size_t>(target)];
   if (node.mark == mark_ && node.distance <= distance) return;
   node = {distance, mark_};
-  heap_.push_back(make_key(distance, target));
-  std::push_heap(heap_.begin(), heap_.end(), std::greater<>());
+  heap_.push(make_key(distance, target));
 }
 
 void SegmentMarch::pass_on(Index vertex, float distance) {

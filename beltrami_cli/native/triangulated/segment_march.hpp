@@ -5,7 +5,7 @@
 #include <span>
 #include <vector>
 
-#include "triangulated/reached.hpp"
+#include "triangulated/march_heap.hpp"
 #include "triangulated/segments.hpp"
 
 namespace beltrami::triangulated {
@@ -39,14 +39,14 @@ class SegmentMarch {
   void relax(Index target, float distance);
   void pass_on(Index vertex, float distance);
   void take_hub_segment();
-  void keep_nearest(std::size_t count);
+  bool is_stale(std::uint64_t key) const;
   void wait_for(std::uint32_t hub, std::uint32_t next);
 
   const Segments& segments_;
   const HubLists& hubs_;
   std::vector<Node> nodes_;
-  std::vector<std::uint64_t> heap_;  // distance bits in the high half, vertex in the low half
-  std::vector<Waiting> waiting_;     // a heap, too
+  MarchHeap heap_;
+  std::vector<Waiting> waiting_;  // a heap, too
   std::vector<Reached> reached_;
   std::uint32_t mark_ = 0;
   float radius_ = 0;  // beyond which nothing is looked for
