@@ -10,6 +10,7 @@ from beltrami_cli.formats.ply.document import PlyDocument
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.layers.image_surface import ImageSurface
+from beltrami_cli.layers.selection import select
 from hostile.textured_models import ONCE
 
 ROWS, COLUMNS = 20, 26
@@ -115,6 +116,15 @@ def test_only_colours_of_what_was_measured_change(tmp_path):
             assert scene()[2].ravel()[changed // 15].all()
         smooth_file(source, target, iterations=0, job=Job(overwrite=True))
         assert target.read_bytes() == data
+
+
+def test_samples_are_the_vertices_that_were_measured():
+    measured = scene()[2].ravel()
+    (layer,) = select(PlyDocument(FILES["camera"], "a.ply"), ONCE).layers()
+    sample_of = layer.places().sample_of
+    np.testing.assert_array_equal(sample_of >= 0, measured)
+    np.testing.assert_array_equal(sample_of[measured], np.arange(np.count_nonzero(measured)))
+    assert len(layer.plan().manifold.new_colours().table()) == np.count_nonzero(measured)
 
 
 @pytest.mark.parametrize(
