@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import command
@@ -26,7 +26,7 @@ from beltrami_cli.view.words import (
 if TYPE_CHECKING:
     from beltrami_cli.flow.given_noise import GivenNoise
     from beltrami_cli.jobs.smooth_report import SmoothReport
-    from beltrami_cli.layers.reports import LayerReport
+    from beltrami_cli.layers.reports import ImageReport, LayerReport, SlotReport, VertexReport
 
 
 @command("smooth", source="INPUT", target="OUTPUT")
@@ -68,34 +68,45 @@ def _show_result(
         show(f"peak memory: {show_size(report.peak_memory)}")
     name = f"{output_name(report.output)}: {'not written (dry run), ' if dry_run else ''}"
     if report.vertices is not None:
-        done = report.vertices
-        what = counted(int(done.counts["vertices"]), "point" if "outliers" in done.counts else "vertex")
-        # A kernel with given parameters averages what lies at one place.
-        is_empty = not (done.spacing or done.iterations) and done.counts.get("triangles", 0) > 0
-        what += f", {NO_AREA}" if is_empty else ""
-        _show_done(messages, name + what, done, is_empty=is_empty)
-        if done.geometry is not None:
-            share = done.geometry["mean_move"] / done.spacing if done.spacing else 0.0
-            messages.say(f"{name}positions too, by {share:.2f} sample spacings on average")
+        _show_vertices(messages, name, report.vertices)
     if report.image is not None:
-        facts = report.image.image
-        holes = f", {facts['holes']} of them transparent, masked or not finite" if facts["holes"] else ""
-        what = f"{facts['width']} x {facts['height']} pixels{holes}"
-        is_empty = facts["holes"] == cast("int", facts["width"]) * cast("int", facts["height"])
-        left = _left_by_coding(report.image, given) if facts["format"] == "jpeg" else ""
-        _show_done(messages, name + what, report.image, is_empty=is_empty, noun="pixel", why=left)
+        _show_image(messages, name, report.image, given)
     for slot in report.textures:
-        textures = counted(len(slot.textures), f"{slot.slot} texture")
-        if sum(other.slot == slot.slot for other in report.textures) > 1:
-            textures += f" ({', '.join(str(each['name']) for each in slot.textures)})"
-        charts = counted(slot.counts["charts"], "chart")
-        what = f"{textures}, {counted(slot.counts['covered'], 'texel')} in {charts}"
-        is_empty = not slot.counts["covered"]
-        _show_done(messages, name + what, slot, is_empty=is_empty, noun="texel")
+        _show_textures(
+            messages, name, slot, is_one=sum(each.slot == slot.slot for each in report.textures) == 1
+        )
+
+
+def _show_vertices(messages: Messages, name: str, done: VertexReport) -> None:
+    what = counted(int(done.counts["vertices"]), "point" if "outliers" in done.counts else "vertex")
+    # A kernel with given parameters averages what lies at one place.
+    is_empty = not (done.spacing or done.iterations) and done.counts.get("triangles", 0) > 0
+    what += f", {NO_AREA}" if is_empty else ""
+    _show_done(messages, name + what, done, is_empty=is_empty, noun="sample")
+    if done.geometry is not None:
+        share = done.geometry["mean_move"] / done.spacing if done.spacing else 0.0
+        messages.say(f"{name}positions too, by {share:.2f} sample spacings on average")
+
+
+def _show_image(messages: Messages, name: str, done: ImageReport, given: GivenNoise | None) -> None:
+    facts: dict[str, Any] = done.image
+    holes = f", {facts['holes']} of them transparent, masked or not finite" if facts["holes"] else ""
+    what = f"{name}{facts['width']} x {facts['height']} pixels{holes}"
+    is_empty = facts["holes"] == facts["width"] * facts["height"]
+    left = _left_by_coding(done, given) if facts["format"] == "jpeg" else ""
+    _show_done(messages, what, done, is_empty=is_empty, noun="pixel", why=left)
+
+
+def _show_textures(messages: Messages, name: str, done: SlotReport, *, is_one: bool) -> None:
+    textures = counted(len(done.textures), f"{done.slot} texture")
+    textures += "" if is_one else f" ({', '.join(str(each['name']) for each in done.textures)})"
+    texels = f"{counted(done.counts['covered'], 'texel')} in {counted(done.counts['charts'], 'chart')}"
+    is_empty = not done.counts["covered"]
+    _show_done(messages, f"{name}{textures}, {texels}", done, is_empty=is_empty, noun="texel")
 
 
 def _show_done(
-    messages: Messages, what: str, done: LayerReport, *, is_empty: bool, noun: str = "sample", why: str = ""
+    messages: Messages, what: str, done: LayerReport, *, is_empty: bool, noun: str, why: str = ""
 ) -> None:
     """Say what was done to a part; `why` explains the noise."""
     if is_empty:  # `what` or a warning says why.

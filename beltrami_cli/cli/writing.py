@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -57,7 +57,6 @@ def run_and_write(
 ) -> Report:  # fmt: skip
     """Carry out a job from INPUT to OUTPUT, and put all that it writes in place together; `settings`: for a preview."""
     from beltrami_cli.formats.changes import Written
-    from beltrami_cli.formats.image.file_formats import format_of_suffix
     from beltrami_cli.jobs.writing.output import FileSet
 
     with options.job_from(values, ends[0], messages) as job, FileSet(ends) as files:
@@ -71,13 +70,18 @@ def run_and_write(
         for file in report_files:
             file.write(Written(main=[(json.dumps(asdict(report), indent=2) + "\n").encode()]))
         files.commit()
-    images = {known for path in report.written if (known := format_of_suffix(Path(path).suffix))}
-    is_lossless = images and images.isdisjoint(_LOSSY)
-    if is_lossless and any(each.name == "jpeg_quality" for each in typed_parameters()):
-        messages.warn(
-            f"{output_name(ends[1])}: --jpeg-quality has no effect, as images are written without loss"
-        )
+    if _is_lossless(report.written) and any(each.name == "jpeg_quality" for each in typed_parameters()):
+        cause = "--jpeg-quality has no effect, as images are written without loss"
+        messages.warn(f"{output_name(ends[1])}: {cause}")
     return report
+
+
+def _is_lossless(paths: Sequence[str]) -> bool:
+    """Whether there are image files, and none in a format with a quality."""
+    from beltrami_cli.formats.image.file_formats import format_of_suffix
+
+    images = {known for path in paths if (known := format_of_suffix(Path(path).suffix))}
+    return bool(images) and images.isdisjoint(_LOSSY)
 
 
 def _open_report(path: str, target: str, job: Job) -> Output:
