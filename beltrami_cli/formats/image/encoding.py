@@ -15,7 +15,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Array
 from beltrami_cli.errors import InputError, OutputError, ProcessingError
-from beltrami_cli.formats.image.containers.bitmaps import TARGA_END
+from beltrami_cli.formats.image.containers import targa
 from beltrami_cli.formats.image.decoded_image import ROWS
 from beltrami_cli.formats.image.extra_codecs import FAILURES
 from beltrami_cli.formats.image.file_formats import label_of, plugin_of
@@ -31,7 +31,7 @@ _PNG_FILTER_UP = 0x20  # as libpng numbers them
 # RGBE has 8 bits for the fraction of the largest channel of a pixel, which may be half of its full scale.
 _RGBE_STEP = 2.0**-7
 # Ends of files whose pixels are decoded without them; all others are not.
-_ENDS = {"png": b"IEND\xaeB`\x82", "targa": TARGA_END}
+_ENDS = {"png": b"IEND\xaeB`\x82", "targa": targa.END}
 
 
 def encoded(

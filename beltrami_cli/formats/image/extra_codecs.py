@@ -95,6 +95,13 @@ def encoded(file_format: str, pixels: Uint8s, quality: int, source: bytes, *, as
     return _encoded_avif(pixels, quality, source)
 
 
+def metadata_names(data: bytes, file_format: str) -> list[str]:
+    """Return names for the metadata of a file, except its colour profile."""
+    if file_format == "ktx2":
+        return [f"KTX2 key {name}" for name in _ktx2_keys(data)]
+    return [name.upper() for name in _avif_metadata(data) if name != "icc_profile"]
+
+
 def _require_memory(size: int) -> None:
     """Raise MemoryError if a codec might run out of it."""
     np.empty(size + _THREAD_BYTES * (os.cpu_count() or 1), np.uint8)
@@ -190,7 +197,7 @@ def _encoded_ktx2(pixels: Uint8s, quality: int, source: bytes, *, as_data: bool)
     return found
 
 
-def ktx2_keys(data: bytes) -> set[str]:
+def _ktx2_keys(data: bytes) -> set[str]:
     """Return the names of the key/value pairs of a KTX2 file, except that of the program that wrote it."""
     at, size = _HEADER.unpack_from(data)[11:13]
     keys, end = set[str](), min(at + size, len(data) - 4)
@@ -212,7 +219,7 @@ def _opened_avif(data: bytes, name: str) -> Any:
         raise _damaged(name, "AVIF", str(error).partition("<")[0].strip()) from None
 
 
-def avif_metadata(data: bytes) -> dict[str, bytes]:
+def _avif_metadata(data: bytes) -> dict[str, bytes]:
     """Return the colour profile, EXIF and XMP of an AVIF file, by the names of Pillow's options."""
     with _opened_avif(data, "") as image:
         return {key: image.info[key] for key in ("icc_profile", "exif", "xmp") if image.info.get(key)}
@@ -230,7 +237,7 @@ def _avif_bits(data: bytes) -> int:
 def _encoded_avif(pixels: Uint8s, quality: int, source: bytes) -> bytes:
     from PIL import Image
 
-    kept = avif_metadata(source) if source else {}
+    kept = _avif_metadata(source) if source else {}
     _require_memory(pixels.shape[0] * pixels.shape[1] * _AVIF_BYTES)
     buffer = io.BytesIO()
     # Tiles that follow the number of processors would make the file depend on the machine.

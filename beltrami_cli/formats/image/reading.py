@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.image.containers import bitmaps, png, webp
+from beltrami_cli.formats.image.containers import bmp, png, targa, webp
 from beltrami_cli.formats.image.containers.text_headers import has_usual_scale
 from beltrami_cli.formats.image.decoded_image import STORED, DecodedImage, image_from
 from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, decoded, measured
@@ -108,7 +108,7 @@ def _readable_format(data: bytes, name: str) -> str:
     if plugin_of(file_format) not in (*built_in, *EXTRA_CODECS):
         cause = f"this build of OpenImageIO does not read {label_of(file_format)}"
         raise InputError(name, cause, "convert it to PNG or EXR")
-    if file_format == "bmp" and not bitmaps.has_usual_bits(data):
+    if file_format == "bmp" and not bmp.has_usual_bits(data):
         cause = "its header, or the order of its red, green, blue and alpha, is a rare one that is not read"
         raise InputError(name, cause, "export it as PNG")
     if file_format == "pfm" and not has_usual_scale(data):
@@ -213,7 +213,7 @@ def _has_palette(data: bytes, file_format: str) -> bool:
         case "png":
             return png.has_palette(data)
         case "bmp":
-            return bitmaps.bmp_has_palette(data)
+            return bmp.has_palette(data)
         case "targa":
-            return bitmaps.targa_has_palette(data)
+            return targa.has_palette(data)
     return file_format == "gif"

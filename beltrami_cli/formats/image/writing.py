@@ -12,7 +12,7 @@ import numpy as np
 from beltrami_cli.arrays import Array, Uint8s
 from beltrami_cli.errors import InputError, UsageError, install_hint
 from beltrami_cli.formats.image import extra_codecs
-from beltrami_cli.formats.image.containers import bitmaps, png, tiff_tags, webp
+from beltrami_cli.formats.image.containers import bmp, png, tiff, webp
 from beltrami_cli.formats.image.conversion import converted
 from beltrami_cli.formats.image.decoded_image import ROWS, TYPES, DecodedImage, full_scale_one
 from beltrami_cli.formats.image.encoding import LOSSY_EXR, encoded, reading_back, unwritten
@@ -169,7 +169,7 @@ def check_writable(image: DecodedImage, suffix: str | None) -> str:
         cause = f"{label_of(file_format)} holds grey only, but the image has colours"
         raise UsageError(f"{image.name}: {cause}; choose .ppm")
     what = label_of(file_format) if file_format is not None else suffix
-    if file_format == image.format == "bmp" and not bitmaps.is_plain_bmp(image.source):
+    if file_format == image.format == "bmp" and not bmp.is_plain(image.source):
         what = "BMP with a palette, 16 bits or a header of OS/2"
     elif file_format is not None and FORMATS[file_format].writable:
         return file_format
@@ -215,7 +215,7 @@ def _kept_spec(image: DecodedImage) -> Any:
         for attribute in list(spec.extra_attribs):
             if not attribute.name.startswith(_STORAGE_IN_TIFF):
                 spec.erase_attribute(attribute.name)
-        if tiff_tags.is_big(image.source):
+        if tiff.is_big(image.source):
             spec.attribute("tiff:bigtiff", 1)
     if image.format not in ("tiff", "openexr"):  # Those two store, and say, whether alpha is multiplied in.
         spec.attribute("oiio:UnassociatedAlpha", 1)

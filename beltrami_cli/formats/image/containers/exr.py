@@ -30,7 +30,7 @@ Header = dict[str, tuple[str, bytes]]
 """Types and values of attributes by their names."""
 
 
-def with_attributes(source: bytes, encoded: bytes, part: int) -> bytes:
+def carried_over(source: bytes, encoded: bytes, part: int = 0) -> bytes:
     """Return an EXR file with the pixels of a part from another file, of one part, and all else as it was."""
     old, end = _headers(source)
     new, new_end = _headers(encoded)
@@ -54,15 +54,15 @@ def with_attributes(source: bytes, encoded: bytes, part: int) -> bytes:
     return b"".join([head, struct.pack(f"<{len(stored)}Q", *places), *stored])
 
 
-def attributes(data: bytes) -> dict[str, bool]:
+def metadata_names(data: bytes) -> dict[str, bool]:
     """Return the attributes of all parts, except those about pixels, and whether OpenImageIO reads them."""
-    parts, _ = _headers(data)
-    return {
-        name if number == 0 else f"{name} of part {number + 1}": number > 0 or kind in _READ_BY_OPENIMAGEIO
-        for number, header in enumerate(parts)
-        for name, (kind, _) in header.items()
-        if name not in _STRUCTURE
-    }
+    names: dict[str, bool] = {}
+    for number, header in enumerate(_headers(data)[0]):
+        where = f" of part {number + 1}" if number else ""
+        for name, (kind, _) in header.items():
+            if name not in _STRUCTURE:
+                names[f"EXR attribute {name}{where}"] = number > 0 or kind in _READ_BY_OPENIMAGEIO
+    return names
 
 
 def _headers(data: bytes) -> tuple[list[Header], int]:

@@ -14,14 +14,17 @@ from collections.abc import Iterator
 
 _START = b"\xff\xd8"
 _START_OF_SCAN, _END_OF_IMAGE = 0xDA, 0xD9
-_APP0, APP1, _APP14, _APP15, _COMMENT = 0xE0, 0xE1, 0xEE, 0xEF, 0xFE
+_APP0, _APP1, _APP14, _APP15, _COMMENT = 0xE0, 0xE1, 0xEE, 0xEF, 0xFE
 # But Adobe's segment, which says how these very samples are coded.
 _METADATA = (_COMMENT, *range(_APP0, _APP14), _APP15)
 _MPF = b"MPF\0"  # the mark of an index of images
 _MP_ENTRIES = 0xB002  # tag of its entries
 _MP_ENTRY = 16  # bytes of one
+# Segments that OpenImageIO reads, and MPF: another notice reports that the images of an index are dropped.
+_READ = ("JFIF", "MPF", "Exif", "http://ns.adobe.com/xap/1.0/", "ICC_PROFILE", "Photoshop 3.0", "COM")
 _PLAIN_MARKERS = (0x01, *range(0xD0, 0xDA))  # markers without a segment
 _END_OF_SCAN = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]")  # any marker except a restart within a scan
+EXIF_START = b"Exif\0\0"
 _XMP_START = b"http://ns.adobe.com/xap/1.0/\0"
 _LONGEST_SEGMENT = 0xFFFF - 2  # bytes in a segment of JPEG, whose length counts itself
 
@@ -86,21 +89,36 @@ def segments(data: bytes | memoryview) -> Iterator[tuple[int, bytes | memoryview
         yield marker, bytes(view[start:end])
 
 
-def segment_names(data: bytes) -> Iterator[str]:
+def metadata_names(data: bytes) -> dict[str, bool]:
+    names = set[str]()
     for marker, segment in segments(data):
         if marker == _COMMENT:
-            yield "COM"
+            names.add("COM")
         elif _APP0 <= marker <= _APP15 and marker != _APP14:
-            yield bytes(segment[4:]).partition(b"\0")[0][:40].decode("latin-1")
+            names.add(bytes(segment[4:]).partition(b"\0")[0][:40].decode("latin-1"))
+    return {f"JPEG segment {name}": name in _READ for name in names}
+
+
+def exif(data: bytes) -> bytes:
+    return next((bytes(segment[4:]) for _, segment in segments(data) if _is_exif(segment)), b"")
+
+
+def with_exif(encoded: bytes, exif: bytes) -> bytes:
+    kept = [segment for _, segment in segments(encoded) if not _is_exif(segment)]
+    return _with_segment(encoded[:2] + b"".join(kept), _APP1, EXIF_START + exif)
+
+
+def _is_exif(segment: bytes | memoryview) -> bool:
+    return segment[1] == _APP1 and segment[4:10] == EXIF_START
 
 
 def with_texts(encoded: bytes, *, comment: bytes, xmp: bytes) -> bytes:
     """Return a JPEG image with a comment and XMP data, as far as each is given and fits into a segment."""
-    encoded = with_segment(encoded, APP1, _XMP_START + xmp) if xmp else encoded
-    return with_segment(encoded, _COMMENT, comment) if comment else encoded
+    encoded = _with_segment(encoded, _APP1, _XMP_START + xmp) if xmp else encoded
+    return _with_segment(encoded, _COMMENT, comment) if comment else encoded
 
 
-def with_segment(encoded: bytes, marker: int, payload: bytes) -> bytes:
+def _with_segment(encoded: bytes, marker: int, payload: bytes) -> bytes:
     """Return a JPEG image with a segment in front, but behind that of JFIF; the same image if it is too long."""
     if len(payload) > _LONGEST_SEGMENT:
         return encoded

@@ -10,7 +10,10 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterator
 
-START = b"\x89PNG\r\n\x1a\n"
+_START = b"\x89PNG\r\n\x1a\n"
+# Chunks that OpenImageIO reads, and some that other notices report.
+_READ = ("tEXt", "zTXt", "iTXt", "pHYs", "eXIf", "iCCP", "gAMA", "cHRM", "sRGB", "cICP", "tIME", "oFFs")
+_REPORTED = {"tRNS", "acTL", "fcTL", "fdAT"}
 _ANIMATION = (b"acTL", b"fcTL", b"fdAT")
 _OF_SAMPLES = (b"tRNS", b"sBIT", b"hIST", b"bKGD")  # chunks that depend on the type of the samples
 # Which OpenImageIO adds, even to images with a profile.
@@ -22,7 +25,7 @@ def carried_over(source: bytes, encoded: bytes) -> bytes:
     same_samples = source[24:26] == encoded[24:26]  # bit depth and type of colour
     unwanted = _ANIMATION if same_samples else (*_ANIMATION, *_OF_SAMPLES)
     before, behind = list[memoryview](), list[memoryview]()
-    kept, size = before, len(START)
+    kept, size = before, len(_START)
     for kind, chunk in chunks(source):
         size += len(chunk)
         if kind == b"IDAT":
@@ -30,13 +33,13 @@ def carried_over(source: bytes, encoded: bytes) -> bytes:
         elif kind[:1].islower() and kind not in unwanted:
             kept.append(chunk)
     header, *pixels, end = (chunk for kind, chunk in chunks(encoded) if kind[:1].isupper())
-    return b"".join([START, header, *before, *pixels, *behind, end, source[size:]])
+    return b"".join([_START, header, *before, *pixels, *behind, end, source[size:]])
 
 
 def without_additions(encoded: bytes) -> bytes:
     """Return a new image without the metadata that the encoder adds by itself."""
     kept = (chunk for kind, chunk in chunks(encoded) if kind not in _OF_THE_ENCODER)
-    return b"".join([START, *kept])
+    return b"".join([_START, *kept])
 
 
 def is_animated(data: bytes) -> bool:
@@ -50,7 +53,7 @@ def has_palette(data: bytes) -> bool:
 
 def chunks(data: bytes) -> Iterator[tuple[bytes, memoryview]]:
     """Yield type and bytes (uncopied) of every complete chunk."""
-    at, view, kind = len(START), memoryview(data), b""
+    at, view, kind = len(_START), memoryview(data), b""
     while at + 12 <= len(data) and kind != b"IEND":
         end, kind = at + 12 + int.from_bytes(data[at : at + 4]), data[at + 4 : at + 8]
         if end > len(data):
@@ -61,3 +64,17 @@ def chunks(data: bytes) -> Iterator[tuple[bytes, memoryview]]:
 
 def packed_chunk(kind: bytes, data: bytes) -> bytes:
     return len(data).to_bytes(4) + kind + data + zlib.crc32(kind + data).to_bytes(4)
+
+
+def metadata_names(data: bytes) -> dict[str, bool]:
+    kinds = {kind.decode("latin-1") for kind, _ in chunks(data) if kind[:1].islower()}
+    return {f"PNG chunk {kind}": kind in _READ for kind in kinds - _REPORTED}
+
+
+def exif(data: bytes) -> bytes:
+    return next((bytes(chunk[8:-4]) for kind, chunk in chunks(data) if kind == b"eXIf"), b"")
+
+
+def with_exif(encoded: bytes, exif: bytes) -> bytes:
+    header, *others = (chunk for kind, chunk in chunks(encoded) if kind != b"eXIf")
+    return b"".join([_START, header, packed_chunk(b"eXIf", exif), *others])

@@ -12,18 +12,19 @@ import re
 
 import numpy as np
 
+_RADIANCE = b"#?"
 _END = b"\n\n"  # of the header of an HDR file
 _GAP = rb"(?:\s|#[^\n]*\n)+"
 # P1 and P4 give width and height, the others the largest value, too, or in PFM files the scale.
 _NETPBM = re.compile(rb"P(?:[14]%b\d+%b\d+|[^14]%b\d+%b\d+%b(\S+))\s" % ((_GAP,) * 5))
 _AFTER_MARK = 3  # bytes: "P6" and the end of the line
 _NETPBM_TEXT, _NETPBM_FLOATS = (b"1", b"2", b"3"), (b"F", b"f")
-_MADE_BY_ENCODERS = (b"#?", b"FORMAT=")
+_MADE_BY_ENCODERS = (_RADIANCE, b"FORMAT=")
 
 
-def with_header(source: bytes, encoded: bytes, file_format: str) -> bytes:
+def carried_over(source: bytes, encoded: bytes) -> bytes:
     """Return an image with the comments and variables of another file of its format."""
-    if file_format == "hdr":
+    if source.startswith(_RADIANCE):
         head, end, _ = source.partition(_END)
         return b"".join([head, end, encoded.partition(_END)[2]])
     comments, old_header, header = _comments(source), _NETPBM.match(source), _NETPBM.match(encoded)
@@ -61,11 +62,12 @@ def has_usual_scale(data: bytes) -> bool:
     return bool(limits.tiny <= scale <= limits.max)
 
 
-def header_lines(data: bytes, file_format: str) -> list[str]:
-    if file_format == "hdr":
-        lines = data.partition(_END)[0].splitlines()
-        return [line.decode("latin-1") for line in lines if not line.startswith(_MADE_BY_ENCODERS)]
-    return [line.decode("latin-1").strip() for line in _comments(data)]
+def metadata_names(data: bytes) -> dict[str, bool]:
+    lines = [line.strip() for line in _comments(data)]
+    if data.startswith(_RADIANCE):
+        header = data.partition(_END)[0].splitlines()
+        lines = [line for line in header if not line.startswith(_MADE_BY_ENCODERS)]
+    return {line.decode("latin-1"): False for line in lines}
 
 
 def _comments(data: bytes) -> list[bytes]:

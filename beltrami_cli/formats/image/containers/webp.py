@@ -18,7 +18,7 @@ _STRUCTURE = (b"VP8X", b"ANIM", b"ANMF", *_PIXELS)
 
 def carried_over(source: bytes, encoded: bytes) -> bytes:
     """Return an encoded WebP with the metadata of another one, and the bytes after its end."""
-    return with_metadata(metadata_chunks(source), encoded) + source[_end(source) :]
+    return _with_metadata(_metadata_chunks(source), encoded) + source[_end(source) :]
 
 
 def is_animated(data: bytes) -> bool:
@@ -45,12 +45,12 @@ def _end(data: bytes) -> int:
     return min(len(data), 8 + size + size % 2)
 
 
-def metadata_chunks(data: bytes) -> list[tuple[bytes, bytes]]:
+def _metadata_chunks(data: bytes) -> list[tuple[bytes, bytes]]:
     """Return the types and payloads of all chunks without pixels."""
     return [chunk for chunk in chunks(data) if chunk[0] not in _STRUCTURE]
 
 
-def with_metadata(metadata: list[tuple[bytes, bytes]], encoded: bytes) -> bytes:
+def _with_metadata(metadata: list[tuple[bytes, bytes]], encoded: bytes) -> bytes:
     """Return the pixels of a WebP image with these chunks of metadata."""
     if not metadata:
         return encoded
@@ -76,3 +76,17 @@ def _size(kind: bytes, payload: bytes) -> tuple[int, int, bool]:
         return (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1, bool(bits >> 28 & 1)
     size = payload[6:10]
     return int.from_bytes(size[:2], "little") & 0x3FFF, int.from_bytes(size[2:], "little") & 0x3FFF, False
+
+
+def metadata_names(data: bytes) -> dict[str, bool]:
+    kinds = {kind.decode("latin-1") for kind, _ in _metadata_chunks(data)}
+    return {f"WebP chunk {kind}": kind in ("ICCP", "EXIF", "XMP ") for kind in kinds}
+
+
+def exif(data: bytes) -> bytes:
+    return next((payload for kind, payload in _metadata_chunks(data) if kind == b"EXIF"), b"")
+
+
+def with_exif(encoded: bytes, exif: bytes) -> bytes:
+    kept = [chunk for chunk in _metadata_chunks(encoded) if chunk[0] != b"EXIF"]
+    return _with_metadata([*kept, (b"EXIF", exif)], encoded)

@@ -68,7 +68,7 @@ def is_big(data: bytes) -> bool:
     return data[:4] in (b"II+\0", b"MM\0+")
 
 
-def with_tags(source: bytes, encoded: bytes) -> bytes:
+def carried_over(source: bytes, encoded: bytes) -> bytes:
     """Return a TIFF image with the tags of another file, except those about the storage of pixels."""
     old, new = _Directories(source).first, _Directories(encoded).first
     dropped = {*_STRUCTURE, _TEXTURE_FORMAT, _PHOTOSHOP_LAYERS, *_OF_SAMPLES}
@@ -76,7 +76,7 @@ def with_tags(source: bytes, encoded: bytes) -> bytes:
     return _with_directory(encoded, kept | {tag: entry for tag, entry in new.items() if tag in _STRUCTURE})
 
 
-def with_exif(exif: bytes, encoded: bytes) -> bytes:
+def merged_exif(exif: bytes, encoded: bytes) -> bytes:
     """Return a TIFF image, or EXIF data, with its tags and the tags of other EXIF data."""
     old, new = (_Directories(data or _EMPTY).first for data in (exif, encoded))
     has_pixels = any(tag in new for tag in _PIXEL_ADDRESSES)
@@ -84,7 +84,7 @@ def with_exif(exif: bytes, encoded: bytes) -> bytes:
 
 
 def exif_tags(data: bytes) -> dict[str, bytes]:
-    """Return the values of the tags that EXIF data share with TIFF images, called as by `tags`."""
+    """Return the values of the tags that EXIF data share with TIFF images, called as by `metadata_names`."""
     return _flat(_of_exif(_Directories(data or _EMPTY).first))
 
 
@@ -105,7 +105,7 @@ def _with_directory(data: bytes, entries: dict[int, _Entry]) -> bytes:
     return bytes(written)
 
 
-def tags(data: bytes) -> dict[str, bool]:
+def metadata_names(data: bytes) -> dict[str, bool]:
     """Return the names of the tags of the first image, except those about the storage of pixels.
 
     And whether OpenImageIO reads them; tags in further directories stand behind the tag of the directory.
@@ -114,7 +114,8 @@ def tags(data: bytes) -> dict[str, bool]:
     left_out = {*_STRUCTURE, _TEXTURE_FORMAT}
     found = _flat({tag: each for tag, each in read.first.items() if tag not in left_out})
     known = {*map(str, _READ_BY_OPENIMAGEIO)}
-    return {name: name.split()[0] in known for name in (*found, *map(_called, read.unreadable - left_out))}
+    names = (*found, *map(_called, read.unreadable - left_out))
+    return {f"TIFF tag {name}": name.split()[0] in known for name in names}
 
 
 def _flat(entries: dict[int, _Entry], prefix: str = "") -> dict[str, bytes]:
