@@ -22,7 +22,7 @@ from beltrami_cli.batch.cluster import OnDask
 from beltrami_cli.batch.processes import Processes
 from beltrami_cli.batch.worker import Channel
 from beltrami_cli.errors import InputError, NoColoursError, OutputError, ProcessingError
-from beltrami_cli.flow import chunks
+from beltrami_cli.flow import cuts
 from beltrami_cli.flow.chunks import Chunk
 from cli.commands import copy_samples
 
@@ -102,7 +102,7 @@ def test_arrays_of_messages_are_exchanged_and_can_be_changed(tmp_path):
 
 @pytest.mark.slow
 def test_a_file_in_pieces_is_the_same(tmp_path, monkeypatch):
-    monkeypatch.setattr(chunks, "MIN_CELLS", 1)
+    monkeypatch.setattr(cuts, "MIN_CELLS", 1)
     copy_samples(tmp_path / "in", "mirrored-noisy.*")
     said = []
     for name, options in (("whole", ()), ("pieces", ("--pieces", 4, "-j", 2))):

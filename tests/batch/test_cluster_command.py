@@ -21,7 +21,7 @@ from beltrami_cli.batch.cluster import OnDask
 from beltrami_cli.batch.item import Item
 from beltrami_cli.batch.work import do_item
 from beltrami_cli.cli.main import group
-from beltrami_cli.flow import chunks
+from beltrami_cli.flow import cuts
 from beltrami_cli.flow.chunks import Chunking, Resources
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.layers.settings import SmoothSettings
@@ -76,8 +76,8 @@ def test_files_whole_and_in_chunks_are_as_on_one_machine_and_done_once(cluster, 
     batch("scans", "--out-dir", "here", "--resume", *on_cluster, cwd=tmp_path)
     assert [line["status"] for line in lines_of(tmp_path / "here" / "batch.jsonl")] == ["skipped", "skipped"]
 
-    monkeypatch.setattr(chunks, "MIN_SAMPLES", 1)
-    monkeypatch.setattr(chunks, "MIN_CELLS", 1)
+    monkeypatch.setattr(cuts, "MIN_SAMPLES", 1)
+    monkeypatch.setattr(cuts, "MIN_CELLS", 1)
     batch(scans, "--out-dir", tmp_path / "joined", "--pieces", 3, *on_cluster)
     assert files_in(tmp_path / "joined") == expected
 
@@ -99,7 +99,7 @@ def test_a_worker_that_is_killed_midway_costs_nothing_but_time(cluster, tmp_path
 
 @pytest.mark.slow
 def test_a_surface_in_chunks_outlives_a_worker(cluster, monkeypatch):
-    monkeypatch.setattr(chunks, "MIN_SAMPLES", 1)
+    monkeypatch.setattr(cuts, "MIN_SAMPLES", 1)
     parameters = KernelParameters(**{**FIXED, "patches": "on"})
     whole = smooth_mesh(SURFACE, parameters)
     killed = []

@@ -10,7 +10,7 @@ from hypothesis import settings as run_with
 from hypothesis import strategies as st
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow import chunks
+from beltrami_cli.flow import cuts
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunking, Resources, in_turn
 from beltrami_cli.flow.decoding import plan_on_canvas
 from beltrami_cli.flow.manifolds.guides import Guide
@@ -64,8 +64,8 @@ class Sent:
 def small_chunks():
     """Cut surfaces however small they are."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(chunks, "MIN_CELLS", 1)
-        patch.setattr(chunks, "MIN_SAMPLES", 1)
+        patch.setattr(cuts, "MIN_CELLS", 1)
+        patch.setattr(cuts, "MIN_SAMPLES", 1)
         yield
 
 

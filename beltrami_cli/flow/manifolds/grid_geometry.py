@@ -12,7 +12,7 @@ import numpy as np
 from beltrami_cli._native import halo_repeats as count_repeats
 from beltrami_cli._native import local_scale
 from beltrami_cli.arrays import Array, Bools, Float32s, Indices, Int64s, Uint8s
-from beltrami_cli.flow.chunks import Rectangle
+from beltrami_cli.flow.cuts import Rectangle
 from beltrami_cli.flow.manifolds.domain import ENOUGH_STEPS, Geometry, Stack
 from beltrami_cli.flow.manifolds.grid_gaussian import SUMMED_ROWS, GridGaussian
 from beltrami_cli.flow.manifolds.kernel_work import KernelWork

@@ -16,7 +16,8 @@ import numpy as np
 
 from beltrami_cli._native import grid_distances, smooth_grid
 from beltrami_cli.arrays import Array, Bools, Float32s, Int64s
-from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunk, Figures, Rectangle, Resources, chunks_of_canvas
+from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunk, Figures, Resources
+from beltrami_cli.flow.cuts import Rectangle, chunks_of_canvas
 from beltrami_cli.flow.manifolds.canvas import FURTHEST_SUPPORT, canvas_colours, kernel_margin, on_canvas
 from beltrami_cli.flow.manifolds.domain import Gaussian, Stack
 from beltrami_cli.flow.manifolds.grid_gaussian import GridGaussian, guide_radius

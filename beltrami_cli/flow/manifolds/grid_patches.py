@@ -18,7 +18,8 @@ from beltrami_cli._native import (
     means_of_squares,
 )
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Uint8s
-from beltrami_cli.flow.chunks import Chunking, Figures, Rectangle, chunks_of_canvas, grown
+from beltrami_cli.flow.chunks import Chunking, Figures
+from beltrami_cli.flow.cuts import Rectangle, chunks_of_canvas, grown
 from beltrami_cli.flow.manifolds.canvas import canvas_margin
 from beltrami_cli.flow.manifolds.domain import CoarseLevel, Stack
 from beltrami_cli.flow.manifolds.grid_gaussian import gaussian_taps

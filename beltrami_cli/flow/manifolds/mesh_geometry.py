@@ -17,8 +17,9 @@ from beltrami_cli.flow.manifolds.domain import ENOUGH_STEPS, Domain, Geometry, S
 from beltrami_cli.flow.manifolds.fingerprints import fingerprints, quantised
 from beltrami_cli.flow.manifolds.iteration import Metric
 from beltrami_cli.flow.manifolds.kernel_work import MeshWork
+from beltrami_cli.flow.mesh_gaussian import PASS_SCALE, PASS_VARIANCE, MeshGaussian
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.vertex_graph import PASS_SCALE, PASS_VARIANCE, Graph, MeshGaussian
+from beltrami_cli.flow.vertex_graph import Graph
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import OWNED
 from beltrami_cli.surface.geometry import (

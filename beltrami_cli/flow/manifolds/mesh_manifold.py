@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from beltrami_cli._native import PATCH_BLOCK_SIZE
 from beltrami_cli.arrays import Array, Float32s
-from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunk, Chunking, Figures, Resources, runs
+from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunk, Chunking, Figures, Resources
+from beltrami_cli.flow.cuts import runs
 from beltrami_cli.flow.manifolds.domain import Gaussian, Stack
 from beltrami_cli.flow.manifolds.fingerprints import fingerprints, quantised, random_signs
 from beltrami_cli.flow.manifolds.guides import Guide, GuideStack
