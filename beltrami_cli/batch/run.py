@@ -86,7 +86,7 @@ class Batch:
             self._work(waiting, in_processes(1, memory, threads), is_last=True)
 
     def _work(self, waiting: deque[int], workers: Workers, *, is_last: bool) -> deque[int]:
-        """Run the waiting items. Unless `is_last`, return those that need more memory."""
+        """Run the waiting items. Unless `is_last`, return the items that need more memory."""
         larger: deque[int] = deque()
         in_work = set[int]()
         with contextlib.closing(workers.pool) as pool:

@@ -1,1 +1,1 @@
-"""What a command does with its files; it raises what went wrong, and prints nothing."""
+"""One file or folder for each thing that can be done with files; errors are raised, and nothing is printed."""

@@ -1,4 +1,4 @@
-"""Baking the colours of a model into a new texture, or those of its textures into its vertices."""
+"""Bake the colours of vertices into a new texture, or the colours of textures into vertices."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The conditions of a job besides its parameters: what it may read and replace, and its progress callback."""
+"""How a job is done: what it may read and replace, and its progress callback."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Job:
-    """How a job is done, besides its parameters.
+    """How a job is done.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Removing the exposure steps of a file, and nothing else."""
+"""Remove the exposure steps of a file, and change nothing else."""
 
 from __future__ import annotations
 

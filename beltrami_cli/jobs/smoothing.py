@@ -27,7 +27,7 @@ _USUAL_STEPS = 30  # of choosing parameters, for progress alone
 
 @dataclass(frozen=True, kw_only=True)
 class Smoothed(FilterResult):
-    """What smoothing makes of a layer."""
+    """A smoothed layer."""
 
     part: Part  # of the document
     report: LayerReport

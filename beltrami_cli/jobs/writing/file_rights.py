@@ -13,7 +13,7 @@ PRIVATE = 0o600
 """Mode of a new file until it gets the permissions of the replaced one."""
 
 _OWNER = 0o700  # bits of a mode
-# Prefixes of the extended attributes that are kept: those of users, access control lists, and security labels.
+# Prefixes of the extended attributes that are kept: of users, access control lists, and security labels.
 _KEPT_ATTRIBUTES = ("user.", "system.", "security.selinux")
 _ACCESS_LISTS = "system."
 
