@@ -9,7 +9,7 @@ import dataclasses
 import json
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -44,7 +44,7 @@ from beltrami_cli.view.views import require_memory_to_draw
 from beltrami_cli.view.words import noise_of
 
 Command = Callable[[SmoothSettings, str], str]
-Part = TypeVar("Part")
+Value = TypeVar("Value")
 
 _WITH_PATCHES = " with patches"  # stage of previews, after the stage of the kernel alone
 # Seconds between a preview and the start of the whole, since another change may follow.
@@ -104,13 +104,13 @@ class Live:
     def answer(self, name: str, request: dict[str, Any], page: PageRequest) -> None:
         if name not in ("change", "save"):
             raise MalformedError
-        settings = settings_from(self._plain, _part(request, "values", dict))
-        target = _part(request, "target", str)
+        settings = settings_from(self._plain, _checked(request, "values", dict))
+        target = _checked(request, "target", str)
         command = self._command(settings, target)
         if name == "change":
             self._follow(request, settings, command, page)
         else:
-            self._save(settings, target, command, page, overwrite=_part(request, "overwrite", bool))
+            self._save(settings, target, command, page, overwrite=_checked(request, "overwrite", bool))
 
     def _save(
         self, settings: SmoothSettings, target: str, command: str, page: PageRequest, *, overwrite: bool
@@ -137,7 +137,7 @@ class Live:
         self, request: dict[str, Any], settings: SmoothSettings, command: str, page: PageRequest
     ) -> None:
         """Smooth the part in view, then the whole, until the page sends another request."""
-        layer, focus = _part(request, "layer", int), _focus(request)
+        layer, focus = _checked(request, "layer", int), _focus(request)
         if not 0 <= layer < len(self._layers):
             raise MalformedError
         change = _Change(settings, self._layers[layer], focus, page)
@@ -158,7 +158,7 @@ class Live:
                 raise NoPreviewError("the colours in view are not smoothed")
             if not settings.kernel.iterations:
                 raise NoPreviewError("no iteration is wanted, so nothing changes")
-            at_once = self._without_search(change)
+            at_once = self._without_search(settings)
             self._preview_part(change, at_once, "")
             if settings.kernel.takes_patches and not settings.embedding.smooth_geometry:
                 self._preview_part(change, override(at_once, patches="on"), _WITH_PATCHES)
@@ -180,9 +180,9 @@ class Live:
         change.page.check()
         change.page.send(kind="preview", patches=patches, stage=stage, seconds=spent, samples=samples)
 
-    def _without_search(self, change: _Change) -> SmoothSettings:
+    def _without_search(self, settings: SmoothSettings) -> SmoothSettings:
         """Return settings without a search: free parameters have the values chosen last, or the ones of `--fast`."""
-        kernel = change.settings.kernel
+        kernel = settings.kernel
         chosen = self._chosen.get((kernel.strength, kernel.noise), {})
         known = {name: chosen[name] for name in kernel.free if name in chosen}
         if len(known) == len(kernel.free):
@@ -191,15 +191,14 @@ class Live:
             kernel = dataclasses.replace(kernel, fast=True)
         # So few samples gain little from more threads, and wait long for them on a busy machine.
         kernel = dataclasses.replace(kernel, patches="off", threads=1)
-        return dataclasses.replace(change.settings, kernel=kernel)
+        return dataclasses.replace(settings, kernel=kernel)
 
     def _smooth(self, change: _Change) -> None:
         """Smooth the whole as `smooth` does, and send it to the page."""
-        page, settings = change.page, change.settings
+        page, kernel = change.page, change.settings.kernel
         try:
             result, results = self._whole(change)
-            made = smooth_report(FileReport(input=self._source, output="", format=""), results, settings)
-            used = used_parameters(json.loads(json.dumps(dataclasses.asdict(made))))
+            described = self._described(results, change.settings)
         except GoneError:
             raise
         except Exception as error:
@@ -207,22 +206,27 @@ class Live:
             message = str(error) if is_known else f"unexpected error: {type(error).__name__}: {error}"
             page.send(kind="failed", message=message)
             return
-        choices = [done.report.choice for done in results if done.report.choice is not None]
-        notices = [each for done in results for each in (*done.warnings, *done.stored.notices)]
-        noisiest = max(
-            (each.report for each in results), key=lambda own: max(own.noise.values(), default=0.0)
-        )
-        noise = noise_of(dataclasses.asdict(noisiest)) if any(noisiest.noise.values()) else "none"
         with self._previewing:
             page.check()
-            chosen = dict(choices[0]["chosen"]) if choices else {}  # type: ignore[call-overload]
-            self._chosen[settings.kernel.strength, settings.kernel.noise] = chosen
-            page.send(
-                kind="whole", patches=[patch for layer in self._layers for patch in layer.whole(result)], chosen=chosen,
-                used=rendered("parameters.html", used=used),
-                notices=[*dict.fromkeys([*self._document.notices, *notices])],
-                noise=None if settings.kernel.noise else noise,
-            )  # fmt: skip
+            self._chosen[kernel.strength, kernel.noise] = described["chosen"]
+            patches = [patch for layer in self._layers for patch in layer.whole(result)]
+            page.send(kind="whole", patches=patches, **described)
+
+    def _described(self, results: Sequence[Smoothed], settings: SmoothSettings) -> dict[str, Any]:
+        """Return the chosen and the used parameters, notices and the noise, as the page shows them."""
+        made = smooth_report(FileReport(input=self._source, output="", format=""), results, settings)
+        used = used_parameters(json.loads(json.dumps(dataclasses.asdict(made))))
+        choices = [done.report.choice for done in results if done.report.choice is not None]
+        notices = [each for done in results for each in (*done.warnings, *done.stored.notices)]
+        reports = [done.report for done in results]
+        noisiest = max(reports, key=lambda report: max(report.noise.values(), default=0.0))
+        noise = noise_of(dataclasses.asdict(noisiest)) if any(noisiest.noise.values()) else "none"
+        return {
+            "chosen": dict(choices[0]["chosen"]) if choices else {},  # type: ignore[call-overload]
+            "used": rendered("parameters.html", used=used),
+            "notices": [*dict.fromkeys([*self._document.notices, *notices])],
+            "noise": None if settings.kernel.noise else noise,
+        }
 
     def _whole(self, change: _Change) -> tuple[Document, list[Smoothed]]:
         page = change.page
@@ -242,7 +246,7 @@ class Live:
         return recolour_in_memory(self._document, change.settings, Smoothing.of(change.settings), job)
 
 
-def _part(request: dict[str, Any], name: str, kind: type[Part]) -> Part:
+def _checked(request: dict[str, Any], name: str, kind: type[Value]) -> Value:
     """Return a value of a request, checked to be of a type."""
     value = request.get(name)
     if type(value) is not kind:  # bool is a subclass of int
@@ -252,7 +256,7 @@ def _part(request: dict[str, Any], name: str, kind: type[Part]) -> Part:
 
 def _focus(request: dict[str, Any]) -> Focus:
     """Return the focus of a request: origin (three numbers), and direction (three numbers) if there is one."""
-    numbers = _part(request, "focus", list)
+    numbers = _checked(request, "focus", list)
     is_number = [type(each) in (int, float) and np.isfinite(each) for each in numbers]
     if len(numbers) not in (3, 6) or not all(is_number):
         raise MalformedError
