@@ -62,8 +62,8 @@ class Container:
         text = ((_BOM if self.has_bom else "") + revised(self.text, tree)).encode()
         if self.kind == "gltf":
             return [text]
-        rest = self.chunks if binary is None else (Chunk(BIN_CHUNK, binary), *self.unknown_chunks)
-        return [*glb_pieces([Chunk(JSON_CHUNK, text), *rest]), self.tail]
+        chunks = self.chunks if binary is None else (Chunk(BIN_CHUNK, binary), *self.unknown_chunks)
+        return [*glb_pieces([Chunk(JSON_CHUNK, text), *chunks]), self.tail]
 
 
 def read_container(data: bytes, name: str) -> Container:

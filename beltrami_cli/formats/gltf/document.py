@@ -170,7 +170,7 @@ class GltfDocument(Document):
         root, asset = self._root, self._root.entry("asset")
         primitives = [primitive for _, primitive in primitives_of(self._container.tree)]
         named = {primitive.get("attributes", {}).get("COLOR_0", -1) for primitive in primitives}
-        there = (index for index in sorted(named) if 0 <= index < len(self._accessors))
+        indices = (index for index in sorted(named) if 0 <= index < len(self._accessors))
         return {
             "generator": asset.text("generator"),
             "version": asset.text("version"),
@@ -186,7 +186,7 @@ class GltfDocument(Document):
                     "count": accessor.count,
                     "sparse": accessor.sparse is not None,
                 }
-                for index, accessor in ((index, self._accessors[index]) for index in there)
+                for index, accessor in ((index, self._accessors[index]) for index in indices)
             ],
             "materials": len(root.entries("materials")),
             "images": len(self._images),
@@ -204,7 +204,7 @@ def _omitted(tree: Tree) -> list[str]:
     sets = [primitive.get("attributes", {}) for primitive in primitives]
     attributes, nodes = {key for each in sets for key in each}, objects(tree.get("nodes"))
     placed = ("children", "matrix", "translation", "rotation", "scale")
-    there = {key: tree.get(key) for key in ("materials", "textures", "skins", "animations", "cameras")} | {
+    losses = {key: tree.get(key) for key in ("materials", "textures", "skins", "animations", "cameras")} | {
         "morph targets": any(primitive.get("targets") for primitive in primitives),
         "uncoloured meshes": any("COLOR_0" not in each for each in sets),
         "texture coordinates": any(key.startswith("TEXCOORD_") for key in attributes),
@@ -215,4 +215,4 @@ def _omitted(tree: Tree) -> list[str]:
         "lines": any(primitive.get("mode") in (1, 2, 3) for primitive in primitives),
         "node hierarchy": len(nodes) > 1 or any(key in node for node in nodes for key in placed),
     }
-    return [what for what, found in there.items() if found]
+    return [what for what, is_lost in losses.items() if is_lost]

@@ -76,8 +76,8 @@ class Draco:
 def _fitted(numbers: Array, accessor: Accessor) -> Stored:
     """Return decoded numbers, shape (n, width), in the type of their accessor."""
     if numbers.shape != (accessor.count, accessor.width):
-        found = f"{numbers.shape[0]} elements of {numbers.shape[-1]} numbers"
-        cause = f"is {accessor.count} of {accessor.width}, but {found} were decoded"
+        decoded = f"{numbers.shape[0]} elements of {numbers.shape[-1]} numbers"
+        cause = f"is {accessor.count} of {accessor.width}, but {decoded} were decoded"
         raise accessor.entry.fault("count", cause)
     fitted = numbers.astype(accessor.component)
     if (numbers.dtype.kind == "f") != (fitted.dtype.kind == "f") or (

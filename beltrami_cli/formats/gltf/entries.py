@@ -108,12 +108,12 @@ class Entry:
         return Entry(self.name, self.at(key), self._of_kind(key, Tree()))
 
     def entries(self, key: str) -> list[Entry]:
-        found = []
+        members = []
         for index, value in enumerate(self._of_kind(key, list[Any]())):
             if not isinstance(value, dict):
                 raise self.fault(f"{key}[{index}]", f"is {spelled(value)} instead of an object")
-            found.append(Entry(self.name, f"{self.at(key)}[{index}]", value))
-        return found
+            members.append(Entry(self.name, f"{self.at(key)}[{index}]", value))
+        return members
 
     def _of_kind(self, key: str, default: T) -> T:
         value = self.value.get(key, default)

@@ -76,8 +76,8 @@ def _texture(images: Images, tree: Tree, number: int, place: str, textures: dict
         textures[place] = Texture(place, images.name(image), images.data(image))
     except UnfitReferenceError as error:
         return texture | {"extensions": kept, "image": str(error)}
-    others = {key: value for key, value in tree["images"][image].items() if key not in _PLACE}
-    return texture | {"extensions": kept, "image": others}
+    described = {key: value for key, value in tree["images"][image].items() if key not in _PLACE}
+    return texture | {"extensions": kept, "image": described}
 
 
 def _hide_colours(tree: Tree) -> dict[str, bytes]:

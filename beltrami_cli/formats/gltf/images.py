@@ -87,8 +87,8 @@ class Images:
 
     def _sampler(self, texture: int) -> Entry | None:
         entry = self.textures[texture]
-        known = "sampler" in entry
-        return self._samplers[entry.integer("sampler", below=len(self._samplers))] if known else None
+        has_sampler = "sampler" in entry
+        return self._samplers[entry.integer("sampler", below=len(self._samplers))] if has_sampler else None
 
     def has_sharp_texels(self, texture: int) -> bool:
         sampler = self._sampler(texture)
@@ -121,11 +121,11 @@ class Images:
             raise UnfitReferenceError("has neither a uri nor a bufferView")
         if not data:
             raise UnfitReferenceError("is empty")
-        known = format_of(data, "") or ""
-        package = missing_package(known) if known in EXTRA_CODECS else None
+        file_format = format_of(data, "") or ""
+        package = missing_package(file_format) if file_format in EXTRA_CODECS else None
         if package is not None:
             raise UnfitReferenceError(
-                f"is a {label_of(known)} image and needs the package {package}; {install_hint(EXTRA)}"
+                f"is a {label_of(file_format)} image and needs the package {package}; {install_hint(EXTRA)}"
             )
         return data
 
@@ -142,5 +142,5 @@ def kind_of(extension: str) -> str:
 
 def media_type(data: bytes) -> str | None:
     """Return the media type that the first bytes of an image show, if it is one that glTF knows."""
-    known = format_of(data, "")
-    return f"image/{known}" if known in _EMBEDDED_FORMATS else None
+    file_format = format_of(data, "")
+    return f"image/{file_format}" if file_format in _EMBEDDED_FORMATS else None

@@ -61,43 +61,43 @@ def present_slots(root: Entry) -> tuple[Slot, ...]:
 def texture_uses(root: Entry, slot: Slot) -> list[list[TextureUse]]:
     """Return the images of each material in a slot: none, one, or several alternatives."""
     count = len(root.entries("textures"))
-    found: list[list[TextureUse]] = []
+    uses: list[list[TextureUse]] = []
     for index, material in enumerate(root.entries("materials")):
         name = material.text("name") or f"material {index}"
         hides = material.text("alphaMode") in ("MASK", "BLEND")
-        found.append([])
+        uses.append([])
         for info in _infos(material, slot):
             transform = info.entry("extensions").entry(_TRANSFORM)
             owner = transform if "texCoord" in transform else info
             texture = info.integer("index", below=count)
             coordinates = f"TEXCOORD_{owner.integer('texCoord', default=0)}"
-            found[-1].append(TextureUse(name, info, texture, coordinates, _affine(transform), hides))
-    return found
+            uses[-1].append(TextureUse(name, info, texture, coordinates, _affine(transform), hides))
+    return uses
 
 
 def looks(primitive: Entry, materials: Sequence[Sequence[TextureUse]]) -> list[tuple[int, TextureUse | None]]:
     """Return how a primitive can be shown, as (look, use); primitives show the same look at the same time."""
     # Look 0 is what viewers show by default; then an extension's material in place of the core one, and variants.
     default = _of_material(primitive, materials)
-    found: list[tuple[int, TextureUse | None]] = [(0, default[0] if default else None)]
-    found += [(1, use) for use in default[1:]]
+    shown: list[tuple[int, TextureUse | None]] = [(0, default[0] if default else None)]
+    shown += [(1, use) for use in default[1:]]
     for mapping in primitive.entry("extensions").entry(_VARIANTS).entries("mappings"):
         chosen = _of_material(mapping, materials)[:1]
         variants = mapping.integers("variants", below=_MAX_VARIANTS)
-        found += [(2 + variant, use) for variant in variants for use in chosen]
-    return found
+        shown += [(2 + variant, use) for variant in variants for use in chosen]
+    return shown
 
 
 def _infos(material: Entry, slot: Slot) -> list[Entry]:
     """Return the textureInfos that a material has for a slot, that of core glTF first."""
-    found = []
+    infos = []
     for *parents, last in SLOT_PATHS[slot]:
         holder = material
         for key in parents:
             holder = holder.entry(key)
         if last in holder:
-            found.append(holder.entry(last))
-    return found
+            infos.append(holder.entry(last))
+    return infos
 
 
 def _of_material(holder: Entry, materials: Sequence[Sequence[TextureUse]]) -> Sequence[TextureUse]:
@@ -143,8 +143,8 @@ def texture_infos(value: Any, place: str, *, is_texture: bool | None = None) -> 
             yield from texture_infos(child, f"{place}[{index}]", is_texture=is_texture)
     elif isinstance(value, dict):
         for key, child in list(value.items()):
-            known = key != "extras" and (is_texture or _names_texture(key))
-            yield from texture_infos(child, f"{place}.{key}", is_texture=known)
+            names_texture = key != "extras" and (is_texture or _names_texture(key))
+            yield from texture_infos(child, f"{place}.{key}", is_texture=names_texture)
         if is_texture and isinstance(value.get("index"), int):
             yield place, value
 

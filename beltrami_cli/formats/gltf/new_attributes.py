@@ -174,14 +174,14 @@ def _alone(edit: Edit, columns: Sequence[Column], shared: set[int]) -> list[bool
     def canonical(layout: Layout) -> Layout:
         return replace(layout, buffer=accessors.buffers.canonical(layout.buffer))
 
-    own = [[canonical(layout) for layout in column.accessor.layouts] for column in columns]
+    layouts_of = [[canonical(layout) for layout in column.accessor.layouts] for column in columns]
     members = {member for column in columns for member in column.members}
     other_layouts = [canonical(layout) for layout in _others(edit.container.tree, accessors, members)]
-    ranges = [(layout.buffer, layout.start, layout.end) for layout in chain(*own)]
+    ranges = [(layout.buffer, layout.start, layout.end) for layout in chain(*layouts_of)]
     buffer, start, end = np.array(ranges, np.int64).reshape(-1, 3).T
     used = [
         layout
-        for layout in [*chain(*own), *other_layouts]
+        for layout in [*chain(*layouts_of), *other_layouts]
         if ((buffer == layout.buffer) & (start < layout.end) & (layout.start < end)).any()
     ]
     counts = {n: np.zeros(max(each.end for each in used if each.buffer == n), np.uint8) for n, *_ in ranges}
@@ -192,7 +192,7 @@ def _alone(edit: Edit, columns: Sequence[Column], shared: set[int]) -> list[bool
         bool(layouts)
         and not column.members & shared
         and all((element_bytes(counts[layout.buffer], layout) == 1).all() for layout in layouts)
-        for column, layouts in zip(columns, own, strict=True)
+        for column, layouts in zip(columns, layouts_of, strict=True)
     ]
 
 

@@ -52,11 +52,11 @@ def placements(root: Entry) -> list[Placement]:
     shown: dict[int, list[tuple[Float64s, int]]] = {}
     for rank, mesh, place, _ in _shown(root, [scenes[scene] for scene in order]):
         shown.setdefault(mesh, []).append((place, 0 if default is None else rank))
-    found = []
+    placed = []
     for mesh in range(len(root.entries("meshes"))):
         places = shown.get(mesh) or [(np.eye(4), len(scenes) + mesh)]
-        found.append(Placement(*places[0], nodes=len(places)))
-    return found
+        placed.append(Placement(*places[0], nodes=len(places)))
+    return placed
 
 
 def instances(root: Entry) -> list[tuple[int, Placement, str]]:

@@ -125,7 +125,7 @@ class Parts:
 
     def _uv(self, slot: Slot | None) -> Float64s:
         """Return texture coordinates of all corners, shape (K, 2), as a slot places them (None: as they are stored)."""
-        found = []
+        coordinates = []
         for part in self:
             use = None if slot is None else part.material.uses.get(slot)
             name = "TEXCOORD_0" if use is None else use.coordinates
@@ -137,5 +137,5 @@ class Parts:
                     stored = accessor.values()
                     self._coordinates[key] = stored if use is None else use.placed(stored)
                 uv = self._coordinates[key][part.faces]
-            found.append(uv.reshape(-1, 2))
-        return np.concatenate(found)
+            coordinates.append(uv.reshape(-1, 2))
+        return np.concatenate(coordinates)

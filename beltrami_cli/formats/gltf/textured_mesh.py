@@ -56,11 +56,11 @@ class _MeshParts(Parts):
     def take(self, primitive: Primitive, placement: Placement, group: str, colours: Float32s | None) -> None:
         if primitive.mode < TRIANGLES and "POSITION" in primitive:
             self.left_out.append("points and lines")
-        found = self.drawn(primitive, placement)
-        if found is None:
+        drawn = self.drawn(primitive, placement)
+        if drawn is None:
             return
         material = self._material(primitive.entry)
-        part = Part(primitive, placement, *found, material, group=group)
+        part = Part(primitive, placement, *drawn, material, group=group)
         self.groups[len(self.groups)] = [part]
         self._colours.append(self._of_part(part, colours))
         coordinates = {use.coordinates for use in material.uses.values()} or {"TEXCOORD_0"}
@@ -106,12 +106,12 @@ class _MeshParts(Parts):
         """Return the colours of all vertices; white for parts without colours, as glTF has it."""
         if all(colours is None for colours in self._colours):
             return {}
-        found = []
+        rows_of_parts = []
         for parts, colours in zip(self.groups.values(), self._colours, strict=True):
             rows = np.ones((np.count_nonzero(self.rows_of(parts)), 4), np.float32)
             if colours is not None:
                 rows[:, : colours.shape[1]] = colours
-            found.append(rows)
-        joined = np.concatenate(found)
+            rows_of_parts.append(rows)
+        joined = np.concatenate(rows_of_parts)
         alpha = joined[:, 3] if (joined[:, 3] < 1).any() else None
         return {"colours": joined[:, :3], "encoding": "linear", "stored": stored, "alpha": alpha}

@@ -55,10 +55,10 @@ class _SurfaceParts(Parts):
         self._seen: set[Hashable] = set()
 
     def take(self, primitive: Primitive, placement: Placement) -> None:
-        found = self.drawn(primitive, placement)
-        if found is None:
+        drawn = self.drawn(primitive, placement)
+        if drawn is None:
             return
-        place = found[0].identity
+        place = drawn[0].identity
         for look, use in looks(primitive.entry, self._uses):
             key: tuple[Hashable, ...] = place, primitive.drawing_key()
             if use is not None and use.coordinates not in primitive:
@@ -78,7 +78,7 @@ class _SurfaceParts(Parts):
             if key not in self._seen:
                 self._seen.add(key)
                 group = place, placement.matrix.tobytes(), placement.space, look
-                part = Part(primitive, placement, *found, material, look)
+                part = Part(primitive, placement, *drawn, material, look)
                 self.groups.setdefault(group, []).append(part)
 
     def _material(self, use: TextureUse | None) -> ShownMaterial:

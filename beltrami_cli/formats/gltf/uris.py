@@ -34,9 +34,9 @@ def locate_uri(uri: str, folder: ModelFolder, *, must_exist: bool = True) -> str
     """
     bare, plain = re.split("[?#]", uri, maxsplit=1)[0], unquote(uri)
     names = dict.fromkeys((plain, unquote(bare), unquote(unquote(bare))))
-    found = next((path for name in names if (path := folder.find(name)) is not None), None)
-    if found is not None:
-        return found
+    located = next((path for name in names if (path := folder.find(name)) is not None), None)
+    if located is not None:
+        return located
     if "\0" in plain:
         raise UnfitReferenceError("is not a path as glTF spells it")
     return folder.locate(plain) if must_exist else checked_path(plain, outside=True)

@@ -179,10 +179,10 @@ class ColouredBlocks:
         """Return the attributes that all blocks have; "normal" for their normals."""
         held = [set(block.first_user.attributes.value) for block in self.blocks]
         common = set.intersection(*held)
-        others = sorted(
+        names = sorted(
             name for name in common if name not in _NAMED_SEPARATELY and not name.startswith(_INDICES)
         )
-        return (*(("normal",) if "NORMAL" in common else ()), *others)
+        return (*(("normal",) if "NORMAL" in common else ()), *names)
 
     def attribute(self, name: str) -> Float64s:
         """Read an attribute of all blocks, shape (V, G)."""

@@ -85,8 +85,8 @@ class ObjDocument(Document):
         renamed = renaming(self._materials, new.images, self.name, naming)
         sidecars, spans = renamed.written(), renamed.spans
         data = exchange_spans(self.data, spans)
-        known, polypaint = self._scan.vertices, self._scan.polypaint
-        starts, ends = (shifted(tokens, spans) for tokens in (known.token_starts, known.token_ends))
+        vertices, polypaint = self._scan.vertices, self._scan.polypaint
+        starts, ends = (shifted(tokens, spans) for tokens in (vertices.token_starts, vertices.token_ends))
         parts = []
         if colours is not None:
             if polypaint is not None:
@@ -96,7 +96,7 @@ class ObjDocument(Document):
                 both = self._colours, colours
                 parts.append(new_colours(data, starts[:, 3:], ends[:, 3:], *both, self._scale))
         if places is not None:
-            changed = places.positions != known.positions[known.coloured]
+            changed = places.positions != vertices.positions[vertices.coloured]
             parts.append(new_positions(data, starts[:, :3], ends[:, :3], places.positions, changed))
         notices = (_STALE_NOTICE,) if places is not None and "normal" in self.attributes() else ()
         main = renumbered(data, parts) if parts else [data]
@@ -154,11 +154,11 @@ class ObjDocument(Document):
             text = without_tokens(text, starts, ends)
         parts, shown = {"statements": text}, dict[str, str | None]()
         for number, library in enumerate(libraries, 1):
-            there = [found for found, path in library.maps if path is not None]
-            names: Spans = {(found.start, found.end): PLACEHOLDER for found in there}
+            used = [each for each, path in library.maps if path is not None]
+            names: Spans = {(each.start, each.end): PLACEHOLDER for each in used}
             parts[f"material library {number}"] = exchange_spans(library.data, names)
-            for index, (found, path) in enumerate(library.maps, 1):
-                shown[f"material {found.material!r}, {found.keyword} ({number}.{index})"] = path
+            for index, (each, path) in enumerate(library.maps, 1):
+                shown[f"material {each.material!r}, {each.keyword} ({number}.{index})"] = path
         images = self._folder.files_by_label(shown)
         return Fingerprint(parts, colours, labelled(images, self._folder.content))
 

@@ -135,14 +135,14 @@ class Materials:
                     mentions.setdefault(path, []).append((name, begin, begin + len(os.fsencode(name))))
         self.libraries = [self._read(path, places) for path, places in mentions.items()]
         self._shown: dict[tuple[str, Slot], tuple[Map, str | None]] = {}
-        known: set[str] = set()
+        defined: set[str] = set()
         for library in self.libraries:
             # The first library with a material counts; in it, the last map of the preferred keyword.
             for keyword, slot in reversed(SLOTS.items()):
-                for found, file in library.maps:
-                    if found.keyword == keyword and found.material not in known:
-                        self._shown[found.material, slot] = found, file
-            known |= library.materials
+                for each, file in library.maps:
+                    if each.keyword == keyword and each.material not in defined:
+                        self._shown[each.material, slot] = each, file
+            defined |= library.materials
 
     def maps_of(self, material: str) -> dict[Slot, tuple[Map, str | None]]:
         """Return the map of each slot of a material, and the path of its file or None."""
@@ -168,10 +168,10 @@ class Materials:
         for library in self.libraries:
             showing = {m.material for m, p in library.maps if p == path and SLOTS.get(m.keyword) == slot}
             along = _BASE_COLOUR_COMPANIONS if slot == "baseColor" else ()
-            for found, its_path in library.maps:
-                goes_along = found.keyword in along and found.material in showing
-                if its_path == path and (goes_along or SLOTS.get(found.keyword) == slot):
-                    yield library, found
+            for each, its_path in library.maps:
+                goes_along = each.keyword in along and each.material in showing
+                if its_path == path and (goes_along or SLOTS.get(each.keyword) == slot):
+                    yield library, each
 
     def _names(self, text: bytes, start: int) -> Iterator[tuple[str, int]]:
         """Split a list of library names, which may contain blanks; yield each with its span."""
@@ -198,8 +198,8 @@ class Materials:
             data = b""
         materials, maps = read_maps(data)
         within = PurePosixPath(path).parent
-        found = tuple((known, self._found(known.name, within)) for known in maps)
-        return Library(path, data, frozenset(materials), found, tuple(mentions))
+        located = tuple((each, self._found(each.name, within)) for each in maps)
+        return Library(path, data, frozenset(materials), located, tuple(mentions))
 
     def _ignore(self, obstacle: Obstacle) -> None:
         self.obstacles.append(obstacle)

@@ -36,13 +36,15 @@ class Renaming:
 
     def written(self) -> Written:
         """Return the sidecar files."""
-        edited = {name: exchange_spans(library.data, own) for name, (library, own) in self.libraries.items()}
+        edited = {
+            name: exchange_spans(library.data, spans) for name, (library, spans) in self.libraries.items()
+        }
         return replace(self.files.written(), sidecars=self.files.sidecars | edited)
 
 
 def renaming(materials: Materials, images: NewImages, source: str, naming: Naming) -> Renaming:
     """Name the sidecar files of an OBJ file with new images."""
-    missing = [found.name for library in materials.libraries for found, path in library.maps if path is None]
+    missing = [shown.name for library in materials.libraries for shown, path in library.maps if path is None]
     names = NewFiles(naming, source, materials.paths, missing)
     edits = _take_images(materials, images, names)
     _rename_others(materials, names, edits)
@@ -55,8 +57,8 @@ def _take_images(materials: Materials, images: NewImages, names: NewFiles) -> di
     for (path, files), slots in slots_by_path(images, lambda slot, file: materials.named(file)).items():
         # Equal images of two slots are one file; maps of the base colour may be of other slots, too.
         maps = [each for slot in slots for each in materials.affected(slot, path)]
-        affected = list({id(found): (library, found) for library, found in maps}.values())
-        _note_stale_uses(materials, names, path, {id(found) for _, found in affected})
+        affected = list({id(shown): (library, shown) for library, shown in maps}.values())
+        _note_stale_uses(materials, names, path, {id(shown) for _, shown in affected})
         # Its name is free only if no map that keeps the old image has it.
         is_replaced = len(affected) == materials.uses(path)
         suffix = common_suffix(image.suffix for _, image in files)
@@ -64,17 +66,17 @@ def _take_images(materials: Materials, images: NewImages, names: NewFiles) -> di
         new_of = new_files(path, new, materials.folder.tiles)
         names.sidecars |= {new_of.pop(file): image.content for file, image in files}
         names.copied |= {file: old for old, file in new_of.items() if file != old}
-        for library, found in affected:
-            edits.setdefault(library.path, {})[found.start, found.end] = _spelled(found, path, new, library)
+        for library, shown in affected:
+            edits.setdefault(library.path, {})[shown.start, shown.end] = _spelled(shown, path, new, library)
     return edits
 
 
 def _note_stale_uses(materials: Materials, names: NewFiles, path: str, followed: Set[int]) -> None:
     """Note the maps outside of the slots that go on to show an old image; `followed`: identities of the others."""
     for library in materials.libraries:
-        for found, used in library.maps:
-            if used == path and id(found) not in followed and found.keyword not in SLOTS:
-                names.note_stale_use(f"{found.keyword} of material {found.material}", path)
+        for shown, used in library.maps:
+            if used == path and id(shown) not in followed and shown.keyword not in SLOTS:
+                names.note_stale_use(f"{shown.keyword} of material {shown.material}", path)
 
 
 def _rename_others(materials: Materials, names: NewFiles, edits: dict[str, Spans]) -> None:
@@ -85,11 +87,11 @@ def _rename_others(materials: Materials, names: NewFiles, edits: dict[str, Spans
         if not (edits.get(library.path) if moves_inside else names.copies):
             continue
         edits_of_file = edits.setdefault(library.path, {})
-        for found, path in library.maps:
-            if path is None or (found.start, found.end) in edits_of_file:
+        for shown, path in library.maps:
+            if path is None or (shown.start, shown.end) in edits_of_file:
                 continue
             if is_outside(path) and not moves_inside:
-                names.leave(found.name)
+                names.leave(shown.name)
                 continue
             if path not in new_of:
                 moves = is_outside(path) or names.copies
@@ -99,7 +101,7 @@ def _rename_others(materials: Materials, names: NewFiles, edits: dict[str, Spans
                         names.sidecars[new] = materials.folder.content(old)
                     else:
                         names.copied[new] = old
-            edits_of_file[found.start, found.end] = _spelled(found, path, new_of[path], library)
+            edits_of_file[shown.start, shown.end] = _spelled(shown, path, new_of[path], library)
 
 
 def _name_libraries(materials: Materials, names: NewFiles, edits: Mapping[str, Spans]) -> Renaming:
@@ -107,9 +109,9 @@ def _name_libraries(materials: Materials, names: NewFiles, edits: Mapping[str, S
     spans: Spans = {}
     changed: dict[str, tuple[Library, Spans]] = {}
     for library in materials.libraries:
-        own, outside = edits.get(library.path, {}), is_outside(library.path)
-        differs = any(library.data[start:end] != new for (start, end), new in own.items())
-        is_new = bool(own) and (outside or differs)
+        new_names, outside = edits.get(library.path, {}), is_outside(library.path)
+        differs = any(library.data[start:end] != new for (start, end), new in new_names.items())
+        is_new = bool(new_names) and (outside or differs)
         if not is_new and outside:
             for name, _, _ in library.mentions:
                 names.leave(name)
@@ -120,18 +122,18 @@ def _name_libraries(materials: Materials, names: NewFiles, edits: Mapping[str, S
             (start, end): new_reference(name, library.path, new) for name, start, end in library.mentions
         }
         if is_new:
-            changed[new] = library, own
+            changed[new] = library, new_names
         else:
             names.copied[new] = library.path
     return Renaming(names, spans, changed)
 
 
-def _spelled(found: Map, path: str, new: str, library: Library) -> bytes:
+def _spelled(shown: Map, path: str, new: str, library: Library) -> bytes:
     """Return the name in a library of an image that moves from one path to another."""
-    plain = PurePosixPath(found.name.replace("\\", "/"))
+    plain = PurePosixPath(shown.name.replace("\\", "/"))
     leads_there = posixpath.normpath(PurePosixPath(library.path).parent / plain) == path
     is_plain = leads_there and ".." not in plain.parts
     if is_outside(path) or is_outside(library.path) or not (is_plain or new == path):
         home = PurePosixPath(path_inside(library.path)).parent
         return os.fsencode("../" * len(home.parts) + new)
-    return new_reference(found.name, path, new)
+    return new_reference(shown.name, path, new)

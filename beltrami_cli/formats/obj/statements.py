@@ -75,8 +75,8 @@ class Statements(Lines):
         values = np.zeros(len(tokens), np.int64)
         slashes = np.empty(0, np.int64)
         if slash:
-            found = np.flatnonzero(self.characters == ord("/"))
-            slashes = np.append(found, np.full(slash, len(self.characters)))
+            slashes = np.flatnonzero(self.characters == ord("/"))
+            slashes = np.append(slashes, np.full(slash, len(self.characters)))
         for block in blocks(len(tokens), _BLOCK):
             chosen = tokens[block]
             begins, given = self.starts[chosen], np.ones(len(chosen), np.bool_)
@@ -113,8 +113,8 @@ class Statements(Lines):
     def rest(self, statement: int | np.int64) -> tuple[bytes, int]:
         """Return the unchanged text after the keyword of a statement, to the end of the line, and its offset."""
         begin = int(self.ends[self.heads[statement]])
-        found = _LINE_END.search(self.data, begin)
-        line = self.data[begin : found.start() if found else len(self.data)]
+        end = _LINE_END.search(self.data, begin)
+        line = self.data[begin : end.start() if end else len(self.data)]
         return line.strip(), begin + len(line) - len(line.lstrip())
 
 

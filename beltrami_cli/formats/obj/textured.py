@@ -60,9 +60,9 @@ def _materials_of(statements: Statements, materials: Materials) -> tuple[list[st
     """Return the names of `usemtl` statements, and the index of each polygon's name."""
     switches, polygons = statements.select(b"usemtl"), statements.select(b"f")
     texts = [statements.rest(switch)[0] for switch in switches]
-    known = {os.fsencode(name) for library in materials.libraries for name in library.materials}
+    defined = {os.fsencode(name) for library in materials.libraries for name in library.materials}
     # Names may hold a "#", and a comment may follow them.
-    meant = {text: text if text in known else text.split(b"#")[0].strip() for text in set(texts)}
+    meant = {text: text if text in defined else text.split(b"#")[0].strip() for text in set(texts)}
     numbers = {name: number for number, name in enumerate(sorted(set(meant.values())))}
     numbered = np.array([numbers[meant[text]] for text in texts] or [-1], np.int64)
     last = np.searchsorted(switches, polygons) - 1
@@ -72,13 +72,13 @@ def _materials_of(statements: Statements, materials: Materials) -> tuple[list[st
 def read_scene(scan: Scan, coordinates: Coordinates, materials: Materials, name: str) -> Scene:
     """Return the polygons of a file with their materials; polygons without one have the last."""
     names, values = (*coordinates.names, ""), _read_values(materials)
-    found = [materials.maps_of(material) for material in names]
-    unnamed, known = len(coordinates.names), coordinates.material_of
-    material_of = np.where(known < 0, unnamed, known)
+    maps_of = [materials.maps_of(material) for material in names]
+    unnamed, numbers = len(coordinates.names), coordinates.material_of
+    material_of = np.where(numbers < 0, unnamed, numbers)
 
     def uv(slot: Slot | None) -> Float64s:
         values = np.append(coordinates.values, [[np.nan, np.nan]], axis=0)[coordinates.corners]
-        shown = [maps[slot][0] if slot is not None and slot in maps else None for maps in found]
+        shown = [maps[slot][0] if slot is not None and slot in maps else None for maps in maps_of]
         placed = [_IDENTITY if each is None else (each.scale, each.offset) for each in shown]
         if {*placed} != {_IDENTITY}:
             of_corner = np.repeat(material_of, np.diff(scan.offsets))
@@ -94,7 +94,7 @@ def read_scene(scan: Scan, coordinates: Coordinates, materials: Materials, name:
         offsets=scan.offsets,
         material_of=material_of,
         materials=[_material(name, values.get(name, {})) for name in names],
-        maps=[_shown(maps, materials) for maps in found],
+        maps=[_shown(maps, materials) for maps in maps_of],
         uv=uv,
         tiles=materials.folder.tiles,
         read=materials.folder.content,
@@ -125,14 +125,14 @@ def convert(scene: Scene, statements: Statements, scan: Scan, materials: Materia
 
 def _converted_maps(materials: Materials, name: str, left_out: list[str]) -> _MaterialMaps:
     """Return the maps of a material that other formats support, and record the others."""
-    found = materials.maps_of(name)
-    normal, path = found.get("normal", (None, None))
+    kept = materials.maps_of(name)
+    normal, path = kept.get("normal", (None, None))
     if normal is not None and path is not None and normal.keyword != "norm" and _is_grey(materials, path):
         left_out.append("bump maps, which are heights and no normals")
-        del found["normal"]
-    known = (each for library in materials.libraries for each in library.maps)
+        del kept["normal"]
+    entries = (each for library in materials.libraries for each in library.maps)
     maps = {
-        shown.keyword: (shown, path) for shown, path in known if shown.material == name and path is not None
+        shown.keyword: (shown, path) for shown, path in entries if shown.material == name and path is not None
     }
     rough, metal = maps.pop("map_pr", None), maps.pop("map_pm", None)
     base = maps.get("map_kd", (None, None))[1]
@@ -143,16 +143,16 @@ def _converted_maps(materials: Materials, name: str, left_out: list[str]) -> _Ma
     ]
     # One image has both metalness and roughness; other maps are left out.
     if rough and metal and rough[1] == metal[1] and (rough[0].channel, metal[0].channel) == ("g", "b"):
-        return found | {"metallicRoughness": rough}
+        return kept | {"metallicRoughness": rough}
     lost = {"map_pr": rough, "map_pm": metal}
     left_out += [f"{keyword} maps in images of their own" for keyword, each in lost.items() if each]
-    return found
+    return kept
 
 
 def _is_grey(materials: Materials, path: str) -> bool:
     file = materials.folder.files(path)[0]
-    picture = read_image(materials.folder.content(file), file, finite=False)
-    colours = picture.pixels[..., list(picture.colour)]
+    image = read_image(materials.folder.content(file), file, finite=False)
+    colours = image.pixels[..., list(image.colour)]
     return bool((colours == colours[..., :1]).all())
 
 
@@ -179,15 +179,15 @@ def _colour(numbers: list[float]) -> tuple[float, ...]:
 
 def _read_values(materials: Materials) -> dict[str, dict[str, list[float]]]:
     """Read the numbers of all materials by their keywords; of two libraries the first that has a material counts."""
-    found: dict[str, dict[str, list[float]]] = {}
+    values_of: dict[str, dict[str, list[float]]] = {}
     for library in reversed(materials.libraries):
         numbers_of: dict[str, list[float]] = {}
         for match in _VALUE.finditer(library.data):
             if match[1].lower() == b"newmtl":
-                numbers_of = found[os.fsdecode(match[2])] = {}
+                numbers_of = values_of[os.fsdecode(match[2])] = {}
             elif numbers := _numbers(match[2]):
                 numbers_of[match[1].lower().decode("ascii")] = numbers
-    return found
+    return values_of
 
 
 def _numbers(text: bytes) -> list[float]:
@@ -204,7 +204,7 @@ def _groups(statements: Statements) -> tuple[tuple[str, ...], Int64s, list[str]]
     given = {keyword: statements.select(keyword) for keyword in (b"o", b"g")}
     chosen = given[b"o"] if given[b"o"].size else given[b"g"]
     names = ["", *(os.fsdecode(statements.rest(each)[0]) for each in chosen.tolist())]
-    known = {name: number for number, name in enumerate(dict.fromkeys(names))}
-    numbers = np.array([known[name] for name in names])
+    number_of = {name: number for number, name in enumerate(dict.fromkeys(names))}
+    numbers = np.array([number_of[name] for name in names])
     lost = ["groups within objects"] if given[b"o"].size and len(given[b"g"]) > len(given[b"o"]) else []
-    return tuple(known), numbers[np.searchsorted(chosen, polygons)], lost
+    return tuple(number_of), numbers[np.searchsorted(chosen, polygons)], lost

@@ -102,8 +102,8 @@ def new_positions(
     """Format changed coordinates with the decimals of the old ones, and at least the precision of float32."""
     largest = float(np.abs(positions).max(initial=0)) or 1.0
     enough = _COORDINATE_DIGITS - 1 - int(np.floor(np.log10(largest)))
-    found = most_decimals(data, starts, ends) if changed.any() else 0
-    decimals = min(max(found, enough, 0), _MAX_DECIMALS)
+    present = most_decimals(data, starts, ends) if changed.any() else 0
+    decimals = min(max(present, enough, 0), _MAX_DECIMALS)
     return NewNumbers(starts[changed], ends[changed], positions[changed], b"%%.%df" % decimals)
 
 
@@ -176,9 +176,9 @@ def read_normals(statements: Statements, corners: Int32s, count: int) -> Float64
     rows, tokens, _ = statements.corners(b"vn")
     given = rows >= 0
     normals = np.full((count, 3), np.nan)
-    vertices, found = corners[given], values[rows[given]]
-    normals[vertices[::-1]] = found[::-1]  # in reverse, so that the first normal of a vertex is kept
-    differs = (normals[vertices] != found).any(axis=1)
+    vertices, directions = corners[given], values[rows[given]]
+    normals[vertices[::-1]] = directions[::-1]  # in reverse, so that the first normal of a vertex is kept
+    differs = (normals[vertices] != directions).any(axis=1)
     if differs.any():
         token = tokens[given][int(np.argmax(differs))]
         raise statements.error(token, "has another normal than an earlier corner of the same vertex")

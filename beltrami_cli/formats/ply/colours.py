@@ -66,12 +66,12 @@ def find_colours(
         return ColourProperties((_INTENSITY,), "alpha" if "alpha" in types else "", types[_INTENSITY])
     if faces is not None and faces.element.count and (found := _by_name(faces)) is not None:
         return found
-    for known in types:
-        if plain(known) in _INTENSITIES:
+    for label in types:
+        if plain(label) in _INTENSITIES:
             return ColourProperties(
-                (known,), "alpha" if "alpha" in types else "", types[known], any_range=True
+                (label,), "alpha" if "alpha" in types else "", types[label], any_range=True
             )
-    among = ", ".join(known.name for known in vertices.element.properties)[:300]
+    among = ", ".join(prop.name for prop in vertices.element.properties)[:300]
     cause = f"no vertex colours among the vertex properties {among}"
     remedy = "export the mesh with vertex colours, which are red, green, blue, or name a scalar by --channels"
     raise NoColoursError(name, cause, remedy)
@@ -80,19 +80,19 @@ def find_colours(
 def _scalar(types: Mapping[str, str], wanted: Sequence[str]) -> ColourProperties | None:
     """Return the only wanted channel if a property has its name, which is none of positions and colours."""
     taken = {*POSITION, *_INTENSITIES, *(word for words, _ in _COLOURS for word in words)}
-    named = {known.lower(): known for known in types if plain(known) not in taken}
-    known = named.get(wanted[0].lower()) if len(wanted) == 1 else None
-    return None if known is None else ColourProperties((known,), "", types[known], any_range=True)
+    named = {label.lower(): label for label in types if plain(label) not in taken}
+    label = named.get(wanted[0].lower()) if len(wanted) == 1 else None
+    return None if label is None else ColourProperties((label,), "", types[label], any_range=True)
 
 
 def _by_name(table: Table) -> ColourProperties | None:
     types, name = table.element.scalars, table.body.name
-    actual = {plain(known): known for known in reversed(types)}
+    actual = {plain(label): label for label in reversed(types)}
     for words, alpha in _COLOURS:
         if not actual.keys() >= {*words}:
             continue
         names = tuple(actual[word] for word in words)
-        kinds = {types[known] for known in names}
+        kinds = {types[label] for label in names}
         if len(kinds) > 1:
             raise InputError(name, f"{', '.join(names)} are of several types", "store them in one type")
         kind = kinds.pop()
@@ -126,22 +126,24 @@ class Colours(NamedTuple):
     notice: str  # about the scale, or empty
 
 
-def read_colours(vertices: Table, found: ColourProperties) -> Colours:
+def read_colours(vertices: Table, properties: ColourProperties) -> Colours:
     """Read the colours of all vertices, at least one."""
-    values = np.empty((vertices.element.count, len(found.names)), np.float32)
-    if found.any_range or found.type[0] == "f":
-        stored = vertices.columns(found.names, "colour")
+    values = np.empty((vertices.element.count, len(properties.names)), np.float32)
+    if properties.any_range or properties.type[0] == "f":
+        stored = vertices.columns(properties.names, "colour")
         require_single(stored, vertices.body.name, f"the colour of {vertices.element.name}")
-        scale, notice = intensity_scale(stored) if found.any_range else full_scale(stored, vertices.body.name)
+        scale, notice = (
+            intensity_scale(stored) if properties.any_range else full_scale(stored, vertices.body.name)
+        )
         columns = list(stored.T)
     else:
-        columns = [vertices.scalars(known) for known in found.names]
+        columns = [vertices.scalars(name) for name in properties.names]
         # Opacity of the same type has the same full scale, which it mostly reaches.
-        is_alike = vertices.element.scalars.get(found.alpha) == found.type
-        known = [*columns, *([vertices.scalars(found.alpha)] if is_alike else [])]
-        largest = max(max(int(column.max()), -int(column.min())) for column in known)
-        is_intensity = found.names == (_INTENSITY,)
-        scale, notice = integer_scale(largest, found.type, is_intensity=is_intensity)
+        has_same_type = vertices.element.scalars.get(properties.alpha) == properties.type
+        with_alpha = [*columns, *([vertices.scalars(properties.alpha)] if has_same_type else [])]
+        largest = max(max(int(column.max()), -int(column.min())) for column in with_alpha)
+        is_intensity = properties.names == (_INTENSITY,)
+        scale, notice = integer_scale(largest, properties.type, is_intensity=is_intensity)
     for channel, column in enumerate(columns):
         values[:, channel] = column / scale
     return Colours(values, scale, notice)

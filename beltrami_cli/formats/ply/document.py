@@ -99,8 +99,10 @@ class PlyDocument(Document):
             return False
 
     def slots(self) -> tuple[Slot, ...]:
-        there = self._images and self._header.element("vertex") and texturing.find_coordinates(self._tables)
-        return ("baseColor",) if there else ()
+        has_textures = (
+            self._images and self._header.element("vertex") and texturing.find_coordinates(self._tables)
+        )
+        return ("baseColor",) if has_textures else ()
 
     def _undefined(self) -> Obstacle:
         return next((each.obstacle for each in self._images if each.obstacle), Obstacle("no face shows one"))
@@ -152,8 +154,8 @@ class PlyDocument(Document):
             if self._has_face_colours:
                 return ()
             colours = self._properties.names
-        others = tuple(name for name in self._kinds if name not in (*POSITION, *colours))
-        return (*(["normal"] if self._has_real_normals else []), *others)
+        scalars = tuple(name for name in self._kinds if name not in (*POSITION, *colours))
+        return (*(["normal"] if self._has_real_normals else []), *scalars)
 
     def _attribute(self, name: str) -> Float64s:
         names = NORMAL if name == "normal" else (name,)
@@ -195,14 +197,14 @@ class PlyDocument(Document):
         corners, offsets = self._coloured_faces
         sizes = np.diff(offsets)
         polygons = (self._positions, corners.astype(np.int64), sizes)
-        found = ColouredPolygons(*polygons, np.repeat(colours, sizes, axis=0), self._stored)
-        return colours_of_vertices(found)[0]
+        coloured = ColouredPolygons(*polygons, np.repeat(colours, sizes, axis=0), self._stored)
+        return colours_of_vertices(coloured)[0]
 
     def textured_mesh(self, colours: Float32s | None = None) -> MeshContents:
         used = self._converted | {*texturing.find_coordinates(self._tables)}
         dropped = _omitted(self._header, used, {texturing.NUMBER, *used})
-        others = self._header.comments > len(self._images)
-        left_out = [what for what in dropped if what != "comments" or others]
+        has_others = self._header.comments > len(self._images)
+        left_out = [what for what in dropped if what != "comments" or has_others]
         mesh = dataclasses.replace(self._scene.mesh(left_out), normals=self._normals())
         return with_vertex_colours(mesh, self, colours)
 
@@ -361,8 +363,8 @@ def _omitted(header: Header, of_vertices: Collection[str], of_faces: Collection[
     of_vertices, of_faces = ({name.partition(" ")[0] for name in names} for names in (of_vertices, of_faces))
     for element in header.elements:
         lists = VERTEX_LISTS.get(element.name, ())
-        known = of_vertices if element.name == "vertex" else (*lists, *of_faces)
-        unused = [other.name for other in element.properties if other.name not in known]
+        used = of_vertices if element.name == "vertex" else (*lists, *of_faces)
+        unused = [other.name for other in element.properties if other.name not in used]
         if element.name != "vertex" and element.name not in VERTEX_LISTS:
             dropped.append(f"element {element.name}")
         elif unused:

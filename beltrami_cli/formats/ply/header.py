@@ -43,11 +43,11 @@ class Element:
 
     @property
     def scalars(self) -> dict[str, str]:
-        return {known.name: known.type for known in self.properties if not known.count}
+        return {prop.name: prop.type for prop in self.properties if not prop.count}
 
     @property
     def lists(self) -> list[Property]:
-        return [known for known in self.properties if known.count]
+        return [prop for prop in self.properties if prop.count]
 
 
 @dataclass(frozen=True)
@@ -89,12 +89,12 @@ def read_header(data: bytes, name: str) -> Header:
                     comments += 1
                 case ["format", kind, "1.0"] if kind in _ENCODINGS and not encoding:
                     encoding = kind
-                case ["element", known, count]:
-                    _add_element(elements, known, count)
-                case ["property", "list", count, kind, known]:
-                    _add_property(elements, known, kind, count)
-                case ["property", kind, known]:
-                    _add_property(elements, known, kind)
+                case ["element", label, count]:
+                    _add_element(elements, label, count)
+                case ["property", "list", count, kind, label]:
+                    _add_property(elements, label, kind, count)
+                case ["property", kind, label]:
+                    _add_property(elements, label, kind)
                 case other if other != ["end_header"]:
                     raise ValueError(f"'{line.strip()[:60]}' is not understood")
         except ValueError as error:
@@ -124,7 +124,7 @@ def _add_property(elements: list[Element], name: str, kind: str, count: str = ""
     if count and TYPES[count][0] == "f":
         raise ValueError(f"the count of a list cannot be a {count}")
     element = elements[-1]
-    if any(known.name == name for known in element.properties):
+    if any(prop.name == name for prop in element.properties):
         raise ValueError(f"element '{element.name}' has two properties '{name}'")
     if len(element.properties) >= _MAX_DECLARATIONS:
         raise ValueError(f"element '{element.name}' has more than {_MAX_DECLARATIONS} properties")

@@ -47,11 +47,11 @@ def _vertex_lists(tables: Mapping[str, Table], element: str, name: str) -> tuple
     table = tables.get(element)
     if table is None or table.element.count == 0:
         return np.empty(0, np.int64), np.zeros(1, np.int64)
-    for known in table.element.lists:
-        if known.name in VERTEX_LISTS[element]:
-            if known.type[0] == "f":
-                raise InputError(name, f"the {known.name} of element '{element}' are not whole numbers")
-            return table.lists(known.name)
+    for prop in table.element.lists:
+        if prop.name in VERTEX_LISTS[element]:
+            if prop.type[0] == "f":
+                raise InputError(name, f"the {prop.name} of element '{element}' are not whole numbers")
+            return table.lists(prop.name)
     raise InputError(name, f"element '{element}' has no list vertex_indices")
 
 
@@ -76,10 +76,10 @@ def read_grid(header: bytes, tables: Mapping[str, Table]) -> Int64s | None:
         return _listed(tables[_ELEMENT], rows, columns, vertices)
     camera = tables.get("camera")
     if camera is not None and camera.element.count == 1 and not (rows and columns):
-        whole = {known for known, kind in camera.element.scalars.items() if kind[0] != "f"}
+        whole = {label for label, kind in camera.element.scalars.items() if kind[0] != "f"}
         columns, rows = 0, 0
         if whole.issuperset(_CAMERA):
-            columns, rows = (int(camera.scalars(known)[0]) for known in _CAMERA)
+            columns, rows = (int(camera.scalars(label)[0]) for label in _CAMERA)
     if min(rows, columns) < 2 or rows * columns != vertices:
         return None
     return np.arange(vertices).reshape(rows, columns)
@@ -92,10 +92,10 @@ def _listed(table: Table, rows: int, columns: int, vertices: int) -> Int64s:
         said = f"obj_info num_cols and num_rows say {columns} and {rows}"
         cause = f"element {_ELEMENT} has {places} places, but {said}"
         raise InputError(name, cause, "repair the header, or leave the element out")
-    known = next((p.name for p in table.element.lists if p.name in _LISTS), None)
-    if known is None:
+    listed = next((p.name for p in table.element.lists if p.name in _LISTS), None)
+    if listed is None:
         raise InputError(name, f"element {_ELEMENT} has no list vertex_indices")
-    items, offsets = table.lists(known)
+    items, offsets = table.lists(listed)
     lengths = np.diff(offsets)
     if items.size and (items.min() < 0 or items.max() >= vertices or lengths.max() > 1):
         raise InputError(name, f"element {_ELEMENT} names vertices that are not there, or several at a place")

@@ -117,7 +117,7 @@ class Table:
     @cached_property
     def _row_size(self) -> Int64s:
         """Units of every row, or of any row if all are equal: shape (N,) or (1,)."""
-        items = np.array([self.body.size(known.type) for known in self._lists], np.int64)
+        items = np.array([self.body.size(prop.type) for prop in self._lists], np.int64)
         counts = self.counts[:1] if self._has_equal_rows else self.counts
         return counts @ items + sum(self.body.size(p.count or p.type) for p in self.element.properties)
 
@@ -142,10 +142,10 @@ class Table:
     def _offset(self, name: str, counts: Int64s) -> Int64s:
         """Units between the start of a row and a property of it, shape (rows of counts,)."""
         offset, lists = np.zeros(len(counts), np.int64), 0
-        for known in takewhile(lambda known: known.name != name, self.element.properties):
-            offset += self.body.size(known.count or known.type)
-            if known.count:
-                offset += counts[:, lists] * self.body.size(known.type)
+        for prop in takewhile(lambda prop: prop.name != name, self.element.properties):
+            offset += self.body.size(prop.count or prop.type)
+            if prop.count:
+                offset += counts[:, lists] * self.body.size(prop.type)
                 lists += 1
         return offset
 
@@ -161,23 +161,23 @@ class Table:
         """Return some scalars of all rows, shape (N, len(names)); InputError if one is not finite."""
         values = np.empty((self.element.count, len(names)))
         with np.errstate(invalid="ignore"):  # Signalling NaNs warn when they are made wider.
-            for column, known in enumerate(names):
-                values[:, column] = self.scalars(known)
+            for column, name in enumerate(names):
+                values[:, column] = self.scalars(name)
         require_finite(values, self.body.name, f"the {what} of {self.element.name}")
         return values
 
     def lists(self, name: str) -> tuple[Array, Int64s]:
         """Return the items of a list property, rows one after the other, and its N + 1 offsets therein."""
-        known = next(known for known in self._lists if known.name == name)
-        lengths = self.counts[:, self._lists.index(known)]
+        prop = next(prop for prop in self._lists if prop.name == name)
+        lengths = self.counts[:, self._lists.index(prop)]
         offsets = np.append(0, np.cumsum(lengths))
         if offsets[-1] == 0:
-            return np.empty(0, known.type), offsets
-        size = self.body.size(known.type)
-        firsts = indices(self.places(name)) + self.body.size(known.count) - size * offsets[:-1]
+            return np.empty(0, prop.type), offsets
+        size = self.body.size(prop.type)
+        firsts = indices(self.places(name)) + self.body.size(prop.count) - size * offsets[:-1]
         units = np.repeat(firsts, lengths) + size * np.arange(offsets[-1])
         where = f"list '{name}' of element '{self.element.name}'"
-        return self.body.checked(self.body.view(known.type)[units], known.type, where), offsets
+        return self.body.checked(self.body.view(prop.type)[units], prop.type, where), offsets
 
 
 def with_channels(table: Table) -> Table:
@@ -187,19 +187,19 @@ def with_channels(table: Table) -> Table:
     """
     properties: list[Property] = []
     body, kept, lists = table.body, list[int](), 0
-    for known in table.element.properties:
-        word, channels = plain(known.name), list[Property]()
-        if known.count:
+    for prop in table.element.properties:
+        word, channels = plain(prop.name), list[Property]()
+        if prop.count:
             lengths = table.counts[:, lists]
             if word in COLOUR_PROPERTIES and 1 <= lengths.min() == lengths.max() <= 4:
-                channels = [Property(f"{known.name} count", known.count)]
-                channels += [Property(f"{known.name} {n}", known.type) for n in range(int(lengths[0]))]
+                channels = [Property(f"{prop.name} count", prop.count)]
+                channels += [Property(f"{prop.name} {n}", prop.type) for n in range(int(lengths[0]))]
             else:
                 kept.append(lists)
             lists += 1
-        elif word in _PACKED and np.dtype(known.type).itemsize == 4 and body.order:
-            channels = [Property(f"{known.name} {n}", "u1") for n in _PACKED_ORDER[body.order]]
-        properties += channels or [known]
+        elif word in _PACKED and np.dtype(prop.type).itemsize == 4 and body.order:
+            channels = [Property(f"{prop.name} {n}", "u1") for n in _PACKED_ORDER[body.order]]
+        properties += channels or [prop]
     element = replace(table.element, properties=tuple(properties))
     return Table(body, element, table.start, table.counts if len(kept) == lists else table.counts[:, kept])
 
@@ -218,7 +218,7 @@ def read_tables(data: bytes, header: Header, name: str) -> Mapping[str, Table]:
 def _list_lengths(body: Body, element: Element, start: int) -> Int64s:
     """Return the lengths of the L lists of every row, shape (N, L), checking that the body has the rows."""
     lists = len(element.lists)
-    least = sum(body.size(known.count or known.type) for known in element.properties)
+    least = sum(body.size(prop.count or prop.type) for prop in element.properties)
     if least * element.count > body.stop - start:
         raise _cut_off(body, element)
     if lists == 0 or element.count == 0:
@@ -226,8 +226,8 @@ def _list_lengths(body: Body, element: Element, start: int) -> Int64s:
     first = _walk(body, element, start, 1)
     uniform = Table(body, element, start, np.broadcast_to(first, (element.count, lists)))
     if uniform.stop <= body.stop and all(
-        (body.view(known.count)[uniform.places(known.name)] == first[0, number]).all()
-        for number, known in enumerate(element.lists)
+        (body.view(prop.count)[uniform.places(prop.name)] == first[0, number]).all()
+        for number, prop in enumerate(element.lists)
     ):
         return uniform.counts
     return _walk(body, element, start, element.count)
@@ -236,11 +236,11 @@ def _list_lengths(body: Body, element: Element, start: int) -> Int64s:
 def _walk(body: Body, element: Element, start: int, rows: int) -> Int64s:
     """Find the lists one by one in a loop, since the offset of a list depends on all lists before it."""
     steps, gap = [], 0
-    for known in element.properties:
-        size = body.size(known.count or known.type)
-        if known.count:
-            steps.append((gap, body.view(known.count).item, size, body.size(known.type)))
-        gap = 0 if known.count else gap + size
+    for prop in element.properties:
+        size = body.size(prop.count or prop.type)
+        if prop.count:
+            steps.append((gap, body.view(prop.count).item, size, body.size(prop.type)))
+        gap = 0 if prop.count else gap + size
     lengths = array("q")
     at = start
     try:

@@ -57,17 +57,19 @@ class TextureComment:
 
 def read_comments(header: bytes, folder: model_folder.ModelFolder) -> list[TextureComment]:
     """Return the comments that name images, in the order in which they are numbered."""
-    found = []
+    comments = []
     for match in _COMMENT.finditer(header):
         name = os.fsdecode(match[1])
         try:
             path, instead = folder.locate_similar(name, tiles=False)
-            found.append(TextureComment(name, path, *match.span(1), f"'{name}' {instead}" if instead else ""))
+            comments.append(
+                TextureComment(name, path, *match.span(1), f"'{name}' {instead}" if instead else "")
+            )
         except model_folder.UnfitReferenceError as error:
             why = Obstacle(f"'{name}' {error}", error.obstacle.remedy)
             notice = f"{why.cause}{model_folder.IGNORED}"
-            found.append(TextureComment(name, None, *match.span(1), notice, why))
-    return found
+            comments.append(TextureComment(name, None, *match.span(1), notice, why))
+    return comments
 
 
 def find_coordinates(tables: Mapping[str, Table]) -> tuple[str, ...]:
@@ -75,13 +77,13 @@ def find_coordinates(tables: Mapping[str, Table]) -> tuple[str, ...]:
     if tables.keys() >= {*_ARTEC}:
         return (_ARTEC_CORNERS,)
     lists = (
-        {known.name.lower(): known.name for known in tables["face"].element.lists} if "face" in tables else {}
+        {prop.name.lower(): prop.name for prop in tables["face"].element.lists} if "face" in tables else {}
     )
     if (found := next((lists[name] for name in _OF_FACES if name in lists), None)) is not None:
         return (found,)
-    known = {name.lower(): name for name in tables["vertex"].element.scalars}
-    names = next((names for names in _OF_VERTICES if known.keys() >= {*names}), ())
-    return tuple(known[name] for name in names)
+    scalars = {name.lower(): name for name in tables["vertex"].element.scalars}
+    names = next((names for names in _OF_VERTICES if scalars.keys() >= {*names}), ())
+    return tuple(scalars[name] for name in names)
 
 
 def read_scene(

@@ -96,9 +96,9 @@ def _vertex_element(
     columns: Sequence[tuple[str, ...]], blocks: Sequence[Array | None]
 ) -> tuple[list[str], NDArray[np.void]]:
     """Return the lines and the rows of the vertex element; `blocks` of None are left out."""
-    there = [(names, values) for names, values in zip(columns, blocks, strict=True) if values is not None]
-    fields = {name: column for names, values in there for name, column in zip(names, values.T, strict=True)}
-    count = len(there[0][1])
+    given = [(names, values) for names, values in zip(columns, blocks, strict=True) if values is not None]
+    fields = {name: column for names, values in given for name, column in zip(names, values.T, strict=True)}
+    count = len(given[0][1])
     rows = np.empty(count, [(name, f"<{column.dtype.str[1:]}") for name, column in fields.items()])
     for name, column in fields.items():
         rows[name] = column

@@ -80,12 +80,12 @@ class SceneContents:
     variants: tuple[str, ...]
 
     @classmethod
-    def from_json(cls, found: Mapping[str, Any]) -> SceneContents:
+    def from_json(cls, answer: Mapping[str, Any]) -> SceneContents:
         """Make the record from what `dataclasses.asdict` made of it and JSON left of that."""
         records = {
-            "uses": tuple(TextureUse(**{**each, "wrap": tuple(each["wrap"])}) for each in found["uses"]),
-            "materials": tuple(MaterialInputs(**each) for each in found["materials"]),
-            "blocks": tuple(ColourBlock(**each) for each in found["blocks"]),
+            "uses": tuple(TextureUse(**{**each, "wrap": tuple(each["wrap"])}) for each in answer["uses"]),
+            "materials": tuple(MaterialInputs(**each) for each in answer["materials"]),
+            "blocks": tuple(ColourBlock(**each) for each in answer["blocks"]),
         }
-        names = {key: tuple(found[key]) for key in ("meshes", "slots", "others", "variants")}
-        return cls(**{**found, **names, **records})
+        names = {key: tuple(answer[key]) for key in ("meshes", "slots", "others", "variants")}
+        return cls(**{**answer, **names, **records})

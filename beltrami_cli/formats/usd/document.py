@@ -115,8 +115,8 @@ class UsdDocument(Document):
         if not len(arrays.get("sizes", ())):
             raise InputError(self.name, "it has no polygons, so there is nothing to show a texture")
         require_finite(arrays["positions"], self.name, "the place of vertex")
-        known, corners, images = contents.materials, arrays["corners"].astype(np.int32), self._images
-        maps: list[dict[Slot, ShownMap]] = [{} for _ in (*known, None)]
+        materials, corners, images = contents.materials, arrays["corners"].astype(np.int32), self._images
+        maps: list[dict[Slot, ShownMap]] = [{} for _ in (*materials, None)]
         for use in contents.uses:
             obstacle = images.obstacles.get(use.file, Obstacle(""))
             shown = ShownMap(use.file, images.paths.get(use.file), obstacle, use.wrap)
@@ -127,8 +127,8 @@ class UsdDocument(Document):
             positions=arrays["positions"],
             corners=corners,
             offsets=np.concatenate([[0], np.cumsum(arrays["sizes"])]),
-            material_of=np.where(arrays["material_of"] < 0, len(known), arrays["material_of"]),
-            materials=[*(inputs.material() for inputs in known), Material()],
+            material_of=np.where(arrays["material_of"] < 0, len(materials), arrays["material_of"]),
+            materials=[*(inputs.material() for inputs in materials), Material()],
             maps=maps,
             uv=lambda slot: arrays.get("uv" if slot is None else f"uv {slot}", bare),
             tiles=self._layers.folder.tiles,
@@ -174,7 +174,7 @@ class UsdDocument(Document):
             "normals": np.isfinite(arrays["normals"]).any(),
         }
         alpha = arrays["opacity"].clip(0, 1).astype(np.float32) if counts.get("transparent") else None
-        left_out = (*(what for what, found in losses.items() if found), *self._omitted())
+        left_out = (*(what for what, is_lost in losses.items() if is_lost), *self._omitted())
         return dataclasses.replace(mesh, alpha=alpha, left_out=left_out)
 
     def textured_mesh(self, colours: Float32s | None = None) -> MeshContents:
@@ -197,9 +197,9 @@ class UsdDocument(Document):
         named = self._images.files()
         package = self._layers.package
         if package is not None:
-            known = {*named.values(), *package.layers}
-            others = [each for each in package.members if each not in known]
-            parts |= {f"file {name}": package.read(name) for name in others}
+            described = {*named.values(), *package.layers}
+            further = [each for each in package.members if each not in described]
+            parts |= {f"file {name}": package.read(name) for name in further}
         colours = {"vertex colours": self._coloured_vertices.colours} if self.has_vertex_colours() else {}
         faults = package.faults() if package is not None else ()
         return Fingerprint(parts, colours, labelled(named, self._layers.image), faults)

@@ -119,13 +119,13 @@ def _in_binary(data: bytes, colours: Sequence[Change]) -> bytes | None:
 
 def _in_text(data: bytes, colours: Sequence[Change], names: Sequence[tuple[str, str]]) -> bytes | None:
     """Replace the vectors that changed, and asset paths (between @)."""
-    found = [(match.span(1), [*_VECTOR.finditer(match[1])]) for match in _COLOURS.finditer(data)]
+    stored = [(match.span(1), [*_VECTOR.finditer(match[1])]) for match in _COLOURS.finditer(data)]
     spans: Spans = {}
     for before, after in colours:
-        fits = next((k for k, (_, each) in enumerate(found) if len(each) == len(before) == len(after)), None)
+        fits = next((k for k, (_, each) in enumerate(stored) if len(each) == len(before) == len(after)), None)
         if fits is None:
             return None
-        (start, _), vectors = found.pop(fits)
+        (start, _), vectors = stored.pop(fits)
         changed = np.flatnonzero((before != after).any(axis=1)).tolist()
         spans |= {(start + vectors[k].start(), start + vectors[k].end()): _spelled(after[k]) for k in changed}
     for old, new in names:

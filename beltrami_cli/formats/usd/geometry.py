@@ -87,19 +87,19 @@ class Geometry:
     def _materials_of(self, prim: Any, count: int) -> Int64s:
         """Return the numbers of the materials that are bound to the polygons of a mesh, or to subsets of these."""
         binding = UsdShade.MaterialBindingAPI(prim)
-        found = np.full(count, self._material(binding.ComputeBoundMaterial()[0]))
+        number_of = np.full(count, self._material(binding.ComputeBoundMaterial()[0]))
         for subset in binding.GetMaterialBindSubsets():
             bound = UsdShade.MaterialBindingAPI(subset.GetPrim()).ComputeBoundMaterial()[0]
             chosen = np.array(subset.GetIndicesAttr().Get() or [], np.int64)
-            found[chosen[(chosen >= 0) & (chosen < count)]] = self._material(bound)
-        return found
+            number_of[chosen[(chosen >= 0) & (chosen < count)]] = self._material(bound)
+        return number_of
 
     def _coordinates(self, prim: Any, polygons: _Polygons, materials: Int64s) -> dict[str, Array]:
         """Return the texture coordinates of corners in every slot, and the usual ones."""
         plain, bare = _coordinates(prim, AS_STORED, polygons), np.full((len(polygons.vertex), 2), np.nan)
-        found: dict[str, Array] = {"uv": bare if plain is None else plain}
+        arrays: dict[str, Array] = {"uv": bare if plain is None else plain}
         for slot in INPUTS:
-            uv = found[f"uv {slot}"] = bare.copy()
+            uv = arrays[f"uv {slot}"] = bare.copy()
             for number in np.unique(materials[materials >= 0]).tolist():
                 shown = self.images[number].get(slot)
                 if shown is None:
@@ -111,7 +111,7 @@ class Geometry:
                     continue
                 in_chosen = np.repeat(materials == number, polygons.sizes)
                 uv[in_chosen] = coordinates[in_chosen]
-        return found
+        return arrays
 
     def _material(self, material: Any) -> int:
         if not material:

@@ -87,9 +87,9 @@ class Images:
             for attribute in sorted(self._attributes(path) - {use.attribute for use in self._contents.uses}):
                 names.note_stale_use(attribute, path)
             new = self._new_path(path, dict(changed), names, is_replaced=is_replaced)
-            own = new_files(path, new, self._layers.folder.tiles)
-            names.sidecars |= {own.pop(file): image.content for file, image in changed}
-            names.copied |= {file: old for old, file in own.items() if file != old}
+            new_of = new_files(path, new, self._layers.folder.tiles)
+            names.sidecars |= {new_of.pop(file): image.content for file, image in changed}
+            names.copied |= {file: old for old, file in new_of.items() if file != old}
             if new != path:
                 start = posixpath.dirname(self._layers.root) or "."
                 renamed |= dict.fromkeys(attributes, "./" + posixpath.relpath(new, start))
@@ -102,8 +102,8 @@ class Images:
     ) -> str:
         """Return the path of a new image or tile set: in a package the old path, if the type is the same."""
         suffixes = {image.suffix for image in new.values()}
-        known = {format_of(self._layers.image(file), file) for file in new}
-        stays = {format_of_suffix(suffix) for suffix in suffixes} == known
+        formats = {format_of(self._layers.image(file), file) for file in new}
+        stays = {format_of_suffix(suffix) for suffix in suffixes} == formats
         if self._layers.package is not None and is_replaced and stays:
             return path
         unfit = suffixes - {*IMAGES}

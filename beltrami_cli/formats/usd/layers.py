@@ -64,10 +64,10 @@ class Layers:
     def scene(self) -> tuple[SceneContents, dict[str, Array]]:
         """Read the scene, with all layers that it needs."""
         while True:
-            found, arrays = self.ask({"task": "read"}, {})
-            if "needs" not in found:
-                return SceneContents.from_json(found), arrays
-            for layer, path in found["needs"]:
+            answer, arrays = self.ask({"task": "read"}, {})
+            if "needs" not in answer:
+                return SceneContents.from_json(answer), arrays
+            for layer, path in answer["needs"]:
                 if (layer, path) in self.refused:  # usd-core asks for it again, so it is needed
                     raise InputError(self.name, f"its layer {path[:80]!r} cannot be left out", _EXPORT)
                 self._fetch(layer, path)
@@ -119,12 +119,12 @@ class Layers:
     def locate(self, path: str) -> str:
         """Return the path of a file or tile set that the scene refers to; UnfitReferenceError if it cannot be used."""
         if self.package is None:
-            found = self.folder.locate_any(path)
-            if is_outside(found):
+            located = self.folder.locate_any(path)
+            if is_outside(located):
                 cause = "lies outside the model's folder, and USD files there are not read"
                 remedy = "copy all files of the scene into one folder, or write it as one package (usdzip)"
                 raise UnfitReferenceError(cause, remedy)
-            return found
+            return located
         if has_token(path):
             pattern, names = PurePosixPath(path), map(PurePosixPath, self.package.members)
             tiles = found_tiles(pattern.name, [each.name for each in names if each.parent == pattern.parent])
@@ -179,8 +179,8 @@ def _carry_out(order: dict[str, Any], arrays: dict[str, Array]) -> Message:
 
 def _first_message(error: str, folder: str) -> str:
     """Return the first message of an error, without C++ namespaces and the path of the temporary folder."""
-    found = re.search(r" at line \d+ in file \S+ : '(.*?)'(?:\s*Error in '|\s*$)", error, re.DOTALL)
-    message = error if found is None else found[1]
+    match = re.search(r" at line \d+ in file \S+ : '(.*?)'(?:\s*Error in '|\s*$)", error, re.DOTALL)
+    message = error if match is None else match[1]
     return re.sub(r"pxrInternal_\w+::|" + re.escape(f"{folder}{os.sep}"), "", message)
 
 

@@ -93,12 +93,12 @@ def read_material(material: Any) -> tuple[MaterialInputs, dict[Slot, ShownImage]
         if len(numbers) == (3 if name in _COLOURS else 1):
             inputs.values[name] = numbers if name in _COLOURS else numbers[0]
     for slot, names in INPUTS.items():
-        found = [shown for name in names if (shown := _image_at(surface, name)) is not None]
-        outputs = tuple(shown.output for shown in found)
-        is_one = len(found) == len(names) and len({shown.shader for shown in found}) == 1
+        shown_images = [shown for name in names if (shown := _image_at(surface, name)) is not None]
+        outputs = tuple(shown.output for shown in shown_images)
+        is_one = len(shown_images) == len(names) and len({shown.shader for shown in shown_images}) == 1
         if is_one and outputs == _CHANNELS.get(slot, outputs):
-            images[slot] = found[0]
-        elif found:
+            images[slot] = shown_images[0]
+        elif shown_images:
             inputs.lost.append(f"{slot} maps{_UNFIT}")
     opacity, base = _image_at(surface, "opacity"), images.get("baseColor")
     if opacity is not None:
@@ -136,14 +136,14 @@ def _of_materialx(material: Any) -> dict[Slot, ShownImage]:
     """Return the colour images of a MaterialX surface, by slot."""
     surface = material.ComputeSurfaceSource("mtlx")[0]
     inputs = _MTLX.get(str(surface.GetIdAttr().Get()), {}) if surface else {}
-    found = {slot: _image_at(surface, name) for slot, name in inputs.items()}
-    return {slot: shown for slot, shown in found.items() if shown is not None}
+    shown_in = {slot: _image_at(surface, name) for slot, name in inputs.items()}
+    return {slot: shown for slot, shown in shown_in.items() if shown is not None}
 
 
 def _sources(shader: Any, name: str) -> list[Any]:
     """Return the attributes that give an input its value, through node graphs and materials."""
-    found = shader.GetInput(name)
-    return list(found.GetValueProducingAttributes()) if found else []
+    given = shader.GetInput(name)
+    return list(given.GetValueProducingAttributes()) if given else []
 
 
 def _floats(shader: Any, name: str) -> list[float]:
@@ -191,11 +191,11 @@ def _image_at(surface: Any, name: str) -> ShownImage | None:
 
 def _wraps(shader: Any, *, is_mtlx: bool) -> tuple[Wrap, Wrap]:
     """Return the wrap modes of an image along u and v."""
-    names, known, usual = ("wrapS", "wrapT"), _WRAPS, "clamp"
+    names, modes_of, usual = ("wrapS", "wrapT"), _WRAPS, "clamp"
     if is_mtlx:
-        names, known, usual = ("uaddressmode", "vaddressmode"), _MTLX_WRAPS, "repeat"
+        names, modes_of, usual = ("uaddressmode", "vaddressmode"), _MTLX_WRAPS, "repeat"
     u, v = (_sources(shader, name)[:1] for name in names)
-    modes: list[Any] = [known.get(str(each[0].Get()), "clamp") if each else usual for each in (u, v)]
+    modes: list[Any] = [modes_of.get(str(each[0].Get()), "clamp") if each else usual for each in (u, v)]
     return modes[0], modes[1]
 
 
@@ -224,10 +224,10 @@ def _mapping_of(shader: Any) -> UvMapping | None:
     matrix, offset = np.eye(2), np.zeros(2)
     chain, name = shader, "st"
     for _ in range(_MAX_TRANSFORMS):
-        found = _sources(chain, name)
-        if not found:
+        sources = _sources(chain, name)
+        if not sources:
             return None
-        chain, name = UsdShade.Shader(found[0].GetPrim()), "in"
+        chain, name = UsdShade.Shader(sources[0].GetPrim()), "in"
         kind = chain.GetIdAttr().Get()
         if kind == "UsdPrimvarReader_float2":
             names = _sources(chain, "varname")
@@ -239,8 +239,8 @@ def _mapping_of(shader: Any) -> UvMapping | None:
         turns = _sources(chain, "rotation")
         angle = np.deg2rad(float(turns[0].Get())) if turns else 0.0
         turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-        own = np.diag(scale) @ turn
-        matrix, offset = own @ matrix, move @ matrix + offset
+        step = np.diag(scale) @ turn
+        matrix, offset = step @ matrix, move @ matrix + offset
     return None
 
 

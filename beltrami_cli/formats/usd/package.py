@@ -48,17 +48,17 @@ class Package(Archive):
 
     def faults(self) -> list[str]:
         """Return violations of USDZ packing, one sentence each; readers that map packages into memory fail on them."""
-        found = []
+        violations = []
         for entry in self.entries:
             *_, name_size, extra_size = _LOCAL_HEADER.unpack_from(self._data, entry.header_offset)
             start = entry.header_offset + _LOCAL_HEADER.size + name_size + extra_size
             if entry.compress_type:
-                found.append(f"{entry.filename} is compressed")
+                violations.append(f"{entry.filename} is compressed")
             elif start % _ALIGNMENT:
-                found.append(f"{entry.filename} does not start at a multiple of {_ALIGNMENT} bytes")
+                violations.append(f"{entry.filename} does not start at a multiple of {_ALIGNMENT} bytes")
             if not entry.filename.lower().endswith((*LAYERS, *IMAGES, *_SOUNDS)):
-                found.append(f"{entry.filename} is of a type that no package may hold")
-        return found
+                violations.append(f"{entry.filename} is of a type that no package may hold")
+        return violations
 
     def packed(self, new: Mapping[str, Bytes]) -> list[Bytes]:
         """Return the package with new files: replacements keep their place, others are appended."""

@@ -79,10 +79,10 @@ def text(order: dict[str, Any], _: dict[str, Array]) -> tuple[str, dict[str, Arr
     for path in dict.fromkeys(paths):
         for spec in stage.GetAttributeAtPath(path).GetPropertyStack():
             # Several instances have the same one.
-            if spec.layer == stage.GetRootLayer() and (own := bare.GetPropertyAtPath(spec.path)):
-                own.ClearInfo("default")
-                if own.owner.specifier == Sdf.SpecifierOver:
-                    own.owner.RemoveProperty(own)
+            if spec.layer == stage.GetRootLayer() and (copied := bare.GetPropertyAtPath(spec.path)):
+                copied.ClearInfo("default")
+                if copied.owner.specifier == Sdf.SpecifierOver:
+                    copied.owner.RemoveProperty(copied)
     bare.RemoveInertSceneDescription()  # overrides that hold nothing else
     # Damaged layers may hold strings that are not UTF-8, which `ExportToString` refuses.
     with tempfile.TemporaryDirectory() as folder:

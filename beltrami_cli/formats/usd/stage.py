@@ -62,12 +62,12 @@ def placed(layer: str, path: str) -> str:
 
 def files_of(prim: Any) -> dict[str, str]:
     """Return the files that a prim refers to, by attribute."""
-    found = {}
+    files = {}
     for attribute in prim.GetAuthoredAttributes():
         value: Any = attribute.Get() if attribute.GetTypeName() == "asset" else None
         if getattr(value, "path", ""):
-            found[str(attribute.GetPath())] = placed(layer_of(attribute), value.path)
-    return found
+            files[str(attribute.GetPath())] = placed(layer_of(attribute), value.path)
+    return files
 
 
 def files_in_variants(stage: Any, layers: list[str]) -> dict[str, str]:
@@ -80,7 +80,7 @@ def files_in_variants(stage: Any, layers: list[str]) -> dict[str, str]:
         if attribute.GetTypeName() == "asset"
         for spec in attribute.GetPropertyStack()
     }
-    found: dict[str, str] = {}
+    files: dict[str, str] = {}
 
     def take(layer: Any, name: str, path: Any) -> None:
         is_shown = not path.ContainsPrimVariantSelection() or (layer, path) in shown
@@ -88,12 +88,12 @@ def files_in_variants(stage: Any, layers: list[str]) -> dict[str, str]:
         value: Any = spec.default if spec and spec.HasInfo("default") else None
         if isinstance(value, Sdf.AssetPath) and value.path:
             where = "" if layer == stage.GetRootLayer() else name  # independent of the name of the root layer
-            found[f"{where}{path}"] = placed(name, value.path)
+            files[f"{where}{path}"] = placed(name, value.path)
 
     for name in layers:
         layer = Sdf.Layer.FindOrOpen(str(Path.cwd() / name))
         layer.Traverse("/", partial(take, layer, name))
-    return found
+    return files
 
 
 def layer_of(attribute: Any) -> str:
