@@ -23,7 +23,7 @@ from beltrami_cli.flow.manifolds.grid_manifold import (
 )
 from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.plan import Plan, choose_parameters
+from beltrami_cli.flow.plan import Plan, choose_parameters, should_stay
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas, texels_by_texture
 
@@ -44,10 +44,11 @@ def plan_on_canvas(
         reading = colours.noise.reading
         decoded = _decode_in_place(canvas, colours, pictures, sigma, tick)
         plan = choose_parameters(grid_manifold(canvas, decoded.colours), tick)
-        if plan.parameters.iterations:
-            return plan.with_noise(decoded.stored_noise, reading)
+        plan = plan.with_noise(decoded.stored_noise, reading)
+        if plan.parameters.iterations and not should_stay(plan.choice, canvas.parameters):
+            return plan
         colours = estimate_on_canvas(canvas)  # without iterations, stored colours stay unchanged
-    return choose_parameters(grid_manifold(canvas, colours), tick, light_in=canvas.light)
+    return choose_parameters(grid_manifold(canvas, colours), tick, light_in=canvas.light, can_stay=True)
 
 
 def decodes_again(wanted: KernelParameters) -> bool:

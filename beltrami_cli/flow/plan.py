@@ -82,13 +82,15 @@ class Plan(Generic[AnyManifold]):
 
 
 def choose_parameters(
-    manifold: AnyManifold, tick: Callable[[], None] | None = None, *, light_in: Space | None = None
-) -> Plan[AnyManifold]:
+    manifold: AnyManifold, tick: Callable[[], None] | None = None, *,
+    light_in: Space | None = None, can_stay: bool = False,
+) -> Plan[AnyManifold]:  # fmt: skip
     """Choose the free parameters of a manifold so that the estimated error of the result is least.
 
     If patches follow, the colours of the plan are without the noise that neighbouring samples share, except at the
     finest scale. `tick` is called often, and may raise to stop. `light_in` is the space of colours that stand for
-    light. Their mean radiance is preserved, unless beta is given.
+    light. Their mean radiance is preserved, unless beta is given. `can_stay`: plan no iteration, except that outliers
+    are replaced, for colours that `should_stay`.
     """
     light, moves = None, manifold.moving is not None
     if light_in is not None and manifold.parameters.stabilises_noise:
@@ -100,13 +102,15 @@ def choose_parameters(
             raise UsageError("vertices are not moved in pieces; leave out --pieces, or --smooth-geometry")
         # Positions share the iterations, and the best parameters of colours are too strong for them.
         manifold = manifold.with_parameters(free=())
-    wanted, noise = manifold.parameters, manifold.noise
+    given, wanted, noise = manifold, manifold.parameters, manifold.noise
     noisy = is_noisy(noise.of_input)
     takes_patches = wanted.takes_patches and noisy and not moves
     if takes_patches and noise.is_shared:
         manifold, chosen, choice = _choose_without_shared_noise(manifold, tick)
     else:
         chosen, choice = tune(manifold, noisy=noisy, tick=tick)
+    if can_stay and should_stay(choice, wanted):
+        manifold, chosen = given, dataclasses.replace(chosen, iterations=0, clipping="keep")
     work = manifold.geometry.work(manifold.unit)
     chosen = work.bounded(chosen)
     work.announce(chosen)
@@ -116,6 +120,12 @@ def choose_parameters(
         described_noise=noise_as_read.described(), reading=noise.reading, choice=choice,
         takes_patches=takes_patches and chosen.iterations > 0, light=light,
     )  # fmt: skip
+
+
+def should_stay(choice: Choice | None, wanted: KernelParameters) -> bool:
+    """Whether a result is estimated to be worse than the input, and no option asks for smoothing all the same."""
+    insists = "iterations" not in wanted.free or wanted.given_noise is not None or wanted.strength > 1
+    return not insists and choice is not None and choice.gain is not None and choice.gain < 0
 
 
 def _choose_without_shared_noise(

@@ -13,6 +13,7 @@ from beltrami_cli.flow.beltrami_flow import smooth_in_place
 from beltrami_cli.flow.choice.choice import Choice
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Resources
 from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.flow.plan import should_stay
 from beltrami_cli.formats.output_format import OutputFormat
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.progress import Label
@@ -46,17 +47,11 @@ def smooth_layer(
     """
     layer = layer.normalised()
     plan = layer.plan(tick, resources)
-    stays = _should_stay(plan.choice, layer.settings.kernel)
-    if stays:
-        # Outliers are replaced all the same.
-        kernel = dataclasses.replace(layer.settings.kernel, free=(), patches="off")
-        layer = dataclasses.replace(layer, settings=dataclasses.replace(layer.settings, kernel=kernel))
-        plan = dataclasses.replace(layer.plan().stopped_before(0), choice=plan.choice)
     result = smooth_in_place(plan, progress)
     report, new = layer.report(plan, result), result.manifold.new_colours()
     warnings = report.warnings(plan.parameters.max_samples)
     is_smoothed = plan.parameters.iterations > 0 or bool(plan.outliers.get("replaced"))
-    if stays:
+    if should_stay(plan.choice, layer.kernel):
         warnings.append(f"{layer.label}: smoothing was estimated to make the colours worse, so they stay.")
     choice = None if result.choice is None else result.choice.in_unit(layer.unit)
     samples_per_kernel = result.samples_per_kernel
@@ -71,12 +66,6 @@ def smooth_layer(
 
 def unsmoothed(kernel: KernelParameters) -> KernelParameters:
     return dataclasses.replace(kernel, iterations=0, free=(), patches="off")
-
-
-def _should_stay(choice: Choice | None, given: KernelParameters) -> bool:
-    """Whether a result is estimated to be worse than the input, and no option asks for smoothing all the same."""
-    is_asked_for = "iterations" not in given.free or given.given_noise is not None or given.strength > 1
-    return not is_asked_for and choice is not None and choice.gain is not None and choice.gain < 0
 
 
 def smooth_in_job(layer: Layer, job: Job, label: str) -> Smoothed:

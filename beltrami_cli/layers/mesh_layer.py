@@ -104,7 +104,7 @@ class MeshLayer(VertexLayer):
             deviations=None if self.deviations is None else sampling.means(self.deviations), is_light=self._is_light,
             resources=resources,
         )  # fmt: skip
-        return choose_parameters(mesh_manifold(mesh, estimate_on_mesh(mesh)), tick)
+        return choose_parameters(mesh_manifold(mesh, estimate_on_mesh(mesh)), tick, can_stay=True)
 
     def report(self, plan: Plan[MeshManifold], result: FlowResult[MeshManifold]) -> VertexReport:
         counts: dict[str, float] = {"triangles": len(self.vertices.faces)}

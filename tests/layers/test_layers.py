@@ -7,6 +7,7 @@ import pytest
 
 from beltrami_cli import KernelParameters, SmoothSettings
 from beltrami_cli.errors import UsageError
+from beltrami_cli.flow import estimation, plan
 from beltrami_cli.formats.access import DEFAULT_ACCESS
 from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.inspect import describe_exposure
@@ -82,3 +83,26 @@ def test_a_layer_without_charts_is_described_without_exposure(layer):
     with pytest.raises(UsageError, match="no charts"):
         layer.levelled(LevelSettings())
     assert describe_exposure(layer) is None
+
+
+@pytest.mark.parametrize("layer", ["picture.png", "grid.npz", "points.npz"], indirect=True)
+def test_colours_stay_that_smoothing_would_make_worse(layer, monkeypatch):
+    """The noise is estimated once; parameters are those that were chosen."""
+    tune, estimate, estimates = plan.tune, estimation.estimate_noise, []
+
+    def pessimistic(*arguments, **options):
+        chosen, choice = tune(*arguments, **options)
+        return replace(chosen, iterations=3), replace(choice, gain=-1.0)
+
+    def counted(*arguments, **options):
+        estimates.append(arguments)
+        return estimate(*arguments, **options)
+
+    monkeypatch.setattr(plan, "tune", pessimistic)
+    monkeypatch.setattr(estimation, "estimate_noise", counted)
+    done = smooth_layer(replace(layer, settings=SmoothSettings()))
+    assert done.stored.change.largest == 0
+    assert done.report.iterations == 0
+    assert done.choice.gain == -1
+    assert any("so they stay" in warning for warning in done.warnings)
+    assert len(estimates) == 1
