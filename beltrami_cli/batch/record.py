@@ -44,7 +44,7 @@ class Record:
             what="report",
             is_own=lambda head: _HEAD.match(head) is not None,
         )
-        self._latest = _read_record(path) if resume and is_there(path) else {}
+        self._latest = read_outcomes(path) if resume and is_there(path) else {}
         self.close([])  # removes the incomplete line of an interrupted run
         self._output.overwrite = True  # from now on this run may replace it
 
@@ -98,7 +98,7 @@ def _line(outcome: Outcome) -> str:
     return json.dumps(dataclasses.asdict(outcome)) + "\n"
 
 
-def _read_record(path: str) -> dict[str, Outcome]:
+def read_outcomes(path: str) -> dict[str, Outcome]:
     """Return the last line of each output; the last line of the file may be incomplete after an interruption."""
     latest: dict[str, Outcome] = {}
     try:

@@ -39,7 +39,7 @@ class CloudView:
         chosen = np.flatnonzero(near)
         # Farthest first, so that the nearest is written last and stays.
         chosen = chosen[np.lexsort((chosen, -depths[chosen]))]
-        image = _discs(at[chosen], radii[chosen], self._colours[chosen], (width, height))
+        image = draw_discs(at[chosen], radii[chosen], self._colours[chosen], (width, height))
         return np.asarray(image.reshape(size[1], SAMPLES, size[0], SAMPLES, 4).mean(axis=(1, 3)), np.float32)
 
 
@@ -57,7 +57,7 @@ def disc_radii(positions: Float64s) -> Float64s:
     return np.asarray(limited[which.reshape(-1)], np.float64)
 
 
-def _discs(at: Float64s, radii: Float64s, colours: Float32s, size: tuple[int, int]) -> Float32s:
+def draw_discs(at: Float64s, radii: Float64s, colours: Float32s, size: tuple[int, int]) -> Float32s:
     """Return discs drawn over each other, (height, width, 4); later ones are nearer and hide earlier ones."""
     width, height = size
     front = np.full(height * width, -1, np.int64)  # index of the visible disc

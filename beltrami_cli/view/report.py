@@ -64,7 +64,7 @@ def report_file(
         raise UsageError(f"the report is a page; end its name in {' or '.join(pages.PAGES)}", target)
     access = output.files.watching(job.access)
     job = dataclasses.replace(job, access=access)
-    used = None if parameters is None else _parameters(parameters, access)
+    used = None if parameters is None else read_parameters(parameters, access)
     documents = open_both((before, after), settings, job)
     compared = compare_documents(
         documents, settings, "uniform", job, ["counting changes", "drawing seams", "packing models"]
@@ -105,7 +105,7 @@ def _page(
     return page_with({"models": models}, notices), notices
 
 
-def _parameters(path: str, access: Access) -> dict[str, Any]:
+def read_parameters(path: str, access: Access) -> dict[str, Any]:
     """Return tables of the parameters in a report of `smooth`."""
     try:
         return used_parameters(parse_json(text_in(io.BytesIO(read_source(path, access)), REPORT)))

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from beltrami_cli.formats.foreign_library import ForeignLibrary
-from beltrami_cli.formats.usd.layers import _carry_out
+from beltrami_cli.formats.usd.layers import carry_out
 
 
 @pytest.fixture
@@ -17,7 +17,7 @@ def usd_core_here(monkeypatch):
     def ask(_, question, *__):
         words, arrays = question
         with contextlib.chdir(Path.cwd()):  # the module goes to the folder of the layers
-            words, arrays = _carry_out(as_json(words), arrays)
+            words, arrays = carry_out(as_json(words), arrays)
         return as_json(words), arrays
 
     monkeypatch.setattr(ForeignLibrary, "ask", ask)

@@ -14,7 +14,7 @@ import numpy as np
 from beltrami_cli import smooth
 from beltrami_cli.batch.item import Item
 from beltrami_cli.batch.plan import plan
-from beltrami_cli.batch.record import _read_record, is_done, is_own_output
+from beltrami_cli.batch.record import is_done, is_own_output, read_outcomes
 from beltrami_cli.cli.batch import batch
 from beltrami_cli.cli.batch_items import item_with
 from beltrami_cli.cli.configuration import load
@@ -30,7 +30,7 @@ from beltrami_cli.formats.usd.package import Package
 from beltrami_cli.formats.volume import is_volume, read_volume
 from beltrami_cli.layers.settings import DEFAULTS
 from beltrami_cli.surface.records import ImageFile
-from beltrami_cli.view.report import _parameters
+from beltrami_cli.view.report import read_parameters
 
 SEPARATOR = b"\n=== "
 """Between the files of a model: behind it stands the name of the next one, up to the end of the line."""
@@ -211,7 +211,7 @@ def read_record(data):
     """Read a record, and see whether it says that files are done, or may be replaced."""
     with _written("batch.jsonl", data) as path:
         item = Item(str(path.with_name("a.ply")), str(path.with_name("b.ply")), DEFAULTS)
-        for outcome in _read_record(str(path)).values():
+        for outcome in read_outcomes(str(path)).values():
             assert not is_done(item, outcome)
             is_own_output(outcome)
 
@@ -219,7 +219,7 @@ def read_record(data):
 def read_report(data):
     """Read the report of a run as a page shows it."""
     with _written("run.json", data) as path:
-        assert "<script" not in _parameters(str(path), Access())
+        assert "<script" not in read_parameters(str(path), Access())
 
 
 def named(name):

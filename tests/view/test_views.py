@@ -10,7 +10,7 @@ from beltrami_cli.surface.geometry import triangle_areas
 from beltrami_cli.surface.records import Texture, TexturedSurface
 from beltrami_cli.view.arranging import Panel, arranged, displayed
 from beltrami_cli.view.cameras import fitted, framed, orientation, within_reach
-from beltrami_cli.view.cloud_view import CloudView, _discs
+from beltrami_cli.view.cloud_view import CloudView, draw_discs
 from beltrami_cli.view.image_view import ImageView
 from beltrami_cli.view.panels import draw_views, is_lost_on_white, most_detailed_window
 from beltrami_cli.view.render import distinct_labels
@@ -320,4 +320,4 @@ def test_discs_of_any_size_cover_the_samples_within_their_radius():
     expected = np.zeros((70, 80, 4), np.float32)
     for place, radius, colour in zip(at, radii, colours, strict=True):
         expected[(x - place[0]) ** 2 + (y - place[1]) ** 2 <= radius**2] = [*colour, 1]
-    assert np.array_equal(_discs(at, radii, colours, (80, 70)), expected)
+    assert np.array_equal(draw_discs(at, radii, colours, (80, 70)), expected)

@@ -162,7 +162,7 @@ class UsdError(Exception):
     """An error that usd-core reports for a layer."""
 
 
-def _carry_out(order: dict[str, Any], arrays: dict[str, Array]) -> Message:
+def carry_out(order: dict[str, Any], arrays: dict[str, Array]) -> Message:
     from pxr import Tf
 
     from beltrami_cli.formats.usd import editing, reading
@@ -185,4 +185,4 @@ def _first_message(error: str, folder: str) -> str:
 
 
 if __name__ == "__main__":
-    serve_files(_carry_out, "USD", "usd-core")
+    serve_files(carry_out, "USD", "usd-core")
