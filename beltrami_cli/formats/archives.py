@@ -53,11 +53,11 @@ class Archive:
         with refusing_damage(name, "the archive"):
             self._file = zipfile.ZipFile(io.BytesIO(data))
         self.entries = [entry for entry in self._file.infolist() if not entry.filename.endswith("/")]
-        self._known = {entry.filename: entry for entry in self.entries}
-        self.members = list(self._known)
+        self._entry_of = {entry.filename: entry for entry in self.entries}
+        self.members = list(self._entry_of)
 
     def read(self, member: str) -> bytes:
-        known = self._known.get(member)
+        known = self._entry_of.get(member)
         if known is None:
             raise InputError(self.name, f"the archive has no {member}", _DAMAGED)
         if known.file_size > self._most:

@@ -19,7 +19,7 @@ _MAX_NESTING = 50  # levels of tables and lists
 _MAX_INTEGER = 1 << 64
 # Characters of TOML, whose parser takes the square of the time for keys with very many dots.
 _LONGEST_LINE = 1 << 13
-_UNFIT = re.compile("[\0\ud800-\udc7f\udd00-\udfff]")  # the other surrogates stand for bytes of names
+_UNUSABLE = re.compile("[\0\ud800-\udc7f\udd00-\udfff]")  # the other surrogates stand for bytes of names
 
 
 def read_bounded(path: Path, most: int) -> str:
@@ -53,7 +53,7 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 def require_text(text: str) -> str:
     """Return the text; ValueError if it has characters that cannot occur in file names."""
-    unfit = _UNFIT.search(text)
+    unfit = _UNUSABLE.search(text)
     if unfit is not None:
         raise ValueError(f"it has the character U+{ord(unfit[0]):04X}, which no name can have")
     return text

@@ -16,7 +16,7 @@ PlannedImages = Mapping[tuple[records.Slot, str], records.PlannedImage]
 Bytes = bytes | bytearray | memoryview
 NO_IMAGES: NewImages = {}
 # Characters that references of some format cannot express, or that readers do not accept in file names.
-_UNFIT = re.compile(r'[\x00-\x1f\x7f"\\:<>\ud800-\udfff]|^[\s.-]+|\s+$|(?<=\s)#')
+_UNUSABLE = re.compile(r'[\x00-\x1f\x7f"\\:<>\ud800-\udfff]|^[\s.-]+|\s+$|(?<=\s)#')
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Naming:
     is_taken: Callable[[str], bool] = lambda _: False
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "stem", _UNFIT.sub("_", self.stem))
+        object.__setattr__(self, "stem", _UNUSABLE.sub("_", self.stem))
 
     def free_stem(self, sidecars: Callable[[str], Iterable[str]]) -> str:
         """Return the stem, with a number from 2 on if sidecar files of that name belong to another model."""

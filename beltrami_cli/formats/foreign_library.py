@@ -15,8 +15,8 @@ from beltrami_cli.surface.worker_process import Message, WorkerError, ask, serve
 
 _TIMEOUT = 60  # seconds
 _MISSING, _EXHAUSTED = 77, 78  # exit codes where a package is not installed, and where memory is used up
-_LIBRARIES = 512 << 20  # bytes that they take
-_PER_PROCESSOR = 24 << 20  # bytes: the stack of a thread, and the arena of its allocations
+_LIBRARY_BYTES = 512 << 20  # bytes that they take
+_BYTES_PER_PROCESSOR = 24 << 20  # bytes: the stack of a thread, and the arena of its allocations
 # Memory as a multiple of the most that a file unpacks to: the data in the library, and the arrays of the answer.
 # Meshes of 90,000 and 1,000,000 vertices in .usdc take 72 and 53 bytes per byte of the file; this allows 400.
 _COPIES = 4
@@ -75,5 +75,5 @@ def _limit_memory(memory: int) -> None:
     except ImportError:
         return
     most = resource.getrlimit(resource.RLIMIT_DATA)[1]
-    wanted = memory + _LIBRARIES + _PER_PROCESSOR * (os.cpu_count() or 1)
+    wanted = memory + _LIBRARY_BYTES + _BYTES_PER_PROCESSOR * (os.cpu_count() or 1)
     resource.setrlimit(resource.RLIMIT_DATA, (wanted if most < 0 else min(wanted, most), most))

@@ -53,7 +53,7 @@ class ModelFolder:
 
     def __init__(self, folder: Path | None, access: Access = DEFAULT_ACCESS) -> None:
         self._folder = None if folder is None else folder.resolve()
-        self._known: dict[tuple[str, PurePosixPath], str | Obstacle] = {}
+        self._located: dict[tuple[str, PurePosixPath], str | Obstacle] = {}
         self._listings: dict[Path, dict[str, str]] = {}
         self.tiles: dict[str, dict[Tile, str]] = {}  # files of the located tile sets, by the path of the set
         self.access = access
@@ -67,12 +67,12 @@ class ModelFolder:
     def locate(self, name: str, within: PurePosixPath = _MODEL_FOLDER) -> str:
         """Return the path of a regular file, relative to the folder; UnfitReferenceError if it cannot be used."""
         key = name, within
-        if key not in self._known:  # A hostile file names the same one a million times.
+        if key not in self._located:  # A hostile file names the same one a million times.
             try:
-                self._known[key] = self._locate(name, within)
+                self._located[key] = self._locate(name, within)
             except UnfitReferenceError as error:
-                self._known[key] = error.obstacle
-        found = self._known[key]
+                self._located[key] = error.obstacle
+        found = self._located[key]
         if isinstance(found, str):
             return found
         raise UnfitReferenceError(*found)
@@ -87,7 +87,7 @@ class ModelFolder:
             is_file = stat.S_ISREG(self.access.found_at(self._folder / path).stat().st_mode)
             there = (self._folder / path).resolve()
         except (FileNotFoundError, NotADirectoryError):
-            similar = None if is_outside(path) else self._like_named(path)
+            similar = None if is_outside(path) else self._similar_path(path)
             raise _missing(
                 f" (there is '{similar}', but capitals and accents count)" if similar else ""
             ) from None
@@ -154,7 +154,7 @@ class ModelFolder:
             found |= {label: path} if path is not None and not tiles else {}
         return found
 
-    def _like_named(self, path: str) -> str | None:
+    def _similar_path(self, path: str) -> str | None:
         """Return the path of a file that differs only in case or in Unicode normalisation."""
         assert self._folder is not None
         found = PurePosixPath()

@@ -56,7 +56,7 @@ class Header:
         array = flat.reshape(self.shape, order="F" if self.fortran else "C")
         return array.astype(self.dtype.newbyteorder("="), copy=False)
 
-    def exchanged(self, member: bytes, array: Array) -> bytes:
+    def with_numbers(self, member: bytes, array: Array) -> bytes:
         numbers = array.astype(self.dtype).tobytes("F" if self.fortran else "C")
         return member[: self.offset] + numbers + member[self.offset + len(numbers) :]
 
@@ -84,11 +84,11 @@ class NpzArchive(Archive):
 
     def header(self, key: str) -> Header:
         """Read the header of an array; InputError if it is damaged, or of other types than numbers and booleans."""
-        member = self._known[f"{key}.npy"]
+        member = self._entry_of[f"{key}.npy"]
         if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise self._error(key, "is compressed in a way that NumPy does not write")
         with self._opened(key) as file:
-            header = _parse(file.read(_LONGEST_HEADER + 12))
+            header = _parse_header(file.read(_LONGEST_HEADER + 12))
         if not _holds_numbers(header):
             raise self._error(key, f"is of type {header.dtype}, and not of real numbers")
         if member.file_size < header.offset + header.size:
@@ -113,7 +113,7 @@ class NpzArchive(Archive):
         return header.array(data)
 
     def require_ratio(self, key: str) -> None:
-        member = self._known[f"{key}.npy"]
+        member = self._entry_of[f"{key}.npy"]
         require_ratio(self.name, f"the array {key}", member.compress_size, member.file_size)
 
     def contents(self) -> dict[str, bytes]:
@@ -128,7 +128,7 @@ class NpzArchive(Archive):
             for member in self._file.infolist():
                 content = self._content(member)
                 if member.filename == f"{key}.npy":
-                    content = header.exchanged(content, array)
+                    content = header.with_numbers(content, array)
                 info = zipfile.ZipInfo(member.filename, member.date_time)
                 info.compress_type, info.comment = member.compress_type, member.comment
                 info.external_attr, info.create_system = member.external_attr, member.create_system
@@ -147,7 +147,7 @@ class NpzArchive(Archive):
 def read_npy(data: bytes, name: str) -> Array:
     """Read the file of a single array; InputError if it is damaged or not of numbers."""
     with refusing_damage(name, "the array", "write it with numpy.save"):
-        header = _parse(data[: _LONGEST_HEADER + 12])
+        header = _parse_header(data[: _LONGEST_HEADER + 12])
     if not _holds_numbers(header):
         raise InputError(name, f"the array is of type {header.dtype}, and not of real numbers")
     if len(data) - header.offset < header.size:
@@ -160,7 +160,7 @@ def _holds_numbers(header: Header) -> bool:
     return header.dtype.kind in "buif" and header.dtype.itemsize <= 8
 
 
-def _parse(start: bytes) -> Header:
+def _parse_header(start: bytes) -> Header:
     file = io.BytesIO(start)
     version = np.lib.format.read_magic(file)
     if version not in ((1, 0), (2, 0)):

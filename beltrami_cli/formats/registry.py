@@ -85,19 +85,19 @@ class Format:
         return _loaded(f"{self.module}.{name}")
 
 
-def _starts(pattern: bytes) -> Recogniser:
+def _by_start(pattern: bytes) -> Recogniser:
     compiled = re.compile(pattern)
     return lambda data, name: compiled.match(data) is not None
 
 
-def _asks(function: str, *starts: bytes) -> Recogniser:
+def _by_function(function: str, *starts: bytes) -> Recogniser:
     """Recognise by a function of this package, imported only for files with one of the `starts` (none: all files)."""
     return lambda data, name: data.startswith(starts or b"") and bool(_loaded(function)(data, name))
 
 
 def _loaded(name: str) -> Any:
-    module, _, own = f"beltrami_cli.formats.{name}".rpartition(".")
-    return getattr(importlib.import_module(module), own)
+    module, _, attribute = f"beltrami_cli.formats.{name}".rpartition(".")
+    return getattr(importlib.import_module(module), attribute)
 
 
 def _is_usdz(data: bytes, name: str) -> bool:
@@ -120,24 +120,25 @@ def _textured(name: str, mark: Recogniser | None, reader: str, form: str = "", *
     return Format(name, mark, module, f"document.{document}", writer, has_textures=True, **more)
 
 
-_is_image = _asks("image.file_formats.is_image")
+_is_image = _by_function("image.file_formats.is_image")
 # The first line whose mark matches is taken. Names are considered only if no mark matches.
 FORMATS = (
     Format("image", _is_image, "image_document", "ImageDocument", kind="image"),
-    Format("volume", _asks("volume.is_volume", *_VOLUMES), "volume", "read_volume", kind="volume"),
-    _textured("ply", _starts(rb"ply[\n\r \t]"), "ply.PlyDocument", textured_sidecars=".*", slots=("baseColor",)),
+    Format("volume", _by_function("volume.is_volume", *_VOLUMES), "volume", "read_volume", kind="volume"),
+    _textured("ply", _by_start(rb"ply[\n\r \t]"), "ply.PlyDocument", textured_sidecars=".*", slots=("baseColor",)),
     _textured(
         "obj", None, "obj.ObjDocument", by_name=True, textured_sidecars=".mtl .*",
         slots=("baseColor", "emissive", "normal", "metallicRoughness"),
     ),
-    _textured("glb", _starts(rb"glTF"), "gltf.GltfDocument", images=_COMMON_IMAGES),
+    _textured("glb", _by_start(rb"glTF"), "gltf.GltfDocument", images=_COMMON_IMAGES),
     Format("vrm", None, "gltf", "document.GltfDocument", keeps_form=True),  # a GLB with an avatar
     _textured(
-        "gltf", _starts(_JSON), "gltf.GltfDocument", sidecars=".bin", textured_sidecars=".bin .*", images=_COMMON_IMAGES
+        "gltf", _by_start(_JSON), "gltf.GltfDocument", sidecars=".bin", textured_sidecars=".bin .*",
+        images=_COMMON_IMAGES,
     ),
     _textured("usdz", _is_usdz, "usd.UsdDocument", images=_COMMON_IMAGES),
-    _textured("usda", _starts(rb"#usda"), "usd.UsdDocument", textured_sidecars=".*"),
-    _textured("usdc", _starts(rb"PXR-USDC"), "usd.UsdDocument", textured_sidecars=".*"),
+    _textured("usda", _by_start(rb"#usda"), "usd.UsdDocument", textured_sidecars=".*"),
+    _textured("usdc", _by_start(rb"PXR-USDC"), "usd.UsdDocument", textured_sidecars=".*"),
     # A .usd file has one of the two forms above.
     _textured("usd", None, "usd.UsdDocument", form="usdc", textured_sidecars=".*"),
     *(
@@ -149,10 +150,10 @@ FORMATS = (
     *(
         Format(name, mark, "points.survey", "SurveyDocument", keeps_form=True)
         for name, mark in (
-            ("las", _starts(rb"LASF")), ("laz", None), ("e57", _starts(rb"ASTM-E57")), ("pcd", _starts(_PCD))
+            ("las", _by_start(rb"LASF")), ("laz", None), ("e57", _by_start(rb"ASTM-E57")), ("pcd", _by_start(_PCD))
         )
     ),
-    Format("npz", _asks("numpy_files.is_npz", _ZIP), "points.npz", "NpzPointsDocument", "write_npz"),
+    Format("npz", _by_function("numpy_files.is_npz", _ZIP), "points.npz", "NpzPointsDocument", "write_npz"),
     Format("foreign", _is_foreign, "read_only", "document.ReadOnlyDocument", aliases=READ_ONLY),
 )  # fmt: skip
 

@@ -24,10 +24,10 @@ _POSITION = ("x", "y", "z")
 _COLOUR_NAMES = (("r", "g", "b"), RGB, ("rf", "gf", "bf"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 _NORMAL_NAMES = (NORMAL, ("normal_x", "normal_y", "normal_z"))
 _INTENSITIES = ("intensity", "i", "scalar_intensity", "reflectance", "grey", "gray")
-_UNIT = 0.01  # how far the length of a normal may be from 1, for as few decimals as two
+_UNIT_TOLERANCE = 0.01  # how far the length of a normal may be from 1, for as few decimals as two
 # Different values: the classes of LAS have 5 bits (ASPRS, LAS 1.4, table 8), and its other codes fewer.
-_CODES = 32
-_SAMPLE = 1 << 12  # values that are counted first, since sorting all takes a second per ten million
+_MAX_CODES = 32
+_SAMPLE_SIZE = 1 << 12  # values that are counted first, since sorting all takes a second per ten million
 _REMEDY = "give --columns with all of their names, such as {}, or the names in a first line"
 _MAX_SHOWN = 40  # characters of a name in a message
 
@@ -80,7 +80,7 @@ def _names_by_values(values: Float64s, name: str, is_pts: bool) -> tuple[str, ..
     normals = [start for start in range(3, width - 2) if _are_normals(points[:, start : start + 3])]
     starts = _colour_starts(points, normals)
     if len(starts) > 1:
-        explained = [start for start in starts if _apart_from(start, normals)]
+        explained = [start for start in starts if _normals_apart_from(start, normals)]
         starts = explained if len(explained) == 1 else starts
     if is_pts and width == 7 and 4 in starts:
         starts = [4]
@@ -91,7 +91,7 @@ def _names_by_values(values: Float64s, name: str, is_pts: bool) -> tuple[str, ..
         cause = f"the colours can be columns {shown}" if starts else known if normals else unclear
         raise InputError(name, cause, example_of(width))
     found = {starts[0] + channel: RGB[channel] for channel in range(3)}
-    for normal in _apart_from(starts[0], normals)[:1]:
+    for normal in _normals_apart_from(starts[0], normals)[:1]:
         found |= {normal + axis: NORMAL[axis] for axis in range(3)}
     if starts[0] == 4:
         found[3] = "intensity"
@@ -112,8 +112,8 @@ def _colour_starts(points: Float64s, normals: list[int]) -> list[int]:
     triples = np.arange(points.shape[1] - 5)[:, None] + np.arange(3)
     is_whole, positive = is_whole > 0, (low >= 0) & np.isfinite(high)
     # Where there are no more points than codes, few values say nothing.
-    is_few = (count <= _CODES) & (len(points) > _CODES)
-    is_code = (is_whole & is_few & positive & (high > 1) & (high < _CODES))[triples]
+    is_few = (count <= _MAX_CODES) & (len(points) > _MAX_CODES)
+    is_code = (is_whole & is_few & positive & (high > 1) & (high < _MAX_CODES))[triples]
     # Three columns are codes, or two integers of 16 bits with one: intensity, return, class.
     are_codes = is_code.all(axis=1) | (is_code.any(axis=1) & (high[triples] > 255).any(axis=1))
     # Pure red, green and blue have length 1 as well.
@@ -122,16 +122,16 @@ def _colour_starts(points: Float64s, normals: list[int]) -> list[int]:
     if len(triples) > 1:
         if len(points) > 1:
             possible &= (count > 1)[triples].any(axis=1)
-        possible = _fitting(
+        possible = _best_range(
             possible & (positive & is_whole & (high <= 255))[triples].all(axis=1),
             possible & (positive & (high <= 1))[triples].all(axis=1),
             possible & (positive & is_whole & (high <= 65535))[triples].all(axis=1),
-            (count > _CODES)[triples].all(axis=1),
+            (count > _MAX_CODES)[triples].all(axis=1),
         )
     return (3 + np.flatnonzero(possible)).tolist()
 
 
-def _fitting(bytes_: Bools, fractions: Bools, words: Bools, rich: Bools) -> Bools:
+def _best_range(bytes_: Bools, fractions: Bools, words: Bools, rich: Bools) -> Bools:
     """Choose the columns that fit the range of colours best; `rich` ones have many different values."""
     bytes_ = bytes_ & ~fractions
     if (bytes_ & rich).any():
@@ -145,15 +145,15 @@ def _fitting(bytes_: Bools, fractions: Bools, words: Bools, rich: Bools) -> Bool
 def _are_normals(triple: Float64s) -> bool:
     """Whether all vectors have length 1, or 0 where none is known."""
     finite = triple[np.isfinite(triple).all(axis=1)]
-    for vectors in (finite[:_SAMPLE], finite):
+    for vectors in (finite[:_SAMPLE_SIZE], finite):
         with np.errstate(over="ignore"):
             lengths = np.linalg.norm(vectors, axis=1)
-        if not ((np.abs(lengths - 1) < _UNIT) | (lengths == 0)).all():
+        if not ((np.abs(lengths - 1) < _UNIT_TOLERANCE) | (lengths == 0)).all():
             return False
     return bool(lengths.any())
 
 
-def _apart_from(colours: int, normals: list[int]) -> list[int]:
+def _normals_apart_from(colours: int, normals: list[int]) -> list[int]:
     """Return the normals that share no column with some colours."""
     return [start for start in normals if abs(start - colours) >= 3]
 
@@ -163,8 +163,8 @@ def _range_of(column: Float64s) -> tuple[float, float, bool, int]:
     finite = column[np.isfinite(column)]
     if not finite.size:
         return np.nan, np.nan, False, 0
-    count = len(np.unique(finite[:_SAMPLE]))
-    if count <= _CODES:
+    count = len(np.unique(finite[:_SAMPLE_SIZE]))
+    if count <= _MAX_CODES:
         count = len(np.unique(finite))
     return float(finite.min()), float(finite.max()), bool((np.rint(finite) == finite).all()), count
 

@@ -50,7 +50,7 @@ class E57:
         size = sum(scan.point_count * (len(self._children(scan.points)) + 3) for scan in self._scans)
         require_held(size, 8, most_unpacked(len(self._data)))  # numbers of 8 bytes, and three of a place
         known = [self._raw(scan.points) for scan in self._scans]
-        places = [self._places(*each) for each in zip(self._scans, known, strict=True)]
+        places = [self._positions_of(*each) for each in zip(self._scans, known, strict=True)]
         found = {"positions": np.concatenate(places), "xml": np.frombuffer(self._xml(), np.uint8)}
         blobs = b"".join(_content(blob).tobytes() for blob in self._blobs(self._file.root))
         found["blobs"] = np.frombuffer(blobs, np.uint8)
@@ -102,7 +102,7 @@ class E57:
         prototype = libe57.StructureNode(node.prototype())
         return [get_node(prototype, number) for number in range(prototype.childCount())]
 
-    def _places(self, scan: Any, columns: Arrays) -> Array:
+    def _positions_of(self, scan: Any, columns: Arrays) -> Array:
         from pye57.utils import convert_spherical_to_cartesian
 
         columns = dict(columns)

@@ -49,16 +49,16 @@ class Las:
             self._data, self._las = data, reader.read()
         self._points = self._las.points.array
         # Where extended records and waveforms start: places of data behind the points.
-        self._places = (_AT_WAVEFORMS, _AT_RECORDS)[: max(0, self._las.header.version.minor - 2)]
+        self._address_fields = (_AT_WAVEFORMS, _AT_RECORDS)[: max(0, self._las.header.version.minor - 2)]
         start = self._las.header.offset_to_point_data
         self._end = start + self._points.nbytes
         if is_laz(data):
-            behind = (int.from_bytes(data[at : at + 8], "little") for at in self._places)
+            behind = (int.from_bytes(data[at : at + 8], "little") for at in self._address_fields)
             self._end = min((place for place in behind if place > start), default=len(data))
 
     def arrays(self) -> Arrays:
         head, tail = self._frame(b"")
-        for at in self._places:  # compressed points may differ in length
+        for at in self._address_fields:  # compressed points may differ in length
             head[at : at + 8] = bytes(8)
         names = [name for name in self._points.dtype.names if name not in "XYZ"]  # which become the positions
         columns = {name: np.ascontiguousarray(self._points[name]) for name in names}
@@ -105,7 +105,7 @@ class Las:
             made.write(points.data)
         shift = made.seek(0, io.SEEK_END) - self._end
         made.write(tail)
-        for at in self._places:
+        for at in self._address_fields:
             (place,) = struct.unpack_from("<Q", head, at)
             made.seek(at)
             made.write(struct.pack("<Q", place + shift if place >= self._end else place))

@@ -71,7 +71,7 @@ class NpzPointsDocument(PointsDocument):
         numbers[self._measured, : self._tables.channels] = 0
         key = self._tables.colours
         header = self._archive.header(key)
-        parts[f"member {key}.npy"] = header.exchanged(
+        parts[f"member {key}.npy"] = header.with_numbers(
             parts[f"member {key}.npy"], numbers.reshape(header.shape)
         )
         return Fingerprint(parts, {"point colours": self._colours})

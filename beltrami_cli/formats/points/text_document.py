@@ -148,7 +148,7 @@ class TextPointsDocument(PointsDocument):
     def _patched(self, new: Changes, naming: Naming) -> Written:
         if new.colours is None:
             return Written([self.data])
-        colours = new_colours(self.data, *self._places(), self._colours, new.colours, self._scale)
+        colours = new_colours(self.data, *self._colour_tokens(), self._colours, new.colours, self._scale)
         return Written(renumbered(self.data, [colours]))
 
     def _dropped(self) -> list[str]:
@@ -158,7 +158,7 @@ class TextPointsDocument(PointsDocument):
     def fingerprint(self) -> Fingerprint:
         if not self._has_colours():
             return Fingerprint({"lines": self.data})
-        starts, ends = (np.sort(places.ravel()) for places in self._places())
+        starts, ends = (np.sort(places.ravel()) for places in self._colour_tokens())
         lines = without_tokens(self.data, starts, ends)
         return Fingerprint({"lines": lines}, {"point colours": self._colours})
 
@@ -209,7 +209,7 @@ class TextPointsDocument(PointsDocument):
         groups = {_POSITIONS: known.position, _COLOURS: known.colours, _NORMALS: known.normal}
         return self._table.values[:, groups.get(table) or (known.others[table],)]
 
-    def _places(self) -> tuple[Int64s, Int64s]:
+    def _colour_tokens(self) -> tuple[Int64s, Int64s]:
         tokens = np.ix_(self._measured, np.array(self._columns.colours))
         return self._table.starts[tokens], self._table.ends[tokens]
 

@@ -66,7 +66,7 @@ def _answer(_: object, question: dict[str, Array]) -> Message:
 
     document = collada.Collada(io.BytesIO(question["data"].tobytes()), ignore=[collada.common.DaeError])
     positions, colours, left = [], [], set()
-    for geometry, matrix in _placed(document.scene) if document.scene is not None else ():
+    for geometry, matrix in _placed_geometries(document.scene) if document.scene is not None else ():
         for primitive in geometry.primitives:
             if isinstance(primitive, (collada.polylist.Polylist, collada.polygons.Polygons)):
                 primitive = primitive.triangleset()
@@ -98,7 +98,7 @@ def _answer(_: object, question: dict[str, Array]) -> Message:
     return (sorted(left), up, unit if 0 < unit < np.inf else 1.0), arrays
 
 
-def _placed(scene: Any) -> Iterator[tuple[Any, Float64s]]:
+def _placed_geometries(scene: Any) -> Iterator[tuple[Any, Float64s]]:
     """Yield every geometry with its matrix: of its node or, with a skin, of where it was bound to the joints."""
     for bound in scene.objects("geometry"):
         yield bound.original, bound.matrix

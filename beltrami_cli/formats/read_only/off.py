@@ -40,7 +40,7 @@ def read_off(data: bytes, name: str) -> ColouredPolygons:
     lines = Lines(data, text, name)
     vertices, faces = _counts(lines)
     first = 3 + (3 if normals else 0)
-    table = _table(lines, vertices, first)
+    table = _vertex_rows(lines, vertices, first)
     extra = table[:, first : table.shape[1] - (2 if texture else 0)]
     rows = slice(1 + vertices, 1 + vertices + faces)
     corners, sizes = _corners(lines, rows)
@@ -49,7 +49,7 @@ def read_off(data: bytes, name: str) -> ColouredPolygons:
         inside = (corners >= 0) & (corners < vertices)  # other corners are refused later
         colours = scaled[np.where(inside, corners, 0)]
     else:
-        shades, scale = _of_faces(lines, rows, sizes)
+        shades, scale = _face_colours(lines, rows, sizes)
         colours = np.repeat(shades, sizes, axis=0)
     stored = "uint8" if scale > 1 else "float32"
     left = [what for what, there in (("normals", normals), ("texture coordinates", texture)) if there]
@@ -69,7 +69,7 @@ def _counts(lines: Lines) -> tuple[int, int]:
     return vertices, faces
 
 
-def _table(lines: Lines, vertices: int, least: int) -> Float64s:
+def _vertex_rows(lines: Lines, vertices: int, least: int) -> Float64s:
     heads = lines.heads[1 : 1 + vertices]
     sizes = lines.stops[1 : 1 + vertices] - heads
     width = int(sizes[0]) if vertices else least
@@ -96,7 +96,7 @@ def _corners(lines: Lines, rows: slice) -> tuple[Int64s, Int64s]:
     return corners.astype(np.int64), sizes
 
 
-def _of_faces(lines: Lines, rows: slice, sizes: Int64s) -> tuple[Float32s, float]:
+def _face_colours(lines: Lines, rows: slice, sizes: Int64s) -> tuple[Float32s, float]:
     """Return colours of faces, shape (P, 4), and their full scale in the file."""
     firsts = lines.heads[rows] + 1 + sizes
     behind = lines.stops[rows] - firsts  # one number is an index of a map that is not in the file

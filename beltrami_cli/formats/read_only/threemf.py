@@ -159,18 +159,18 @@ def _colour(text: str) -> Rgba:
     return octets[0], octets[1], octets[2], octets[3]
 
 
-def _colours_of(model: _Model, thing: _Object) -> Float32s:
+def _colours_of(model: _Model, solid: _Object) -> Float32s:
     """Return the colours of the corners of an object's triangles, shape (F, 3, 4); NaN where there is none."""
-    table = np.array(thing.triangles, np.int64).reshape(-1, 6)
+    table = np.array(solid.triangles, np.int64).reshape(-1, 6)
     result = np.full((len(table), 3, 4), np.nan, np.float32)
-    names = np.array([group or thing.group for group in thing.groups], object)
+    names = np.array([group or solid.group for group in solid.groups], object)
     for group in set(names.tolist()):
         if group not in model.colours:
             continue
         palette = np.array(model.colours[group] or np.empty((0, 4)), np.float32).reshape(-1, 4) / 255
         palette = np.append(palette, [[np.nan] * 4], axis=0)
         rows = np.flatnonzero(names == group)
-        indices = np.where(table[rows, 3:] == _NONE, thing.index, table[rows, 3:])
+        indices = np.where(table[rows, 3:] == _NONE, solid.index, table[rows, 3:])
         there = (indices >= 0) & (indices < len(palette) - 1)
         result[rows] = palette[np.where(there, indices, -1)]
     return result
@@ -213,14 +213,14 @@ class _Building:
         model = self.model(path)
         if part.number not in model.objects:
             raise InputError(self._name, f"there is no object {part.number[:20]!r}", "export it again")
-        thing, matrix = model.objects[part.number], part.matrix @ above
-        triangles = np.array(thing.triangles, np.int64).reshape(-1, 6)[:, :3]
+        solid, matrix = model.objects[part.number], part.matrix @ above
+        triangles = np.array(solid.triangles, np.int64).reshape(-1, 6)[:, :3]
         self._triangles_left -= len(triangles)
         if self._triangles_left < 0:
             raise MemoryLimitError(
                 self._name, "it has more triangles than fit into memory", "raise --max-memory"
             )
-        positions = np.array(thing.vertices, np.float64).reshape(-1, 3)
+        positions = np.array(solid.vertices, np.float64).reshape(-1, 3)
         if triangles.size and (triangles.min() < 0 or triangles.max() >= len(positions)):
             raise InputError(
                 self._name, f"a triangle names a vertex beyond the {len(positions)} of its object"
@@ -228,9 +228,9 @@ class _Building:
         with np.errstate(over="ignore", invalid="ignore"):  # values that are not finite are refused later
             self._positions.append(positions @ matrix[:3, :3] + matrix[3, :3])
         self._corners.append(triangles.ravel() + self._vertices)
-        self._colours.append(_colours_of(model, thing).reshape(-1, 4))
+        self._colours.append(_colours_of(model, solid).reshape(-1, 4))
         self._vertices += len(positions)
-        for inner in thing.parts:
+        for inner in solid.parts:
             self.add(inner, matrix, path, depth + 1)
 
     def whole(self) -> ColouredPolygons:
