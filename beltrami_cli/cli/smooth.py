@@ -15,13 +15,7 @@ from beltrami_cli.cli.phrases import NO_AREA, counted, lines_on, outliers_in_wor
 from beltrami_cli.cli.writing import report_options, run_and_write
 from beltrami_cli.flow.noise_amount import noise_size
 from beltrami_cli.quantities import of_255, show_size
-from beltrami_cli.view.words import (
-    advice_in_words,
-    doubt_in_words,
-    noise_of,
-    noise_of_255,
-    reason_in_words,
-)
+from beltrami_cli.view.words import advice_in_words, doubt_in_words, noise_of, noise_of_255, reason_in_words
 
 if TYPE_CHECKING:
     from beltrami_cli.flow.given_noise import GivenNoise
