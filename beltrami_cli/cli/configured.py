@@ -15,8 +15,8 @@ import click
 from beltrami_cli.cli.configuration import Configuration
 from beltrami_cli.cli.option_names import (
     long_name,
+    option_key,
     options_by_name,
-    plain,
     refuse_unknown_variables,
     values_for,
 )
@@ -56,9 +56,9 @@ def configured_values(configuration: Configuration, name: str) -> dict[str, Any]
 
 def _common_values(configuration: Configuration, known: Mapping[str, click.Option]) -> dict[str, object]:
     """Return the values outside of tables that are for a command; ValueError if one is for no command at all."""
-    common = {key: value for key, value in configuration.common.items() if plain(key) in known}
+    common = {key: value for key, value in configuration.common.items() if option_key(key) in known}
     for key in set(configuration.common) - set(common):
-        if not any(plain(key) in options_by_name(command_named(each)) for each in COMMANDS):
+        if not any(option_key(key) in options_by_name(command_named(each)) for each in COMMANDS):
             raise ValueError(f"{key} is not an option of any command")
     return common
 

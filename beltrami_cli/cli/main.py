@@ -15,7 +15,7 @@ from beltrami_cli.cli.commands import complete_files, write_notes
 from beltrami_cli.cli.console import printable
 from beltrami_cli.cli.documentation import notes_on
 from beltrami_cli.cli.interruption import Interruptible, Interruption
-from beltrami_cli.cli.option_names import spelled, variable_behind
+from beltrami_cli.cli.option_names import british_spelling, variable_behind
 from beltrami_cli.cli.registry import COMMANDS, command_named
 from beltrami_cli.cli.streams import ReaderGoneError, prepare_streams
 from beltrami_cli.errors import BeltramiError, InputError
@@ -65,7 +65,7 @@ class LazyGroup(click.Group):
     context_settings={
         "help_option_names": ["-h", "--help"],
         "max_content_width": 100,
-        "token_normalize_func": spelled,
+        "token_normalize_func": british_spelling,
     },
 )
 @click.option(

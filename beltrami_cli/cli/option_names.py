@@ -19,11 +19,11 @@ def long_name(option: click.Parameter) -> str:
     return next((text for text in option.opts if text.startswith("--")), option.opts[0]).lstrip("-")
 
 
-def plain(name: str) -> str:
-    return spelled(name).lstrip("-").replace("-", "_")
+def option_key(name: str) -> str:
+    return british_spelling(name).lstrip("-").replace("-", "_")
 
 
-def spelled(name: str) -> str:
+def british_spelling(name: str) -> str:
     """Return the documented spelling of an option; the American one of colour is accepted everywhere."""
     return name.replace("color", "colour")
 
@@ -31,7 +31,7 @@ def spelled(name: str) -> str:
 def options_by_name(command: click.Command) -> dict[str, click.Option]:
     """Return the options of a command by all their names, without dashes in front and with _ for those within."""
     return {
-        plain(name): option
+        option_key(name): option
         for option in command.params
         if isinstance(option, click.Option) and option.name and not option.is_eager
         for name in (*option.opts, option.name)
@@ -42,7 +42,7 @@ def values_for(options: Mapping[str, click.Option], table: Mapping[str, object])
     """Return values for a default map, by click's names of options; ValueError if one is invalid."""
     values: dict[str, Any] = {}
     for name, value in table.items():
-        option = options.get(plain(name))
+        option = options.get(option_key(name))
         if option is None or option.name is None:
             raise ValueError(f"{name} is not an option of this command")
         if option.name in values:

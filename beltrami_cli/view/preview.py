@@ -39,6 +39,7 @@ _PIECE = 320  # most texels of a piece of a triangle, so that many fit into a pr
 _MAX_PIECES = 100_000  # of a texture, even if pieces are then larger
 _MAX_SPLITS = 24  # each halves the longest sides
 _NO_FACES = np.zeros((0, 3), np.int32)
+_APART = 1e3  # distance of textures that are laid flat, so that the nearest points are all in one
 _FOCUS_RADIUS = 0.05  # of the model's size: distance from the line of sight of triangles in focus
 
 
@@ -200,9 +201,6 @@ class _TexturePreviewer(Previewer):
                 rows, columns = np.divmod(texels, picture.pixels.shape[1])
                 patches.append(Patch(keys.index(layer.surface.textures[index].key), rows, columns, shown))
         return patches
-
-
-_APART = 1e3  # distance of textures that are laid flat, so that the nearest points are all in one
 
 
 class _ByDistance:
