@@ -1,1 +1,4 @@
-"""The Beltrami flow: metric, noise, parameters and the iteration."""
+"""The Beltrami flow: estimation of the noise, a plan of parameters, iterations of the kernel, and patches.
+
+`estimation`, `plan` and `beltrami_flow` are the three steps, in this order; `manifolds` is their subject.
+"""

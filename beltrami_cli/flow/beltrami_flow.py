@@ -34,7 +34,7 @@ class FlowResult(Generic[AnyManifold]):
     manifold: AnyManifold  # with the new colours
     choice: Choice | None
     samples_per_kernel: float  # mean over samples and iterations
-    truncated: int  # kernels that were cut short at `max_samples`
+    truncated: int  # kernels truncated at `max_samples`
     patches: float | None = None  # mean weight of the patches; None: only the kernel was run
 
 

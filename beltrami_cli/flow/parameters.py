@@ -1,4 +1,4 @@
-"""Parameters of the short-time kernel: defaults, limits, and what they imply."""
+"""Parameters of the short-time kernel: defaults, limits and consequences."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ patches' result Q, and
 with sums over the samples around: Stein's unbiased estimate of the error of u is a parabola in w, and this is its least
 [2]_. The divergence is the response of both to a small random perturbation of the noisy colours z.
 
-Noise that was cut off at 0 or full scale is replaced beforehand by what it would be on average, given the kernel's
+Noise that was clipped at 0 or full scale is replaced beforehand by its mean without clipping, given the kernel's
 result. In the sums, P and Q are replaced by the mean of colours with such noise, which z can be compared with.
 
 References
@@ -215,7 +215,7 @@ def _noisy_means(
     )  # fmt: skip
     residual = level.means(memory)
     for_blocks(cube_share, model.threads, axis, before, memory, relatives)
-    # A cubic mean: a residual found where most is cut off, as on white paper, would bleed into ink, too.
+    # A cubic mean: a residual found where most is clipped, as on white paper, would bleed into ink, too.
     within = 1 - np.cbrt(level.means(memory))
     return _NoisyMeans(means, probe, noisy.size * noisy.divisors, residual, within)
 

@@ -26,13 +26,11 @@ enum Kind : std::uint8_t { empty = 0, owned = 1, halo = 2 };
 
 struct Grid {
   std::size_t rows = 0, columns = 0;
-  const std::uint8_t* kind = nullptr;      // rows * columns, see Kind
-  std::array<const float*, direction_count> squared_lengths{};  // planes of rows * columns, in space; not finite where
-                                           // there is no edge, as there is none at an empty cell
-  const float* scale = nullptr;            // rows * columns: what a cell's squared lengths are multiplied by, to make
-                                           // local units of them; nullptr: 1
-  const std::uint8_t* repeats = nullptr;   // rows * columns: how many cells show the same texel
-                                           // in averages for one over that many; nullptr: 1
+  // Planes of rows * columns values:
+  const std::uint8_t* kind = nullptr;  // see Kind
+  std::array<const float*, direction_count> squared_lengths{};  // in space; not finite without an edge, as at empty cells
+  const float* scale = nullptr;           // factors from the cell's squared lengths to local units; nullptr: 1
+  const std::uint8_t* repeats = nullptr;  // number of cells that show the same texel, and share its weight; nullptr: 1
   std::size_t cells() const { return rows * columns; }
 };
 

@@ -11,7 +11,7 @@ namespace beltrami::grid {
 
 struct HaloCells {
   const std::int64_t* cells;    // of the canvas, ascending
-  const std::int64_t* sources;  // the cell whose value each has
+  const std::int64_t* sources;  // of each, the cell that it repeats
   const std::int32_t* seams;    // the seam that each was reached over
   std::size_t count;
 };

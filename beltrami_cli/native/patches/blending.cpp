@@ -35,7 +35,7 @@ class Channel {
   }
 
   // Imputed colours before imputation.
-  void cut_off(Run& values) const {
+  void clip(Run& values) const {
     if (channel_noise_.low)
       for (std::size_t i = 0; i < count_; ++i) values[i] = std::max(values[i], 0.0F);
     if (channel_noise_.high)
@@ -117,7 +117,7 @@ void blend_terms(const Values& noisy, const Values& probe, const Estimates& esti
       channel.read(estimates.near_second, near_q);
       for (std::size_t i = 0; i < size; ++i) middle[i] = (p[i] + q[i]) * 0.5F;
       channel.variance_within(middle, variances);
-      channel.cut_off(z);
+      channel.clip(z);
       for (Run* values : {&p, &q, &near_p, &near_q}) channel.expect(*values);
       for (std::size_t i = 0; i < size; ++i) {
         const float difference = q[i] - p[i], moved = near_q[i] - near_p[i];
@@ -140,7 +140,7 @@ void blend_residual(const Values& noisy, const Values& estimate, const BlendNois
       const Channel channel(noise, k, first, size);
       channel.read(noisy, z);
       channel.read(estimate, p);
-      channel.cut_off(z);
+      channel.clip(z);
       channel.expect(p);
       for (std::size_t i = 0; i < size; ++i) residual.at(k, first + i) = z[i] - p[i];
     }

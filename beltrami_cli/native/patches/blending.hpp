@@ -21,15 +21,15 @@ struct NormalTables {
 
 // The noise of a channel, and whether it is clipped at 0 and at 1.
 struct ChannelNoise {
-  float variance;  // what the estimate of the error reckons with
-  float sigma;     // before it was cut off
+  float variance;  // assumed by the estimate of the error
+  float sigma;     // before clipping
   bool low, high;
 };
 
 struct BlendNoise {
   std::span<const ChannelNoise> channels;
   NormalTables tables;
-  Values relative;  // what the variance of a sample is multiplied by; one channel
+  Values relative;  // factors of the variance, by sample; one channel
 };
 
 // Two estimates, without and with perturbation of the noisy colours.

@@ -11,7 +11,7 @@ namespace {
 
 using namespace beltrami::lanes::BELTRAMI_VARIANT;
 
-// Without a pilot, a share of D is added to Y^T Y: patches may be equal, as where noise was cut off.
+// Without a pilot, a share of D is added to Y^T Y: patches may be equal, as where noise was clipped.
 constexpr float least_share = 0.05F;
 
 // Minimum regularisation, as a share of the trace, for solving the system in float32.

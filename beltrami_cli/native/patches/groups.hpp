@@ -16,7 +16,7 @@
 //
 //   alpha = strength (E_X + c s d) / (max(E_Y - (K - 1) d, 0) + c d),
 //
-// with the ratio of what the pilot holds to that, drawn to `shrinkage` s where there is little of either, and at least
+// the ratio of the detail in the pilot to this, drawn to `shrinkage` s where there is little of either, and at least
 // `least_ratio`. Where the pilot is negligible against alpha D, every patch becomes the mean m of all, Theta = 1 / K.
 // Noise of the energy e = strength d (n - 1) / (n K) is left in its differences from its own mean, which are multiplied by
 // (1 - e / E_m)+, with E_m the sum of their squares [2].
@@ -56,7 +56,7 @@ struct Colours {
   const float *noisy, *pilot;
   std::size_t channels;
   Mixing mixing;
-  const float* relative;  // what a sample's variance is multiplied by; nullptr: 1
+  const float* relative;  // factors of the variance, by sample; nullptr: 1
 };
 
 // Sums of weighted estimates and of their weights, laid out like the colours.

@@ -33,7 +33,7 @@ std::span<const Reached> FastMarching::march(Index source, float radius, std::si
     }
     node.mark = accepted_mark_;
     reached_.push_back({vertex, node.distance});
-    wanted_ = max_count - reached_.size() + 1;  // one more than the kernel takes, to know that it is cut short
+    wanted_ = max_count - reached_.size() + 1;  // one more than the kernel takes, to detect that it is truncated
     update_from(vertex, node.distance);
   }
   return reached_;

@@ -73,8 +73,8 @@ class FastMarching {
   std::vector<Reached> reached_;
   std::unordered_map<Index, Hub> hubs_;  // as far as they were reached
   std::uint32_t close_mark_ = 0, accepted_mark_ = 0;
-  float radius_ = 0;  // beyond which nothing is looked for; in the heap, beyond bound_
-  std::uint64_t bound_ = 0;
+  float radius_ = 0;         // limit of the distances that are found
+  std::uint64_t bound_ = 0;  // limit of the keys in the heap
   std::size_t wanted_ = 0;  // how many vertices can still be taken, and one more
   bool truncated_ = false;
 };

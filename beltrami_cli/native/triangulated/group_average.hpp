@@ -43,7 +43,7 @@ class GroupAverage {
     const auto most = static_cast<float>(job_.parameters.max_samples);
     for (std::size_t lane = 0; lane < sources_.size(); ++lane) {
       if (counts.lane[lane] > most) {
-        cut_short(lane);
+        truncate(lane);
         ++statistics.truncated;
         counts.lane[lane] = most;
       }
@@ -77,7 +77,7 @@ class GroupAverage {
   }
 
   // Keeps max_samples of a lane's samples: the source and those nearest to it.
-  void cut_short(std::size_t lane) {
+  void truncate(std::size_t lane) {
     const auto rank = [&](std::size_t i) {
       const Index vertex = region_.vertices[i];
       return Rank(vertex == sources_[lane] ? -1 : region_.places[i].distance[lane], vertex);

@@ -28,7 +28,7 @@ struct GroupJob {
 // A vertex reached by any kernel of a group.
 struct alignas(64) RegionPlace {
   std::array<float, group_size> nearest;   // its shortest distance from each source that is known so far
-  std::array<float, group_size> distance;  // that which was passed on to other vertices last: in the end, the shortest
+  std::array<float, group_size> distance;  // the one passed on to other vertices last: in the end, the shortest
   // The value of each kernel at the vertex, in memory that is free once distances are known.
   std::array<float, group_size>& kernel() { return nearest; }
 };
@@ -49,7 +49,7 @@ struct GroupScratch {
   std::vector<std::uint16_t> place;  // [vertex]: 1 + its place in the region, 0 outside
   std::vector<RegionPlace> region;   // in the order in which they are found
   std::vector<Index> vertices;       // [place]
-  std::vector<Rank> order;           // of the samples of a kernel that is cut short
+  std::vector<Rank> order;           // of the samples of a truncated kernel
 };
 
 // Writes the smoothed colours of up to 16 sources. Writes and returns nothing if they reach so many vertices that a

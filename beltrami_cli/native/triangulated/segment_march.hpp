@@ -49,7 +49,7 @@ class SegmentMarch {
   std::vector<Waiting> waiting_;  // a heap, too
   std::vector<Reached> reached_;
   std::uint32_t mark_ = 0;
-  float radius_ = 0;  // beyond which nothing is looked for
+  float radius_ = 0;  // limit of the distances that are found
   bool truncated_ = false;
 };
 

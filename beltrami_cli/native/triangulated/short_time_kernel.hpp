@@ -27,7 +27,7 @@ struct KernelParameters {
 
 struct KernelStatistics {
   std::int64_t samples = 0;    // in all kernels
-  std::int64_t truncated = 0;  // kernels that max_samples cut short
+  std::int64_t truncated = 0;  // kernels truncated at max_samples
 
   KernelStatistics& operator+=(const KernelStatistics& more) {
     samples += more.samples;
