@@ -177,7 +177,7 @@ class ObjDocument(Document):
 
     @cached_property
     def _read(self) -> tuple[Scan, Materials, Coordinates | None]:
-        """Read the file, of which most runs need nothing else; texture coordinates if there are textures."""
+        """All that most runs need of the file; texture coordinates if there are textures."""
         statements = self._tokenised()
         scan = scan_file(statements)
         materials = Materials(self._folder, scan.libraries)

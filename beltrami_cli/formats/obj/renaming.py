@@ -57,8 +57,8 @@ def _take_images(materials: Materials, images: NewImages, names: NewFiles) -> di
     for (path, files), slots in slots_by_path(images, lambda slot, file: materials.named(file)).items():
         # Equal images of two slots are one file; maps of the base colour may be of other slots, too.
         maps = [each for slot in slots for each in materials.affected(slot, path)]
-        affected = list({id(shown): (library, shown) for library, shown in maps}.values())
-        _note_stale_uses(materials, names, path, {id(shown) for _, shown in affected})
+        affected = {(library.path, shown.start): (library, shown) for library, shown in maps}
+        _note_stale_uses(materials, names, path, affected.keys())
         # Its name is free only if no map that keeps the old image has it.
         is_replaced = len(affected) == materials.uses(path)
         suffix = common_suffix(image.suffix for _, image in files)
@@ -66,22 +66,24 @@ def _take_images(materials: Materials, images: NewImages, names: NewFiles) -> di
         new_of = new_files(path, new, materials.folder.tiles)
         names.sidecars |= {new_of.pop(file): image.content for file, image in files}
         names.copied |= {file: old for old, file in new_of.items() if file != old}
-        for library, shown in affected:
+        for library, shown in affected.values():
             edits.setdefault(library.path, {})[shown.start, shown.end] = _spelled(shown, path, new, library)
     return edits
 
 
-def _note_stale_uses(materials: Materials, names: NewFiles, path: str, followed: Set[int]) -> None:
-    """Note the maps outside of the slots that go on to show an old image; `followed`: identities of the others."""
+def _note_stale_uses(
+    materials: Materials, names: NewFiles, path: str, replaced: Set[tuple[str, int]]
+) -> None:
+    """Note the maps outside of the slots that keep an old image; `replaced`: library and offset of the others."""
     for library in materials.libraries:
         for shown, used in library.maps:
-            if used == path and id(shown) not in followed and shown.keyword not in SLOTS:
+            if used == path and shown.keyword not in SLOTS and (library.path, shown.start) not in replaced:
                 names.note_stale_use(f"{shown.keyword} of material {shown.material}", path)
 
 
 def _rename_others(materials: Materials, names: NewFiles, edits: dict[str, Spans]) -> None:
     """Name the images that stay as they are, for libraries that are written, or copied, into another folder."""
-    tiles, new_of = materials.folder.tiles, dict[str, str]()
+    new_of: dict[str, str] = {}
     for library in materials.libraries:
         moves_inside = is_outside(library.path)
         if not (edits.get(library.path) if moves_inside else names.copies):
@@ -95,13 +97,20 @@ def _rename_others(materials: Materials, names: NewFiles, edits: dict[str, Spans
                 continue
             if path not in new_of:
                 moves = is_outside(path) or names.copies
-                new_of[path] = names.image(path, tiles=tiles.get(path, ())) if moves else path
-                for old, new in new_files(path, new_of[path], tiles).items() if moves else ():
-                    if is_outside(old):
-                        names.sidecars[new] = materials.folder.content(old)
-                    else:
-                        names.copied[new] = old
+                new_of[path] = _copied(materials, names, path) if moves else path
             edits_of_file[shown.start, shown.end] = _spelled(shown, path, new_of[path], library)
+
+
+def _copied(materials: Materials, names: NewFiles, path: str) -> str:
+    """Put an image or tile set that stays as it is among the copies; return its new path."""
+    tiles = materials.folder.tiles
+    new = names.image(path, tiles=tiles.get(path, ()))
+    for old, copy in new_files(path, new, tiles).items():
+        if is_outside(old):
+            names.sidecars[copy] = materials.folder.content(old)
+        else:
+            names.copied[copy] = old
+    return new
 
 
 def _name_libraries(materials: Materials, names: NewFiles, edits: Mapping[str, Spans]) -> Renaming:
