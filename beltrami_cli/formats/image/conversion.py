@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -31,30 +32,78 @@ TECHNICAL = (
 )  # fmt: skip
 
 
+@dataclass(frozen=True)
+class _Target:
+    """An image as another format holds it."""
+
+    image: DecodedImage
+    file_format: str
+
+    @property
+    def holds_any_channels(self) -> bool:
+        return self.file_format in ("tiff", "openexr")
+
+    @property
+    def channels(self) -> list[int]:
+        """The channels of the image that the format holds, colours and alpha first."""
+        image, traits = self.image, FORMATS[self.file_format]
+        first = [*image.colour, *([image.alpha] if image.alpha is not None and traits.alpha else [])]
+        further = [channel for channel in range(len(image.channels)) if channel not in first]
+        return [*first, *further] if self.holds_any_channels else first
+
+    @property
+    def source_type(self) -> str:
+        """The type of these channels in the image, the finest if they differ."""
+        return max((self.image.kinds[channel] for channel in self.channels), key=_BITS.__getitem__)
+
+    @property
+    def stored(self) -> str:
+        """The coarsest type of the format that holds the values, or else its finest."""
+        source, types = self.source_type, FORMATS[self.file_format].types
+        if source in types:
+            return source
+        finer = [kind for kind in types if _BITS[kind] > _BITS[source] or source == "uint8"]
+        return finer[0] if finer else types[-1]
+
+    @property
+    def becomes_rgb(self) -> bool:
+        """Whether the image is grey, and the format has no such number of channels."""
+        is_held = len(self.channels) in FORMATS[self.file_format].channels
+        return len(self.image.colour) == 1 and not is_held
+
+    def name_of(self, channel: int) -> str:
+        """Return the name of a channel, which is R, G, B, Y or A for colours and alpha unless the format is EXR."""
+        image = self.image
+        if self.file_format == "openexr" or channel not in (*image.colour, image.alpha):
+            return image.channels[channel]
+        if channel == image.alpha:
+            return "A"
+        return "RGB"[image.colour.index(channel)] if len(image.colour) == 3 else "Y"
+
+
 def losses(image: DecodedImage, suffix: str) -> tuple[str, ...]:
     """Return notices of losses and changes when an image is written with the suffix of another format."""
     file_format = format_of_suffix(suffix)
     if file_format is None or file_format == image.format:
         return ()
-    traits, name, label = FORMATS[file_format], image.name, suffix.lower().lstrip(".").upper()
-    source, stored = _finest(image, file_format), _type_in(_finest(image, file_format), file_format)
+    target, name, label = _Target(image, file_format), image.name, suffix.lower().lstrip(".").upper()
+    source, stored = target.source_type, target.stored
     found = []
-    if image.alpha is not None and not traits.alpha:
+    if image.alpha is not None and not FORMATS[file_format].alpha:
         found.append(f"{name}: {label} has no alpha, which is dropped.")
-    if len(image.channels) > len(image.colour) + (image.alpha is not None) and not _holds_any(file_format):
+    if len(image.channels) > len(image.colour) + (image.alpha is not None) and not target.holds_any_channels:
         found.append(f"{name}: {label} holds colours and alpha only; other channels are dropped.")
     if len(image.parts) > 1:
-        found.append(
-            f"{name}: {label} holds one part only; all but {image.parts[image.part or 0]} are dropped."
-        )
+        kept = image.parts[image.part or 0]
+        found.append(f"{name}: {label} holds one part only; all but {kept} are dropped.")
     if file_format == "openexr" and _has_hidden_colours(image):
         found.append(f"{name}: {label} multiplies colours by alpha, so those under an alpha of 0 are lost.")
     if jpeg.further_images(image.source):
-        dropped = (
-            "what follows it in the JPEG file is dropped (a gain map for HDR displays, previews, a video)"
+        others = "a gain map for HDR displays, previews, a video"
+        found.append(
+            f"{name}: {label} holds one image; what follows it in the JPEG file is dropped ({others})."
         )
-        found.append(f"{name}: {label} holds one image; {dropped}.")
-    if _needs_three(image, file_format):
+    if target.becomes_rgb:
         found.append(f"{name}: {label} has no such grey; it becomes equal red, green and blue.")
     if image.encoding == "linear" and stored.startswith("uint"):
         found.append(f"{name}: floats become {_BITS[stored]}-bit integers in {label}, clipped to 0..1.")
@@ -86,8 +135,8 @@ def upright(image: DecodedImage, pixels: Array, suffix: str | None) -> tuple[Arr
 def converted(image: DecodedImage, pixels: Array, file_format: str, *, as_data: bool) -> tuple[Array, Any]:
     """Return pixels as another format stores them, and their OpenImageIO.ImageSpec for it."""
     # Unless they are data, colours become linear light in floats and sRGB in integers.
-    stored = _type_in(_finest(image, file_format), file_format)
-    kept = _kept_channels(image, file_format)
+    target = _Target(image, file_format)
+    stored, kept = target.stored, target.channels
     values = without_alpha(image, full_scale_one(pixels))[:, :, kept]
     colour = [kept.index(channel) for channel in image.colour]
     alpha = kept.index(image.alpha) if image.alpha in kept else None
@@ -97,65 +146,17 @@ def converted(image: DecodedImage, pixels: Array, file_format: str, *, as_data: 
         values[:, :, colour] = srgb_to_linear(values[:, :, colour])
     if file_format == "openexr" and alpha is not None:  # where alpha is always multiplied in
         values[:, :, colour] *= values[:, :, [alpha]]
-    names = [image.channels[channel] for channel in kept]
-    if file_format != "openexr":  # elsewhere channels have no names of their own, but roles
-        names[:] = [_role(image, channel) for channel in kept]
-    if _needs_three(image, file_format):
+    names = [target.name_of(channel) for channel in kept]
+    if target.becomes_rgb:
         values = values[:, :, [colour[0]] * 3 + ([alpha] if alpha is not None else [])]
         names = ["R", "G", "B", *(["A"] if alpha is not None else [])]
-    return as_stored(values, stored), _spec(image, values.shape, names, stored, file_format)
+    return as_stored(values, stored), _spec(target, values.shape, names)
 
 
-def _finest(image: DecodedImage, file_format: str) -> str:
-    """Return the type of the channels that another format takes over, the finest if they differ."""
-    return max(
-        (image.kinds[channel] for channel in _kept_channels(image, file_format)), key=_BITS.__getitem__
-    )
-
-
-def _type_in(stored: str, file_format: str) -> str:
-    """Return the type that a format stores samples of a type in: the coarsest that holds them, or the finest."""
-    types = FORMATS[file_format].types
-    if stored in types:
-        return stored
-    finer = [kind for kind in types if _BITS[kind] > _BITS[stored] or stored == "uint8"]
-    return finer[0] if finer else types[-1]
-
-
-def _holds_any(file_format: str) -> bool:
-    """Whether a format holds channels besides colours and alpha."""
-    return file_format in ("tiff", "openexr")
-
-
-def _kept_channels(image: DecodedImage, file_format: str) -> list[int]:
-    """Return the channels that a format holds, colours and alpha first."""
-    alpha = [image.alpha] if image.alpha is not None and FORMATS[file_format].alpha else []
-    first = [*image.colour, *alpha]
-    further = [channel for channel in range(len(image.channels)) if channel not in first]
-    return [*first, *further] if _holds_any(file_format) else first
-
-
-def _role(image: DecodedImage, channel: int) -> str:
-    """Return R, G, B, Y or A for a colour or alpha, and the name of any other channel."""
-    if channel == image.alpha:
-        return "A"
-    if channel not in image.colour:
-        return image.channels[channel]
-    return "RGB"[image.colour.index(channel)] if len(image.colour) == 3 else "Y"
-
-
-def _needs_three(image: DecodedImage, file_format: str) -> bool:
-    return (
-        len(_kept_channels(image, file_format)) not in FORMATS[file_format].channels
-        and len(image.colour) == 1
-    )
-
-
-def _spec(
-    image: DecodedImage, shape: tuple[int, ...], names: list[str], stored: str, file_format: str
-) -> Any:
+def _spec(target: _Target, shape: tuple[int, ...], names: list[str]) -> Any:
     import OpenImageIO
 
+    image, stored = target.image, target.stored
     height, width, channels = shape
     spec = OpenImageIO.ImageSpec(width, height, channels, TYPES[stored])
     # Names in an EXR file need not be UTF-8.
@@ -167,7 +168,7 @@ def _spec(
     # By patterns: names that are not UTF-8 cannot be given from Python.
     for pattern in (*(f"{prefix}.*" for prefix in TECHNICAL), "ICCProfile", "chromaticities"):
         spec.erase_attribute(pattern)
-    if file_format not in FORMATS_WITH_EXIF:
+    if target.file_format not in FORMATS_WITH_EXIF:
         spec.erase_attribute("Orientation")
     profile = image.spec.getattribute("ICCProfile")
     fits = image.encoding == "srgb" and stored.startswith("uint")
