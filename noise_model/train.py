@@ -2,6 +2,11 @@
 
 ``python noise_model/train.py FOLDER...`` takes clean pictures from folders of unpacked packages; `make noise-model`
 fetches them. Training needs NumPy alone. This command made the weights in the package.
+
+Pictures (`pictures`) are drawn from crops of files (`crops`), and noise is added to them (`noises`) by random recipes
+(`recipes`). They are cut into squares (`observations`) or sampled on flat meshes (`surfaces`). Batches of these
+(`batches`) train the network by its losses (`losses`, `backpropagation`), and `table` judges it by kind of noise.
+`train_sizes` trains the second network, on further kinds (`size_kinds`).
 """
 
 from __future__ import annotations

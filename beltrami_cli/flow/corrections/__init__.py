@@ -1,1 +1,6 @@
-"""Corrections of what averages alone do not handle: outliers, clipping, shared or JPEG-coded noise, mean radiance."""
+"""Corrections of what the mean of a kernel gets wrong.
+
+- `outliers` are filled before anything else, and `dark_outliers` of shared noise before `coarse_levels` remove it.
+- `clipping` restores colours whose noise was clipped, and `mean_light` the mean radiance.
+- `coded_picture` decodes JPEG again, by the noise before compression (`jpeg_noise`).
+"""
