@@ -49,8 +49,8 @@ class PageServer(ThreadingHTTPServer):
 
     `files` are types and contents by name; "" is the page. `answer` is called with the name of a request, its JSON
     object and the `PageRequest` that sends events; it raises MalformedError, or BeltramiError if it cannot be done.
-    `grace`: seconds in which a page may be loaded again. `patience`: seconds in which the rest of a request comes, as a
-    page on this machine sends it at once.
+    `reload_timeout`: seconds in which a page may be loaded again. `body_timeout`: seconds in which the body of a request
+    comes, which a page on this machine sends at once.
     """
 
     daemon_threads = True
@@ -59,10 +59,15 @@ class PageServer(ThreadingHTTPServer):
 
     def __init__(
         self, files: Mapping[str, tuple[str, bytes]], answer: Callable[..., None], *,
-        grace: float = 2.0, patience: float = 5.0,
+        reload_timeout: float = 2.0, body_timeout: float = 5.0,
     ) -> None:  # fmt: skip
         super().__init__(("127.0.0.1", 0), PageRequest)
-        self.files, self.answer, self._grace, self.patience = files, answer, grace, patience
+        self.files, self.answer, self._reload_timeout, self.body_timeout = (
+            files,
+            answer,
+            reload_timeout,
+            body_timeout,
+        )
         self.host = f"127.0.0.1:{self.server_address[1]}"
         self.token, self._ticket = secrets.token_urlsafe(32), secrets.token_urlsafe(32)
         self._lock = threading.Lock()
@@ -93,7 +98,7 @@ class PageServer(ThreadingHTTPServer):
             while time.monotonic() < end:
                 time.sleep(_HEARTBEAT)
                 if not all(request.is_gone() for request in [*self.answered]):
-                    end = time.monotonic() + self._grace
+                    end = time.monotonic() + self._reload_timeout
         finally:
             self.closing.set()
             self.shutdown()
@@ -184,7 +189,7 @@ class PageRequest(BaseHTTPRequestHandler):
             length = int(self.headers.get("Content-Length", ""))
             if not 0 < length <= _LONGEST_REQUEST:
                 raise MalformedError
-            self.connection.settimeout(self.server.patience)
+            self.connection.settimeout(self.server.body_timeout)
             body = self.rfile.read(length)
             self.connection.settimeout(self.timeout)
             request = parse_json(body)

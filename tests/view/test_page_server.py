@@ -99,7 +99,7 @@ def test_the_program_ends_with_its_last_page_though_work_goes_on():
         request.send(kind="accepted")
         is_worked.wait(60)
 
-    server = PageServer({}, work, grace=0.1)
+    server = PageServer({}, work, reload_timeout=0.1)
     thread = threading.Thread(target=server.run, daemon=True)
     thread.start()
     connection = http.client.HTTPConnection(server.host, timeout=10)
@@ -122,7 +122,7 @@ BODIES = [
 
 
 def test_bodies_that_are_no_request_or_not_as_long_as_they_say(page_server):
-    page_server.patience = 0.1
+    page_server.body_timeout = 0.1
     for name in ("change", "save"):
         for body in BODIES:
             assert sent(page_server, name, body) == MALFORMED, body[:12]
