@@ -8,7 +8,6 @@ import shutil
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import click
@@ -90,21 +89,20 @@ def _progress_bar(work: Work) -> Progress:
     return bar
 
 
-@dataclass(frozen=True, kw_only=True)
 class Messages:
     """Messages to the user: none if quiet; results and warnings; details if verbose."""
 
-    quiet: bool
-    verbose: int
-    _bars: list[Progress] = field(default_factory=list, init=False)  # the one that is drawn now
+    def __init__(self, *, quiet: bool, verbose: int) -> None:
+        self.quiet, self.verbose = quiet, verbose
+        self._bar: Progress | None = None  # which is drawn now
 
     def show(self, *lines: str) -> None:
         """Print lines whatever was asked for, above the bar."""
         for line in map(printable, lines):
-            if self._bars:
-                self._bars[-1].console.out(line, highlight=False)
-            else:
+            if self._bar is None:
                 click.echo(line, err=True)
+            else:
+                self._bar.console.out(line, highlight=False)
 
     def say(self, text: str) -> None:
         if not self.quiet:
@@ -157,7 +155,8 @@ class Messages:
         from beltrami_cli.jobs.progress import Work
 
         work = Work()
-        with _progress_bar(work) as bar:
-            self._bars.append(bar)
-            yield work
-        self._bars.clear()
+        try:
+            with _progress_bar(work) as self._bar:
+                yield work
+        finally:
+            self._bar = None

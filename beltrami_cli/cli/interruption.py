@@ -13,7 +13,8 @@ from typing import ClassVar
 
 from beltrami_cli.signals import unhandled_signals
 
-_DUPLICATE = 1.0  # seconds in which another signal is the same wish, and would only disturb the tidying
+# Another signal within this time is a repetition, as of an impatient key, and would only disturb the tidying.
+_DUPLICATE_SECONDS = 1.0
 # Seconds until a signal is sent again whose exception was dropped: longer than most destructors take.
 _RESEND_DELAY = 0.05
 
@@ -35,7 +36,7 @@ class Interruption(BaseException):
 
 class Interruptible:
     def __init__(self) -> None:
-        self._last = -_DUPLICATE
+        self._last = -_DUPLICATE_SECONDS
         self._is_over = False
         self._signals: set[int] = set()
         self._usual_hook = sys.unraisablehook
@@ -67,7 +68,7 @@ class Interruptible:
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
         if self._is_over:
             os._exit(128 + number)
-        if time.monotonic() - self._last >= _DUPLICATE:
+        if time.monotonic() - self._last >= _DUPLICATE_SECONDS:
             self._last = time.monotonic()
             raise Interruption(number)
 
@@ -77,7 +78,7 @@ class Interruptible:
         if not isinstance(dropped, Interruption):
             self._usual_hook(unraisable)
             return
-        self._last = -_DUPLICATE
+        self._last = -_DUPLICATE_SECONDS
         timer = threading.Timer(_RESEND_DELAY, os.kill, (os.getpid(), dropped.number))
         timer.daemon = True
         timer.start()

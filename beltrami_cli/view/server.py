@@ -49,8 +49,8 @@ class PageServer(ThreadingHTTPServer):
 
     `files` are types and contents by name; "" is the page. `answer` is called with the name of a request, its JSON
     object and the `PageRequest` that sends events; it raises MalformedError, or BeltramiError if it cannot be done.
-    `reload_timeout`: seconds in which a page may be loaded again. `body_timeout`: seconds in which the body of a request
-    comes, which a page on this machine sends at once.
+    `reload_timeout`: seconds in which a page may be loaded again. `body_timeout`: seconds in which the body of a
+    request comes, which a page on this machine sends at once.
     """
 
     daemon_threads = True
