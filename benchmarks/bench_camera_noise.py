@@ -12,8 +12,7 @@ from functools import partial
 
 import numpy as np
 import peers
-from harness import arguments, show
-from harness import psnr as plain_psnr
+from harness import arguments, psnr, show
 
 from beltrami_cli.jobs.noise_kinds import jpeg_file
 from pictures import colours_of, images, smoothed, stored, with_noise
@@ -28,10 +27,10 @@ def main():
     rows = []
     for name, clean in images(options.images):
         for kind, noisy, truth in cases(clean):
-            ours = psnr(smoothed(noisy).colours, truth)
+            ours = clipped_psnr(smoothed(noisy).colours, truth)
             noisy = colours_of(noisy)
             best = float("nan") if options.no_peers else best_of_bm3d(noisy, truth)
-            rows.append((f"{name}, {kind}", psnr(noisy, truth), best, ours))
+            rows.append((f"{name}, {kind}", clipped_psnr(noisy, truth), best, ours))
     means = np.mean([row[1:] for row in rows], axis=0).tolist()
     show([*rows, ("mean", *means)], options, ("image, noise", "input", "BM3D", "by default"))
 
@@ -51,13 +50,12 @@ def cases(clean):
 def best_of_bm3d(noisy, truth):
     """Return the best PSNR of BM3D at several strengths."""
     sigma = float(np.sqrt(np.mean((noisy - truth) ** 2)))
-    score = partial(psnr, truth=truth)
+    score = partial(clipped_psnr, truth=truth)
     return max(peers.bm3d(255 * noisy, score, sigma=factor * sigma) for factor in FACTORS)
 
 
-def psnr(image, truth):
-    """Return the PSNR of an image after clipping."""
-    return plain_psnr(np.clip(image, 0, 1), truth)
+def clipped_psnr(image, truth):
+    return psnr(np.clip(image, 0, 1), truth)
 
 
 if __name__ == "__main__":
