@@ -139,6 +139,6 @@ def view_spans(tree: Tree, lengths: Sequence[int]) -> Iterator[tuple[tuple[int, 
 
 
 def view_references(value: object) -> Iterator[int]:
-    """Yield the members called "bufferView" of a value, those of images and unknown extensions, too."""
+    """Yield all members called "bufferView" in a value, also in images and unknown extensions."""
     named = (each.get("bufferView") for each in objects_within(value))
     return (index for index in named if isinstance(index, int))

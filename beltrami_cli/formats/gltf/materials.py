@@ -27,7 +27,7 @@ SLOT_PATHS: dict[Slot, tuple[tuple[str, ...], ...]] = {
 
 _TRANSFORM = "KHR_texture_transform"
 _VARIANTS = "KHR_materials_variants"
-_MAX_VARIANTS = 1 << 16  # only tells variants apart: any bound does that no file reaches
+_MAX_VARIANTS = 1 << 16  # variants need only be distinct, and no file has as many
 _ALPHA: dict[str, AlphaMode] = {"MASK": "mask", "BLEND": "blend"}
 
 

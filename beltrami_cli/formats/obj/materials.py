@@ -152,7 +152,7 @@ class Materials:
         return self._unread.get(name, Obstacle("cannot be read"))
 
     def named(self, file: str) -> list[str]:
-        """Return the paths that maps use for a file: its own, and those of its tile sets."""
+        """Return the paths that maps use for a file: its path, and tile sets that it is part of."""
         sets = [path for path, tiles in self.folder.tiles.items() if file in tiles.values()]
         return [*([file] if self.uses(file) or not sets else []), *sets]
 

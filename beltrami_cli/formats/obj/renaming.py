@@ -28,7 +28,7 @@ class Renaming:
 
     files: NewFiles
     spans: Spans  # in the model
-    libraries: dict[str, tuple[Library, Spans]]  # those that change, by their new names
+    libraries: dict[str, tuple[Library, Spans]]  # changed ones, by their new names
 
     @property
     def sidecar_names(self) -> list[str]:

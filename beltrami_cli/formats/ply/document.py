@@ -10,10 +10,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
+from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, Obstacle
 from beltrami_cli.formats import edits
-from beltrami_cli.formats.changes import Bytes, Changes, Naming, PlannedImages, Written
+from beltrami_cli.formats.changes import Changes, Naming, PlannedImages, Written
 from beltrami_cli.formats.coloured_polygons import ColouredPolygons, colours_of_vertices
 from beltrami_cli.formats.colours import quantised
 from beltrami_cli.formats.comparison import Fingerprint, labelled
@@ -29,32 +29,21 @@ from beltrami_cli.formats.ply.colours import (
     require_no_splats,
 )
 from beltrami_cli.formats.ply.header import NORMAL, POSITION, Header, read_header
+from beltrami_cli.formats.ply.patching import NewValues, hidden_values, patched_body
 from beltrami_cli.formats.ply.polygons import VERTEX_LISTS, read_grid, read_polygons
 from beltrami_cli.formats.ply.tables import (
-    Places,
     Table,
     indices,
     read_tables,
-    values_in_bytes,
     with_channels,
 )
 from beltrami_cli.formats.scene import Scene
-from beltrami_cli.formats.tokens import find_tokens
 from beltrami_cli.surface.geometry import unit_vectors
 from beltrami_cli.surface.polygons import dual
 from beltrami_cli.surface.precision import require_single
 from beltrami_cli.surface.records import MeshContents, MovedVertices, Slot
 
 _MEANS = "Vertices get the mean of the colours of their faces."
-
-
-@dataclasses.dataclass(frozen=True)
-class _Change:
-    """New values of one property."""
-
-    places: Places  # positions of a scalar property in all rows
-    rows: Bools  # which rows change
-    values: Array  # their new values, in the property's type
 
 
 class PlyDocument(Document):
@@ -121,7 +110,7 @@ class PlyDocument(Document):
         if new.places is not None:
             changes += self._moved(new.places)
         if any(change.rows.any() for change in changes):
-            pieces = [header, *_patch_body(self.data, self._header, changes)]
+            pieces = [header, *patched_body(self.data, self._header, changes)]
         else:
             pieces = [header, memoryview(self.data)[self._header.end :]] if spans else [self.data]
         return dataclasses.replace(sidecars, main=pieces)
@@ -129,15 +118,15 @@ class PlyDocument(Document):
     def sidecar_names(self, images: PlannedImages, naming: Naming, **_: object) -> list[str]:
         return texturing.renamed_images(self._images, images, self.name, naming)[0].sidecar_names
 
-    def _recoloured(self, colours: Float32s) -> list[_Change]:
+    def _recoloured(self, colours: Float32s) -> list[NewValues]:
         columns = zip(self._properties.names, self._colours.values.T, colours.T, strict=True)
         kind, scale = self._properties.type, self._scale
         return [
-            _Change(self._coloured.places(name), new != old, quantised(new[new != old], kind, scale))
+            NewValues(self._coloured.places(name), new != old, quantised(new[new != old], kind, scale))
             for name, old, new in columns
         ]
 
-    def _moved(self, places: MovedVertices) -> list[_Change]:
+    def _moved(self, places: MovedVertices) -> list[NewValues]:
         columns = dict(zip(POSITION, places.positions.T, strict=True))
         if places.normals is not None and self._has_real_normals:
             columns |= zip(NORMAL, places.normals.T, strict=True)
@@ -145,7 +134,7 @@ class PlyDocument(Document):
         for name, column in columns.items():
             rows = (column != self._vertices.scalars(name)) & ~np.isnan(column)
             new = column[rows].astype(self._kinds[name])
-            changes.append(_Change(self._vertices.places(name), rows, new))
+            changes.append(NewValues(self._vertices.places(name), rows, new))
         return changes
 
     def attributes(self) -> tuple[str, ...]:
@@ -227,20 +216,13 @@ class PlyDocument(Document):
 
     def fingerprint(self) -> Fingerprint:
         spans = {(each.start, each.end): edits.PLACEHOLDER for each in self._images if each.path is not None}
-        start = self._header.end
-        parts = {"header": edits.exchange_spans(self.data[:start], spans)}
+        parts = {"header": edits.exchange_spans(self.data[: self._header.end], spans)}
         hidden, size, colours = np.empty(0, np.int64), 0, {}
         if self.has_vertex_colours():
             places = [indices(self._coloured.places(name)) for name in self._properties.names]
             hidden, size = np.concatenate(places), np.dtype(self._properties.type).itemsize
             colours = {f"{self._properties.element} colours": self._colours.values}
-        body = f"elements {', '.join(self._tables)}"
-        if self._header.order:
-            parts[body] = edits.zeroed(self.data, hidden, size)[start:]
-        else:
-            text, order = self.data[start:], np.sort(hidden)
-            starts, ends = find_tokens(text)
-            parts[body] = edits.without_tokens(text, starts[order], ends[order])
+        parts[f"elements {', '.join(self._tables)}"] = hidden_values(self.data, self._header, hidden, size)
         shown = {f"texture {n}": image.path for n, image in enumerate(self._images) if image.path is not None}
         return Fingerprint(parts, colours, labelled(shown, self._folder.content))
 
@@ -335,26 +317,6 @@ class PlyDocument(Document):
         normals = self._vertices.columns(NORMAL, "normal")
         require_single(normals, self.name, "the normal of vertex")
         return normals.astype(np.float32)
-
-
-def _patch_body(data: bytes, header: Header, changes: Sequence[_Change]) -> list[Bytes]:
-    """Replace values in the body (at least one, each property once), and return it in pieces; other bytes stay."""
-    if not header.order:
-        text = data[header.end :]
-        starts, ends = find_tokens(text)
-        places = [indices(change.places)[change.rows] for change in changes]
-        both = zip(places, changes, strict=True)
-        new = [edits.NewNumbers(starts[at], ends[at], change.values) for at, change in both]
-        return [*edits.renumbered(text, new)]
-    patched = bytearray(data)
-    for change in changes:
-        everywhere = values_in_bytes(patched, header.order + change.values.dtype.str[1:])
-        where = change.places
-        if isinstance(where, slice):
-            everywhere[where][change.rows] = change.values
-        else:
-            everywhere[where[change.rows]] = change.values
-    return [memoryview(patched)[header.end :]]
 
 
 def _omitted(header: Header, of_vertices: Collection[str], of_faces: Collection[str]) -> tuple[str, ...]:

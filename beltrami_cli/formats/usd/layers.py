@@ -84,7 +84,7 @@ class Layers:
         """Return the root layer with new colours of meshes (None: unchanged) and new files of some attributes.
 
         It gets the form of a suffix, or keeps its own ("") with as many bytes as possible. Also return whether the new
-        values hide those of variants in other layers.
+        values hide values of variants in other layers.
         """
         order: dict[str, Any] = {"task": "edit", "files": dict(files), "same": not suffix}
         order["suffix"] = suffix or Path(self.root).suffix

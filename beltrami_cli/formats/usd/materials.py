@@ -28,7 +28,7 @@ INPUTS: dict[Slot, tuple[str, ...]] = {
     "occlusion": ("occlusion",),
     "metallicRoughness": ("roughness", "metallic"),
 }
-# The colour inputs of MaterialX surfaces, each of which may be an image.
+# The colour inputs of MaterialX surfaces; an image may be connected to each.
 _MTLX: dict[str, dict[Slot, str]] = {
     "ND_standard_surface_surfaceshader": {"baseColor": "base_color", "emissive": "emission_color"},
     "ND_open_pbr_surface_surfaceshader": {"baseColor": "base_color", "emissive": "emission_color"},

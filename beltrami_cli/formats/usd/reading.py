@@ -40,7 +40,7 @@ def read(order: dict[str, Any], _: dict[str, Array]) -> tuple[dict[str, Any], di
 def _contents(
     stage: Any, geometry: Geometry, images: Mapping[str, str], others: Iterable[str]
 ) -> SceneContents:
-    """Return the contents of a scene; `images`: those that meshes do not show, by attribute."""
+    """Return the contents of a scene; `images`: files that no mesh shows, by attribute."""
     uses = tuple(
         TextureUse(material, slot, shown.attribute, shown.file, shown.wrap)
         for material, by_slot in enumerate(geometry.images)
