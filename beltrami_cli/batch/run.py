@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -34,6 +34,10 @@ class Workers:
     pool: Pool
     call: Callable[[Item], tuple[Any, ...]]
     threads: int | None = None  # for each file without this setting; None: all processors
+    has_all_memory: bool = True  # whether a file that needs more memory than it has would fail anywhere
+
+
+Pass = Callable[[int], Workers]  # returns the workers for a number of files
 
 
 class Batch:
@@ -48,16 +52,12 @@ class Batch:
         self._outcomes: dict[int, Outcome] = {}
         self._writers: dict[str, tuple[int, str]] = {}  # by file: the item that wrote it, and its hash
 
-    def run(self, at_once: int, memory: int | None, workers: Workers | None = None) -> list[Outcome]:
-        """Return the outcomes of the items, in their order; without workers by `at_once` processes at a time.
-
-        Each has an equal share of `memory` (bytes); what that is not enough for is done alone at the end, with all.
-        """
+    def run(self, passes: Iterable[Pass]) -> list[Outcome]:
+        """Return the outcomes of the items, in their order; a pass does what needs more memory than the one before."""
         waiting = self._unfinished()
-        if workers is not None:
-            self._work(waiting, workers, is_last=True)
-        else:
-            self._work_in_processes(waiting, at_once, memory)
+        for workers_for in passes:
+            if waiting:
+                waiting = self._work(waiting, workers_for(len(waiting)))
         for key in set(range(len(self._items))) - self._outcomes.keys():  # not tried because of --fail-fast
             written = _written(self._earlier[key])
             self._outcomes[key] = outcome_of(self._items[key], "not started", written=written)
@@ -75,18 +75,8 @@ class Batch:
                 waiting.append(key)
         return waiting
 
-    def _work_in_processes(self, waiting: deque[int], at_once: int, memory: int | None) -> None:
-        count = max(1, min(at_once, len(waiting)))
-        share = None if memory is None else memory // count
-        threads = KernelParameters().thread_count
-        if waiting:
-            several = in_processes(count, share, max(1, threads // count))
-            waiting = self._work(waiting, several, is_last=count == 1)
-        if waiting:  # for the whole memory
-            self._work(waiting, in_processes(1, memory, threads), is_last=True)
-
-    def _work(self, waiting: deque[int], workers: Workers, *, is_last: bool) -> deque[int]:
-        """Run the waiting items. Unless `is_last`, return the items that need more memory."""
+    def _work(self, waiting: deque[int], workers: Workers) -> deque[int]:
+        """Run the waiting items; return the items that need more memory, if others have more."""
         larger: deque[int] = deque()
         in_work = set[int]()
         with contextlib.closing(workers.pool) as pool:
@@ -99,7 +89,7 @@ class Batch:
                         continue
                     in_work.discard(key)
                     attempt = self._lost(key, event) if isinstance(event, Lost) else event
-                    if attempt.wants_memory and not is_last:
+                    if attempt.wants_memory and not workers.has_all_memory:
                         self._watcher.postponed(key)
                         larger.append(key)
                     else:
@@ -163,6 +153,17 @@ def _written(earlier: Outcome | None) -> dict[str, str]:
     return {} if earlier is None else earlier.written
 
 
-def in_processes(count: int, memory: int | None, threads: int) -> Workers:
+def in_processes(at_once: int, memory: int | None) -> tuple[Pass, Pass]:
+    """Return passes in processes of this machine: several with equal shares of `memory` (bytes), then one with all."""
+    threads = KernelParameters().thread_count
+
+    def several(files: int) -> Workers:
+        count = min(at_once, files)
+        return process_workers(count, None if memory is None else memory // count, max(1, threads // count))
+
+    return several, lambda files: process_workers(1, memory, threads)
+
+
+def process_workers(count: int, memory: int | None, threads: int) -> Workers:
     """Return a pool for up to `count` files at a time in processes with `memory` bytes each."""
-    return Workers(Processes(count), lambda item: (do_item, item, memory), threads)
+    return Workers(Processes(count), lambda item: (do_item, item, memory), threads, has_all_memory=count == 1)

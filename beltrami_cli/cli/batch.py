@@ -26,7 +26,7 @@ from beltrami_cli.surface.memory import default_memory
 if TYPE_CHECKING:
     from beltrami_cli.batch.item import Item, Outcome
     from beltrami_cli.batch.plan import Request
-    from beltrami_cli.batch.run import Workers
+    from beltrami_cli.batch.run import Pass
 
 _CLUSTER = "Many machines"
 # The kind of input of each part of a report.
@@ -92,7 +92,7 @@ def batch(
     from beltrami_cli.batch.storage import make_folder_of
 
     start = time.monotonic()
-    processes, memory = given["at_once"] or KernelParameters().thread_count, record_from(Access, given).memory
+    memory = record_from(Access, given).memory
     requests = plan(inputs, out_dir, given["suffix"], given["output_format"])
     jobs = items_for(requests, given, overwrite=overwrite)
     if pieces is not None and (moved := [job for job in jobs if job.settings.embedding.smooth_geometry]):
@@ -104,12 +104,12 @@ def batch(
     path = _report_path(report_path, out_dir, inputs, jobs)
     with messages.progress() as work:
         display = Display(jobs, messages, work)
-        with _workers(scheduler, pieces, given["at_once"], memory, display) as workers:
+        with _passes(scheduler, pieces, given["at_once"], memory, display) as passes:
             if report_path is None:
                 make_folder_of(path)
             record = Record(path, resume=given["resume"], overwrite=overwrite)
             batch = Batch(jobs, record, display, fail_fast=given["fail_fast"])
-            outcomes = batch.run(processes, memory or default_memory(), workers)
+            outcomes = batch.run(passes)
     _show_outcomes(outcomes, messages)
     messages.say(f"{_counts(outcomes)} in {time.monotonic() - start:.1f} s; report: {path}")
     if lost := sum(outcome.status == "failed" for outcome in outcomes):
@@ -150,15 +150,16 @@ def _report_path(given: str | None, out_dir: str, inputs: Sequence[str], jobs: S
 
 
 @contextlib.contextmanager
-def _workers(
+def _passes(
     scheduler: str | None, pieces: int | None, at_once: int | None, memory: int | None, display: Display
-) -> Iterator[Workers | None]:
-    """Yield the workers for whole files or chunks; None: processes of this machine, without chunks."""
+) -> Iterator[Sequence[Pass]]:
+    """Yield the passes of a batch, with workers for whole files or for chunks."""
     from beltrami_cli.batch.chunks import in_pieces
     from beltrami_cli.batch.processes import Processes
-    from beltrami_cli.batch.run import Workers
+    from beltrami_cli.batch.run import Workers, in_processes
 
     processors = KernelParameters().thread_count
+    processes = at_once or processors
     with contextlib.ExitStack() as stack:
         client: Any = None
         if scheduler is not None:
@@ -169,18 +170,20 @@ def _workers(
             if not client.nthreads():
                 display.messages.say(f"{scheduler} has no workers yet; the files wait for them")
         if pieces is not None:
-            processes = at_once or processors
             # On a cluster, a second chunk is on its way to each worker.
             pool = OnDask(client, at_once, per_worker=2) if client else Processes(min(pieces, processes))
             threads = None if client else min(processes, processors)
             stack.enter_context(contextlib.closing(pool))
-            yield in_pieces(pool, pieces, memory or default_memory(), display.advanced, threads)
+            workers = in_pieces(pool, pieces, memory or default_memory(), display.advanced, threads)
+            yield [lambda _: workers]
         elif client:
             # A worker does as many files at once as it has threads, each on one.
-            pool = OnDask(client, at_once)
-            yield Workers(pool, lambda item: (do_on_worker, item, portable(item), memory), 1)
+            workers = Workers(
+                OnDask(client, at_once), lambda item: (do_on_worker, item, portable(item), memory), threads=1
+            )
+            yield [lambda _: workers]
         else:
-            yield None
+            yield in_processes(processes, memory or default_memory())
 
 
 def _show_outcomes(outcomes: Sequence[Outcome], messages: Messages) -> None:

@@ -18,10 +18,11 @@ QUICK = ("-n", "1", "-t", "0.5", "--beta", "10", "--beta-growth", "1", "--metric
 def without_workers():
     """Have batches do their files in this process, where others would take half a second each to start."""
 
-    def here(_, memory, threads):
-        return run.Workers(InProcess(lambda *_: None), lambda item: (do_item, item, memory), threads)
+    def here(count, memory, threads):
+        pool = InProcess(lambda *_: None)
+        return run.Workers(pool, lambda item: (do_item, item, memory), threads, has_all_memory=count == 1)
 
-    return patch.object(run, "in_processes", here)
+    return patch.object(run, "process_workers", here)
 
 
 def batch(*arguments, code=0, cwd=None):
