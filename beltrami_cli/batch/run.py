@@ -53,7 +53,7 @@ class Batch:
         self._writers: dict[str, tuple[int, str]] = {}  # by file: the item that wrote it, and its hash
 
     def run(self, passes: Iterable[Pass]) -> list[Outcome]:
-        """Return the outcomes of the items, in their order; a pass does what needs more memory than the one before."""
+        """Return the outcomes of the items, in their order; a pass does what needed more memory in the one before."""
         waiting = self._unfinished()
         for workers_for in passes:
             if waiting:
