@@ -54,7 +54,7 @@ def decode(data: bytes, suffix: str) -> NDArray[np.generic]:
     Raises
     ------
     ValueError
-        If it is no image of that kind.
+        If it is not an image of that kind.
     """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"image{suffix}"
