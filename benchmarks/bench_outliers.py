@@ -21,7 +21,7 @@ from beltrami_cli.surface.grid_atlas import grid_atlas
 LARGEST = 512  # pixels per side that are judged
 PHOTOGRAPHS = 4  # the most colourful ones take impulses
 TRIED = {
-    "_OUTLIER_LIMIT": [(2.5, 0.1), (4, 0.1), (5, 0.1), (3, 0.07), (3, 0.15)], "_WEAK_LIMIT": [0.2, 0.5],
+    "_MIN_DEVIATIONS": [2.5, 4, 5], "_MIN_SHARE_OF_RANGE": [0.07, 0.15], "_WEAK_LIMIT": [0.2, 0.5],
     "_SAME_VALUE": [0.03, 0.12], "_MIN_CLUMPS": [10, 30], "_MAJORITY": [0.5, 0.8],
 }  # fmt: skip
 

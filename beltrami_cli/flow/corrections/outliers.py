@@ -10,6 +10,7 @@ Outliers are filled with the median of the neighbours that are not outliers, bef
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -26,7 +27,7 @@ from beltrami_cli.surface import large_arrays
 #
 # A sample stands out by so many deviations of its neighbours plus a share of the range of all colours. Missed with
 # 2.5, 3, 4 and 5 deviations: 2.3, 2.8, 7.2 and 11 %; with shares of 0.07 and 0.15: 2.5 and 5.9 %.
-_OUTLIER_LIMIT = 3.0, 0.1
+_MIN_DEVIATIONS, _MIN_SHARE_OF_RANGE = 3.0, 0.1
 
 # The same, as a share of that, for samples of a value that outliers have. Missed and false with 1/5, 1/3 and 1/2 at 4
 # deviations: 8.1 and 0.05, 9.5 and 0.01, 13 and 0 %.
@@ -61,26 +62,31 @@ class Surroundings(Protocol):
 
 
 @dataclass(frozen=True)
-class _Rows:
-    """Samples with their colours, and the local median and deviation of the colours, shape (N, C)."""
+class _Compared:
+    """Samples with their colours, and the median and deviation of the colours around them, shape (N, C)."""
 
     samples: Int64s
     colours: Float32s
     medians: Float32s
     deviations: Float32s
 
-    def __getitem__(self, rows: Array) -> _Rows:
-        return _Rows(
+    def __getitem__(self, rows: Array) -> _Compared:
+        return _Compared(
             self.samples[rows], *(each[:, rows] for each in (self.colours, self.medians, self.deviations))
         )
 
-    def of_channels(self, channels: slice) -> _Rows:
-        return _Rows(self.samples, self.colours[channels], self.medians[channels], self.deviations[channels])
+    def of_channels(self, channels: slice) -> _Compared:
+        return _Compared(
+            self.samples, self.colours[channels], self.medians[channels], self.deviations[channels]
+        )
 
     def contrasts(self, size: float, value: Float32s | None = None) -> Float32s:
-        """Return the signed differences of colours, or of a value, to the medians by the threshold, shape (C,)."""
+        """Return the signed differences of colours, or of a value, to the medians by the threshold, shape (C,).
+
+        `size` is the range of all colours.
+        """
         away = (self.colours if value is None else value) - self.medians
-        away /= np.float32(_OUTLIER_LIMIT[0]) * self.deviations + np.float32(_OUTLIER_LIMIT[1] * size)
+        away /= np.float32(_MIN_DEVIATIONS) * self.deviations + np.float32(_MIN_SHARE_OF_RANGE * size)
         return np.asarray(np.take_along_axis(away, np.abs(away).argmax(axis=0)[None], axis=0)[0], np.float32)
 
 
@@ -89,21 +95,21 @@ class _Surface:
     """Colours, shape (N, ...), and the neighbours of their samples."""
 
     planes: Float32s
-    where: Surroundings
+    surroundings: Surroundings
 
     @property
     def count(self) -> int:
-        return len(self.where.samples)
+        return len(self.surroundings.samples)
 
     def at(self, samples: Indices) -> Float32s:
         return self.planes.reshape(len(self.planes), -1)[:, samples]
 
     def around(self, samples: Indices, reach: int) -> Float32s:
         """Return the colours of the samples around each sample, shape (N, B, W), padded by NaN."""
-        table = self.where.around(samples, reach)
+        table = self.surroundings.around(samples, reach)
         return np.where(table >= 0, self.at(table), np.float32(np.nan))
 
-    def compared(self, samples: Indices) -> _Rows:
+    def compared(self, samples: Indices) -> _Compared:
         """Compare samples with those within two steps. With fewer than four neighbours, the contrast is 0."""
         parts = [(samples[:0], *np.zeros((3, len(self.planes), 0), np.float32))]
         for block in large_arrays.blocks(len(samples), large_arrays.SCATTERED):
@@ -114,7 +120,7 @@ class _Surface:
             parts.append(
                 (samples[block], centres, np.where(count < 4, centres, medians), 1.4826 * deviations)
             )
-        return _Rows(*(np.concatenate(each, axis=-1) for each in zip(*parts, strict=True)))
+        return _Compared(*(np.concatenate(each, axis=-1) for each in zip(*parts, strict=True)))
 
 
 def fill_outliers(
@@ -139,7 +145,7 @@ def _find_outliers(
     sampled = surface.compared(where.samples[some])
     ranges = _ranges(sampled.colours)
     # Noise alone seldom makes a sample differ that much from most neighbours.
-    least = _OUTLIER_LIMIT[1] * ranges + _OUTLIER_LIMIT[0] / 2 * np.median(sampled.deviations, axis=1)
+    least = _MIN_SHARE_OF_RANGE * ranges + _MIN_DEVIATIONS / 2 * np.median(sampled.deviations, axis=1)
     standing_out = where.standing_out(planes, np.where(ranges > 0, least, np.inf).astype(np.float32))
     if len(standing_out) < (1 if takes_all else _MIN_CLUMPS):
         return None
@@ -150,25 +156,31 @@ def _find_outliers(
         search = _Search(*parts, float(ranges[channels][0]), takes_all=takes_all, is_light=is_light)
         return search.outliers_in(rows.of_channels(channels))
 
+    # Search all colour channels together first, then each channel.
     groups = [slice(channel, channel + 1) for channel in range(len(planes))]
     if len(planes) >= COLOURS and len(of_colours := outliers_of(slice(COLOURS))):
         found = [(slice(COLOURS), of_colours), *((group, outliers_of(group)) for group in groups[COLOURS:])]
     else:
         found = [(group, outliers_of(group)) for group in groups]
-    samples = np.unique(np.concatenate([own for _, own in found]))
+    return _outliers_by_channel(surface, found)
+
+
+def _outliers_by_channel(surface: _Surface, found: Sequence[tuple[slice, Int64s]]) -> Outliers | None:
+    """Combine the samples that are outliers of some channels; None if there are none."""
+    samples = np.unique(np.concatenate([wrong for _, wrong in found]))
     if not len(samples):
         return None
-    channels = np.zeros((len(samples), len(planes)), bool)
-    for group, own in found:
-        channels[np.searchsorted(samples, own), group] = True
-    share = len(samples) / surface.count
-    return Outliers(np.searchsorted(where.samples, samples), channels, surface.at(samples).T, share)
+    channels = np.zeros((len(samples), len(surface.planes)), bool)
+    for group, wrong in found:
+        channels[np.searchsorted(samples, wrong), group] = True
+    rows = np.searchsorted(surface.surroundings.samples, samples)
+    return Outliers(rows, channels, surface.at(samples).T, len(samples) / surface.count)
 
 
 def _ranges(colours: Float32s) -> Float64s:
     """Return the range of each channel, common to colours; constant channels get a share of their magnitude."""
     low, high = np.quantile(colours, (0.01, 0.99), axis=1)
-    ranges = np.maximum(high - low, _OUTLIER_LIMIT[1] * np.maximum(np.abs(low), np.abs(high)))
+    ranges = np.maximum(high - low, _MIN_SHARE_OF_RANGE * np.maximum(np.abs(low), np.abs(high)))
     if len(ranges) >= COLOURS:
         ranges[:COLOURS] = ranges[:COLOURS].max()
     return np.asarray(ranges, np.float64)
@@ -179,12 +191,12 @@ class _Search:
     """Search for outliers in colours; the `sampled` rows represent all samples."""
 
     surface: _Surface
-    sampled: _Rows
+    sampled: _Compared
     range: float  # of the colours
     takes_all: bool  # isolated samples that stand out, however they are distributed
     is_light: bool
 
-    def outliers_in(self, rows: _Rows) -> Int64s:
+    def outliers_in(self, rows: _Compared) -> Int64s:
         """Return the outliers among rows that stand out."""
         if not self.range > 0:
             return rows.samples[:0]
@@ -207,7 +219,9 @@ class _Search:
                 outliers.append(self._with_common_value(outlying, sign * contrast, small, strongest))
         return np.unique(np.concatenate(outliers))
 
-    def _with_common_value(self, rows: _Rows, contrast: Float32s, small: Bools, strongest: Int64s) -> Int64s:
+    def _with_common_value(
+        self, rows: _Compared, contrast: Float32s, small: Bools, strongest: Int64s
+    ) -> Int64s:
         """Return the outliers that have the most frequent value, if they are spread at random."""
         colours, tolerance = rows.colours[:, strongest], _SAME_VALUE * self.range
         value = np.median(colours, axis=1)
@@ -224,8 +238,8 @@ class _Search:
         # On a plain ground they may be a pattern.
         away = np.abs(rows.colours - rows.medians)[:, chosen].max(axis=0)
         is_plain = rows.medians[:, chosen].std(axis=1).max() < _SAME_VALUE * np.median(away)
-        hit = np.sign(contrast[0]) * self.sampled.contrasts(self.range, value[:, None]) > 1
-        if is_plain or not self._is_random(rows, np.abs(contrast), chosen, np.asarray(hit)):
+        is_visible = np.sign(contrast[0]) * self.sampled.contrasts(self.range, value[:, None]) > 1
+        if is_plain or not self._is_random(rows, np.abs(contrast), chosen, np.asarray(is_visible)):
             return rows.samples[:0]
         # Noise added after the outliers spreads their value.
         return self._samples_of_value(value, float(np.quantile(near[chosen], 0.95)))
@@ -234,7 +248,7 @@ class _Search:
         """Return isolated samples of a value, with a lower threshold of contrast."""
         surface, parts = self.surface, [np.zeros(0, np.int64)]
         for block in large_arrays.blocks(surface.count, large_arrays.CACHED):
-            samples = np.asarray(surface.where.samples[block], np.int64)
+            samples = np.asarray(surface.surroundings.samples[block], np.int64)
             rows = surface.compared(
                 samples[np.abs(surface.at(samples) - value[:, None]).max(axis=0) <= spread]
             )
@@ -253,7 +267,7 @@ class _Search:
         """
         if not len(samples):
             return np.zeros(0, bool), samples
-        around = self.surface.where.around(samples, 1)
+        around = self.surface.surroundings.around(samples, 1)
         index = np.searchsorted(samples, around).clip(0, len(samples) - 1)
         stands_out = (around >= 0) & (samples[index] == around)
         away = np.abs(self.surface.at(around) - self.surface.at(samples)[..., None]).max(axis=0)
@@ -275,34 +289,34 @@ class _Search:
             small = is_isolated & (sizes <= 4 / max(1 - 8 * share, 0.1) ** 2)
         return small
 
-    def _is_random(self, rows: _Rows, contrast: Float32s, chosen: Int64s, hit: Bools) -> bool:
-        """Whether chosen rows are spread at random over the samples on which they would be visible, `hit`."""
+    def _is_random(self, rows: _Compared, contrast: Float32s, chosen: Int64s, is_visible: Bools) -> bool:
+        """Whether chosen rows are spread at random over the samples on which they would be visible, `is_visible`."""
         # If most contrasts are near the threshold, these are the tails of texture or noise.
-        if len(chosen) < _MIN_CLUMPS or np.mean(contrast[chosen] < 2) > _MAJORITY or not hit.any():
+        if len(chosen) < _MIN_CLUMPS or np.mean(contrast[chosen] < 2) > _MAJORITY or not is_visible.any():
             return False
         samples = np.sort(rows.samples[chosen])
         return (
-            self._have_chance_neighbours(samples, hit)
-            and self._are_evenly_spread(samples, hit)
-            and _are_alike(self.sampled.medians[:, hit], rows.medians[:, chosen])
+            self._have_chance_neighbours(samples, is_visible)
+            and self._are_evenly_spread(samples, is_visible)
+            and _are_alike(self.sampled.medians[:, is_visible], rows.medians[:, chosen])
         )
 
-    def _have_chance_neighbours(self, samples: Int64s, hit: Bools) -> bool:
+    def _have_chance_neighbours(self, samples: Int64s, is_visible: Bools) -> bool:
         """Whether about as many of the samples are within two steps of each other as by chance."""
-        around = self.surface.where.around(samples, 2)
+        around = self.surface.surroundings.around(samples, 2)
         pairs = np.count_nonzero(np.isin(around, samples))
-        expected = np.count_nonzero(around >= 0) * len(samples) / (self.surface.count * hit.mean())
+        expected = np.count_nonzero(around >= 0) * len(samples) / (self.surface.count * is_visible.mean())
         error = 3 * np.sqrt(2 * expected) + 2  # each pair counts twice
         return bool(expected / 4 - error <= pairs <= 2 * expected + error)
 
-    def _are_evenly_spread(self, samples: Int64s, hit: Bools) -> bool:
+    def _are_evenly_spread(self, samples: Int64s, is_visible: Bools) -> bool:
         """Whether runs of successive samples contain about equal shares, by a chi-squared test."""
-        where, runs = self.surface.where, 2 * _MIN_CLUMPS
+        where, runs = self.surface.surroundings, 2 * _MIN_CLUMPS
         counts = np.bincount(
             np.searchsorted(where.samples, samples) * runs // self.surface.count, minlength=runs
         )
-        visible = np.bincount(np.flatnonzero(hit) * runs // len(hit), minlength=runs)
-        expected = visible * (len(samples) / np.count_nonzero(hit))
+        visible = np.bincount(np.flatnonzero(is_visible) * runs // len(is_visible), minlength=runs)
+        expected = visible * (len(samples) / np.count_nonzero(is_visible))
         excess = float((np.square(counts - expected) / np.maximum(expected, 1)).sum()) - runs
         return bool(excess <= 3 * np.sqrt(2 * runs) + 0.1 * len(samples))
 
