@@ -217,12 +217,7 @@ def steps_over_edges(
     edges = np.unique(np.sort(edges_of(faces), axis=1), axis=0).astype(np.int64)
     inside = edges[photographs[edges[:, 0]] == photographs[edges[:, 1]]]
     charts = connected(len(positions), inside)
-    count = int(charts.max(initial=-1)) + 1
-    # Positions on the plane of the two principal directions, in mean edge lengths.
-    spacing = float(np.linalg.norm(np.diff(positions[edges], axis=1), axis=2).mean()) or 1.0
-    centred = (positions - positions.mean(axis=0)) / spacing
-    flat = centred @ np.linalg.eigh(centred.T @ centred)[1][:, -2:]
-    places = ChartPlaces.around(np.zeros(2), count, [(charts, flat)]).at(flat, charts)
+    places = _places_on_plane(positions, edges, charts)
     across = edges[charts[edges[:, 0]] != charts[edges[:, 1]]]
     ends = charts[across].astype(np.int64)
     seams = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
@@ -236,8 +231,26 @@ def steps_over_edges(
     ]
     floor, ceiling = limits_of(colours)
     low, high = colours[across] <= floor + BYTE_STEP / 2, colours[across] >= ceiling - BYTE_STEP / 2
-    both, counts = np.stack(sides, axis=1), np.ones(len(ends))
-    return Steps(count, ends, both, places[across], seams, counts, low, high).oriented(), charts, places
+    steps = Steps(
+        charts=int(charts.max(initial=-1)) + 1,
+        ends=ends,
+        colours=np.stack(sides, axis=1),
+        places=places[across],
+        seams=seams,
+        counts=np.ones(len(ends)),
+        low=low,
+        high=high,
+    )
+    return steps.oriented(), charts, places
+
+
+def _places_on_plane(positions: Float64s, edges: Int64s, charts: Indices) -> Float64s:
+    """Return the places of vertices in their charts, on the plane of the two principal directions."""
+    edge_length = float(np.linalg.norm(np.diff(positions[edges], axis=1), axis=2).mean()) or 1.0
+    centred = (positions - positions.mean(axis=0)) / edge_length
+    flat = centred @ np.linalg.eigh(centred.T @ centred)[1][:, -2:]
+    count = int(charts.max(initial=-1)) + 1
+    return ChartPlaces.around(np.zeros(2), count, [(charts, flat)]).at(flat, charts)
 
 
 def _slopes(positions: Float64s, colours: Float64s, edges: Int64s) -> Float64s:
