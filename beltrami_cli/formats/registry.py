@@ -203,9 +203,11 @@ def open_as(line: Format | None, data: bytes, name: str, folder: Path | None, ac
 
 def recognised(data: bytes, name: str, *, models_only: bool = False) -> Format | None:
     """Return the format of a file by its bytes, or else by its name; None: unknown."""
+    if models_only and _is_image(data, name):
+        return None
     lines = [line for line in FORMATS if line.kind == "model" or not models_only]
     marked = next((line for line in lines if line.mark is not None and line.mark(data, name)), None)
-    if marked is not None or not data or _unread(data, name) or _image_format(data, name):
+    if marked is not None or not data or _unread(data, name):
         return marked
     named = (line for line in lines if line.by_name and name.lower().endswith(line.suffixes))
     return next(named, None)
@@ -218,21 +220,10 @@ def _refusal(data: bytes, name: str) -> InputError:
         return InputError(name, "the file is empty", _READABLE)
     if _is_image(data, name):
         return InputError(name, "it is an image, not a model", _READABLE)
-    if known := _image_format(data, name):
-        cause = f"it is a {known.upper()} image, though its name ends in {Path(name).suffix}"
-        return InputError(name, cause, f"rename it to {Path(name).with_suffix('.' + known)}")
     if not Path(name).suffix:  # standard input among them
         remedy = "give OBJ files, and points in .xyz and .pts, by their names"
         return InputError(name, "the content has no mark of a known format", remedy)
     return InputError(name, "the content is of no known format", _READABLE)
-
-
-def _image_format(data: bytes, name: str) -> str | None:
-    """Return the usual extension, without its dot, of an image whatever its name; text is not taken for one."""
-    if b"\0" not in data[:_HEAD]:
-        return None
-    suffix: str = _loaded("image.file_formats.suffix_for")(data, "")
-    return suffix[1:] or None
 
 
 def _unread(data: bytes, name: str) -> str | None:

@@ -72,7 +72,8 @@ READABLE = "PNG, JPEG, WebP, TIFF, EXR, TGA, BMP, HDR and what else OpenImageIO 
 _TARGA_FOOTER = b"TRUEVISION-XFILE.\0"
 _HEIF_BRANDS, _AVIF_BRANDS = {b"heic", b"heix", b"mif1", b"msf1"}, {b"avif", b"avis"}
 _MAX_BRANDS = 256  # bytes of them
-_MODELS = (".ply", ".obj", ".gltf", ".glb", ".xyz", ".pts", ".txt", ".asc", ".csv", ".npz", ".nrrd", ".nhdr")
+_TEXTS = (".ply", ".obj", ".gltf", ".xyz", ".pts", ".txt", ".asc", ".csv", ".nhdr")
+_HEAD = 512  # bytes, in which binary files have a zero
 _WITHOUT_MARK = ("targa", "rla")
 
 
@@ -104,8 +105,9 @@ def suffix_for(data: bytes, name: str) -> str:
 
 
 def is_image(data: bytes, name: str) -> bool:
-    """Whether a file is an image, and none of the models and clouds whose text might start like one."""
-    return format_of(data, name) is not None and suffix_of(name).lower() not in _MODELS
+    """Whether a file is an image, and not the text of a model or cloud that starts like one."""
+    is_text = b"\0" not in data[:_HEAD] and suffix_of(name).lower() in _TEXTS
+    return not is_text and format_of(data, name) is not None
 
 
 def format_of_suffix(suffix: str) -> str | None:

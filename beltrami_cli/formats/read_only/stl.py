@@ -17,7 +17,7 @@ import io
 import numpy as np
 
 from beltrami_cli.errors import InputError, NoColoursError
-from beltrami_cli.formats.coloured_polygons import ColouredPolygons, joined
+from beltrami_cli.formats.coloured_polygons import ColouredPolygons
 
 _HEADER, _TRIANGLE = 80, 50  # bytes
 _MAGICS = b"COLOR="
@@ -37,7 +37,6 @@ def _is_binary(data: bytes) -> bool:
 
 
 def read_stl(data: bytes, name: str) -> ColouredPolygons:
-    """Read a binary STL file; vertices at one place become one."""
     if not _is_binary(data):
         cause = "an STL file in text has no colours"
         raise NoColoursError(name, cause, "export it as PLY or OBJ with colours")
@@ -57,7 +56,7 @@ def read_stl(data: bytes, name: str) -> ColouredPolygons:
     else:
         colours[marked] = lowest_first[marked, ::-1]
     positions = triangles["vertices"].astype(np.float64)
-    found = ColouredPolygons(
+    return ColouredPolygons(
         positions=positions,
         corners=np.arange(len(positions)),
         sizes=np.full(len(bits), 3),
@@ -65,4 +64,3 @@ def read_stl(data: bytes, name: str) -> ColouredPolygons:
         stored="uint8",
         left_out=("normals",),
     )
-    return joined(found) if np.isfinite(positions).all() else found
