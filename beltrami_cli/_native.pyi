@@ -22,7 +22,6 @@ class AtlasArrays(TypedDict):
     chart_of: NDArray[np.int32]
     charts: int
     seams: int
-    seam_edges: int
     covered: int
     overlapped: int
 

@@ -15,7 +15,6 @@ from beltrami_cli.arrays import Bools
 from beltrami_cli.fields import require_effect
 from beltrami_cli.flow.beltrami_flow import FlowResult
 from beltrami_cli.flow.manifolds.grid_manifold import ColouredCanvas, GridManifold
-from beltrami_cli.flow.manifolds.guides import Guide
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.plan import Plan
 from beltrami_cli.formats.document import Document
@@ -45,7 +44,6 @@ class ImageLayer(PixelLayer):
 
     surface: ImageSurface
     valid: Bools  # (H, W): pixels that are samples
-    guides: Sequence[Guide] = ()  # one row per pixel
     remarks: tuple[str, ...] = ()  # about its surface, holes and channels
 
     @classmethod

@@ -18,6 +18,7 @@ from beltrami_cli.arrays import Float32s, Indices
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import FlowResult
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Resources
+from beltrami_cli.flow.manifolds.guides import Guide
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.plan import Plan
@@ -47,6 +48,7 @@ class Layer(ABC):
     settings: SmoothSettings
     # Given standard deviations: one row per vertex, texel of the layer, or pixel of the image.
     noise: Float32s | None = None
+    guides: Sequence[Guide] = ()  # with rows as those of `noise`
     level_report: LevelReport | None = None  # None: exposure steps were not searched for
 
     @property

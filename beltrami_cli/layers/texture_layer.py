@@ -17,6 +17,7 @@ from beltrami_cli.flow.estimation import estimate_on_canvas
 from beltrami_cli.flow.manifolds.canvas import canvas_margin, fill_canvas
 from beltrami_cli.flow.manifolds.grid_geometry import colours_at
 from beltrami_cli.flow.manifolds.grid_manifold import ColouredCanvas, GridManifold, grid_manifold
+from beltrami_cli.flow.manifolds.guides import Guide
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.plan import Plan
@@ -56,7 +57,6 @@ class TextureLayer(PixelLayer):
     surface: TexturedSurface
     atlas: Atlas
     shared: Collection[str] = ()  # keys of images that other slots also show
-    guided: GuidedTexels | None = None  # source of its guides
     group: str = ""  # name of the group of textures; empty: all of the slot
     levelled_colours: Float32s | None = None  # (T, N): colours of owned cells without exposure steps
 
@@ -78,13 +78,13 @@ class TextureLayer(PixelLayer):
                 tables.append(read_jpeg_tables(data))
         colours = PixelColours.of(images, slot, settings)
         atlas = _visible_atlas(surface, images, kernel, colours)
-        noise = guides = None
+        noise, guides = None, list[Guide]()
         if guided is not None:
             noise = noise_of_pixels(kernel, images, atlas.owned_texels, guided.access)
-            guides = GuidedTexels(guided, surface, images, atlas, settings)
+            guides = GuidedTexels(guided, surface, images, atlas, settings).guides()
         return cls(
             slot=slot, group=group, settings=settings, surface=surface, images=images,
-            jpeg_tables=tables or [None] * len(images), atlas=atlas, colours=colours, shared=shared, guided=guides,
+            jpeg_tables=tables or [None] * len(images), atlas=atlas, colours=colours, shared=shared, guides=guides,
             noise=None if noise is None else noise[atlas.owned_texels], suffix=settings.textures.image_suffix,
         )  # fmt: skip
 
@@ -104,7 +104,7 @@ class TextureLayer(PixelLayer):
         return ColouredCanvas(
             atlas=self.atlas, parameters=self.kernel, channels=len(self.names), colours_of=self._colours_of,
             deviations=self.deviations, light=self.light,
-            guides=self.guided.guides() if self.guided else (), metric_channels=self.colours.channels.metric,
+            guides=self.guides, metric_channels=self.colours.channels.metric,
         )  # fmt: skip
 
     def _colours_of(self, block: slice) -> Float32s:
@@ -184,9 +184,7 @@ class TextureLayer(PixelLayer):
     def _manifold_alone(self, index: int) -> GridManifold:
         surface, images = only_textures(self.surface, [index]), [self.images[index]]
         atlas = _visible_atlas(surface, images, self.kernel, self.colours)
-        alone = dataclasses.replace(
-            self, surface=surface, images=images, atlas=atlas, guided=None, noise=None
-        )
+        alone = dataclasses.replace(self, surface=surface, images=images, atlas=atlas, guides=(), noise=None)
         canvas = dataclasses.replace(alone.canvas(), parameters=dataclasses.replace(self.kernel, free=()))
         return grid_manifold(canvas, estimate_on_canvas(canvas))
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from abc import abstractmethod
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Self
@@ -13,7 +12,6 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s
 from beltrami_cli.flow.beltrami_flow import FlowResult
-from beltrami_cli.flow.manifolds.guides import Guide
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.plan import Plan
 from beltrami_cli.formats.colours import as_in_file
@@ -32,7 +30,6 @@ class VertexLayer(Layer):
     part: ClassVar[Part] = "vertices"
 
     vertices: ColouredVertices
-    guides: Sequence[Guide] = ()
     in_triangles: bool = False  # whether isolated vertices have no colour
     stored_unit: float = 1.0  # stored number that becomes 1 in the working space
 

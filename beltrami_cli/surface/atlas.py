@@ -68,7 +68,6 @@ class Atlas:
     # Numbers of charts and seams. A seam is a run of seam edges between two charts, or of a chart with itself.
     charts: int
     seams: int
-    seam_edges: int
     covered: int  # texels covered by the surface, then those covered more than once
     overlapped: int
 

@@ -39,7 +39,7 @@ def grid_atlas(shape: tuple[int, int], margin: int, positions: Float64s | None, 
         halo_weights=np.zeros((0, 4), np.float32),
         halo_seams=np.zeros(0, np.int32),
         chart_of=large_arrays.zeros(len(texels), np.int8),
-        charts=1, seams=0, seam_edges=0, covered=len(texels), overlapped=0,
+        charts=1, seams=0, covered=len(texels), overlapped=0,
     )  # fmt: skip
 
 

@@ -226,7 +226,6 @@ class Builder {
   void count() {
     atlas_.charts = static_cast<std::int64_t>(plan_.charts.size());
     atlas_.seams = plan_.charts.seams;
-    atlas_.seam_edges = plan_.charts.seam_edges;
     atlas_.covered = plan_.ownership.covered;
     atlas_.overlapped = plan_.ownership.overlapped;
   }

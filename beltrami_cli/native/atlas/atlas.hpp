@@ -24,7 +24,7 @@ struct Atlas {
   Array<Index> halo_seams;
   Array<Index> gutter_cells, gutter_texels;
   Array<Index> border_texels, lone_texels;    // uncovered, but looked up by faces
-  std::int64_t charts = 0, seams = 0, seam_edges = 0, covered = 0, overlapped = 0;
+  std::int64_t charts = 0, seams = 0, covered = 0, overlapped = 0;
 };
 
 // `allocate` provides the memory of large arrays, also temporary ones. The poll counts bands of charts. Throws

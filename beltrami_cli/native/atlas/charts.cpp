@@ -88,7 +88,6 @@ void number_seams(const Mesh& mesh, Charts& charts) {
     const Index a = charts.chart_of[edge / 3], b = charts.chart_of[static_cast<std::size_t>(twin / 3)];
     edges.push_back({std::min(a, b), std::max(a, b), none, static_cast<Edge>(edge)});
   }
-  charts.seam_edges = static_cast<Index>(edges.size());
   name_runs(mesh, edges);
   std::sort(edges.begin(), edges.end(), [](const SeamEdge& a, const SeamEdge& b) {
     return a.key() != b.key() ? a.key() < b.key() : a.edge < b.edge;

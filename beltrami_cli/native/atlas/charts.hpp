@@ -21,7 +21,7 @@ struct Charts {
   std::vector<Index> border_offsets;
   std::vector<Border> borders;
   std::vector<double> areas;        // in texels
-  Index seams = 0, seam_edges = 0;
+  Index seams = 0;
 
   std::size_t size() const { return areas.size(); }
   std::span<const Index> faces_of(std::size_t chart) const {

@@ -77,7 +77,6 @@ nb::dict to_dict(const atlas::Atlas& made) {
   result["lone_texels"] = vector_of(made.lone_texels);
   result["charts"] = made.charts;
   result["seams"] = made.seams;
-  result["seam_edges"] = made.seam_edges;
   result["covered"] = made.covered;
   result["overlapped"] = made.overlapped;
   return result;
