@@ -30,7 +30,7 @@ NETWORK = (
 SIZES = (
     *NETWORK,
     *_in("noise_model", "size_kinds.py", "train_sizes.py"),
-    *_in("beltrami_cli/flow/noise", "pilot.py", "size.py"),
+    *_in("beltrami_cli/flow/noise", "size.py"),
     *_in("beltrami_cli/native/noise", "pilot.cpp", "pilot.hpp", "pilot_of_squares.cpp"),
 )
 

@@ -4,6 +4,6 @@
 - Colours are cut into squares of a grid or clusters of vertices (`neighbourhoods`, `grid_squares`, `clusters`).
 - Two networks read the noise (`network`, `size`) from features of these (`features`, `jpeg_traces`).
 - Covariances, and the dependence on level and place (`structure`), are measured on the residual of a quick estimate of
-  the clean colours (`residual`, `pilot`).
+  the clean colours, the pilot (`residual`).
 - `stabiliser` makes noise the same at all levels, and `drawing` draws it.
 """

@@ -9,10 +9,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from beltrami_cli._native import pilot_of_graph
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
 from beltrami_cli.flow.noise.features import PAIRS, SCALES
 from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, Samples, Scale, in_components
-from beltrami_cli.flow.noise.pilot import smoothed_graph
 from beltrami_cli.flow.vertex_graph import Graph, levels_of
 
 # Maximum number of blocks of consecutive samples that are read from a large surface, and samples per block.
@@ -205,7 +205,7 @@ class VertexClusters(Neighbourhoods):
         return np.stack(sums, axis=1) / self.counts[:, None]
 
     def pilot(self, colours: Float32s, variances: Float32s) -> Float32s:
-        return smoothed_graph(colours, self.scales[0].edges, variances)
+        return pilot_of_graph(colours, self.scales[0].edges, variances)
 
     def product_of_neighbours(self, values: Float32s) -> float:
         one, other = self.scales[0].edges.T

@@ -8,11 +8,11 @@ from typing import ClassVar
 
 import numpy as np
 
+from beltrami_cli._native import pilot_of_squares
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
 from beltrami_cli.flow.noise import jpeg_traces
 from beltrami_cli.flow.noise.features import MAX_SQUARES, SCALES
 from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, Samples, Scale
-from beltrami_cli.flow.noise.pilot import smoothed_squares
 from beltrami_cli.surface import large_arrays
 
 # Cells per side of a square: the smallest side with 2 x 2 cells at the coarsest scale.
@@ -196,7 +196,7 @@ class Grid(Neighbourhoods):
         present = self._present
         if len(variances) > 1:
             variances = laid_out(variances, present, SIDE)
-        squares = smoothed_squares(laid_out(colours, present, SIDE), present, variances)
+        squares = pilot_of_squares(laid_out(colours, present, SIDE), present, variances.ravel())
         return squares.reshape(len(colours), -1) if present is None else squares[:, present]
 
     def quiet_energies(self, samples: Samples, variances: Float64s) -> Float64s | None:

@@ -92,7 +92,10 @@ class Neighbourhoods(ABC):
 
     @abstractmethod
     def pilot(self, colours: Float32s, variances: Float32s) -> Float32s:
-        """Return the pilot of the samples that are read: a quick estimate of their clean colours, see `pilot.py`.
+        """Return a quick estimate of the clean colours of the samples that are read.
+
+        It averages neighbouring samples, with weights that fall to 0 at differences that noise rarely reaches, so that
+        edges are preserved. It is too coarse for a result, but its levels are nearly free of noise.
 
         Colours have the shape (3, n). Variances of the noise are means over the channels, shape (n,), or (1,) for all.
         """

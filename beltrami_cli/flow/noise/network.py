@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -44,10 +44,8 @@ OUTPUTS = {
 # Limit at which standardised features are clipped, in standard deviations.
 MAX_STANDARDISED = 6.0
 
-Value = TypeVar("Value")
 
-
-class Layers(Generic[Value]):
+class Layers:
     """The operations of the network; training records them to compute gradients."""
 
     def __init__(self, weights: dict[str, Float32s]) -> None:
@@ -80,7 +78,7 @@ class Layers(Generic[Value]):
         return np.concatenate(parts, axis=1)
 
 
-def read(layers: Layers[Any], squares: Any, starts: Int64s, even: Any) -> dict[str, Any]:
+def read(layers: Layers, squares: Any, starts: Int64s, even: Any) -> dict[str, Any]:
     """Read the noise of N pictures.
 
     `squares` are the standardised features of the squares of all pictures. The squares of a picture begin at its entry

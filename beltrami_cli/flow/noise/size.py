@@ -105,7 +105,7 @@ def read(weights: Weights, rows: Float32s) -> Array:
     `rows` are evidence, shape (N, F).
     """
     values: Any = weights.standardised("evidence", rows)
-    layers: Layers[Any] = Layers(weights.layers)
+    layers = Layers(weights.layers)
     for name in LAYERS:
         values = layers.dense(values, name, is_last=name == LAYERS[-1])
     shares: Array = np.exp(values - values.max(axis=1, keepdims=True))
