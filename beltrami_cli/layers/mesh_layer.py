@@ -20,7 +20,6 @@ from beltrami_cli.flow.manifolds.mesh_manifold import (
     ColouredMesh,
     MeshManifold,
     mesh_manifold,
-    samples_per_kernel,
 )
 from beltrami_cli.flow.manifolds.moving_positions import GeometryParameters
 from beltrami_cli.flow.plan import Plan, choose_parameters
@@ -132,7 +131,7 @@ class MeshLayer(VertexLayer):
         manifold, planned = plan.manifold, self._described_plan(plan)
         if (moved := manifold.moving) is not None:
             planned["smooth"] |= {"normal_noise": float(moved.sigma), "normal_beta": float(moved.beta)}
-        in_kernel = samples_per_kernel(manifold, _PROBED_KERNELS, plan.step(0))
+        in_kernel = manifold.samples_per_kernel(_PROBED_KERNELS, plan.step(0))
         planned["smooth"]["samples_per_kernel"] = round(in_kernel, 1)
         where = {"mean_edge_length": manifold.geometry.spacing, "bounds": bounds(vertices.positions)}
         what = "cloud" if self._is_cloud else "surface"

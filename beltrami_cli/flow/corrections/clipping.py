@@ -136,7 +136,7 @@ def find_clipped(channels: Float32s, sigma: Float64s, empty: int = 0) -> Clipped
 
 def clipped_on(manifold: Manifold) -> ClippedChannels | None:
     """Find the clipped channels of a manifold's colours; None if there are none."""
-    channels, empty = manifold.geometry.counted(manifold.colours)
+    channels, empty = manifold.geometry.smoothable(manifold.colours)
     return find_clipped(channels, manifold.noise.sigma, empty)
 
 

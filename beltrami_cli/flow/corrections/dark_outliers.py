@@ -37,7 +37,7 @@ def fill_dark_outliers_in_place(manifold: Manifold, level: CoarseLevel, sigma: F
             ):
                 noise, below = np.float32(deviation**2) * variance[0], mean - colour[0]
                 is_far[0] = (below > 0) & (np.square(below) > _OUTLIER**2 * noise) & (spread < _PLAIN * noise)
-            single = geometry.single(are_far)
+            single = geometry.isolated(are_far)
             channel[single] = planes[0][single]
     geometry.refresh(manifold.colours)
 

@@ -122,11 +122,11 @@ class Geometry(Samples):
         """Differences of a stack between neighbouring samples, shape (K, G)."""
 
     @abstractmethod
-    def single(self, marked: Bools) -> Bools:
+    def isolated(self, marked: Bools) -> Bools:
         """Return the marked samples without marked neighbours."""
 
     @abstractmethod
-    def counted(self, colours: Stack) -> tuple[Float32s, int]:
+    def smoothable(self, colours: Stack) -> tuple[Float32s, int]:
         """Return the channels of the samples that can be smoothed, and the number of empty ones, which are 0."""
 
     @abstractmethod

@@ -105,13 +105,13 @@ class GridGeometry(Geometry):
         both = owned[rows, :-1] & owned[rows, 1:]
         return (stack[:, rows, 1:] - stack[:, rows, :-1])[:, both].T
 
-    def single(self, marked: Bools) -> Bools:
+    def isolated(self, marked: Bools) -> Bools:
         counts = np.pad(marked, 1).astype(np.uint8)
         counts = counts[:-2] + counts[1:-1] + counts[2:]
         single: Bools = counts[:, :-2] + counts[:, 1:-1] + counts[:, 2:] == 1
         return marked & single
 
-    def counted(self, colours: Stack) -> tuple[Float32s, int]:
+    def smoothable(self, colours: Stack) -> tuple[Float32s, int]:
         return colours, self.size - int(np.count_nonzero(self.atlas.kind))
 
     def gaussian(self, scale: float) -> GridGaussian:

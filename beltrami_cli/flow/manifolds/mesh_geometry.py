@@ -163,12 +163,12 @@ class MeshGeometry(Geometry, Domain):
         steps: Float32s = stack[low] - stack[high]
         return steps
 
-    def single(self, marked: Bools) -> Bools:
-        single = marked.copy()
-        single[self.edges[marked[self.edges].all(axis=1)]] = False
-        return single
+    def isolated(self, marked: Bools) -> Bools:
+        isolated = marked.copy()
+        isolated[self.edges[marked[self.edges].all(axis=1)]] = False
+        return isolated
 
-    def counted(self, colours: Stack) -> tuple[Float32s, int]:
+    def smoothable(self, colours: Stack) -> tuple[Float32s, int]:
         """Return the channels of all samples but isolated ones, which keep their colours."""
         return np.ascontiguousarray(colours[self._is_joined()].T), 0
 

@@ -227,6 +227,16 @@ class MeshManifold(Manifold):
         colours = self.noise.to_input(self.colours[reached])
         return SampledKernel(mesh.order[reached].astype(np.int64), distances, weights, colours)
 
+    def samples_per_kernel(self, kernels: int, step: Step) -> float:
+        """Measure the mean number of samples per kernel on evenly spread kernels."""
+        parameters, size = at_step(self.parameters, step), self.geometry.size
+        core = self.core_with(self._whole.measure(self.colours, step))
+        counts = [
+            len(core.distances(int(source), parameters.radius, parameters.max_samples)[0])
+            for source in np.linspace(0, size - 1, min(kernels, size), dtype=int)
+        ]
+        return float(np.mean(counts))
+
     def collaborate(
         self, noisy: Stack, pilot: Stack, mixing: Mixing, progress: Callable[[int], None] | None, *,
         replaces_pilot: bool = False,
@@ -279,14 +289,3 @@ class MeshManifold(Manifold):
         drawn = np.stack([draw_noise_of_clusters(covariances, levels, of_levels) for of_levels in signs])
         drawn /= np.float32(np.sqrt(np.mean(np.square(self.noise.sigma))))
         return drawn
-
-
-def samples_per_kernel(manifold: MeshManifold, kernels: int, step: Step) -> float:
-    """Measure the mean number of samples per kernel on evenly spread kernels."""
-    parameters, size = at_step(manifold.parameters, step), manifold.geometry.size
-    core = manifold.core_with(manifold._whole.measure(manifold.colours, step))
-    sources = np.linspace(0, size - 1, min(kernels, size), dtype=int)
-    counts = [
-        len(core.distances(int(source), parameters.radius, parameters.max_samples)[0]) for source in sources
-    ]
-    return float(np.mean(counts))
