@@ -23,9 +23,9 @@ def scan(tmp_path):
 
 
 COMMANDS = {
-    "smooth": ["smooth", "scan.txt", "out.txt", "--fast"], "info": ["info", "scan.txt"],
+    "smooth": ["smooth", "scan.txt", "out.txt", "--fast"], "info": ["info", "scan.txt", "--fast"],
     "noise": ["noise", "scan.txt", "out.txt", "--sigma", "5%"], "check": ["check", "scan.txt", "scan.txt"],
-    "compare": ["compare", "scan.txt", "scan.txt"], "kernel": ["kernel", "scan.txt", "out.csv", "--at", "5"],
+    "compare": ["compare", "scan.txt", "scan.txt"], "kernel": ["kernel", "scan.txt", "out.csv", "--at", "5", "--fast"],
     "render": ["render", "scan.txt", "out.png", "--size", "64x64"],
     "report": ["report", "scan.txt", "scan.txt", "out.html"],
     "batch": ["batch", "scan.txt", "--out-dir", "out", "--fast", "-j", "1"],
