@@ -215,7 +215,7 @@ RUNTIMES  = $(if $(findstring clang,$(CXX)),libclang_rt.asan-$(shell uname -m).s
 SANITIZED = $(filter-out %/test_units.py %/test_paper_figures.py,$(wildcard tests/properties/test_*.py)) \
   tests/surface/test_atlas_*.py $(addprefix tests/surface/test_,baking.py colour_values.py points.py) \
   $(addprefix tests/flow/test_,clipping.py core_passes.py high_valence.py moving_positions.py noise_by_level.py patches.py) \
-  -k "not (takes_seconds_by_default or frame_and_unit or hardly_worse)"
+  -k "not (takes_seconds_by_default or frame_and_unit or order_of_channels or hardly_worse or said_by_level)"
 
 # The tests of the core, most of them in Python, with a copy of the package whose core is instrumented.
 sanitize: $(TOOLS)/.installed $(VENV)/.needs-test
