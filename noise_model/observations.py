@@ -11,7 +11,7 @@ import numpy as np
 from beltrami_cli.flow.noise import features
 from beltrami_cli.flow.noise.features import Cells
 from beltrami_cli.flow.noise.grid_squares import SIDE, Grid
-from beltrami_cli.flow.noise.neighbourhoods import Samples
+from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, Samples
 from beltrami_cli.flow.noise.network import log_of
 from crops import Crop
 from noises import Sample, degrade, of_one_channel
@@ -80,14 +80,19 @@ def _part_of(rng, pixels, side):
 
 def in_squares(sample: Sample, filled: np.ndarray) -> Observed | None:
     """Cut noisy colours, noise and loss into squares; None if no square is filled."""
-    planes = np.moveaxis(sample.noisy, 2, 0)
-    grid = Grid(filled[: planes.shape[1], : planes.shape[2]], MAX_SQUARES)
-    if not grid.filled.any() or not grid.count:
+    rows, columns = sample.noisy.shape[:2]
+    grid = Grid(filled[:rows, :columns], MAX_SQUARES)
+    return cut_into(grid, sample) if grid.filled.any() else None
+
+
+def cut_into(neighbourhoods: Neighbourhoods, sample: Sample) -> Observed | None:
+    """Cut noisy colours, noise and loss into neighbourhoods; None if there are none."""
+    if not neighbourhoods.count:
         return None
-    seen = grid.cut(planes)
+    planes = sample.mapped(lambda colours: np.moveaxis(colours, -1, 0).astype(np.float32))
+    seen = neighbourhoods.cut(planes.noisy)
     noise, loss = (
-        grid.cut(np.moveaxis(own, 2, 0), seen.order) if own.any() else None
-        for own in (sample.noise, sample.loss)
+        neighbourhoods.cut(part, seen.order) if part.any() else None for part in (planes.noise, planes.loss)
     )
     return seen, noise, loss
 

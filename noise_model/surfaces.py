@@ -13,7 +13,7 @@ from beltrami_cli.flow.noise.clusters import VertexClusters
 from beltrami_cli.flow.vertex_graph import Graph
 from crops import Crop
 from noises import Sample, degrade, of_one_channel
-from observations import ONE_CHANNEL, Draw, Observed
+from observations import ONE_CHANNEL, Draw, Observed, cut_into
 from pictures import Picture, random_picture
 from recipes import Recipe
 
@@ -80,7 +80,8 @@ def random_samples(
     clean = picture(rng, pixels[top : top + height, left : left + width])
     if rng.random() < ONE_CHANNEL:
         clean, recipe = of_one_channel(clean, recipe)
-    return in_clusters(sampled(rng, clean, places, recipe, is_on_vertices=is_on_vertices), clusters)
+    sample = sampled(rng, clean, places, recipe, is_on_vertices=is_on_vertices)
+    return cut_into(clusters, sample.mapped(lambda colours: colours.reshape(-1, 3)))
 
 
 def sampled(
@@ -115,15 +116,3 @@ def of_vertices(recipe: Recipe) -> Recipe:
         recipe.is_linear, places=recipe.places, place_gain=recipe.place_gain, impulses=recipe.impulses,
         bits=recipe.bits,
     )  # fmt: skip
-
-
-def in_clusters(sample: Sample, clusters: VertexClusters) -> Observed | None:
-    """Cut noisy colours, noise and loss into clusters; None if the surface is too small."""
-    if not clusters.count:
-        return None
-    noisy, noise, loss = (
-        each.reshape(-1, 3).T.astype(np.float32) for each in (sample.noisy, sample.noise, sample.loss)
-    )
-    seen = clusters.cut(noisy)
-    noise, loss = (clusters.cut(each, seen.order) if each.any() else None for each in (noise, loss))
-    return seen, noise, loss
