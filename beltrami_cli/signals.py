@@ -1,4 +1,4 @@
-"""Signals that end a process, and its end with the process that started it."""
+"""Signals that end a process, and the end of a process with its parent."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _PR_SET_PDEATHSIG = 1  # of <sys/prctl.h>
 
 
 def end_with_parent(parent: int, number: int = signal.SIGKILL) -> None:
-    """End this process by a signal when the one that started it, whose number is given, is gone; on Linux alone."""
+    """Have a signal end this process when its parent ends, which has the given number; on Linux alone."""
     if sys.platform == "linux":
         import ctypes
 

@@ -11,7 +11,7 @@ from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.progress import Label, phases_of
 from beltrami_cli.layers.layer import Layer, Part
-from beltrami_cli.layers.selection import Selection, select, vertex_layer
+from beltrami_cli.layers.selection import Selection, layer_of_vertices, select
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings
 from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.surface.geometry import bounds, count_topology
@@ -120,7 +120,7 @@ def _describe_under_textures(selection: Selection) -> dict[str, object]:
     if settings.on == "auto" and document.grid() is None and document.has_vertex_colours():
         # They stay as they are, so no parameters are chosen for them.
         plain = dataclasses.replace(DEFAULTS, kernel=dataclasses.replace(settings.kernel, free=()))
-        facts = vertex_layer(document, plain).normalised().describe()
+        facts = layer_of_vertices(document, plain).normalised().describe()
         return {key: facts[key] for key in facts if key != "smooth"}
     surface = document.textured(selection.slots[0])
     place_of, first = group_places(surface.positions, surface.space_of, surface.faces)

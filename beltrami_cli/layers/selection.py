@@ -119,7 +119,7 @@ class Selection:
 
             yield ImageLayer.read(document, settings, suffix=suffix, colours_only=colours_only)
         if self.vertices:
-            yield vertex_layer(document, settings)
+            yield layer_of_vertices(document, settings)
         counts = Counter(texture.key for surface in self.surfaces for texture in surface.textures)
         shared = frozenset(key for key, count in counts.items() if count > 1)
         for slot, surface in zip(self.slots, self.surfaces, strict=True):
@@ -209,7 +209,7 @@ def absent_slots(document: Document, settings: SmoothSettings) -> list[str]:
     return [] if wanted == SLOTS else [f"it has no {slot} textures" for slot in wanted if slot not in present]
 
 
-def vertex_layer(document: Document, settings: SmoothSettings) -> VertexLayer:
+def layer_of_vertices(document: Document, settings: SmoothSettings) -> VertexLayer:
     """Make the layer of a model's coloured vertices: on a mesh, as points, on a grid, or on a level set."""
     from beltrami_cli.layers.grid_layer import GridLayer
     from beltrami_cli.layers.guides import noise_of_vertices, vertex_guides
