@@ -37,16 +37,16 @@ class Access(Checked):
         Whether a model may refer to files outside of its folder. Networks are never used.
     memory : int or None
         Bytes that the job may use; None: no limit. Larger files and images are refused before they are read.
-    note : callable or None
+    on_read : callable or None
         Called with the path and content of every file that was read, so that a job can record its inputs.
-    bring : callable or None
+    fetch : callable or None
         Called with the path of every sidecar file before it is opened, so that it can be fetched from elsewhere.
-    instead : mapping of Path to Path
+    replacements : mapping of Path to Path
         Replacements of files, by resolved path: new files that are not in place yet.
     columns : tuple of str
         Names of all columns of points in text files, where neither the file nor its values determine them.
     channels : tuple of str
-        Channels of PLY vertices to smooth: colours, or a scalar.
+        Channels of PLY vertices to smooth, which may include one scalar.
     typed : tuple of Parameter
         Parameters that the user typed for a single input, each of which must have an effect on it.
     """
@@ -66,9 +66,9 @@ class Access(Checked):
         kind=int, low=1, allowed="a size such as 500M or 4G", unset="half of the available memory",
         flags=("--max-memory",), metavar="SIZE", parse=size_in, show=show_size, lifts_limit=True,
     )  # fmt: skip
-    note: Callable[[Path, bytes], None] | None = field(default=None, compare=False)
-    bring: Callable[[Path], None] | None = field(default=None, compare=False)
-    instead: Mapping[Path, Path] = field(default_factory=dict, compare=False)
+    on_read: Callable[[Path, bytes], None] | None = field(default=None, compare=False)
+    fetch: Callable[[Path], None] | None = field(default=None, compare=False)
+    replacements: Mapping[Path, Path] = field(default_factory=dict, compare=False)
     channels: tuple[str, ...] = ()
     typed: tuple[Parameter, ...] = field(default=(), compare=False)
     columns: tuple[str, ...] = parameter(
@@ -80,10 +80,10 @@ class Access(Checked):
     )  # fmt: skip
 
     def found_at(self, path: Path) -> Path:
-        """Return the path that a file is read from: its own, or its replacement in `instead`."""
-        if not self.instead:
+        """Return the path that a file is read from: its own, or its replacement."""
+        if not self.replacements:
             return path
-        return self.instead.get(Path(os.path.realpath(path.parent), path.name), path)
+        return self.replacements.get(Path(os.path.realpath(path.parent), path.name), path)
 
 
 DEFAULT_ACCESS = Access()  # the default: files in the model's folder, of any size
@@ -122,8 +122,8 @@ def read_regular(path: Path, access: Access, most: int = -1) -> bytes:
         if most < 0 and access.memory is not None and size > access.memory:
             raise OSError(errno.EFBIG, f"its {size} bytes are more than the memory it may take")
         data = file.read(most)
-    if access.note is not None and not 0 <= most <= len(data):  # otherwise there may be more of it
-        access.note(path, data)
+    if access.on_read is not None and not 0 <= most <= len(data):  # otherwise there may be more of it
+        access.on_read(path, data)
     return data
 
 

@@ -81,8 +81,8 @@ class ModelFolder:
         path = checked_path(name, within, outside=self.access.outside)
         if self._folder is None:
             raise UnfitReferenceError(*_OUTSIDE_FOLDER)
-        if self.access.bring is not None:
-            self.access.bring(self._folder / path)
+        if self.access.fetch is not None:
+            self.access.fetch(self._folder / path)
         try:
             is_file = stat.S_ISREG(self.access.found_at(self._folder / path).stat().st_mode)
             there = (self._folder / path).resolve()
@@ -129,12 +129,12 @@ class ModelFolder:
         if self._folder is None:
             raise UnfitReferenceError(*_OUTSIDE_FOLDER)
         folder = PurePosixPath(path).parent
-        if self.access.bring is not None:
+        if self.access.fetch is not None:
             # Storage that is not listed is asked for the hundred tiles that a set has at most in practice.
             for u, v in product(range(COLUMNS), range(10)):
-                self.access.bring(self._folder / folder / tile_name(PurePosixPath(path).name, (u, v)))
+                self.access.fetch(self._folder / folder / tile_name(PurePosixPath(path).name, (u, v)))
         names = {*self._names_in(self._folder / folder).values()}
-        names |= {there.name for there in self.access.instead if there.parent == self._folder / folder}
+        names |= {there.name for there in self.access.replacements if there.parent == self._folder / folder}
         tiles = found_tiles(PurePosixPath(path).name, names)
         if not tiles:
             raise _missing(" (no tile of it is there)")

@@ -131,7 +131,7 @@ def test_a_detached_header_finds_its_data_beside_it_and_nowhere_else(tmp_path):
     with pytest.raises(InputError, match="its data are in"):
         read(detached, None)
     seen = {}
-    noted = Access(note=lambda path, content: seen.update({path.name: content}))
+    noted = Access(on_read=lambda path, content: seen.update({path.name: content}))
     read_volume(detached, "file", ModelFolder(folder, noted), 1000)
     assert seen == {"values.raw.gz": data}
     with pytest.raises(InputError, match="cannot be read"):

@@ -227,20 +227,20 @@ class FileSet:
         """Return an access that records files as read, so that only the result may replace them."""
 
         def note(path: Path, data: bytes) -> None:
-            if access.note is not None:
-                access.note(path, data)
+            if access.on_read is not None:
+                access.on_read(path, data)
             self._reads.add(canonical_path(path))
             self.check()
 
-        return dataclasses.replace(access, note=note)
+        return dataclasses.replace(access, on_read=note)
 
     def with_staged_files(self, access: Access) -> Access:
         """Return an access that reads temporary files as if they were already in place."""
-        instead = {
+        replacements = {
             Path(os.path.realpath(path.parent), path.name): temporary
             for path, temporary in self._transaction.temporary_files().items()
         }
-        return dataclasses.replace(access, note=None, instead=instead)
+        return dataclasses.replace(access, on_read=None, replacements=replacements)
 
     def check(self) -> None:
         """Raise OutputError if two outputs are the same file, or one is a file that must not be replaced."""
