@@ -51,19 +51,19 @@ def plan_on_canvas(
     return choose_parameters(grid_manifold(canvas, colours), tick, light_in=canvas.light, can_stay=True)
 
 
-def decodes_again(wanted: KernelParameters) -> bool:
+def decodes_again(parameters: KernelParameters) -> bool:
     """Whether JPEG pictures may be decoded again."""
-    return wanted.stabilises_noise and not wanted.fast
+    return parameters.stabilises_noise and not parameters.fast
 
 
 def _sigma_before(
-    pictures: Sequence[CodedPicture], colours: CanvasColours, wanted: KernelParameters
+    pictures: Sequence[CodedPicture], colours: CanvasColours, parameters: KernelParameters
 ) -> float | None:
     """Estimate sigma of the white noise before compression; None if pictures are not decoded again."""
     # Decoding from the coefficients of the files would bring back outliers.
     if not pictures or colours.outliers is not None:
         return None
-    given = wanted.given_noise
+    given = parameters.given_noise
     sigma = sigma_before(pictures, colours.noise) if given is None else given.sigma
     return sigma if sigma and is_changed(pictures, sigma) else None
 

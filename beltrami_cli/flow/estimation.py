@@ -23,14 +23,14 @@ from beltrami_cli.surface.atlas import EMPTY, refresh_halo, without_halo
 
 def estimate_on_mesh(mesh: ColouredMesh) -> MeshColours:
     """Fill the outliers of the colours, estimate the noise of the other samples, and stabilise its variance."""
-    wanted, geometry = mesh.parameters, mesh.geometry
+    parameters, geometry = mesh.parameters, mesh.geometry
     channels, outliers = fill_outliers(
-        mesh.colours.T, MeshSurroundings(geometry), wanted, is_light=mesh.is_light
+        mesh.colours.T, MeshSurroundings(geometry), parameters, is_light=mesh.is_light
     )
     graph = geometry.graph(channels.T, mesh.resources)
     noise = estimate_noise(
-        channels, VertexClusters(graph), wanted.given_noise,
-        varies=wanted.stabilises_noise and mesh.moving is None, strength=wanted.strength,
+        channels, VertexClusters(graph), parameters.given_noise,
+        varies=parameters.stabilises_noise and mesh.moving is None, strength=parameters.strength,
         measured=None if mesh.deviations is None else relative_to_mean(mesh.deviations),
     )  # fmt: skip
     if noise.stabiliser is not None:
@@ -40,9 +40,9 @@ def estimate_on_mesh(mesh: ColouredMesh) -> MeshColours:
 
 def estimate_on_canvas(canvas: ColouredCanvas) -> CanvasColours:
     """Put colours on the canvas, fill outliers, estimate the noise of the other cells, and stabilise its variance."""
-    wanted, atlas, is_light = canvas.parameters, canvas.atlas, canvas.light is not None
+    parameters, atlas, is_light = canvas.parameters, canvas.atlas, canvas.light is not None
     planes = fill_canvas(atlas, canvas.channels, canvas.colours_of)
-    planes, outliers = fill_outliers(planes, CanvasSurroundings(atlas), wanted, is_light=is_light)
+    planes, outliers = fill_outliers(planes, CanvasSurroundings(atlas), parameters, is_light=is_light)
     if outliers is not None:
         refresh_halo(planes, atlas)
     measured = None
@@ -52,8 +52,8 @@ def estimate_on_canvas(canvas: ColouredCanvas) -> CanvasColours:
         relative[relative == 0] = 1  # empty cells
         measured = relative, sigma
     noise = estimate_noise(
-        planes, Grid(atlas.is_owned), wanted.given_noise, varies=wanted.stabilises_noise,
-        strength=wanted.strength, measured=measured,
+        planes, Grid(atlas.is_owned), parameters.given_noise, varies=parameters.stabilises_noise,
+        strength=parameters.strength, measured=measured,
     )  # fmt: skip
     if noise.stabiliser is not None:
         # These planes are not shared, and a copy would double the memory.

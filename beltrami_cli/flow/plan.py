@@ -102,15 +102,15 @@ def choose_parameters(
             raise UsageError("vertices are not moved in pieces; leave out --pieces, or --smooth-geometry")
         # Positions share the iterations, and the best parameters of colours are too strong for them.
         manifold = manifold.with_parameters(free=())
-    given, wanted, noise = manifold, manifold.parameters, manifold.noise
+    noisy_manifold, parameters, noise = manifold, manifold.parameters, manifold.noise
     noisy = is_noisy(noise.of_input)
-    takes_patches = wanted.takes_patches and noisy and not moves
+    takes_patches = parameters.takes_patches and noisy and not moves
     if takes_patches and noise.is_shared:
         manifold, chosen, choice = _choose_without_shared_noise(manifold, tick)
     else:
         chosen, choice = tune(manifold, noisy=noisy, tick=tick)
-    if can_stay and should_stay(choice, wanted):
-        manifold, chosen = given, dataclasses.replace(chosen, iterations=0, clipping="keep")
+    if can_stay and should_stay(choice, parameters):
+        manifold, chosen = noisy_manifold, dataclasses.replace(chosen, iterations=0, clipping="keep")
     work = manifold.geometry.work(manifold.unit)
     chosen = work.bounded(chosen)
     work.announce(chosen)
@@ -122,9 +122,11 @@ def choose_parameters(
     )  # fmt: skip
 
 
-def should_stay(choice: Choice | None, wanted: KernelParameters) -> bool:
+def should_stay(choice: Choice | None, parameters: KernelParameters) -> bool:
     """Whether a result is estimated to be worse than the input, and no option asks for smoothing all the same."""
-    insists = "iterations" not in wanted.free or wanted.given_noise is not None or wanted.strength > 1
+    insists = (
+        "iterations" not in parameters.free or parameters.given_noise is not None or parameters.strength > 1
+    )
     return not insists and choice is not None and choice.gain is not None and choice.gain < 0
 
 

@@ -79,5 +79,5 @@ def predict(risk: Risk, variance: float, noise: NoiseModel, *, patches: bool) ->
         math.hypot(_PREDICTION_ERROR, 20 * math.log10(ratio)) for ratio in (high / median, median / low)
     )
     before = -10 * math.log10(median**2 * variance)
-    found = Prediction(before=before, psnr=psnr, least=psnr - below, most=psnr + above)
-    return found if found.is_useful else None
+    prediction = Prediction(before=before, psnr=psnr, least=psnr - below, most=psnr + above)
+    return prediction if prediction.is_useful else None

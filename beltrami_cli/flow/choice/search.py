@@ -114,16 +114,16 @@ class Search:
         return self._least[place]
 
     def _walk(self, schedule: Schedule) -> float:
-        wanted = self._candidates.iterations
-        if wanted is not None and schedule.regularised > wanted:
+        exact = self._candidates.iterations
+        if exact is not None and schedule.regularised > exact:
             return float("inf")
         state = self._after_regularised(schedule)
         risks: list[float] = []
         while True:
             done = schedule.regularised + schedule.plain
-            if wanted is None or done == wanted:
+            if exact is None or done == exact:
                 risks.append(self._try(schedule, state))
-            if done >= (self._candidates.max_iterations if wanted is None else wanted) or self._ends(risks):
+            if done >= (self._candidates.max_iterations if exact is None else exact) or self._ends(risks):
                 return min(risks)
             state = self._step(state, schedule.step(done))
             schedule = replace(schedule, plain=schedule.plain + 1)

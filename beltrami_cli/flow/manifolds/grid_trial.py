@@ -42,8 +42,8 @@ def choose_blocks(atlas: Atlas, budget: int, reach: int) -> tuple[Int64s, Bools]
     across = np.arange(0, columns, _CORE_SIDE)
     bands = (atlas.kind[top : top + _CORE_SIDE] == OWNED for top in range(0, rows, _CORE_SIDE))
     totals = np.cumsum([np.add.reduceat(band.sum(axis=0), across) for band in bands])
-    wanted = max(1, budget // _CORE_SIDE**2)
-    chosen = np.unique(np.searchsorted(totals, (np.arange(wanted) + 0.5) * totals[-1] / wanted))
+    count = max(1, budget // _CORE_SIDE**2)
+    chosen = np.unique(np.searchsorted(totals, (np.arange(count) + 0.5) * totals[-1] / count))
     top, left = np.divmod(chosen, -(-columns // _CORE_SIDE))
     margin = _RIM_CELLS + reach
     side = np.arange(-margin, _CORE_SIDE + margin)
@@ -78,12 +78,12 @@ def with_halo(part: Atlas, whole: Atlas, cells: Int64s, core: Bools) -> Atlas:
     )
 
 
-def _rank(ascending: Indices, wanted: Indices) -> Int64s:
+def _rank(ascending: Indices, numbers: Indices) -> Int64s:
     """Index of each number in an ascending list, the first of equal ones; -1 if absent."""
     if not len(ascending):
-        return np.full(wanted.shape, -1, np.int64)
-    rank = np.minimum(np.searchsorted(ascending, wanted), len(ascending) - 1)
-    return np.where(ascending[rank] == wanted, rank, -1)
+        return np.full(numbers.shape, -1, np.int64)
+    rank = np.minimum(np.searchsorted(ascending, numbers), len(ascending) - 1)
+    return np.where(ascending[rank] == numbers, rank, -1)
 
 
 def perturbations(count: int, atlas: Atlas, noise: NoiseModel) -> list[Array]:

@@ -72,13 +72,13 @@ def _sums_of_patches(
 
 def clusters_for(samples: Graph, most: int, relative: Float32s | None) -> list[Clusters]:
     """Make up to `most` levels of clusters, fine to coarse, as long as there are enough clusters."""
-    found: list[Clusters] = []
+    levels: list[Clusters] = []
     variances = np.ones((samples.size, 1), np.float32) if relative is None else relative
     for level in islice(levels_of(samples), 1, most + 1):
         if level.graph.size < _MIN_CLUSTERS:
             break
-        found.append(Clusters(samples, level, level.means(variances)[:, 0]))
-    return found
+        levels.append(Clusters(samples, level, level.means(variances)[:, 0]))
+    return levels
 
 
 class Clusters(CoarseLevel):

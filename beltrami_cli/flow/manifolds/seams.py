@@ -99,9 +99,9 @@ def _charts_at(atlas: Atlas, cells: Indices) -> Int32s:
     """Return the charts of cells; -1 for cells that are not owned."""
     charts = np.full(len(cells), -1, np.int32)
     for block in large_arrays.blocks(len(cells) if len(atlas.owned_cells) else 0, large_arrays.SCATTERED):
-        wanted = cells[block]
-        rank = np.minimum(np.searchsorted(atlas.owned_cells, wanted), len(atlas.owned_cells) - 1)
-        owned = atlas.owned_cells[rank] == wanted
+        numbers = cells[block]
+        rank = np.minimum(np.searchsorted(atlas.owned_cells, numbers), len(atlas.owned_cells) - 1)
+        owned = atlas.owned_cells[rank] == numbers
         charts[block][owned] = atlas.chart_of[rank[owned]]
     return charts
 
@@ -127,8 +127,8 @@ def end_at_seams_in_place(planes: Float32s, atlas: Atlas, threads: int) -> None:
     sigma = read_noise(planes, Grid(atlas.is_owned), varies=False).sigma
     beyond = atlas.halo_cells[halo_beyond(atlas, find_colour_jumps(atlas, planes, sigma))]
     if len(beyond):
-        wanted = np.zeros(atlas.kind.shape, bool)
-        wanted.reshape(-1)[beyond] = True
-        cells, nearest = nearest_marked(atlas.is_owned, wanted, max(atlas.kind.shape), threads)
+        is_beyond = np.zeros(atlas.kind.shape, bool)
+        is_beyond.reshape(-1)[beyond] = True
+        cells, nearest = nearest_marked(atlas.is_owned, is_beyond, max(atlas.kind.shape), threads)
         flat = planes.reshape(len(planes), -1)
         flat[:, cells] = flat[:, nearest]
