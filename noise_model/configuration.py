@@ -36,7 +36,6 @@ SIZES = (
 
 
 def configuration(files: tuple[str, ...]) -> str:
-    """Return the hash of the code in source files."""
     text = "\n".join(code_of((ROOT / path).read_text(encoding="utf-8"), Path(path).suffix) for path in files)
     return hashlib.sha256(text.encode()).hexdigest()
 

@@ -53,7 +53,6 @@ def part_of(path: Path) -> str:
 
 
 def clean_crops(roots: list[Path], part: str, seed: int) -> list[Crop]:
-    """Return crops of all pictures of a part."""
     rng, crops = np.random.default_rng(seed), []
     for root in roots:
         for path in sorted(own for own in root.rglob("*") if own.suffix.lower() in SUFFIXES):

@@ -39,7 +39,6 @@ class Sample:
 
 
 def to_linear(x):
-    """Decode sRGB."""
     return np.where(x <= 0.04045, x / 12.92, ((np.maximum(x, 0) + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
 
@@ -130,7 +129,6 @@ def _stored(pair: np.ndarray, recipe: Recipe) -> Sample:
 
 
 def _noise(rng: np.random.Generator, clean: np.ndarray, recipe: Recipe) -> np.ndarray:
-    """Draw noise for a clean picture."""
     if recipe.tail == "binomial":
         rays = round(2**recipe.shape)
         noise = rng.binomial(rays, clean.clip(0, 1).mean(axis=2, keepdims=True)) / rays
@@ -271,7 +269,6 @@ def to_size(colours: np.ndarray, width: int, height: int, kernel: int) -> np.nda
 
 
 def _coded(colours: np.ndarray, recipe: Recipe) -> np.ndarray:
-    """Compress and decompress a picture."""
     if recipe.codec == "BC1":
         return _in_blocks_of_four(colours)
     file, options = io.BytesIO(), {"subsampling": recipe.subsampling} if recipe.codec == "JPEG" else {}

@@ -129,7 +129,6 @@ def judged(readings: np.ndarray, truths: np.ndarray, is_clean: bool) -> str:
 
 
 def main(roots: list[Path], part: str, kind: str, weights: Weights | None = None) -> None:
-    """Print the table for grids or clusters."""
     crops, everything = clean_crops(roots, part, SEED), []
     make, kinds = (cases, KINDS) if kind == "grid" else (cases_on_surfaces, KINDS_ON_SURFACES)
     print(f"| kind of noise on a {kind} | cases | model | 90 % interval holds |\n|---|---|---|---|")

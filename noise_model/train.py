@@ -137,7 +137,6 @@ def save(weights: Weights, path: Path) -> None:
 
 
 def main() -> None:
-    """Make observations, train, judge and write, for grids and for clusters."""
     parser = argparse.ArgumentParser(description="Train the network that reads noise.")
     parser.add_argument("folders", nargs="+", type=Path, help="with pictures")
     parser.add_argument("--kinds", nargs="+", default=list(SAMPLES), choices=list(SAMPLES))
@@ -155,7 +154,6 @@ def main() -> None:
 
 
 def train_kind(kind: str, roots: list[Path], options: argparse.Namespace) -> None:
-    """Train the network for one kind of neighbourhoods."""
     began = time.monotonic()
     count = options.observations or OBSERVATIONS[kind]
     size = min(CHUNK, count)

@@ -68,7 +68,6 @@ def labels_of(truth: np.ndarray, first: np.ndarray) -> np.ndarray:
 
 
 def train(rows: np.ndarray, first: np.ndarray, truth: np.ndarray) -> Weights:
-    """Train by Adam on the cross entropy, with a rate that falls to 0 along a cosine."""
     rng, labels = np.random.default_rng(SEED), labels_of(truth, first)
     sizes = rows.shape[1], *WIDTHS, labels.shape[1]
     layers = {}
@@ -125,7 +124,6 @@ def judge(weights: Weights, rows: np.ndarray, first: np.ndarray, truth: np.ndarr
 
 
 def train_kind(kind: str, roots: list[Path], options: argparse.Namespace) -> None:
-    """Train for grids or for clusters."""
     began, families = time.monotonic(), range(len(FAMILIES[kind]))
     jobs = [
         (kind, part, number, seed, CHUNK, roots)
@@ -151,7 +149,6 @@ def train_kind(kind: str, roots: list[Path], options: argparse.Namespace) -> Non
 
 
 def main() -> None:
-    """Make rows, train, judge and write, for grids and for clusters."""
     parser = argparse.ArgumentParser(description="Train the network that reads the size of noise.")
     parser.add_argument("folders", nargs="+", type=Path, help="with pictures")
     parser.add_argument("--kinds", nargs="+", default=list(SAMPLES), choices=list(SAMPLES))

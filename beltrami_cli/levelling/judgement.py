@@ -161,7 +161,6 @@ class _CrossValidation:
         return float(np.square(self.weights.sum())) / squares if squares else 0.0
 
     def mean(self, evidence: Float64s) -> tuple[float, float]:
-        """Return the mean evidence and its variance."""
         total, count = self.weights.sum(), self.count
         mean = float(self.weights @ evidence / total)
         spread = float(np.square(self.weights * (evidence - mean)).sum()) / total**2

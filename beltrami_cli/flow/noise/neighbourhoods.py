@@ -125,7 +125,6 @@ class Neighbourhoods(ABC):
         """Positions of the neighbourhoods, shape (P, D)."""
 
     def nearest(self, places: Float64s) -> Int64s:
-        """Return the neighbourhood nearest to each place."""
         middle, nearest = self.centres.mean(axis=0), np.empty(len(places), np.int64)
         centres = np.ascontiguousarray((self.centres - middle).T)
         halves = np.square(centres).sum(axis=0) / 2
@@ -220,7 +219,6 @@ class Samples:
         return found
 
     def cells(self) -> list[Cells]:
-        """Return the measured cells of each scale."""
         cells, is_grid = [], self.where.kind == "grid"
         clipped = self.is_clipped.mean(axis=0, dtype=np.float64)
         for number, (scale, above) in enumerate(pairwise(self.where.scales)):

@@ -113,7 +113,6 @@ def read(weights: Weights, rows: Float32s) -> Array:
 
 
 def sizes_of(weights: Weights, rows: Float32s, first: Float64s) -> list[Size]:
-    """Return the size for each row of evidence and its first reading."""
     return [
         Size(float(reading), float(none), np.array(shares) / max(1e-12, sum(shares)))
         for reading, (none, *shares) in zip(first, read(weights, rows).astype(np.float64), strict=True)

@@ -102,7 +102,6 @@ class Structure:
 
     @classmethod
     def even(cls, where: Neighbourhoods) -> Structure:
-        """Return the structure of noise that is the same everywhere."""
         return cls(None, np.ones(where.count))
 
     @property
