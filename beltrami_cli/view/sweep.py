@@ -26,7 +26,7 @@ from beltrami_cli.view.sheet import SweepSheet
 from beltrami_cli.view.trials import FigureFormat, Trial, table_of
 from beltrami_cli.view.views import require_memory_to_draw
 
-Tried = tuple[dict[str, float], SmoothSettings]
+Variation = tuple[dict[str, float], SmoothSettings]  # the swept parameters, and all settings with them
 
 MAX_TRIALS = 200
 
@@ -34,7 +34,7 @@ MAX_TRIALS = 200
 def sweep_file(
     source: str,
     target: str,
-    trials: Sequence[Tried],
+    variations: Sequence[Variation],
     render_settings: RenderSettings,
     *,
     columns: int,
@@ -43,18 +43,18 @@ def sweep_file(
     job: Job = PLAIN_JOB,
 ) -> list[Trial]:
     """Smooth a file with several settings, and write a picture, a page, which grows as results come, or the figures."""
-    _check(source, len(trials), render_settings if kind is None else None)
+    _check(source, len(variations), render_settings if kind is None else None)
     is_page = Path(target).suffix.lower() in PAGES
     others = ", or .html for a page, or give --format csv"
     suffix = "" if is_page or kind else picture_suffix(target, render_settings, others)
     known = [name for name in (source, reference) if name is not None]
     output = Output(target, overwrite=job.overwrite, is_text=kind is not None, what="sheet", reads=known)
     job = Job(output.files.watching(job.access), job.progress)
-    opened = _opened(source, reference, trials[0][1], job)
+    opened = _opened(source, reference, variations[0][1], job)
     sheet = None
     if kind is None:
         require_memory_to_draw([*opened.values()], render_settings, job.access)
-        labels = [Trial(parameters, {}).label for parameters, _ in trials]
+        labels = [Trial(parameters, {}).label for parameters, _ in variations]
         title = f"Sweep of {Path(source).name}"
         sheet = SweepSheet(title, labels, render_settings, output if is_page else None)
     done: list[Trial] = []
@@ -63,8 +63,8 @@ def sweep_file(
         if sheet is not None:
             for label, shown in opened.items():
                 sheet.add(label, shown)
-        for (parameters, settings), progress in each_with_progress(trials, "trials", job.progress):
-            figures, result = _tried(opened, settings, Job(job.access, progress))
+        for (parameters, settings), progress in each_with_progress(variations, "trials", job.progress):
+            figures, result = _smoothed(opened, settings, Job(job.access, progress))
             done.append(Trial(parameters, figures))
             if sheet is not None:
                 sheet.add_trial(done[-1], result, progress)
@@ -92,7 +92,7 @@ def _opened(source: str, reference: str | None, settings: SmoothSettings, job: J
     return {"reference": truth, "before": document}
 
 
-def _tried(
+def _smoothed(
     opened: Mapping[str, Document], settings: SmoothSettings, job: Job
 ) -> tuple[dict[str, float], Document]:
     """Smooth with some settings; return also the figures of the result."""
