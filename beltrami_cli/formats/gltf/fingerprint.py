@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Collection
 from typing import Any
 
 from beltrami_cli.errors import InputError
@@ -17,7 +18,7 @@ from beltrami_cli.formats.gltf.new_attributes import accessor_uses
 from beltrami_cli.formats.model_folder import UnfitReferenceError
 from beltrami_cli.surface.records import Texture
 
-_PLACE = ("uri", "bufferView", "mimeType")  # of an image
+_PLACE_OF_BUFFER, _PLACE_OF_IMAGE = ("uri", "byteLength"), ("uri", "bufferView", "mimeType")
 _NUMBERS_OF_COLOURS = ("bufferView", "byteOffset", "sparse", "min", "max")
 _PACKED_PLACE = ("buffer", "byteOffset", "byteLength")  # of compressed bytes, in the extension of a view
 
@@ -33,16 +34,13 @@ def fingerprint(
     parts["byte order mark"] = bytes([container.has_bom])
     for key in ("extensionsUsed", "extensionsRequired"):
         tree[key] = [name for name in tree.get(key, []) if name not in IMAGE_EXTENSIONS]
-    buffers = [
-        {k: v for k, v in each.items() if k not in ("uri", "byteLength")} for each in tree.get("buffers", [])
-    ]
-    tree["buffers"] = [each or None for each in buffers]
+    tree["buffers"] = [_without(each, _PLACE_OF_BUFFER) or None for each in tree.get("buffers", [])]
     _hide_images(images, tree, textures)
     parts |= _hide_colours(tree) | _numbers(accessors, container.tree, tree)
     for key, value in tree.items():
-        entries = (
-            {f"{key}[{n}]": each for n, each in enumerate(value)} if isinstance(value, list) else {key: value}
-        )
+        entries = {key: value}
+        if isinstance(value, list):
+            entries = {f"{key}[{n}]": each for n, each in enumerate(value)}
         parts |= {place: _spelled(each) for place, each in entries.items() if each is not None}
     return parts, textures
 
@@ -68,16 +66,14 @@ def _hide_images(images: Images, tree: Tree, textures: dict[str, Texture]) -> No
 
 def _texture(images: Images, tree: Tree, number: int, place: str, textures: dict[str, Texture]) -> Tree:
     """Return a texture without where its image is, and note the image."""
-    texture = dict(tree["textures"][number])
-    texture.pop("source", None)
-    kept = {k: v for k, v in texture.pop("extensions", {}).items() if k not in IMAGE_EXTENSIONS}
+    texture = _without(tree["textures"][number], ("source",))
+    texture["extensions"] = _without(texture.get("extensions", {}), IMAGE_EXTENSIONS)
     try:
         image = images.shown(number)
         textures[place] = Texture(place, images.name(image), images.data(image))
     except UnfitReferenceError as error:
-        return texture | {"extensions": kept, "image": str(error)}
-    described = {key: value for key, value in tree["images"][image].items() if key not in _PLACE}
-    return texture | {"extensions": kept, "image": described}
+        return texture | {"image": str(error)}
+    return texture | {"image": _without(tree["images"][image], _PLACE_OF_IMAGE)}
 
 
 def _hide_colours(tree: Tree) -> dict[str, bytes]:
@@ -88,7 +84,7 @@ def _hide_colours(tree: Tree) -> dict[str, bytes]:
         packed.get("attributes", {}).pop("COLOR_0", None)
         colour = primitive.get("attributes", {}).pop("COLOR_0", -1)
         if 0 <= colour < len(accessors):
-            kept = {k: v for k, v in accessors[colour].items() if k not in _NUMBERS_OF_COLOURS}
+            kept = _without(accessors[colour], _NUMBERS_OF_COLOURS)
             kept["bounds"] = [key for key in ("min", "max") if key in accessors[colour]]
             parts[f"colours of meshes[{mesh}].primitives[{number}]"] = _spelled(kept)
     return parts
@@ -99,7 +95,7 @@ def _numbers(accessors: Accessors, source: Tree, tree: Tree) -> dict[str, bytes]
     parts: dict[str, bytes] = {}
     used = {holder[key] for _, holder, key in accessor_uses(tree)}
     colours = {primitive.get("attributes", {}).get("COLOR_0") for _, primitive in primitives_of(source)}
-    opaque = set(view_references({key: value for key, value in tree.items() if key != "accessors"}))
+    opaque = set(view_references(_without(tree, ("accessors",))))
     views = set(opaque)
     for index, accessor in enumerate(tree.get("accessors", [])):
         if index in colours and index not in used:
@@ -122,8 +118,12 @@ def _view(view: Tree) -> Tree:
     extensions = dict(view.get("extensions", {}))
     for name, holder in extensions.items():
         if isinstance(holder, dict):
-            extensions[name] = {k: v for k, v in holder.items() if k not in _PACKED_PLACE}
+            extensions[name] = _without(holder, _PACKED_PLACE)
     return view | ({"extensions": extensions} if extensions else {})
+
+
+def _without(entry: Tree, members: Collection[str]) -> Tree:
+    return {key: value for key, value in entry.items() if key not in members}
 
 
 def _spelled(value: Any) -> bytes:

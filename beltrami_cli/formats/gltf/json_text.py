@@ -124,18 +124,17 @@ class _Style:
             kept = list(zip(members, new, strict=False))
             added = [("", value) for value in new[len(members) :]]
         pieces = [
-            (
-                each.lead + each.key + each.colon + self.revised(each.text, each.value, value, each.lead),
-                each.trail,
-            )
+            each.lead + each.key + each.colon + self.revised(each.text, each.value, value, each.lead)
             for each, value in kept
         ]
         lead = members[-1].lead
         pieces += [
-            (lead + key + (self.colon if key else "") + self.written(value, lead), "") for key, value in added
+            lead + key + (self.colon if key else "") + self.written(value, lead) for key, value in added
         ]
-        joined = ",".join([*(one + trail for one, trail in pieces[:-1]), *(one for one, _ in pieces[-1:])])
-        return text[0] + joined + close
+        # White space behind the last member is part of `close`.
+        trails = [each.trail for each, _ in kept] + [""] * len(added)
+        followed = [piece + trail for piece, trail in zip(pieces[:-1], trails[:-1], strict=True)]
+        return text[0] + ",".join([*followed, *pieces[-1:]]) + close
 
     def written(self, value: object, lead: str) -> str:
         """Return a new value as text; `lead` is the white space in front of it or of its key."""
