@@ -18,7 +18,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Array
 from beltrami_cli.formats.archives import most_unpacked
-from beltrami_cli.formats.points.scan import Arrays, replaced, require_held
+from beltrami_cli.formats.points.scan import Arrays, replaced, require_room
 
 _PAGE, _CHECKSUM = 1024, 4  # bytes, see [1]_
 _AT_XML = 24  # bytes: where the place and the length of the description stand in the header
@@ -48,7 +48,7 @@ class E57:
 
     def arrays(self) -> Arrays:
         size = sum(scan.point_count * (len(self._children(scan.points)) + 3) for scan in self._scans)
-        require_held(size, 8, most_unpacked(len(self._data)))  # numbers of 8 bytes, and three of a place
+        require_room(size, 8, most_unpacked(len(self._data)))  # numbers of 8 bytes, and three of a place
         known = [self._raw(scan.points) for scan in self._scans]
         places = [self._positions_of(*each) for each in zip(self._scans, known, strict=True)]
         found = {"positions": np.concatenate(places), "xml": np.frombuffer(self._xml(), np.uint8)}

@@ -14,7 +14,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Array
 from beltrami_cli.formats.archives import most_unpacked
-from beltrami_cli.formats.points.scan import Arrays, replaced, require_held, with_colours
+from beltrami_cli.formats.points.scan import Arrays, replaced, require_room, with_colours
 
 # Bytes in the header of LAS: its size, the place of the points, the number of records; the format of points; the places
 # of waveforms and of extended records, whose number follows.
@@ -22,6 +22,9 @@ _AT_SIZES, _AT_POINT_FORMAT, _AT_WAVEFORMS, _AT_RECORDS = 94, 104, 227, 235
 _LAZ = b"\x80"  # the bit of it that LAZ sets
 # Owners of the records that describe how LAZ is packed, and that index it; a file with an index starts with its record.
 _LASZIP, _COPC = b"laszip encoded", b"copc"
+_LASZIP_NUMBER = 22204
+_BEFORE_LENGTH = 20  # bytes of a record: two reserved ones, its owner, and its number
+_DESCRIPTION = 32  # bytes behind the length
 _AT_OWNER = 377  # byte of LAS 1.4: the owner of the first record
 
 
@@ -43,12 +46,12 @@ class Las:
         import laspy
 
         with laspy.open(io.BytesIO(data)) as reader:
-            about = reader.header
-            held = most_unpacked(len(data)) if is_laz(data) else len(data) - about.offset_to_point_data
-            require_held(about.point_count, about.point_format.size, held)
+            header = reader.header
+            room = most_unpacked(len(data)) if is_laz(data) else len(data) - header.offset_to_point_data
+            require_room(header.point_count, header.point_format.size, room)
             self._data, self._las = data, reader.read()
         self._points = self._las.points.array
-        # Where extended records and waveforms start: places of data behind the points.
+        # Fields with the addresses of data behind the points: waveforms and extended records.
         self._address_fields = (_AT_WAVEFORMS, _AT_RECORDS)[: max(0, self._las.header.version.minor - 2)]
         start = self._las.header.offset_to_point_data
         self._end = start + self._points.nbytes
@@ -57,7 +60,7 @@ class Las:
             self._end = min((place for place in behind if place > start), default=len(data))
 
     def arrays(self) -> Arrays:
-        head, tail = self._frame(b"")
+        head, tail = self._head_and_tail(b"")
         for at in self._address_fields:  # compressed points may differ in length
             head[at : at + 8] = bytes(8)
         names = [name for name in self._points.dtype.names if name not in "XYZ"]  # which become the positions
@@ -65,21 +68,21 @@ class Las:
         places = {"positions": np.array(self._las.xyz), "header": np.frombuffer(head + tail, np.uint8)}
         return places | with_colours(columns, self._RGB)
 
-    def _frame(self, packing: bytes) -> tuple[bytearray, bytes]:
+    def _head_and_tail(self, packing: bytes) -> tuple[bytearray, bytes]:
         """Return the bytes before and behind the points, with a record that describes how LAZ packs them."""
-        data, about = self._data, self._las.header
+        data, header = self._data, self._las.header
         size, start, count = struct.unpack_from("<HII", data, _AT_SIZES)
         records, gap = _records(data[size:start], count, 2)
         kept = [record for record in records if not record.startswith((_LASZIP, _COPC), 2)]
         if packing:
-            kept.append(struct.pack("<2x16sHH32s", _LASZIP, 22204, len(packing), b"") + packing)
+            kept.append(struct.pack("<2x16sHH32s", _LASZIP, _LASZIP_NUMBER, len(packing), b"") + packing)
         head = bytearray(b"".join([data[:size], *kept, gap]))
-        form = about.point_format.id | (_LAZ[0] if packing else 0)
+        form = header.point_format.id | (_LAZ[0] if packing else 0)
         struct.pack_into("<IIB", head, _AT_SIZES + 2, len(head), len(kept), form)
         tail = data[self._end :]
-        if about.number_of_evlrs:
-            first = about.start_of_first_evlr - self._end
-            records, rest = _records(tail[first:], about.number_of_evlrs, 8)
+        if header.number_of_evlrs:
+            first = header.start_of_first_evlr - self._end
+            records, rest = _records(tail[first:], header.number_of_evlrs, 8)
             kept = [record for record in records if not record.startswith(_COPC, 2)]
             tail = b"".join([tail[:first], *kept, rest])
             struct.pack_into("<I", head, _AT_RECORDS + 8, len(kept))
@@ -94,13 +97,13 @@ class Las:
 
             known = self._las.point_format
             packing = lazrs.LazVlr.new_for_compression(known.id, known.num_extra_bytes)
-            head, tail = self._frame(packing.record_data())
+            head, tail = self._head_and_tail(packing.record_data())
             made.write(head)
             packer = lazrs.ParLasZipCompressor(made, packing)
             packer.compress_many(points)
             packer.done()
         else:
-            head, tail = self._frame(b"")
+            head, tail = self._head_and_tail(b"")
             made.write(head)
             made.write(points.data)
         shift = made.seek(0, io.SEEK_END) - self._end
@@ -113,10 +116,11 @@ class Las:
 
 
 def _records(data: bytes, count: int, width: int) -> tuple[list[bytes], bytes]:
-    """Return so many records of LAS, whose lengths are numbers of a width in bytes, and the data behind them."""
+    """Return `count` records of LAS, whose lengths are numbers of `width` bytes, and the data behind them."""
     records, at = list[bytes](), 0
     for _ in range(count):
-        end = at + 20 + width + 32 + int.from_bytes(data[at + 20 : at + 20 + width], "little")
+        length = at + _BEFORE_LENGTH
+        end = length + width + _DESCRIPTION + int.from_bytes(data[length : length + width], "little")
         records.append(data[at:end])
         at = end
     return records, data[at:]

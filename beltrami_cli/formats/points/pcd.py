@@ -14,7 +14,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Array
 from beltrami_cli.formats.edits import NewNumbers, renumbered
-from beltrami_cli.formats.points.scan import Arrays, replaced, require_held, with_colours
+from beltrami_cli.formats.points.scan import Arrays, replaced, require_room, with_colours
 from beltrami_cli.formats.tokens import find_tokens
 
 _LITERALS = 32  # bytes that one run of LZF holds at most
@@ -35,7 +35,7 @@ class Pcd:
             data = data[: self._body] + b"".join(lines)
         cloud = pypcd4.PointCloud.from_fileobj(io.BytesIO(data))
         self._points, self._about = np.atleast_1d(cloud.pc_data), cloud.metadata
-        require_held(self._about.points, 1, self._points.size)
+        require_room(self._about.points, 1, self._points.size)
         self._names = self._points.dtype.names or ()
         known = {name.lower(): name for name in self._names}
         self._axes = [known[axis] for axis in "xyz"]

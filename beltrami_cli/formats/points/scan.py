@@ -36,7 +36,7 @@ def replaced(new: Array, rgb: tuple[str, ...]) -> Arrays:
     return dict(zip(rgb if new.shape[1] > 1 else ("intensity",), new.T, strict=True))
 
 
-def require_held(count: int, size: int, held: int) -> None:
+def require_room(count: int, size: int, room: int) -> None:
     """Raise ValueError if points, by number and size in bytes, exceed what a file can hold or unpack to."""
-    if count * size > held:
+    if count * size > room:
         raise ValueError(f"there is no room for the {count} points that it announces")
