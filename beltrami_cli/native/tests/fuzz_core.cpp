@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "atlas/atlas.hpp"
+#include "grid/window_march.hpp"
 #include "grid/window_sweep.hpp"
 #include "triangulated/metric.hpp"
 #include "triangulated/short_time_kernel.hpp"
