@@ -105,15 +105,16 @@ def read_noise(
     groups = [slice(0, COLOURS), *singles[COLOURS:]] if count >= COLOURS else singles
     noises = [ChannelNoise.read(planes[group], where, weights) for group in groups]
     # Number of groups of colours; further channels, such as opacity, are not levels.
-    first = 1 if count >= COLOURS else count
+    colour_groups = 1 if count >= COLOURS else count
     if sigma is not None:
-        noises[:first] = [noise.with_sigma(sigma) for noise in noises[:first]]
-    colours = noises[:first]
+        noises[:colour_groups] = [noise.with_sigma(sigma) for noise in noises[:colour_groups]]
+    colours = noises[:colour_groups]
     structure = _common_structure(colours) if varies else Structure.even(where)
+    without_levels = dataclasses.replace(structure, curve=None)
     covariances, ratios = np.zeros((SCALES, count, count)), []
     for number, (group, noise) in enumerate(zip(groups, noises, strict=True)):
-        structure_of_group = structure if number < first else dataclasses.replace(structure, curve=None)
-        covariances[:, group, group], ratio = noise.covariances(structure_of_group)
+        of_group = structure if number < colour_groups else without_levels
+        covariances[:, group, group], ratio = noise.covariances(of_group)
         ratios.append(ratio)
     # Even cells may show no noise where some was read.
     is_refuted = any(noise.sigma for noise in colours) and not covariances.any()
