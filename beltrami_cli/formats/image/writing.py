@@ -161,19 +161,23 @@ def _with_own_metadata(image: DecodedImage, encoded: bytes) -> bytes:
 def check_writable(image: DecodedImage, suffix: str | None) -> str:
     """Return the format of a suffix (None: the image's own); UsageError if it cannot hold this image."""
     file_format = image.format if suffix is None else format_of_suffix(suffix)
-    missing = extra_codecs.missing_package(file_format) if file_format in extra_codecs.EXTRA_CODECS else None
-    if file_format is not None and missing is not None:
-        cause = f"{image.name}: to write {label_of(file_format)} the package {missing} is needed"
+    if file_format is None:
+        raise _unwritable(image, suffix)
+    label = label_of(file_format)
+    if file_format in extra_codecs.EXTRA_CODECS and (missing := extra_codecs.missing_package(file_format)):
+        cause = f"{image.name}: to write {label} the package {missing} is needed"
         raise UsageError(f"{cause}; {install_hint(extra_codecs.EXTRA)}")
-    if file_format is not None and len(image.colour) > max(FORMATS[file_format].channels):
-        cause = f"{label_of(file_format)} holds grey only, but the image has colours"
-        raise UsageError(f"{image.name}: {cause}; choose .ppm")
-    what = label_of(file_format) if file_format is not None else suffix
+    if len(image.colour) > max(FORMATS[file_format].channels):
+        raise UsageError(f"{image.name}: {label} holds grey only, but the image has colours; choose .ppm")
     if file_format == image.format == "bmp" and not bmp.is_plain(image.source):
-        what = "BMP with a palette, 16 bits or a header of OS/2"
-    elif file_format is not None and FORMATS[file_format].writable:
-        return file_format
-    raise UsageError(f"{image.name}: images cannot be written as {what}; choose {_CHOICES}")
+        raise _unwritable(image, "BMP with a palette, 16 bits or a header of OS/2")
+    if not FORMATS[file_format].writable:
+        raise _unwritable(image, label)
+    return file_format
+
+
+def _unwritable(image: DecodedImage, what: str | None) -> UsageError:
+    return UsageError(f"{image.name}: images cannot be written as {what}; choose {_CHOICES}")
 
 
 def _write_extra(
