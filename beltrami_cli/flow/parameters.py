@@ -43,7 +43,7 @@ _CHOSEN_FROM_DATA = "chosen from the data, else {default}"
 MAX_ITERATIONS = 10_000
 
 # Logarithm of the growth at which any difference in colour is far beyond the kernel, and numbers do not overflow yet.
-MAX_GROWTH = 25.0
+_MAX_GROWTH = 25.0
 
 
 def _strength_in(text: str) -> float:
@@ -239,7 +239,7 @@ class KernelParameters:
 
     def growth(self, iteration: int) -> float:
         """Return the ratio of beta in an iteration, counted from 0, to beta in the first."""
-        return math.exp(min(iteration * math.log(self.beta_growth), MAX_GROWTH))
+        return growth_at(iteration, self.beta_growth)
 
     @property
     def stabilises_noise(self) -> bool:
@@ -274,6 +274,11 @@ class KernelParameters:
         if self.threads is not None:
             return self.threads
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def growth_at(iteration: int, factor: float) -> float:
+    """Return the growth by a factor from each iteration to the next, as far as numbers do not overflow."""
+    return math.exp(min(iteration * math.log(factor), _MAX_GROWTH))
 
 
 def parameters_with(

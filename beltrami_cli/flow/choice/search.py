@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 from beltrami_cli.flow.choice.risk import Risk, RiskEstimate, State
 from beltrami_cli.flow.manifolds.iteration import Step
-from beltrami_cli.flow.parameters import MAX_GROWTH
+from beltrami_cli.flow.parameters import growth_at
 
 # Improvements below this share of the noise variance are due to chance: some 0.1 dB of a good result.
 _MIN_IMPROVEMENT = 5e-4
@@ -26,8 +25,8 @@ class Schedule:
     plain: int
 
     def step(self, iteration: int) -> Step:
-        grown = self.growth ** min(iteration, MAX_GROWTH / max(math.log(self.growth), 1 / MAX_GROWTH))
-        return Step(self.beta * grown, self.t, iteration < self.regularised)
+        beta = self.beta * growth_at(iteration, self.growth)
+        return Step(beta, self.t, iteration < self.regularised)
 
 
 Place: TypeAlias = tuple[int, int, int]
