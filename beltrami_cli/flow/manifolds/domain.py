@@ -10,6 +10,7 @@ from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Indices, Uint8
 from beltrami_cli.flow.manifolds.blocks import block_rows, in_parallel
 from beltrami_cli.flow.manifolds.kernel_work import KernelWork
 from beltrami_cli.flow.mixing import Mixing
+from beltrami_cli.flow.parameters import KernelParameters
 
 Stack = Float32s
 
@@ -108,6 +109,10 @@ class Geometry(Samples):
     @abstractmethod
     def kind(self) -> Uint8s:
         """EMPTY, OWNED or HALO, see `surface.atlas`, as a stack of one channel."""
+
+    def unit(self, parameters: KernelParameters) -> float:
+        """Return the unit of length of the parameters, in sample spacings."""
+        return self.spacing if parameters.units == "world" else 1.0
 
     @abstractmethod
     def work(self, unit: float) -> KernelWork:

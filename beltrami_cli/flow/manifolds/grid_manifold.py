@@ -80,9 +80,8 @@ class CanvasColours(StabilisedColours):
 def grid_manifold(canvas: ColouredCanvas, colours: CanvasColours) -> GridManifold:
     """Make the image manifold of colours of a canvas."""
     parameters = canvas.parameters
-    grid, unit = GridGeometry.of(colours.atlas, parameters, stop_at_holes=canvas.stop_at_holes), canvas.unit
-    if unit is None:
-        unit = grid.spacing if parameters.units == "world" else 1.0
+    grid = GridGeometry.of(colours.atlas, parameters, stop_at_holes=canvas.stop_at_holes)
+    unit = grid.unit(parameters) if canvas.unit is None else canvas.unit
     return GridManifold(
         geometry=grid, colours=colours.stack, noise=colours.noise, parameters=parameters, unit=unit,
         metric_channels=slice(None) if canvas.metric_channels is None else list(canvas.metric_channels),

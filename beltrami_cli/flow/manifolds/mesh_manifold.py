@@ -79,7 +79,7 @@ class ColouredMesh:
         if geometry is not None:
             moving = MovingPositions.of(
                 mesh.positions, rank_in(order)[surface.faces], mesh.edges, spacing=mesh.spacing or 1.0,
-                unit=_unit_on(mesh, parameters),
+                unit=mesh.unit(parameters),
                 parameters=GeometryParameters(geometry.places[order], geometry.normal_beta),
             )  # fmt: skip
         return cls(
@@ -87,10 +87,6 @@ class ColouredMesh:
             deviations=None if deviations is None else deviations[order], is_light=is_light,
             guides=guides, metric_channels=metric_channels, moving=moving, resources=resources,
         )  # fmt: skip
-
-
-def _unit_on(mesh: MeshGeometry, parameters: KernelParameters) -> float:
-    return mesh.spacing if parameters.units == "world" else 1.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -102,7 +98,7 @@ class MeshColours(StabilisedColours):
 
 def mesh_manifold(mesh: ColouredMesh, colours: MeshColours) -> MeshManifold:
     """Make the image manifold of colours of a mesh."""
-    geometry, unit = mesh.geometry, _unit_on(mesh.geometry, mesh.parameters)
+    geometry, unit = mesh.geometry, mesh.geometry.unit(mesh.parameters)
     return MeshManifold(
         geometry=geometry, colours=colours.stack, noise=colours.noise, parameters=mesh.parameters, unit=unit,
         metric_channels=slice(None) if mesh.metric_channels is None else list(mesh.metric_channels),
