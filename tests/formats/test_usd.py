@@ -7,7 +7,7 @@ import pytest
 
 from beltrami_cli.errors import InputError, NoColoursError
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.formats.usd.layers import layer_from
+from beltrami_cli.formats.usd.layers import binary_layer
 from beltrami_cli.jobs.bake import bake_file
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.job import Job
@@ -79,7 +79,7 @@ def test_a_unit_in_single_precision_is_read(tmp_path):
     text = scene(mesh_text(coloured(COLOURS[: len(POINTS)]))).replace(
         "metersPerUnit = 1", "metersPerUnit = 0.625"
     )
-    layer = layer_from(text.encode(), ".usdc", "a.usdc")
+    layer = binary_layer(text.encode(), "a.usdc")
     double, single = (b"\x20\x3f\0\0" + bytes([kind, 0x40]) for kind in (9, 8))
     assert layer.count(double) == 1
     (tmp_path / "a.usdc").write_bytes(layer.replace(double, single))

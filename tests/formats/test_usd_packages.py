@@ -14,7 +14,7 @@ from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.changes import Naming
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.formats.usd.layers import layer_from
+from beltrami_cli.formats.usd.layers import binary_layer
 from beltrami_cli.formats.usd.package import Package
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.job import Job
@@ -159,7 +159,7 @@ def test_text_that_is_damaged_is_kept_and_compared(tmp_path):
     """A note that is not UTF-8: `smooth` keeps it, and `check` sees where it was not kept."""
     note = '        string note = "a wall in Koeln"\n'
     text = scene(mesh_text(BOUND + note), material_text("a.png"))
-    layer = layer_from(text.encode(), ".usdc", "a.usdc")
+    layer = binary_layer(text.encode(), "a.usdc")
     assert layer.count(b"Koeln") == 1
     for folder, damage in (("in", b"K\xf6eln"), ("out", b""), ("other", b"K\xe4eln")):
         (tmp_path / folder).mkdir()

@@ -15,7 +15,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from beltrami_cli.formats.usd.layers import layer_from
+from beltrami_cli.formats.usd.layers import binary_layer
 from cli.commands import refused, run_command
 from formats.image_files import encode, png_chunk
 from hostile.textured_models import PICTURE, write_model
@@ -172,7 +172,7 @@ def crate(section):
 
     def make():
         pytest.importorskip("pxr", reason="usd-core is not installed")
-        layer = bytearray(layer_from(SCENE, ".usdc", "a.usdc"))
+        layer = bytearray(binary_layer(SCENE, "a.usdc"))
         (contents,) = struct.unpack_from("<Q", layer, 16)
         (count,) = struct.unpack_from("<Q", layer, contents)
         sections = (struct.unpack_from("<16sQQ", layer, contents + 8 + 32 * i) for i in range(count))

@@ -105,7 +105,7 @@ def _by_name(table: Table) -> ColourProperties | None:
 
 def require_no_splats(header: Header, name: str) -> None:
     """Raise InputError for Gaussian splats: their colours are coefficients of light by direction."""
-    vertices = header.element("vertex")
+    vertices = header.vertex
     if vertices is not None and any(vertices.scalars.keys() >= names for names in _SPLATS):
         cause = "it holds Gaussian splats, which are not points or triangles of a surface"
         raise InputError(name, cause, "smooth the photographs, or a mesh that is extracted from the splats")

@@ -88,9 +88,7 @@ class PlyDocument(Document):
             return False
 
     def slots(self) -> tuple[Slot, ...]:
-        has_textures = (
-            self._images and self._header.element("vertex") and texturing.find_coordinates(self._tables)
-        )
+        has_textures = self._images and self._header.vertex and texturing.find_coordinates(self._tables)
         return ("baseColor",) if has_textures else ()
 
     def _undefined(self) -> Obstacle:
@@ -242,7 +240,7 @@ class PlyDocument(Document):
 
     @cached_property
     def _vertices(self) -> Table:
-        element = self._header.element("vertex")
+        element = self._header.vertex
         if element is None or element.count == 0:
             raise InputError(self.name, "there are no vertices", "nothing in it can be smoothed")
         missing = set(POSITION) - element.scalars.keys()

@@ -64,8 +64,9 @@ class Header:
         """NumPy's sign for the byte order, empty for text."""
         return _ENCODINGS[self.encoding]
 
-    def element(self, name: str) -> Element | None:
-        return next((element for element in self.elements if element.name == name), None)
+    @property
+    def vertex(self) -> Element | None:
+        return next((element for element in self.elements if element.name == "vertex"), None)
 
 
 def read_header(data: bytes, name: str) -> Header:

@@ -16,7 +16,7 @@ from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Uint8s
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.colours import display_colours, quantised
 from beltrami_cli.formats.conversion import not_converted
-from beltrami_cli.formats.ply.header import TYPES
+from beltrami_cli.formats.ply.header import NORMAL, POSITION, TYPES
 from beltrami_cli.formats.ply.tables import values_in_bytes
 from beltrami_cli.formats.textured_mesh import bare_polygons, image_names, lost_repetition
 from beltrami_cli.surface.polygons import polygons_of
@@ -25,7 +25,6 @@ from beltrami_cli.surface.records import Material, MeshContents
 
 _NAMES = {code: name for name, code in reversed(TYPES.items())}
 _INTEGERS = {"uint8": "u1", "uint16": "u2"}  # stored types that are kept
-_PLACES = (("x", "y", "z"), ("nx", "ny", "nz"))
 _CHANNELS = ("red", "green", "blue", "alpha")
 _MAX_CORNERS = 255  # corners that a list whose count is a uchar can have
 
@@ -34,7 +33,7 @@ def write_ply(mesh: MeshContents, stem: str) -> Written:
     """Write a mesh; textures as MeshLab and photogrammetry programs do, with images that are named after `stem`."""
     colours, notices = _stored_colours(mesh) if mesh.colours.shape[1] else (None, [])
     normals, lost = _normals_by_vertex(mesh)
-    columns = [*_PLACES, () if colours is None else _CHANNELS[: colours.shape[1]]]
+    columns = [POSITION, NORMAL, () if colours is None else _CHANNELS[: colours.shape[1]]]
     properties, rows = _vertex_element(columns, [shortest_type(mesh.positions), normals, colours])
     announced, faces = _face_element(mesh)
     images = dict(zip(image_names(mesh, stem), mesh.images, strict=True))
@@ -44,7 +43,7 @@ def write_ply(mesh: MeshContents, stem: str) -> Written:
     lost += [] if is_bare else ["materials, except for their base colour images"]
     lost += ["groups and objects"] if len(mesh.groups) > 1 else []
     files = {name: image.file.data for name, image in images.items()}
-    pieces = [header.encode(), rows.tobytes(), faces.tobytes()]
+    pieces = [header, rows.tobytes(), faces.tobytes()]
     return Written(pieces, files, (*notices, *not_converted(mesh, lost)))
 
 
@@ -71,25 +70,20 @@ def _normals_by_vertex(mesh: MeshContents) -> tuple[Float32s | None, list[str]]:
 
 
 def write_scalars_as_ply(
-    positions: Float64s,
-    faces: Int32s,
-    shades: Uint8s,
-    scalars: Mapping[str, Float32s],
-    comments: Sequence[str] = (),
+    positions: Float64s, faces: Int32s, shades: Uint8s, scalars: Mapping[str, Float32s]
 ) -> Written:
     """Write triangles whose vertices have a colour, (V, 3), and scalar properties by name, (V,)."""
-    names = [("x", "y", "z"), ("red", "green", "blue"), *((name,) for name in scalars)]
+    names = [POSITION, _CHANNELS[:3], *((name,) for name in scalars)]
     blocks = [shortest_type(positions), shades, *(values[:, None] for values in scalars.values())]
     properties, rows = _vertex_element(names, blocks)
     offsets, colours = 3 * np.arange(len(faces) + 1), np.empty((len(positions), 0), np.float32)
     announced, polygons = _face_element(MeshContents(positions, faces.ravel(), offsets, colours))
-    header = _header([*(f"comment {line}" for line in comments), *properties, *announced])
-    return Written([header.encode("ascii", "replace"), rows.tobytes(), polygons.tobytes()])
+    return Written([_header([*properties, *announced]), rows.tobytes(), polygons.tobytes()])
 
 
-def _header(lines: Sequence[str]) -> str:
+def _header(lines: Sequence[str]) -> bytes:
     whole = ["ply", "format binary_little_endian 1.0", *lines, "end_header"]
-    return "".join(f"{line}\n" for line in whole)
+    return "".join(f"{line}\n" for line in whole).encode()
 
 
 def _vertex_element(

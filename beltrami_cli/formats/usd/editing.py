@@ -174,9 +174,9 @@ def _exported(layer: Any, suffix: str) -> Uint8s:
     return made
 
 
-def convert(order: dict[str, Any], arrays: dict[str, Array]) -> tuple[dict[str, Any], dict[str, Array]]:
-    """Return the text of a layer in the form that a suffix says."""
+def convert(_: dict[str, Any], arrays: dict[str, Array]) -> tuple[dict[str, Any], dict[str, Array]]:
+    """Return the text of a layer as USDC."""
     layer = Sdf.Layer.CreateAnonymous(".usda")
     if not layer.ImportFromString(arrays["text"].tobytes().decode()):
         raise ValueError("the text is not a layer")
-    return {}, {"layer": _exported(layer, order["suffix"])}
+    return {}, {"layer": _exported(layer, ".usdc")}

@@ -150,10 +150,10 @@ class Layers:
             return _USD_CORE.ask(question, self.name, size, self.access.memory)
 
 
-def layer_from(text: bytes, suffix: str, name: str) -> bytes:
-    """Convert a layer from text to the encoding of a suffix."""
+def binary_layer(text: bytes, name: str) -> bytes:
+    """Convert a layer from text to USDC."""
     with temporary_folder() as folder:
-        order = {"task": "convert", "suffix": suffix, "folder": str(folder)}
+        order = {"task": "convert", "folder": str(folder)}
         question = order, {"text": np.frombuffer(text, np.uint8)}
         return _USD_CORE.ask(question, name, len(text), None)[1]["layer"].tobytes()
 

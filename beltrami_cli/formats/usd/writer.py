@@ -20,7 +20,7 @@ from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.colours import linear_colour, linear_colours
 from beltrami_cli.formats.conversion import not_converted
 from beltrami_cli.formats.textured_mesh import image_names, material_names, normals_of_corners, plain_name
-from beltrami_cli.formats.usd.layers import layer_from
+from beltrami_cli.formats.usd.layers import binary_layer
 from beltrami_cli.formats.usd.package import packed
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.large_arrays import blocks
@@ -79,7 +79,7 @@ _BOUND = '        prepend apiSchemas = ["MaterialBindingAPI"]\n'
 def _finished(suffix: str, text: bytes, stem: str, images: dict[str, bytes], notices: list[str]) -> Written:
     if suffix == ".usda":
         return Written([text], images, tuple(notices))
-    layer = layer_from(text, ".usdc", stem)
+    layer = binary_layer(text, stem)
     if suffix == ".usdc":
         return Written([layer], images, tuple(notices))
     return Written(packed({f"{stem}.usdc": layer, **images}), notices=tuple(notices))
