@@ -22,8 +22,7 @@ from beltrami_cli.jobs.progress import Progress, at_intervals
 # Attempts at a chunk before its file fails: a machine that restarts loses a few workers, and a chunk that is too large
 # for the memory kills every worker.
 _MAX_ATTEMPTS = 5
-_PROGRESS_INTERVAL = 0.1  # seconds between two messages on progress
-Advanced = Callable[[int, str, int, int], None]  # called with a key and its progress
+Advanced = Callable[[int, str, float, float], None]  # called with a key and its progress
 
 
 def in_pieces(pool: Pool, count: int, memory: int | None, advanced: Advanced, threads: int | None) -> Workers:
@@ -58,7 +57,7 @@ class InProcess(Pool):
 
     def events(self) -> Iterator[tuple[int, Any]]:
         key, task, arguments = self._waiting.pop()
-        yield key, task(*arguments, at_intervals(_PROGRESS_INTERVAL, partial(self._advanced, key)))
+        yield key, task(*arguments, at_intervals(partial(self._advanced, key)))
 
     def give_up(self) -> None:
         self._waiting.clear()

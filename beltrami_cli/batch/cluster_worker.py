@@ -29,7 +29,7 @@ def run_on_worker(task: Task, topic: str, key: int, client_version: str, *argume
         return Lost(f"{cause}; install the same everywhere")
     running = worker.get_current_task()
 
-    def progress(label: str, done: int, total: int) -> None:
+    def progress(label: str, done: float, total: float) -> None:
         state = worker.state.tasks.get(running)
         if state is None or state.state == "cancelled":
             raise _Cancelled
@@ -38,7 +38,7 @@ def run_on_worker(task: Task, topic: str, key: int, client_version: str, *argume
     # Writable copies: arrays from Dask may be read-only, and another attempt needs them unchanged.
     values = [[np.array(each) for each in value] if isinstance(value, list) else value for value in arguments]
     try:
-        return task(*values, at_intervals(_PROGRESS_INTERVAL, progress))
+        return task(*values, at_intervals(progress, _PROGRESS_INTERVAL))
     except _Cancelled:
         return Lost("given up")
 

@@ -15,8 +15,8 @@ class Advance:
     """Progress of a task."""
 
     label: str
-    done: int
-    total: int
+    done: float
+    total: float
 
 
 @dataclass(frozen=True)

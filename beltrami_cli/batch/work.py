@@ -6,7 +6,6 @@ import dataclasses
 import os
 import time
 import traceback
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -81,17 +80,13 @@ def _done(
         return outcome_of(item, "done", read=stage.read, written=written, report=dataclasses.asdict(report))
 
 
-def _forwarded(progress: Progress, label: str, share: float) -> None:
-    progress(label, round(1000 * share), 1000)
-
-
 def _smoothed(
     item: Item, access: Access, progress: Progress | None, chunking: Chunking | None
 ) -> SmoothReport:
     from beltrami_cli.jobs.smooth import smooth_file
 
     with FileSet() as files:
-        whole = None if progress is None else Share(forward=partial(_forwarded, progress))
+        whole = None if progress is None else Share(forward=progress)
         job = Job(access, whole, item.overwrite or item.is_retry, files=files, chunking=chunking)
         report = smooth_file(item.source, item.target, item.settings, job, unwrap=item.unwrap)
         if item.is_retry and not item.overwrite:

@@ -21,7 +21,6 @@ from beltrami_cli.batch.pool import Advance, Task
 from beltrami_cli.jobs.progress import at_intervals
 from beltrami_cli.signals import end_with_parent, unhandled_signals
 
-_PROGRESS_INTERVAL = 0.1  # seconds between two messages on progress
 _ALIGNMENT = 64  # bytes: arrays begin at multiples of it, as C++ may ask of them
 
 
@@ -80,13 +79,13 @@ def serve(pipe: Connection[Any, Any], path: Path) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes; the leading one decides
     channel, held = Channel(pipe, path), dict[int, Any]()  # parts by key
 
-    def report(label: str, done: int, total: int) -> None:
+    def report(label: str, done: float, total: float) -> None:
         try:
             channel.send(Advance(label, done, total))
         except ConnectionError:  # the leading process is gone, which is not an error of the task
             sys.exit()
 
-    progress = at_intervals(_PROGRESS_INTERVAL, report)
+    progress = at_intervals(report)
     with contextlib.suppress(EOFError, ConnectionError):
         while True:
             order: Order = channel.receive()

@@ -11,7 +11,7 @@ from beltrami_cli.jobs.progress import Label, Work
 if TYPE_CHECKING:
     from beltrami_cli.batch.item import Attempt, Item
 
-_FILES, _STEPS = "files", 1000  # what progress counts, and its steps for each
+_FILES = "files"  # which progress counts
 
 
 class Display:
@@ -25,7 +25,7 @@ class Display:
             work.expect([(_FILES, float(len(jobs)))])
         self._show()
 
-    def advanced(self, key: int, label: str, done: int, total: int) -> None:
+    def advanced(self, key: int, label: str, done: float, total: float) -> None:
         self._shares[key] = done / total
         self._show()
 
@@ -35,8 +35,8 @@ class Display:
         if self._work is not None:
             label = Label(f"{self._finished} of {count} {_FILES}", _FILES)
             # What remains of a file whose work is done, such as reading it back, takes some time too.
-            steps, whole = round(_STEPS * done), _STEPS * (count - self._skipped)
-            self._work(label, steps if self._finished == count else min(steps, whole - 1), whole)
+            whole = count - self._skipped
+            self._work(label, done if self._finished == count else min(done, whole - 0.001), whole)
 
     def postponed(self, key: int) -> None:
         self._shares.pop(key, None)

@@ -57,12 +57,12 @@ def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
     return ["  ".join(cells).rstrip() for cells in aligned]
 
 
-def _progress_in_lines() -> Callable[[str, float], None]:
+def _progress_in_lines() -> Callable[[str, float, float], None]:
     """Return a function that prints a line for each label and percentage, which other programs can read."""
     printed: set[tuple[str, int]] = set()
 
-    def update(label: str, share: float) -> None:
-        line = label, int(100 * share)
+    def update(label: str, done: float, total: float) -> None:
+        line = label, int(100 * done / total)
         if line not in printed:
             printed.add(line)
             click.echo(f"progress: {printable(label)} {line[1]}%", err=True)
@@ -147,7 +147,7 @@ class Messages:
 
             lines = _progress_in_lines()
             yield Share(forward=lines)
-            lines("done", 1.0)
+            lines("done", 1.0, 1.0)
             return
         if self.quiet or not sys.stderr.isatty():
             yield None

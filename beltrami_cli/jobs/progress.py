@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Self, TypeVar
 
-Progress = Callable[[str, int, int], None]  # a label, the work done and the work to do
+Progress = Callable[[str, float, float], None]  # a label, the work done and the whole work
 Expected = tuple[str, float]  # a phase, and the seconds that it is expected to take
 Item = TypeVar("Item")
 # Seconds of processor time that a phase takes in any case, and microseconds per texel, as
@@ -34,7 +34,7 @@ _SECONDS = {
 _UNANNOUNCED_PHASE = 1.0  # seconds of a phase that no job has announced
 _UNANNOUNCED_REST = 19.0  # seconds that follow it: it takes a twentieth of the whole
 _PRIOR = 1.0  # seconds by which expectations count against the times that phases took
-_STEPS = 1000  # of the work on one of several items
+_INTERVAL = 0.1  # seconds between two messages on progress
 
 
 class Label(str):
@@ -86,14 +86,14 @@ class Work:
             self._label, self._phase_seconds = None, 0.0
             self._announced_at, self._announced_seconds = time.process_time(), self._seconds_left()
 
-    def __call__(self, label: str, done: int, total: int) -> None:
+    def __call__(self, label: str, done: float, total: float) -> None:
         """Report work of a phase; a new phase ends the previous one."""
         with self._lock:
             shown = self.share()
             if self._label is None or phase_of(label) != phase_of(self._label):
                 self._start(phase_of(label), shown)
             self._label = label
-            self._phase_done = max(self._phase_done, min(1.0, done / max(1, total)))
+            self._phase_done = max(self._phase_done, min(1.0, done / max(1.0, total)))
             left = self._seconds_left()
             progress = 1 - left / self._start_seconds if self._start_seconds else 1.0
             self._last_share = max(shown, self._start_share + (1 - self._start_share) * progress)
@@ -127,13 +127,13 @@ class Work:
 
 @dataclass
 class Share(Work):
-    """Progress of a part of a job; `forward` is called with a label and the completed fraction of the part."""
+    """Progress of a part of a job; `forward` is called with a label and the completed fraction of the part, of 1."""
 
-    forward: Callable[[str, float], None] = lambda label, share: None
+    forward: Progress = lambda label, done, total: None
 
-    def __call__(self, label: str, done: int, total: int) -> None:
+    def __call__(self, label: str, done: float, total: float) -> None:
         super().__call__(label, done, total)
-        self.forward(label, self.share())
+        self.forward(label, self.share(), 1.0)
 
 
 def each_with_progress(
@@ -144,15 +144,15 @@ def each_with_progress(
     if isinstance(progress, Work):
         progress.expect([(noun, float(count))])
 
-    def show(number: int, _: str, share: float) -> None:
+    def show(number: int, _: str = "", share: float = 0.0, __: float = 1.0) -> None:
         if progress is not None:
             label = Label(f"{min(number + 1, count)} of {count} {noun}", noun)
-            progress(label, round(_STEPS * (number + share)), _STEPS * count)
+            progress(label, number + share, count)
 
     for number, item in enumerate(items):
-        show(number, "", 0.0)
+        show(number)
         yield item, None if progress is None else Share(forward=partial(show, number))
-    show(count, "", 0.0)
+    show(count)
 
 
 def tracked(items: Sequence[Item], label: str, progress: Progress | None) -> Iterator[Item]:
@@ -165,11 +165,11 @@ def tracked(items: Sequence[Item], label: str, progress: Progress | None) -> Ite
         progress(label, len(items), len(items))
 
 
-def at_intervals(seconds: float, progress: Progress) -> Progress:
+def at_intervals(progress: Progress, seconds: float = _INTERVAL) -> Progress:
     """Return a progress callback that forwards at most one report per some seconds."""
     last = 0.0
 
-    def update(label: str, done: int, total: int) -> None:
+    def update(label: str, done: float, total: float) -> None:
         nonlocal last
         if time.monotonic() - last >= seconds:
             last = time.monotonic()

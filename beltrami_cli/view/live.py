@@ -52,8 +52,6 @@ _IDLE_SECONDS = 0.5
 _PREVIEW_SECONDS = 0.1  # seconds of smoothing in a preview
 _FIRST_RATE = 4e5  # samples times iterations a second, until a preview was timed
 _MIN_SAMPLES, _MAX_SAMPLES = 2_000, 400_000  # samples of a preview
-_PROGRESS_INTERVAL = 0.1  # seconds between two messages on progress
-_STEPS = 1000  # steps of progress
 _STOP_TIMEOUT = 1.0  # seconds to wait for work to end
 _BRIGHTEST_CHANGE = 32  # 255ths: the change that is shown brightest at first
 
@@ -231,15 +229,15 @@ class Live:
     def _whole(self, change: _Change) -> tuple[Document, list[Smoothed]]:
         page = change.page
 
-        def announce(label: str, done: int, total: int) -> None:
+        def announce(label: str, done: float, total: float) -> None:
             page.send(kind="progress", label=label, share=done / total)
 
-        at_times = at_intervals(_PROGRESS_INTERVAL, announce)
+        at_times = at_intervals(announce)
 
-        def show(label: str, share: float) -> None:
+        def show(label: str, done: float, total: float) -> None:
             with self._previewing:  # so that previews of other pages do not compete for the processors
                 page.check()
-            at_times(label, round(_STEPS * share), _STEPS)
+            at_times(label, done, total)
 
         announce("choosing parameters", 0, 1)
         job = dataclasses.replace(self._job, progress=Share(forward=show))

@@ -40,7 +40,7 @@ def shown(monkeypatch):
 
     @contextmanager
     def progress(messages, *_):
-        yield Share(forward=lambda label, share: states.append((label, share)))
+        yield Share(forward=lambda label, done, total: states.append((label, done / total)))
 
     monkeypatch.setattr(Messages, "progress", progress)
     return states
@@ -155,7 +155,9 @@ def test_the_choice_of_parameters_says_how_far_it_is_and_can_be_stopped(name, tm
 def test_a_batch_counts_files_that_are_finished_and_is_at_100_per_cent_only_then():
     items, shown = [None] * 5, []
     display = Display(
-        items, Messages(quiet=True, verbose=0), Share(forward=lambda *state: shown.append(state))
+        items,
+        Messages(quiet=True, verbose=0),
+        Share(forward=lambda label, done, _: shown.append((label, done))),
     )
     for key in range(5):
         display.advanced(key, "writing", 1000, 1000)
