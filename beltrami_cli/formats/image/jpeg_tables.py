@@ -1,4 +1,4 @@
-"""How a JPEG file codes its pixels: tables of the steps of coefficients, subsampling of chroma, progression."""
+"""How a JPEG file codes its pixels: quantisation tables, chroma subsampling, progressive scans."""
 
 from __future__ import annotations
 
@@ -17,14 +17,13 @@ _RGB = [*b"RGB"]  # identifiers of components that are not luma and chroma
 
 @dataclass(frozen=True)
 class JpegTables:
-    """Steps of the DCT coefficients of luma and of chroma, and the pixels that a sample of chroma spans."""
+    """Quantisation steps of the DCT coefficients of luma and chroma, and the pixels that a chroma sample spans."""
 
     steps: Float64s  # shape (1, 8, 8) of grey images, or (2, 8, 8)
     span: tuple[int, int]  # rows, columns: 1 or 2 each
 
 
 def is_progressive(data: bytes) -> bool:
-    """Whether a JPEG file is made of scans that become finer."""
     header = _header(data)
     return header is not None and "progressive" in header.info
 

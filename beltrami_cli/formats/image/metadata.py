@@ -1,4 +1,4 @@
-"""Metadata of image files: those that a new file takes over from its source, and those that are lost."""
+"""Metadata of image files: carried over from the source to a new file, or reported as lost."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ _PROFILE_HEADER = 124  # bytes of it
 
 
 def has_palette(data: bytes) -> bool:
-    """Whether pixels have so few bits that they can only be indices, in the header of OS/2 or in that of Windows."""
+    """Whether pixels have so few bits that they are indices; the headers of OS/2 and Windows differ."""
     at = 24 if data[14:18] == b"\x0c\0\0\0" else 28
     return 0 < int.from_bytes(data[at : at + 2], "little") <= _MAX_BITS_OF_A_PALETTE
 

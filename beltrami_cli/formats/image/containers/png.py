@@ -1,4 +1,4 @@
-"""Chunks of PNG files; a new file keeps those that OpenImageIO does not write.
+"""Chunks of PNG files; a new file keeps the chunks that OpenImageIO does not write.
 
 References
 ----------

@@ -1,4 +1,4 @@
-"""Headers and footers of TGA files, of which a new file keeps what they say about alpha."""
+"""Headers and footers of TGA files; a new file keeps their statements about alpha."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ _ALPHA = 494  # byte of the extension area
 
 
 def has_palette(data: bytes) -> bool:
-    """Whether there is a map of colours, and pixels that number them, plain or in runs."""
+    """Whether pixels are indices into a colour map, raw or run-length encoded."""
     return data[1:3] in (b"\1\1", b"\1\x09")
 
 
