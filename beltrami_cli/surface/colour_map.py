@@ -22,9 +22,9 @@ def colour_by_value(values: Float32s, colours: Float32s, known: Bools) -> Float6
     """Map values in [0, 1], of any shape, to viridis; where unknown, show the grey of `colours`."""
     at = np.clip(np.where(known, values, 0), 0, 1)
     steps = np.linspace(0, 1, len(VIRIDIS))
-    colours = np.stack([np.interp(at, steps, channel) for channel in VIRIDIS.T], axis=-1)
+    mapped = np.stack([np.interp(at, steps, channel) for channel in VIRIDIS.T], axis=-1)
     grey = _GREY_FROM + (_GREY_TO - _GREY_FROM) * (colours.astype(np.float64) @ LUMINANCE)
-    return np.where(known[..., None], colours, grey[..., None])
+    return np.where(known[..., None], mapped, grey[..., None])
 
 
 def as_bytes(colours: Float64s) -> Uint8s:

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from beltrami_cli.surface.colour_map import VIRIDIS, colour_by_value
 from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear, store_integers
 
 values = st.floats(-8.0, 8.0, allow_nan=False)
@@ -90,3 +91,13 @@ def test_what_is_not_there_is_refused(pixels, channels):
     table, colour = np.zeros((2, 3), np.uint8), np.zeros((1, 1), np.float32)
     with pytest.raises(IndexError):
         store_integers(table, np.array(pixels), colour, channels, 1)
+
+
+def test_without_a_value_the_grey_of_the_colours_shows():
+    values = np.array([0.0, 0.5, 1.0, 0.0, 0.5, 1.0], np.float32)
+    colours = np.repeat(np.float32([0, 0.3, 0.6, 0.6, 0.3, 1]), 3).reshape(-1, 3)
+    known = np.arange(6) < 3
+    shown = colour_by_value(values, colours, known)
+    np.testing.assert_allclose(shown[known], VIRIDIS[[0, 5, 10]])
+    assert (np.ptp(shown[~known], axis=1) == 0).all()
+    assert (np.argsort(shown[~known, 0]) == np.argsort(colours[~known, 0])).all()
