@@ -25,19 +25,21 @@ _MAX_ATTEMPTS = 5
 Advanced = Callable[[int, str, float, float], None]  # called with a key and its progress
 
 
-def in_pieces(pool: Pool, count: int, memory: int | None, advanced: Advanced, threads: int | None) -> Workers:
+def chunk_workers(
+    pool: Pool, count: int, memory: int | None, advanced: Advanced, threads: int | None
+) -> Workers:
     """Return a pool for one file at a time in this process, with up to `count` chunks of each surface in workers.
 
     `threads`: for the work between two operations, in which the workers of this machine have nothing to do.
     """
 
-    def do_in_pieces(item: Item, progress: Progress) -> Attempt:
+    def do_in_chunks(item: Item, progress: Progress) -> Attempt:
         runner = ChunkRunner(pool)
         chunking = Chunking(count, runner)
         attempt = do_item(item, memory, progress, is_alone=False, chunking=chunking)
-        return dataclasses.replace(attempt, pieces=runner.most)
+        return dataclasses.replace(attempt, chunks=runner.most_chunks)
 
-    return Workers(InProcess(advanced), lambda item: (do_in_pieces, item), threads)
+    return Workers(InProcess(advanced), lambda item: (do_in_chunks, item), threads)
 
 
 class InProcess(Pool):
@@ -69,12 +71,12 @@ class ChunkRunner:
     def __init__(self, pool: Pool, tries: int = _MAX_ATTEMPTS) -> None:
         self._pool, self._tries = pool, tries
         self._chunks: Sequence[Chunk] = ()  # workers keep their geometry, so that only colours are sent
-        self.most = 0  # most chunks of a surface
+        self.most_chunks = 0  # of a surface
 
     def __call__(self, chunks: Sequence[Chunk], operation: Operation, stacks: Sequence[Float32s]) -> Answers:
         if chunks is not self._chunks:
             self._pool.forget()
-            self._chunks, self.most = chunks, max(self.most, len(chunks))
+            self._chunks, self.most_chunks = chunks, max(self.most_chunks, len(chunks))
         waiting, failures, in_work = list(range(len(chunks))), Counter[int](), set[int]()
         try:
             while waiting or in_work:

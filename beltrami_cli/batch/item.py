@@ -36,7 +36,7 @@ class Item:
     is_retry: bool = False
 
     @property
-    def parameters(self) -> str:
+    def parameters_sha256(self) -> str:
         """Hash of the settings and the program version, on which the result depends besides the files."""
         settings = dataclasses.asdict(self.settings)
         del settings["kernel"]["threads"]  # the result is the same for any number
@@ -86,11 +86,11 @@ class Attempt:
     outcome: Outcome
     wants_memory: bool = False
     traceback: str = ""
-    pieces: int = 0  # most chunks of a surface of the file; 0: no surface was cut
+    chunks: int = 0  # most chunks of a surface of the file; 0: no surface was cut
 
 
 def outcome_of(item: Item, status: Status, **values: Any) -> Outcome:
-    return Outcome(item.source, item.target, status, parameters_sha256=item.parameters, **values)
+    return Outcome(item.source, item.target, status, parameters_sha256=item.parameters_sha256, **values)
 
 
 def failed(item: Item, error: str, exit_code: int, seconds: float = 0.0) -> Outcome:

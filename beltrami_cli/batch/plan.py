@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 
 from beltrami_cli.batch.manifest import is_manifest, read_manifest
-from beltrami_cli.batch.storage import canonical_path, find, is_glob, joined, without_scheme
+from beltrami_cli.batch.storage import canonical_name, find, is_glob, joined, without_scheme
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import is_file, is_url
 from beltrami_cli.formats.registry import KEPT_FORMATS, OUTPUT_FORMATS, READ_ONLY
@@ -66,7 +66,8 @@ def plan(inputs: Iterable[str], out_dir: str, suffix: str, extension: str | None
 
 def find_sources(inputs: Iterable[str]) -> list[str]:
     """Return the files of names, folders and globs, each once."""
-    return list(dict.fromkeys(source for text in inputs for source, _ in _found(text, os.devnull, _MODELS)))
+    no_results = os.devnull  # no file is below it
+    return list(dict.fromkeys(source for text in inputs for source, _ in _found(text, no_results, _MODELS)))
 
 
 def _result_name(place: PurePath, suffix: str, extension: str | None) -> PurePath:
@@ -85,14 +86,14 @@ def _found(text: str, out_dir: str, suffixes: Collection[str]) -> list[tuple[str
     """
     root, found = find(text)
     if root:
-        inner, outer = PurePath(canonical_path(out_dir)), PurePath(canonical_path(root))
+        inner, outer = PurePath(canonical_name(out_dir)), PurePath(canonical_name(root))
         results = inner if inner != outer and inner.is_relative_to(outer) else None
         found = [
             (source, place)
             for source, place in found
             if (is_glob(text) or place.suffix.lower() in suffixes)
             and not any(part.startswith(".") for part in place.parts)
-            and (results is None or not PurePath(canonical_path(source)).is_relative_to(results))
+            and (results is None or not PurePath(canonical_name(source)).is_relative_to(results))
         ]
     if not found:
         raise InputError(text, *_no_files_reason(text))
@@ -111,8 +112,8 @@ def _no_files_reason(text: str) -> tuple[str, str]:
 def _refuse_clashes(requests: Iterable[Request]) -> None:
     known: dict[str, Request] = {}
     for request in requests:
-        place = canonical_path(request.target)
-        if canonical_path(request.source) == place:
+        place = canonical_name(request.target)
+        if canonical_name(request.source) == place:
             raise UsageError(f"{request.source} would be replaced by its own output; give a --suffix")
         other = known.setdefault(place, request)
         if other is not request:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import get_args
 
 from beltrami_cli.batch.item import Item, Outcome, Status
-from beltrami_cli.batch.storage import canonical_path, exists, hash_at, require_name
+from beltrami_cli.batch.storage import canonical_name, exists, hash_at, require_name
 from beltrami_cli.errors import InputError, OutputError
 from beltrami_cli.formats.access import is_there, is_url, open_regular, unreadable
 from beltrami_cli.formats.bounded_text import parse_json
@@ -49,11 +49,11 @@ class Record:
         self._output.overwrite = True  # from now on this run may replace it
 
     def latest(self, item: Item) -> Outcome | None:
-        return self._latest.get(canonical_path(item.target))
+        return self._latest.get(canonical_name(item.target))
 
     def add(self, outcome: Outcome) -> None:
         """Write a line, and synchronise it to the disk."""
-        self._latest[canonical_path(outcome.output)] = outcome
+        self._latest[canonical_name(outcome.output)] = outcome
         try:
             with Path(self.path).open("a", encoding="utf-8") as file:
                 file.write(_line(outcome))
@@ -64,25 +64,24 @@ class Record:
 
     def close(self, outcomes: Iterable[Outcome]) -> None:
         """Rewrite the report with one line per file: earlier files first, then this run's in order."""
-        now = {canonical_path(outcome.output): outcome for outcome in outcomes}
+        now = {canonical_name(outcome.output): outcome for outcome in outcomes}
         earlier = {place: outcome for place, outcome in self._latest.items() if place not in now}
         lines = [_line(each).encode() for each in (*earlier.values(), *now.values())]
         self._output.write(Written(main=lines))
 
 
-def is_done(item: Item, outcome: Outcome | None) -> bool:
+def is_done(item: Item, outcome: Outcome) -> bool:
     """Whether an earlier run completed the item, and all that it depends on is unchanged."""
-    if outcome is None or outcome.status not in ("done", "skipped"):
+    if outcome.status not in ("done", "skipped"):
         return False
-    same = outcome.parameters_sha256 == item.parameters and canonical_path(item.source) == canonical_path(
-        outcome.input
-    )
-    return same and _holds(outcome.read) and _holds(outcome.written)
+    is_same_task = outcome.parameters_sha256 == item.parameters_sha256
+    is_same_task &= canonical_name(outcome.input) == canonical_name(item.source)
+    return is_same_task and _holds(outcome.read) and _holds(outcome.written)
 
 
 def is_own_output(outcome: Outcome | None) -> bool:
     """Whether an output and its sidecars are as an earlier run wrote them, and so may be replaced."""
-    if outcome is None or canonical_path(outcome.output) not in outcome.written:
+    if outcome is None or canonical_name(outcome.output) not in outcome.written:
         return False
     return _holds({name: digest for name, digest in outcome.written.items() if exists(name)})
 
@@ -112,8 +111,8 @@ def read_outcomes(path: str) -> dict[str, Outcome]:
                         break
                     cause = f"line {number} is not of a report of beltrami batch"
                     raise InputError(path, cause, "leave out --resume, or choose another --report") from None
-                latest.pop(canonical_path(outcome.output), None)
-                latest[canonical_path(outcome.output)] = outcome
+                latest.pop(canonical_name(outcome.output), None)
+                latest[canonical_name(outcome.output)] = outcome
     except OSError as error:
         raise unreadable(path, error) from error
     return latest

@@ -82,7 +82,9 @@ class Batch:
         with contextlib.closing(workers.pool) as pool:
             while not self._stopped and (waiting or in_work):
                 while waiting and not pool.is_full and not self._stopped:
-                    in_work |= self._started(waiting.popleft(), workers)
+                    key = waiting.popleft()
+                    if self._start(key, workers):
+                        in_work.add(key)
                 for key, event in pool.events() if in_work else ():
                     if isinstance(event, Advance):
                         self._watcher.advanced(key, event.label, event.done, event.total)
@@ -100,8 +102,8 @@ class Batch:
         item = self._items[key]
         return Attempt(failed(item, f"{item.source}: {lost.cause}", 1), wants_memory=lost.wants_memory)
 
-    def _started(self, key: int, workers: Workers) -> set[int]:
-        """Start an item; return the set of its key, empty if it failed at once."""
+    def _start(self, key: int, workers: Workers) -> bool:
+        """Start an item; False if it failed at once."""
         item, earlier = self._items[key], self._earlier[key]
         overwrite = item.overwrite or is_own_output(earlier)
         # Written by an earlier run, or by a process of this run that died.
@@ -114,7 +116,7 @@ class Batch:
             make_folder_of(item.target)
         except OutputError as error:
             self._finish(key, Attempt(failed(item, str(error), error.exit_code)))
-            return set()
+            return False
         if item.settings.kernel.threads is None:
             kernel = dataclasses.replace(item.settings.kernel, threads=workers.threads)
             item = dataclasses.replace(item, settings=dataclasses.replace(item.settings, kernel=kernel))
@@ -122,7 +124,7 @@ class Batch:
         workers.pool.start(
             key, *workers.call(dataclasses.replace(item, overwrite=overwrite, is_retry=is_retry))
         )
-        return {key}
+        return True
 
     def _finish(self, key: int, attempt: Attempt) -> None:
         outcome = self._checked(key, attempt.outcome)
@@ -149,7 +151,7 @@ class Batch:
 
 
 def _written(earlier: Outcome | None) -> dict[str, str]:
-    """Return the files of an earlier run that are still there, in case a later attempt fails or is interrupted."""
+    """Return the files of an earlier run, which stay if the attempt of this run fails or is interrupted."""
     return {} if earlier is None else earlier.written
 
 

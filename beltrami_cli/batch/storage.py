@@ -30,7 +30,7 @@ def require_name(name: object) -> str:
     return name
 
 
-def canonical_path(name: str) -> str:
+def canonical_name(name: str) -> str:
     """Return the canonical name of a file: its resolved path, or its URL."""
     return name if is_url(name) else os.path.realpath(name)
 

@@ -154,7 +154,7 @@ def _passes(
     scheduler: str | None, pieces: int | None, at_once: int | None, memory: int | None, display: Display
 ) -> Iterator[Sequence[Pass]]:
     """Yield the passes of a batch, with workers for whole files or for chunks."""
-    from beltrami_cli.batch.chunks import in_pieces
+    from beltrami_cli.batch.chunks import chunk_workers
     from beltrami_cli.batch.processes import Processes
     from beltrami_cli.batch.run import Workers, in_processes
 
@@ -163,8 +163,7 @@ def _passes(
     with contextlib.ExitStack() as stack:
         client: Any = None
         if scheduler is not None:
-            from beltrami_cli.batch.cluster import OnDask, connected, portable
-            from beltrami_cli.batch.cluster_worker import do_on_worker
+            from beltrami_cli.batch.cluster import OnDask, connected, do_on_worker, portable
 
             client = stack.enter_context(connected(scheduler))
             if not client.nthreads():
@@ -174,7 +173,7 @@ def _passes(
             pool = OnDask(client, at_once, per_worker=2) if client else Processes(min(pieces, processes))
             threads = None if client else min(processes, processors)
             stack.enter_context(contextlib.closing(pool))
-            workers = in_pieces(pool, pieces, memory or default_memory(), display.advanced, threads)
+            workers = chunk_workers(pool, pieces, memory or default_memory(), display.advanced, threads)
             yield [lambda _: workers]
         elif client:
             # A worker does as many files at once as it has threads, each on one.

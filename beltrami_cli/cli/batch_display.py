@@ -57,5 +57,5 @@ class Display:
             warnings = (outcome.report or {}).get("warnings", ()) if outcome.status == "done" else ()
             self.messages.show(*(f"warning: {outcome.input}: {text}" for text in warnings))
             if self.messages.verbose:
-                pieces = f", in {attempt.pieces} pieces" if attempt.pieces else ""
+                pieces = f", in {attempt.chunks} pieces" if attempt.chunks else ""
                 self.messages.show(f"{outcome.status}: {outcome.output}, {outcome.seconds:.1f} s{pieces}")
