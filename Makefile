@@ -13,7 +13,7 @@ help:
 	@echo "make gallery   make the pictures of docs/gallery.md again"
 	@echo "make reference  write the options, parameters and Python names into docs/"
 	@echo "make dev       the environment .venv, in which pytest tests the sources as they are"
-	@echo "make quick     in some 70 s, the tests that a change most likely breaks, and the import layers"
+	@echo "make quick     in a good minute, the tests that a change most likely breaks, and the import layers"
 	@echo "make test      all tests, in an environment of their own"
 	@echo "make test-minimum  the same with the oldest versions of what it depends on"
 	@echo "make test-blender  test the extension in Blender itself, which is a Python package of 370 MB"

@@ -94,8 +94,8 @@ def test_every_folder_of_the_package_has_its_place_in_the_architecture():
 def test_types_of_the_glossary_are_classes_and_its_terms_few():
     rows = DEVELOPERS[0].read_text(encoding="utf-8").partition("## Glossary")[2].partition("\n## ")[0]
     types = re.findall(r"^\| [^|]+ \| `(\w+)` \|", rows, re.MULTILINE)
-    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in PACKAGE.rglob("*.py")]
-    classes = {node.name for tree in trees for node in tree.body if isinstance(node, ast.ClassDef)}
+    sources = (path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py"))
+    classes = {name for text in sources for name in re.findall(r"^class (\w+)", text, re.MULTILINE)}
     assert {*types} <= classes
     assert 15 < len(types) <= rows.count("\n| ") - 2 <= 25
 

@@ -105,6 +105,17 @@ SCENES = {
 
 MOVING = {"geometry": functools.partial(mesh, **FIXED, smooth_geometry=True)}
 ON_TRIANGLES = [kind for kind in SCENES if "mesh" in kind]
+CHOSEN = (
+    "mesh",
+    "mesh with grain",
+    "cloud",
+    "image",
+)  # whose parameters are chosen, which takes most of the time
+
+
+def each(*kinds):
+    marks = dict.fromkeys(CHOSEN, pytest.mark.slow)
+    return pytest.mark.parametrize("kind", [pytest.param(kind, marks=marks.get(kind, ())) for kind in kinds])
 
 
 @functools.cache
@@ -120,7 +131,7 @@ def smoothed(kind):
     return result
 
 
-@pytest.mark.parametrize("kind", [*SCENES, *MOVING])
+@each(*SCENES, *MOVING)
 def test_the_result_is_the_same_to_the_last_bit_on_any_threads_and_instruction_set(kind, monkeypatch):
     own = scene(kind)
     sets = []
@@ -147,7 +158,7 @@ IN_SPACE = [kind for kind in SCENES if kind == "cloud" or "texture" in kind]
 
 
 @pytest.mark.parametrize("frame", FRAMES)
-@pytest.mark.parametrize("kind", SCENES)
+@each(*SCENES)
 def test_frame_and_unit_of_length_make_no_difference(kind, frame):
     own, move = scene(kind), FRAMES[frame]
     if not (frame == "in five dimensions" and kind in IN_SPACE):
@@ -155,7 +166,7 @@ def test_frame_and_unit_of_length_make_no_difference(kind, frame):
         require_same(result, smoothed(kind))
 
 
-@pytest.mark.parametrize("kind", [*ON_TRIANGLES, "cloud"])
+@each(*ON_TRIANGLES, "cloud")
 def test_the_order_of_vertices_and_faces_makes_no_difference(kind):
     own, random = scene(kind), np.random.default_rng(0)
     order = random.permutation(len(own.positions))
@@ -166,7 +177,7 @@ def test_the_order_of_vertices_and_faces_makes_no_difference(kind):
     require_same(result, smoothed(kind)[order])
 
 
-@pytest.mark.parametrize("kind", ON_TRIANGLES)
+@each(*ON_TRIANGLES)
 def test_vertices_that_a_format_splits_make_no_difference(kind):
     """Although copies differ by rounding, as numbers in single precision that were turned or read from text."""
     own = scene(kind)
@@ -182,14 +193,14 @@ def test_vertices_that_a_format_splits_make_no_difference(kind):
 ON_GRIDS = ["image with sweeps", "image of the paper", "texture"]
 
 
-@pytest.mark.parametrize("kind", [*ON_TRIANGLES, "cloud", *ON_GRIDS])
+@each(*ON_TRIANGLES, "cloud", *ON_GRIDS)
 def test_the_order_of_channels_makes_no_difference(kind):
     own = scene(kind)
     result = own.smooth(own.positions, own.faces, own.colours[:, [2, 0, 1]], threads=2)
     require_same(result, smoothed(kind)[:, [2, 0, 1]])
 
 
-@pytest.mark.parametrize("kind", SCENES)
+@each(*SCENES)
 def test_constants_stay_and_colours_stay_within_the_range_around_them(kind):
     own = scene(kind)
     constant = np.broadcast_to(np.float32([0.2, 0.4, 0.9]), own.colours.shape)
@@ -203,7 +214,7 @@ def test_constants_stay_and_colours_stay_within_the_range_around_them(kind):
     assert np.array_equal(result[kept], own.colours[kept])
 
 
-@pytest.mark.parametrize("kind", [kind for kind in SCENES if "patches" not in kind])
+@each(*(kind for kind in SCENES if "patches" not in kind))
 def test_without_beta_the_kernel_is_linear(kind):
     """A Gaussian on the surface that colours have no part in, however large their jumps are, also at seams."""
     own, random = scene(kind), np.random.default_rng(4)
@@ -216,6 +227,7 @@ def test_without_beta_the_kernel_is_linear(kind):
     np.testing.assert_allclose(total, 2 * of_a - of_b, atol=2e-5)
 
 
+@pytest.mark.slow
 def test_every_setting_counts():
     """Or that nothing depends on threads, frame or order would show little."""
     for surface in ("mesh", "image", "texture"):
