@@ -185,3 +185,12 @@ def test_the_noise_that_jpeg_left_of_what_is_given_is_explained(tmp_path):
         (tmp_path / name).write_bytes(encode(noisy, known))
         said, _, _ = smoothed(tmp_path / name, "--noise", "12")
         assert ("which JPEG coding left of 12.0/255" in said) == (known == "jpeg")
+
+
+@pytest.mark.parametrize("given", ["12", "shot:0.01,read:0.01", "{}/sigma.png"])
+def test_given_noise_is_not_in_doubt(given, noisy, suppose):
+    suppose(0.15)
+    (noisy.parent / "sigma.png").write_bytes(encode(np.full((96, 96, 3), 12, np.uint8), "png"))
+    said, part, _ = smoothed(noisy, "--noise", given.format(noisy.parent))
+    assert part["reading"] is None
+    assert "may be noise or texture" not in said

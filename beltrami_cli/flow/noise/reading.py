@@ -54,7 +54,7 @@ def estimate_noise(
         # Stabilised colours have the same noise at all levels.
         stable = stabiliser.stabilised(channels)
         noise = read_noise(stable, where, varies=False, sigma=stabiliser.scale).scaled_to(stabiliser.scale)
-        return dataclasses.replace(noise, stabiliser=stabiliser)
+        return dataclasses.replace(noise, stabiliser=stabiliser, reading=None)
     if given.source:
         cause = f"noise is {given.source}, but several textures have no such file in common; choose one"
         raise UsageError(cause)
