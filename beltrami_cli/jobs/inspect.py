@@ -54,13 +54,13 @@ def inspect_file(
     job.begin("reading")
     document = open_input(os.fspath(source), settings, job.access)
     selection = select(document, settings)
-    selection.require_scale()
+    coarse = selection.require_scale()
     counts = selection.work()
     job.expect(chain(*(phases_of(["laying out", "choosing parameters"], count) for count in counts)))
     surface = dict[str, object]()
     if selection.slots and not selection.vertices:
         surface = _describe_under_textures(selection)
-    notices = [*document.notices, *selection.notices]
+    notices = [*document.notices, *coarse, *selection.notices]
     described, layer_notices = _describe_layers(selection, job)
     notices += layer_notices
     # The facts of an image are known once there is enough memory to decode it.

@@ -59,8 +59,9 @@ class ColourFilter(ABC, Generic[AnyResult]):
         """Whether textures without common edges are filtered separately."""
         return False
 
-    def check(self, selection: Selection, target: OutputFormat) -> None:
-        """Raise an error if the selection cannot be recoloured, before the computation."""
+    def check(self, selection: Selection, target: OutputFormat) -> Sequence[str]:
+        """Raise an error if the selection cannot be recoloured, before the computation; return notices."""
+        return ()
 
     @abstractmethod
     def apply(self, layer: Layer, job: Job) -> AnyResult:
@@ -80,7 +81,7 @@ def recolour(
         selection = select(document, settings)
         if not colour_filter.changes and kind.suffix is None:
             selection = Selection(document, settings)
-        colour_filter.check(selection, kind)
+        notices = [*colour_filter.check(selection, kind), *selection.notices]
         naming = file.reserve(partial(sidecar_names, selection, kind))
     place = None if file.output is None else target
     with selection.within_memory(place, in_files=colour_filter.works_in_files) as chunk_memory:
@@ -95,22 +96,22 @@ def recolour(
             written = files_with_new_colours(
                 document, new, images, kind, naming, in_place=not is_moved(source, target)
             )
-        notices = [*selection.notices, *(notice for each in new for notice in each.notices), *image_notices]
+        notices += [*(notice for each in new for notice in each.notices), *image_notices]
         report = file.write(written, notices, [warning for each in results for warning in each.warnings])
     return report, results
 
 
 def recolour_in_memory(
     document: Document, settings: SmoothSettings, colour_filter: ColourFilter[AnyResult], job: Job
-) -> tuple[Document, list[AnyResult]]:
-    """Recolour the selected parts, and return the document that would be written; the given one is unchanged."""
+) -> tuple[Document, list[AnyResult], Sequence[str]]:
+    """Recolour the selected parts; return the document that would be written, the results, and notices."""
     selection = Selection(document, settings)
     if colour_filter.changes:
         selection = select(document, settings)
-    colour_filter.check(selection, OutputFormat(document.format, is_patched=True))
+    notices = colour_filter.check(selection, OutputFormat(document.format, is_patched=True))
     with selection.within_memory(in_files=colour_filter.works_in_files) as chunk_memory:
         results = apply_filter(selection, colour_filter, replace(job, chunk_memory=chunk_memory))
-    return with_new_colours(document, [each.stored for each in results]), results
+    return with_new_colours(document, [each.stored for each in results]), results, notices
 
 
 def apply_filter(

@@ -114,13 +114,14 @@ class Smoothing(ColourFilter[Smoothed]):
     def works_in_groups(self) -> bool:
         return self.levelling is None and self.settings.fits_parts
 
-    def check(self, selection: Selection, target: OutputFormat) -> None:
+    def check(self, selection: Selection, target: OutputFormat) -> Sequence[str]:
         if self.changes:
             selection.require_geometry(is_patched=target.is_patched)
-        selection.require_scale()
+        notices = selection.require_scale()
         if self.levelling is not None and selection.image:
             cause = "an image has no charts that could differ in exposure; give a model with textures"
             raise UsageError(cause, selection.document.name)
+        return notices
 
     def apply(self, layer: Layer, job: Job) -> Smoothed:
         if self.levelling is not None:

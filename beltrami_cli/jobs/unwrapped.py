@@ -37,13 +37,12 @@ def smooth_unwrapped(
         selection = _selected(file, settings)
         require_effect(file.document.access.typed, [*selection.kinds, "textures"], file.document.name)
         stem = file.reserve_new(settings.textures.image_suffix or ".png")
-    if settings.kernel.iterations:
-        selection.require_scale()
+    notices = selection.require_scale() if settings.kernel.iterations else []
     _require_possible(selection)
     from beltrami_cli.jobs.new_texture import words_on
 
     new, image, smoothed = _new_texture(file, selection, baking)
-    notices = [*new.notices]
+    notices += new.notices
     if selection.slots and file.document.has_vertex_colours():
         notices.append("Vertex colours are not in the new file; --on vertices takes them, not the texture.")
     notices += [notice for each in smoothed for notice in each.stored.notices]

@@ -154,8 +154,8 @@ class Selection:
         if is_patched:
             document.require_movable()
 
-    def require_scale(self) -> None:
-        """Raise InputError if distances cannot be computed; note in the document if positions are too coarse."""
+    def require_scale(self) -> list[str]:
+        """Raise InputError if distances cannot be computed; return notices about coarsely rounded positions."""
         document, meshes = self.document, list[tuple[Float64s, Int32s]]()
         if self.vertices:
             vertices = document.coloured_vertices()
@@ -165,7 +165,7 @@ class Selection:
             meshes.append((surface.positions, surface.faces[surface.texture_of >= 0]))
         for mesh in meshes:
             check_scale(*mesh, document.name)
-            document.notices += [each for each in coarse_rounding(*mesh) if each not in document.notices]
+        return [*dict.fromkeys(notice for mesh in meshes for notice in coarse_rounding(*mesh))]
 
 
 def select(document: Document, settings: SmoothSettings) -> Selection:

@@ -95,7 +95,7 @@ _COARSE = 0.25
 
 
 def coarse_rounding(positions: Float64s, faces: Int32s) -> list[str]:
-    """Return a notice if single precision has rounded positions about as coarsely as the vertex spacing, else "".
+    """Return a notice, if any, that single precision has rounded positions about as coarsely as their spacing.
 
     The stored type is inferred from the numbers: doubles have more digits than single precision holds.
     """

@@ -195,8 +195,8 @@ class Live:
         """Smooth the whole as `smooth` does, and send it to the page."""
         page, kernel = change.page, change.settings.kernel
         try:
-            result, results = self._whole(change)
-            described = self._described(results, change.settings)
+            result, results, notices = self._whole(change)
+            described = self._described(results, notices, change.settings)
         except GoneError:
             raise
         except Exception as error:
@@ -210,23 +210,25 @@ class Live:
             patches = [patch for layer in self._layers for patch in layer.whole(result)]
             page.send(kind="whole", patches=patches, **described)
 
-    def _described(self, results: Sequence[Smoothed], settings: SmoothSettings) -> dict[str, Any]:
+    def _described(
+        self, results: Sequence[Smoothed], notices: Sequence[str], settings: SmoothSettings
+    ) -> dict[str, Any]:
         """Return the chosen and the used parameters, notices and the noise, as the page shows them."""
         made = smooth_report(FileReport(input=self._source, output="", format=""), results, settings)
         used = used_parameters(json.loads(json.dumps(dataclasses.asdict(made))))
         choices = [done.report.choice for done in results if done.report.choice is not None]
-        notices = [each for done in results for each in (*done.warnings, *done.stored.notices)]
+        further = [each for done in results for each in (*done.warnings, *done.stored.notices)]
         reports = [done.report for done in results]
         noisiest = max(reports, key=lambda report: max(report.noise.values(), default=0.0))
         noise = noise_of(dataclasses.asdict(noisiest)) if any(noisiest.noise.values()) else "none"
         return {
             "chosen": dict(choices[0]["chosen"]) if choices else {},  # type: ignore[call-overload]
             "used": rendered("parameters.html", used=used),
-            "notices": [*dict.fromkeys([*self._document.notices, *notices])],
+            "notices": [*dict.fromkeys([*self._document.notices, *notices, *further])],
             "noise": None if settings.kernel.noise else noise,
         }
 
-    def _whole(self, change: _Change) -> tuple[Document, list[Smoothed]]:
+    def _whole(self, change: _Change) -> tuple[Document, list[Smoothed], Sequence[str]]:
         page = change.page
 
         def announce(label: str, done: float, total: float) -> None:

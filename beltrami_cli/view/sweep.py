@@ -96,7 +96,7 @@ def _smoothed(
     opened: Mapping[str, Document], settings: SmoothSettings, job: Job
 ) -> tuple[dict[str, float], Document]:
     """Smooth with some settings; return also the figures of the result."""
-    result, results = recolour_in_memory(opened["before"], settings, Smoothing.of(settings), job)
+    result, results, _ = recolour_in_memory(opened["before"], settings, Smoothing.of(settings), job)
     figures = _estimates(results)
     if "reference" in opened:
         figures = _figures(opened["reference"], result, settings, job) | figures
