@@ -20,9 +20,8 @@ _DECODER = json.JSONDecoder()
 _SURROGATE = re.compile("[\ud800-\udfff]")
 _BLANKS = " \t\n\r"
 _SPACE = re.compile(rf"[{_BLANKS}]*")
-_HEAD = re.compile(
-    rf'([{_BLANKS}]*)(?:("[^"\\]*(?:\\.[^"\\]*)*")([{_BLANKS}]*:[{_BLANKS}]*))?'
-)  # of a member
+# Of a member: white space, and in objects the key and the colon.
+_HEAD = re.compile(rf'([{_BLANKS}]*)(?:("[^"\\]*(?:\\.[^"\\]*)*")([{_BLANKS}]*:[{_BLANKS}]*))?')
 
 
 def parsed(text: str, name: str) -> Tree:

@@ -263,9 +263,8 @@ class ColouredBlocks:
     def _exchange(self, edit: Edit, attribute: str, renewed: Callable[[Block, Stored], Stored]) -> None:
         """Exchange an attribute of all blocks, which may share its numbers; only new rows are written."""
         accessors = edit.accessors
-        members: dict[Hashable, set[int]] = defaultdict(
-            set
-        )  # accessors that primitives name, coloured or not
+        # By identity, the accessors that primitives name, coloured or not.
+        members: dict[Hashable, set[int]] = defaultdict(set)
         for _, primitive in primitives_of(edit.container.tree):
             index = primitive.get("attributes", {}).get(attribute, -1)
             if 0 <= index < len(accessors):

@@ -27,11 +27,9 @@ SLOTS: dict[str, Slot] = {
 """The slot of each map keyword; the first keyword that a material has counts."""
 
 MAP_SLOTS = tuple(dict.fromkeys(SLOTS.values()))  # the slots that maps fill
-BASE_COLOUR_ALIASES = (
-    "map_ka",
-    "map_d",
-)  # maps that are replaced with the base colour if they show its image
-_BASE_COLOUR_COMPANIONS = (*BASE_COLOUR_ALIASES, "map_ks")  # maps that get the new image of the base colour
+# Maps that are no loss in other formats, and that get the new image, if they show that of the base colour.
+BASE_COLOUR_ALIASES = ("map_ka", "map_d")
+_BASE_COLOUR_COMPANIONS = (*BASE_COLOUR_ALIASES, "map_ks")  # all that get it
 # Possessive (++), against quadratic time on lines of a million blanks or digits.
 _STATEMENT = re.compile(
     rb"^(?:\xef\xbb\xbf)?[ \t]*+(newmtl|(?!map_aat\b)map_\w+|bump|disp|decal|refl|norm)[ \t]++([^\r\n]*[^\s])",

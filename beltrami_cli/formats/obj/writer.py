@@ -40,9 +40,8 @@ def write_obj(mesh: MeshContents, stem: str) -> Written:
         if mesh.alpha is not None and (mesh.alpha < 1).any():
             notices.append("Opacity is dropped: vertices of OBJ files hold red, green and blue only.")
     pieces = [f"mtllib {stem}.mtl\n".encode(), *vertices] if mesh.materials else [*vertices]
-    indices = np.zeros(
-        (len(mesh.corners), 3), np.int64
-    )  # of position, texture coordinates and normal, from 1
+    # Of position, texture coordinates and normal of each corner, from 1.
+    indices = np.zeros((len(mesh.corners), 3), np.int64)
     indices[:, 0] = mesh.corners + 1
     if mesh.uv is not None:
         coordinates, indices[:, 1] = _distinct(mesh.uv)

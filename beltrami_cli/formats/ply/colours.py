@@ -12,11 +12,11 @@ from beltrami_cli.arrays import Float32s
 from beltrami_cli.errors import InputError, NoColoursError
 from beltrami_cli.formats.colours import full_scale, integer_scale, intensity_scale
 from beltrami_cli.formats.ply.header import POSITION, Header
-from beltrami_cli.formats.ply.polygons import VERTEX_LISTS
+from beltrami_cli.formats.ply.polygons import POLYGONS
 from beltrami_cli.formats.ply.tables import COLOUR_PROPERTIES, Table, plain
 from beltrami_cli.surface.precision import require_single
 
-# Names of colours and opacity, as `plain` returns them; "colour 0" is a channel of `with_channels`.
+# Names of colours and opacity, as `plain` returns them; "colour 0" is a channel of a list or of a packed number.
 _COLOURS = (
     (("red", "green", "blue"), "alpha"),
     (("diffuse_red", "diffuse_green", "diffuse_blue"), "diffuse_alpha"),
@@ -39,9 +39,8 @@ class ColourProperties:
     alpha: str  # the property of the opacity, or empty
     type: str  # NumPy code of the type that all colours have
     element: str = "vertex"
-    any_range: bool = (
-        False  # whether they are a scalar, such as an intensity, whose full scale may be any number
-    )
+    # Whether they are a scalar, such as an intensity, whose full scale may be any number.
+    any_range: bool = False
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -61,7 +60,7 @@ def find_colours(
     types, name = vertices.element.scalars, vertices.body.name
     if (found := _scalar(types, wanted) or _by_name(vertices)) is not None:
         return found
-    has_faces = any(element.count for element in header.elements if element.name in VERTEX_LISTS)
+    has_faces = any(element.count for element in header.elements if element.name in POLYGONS)
     if _INTENSITY in types and _is_grey(vertices, types[_INTENSITY], "iu" if has_faces else "u"):
         return ColourProperties((_INTENSITY,), "alpha" if "alpha" in types else "", types[_INTENSITY])
     if faces is not None and faces.element.count and (found := _by_name(faces)) is not None:

@@ -29,14 +29,8 @@ from beltrami_cli.formats.ply.colours import (
     require_no_splats,
 )
 from beltrami_cli.formats.ply.header import NORMAL, POSITION, Header, read_header
-from beltrami_cli.formats.ply.patching import NewValues, hidden_values, patched_body
-from beltrami_cli.formats.ply.polygons import VERTEX_LISTS, read_grid, read_polygons
-from beltrami_cli.formats.ply.tables import (
-    Table,
-    indices,
-    read_tables,
-    with_channels,
-)
+from beltrami_cli.formats.ply.polygons import POLYGONS, VERTEX_LISTS, read_grid, read_polygons
+from beltrami_cli.formats.ply.tables import Body, NewValues, Table, indices, read_body, read_tables
 from beltrami_cli.formats.scene import Scene
 from beltrami_cli.surface.geometry import unit_vectors
 from beltrami_cli.surface.polygons import dual
@@ -108,7 +102,7 @@ class PlyDocument(Document):
         if new.places is not None:
             changes += self._moved(new.places)
         if any(change.rows.any() for change in changes):
-            pieces = [header, *patched_body(self.data, self._header, changes)]
+            pieces = [header, *self._body.patched(changes)]
         else:
             pieces = [header, memoryview(self.data)[self._header.end :]] if spans else [self.data]
         return dataclasses.replace(sidecars, main=pieces)
@@ -215,21 +209,22 @@ class PlyDocument(Document):
     def fingerprint(self) -> Fingerprint:
         spans = {(each.start, each.end): edits.PLACEHOLDER for each in self._images if each.path is not None}
         parts = {"header": edits.exchange_spans(self.data[: self._header.end], spans)}
-        hidden, size, colours = np.empty(0, np.int64), 0, {}
+        hidden, kind, colours = np.empty(0, np.int64), "u1", {}
         if self.has_vertex_colours():
             places = [indices(self._coloured.places(name)) for name in self._properties.names]
-            hidden, size = np.concatenate(places), np.dtype(self._properties.type).itemsize
+            hidden, kind = np.concatenate(places), self._properties.type
             colours = {f"{self._properties.element} colours": self._colours.values}
-        parts[f"elements {', '.join(self._tables)}"] = hidden_values(self.data, self._header, hidden, size)
+        parts[f"elements {', '.join(self._tables)}"] = self._body.without(hidden, kind)
         shown = {f"texture {n}": image.path for n, image in enumerate(self._images) if image.path is not None}
         return Fingerprint(parts, colours, labelled(shown, self._folder.content))
 
     @cached_property
+    def _body(self) -> Body:
+        return read_body(self.data, self._header, self.name)
+
+    @cached_property
     def _tables(self) -> dict[str, Table]:
-        tables = read_tables(self.data, self._header, self.name)
-        return {
-            name: with_channels(table) if table.element.count else table for name, table in tables.items()
-        }
+        return read_tables(self._body, self._header)
 
     @cached_property
     def _images(self) -> list[texturing.TextureComment]:
@@ -322,10 +317,9 @@ def _omitted(header: Header, of_vertices: Collection[str], of_faces: Collection[
     dropped = []
     of_vertices, of_faces = ({name.partition(" ")[0] for name in names} for names in (of_vertices, of_faces))
     for element in header.elements:
-        lists = VERTEX_LISTS.get(element.name, ())
-        used = of_vertices if element.name == "vertex" else (*lists, *of_faces)
+        used = of_vertices if element.name == "vertex" else (*VERTEX_LISTS, *of_faces)
         unused = [other.name for other in element.properties if other.name not in used]
-        if element.name != "vertex" and element.name not in VERTEX_LISTS:
+        if element.name not in ("vertex", *POLYGONS):
             dropped.append(f"element {element.name}")
         elif unused:
             dropped.append(f"{element.name} properties {', '.join(unused)}")

@@ -19,12 +19,10 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.ply.tables import Table
 from beltrami_cli.surface.polygons import unrolled
 
-_LISTS = ("vertex_indices", "vertex_index")
-VERTEX_LISTS = {"face": _LISTS, "tristrips": _LISTS}
-"""The lists of vertices by element, each under its two names."""
+POLYGONS = ("face", "tristrips")  # elements
+VERTEX_LISTS = ("vertex_indices", "vertex_index")  # the two names of their list of vertices
 
-
-_ELEMENT = "range_grid"
+_GRID = "range_grid"
 _CAMERA = ("viewportx", "viewporty")
 _COLUMNS, _ROWS = ("num_cols", "width", "columns", "cols"), ("num_rows", "height", "rows")
 _SIZE = re.compile(rb"^(?:obj_info|comment)[ \t]+(\w+)[ \t:=]+(\d{1,9})[ \t]*\r?$", re.MULTILINE)
@@ -48,7 +46,7 @@ def _vertex_lists(tables: Mapping[str, Table], element: str, name: str) -> tuple
     if table is None or table.element.count == 0:
         return np.empty(0, np.int64), np.zeros(1, np.int64)
     for prop in table.element.lists:
-        if prop.name in VERTEX_LISTS[element]:
+        if prop.name in VERTEX_LISTS:
             if prop.type[0] == "f":
                 raise InputError(name, f"the {prop.name} of element '{element}' are not whole numbers")
             return table.lists(prop.name)
@@ -65,15 +63,15 @@ def _check(corners: Int64s, offsets: Int64s, vertices: int, least: int, what: st
 
 def read_grid(header: bytes, tables: Mapping[str, Table]) -> Int64s | None:
     """Return the vertices on the grid, (H, W), -1 where nothing was measured; None without a grid, or with faces."""
-    has_polygons = any(tables[other].element.count for other in VERTEX_LISTS if other in tables)
+    has_polygons = any(tables[name].element.count for name in POLYGONS if name in tables)
     if has_polygons or "vertex" not in tables:
         return None
     vertices = tables["vertex"].element.count
     sizes = {word.decode().lower(): int(number) for word, number in _SIZE.findall(header)}
     columns = next((sizes[word] for word in _COLUMNS if word in sizes), 0)
     rows = next((sizes[word] for word in _ROWS if word in sizes), 0)
-    if _ELEMENT in tables:
-        return _listed(tables[_ELEMENT], rows, columns, vertices)
+    if _GRID in tables:
+        return _listed(tables[_GRID], rows, columns, vertices)
     camera = tables.get("camera")
     if camera is not None and camera.element.count == 1 and not (rows and columns):
         whole = {label for label, kind in camera.element.scalars.items() if kind[0] != "f"}
@@ -90,17 +88,17 @@ def _listed(table: Table, rows: int, columns: int, vertices: int) -> Int64s:
     places, name = table.element.count, table.body.name
     if rows * columns != places:
         said = f"obj_info num_cols and num_rows say {columns} and {rows}"
-        cause = f"element {_ELEMENT} has {places} places, but {said}"
+        cause = f"element {_GRID} has {places} places, but {said}"
         raise InputError(name, cause, "repair the header, or leave the element out")
-    listed = next((p.name for p in table.element.lists if p.name in _LISTS), None)
+    listed = next((p.name for p in table.element.lists if p.name in VERTEX_LISTS), None)
     if listed is None:
-        raise InputError(name, f"element {_ELEMENT} has no list vertex_indices")
+        raise InputError(name, f"element {_GRID} has no list vertex_indices")
     items, offsets = table.lists(listed)
     lengths = np.diff(offsets)
     if items.size and (items.min() < 0 or items.max() >= vertices or lengths.max() > 1):
-        raise InputError(name, f"element {_ELEMENT} names vertices that are not there, or several at a place")
+        raise InputError(name, f"element {_GRID} names vertices that are not there, or several at a place")
     if len(np.unique(items)) < len(items):
-        raise InputError(name, f"element {_ELEMENT} has a vertex at several places")
+        raise InputError(name, f"element {_GRID} has a vertex at several places")
     grid = np.full(places, -1, np.int64)
     grid[lengths == 1] = items
     return grid.reshape(rows, columns)

@@ -8,7 +8,7 @@ has a value at every unit.
 from __future__ import annotations
 
 from array import array
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import takewhile
@@ -16,10 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Float64s, Int64s
+from beltrami_cli.arrays import Array, Bools, Float64s, Int64s
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats import edits
+from beltrami_cli.formats.changes import Bytes
 from beltrami_cli.formats.ply.header import Element, Header, Property
-from beltrami_cli.formats.tokens import read_numbers
+from beltrami_cli.formats.tokens import find_tokens, read_numbers
 from beltrami_cli.surface.precision import require_finite
 
 
@@ -27,6 +29,23 @@ def values_in_bytes(data: bytes | bytearray, kind: str) -> Array:
     """Return the overlapping values that start at every byte; writable if the data are."""
     size = np.dtype(kind).itemsize
     return np.ndarray((max(len(data) - size + 1, 0),), kind, data, strides=(1,))
+
+
+Places = slice | np.ndarray[Any, np.dtype[np.int64]]
+
+
+def indices(places: Places) -> Int64s:
+    """Return places as an array."""
+    return np.arange(places.start, places.stop, places.step) if isinstance(places, slice) else places
+
+
+@dataclass(frozen=True)
+class NewValues:
+    """New values of one scalar property."""
+
+    places: Places  # in all rows
+    rows: Bools  # which rows change
+    values: Array  # their new values, in the property's type
 
 
 class Body:
@@ -49,14 +68,34 @@ class Body:
         """Return values from `view` in their type; InputError if they cannot be of it."""
         return values.astype(kind)
 
+    def patched(self, changes: Sequence[NewValues]) -> list[Bytes]:
+        """Return the body in pieces with new values (at least one, each property once); other bytes stay."""
+        patched = bytearray(self._data)
+        for change in changes:
+            view, places = values_in_bytes(patched, self.order + change.values.dtype.str[1:]), change.places
+            if isinstance(places, slice):
+                view[places][change.rows] = change.values
+            else:
+                view[places[change.rows]] = change.values
+        return [memoryview(patched)[self.start :]]
+
+    def without(self, units: Int64s, kind: str) -> bytes:
+        """Return the body without the scalars of one type at some units."""
+        return edits.zeroed(self._data, units, self.size(kind))[self.start :]
+
 
 class TextBody(Body):
     """A body of text; units are tokens."""
 
     def __init__(self, data: bytes, header: Header, name: str) -> None:
         super().__init__(data, header, name)
-        self._values = read_numbers(data[header.end :])
+        self._first = header.end
+        self._values = read_numbers(self._text)
         self.start, self.stop = 0, len(self._values)
+
+    @property
+    def _text(self) -> bytes:
+        return self._data[self._first :]  # not kept, as it may be large
 
     def size(self, kind: str) -> int:
         return 1
@@ -76,6 +115,19 @@ class TextBody(Body):
             )
         return values.astype(kind)
 
+    def patched(self, changes: Sequence[NewValues]) -> list[Bytes]:
+        text, new = self._text, list[edits.NewNumbers]()
+        starts, ends = find_tokens(text)
+        for change in changes:
+            tokens = indices(change.places)[change.rows]
+            new.append(edits.NewNumbers(starts[tokens], ends[tokens], change.values))
+        return [*edits.renumbered(text, new)]
+
+    def without(self, units: Int64s, kind: str) -> bytes:
+        text, tokens = self._text, np.sort(units)
+        starts, ends = find_tokens(text)
+        return edits.without_tokens(text, starts[tokens], ends[tokens])
+
 
 # Red, green and blue, then opacity, from the highest byte but one down and the highest, as PCL packs them.
 _PACKED = ("rgb", "rgba")
@@ -86,14 +138,6 @@ COLOUR_PROPERTIES = ("color", "colors", "colour", "colours", *_PACKED)
 def plain(name: str) -> str:
     """Return the name of a property without capitals and the prefix that CloudCompare gives it."""
     return name.lower().removeprefix("scalar_")
-
-
-Places = slice | np.ndarray[Any, np.dtype[np.int64]]
-
-
-def indices(places: Places) -> Int64s:
-    """Return places as an array."""
-    return np.arange(places.start, places.stop, places.step) if isinstance(places, slice) else places
 
 
 @dataclass(frozen=True)
@@ -180,7 +224,7 @@ class Table:
         return self.body.checked(self.body.view(prop.type)[units], prop.type, where), offsets
 
 
-def with_channels(table: Table) -> Table:
+def _with_channels(table: Table) -> Table:
     """Name the channels of colours that are lists of one length, or packed into a number, as scalars of their own.
 
     Their layout in the file is the same. A channel of the property p is "p 0", which no property can be called.
@@ -204,14 +248,18 @@ def with_channels(table: Table) -> Table:
     return Table(body, element, table.start, table.counts if len(kept) == lists else table.counts[:, kept])
 
 
-def read_tables(data: bytes, header: Header, name: str) -> Mapping[str, Table]:
+def read_body(data: bytes, header: Header, name: str) -> Body:
+    return Body(data, header, name) if header.order else TextBody(data, header, name)
+
+
+def read_tables(body: Body, header: Header) -> dict[str, Table]:
     """Find the rows of all elements; InputError if the file ends before its last row, or a list is damaged."""
-    body = Body(data, header, name) if header.order else TextBody(data, header, name)
     tables: dict[str, Table] = {}
     at = body.start
     for element in header.elements:
-        tables[element.name] = Table(body, element, at, _list_lengths(body, element, at))
-        at = tables[element.name].stop
+        table = Table(body, element, at, _list_lengths(body, element, at))
+        at = table.stop
+        tables[element.name] = _with_channels(table) if element.count else table
     return tables
 
 
