@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 
 Report = TypeVar("Report", bound="FileReport")
 
+# The first lines of a report as JSON.
+_REPORT_HEAD = re.compile(rb'\{\n  "input": ".*",\n  "output": ".*",\n  "format": "\w+",\n  "parameters": \{')
 _LOSSY = {"jpeg", "webp", "avif", "ktx2"}  # which --jpeg-quality is for
 
 _dry_run = click.option("--dry-run", is_flag=True, help="Compute and report, but write no OUTPUT.")
@@ -86,13 +89,17 @@ def _is_lossless(paths: Sequence[str]) -> bool:
 
 def _open_report(path: str, target: str, job: Job) -> Output:
     """Check that a report can be written, before anything is computed."""
-    from beltrami_cli.jobs.smooth_report import is_report
     from beltrami_cli.jobs.writing.output import Output
 
     if path == target == "-":
         raise OutputError("<stdout>", "the report would mix with OUTPUT", "name a file for one of them")
     replaced = options.overwrite_at("report_path", overwrite=job.overwrite)
     return Output(path, overwrite=replaced, is_text=True, what="report", is_own=is_report, files=job.files)
+
+
+def is_report(head: bytes) -> bool:
+    """Whether a file is a report as JSON, by its first bytes."""
+    return _REPORT_HEAD.match(head) is not None
 
 
 def _open_preview(

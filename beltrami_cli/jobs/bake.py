@@ -15,7 +15,7 @@ from beltrami_cli.formats.image import DecodedImage, read_texture
 from beltrami_cli.formats.output_format import write_mesh
 from beltrami_cli.jobs.file_job import FileReport, begin
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
-from beltrami_cli.jobs.new_texture import as_rgba, texture_from_vertices, words_on
+from beltrami_cli.jobs.new_texture import as_rgba, texture_description, texture_from_vertices
 from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.layers.selection import Selection
 from beltrami_cli.layers.settings import DEFAULTS, BakeTo
@@ -67,14 +67,14 @@ def bake_file(
             counts = {"triangle": len(new.faces), **({} if new.charts is None else {"chart": new.charts})}
             image = new.encoded()
             written = write_mesh(new.mesh(image), kind, stem)
-            notices, texture = new.notices, words_on(image)
+            notices, texture = new.notices, texture_description(image)
         else:
             Selection(document, DEFAULTS, slots=("baseColor",)).require_memory()
             contents, notices = _colours_from_textures(document)
             counts = {"coloured vertex": len(contents.positions), "triangle": len(contents.offsets) - 1}
             written, texture = write_mesh(contents, kind, stem), ""
-    report = {**vars(file.write(written, notices)), "parameters": {"to": to, **dataclasses.asdict(settings)}}
-    return BakeReport(**report, counts=counts, texture=texture)
+    report = file.write(written, {"to": to, **dataclasses.asdict(settings)}, notices)
+    return BakeReport(**vars(report), counts=counts, texture=texture)
 
 
 def _colours_from_textures(document: Document) -> tuple[MeshContents, tuple[str, ...]]:

@@ -49,7 +49,7 @@ class FileReport:
     input: str
     output: str
     format: str
-    parameters: dict[str, object] = field(default_factory=dict)
+    parameters: dict[str, object]
     stages: dict[str, dict[str, float]] = field(default_factory=dict)
     peak_memory: int | None = field(default_factory=peak_memory)
     written: list[str] = field(default_factory=list)
@@ -94,7 +94,10 @@ class FileJob:
 
         return self.reserve(lambda naming: names(naming.free_stem(names))).free_stem(names)
 
-    def write(self, files: Written, notices: Iterable[str], warnings: Iterable[str] = ()) -> FileReport:
+    def write(
+        self, files: Written, parameters: dict[str, object], notices: Iterable[str],
+        warnings: Iterable[str] = (),
+    ) -> FileReport:  # fmt: skip
         """Write the files, unless it is a dry run; `notices` concern the file, `warnings` the computation."""
         with self.watch.stage("write"):
             folder, access = Path(self.source).parent, self.job.access
@@ -107,8 +110,8 @@ class FileJob:
         # Several slots repeat the warnings about their surface.
         notices = dict.fromkeys([*self.document.notices, *notices, *shared, *files.notices])
         return FileReport(
-            input=self.source, output=self.target, format=self.format.name, stages=self.watch.stages,
-            written=names, warnings=[*notices, *warnings],
+            input=self.source, output=self.target, format=self.format.name, parameters=parameters,
+            stages=self.watch.stages, written=names, warnings=[*notices, *warnings],
         )  # fmt: skip
 
     def _notices_of_sharing(self, sidecars: Iterable[str]) -> list[str]:

@@ -78,13 +78,13 @@ def level_file(
         raise UsageError(f"{cause}; choose srgb or linear")
     source, target = os.fspath(source), os.fspath(target)
     still = dataclasses.replace(settings, kernel=unsmoothed(settings.kernel))
-    report, results = recolour(source, target, still, Smoothing(still, levelling), job)
+    described, used = describe_settings(settings), ("threads", "space", "channels", "on", "textures")
+    parameters = {name: value for name, value in described.items() if name in used}
+    parameters |= dataclasses.asdict(levelling)
+    report, results = recolour(source, target, still, Smoothing(still, levelling), job, parameters)
     levelled = [
         dataclasses.replace(each.levelled, change=each.report.change)
         for each in results
         if each.levelled is not None
     ]
-    described, used = describe_settings(settings), ("threads", "space", "channels", "on", "textures")
-    parameters = {name: value for name, value in described.items() if name in used}
-    parameters |= dataclasses.asdict(levelling)
-    return LevelFileReport(**{**vars(report), "parameters": parameters}, levelled=levelled)
+    return LevelFileReport(**vars(report), levelled=levelled)

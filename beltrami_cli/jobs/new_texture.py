@@ -79,7 +79,7 @@ class NewTexture:
         )
 
 
-def words_on(file: ImageFile) -> str:
+def texture_description(file: ImageFile) -> str:
     """Describe a new texture as its file holds it, which may have fewer bits than the colours."""
     size = measure_image(file.data, f"texture{file.suffix}")
     assert size is not None
@@ -126,7 +126,7 @@ def texture_from_textures(
     """Move all base colour textures to one new atlas."""
     old = document.textured("baseColor")
     images = [read_texture(texture) for texture in old.textures]
-    texels = texels_of(old, np.array([image.pixels.shape[1::-1] for image in images]))
+    texels = count_texels(old, np.array([image.pixels.shape[1::-1] for image in images]))
     unwrapped = _unwrapped(document, old.positions, old.faces, old.space_of, texels, settings, progress)
     channels = 4 if any(image.alpha is not None for image in images) else 3
     rgba = [as_rgba(image) for image in images]
@@ -226,7 +226,7 @@ def _notices_on_textures(
     return tuple(notices)
 
 
-def texels_of(surface: TexturedSurface, sizes: Int64s) -> float:
+def count_texels(surface: TexturedSurface, sizes: Int64s) -> float:
     """Return the total number of texels of the textured triangles."""
     is_textured = surface.texture_of >= 0
     corners = surface.uv[is_textured] * sizes[surface.texture_of[is_textured]][:, None]

@@ -108,9 +108,9 @@ def noise_file(
     UsageError, InputError, OutputError
         As for `smooth_file`.
     """
-    report, results = recolour(os.fspath(source), os.fspath(target), settings, NoiseFilter(noise), job)
-    parameters = dataclasses.asdict(noise)
-    return NoiseReport(**{**vars(report), "parameters": parameters}, added=[each.added for each in results])
+    source, target, parameters = os.fspath(source), os.fspath(target), dataclasses.asdict(noise)
+    report, results = recolour(source, target, settings, NoiseFilter(noise), job, parameters)
+    return NoiseReport(**vars(report), added=[each.added for each in results])
 
 
 def _with_noise(samples: LayerSamples, settings: NoiseSettings) -> Float32s:

@@ -72,9 +72,10 @@ class ColourFilter(ABC, Generic[AnyResult]):
 
 
 def recolour(
-    source: str, target: str, settings: SmoothSettings, colour_filter: ColourFilter[AnyResult], job: Job
-) -> tuple[FileReport, list[AnyResult]]:
-    """Recolour the selected parts of a file, and write it with everything else unchanged."""
+    source: str, target: str, settings: SmoothSettings, colour_filter: ColourFilter[AnyResult], job: Job,
+    parameters: dict[str, object],
+) -> tuple[FileReport, list[AnyResult]]:  # fmt: skip
+    """Recolour the selected parts of a file, and write it with everything else unchanged; `parameters`: to report."""
     file = begin(source, target, settings, job)
     document, kind, watch = file.document, file.format, file.watch
     with watch.stage("read"):
@@ -97,7 +98,8 @@ def recolour(
                 document, new, images, kind, naming, in_place=not is_moved(source, target)
             )
         notices += [*(notice for each in new for notice in each.notices), *image_notices]
-        report = file.write(written, notices, [warning for each in results for warning in each.warnings])
+        warnings = [warning for each in results for warning in each.warnings]
+        report = file.write(written, parameters, notices, warnings)
     return report, results
 
 

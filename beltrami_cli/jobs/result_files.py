@@ -33,7 +33,7 @@ def files_with_new_colours(
     """Return the files of a document with new colours, images and positions, in the format of the output."""
     colours = next((each.colours for each in stored if each.colours is not None), None)
     places = next((each.positions for each in stored if each.positions is not None), None)
-    moved = None if places is None else moved_vertices(document, places)
+    moved = None if places is None else _moved_vertices(document, places)
     if in_place:
         images = {key: image for key, image in images.items() if _is_new(document, *key, image)}
     if kind.is_patched:
@@ -71,7 +71,7 @@ def _has_textures(document: Document, kind: OutputFormat) -> bool:
     return output_format.image_suffixes(kind.name) is not None and bool(document.readable(document.slots()))
 
 
-def moved_vertices(document: Document, positions: Float64s) -> MovedVertices:
+def _moved_vertices(document: Document, positions: Float64s) -> MovedVertices:
     """Return new positions of coloured vertices, with normals around moved vertices if every vertex has one."""
     vertices = document.coloured_vertices()
     if not document.has_normals_by_vertex():

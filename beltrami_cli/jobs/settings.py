@@ -1,4 +1,4 @@
-"""The parameters of jobs that do not smooth: noise that is added, new textures, and limits of comparisons.
+"""The parameters of noise that is added, of new textures, and of comparisons.
 
 Light enough for the command line to import.
 """

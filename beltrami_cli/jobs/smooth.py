@@ -11,8 +11,7 @@ from beltrami_cli.jobs.recolour import recolour
 from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.jobs.smooth_report import SmoothReport, smooth_report
 from beltrami_cli.jobs.smoothing import Smoothing
-from beltrami_cli.jobs.unwrapped import smooth_unwrapped
-from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
+from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings, describe_settings
 
 
 def smooth_file(
@@ -61,5 +60,8 @@ def smooth_file(
     source, target = os.fspath(source), os.fspath(target)
     settings = override(settings, **overrides)
     if unwrap is not None:
+        from beltrami_cli.jobs.unwrapped import smooth_unwrapped
+
         return smooth_unwrapped(source, target, settings, unwrap, job)
-    return smooth_report(*recolour(source, target, settings, Smoothing.of(settings), job), settings)
+    parameters = describe_settings(settings)
+    return smooth_report(*recolour(source, target, settings, Smoothing.of(settings), job, parameters))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -14,10 +13,7 @@ from beltrami_cli.jobs.file_job import FileReport
 from beltrami_cli.jobs.smoothing import Smoothed
 from beltrami_cli.layers.layer import Part
 from beltrami_cli.layers.reports import ImageReport, LayerReport, LevelReport, SlotReport, VertexReport
-from beltrami_cli.layers.settings import SmoothSettings, describe_settings
 from beltrami_cli.layers.storing import Change
-
-_HEAD = re.compile(rb'\{\n  "input": ".*",\n  "output": ".*",\n  "format": "\w+",\n  "parameters": \{')
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,12 +54,7 @@ class SmoothReport(FileReport):
     new_texture: str = ""
 
 
-def is_report(head: bytes) -> bool:
-    """Whether a file is a `SmoothReport` as JSON, by its first bytes."""
-    return _HEAD.match(head) is not None
-
-
-def smooth_report(report: FileReport, results: Sequence[Smoothed], settings: SmoothSettings) -> SmoothReport:
+def smooth_report(report: FileReport, results: Sequence[Smoothed]) -> SmoothReport:
     """Add the changes of layers to the report of a file."""
     groups: dict[object, list[Smoothed]] = {}
     for number, result in enumerate(results):
@@ -72,7 +63,7 @@ def smooth_report(report: FileReport, results: Sequence[Smoothed], settings: Smo
     for group in groups.values():
         parts[group[0].part].append(_joined(group))
     return SmoothReport(
-        **{**vars(report), "parameters": describe_settings(settings)},
+        **vars(report),
         vertices=next(iter(parts["vertices"]), None),
         textures=parts["textures"],
         image=next(iter(parts["image"]), None),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,18 +12,22 @@ from beltrami_cli.formats.image.sizes import measure_image
 from beltrami_cli.formats.output_format import write_mesh
 from beltrami_cli.jobs.file_job import FileJob, begin
 from beltrami_cli.jobs.job import Job
+from beltrami_cli.jobs.new_texture import (
+    NewTexture,
+    count_texels,
+    texture_description,
+    texture_from_textures,
+    texture_from_vertices,
+)
 from beltrami_cli.jobs.recolour import apply_filter
 from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.jobs.smooth_report import SmoothReport, smooth_report
 from beltrami_cli.jobs.smoothing import Smoothed, Smoothing, smooth_in_job
 from beltrami_cli.layers.selection import Selection
-from beltrami_cli.layers.settings import SmoothSettings
+from beltrami_cli.layers.settings import SmoothSettings, describe_settings
 from beltrami_cli.layers.storing import all_images
 from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.surface.records import ImageFile, TexturedSurface
-
-if TYPE_CHECKING:
-    from beltrami_cli.jobs.new_texture import NewTexture
 
 
 def smooth_unwrapped(
@@ -39,8 +42,6 @@ def smooth_unwrapped(
         stem = file.reserve_new(settings.textures.image_suffix or ".png")
     notices = selection.require_scale() if settings.kernel.iterations else []
     _require_possible(selection)
-    from beltrami_cli.jobs.new_texture import words_on
-
     new, image, smoothed = _new_texture(file, selection, baking)
     notices += new.notices
     if selection.slots and file.document.has_vertex_colours():
@@ -48,8 +49,9 @@ def smooth_unwrapped(
     notices += [notice for each in smoothed for notice in each.stored.notices]
     with file.watch.stage("write"):
         written = write_mesh(new.mesh(image), file.format.name, stem)
-    report = file.write(written, notices, [warning for each in smoothed for warning in each.warnings])
-    return dataclasses.replace(smooth_report(report, smoothed, settings), new_texture=words_on(image))
+    warnings = [warning for each in smoothed for warning in each.warnings]
+    report = file.write(written, describe_settings(settings), notices, warnings)
+    return dataclasses.replace(smooth_report(report, smoothed), new_texture=texture_description(image))
 
 
 def _check(settings: SmoothSettings) -> None:
@@ -94,8 +96,6 @@ def _new_texture(
     file: FileJob, selection: Selection, baking: BakeSettings
 ) -> tuple[NewTexture, ImageFile, list[Smoothed]]:
     """Smooth the colours, then make the texture of them; in the opposite order where textures are too small."""
-    from beltrami_cli.jobs.new_texture import texture_from_textures, texture_from_vertices
-
     # Between texels and vertices the new texture shows mixtures of the old colours. Their noise is spread over several
     # texels, where it looks like a pattern and stays.
     document, job, settings = file.document, file.job, selection.settings
@@ -129,8 +129,6 @@ def _new_texture(
 
 def _are_large_enough(surface: TexturedSurface) -> bool:
     """Whether textures have a texel for each triangle, unlike palettes."""
-    from beltrami_cli.jobs.new_texture import texels_of
-
     sizes = [measure_image(texture.data) for texture in surface.textures]
     sides = np.array([(0, 0) if size is None else (size.width, size.height) for size in sizes], np.int64)
-    return texels_of(surface, sides.reshape(-1, 2)) >= int(np.count_nonzero(surface.texture_of >= 0))
+    return count_texels(surface, sides.reshape(-1, 2)) >= int(np.count_nonzero(surface.texture_of >= 0))

@@ -30,7 +30,7 @@ from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.jobs.smooth_report import smooth_report
 from beltrami_cli.jobs.smoothing import Smoothed, Smoothing
 from beltrami_cli.layers.selection import select
-from beltrami_cli.layers.settings import SmoothSettings
+from beltrami_cli.layers.settings import SmoothSettings, describe_settings
 from beltrami_cli.surface.records import Slot
 from beltrami_cli.view.controls import CONTROLS, SLIDERS, plain_settings, settings_from, values_of
 from beltrami_cli.view.layer_view import LayerView
@@ -214,8 +214,10 @@ class Live:
         self, results: Sequence[Smoothed], notices: Sequence[str], settings: SmoothSettings
     ) -> dict[str, Any]:
         """Return the chosen and the used parameters, notices and the noise, as the page shows them."""
-        made = smooth_report(FileReport(input=self._source, output="", format=""), results, settings)
-        used = used_parameters(json.loads(json.dumps(dataclasses.asdict(made))))
+        parameters = describe_settings(settings)
+        report = FileReport(input=self._source, output="", format="", parameters=parameters)
+        described = dataclasses.asdict(smooth_report(report, results))
+        used = used_parameters(json.loads(json.dumps(described)))
         choices = [done.report.choice for done in results if done.report.choice is not None]
         further = [each for done in results for each in (*done.warnings, *done.stored.notices)]
         reports = [done.report for done in results]
