@@ -78,7 +78,7 @@ def stage_seconds(source, *, guided):
     for texture in surface.textures:
         read_texture(texture)
     marks.append(time.process_time())
-    plan = TextureLayer.read(surface, "baseColor", settings).plan()
+    plan = TextureLayer.read(surface, "baseColor", settings).normalised().plan()
     marks.append(time.process_time())
     smooth_in_place(plan)
     decoding, setup, iteration = np.diff([*marks, time.process_time()])

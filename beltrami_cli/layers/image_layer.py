@@ -23,11 +23,7 @@ from beltrami_cli.formats.image.conversion import upright
 from beltrami_cli.formats.image.jpeg_tables import read_jpeg_tables
 from beltrami_cli.layers.channels import with_chosen_layer
 from beltrami_cli.layers.guides import noise_of_pixels, read_guide_images
-from beltrami_cli.layers.image_surface import (
-    ImageSurface,
-    canvas_of_image,
-    read_surface,
-)
+from beltrami_cli.layers.image_surface import ImageSurface, canvas_of_image, read_surface
 from beltrami_cli.layers.layer import Part
 from beltrami_cli.layers.pixel_colours import PixelColours
 from beltrami_cli.layers.pixel_layer import PixelLayer
@@ -42,8 +38,7 @@ class ImageLayer(PixelLayer):
     part: ClassVar[Part] = "image"
     label = "image"
 
-    surface: ImageSurface
-    valid: Bools  # (H, W): pixels that are samples
+    surface: ImageSurface  # `valid` where a pixel is a sample
     remarks: tuple[str, ...] = ()  # about its surface, holes and channels
 
     @classmethod
@@ -79,7 +74,7 @@ class ImageLayer(PixelLayer):
             remarks.append(f"{image.name} has no pixel but holes, so nothing was changed{remedy}.")
         return cls(
             images=[image], settings=settings, colours=colours,
-            surface=dataclasses.replace(surface, valid=valid), valid=valid,
+            surface=dataclasses.replace(surface, valid=valid),
             guides=read_guide_images(image, valid, settings, access),
             noise=noise_of_pixels(settings.kernel, [image], valid.reshape(-1), access),
             jpeg_tables=[read_jpeg_tables(document.data)], suffix=suffix, remarks=tuple(remarks),
@@ -88,6 +83,12 @@ class ImageLayer(PixelLayer):
     @property
     def image(self) -> DecodedImage:
         return self.images[0]
+
+    @property
+    def valid(self) -> Bools:
+        """Where a pixel is a sample, shape (H, W)."""
+        assert self.surface.valid is not None
+        return self.surface.valid
 
     @property
     def as_data(self) -> bool:

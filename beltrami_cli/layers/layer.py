@@ -50,6 +50,8 @@ class Layer(ABC):
     noise: Float32s | None = None
     guides: Sequence[Guide] = ()  # with rows as those of `noise`
     level_report: LevelReport | None = None  # None: exposure steps were not searched for
+    levelled_colours: Float32s | None = None  # (S, N): colours of the samples without exposure steps
+    is_normalised: bool = False  # whether plans can be made of it
 
     @property
     @abstractmethod
@@ -68,9 +70,20 @@ class Layer(ABC):
     def names(self) -> tuple[str, ...]:
         return self.channels.names
 
-    @abstractmethod
     def normalised(self) -> Self:
-        """Return the layer with colours in a unit of their own, so that noise is judged independently of their unit."""
+        """Return the layer in the unit of plans, in which noise is judged independently of the unit of the colours.
+
+        Layers are levelled and given noise before, and planned and described after.
+        """
+        if self.is_normalised:
+            return self
+        # Exposures are as stored.
+        layer = self if self.levelled_colours is not None else self._in_own_unit()
+        return dataclasses.replace(layer, is_normalised=True)
+
+    @abstractmethod
+    def _in_own_unit(self) -> Self:
+        """Return the layer with its colours divided by a unit that suits them."""
 
     @abstractmethod
     def unit_in(self, space: str) -> float:
@@ -79,6 +92,7 @@ class Layer(ABC):
     @property
     def unit(self) -> float:
         """The unit of plans, which divides colours in the working space."""
+        assert self.is_normalised, "a layer is normalised before it is planned"
         return self.unit_in(self.settings.space)
 
     @property

@@ -16,11 +16,7 @@ from beltrami_cli.flow.beltrami_flow import FlowResult
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Resources
 from beltrami_cli.flow.estimation import estimate_on_mesh
 from beltrami_cli.flow.manifolds.guides import Guide
-from beltrami_cli.flow.manifolds.mesh_manifold import (
-    ColouredMesh,
-    MeshManifold,
-    mesh_manifold,
-)
+from beltrami_cli.flow.manifolds.mesh_manifold import ColouredMesh, MeshManifold, mesh_manifold
 from beltrami_cli.flow.manifolds.moving_positions import GeometryParameters
 from beltrami_cli.flow.plan import Plan, choose_parameters
 from beltrami_cli.layers.layer import SampledVertices
@@ -48,7 +44,6 @@ class MeshLayer(VertexLayer):
     fitted: ColouredVertices | None = None  # the vertices with that surface, once it is known
     # Returns the number of each vertex's photograph from the attribute that stores it.
     photographs_of: Callable[[str | None], Int64s] | None = None
-    levelled_colours: Float32s | None = None  # (S, N): colours of samples without exposure steps
 
     @property
     def _is_cloud(self) -> bool:
@@ -80,10 +75,8 @@ class MeshLayer(VertexLayer):
     def stored_colours(self) -> Float32s:
         return self._stored
 
-    def normalised(self) -> Self:
-        if self.levelled_colours is not None:
-            return self
-        return dataclasses.replace(super().normalised(), fitted=self.joined if self._is_cloud else None)
+    def _in_own_unit(self) -> Self:
+        return dataclasses.replace(super()._in_own_unit(), fitted=self.joined if self._is_cloud else None)
 
     def surface(self) -> SampledSurface:
         """Return the sampled surface, made on demand, since it is as large as the file."""

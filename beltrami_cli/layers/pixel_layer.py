@@ -20,9 +20,7 @@ from beltrami_cli.flow.parameters import Space
 from beltrami_cli.flow.plan import Plan
 from beltrami_cli.formats.image import DecodedImage, check_writable
 from beltrami_cli.formats.image.conversion import upright
-from beltrami_cli.formats.image.decoded_image import (
-    full_scale_one,
-)
+from beltrami_cli.formats.image.decoded_image import full_scale_one
 from beltrami_cli.formats.image.jpeg_tables import JpegTables
 from beltrami_cli.formats.image.writing import colours_in_file, is_kept
 from beltrami_cli.layers.channels import ChosenChannels
@@ -55,7 +53,7 @@ class PixelLayer(Layer):
         is_light = self.colours.space != "data" and all(image.encoding == "linear" for image in self.images)
         return self.colours.space if is_light else None
 
-    def normalised(self) -> Self:
+    def _in_own_unit(self) -> Self:
         return dataclasses.replace(self, colours=self.colours.normalised(self.images))
 
     def unit_in(self, space: str) -> float:

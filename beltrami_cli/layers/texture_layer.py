@@ -58,7 +58,6 @@ class TextureLayer(PixelLayer):
     atlas: Atlas
     shared: Collection[str] = ()  # keys of images that other slots also show
     group: str = ""  # name of the group of textures; empty: all of the slot
-    levelled_colours: Float32s | None = None  # (T, N): colours of owned cells without exposure steps
 
     @classmethod
     def read(
@@ -96,9 +95,8 @@ class TextureLayer(PixelLayer):
     def as_data(self) -> bool:
         return self.slot not in COLOUR_SLOTS
 
-    def normalised(self) -> Self:
-        # Data slots are defined on [0, 1]; exposures are as stored.
-        return self if self.as_data or self.levelled_colours is not None else super().normalised()
+    def _in_own_unit(self) -> Self:
+        return self if self.as_data else super()._in_own_unit()  # data slots are defined on [0, 1]
 
     def canvas(self) -> ColouredCanvas:
         return ColouredCanvas(

@@ -42,7 +42,7 @@ class VertexLayer(Layer):
         """The vertices with the triangles that join them."""
         return self.vertices
 
-    def normalised(self) -> Self:
+    def _in_own_unit(self) -> Self:
         are_data = self.settings.space == "data"
         unit = unit_of_vertices(self.joined, self.channels.sampled, are_data=are_data)
         return dataclasses.replace(self, stored_unit=unit)

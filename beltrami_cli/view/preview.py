@@ -235,7 +235,6 @@ def _cut(layer: ImageLayer, place: tuple[slice, slice], kernel: KernelParameters
         layer,
         settings=dataclasses.replace(layer.settings, kernel=kernel),
         images=[dataclasses.replace(layer.image, pixels=np.ascontiguousarray(layer.image.pixels[place]))],
-        valid=layer.valid[place],
         surface=ImageSurface(
             heights=None if surface.heights is None else surface.heights[place],
             positions=None if surface.positions is None else surface.positions[place],

@@ -48,11 +48,11 @@ def is_equal(one, other):
 @pytest.mark.parametrize("layer", NAMES, indirect=True)
 def test_the_order_of_calls_makes_no_difference(layer):
     first = smooth_layer(layer)
-    facts = layer.describe()
+    facts = layer.normalised().describe()
     again = smooth_layer(layer)
     assert first.report == again.report
     assert is_equal(first.stored, again.stored)
-    assert layer.describe() == facts
+    assert layer.normalised().describe() == facts
     with pytest.raises(FrozenInstanceError):
         layer.settings = None
 
@@ -71,6 +71,13 @@ def test_levelling_leaves_the_layer_as_it_was(layer):
     assert not is_equal(smooth_layer(darker).stored, before.stored)
     assert describe_exposure(darker) == describe_exposure(darker)
     assert is_equal(smooth_layer(layer).stored, before.stored)
+
+
+@pytest.mark.parametrize("layer", NAMES, indirect=True)
+def test_a_layer_that_is_not_normalised_is_not_planned(layer):
+    with pytest.raises(AssertionError, match="normalised"):
+        layer.plan()
+    assert layer.normalised().normalised().unit > 0
 
 
 @pytest.mark.parametrize("layer", NAMES, indirect=True)

@@ -124,7 +124,7 @@ def test_samples_are_the_vertices_that_were_measured():
     sample_of = layer.places().sample_of
     np.testing.assert_array_equal(sample_of >= 0, measured)
     np.testing.assert_array_equal(sample_of[measured], np.arange(np.count_nonzero(measured)))
-    assert len(layer.plan().manifold.new_colours().table()) == np.count_nonzero(measured)
+    assert len(layer.normalised().plan().manifold.new_colours().table()) == np.count_nonzero(measured)
 
 
 @pytest.mark.parametrize(

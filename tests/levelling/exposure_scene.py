@@ -30,7 +30,7 @@ def unchanged(layer):
     """Return the colours that a layer has, as its `encode` takes them."""
     kernel = unsmoothed(layer.settings.kernel)
     still = replace(layer, settings=replace(layer.settings, kernel=kernel))
-    return smooth_in_place(still.plan()).manifold.new_colours()
+    return smooth_in_place(still.normalised().plan()).manifold.new_colours()
 
 
 @dataclass
