@@ -11,7 +11,7 @@ from typing import NoReturn
 
 import click
 
-from beltrami_cli.cli.commands import complete_files, write_notes
+from beltrami_cli.cli.command import complete_files, write_notes
 from beltrami_cli.cli.console import printable
 from beltrami_cli.cli.documentation import notes_on
 from beltrami_cli.cli.interruption import Interruptible, Interruption
@@ -80,8 +80,7 @@ class LazyGroup(click.Group):
 @click.pass_context
 def group(context: click.Context, config_path: str | None) -> None:
     """Smooth the colours of 3-D meshes: on the surface itself, keeping edges."""
-    from beltrami_cli.cli.configuration import load
-    from beltrami_cli.cli.configured import configured_values
+    from beltrami_cli.cli.configuration import configured_values, load
 
     context.obj = load(config_path)
     name = context.invoked_subcommand

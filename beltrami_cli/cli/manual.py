@@ -1,4 +1,4 @@
-"""The command `beltrami docs`, and the manual pages, which the wheel holds.
+"""The manual pages, which the wheel holds: the whole help of each command for man(7).
 
 `python -m beltrami_cli.cli.manual DIR VERSION` writes the manual.
 """
@@ -12,7 +12,7 @@ from pathlib import Path
 
 import click
 
-from beltrami_cli.cli.commands import DEFAULT_GROUP, HELP_ALL
+from beltrami_cli.cli.command import DEFAULT_GROUP, HELP_ALL
 from beltrami_cli.cli.main import group
 from beltrami_cli.cli.registry import COMMANDS
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from beltrami_cli.cli.commands import GroupedOption
+from beltrami_cli.cli.command import GroupedOption
 from beltrami_cli.cli.console import Messages
 from beltrami_cli.cli.parameter_options import (
     destination,

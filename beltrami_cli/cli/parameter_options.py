@@ -10,7 +10,7 @@ import click
 from click.core import ParameterSource
 from click.shell_completion import CompletionItem
 
-from beltrami_cli.cli.commands import GroupedOption
+from beltrami_cli.cli.command import GroupedOption
 from beltrami_cli.cli.option_names import variable_behind
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import REQUIRED, Parameter, parameters, parts

@@ -32,7 +32,9 @@ COMMANDS = {
 
 def command_named(name: str) -> click.Command:
     function = name.replace("-", "_")
-    command: click.Command = getattr(importlib.import_module(f"beltrami_cli.cli.{function}"), function)
+    command: click.Command = getattr(
+        importlib.import_module(f"beltrami_cli.cli.commands.{function}"), function
+    )
     command.short_help = COMMANDS[name]
     return with_variables(command, name, inherited_from_smooth(name))
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.commands import complete_files
+from beltrami_cli.cli.command import complete_files
 from beltrami_cli.cli.console import Messages
 from beltrami_cli.cli.parameter_options import typed_parameters
 from beltrami_cli.cli.phrases import output_name

@@ -8,7 +8,7 @@ from importlib.metadata import version
 import click
 import pytest
 
-from beltrami_cli.cli.commands import DEFAULT_GROUP
+from beltrami_cli.cli.command import DEFAULT_GROUP
 from beltrami_cli.cli.main import group
 from beltrami_cli.cli.option_names import options_by_name, values_for
 from beltrami_cli.cli.registry import COMMANDS
@@ -47,7 +47,7 @@ LIBRARIES = {"jinja2", "scipy", "OpenImageIO", "rich", "trimesh", "xatlas"}
 @pytest.mark.parametrize(
     ("words", "needless"),
     [
-        (["--help"], {*LIBRARIES, "numpy", *(f"beltrami_cli.cli.{name}" for name in COMMANDS)}),
+        (["--help"], {*LIBRARIES, "numpy", *(f"beltrami_cli.cli.commands.{name}" for name in COMMANDS)}),
         (["bake", "--help"], {*LIBRARIES, "numpy", "beltrami_cli._native"}),
         (["smooth", "--help"], {*LIBRARIES, "numpy", "beltrami_cli._native"}),
         pytest.param(

@@ -8,7 +8,7 @@ import sys
 import click
 import pytest
 
-from beltrami_cli.cli.commands import DEFAULT_GROUP
+from beltrami_cli.cli.command import DEFAULT_GROUP
 from beltrami_cli.cli.manual import main, manual
 from beltrami_cli.cli.registry import COMMANDS
 from cli.commands import command

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 import pytest
 
 from beltrami_cli.batch.item import Attempt, Outcome
-from beltrami_cli.cli.batch_display import Display
+from beltrami_cli.cli.commands.batch import Display
 from beltrami_cli.cli.console import Messages
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.progress import Label, Share, Work, phase_of

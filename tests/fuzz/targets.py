@@ -15,10 +15,9 @@ from beltrami_cli import smooth
 from beltrami_cli.batch.item import Item
 from beltrami_cli.batch.plan import plan
 from beltrami_cli.batch.record import is_done, is_own_output, read_outcomes
-from beltrami_cli.cli.batch import batch
 from beltrami_cli.cli.batch_items import item_with
-from beltrami_cli.cli.configuration import load
-from beltrami_cli.cli.configured import configured_values
+from beltrami_cli.cli.commands.batch import batch
+from beltrami_cli.cli.configuration import configured_values, load
 from beltrami_cli.errors import BeltramiError, InputError, UsageError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.changes import Naming

@@ -27,7 +27,7 @@ MOST = (160 + 300) << 20
 # than a command does. That each command loads its modules by itself would take most of the time.
 MEASURING = """
 import contextlib, importlib, json, os, pkgutil, sys
-import beltrami_cli.formats, beltrami_cli.jobs.smooth, beltrami_cli.cli.smooth
+import beltrami_cli.formats, beltrami_cli.jobs.smooth, beltrami_cli.cli.commands.smooth
 from beltrami_cli.cli import main as command
 
 for module in pkgutil.walk_packages(beltrami_cli.formats.__path__, "beltrami_cli.formats."):

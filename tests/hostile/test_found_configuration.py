@@ -6,8 +6,7 @@ import os
 import click
 import pytest
 
-from beltrami_cli.cli.configuration import load
-from beltrami_cli.cli.configured import configured_values, may_be_found
+from beltrami_cli.cli.configuration import configured_values, load, may_be_found
 from beltrami_cli.cli.option_names import long_name
 from beltrami_cli.cli.registry import COMMANDS
 from beltrami_cli.errors import UsageError

@@ -8,7 +8,7 @@ import zipfile
 
 import pytest
 
-from beltrami_cli.cli.blender_extension import declared_parameters, write_blender_extension
+from beltrami_cli.cli.commands.blender_extension import declared_parameters, write_blender_extension
 from beltrami_cli.fields import parameters
 from beltrami_cli.flow.parameters import KernelParameters
 

@@ -8,7 +8,8 @@ import click
 import numpy as np
 import pytest
 
-from beltrami_cli.cli import options, smooth, view
+from beltrami_cli.cli import options
+from beltrami_cli.cli.commands import smooth, view
 from beltrami_cli.fields import override
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import DEFAULT_ACCESS

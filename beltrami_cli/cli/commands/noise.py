@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.commands import command
+from beltrami_cli.cli.command import command
 from beltrami_cli.cli.console import Messages
 from beltrami_cli.cli.parameter_options import options_of, record_from
 from beltrami_cli.cli.phrases import counted, output_name

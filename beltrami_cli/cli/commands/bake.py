@@ -8,7 +8,7 @@ from typing import Any, get_args
 import click
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.commands import command
+from beltrami_cli.cli.command import command
 from beltrami_cli.cli.console import Messages
 from beltrami_cli.cli.parameter_options import options_of, record_from, refuse_typed
 from beltrami_cli.cli.phrases import counted, output_name

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.commands import command
+from beltrami_cli.cli.command import command
+from beltrami_cli.cli.commands.level import show_levelled
 from beltrami_cli.cli.console import Messages
-from beltrami_cli.cli.level import show_levelled
 from beltrami_cli.cli.phrases import NO_AREA, counted, lines_on, outliers_in_words, output_name
 from beltrami_cli.cli.writing import report_options, run_and_write
 from beltrami_cli.flow.noise_amount import noise_size

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.commands import command
+from beltrami_cli.cli.command import command
 from beltrami_cli.cli.console import printable
 from beltrami_cli.cli.parameter_options import options_of, record_from
 from beltrami_cli.cli.phrases import counted

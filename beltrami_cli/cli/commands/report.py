@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.commands import command, complete_files
+from beltrami_cli.cli.command import command, complete_files
 from beltrami_cli.cli.console import Messages
 from beltrami_cli.cli.parameter_options import options_of
 from beltrami_cli.cli.phrases import counted, output_name

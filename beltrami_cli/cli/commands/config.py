@@ -9,9 +9,8 @@ from collections.abc import Iterator
 import click
 from click.core import ParameterSource
 
-from beltrami_cli.cli.commands import command
-from beltrami_cli.cli.configuration import Configuration
-from beltrami_cli.cli.configured import configured_values
+from beltrami_cli.cli.command import command
+from beltrami_cli.cli.configuration import Configuration, configured_values
 from beltrami_cli.cli.console import printable
 from beltrami_cli.cli.option_names import long_name, variable_in_force
 from beltrami_cli.cli.registry import COMMANDS, command_named

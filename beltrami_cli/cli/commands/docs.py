@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from beltrami_cli.cli.commands import command
+from beltrami_cli.cli.command import command
 from beltrami_cli.cli.documentation import page_text, pages
 
 

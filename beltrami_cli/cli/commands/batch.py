@@ -11,24 +11,25 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.batch_display import Display
 from beltrami_cli.cli.batch_items import items_for
-from beltrami_cli.cli.commands import GroupedOption, command, complete_files
+from beltrami_cli.cli.command import GroupedOption, command, complete_files
 from beltrami_cli.cli.console import Messages, printable, show_table
 from beltrami_cli.cli.parameter_options import record_from, typed_parameters
 from beltrami_cli.errors import OutputError, ProcessingError, UsageError
 from beltrami_cli.fields import without_effect
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import Access, is_url
+from beltrami_cli.jobs.progress import Label, Work
 from beltrami_cli.quantities import of_255
 from beltrami_cli.surface.memory import default_memory
 
 if TYPE_CHECKING:
-    from beltrami_cli.batch.item import Item, Outcome
+    from beltrami_cli.batch.item import Attempt, Item, Outcome
     from beltrami_cli.batch.plan import Request
     from beltrami_cli.batch.run import Pass
 
 _CLUSTER = "Many machines"
+_FILES, _STEPS = "files", 1000  # what progress counts, and its steps for each
 # The kind of input of each part of a report.
 _KINDS = {"vertices": "vertex colours", "image": "images", "textures": "textures", "new_texture": "textures"}
 
@@ -147,6 +148,53 @@ def _report_path(given: str | None, out_dir: str, inputs: Sequence[str], jobs: S
     if Path(path).resolve() in {Path(other).resolve() for other in (*inputs, *named)}:
         raise OutputError(path, "the report would replace a file of the batch", "choose another name")
     return path
+
+
+class Display:
+    """Shows how far all files are together; prints failures at once."""
+
+    def __init__(self, jobs: Sequence[Item], messages: Messages, work: Work | None) -> None:
+        self._jobs, self.messages, self._work = jobs, messages, work
+        self._finished = self._skipped = 0
+        self._shares: dict[int, float] = {}  # of the files in work that are done
+        if work is not None:
+            work.expect([(_FILES, float(len(jobs)))])
+        self._show()
+
+    def advanced(self, key: int, label: str, done: float, total: float) -> None:
+        self._shares[key] = done / total
+        self._show()
+
+    def _show(self) -> None:
+        # Files that are skipped take no time, and say nothing about that of others.
+        count, done = len(self._jobs), self._finished - self._skipped + sum(self._shares.values())
+        if self._work is not None:
+            label = Label(f"{self._finished} of {count} {_FILES}", _FILES)
+            # What remains of a file whose work is done, such as reading it back, takes some time too.
+            whole = count - self._skipped
+            self._work(label, done if self._finished == count else min(done, whole - 0.001), whole)
+
+    def postponed(self, key: int) -> None:
+        self._shares.pop(key, None)
+        if self.messages.verbose:
+            self.messages.show(f"{self._jobs[key].source}: wants more than its share of memory, so it waits")
+
+    def finished(self, key: int, attempt: Attempt) -> None:
+        self._shares.pop(key, None)
+        outcome = attempt.outcome
+        self._finished += 1
+        self._skipped += outcome.status == "skipped"
+        self._show()
+        if attempt.traceback and self.messages.verbose >= 2:
+            self.messages.show(*attempt.traceback.splitlines())
+        if outcome.status == "failed":  # also with --quiet, as every error
+            self.messages.show(f"failed: {outcome.error}")
+        elif not self.messages.quiet:
+            warnings = (outcome.report or {}).get("warnings", ()) if outcome.status == "done" else ()
+            self.messages.show(*(f"warning: {outcome.input}: {text}" for text in warnings))
+            if self.messages.verbose:
+                pieces = f", in {attempt.chunks} pieces" if attempt.chunks else ""
+                self.messages.show(f"{outcome.status}: {outcome.output}, {outcome.seconds:.1f} s{pieces}")
 
 
 @contextlib.contextmanager

@@ -1,4 +1,4 @@
-"""The commands that show what smoothing would do: `beltrami info` and `kernel`."""
+"""The command `beltrami info`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.commands import command
+from beltrami_cli.cli.command import command
 from beltrami_cli.cli.console import Messages, printable, show_table
 from beltrami_cli.cli.phrases import NO_AREA, counted, lines_on, outliers_in_words
 from beltrami_cli.errors import BeltramiError, InputError

@@ -11,10 +11,16 @@ from importlib import resources
 from typing import Any
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.commands import command
+from beltrami_cli.cli.command import command
 from beltrami_cli.cli.console import Messages
 from beltrami_cli.fields import Parameter, parameters
 from beltrami_cli.layers.settings import SmoothSettings
+
+_FILES = {"addon.py": "__init__.py"}  # all others keep their names
+# Blender chooses the colours, their files and their surface itself, and has nothing else that could guide.
+_GROUPS = ("Kernel", "Colours", "Textures")
+_OMITTED_OPTIONS = ("on", "slots", "materials", "names", "image_suffix", "jpeg_quality", "small")
+_TIMESTAMP = (1980, 1, 1, 0, 0, 0)  # the date of every file, so that equal programs write equal files
 
 
 @command("blender-extension", target="OUT.zip")
@@ -24,13 +30,6 @@ def blender_extension(target: str, overwrite: bool, messages: Messages) -> None:
     """Write the extension for Blender 4.2 and newer, which smooths colour attributes and image textures."""
     count = write_blender_extension(target, overwrite=overwrite)
     messages.say(f"{target}: an extension for Blender 4.2 and newer, with {count} parameters")
-
-
-_FILES = {"addon.py": "__init__.py"}  # all others keep their names
-# Blender chooses the colours, their files and their surface itself, and has nothing else that could guide.
-_GROUPS = ("Kernel", "Colours", "Textures")
-_OMITTED_OPTIONS = ("on", "slots", "materials", "names", "image_suffix", "jpeg_quality", "small")
-_TIMESTAMP = (1980, 1, 1, 0, 0, 0)  # the date of every file, so that equal programs write equal files
 
 
 def write_blender_extension(target: str, *, overwrite: bool) -> int:

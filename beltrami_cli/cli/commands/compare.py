@@ -1,4 +1,4 @@
-"""The commands that judge two files: `beltrami compare` and `check`."""
+"""The command `beltrami compare`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.commands import command, complete_files
+from beltrami_cli.cli.command import command, complete_files
 from beltrami_cli.cli.console import Messages, printable, show_table
 from beltrami_cli.cli.parameter_options import options_of, record_from
 from beltrami_cli.flow.parameters import KernelParameters, Weights
