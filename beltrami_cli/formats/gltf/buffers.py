@@ -5,14 +5,14 @@ The bytes of a compressed bufferView are a buffer of their own, decoded when nee
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
 from beltrami_cli.formats.changes import Bytes
 from beltrami_cli.formats.gltf.container import TRUNCATED, Container
-from beltrami_cli.formats.gltf.entries import Entry, Tree, objects, objects_within
+from beltrami_cli.formats.gltf.entries import Entry
 from beltrami_cli.formats.gltf.meshopt import Packed, read_packed, unpacked
 from beltrami_cli.formats.gltf.uris import file_key, is_data, quoted_uri, read_uri
 from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError
@@ -123,22 +123,3 @@ def read_views(root: Entry, buffers: Buffers) -> list[View]:
             decoded = buffers.add(partial(unpacked, packed, buffers.stored))
             views.append(View(decoded, 0, length, stride, packed, (buffer, offset)))
     return views
-
-
-def view_spans(tree: Tree, lengths: Sequence[int]) -> Iterator[tuple[tuple[int, str | None], View]]:
-    """Yield the bytes that views and their extensions name, with the view's index and extension."""
-    for index, view in enumerate(objects(tree.get("bufferViews"))):
-        for name, holder in [(None, view), *view.get("extensions", {}).items()]:
-            if not isinstance(holder, dict):
-                continue
-            buffer, offset, length = (holder.get(key, 0) for key in ("buffer", "byteOffset", "byteLength"))
-            if isinstance(buffer, int) and isinstance(offset, int) and isinstance(length, int):
-                inside = 0 <= buffer < len(lengths) and offset >= 0 and length > 0
-                if "buffer" in holder and inside and offset + length <= lengths[buffer]:
-                    yield (index, name), View(buffer, offset, length)
-
-
-def view_references(value: object) -> Iterator[int]:
-    """Yield all members called "bufferView" in a value, also in images and unknown extensions."""
-    named = (each.get("bufferView") for each in objects_within(value))
-    return (index for index in named if isinstance(index, int))

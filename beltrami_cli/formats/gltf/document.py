@@ -17,7 +17,7 @@ from beltrami_cli.formats.gltf.accessors import Accessors
 from beltrami_cli.formats.gltf.buffers import Buffers
 from beltrami_cli.formats.gltf.container import read_container
 from beltrami_cli.formats.gltf.edit import Edit
-from beltrami_cli.formats.gltf.entries import Tree, objects, primitives_of, require_structure
+from beltrami_cli.formats.gltf.entries import Tree, require_structure
 from beltrami_cli.formats.gltf.fingerprint import fingerprint
 from beltrami_cli.formats.gltf.images import Images
 from beltrami_cli.formats.gltf.materials import present_slots
@@ -25,6 +25,7 @@ from beltrami_cli.formats.gltf.new_images import show_images
 from beltrami_cli.formats.gltf.nodes import placements
 from beltrami_cli.formats.gltf.output import place_files, write_files
 from beltrami_cli.formats.gltf.primitives import Meshes, read_meshes
+from beltrami_cli.formats.gltf.references import objects, primitives_of
 from beltrami_cli.formats.gltf.textured_mesh import read_textured_mesh
 from beltrami_cli.formats.gltf.textured_surface import read_textured_surface
 from beltrami_cli.formats.gltf.uris import SidecarFiles

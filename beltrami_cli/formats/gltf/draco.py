@@ -32,7 +32,7 @@ class Draco:
         self._decoded: dict[Hashable, Accessor] = {}
 
     def attribute(self, packed: Entry, name: str, described: Accessor) -> Accessor:
-        view, mesh = self._draco(packed)
+        view, mesh = self._mesh(packed)
         number = packed.entry("attributes").integer(name)
         key = view, number, described.component.str, described.shape, described.normalised
         if key not in self._decoded:
@@ -46,7 +46,7 @@ class Draco:
 
     def indices(self, packed: Entry, described: Accessor) -> Accessor:
         """Return the accessor of the triangles; `described` is that of the indices in the JSON."""
-        view, mesh = self._draco(packed)
+        view, mesh = self._mesh(packed)
         if (view, "faces") not in self._decoded:
             numbers = np.asarray(mesh.faces).astype("<u4").reshape(-1, 1)
             if not len(numbers):
@@ -55,12 +55,12 @@ class Draco:
             self._add((view, "faces"), scalar, numbers)
         return self._decoded[view, "faces"]
 
-    def _draco(self, packed: Entry) -> tuple[int, Any]:
-        """Return a view that Draco has compressed, and its mesh, which is decoded once."""
+    def _mesh(self, packed: Entry) -> tuple[int, Any]:
+        """Return the index of a compressed view, and its mesh, which is decoded once."""
         buffers, views = self._accessors.buffers, self._accessors.views
         view = packed.integer("bufferView", below=len(views))
         if view not in self._meshes:
-            self._meshes[view] = _draco_mesh(packed, buffers.viewed(views[view]))
+            self._meshes[view] = _decoded_mesh(packed, buffers.viewed(views[view]))
         return view, self._meshes[view]
 
     def _add(self, key: Hashable, described: Accessor, numbers: Stored) -> None:
@@ -88,7 +88,7 @@ def _fitted(numbers: Array, accessor: Accessor) -> Stored:
     return fitted
 
 
-def _draco_mesh(packed: Entry, data: bytes) -> Any:
+def _decoded_mesh(packed: Entry, data: bytes) -> Any:
     try:
         import DracoPy
     except ImportError:

@@ -18,14 +18,14 @@ from typing import Any
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.changes import Bytes
 from beltrami_cli.formats.gltf.accessors import Accessors
-from beltrami_cli.formats.gltf.buffers import View, view_references, view_spans
+from beltrami_cli.formats.gltf.buffers import View
 from beltrami_cli.formats.gltf.container import Container
-from beltrami_cli.formats.gltf.entries import Tree, objects
-from beltrami_cli.formats.gltf.meshopt import MESHOPT, repacked
+from beltrami_cli.formats.gltf.entries import Tree
+from beltrami_cli.formats.gltf.meshopt import repacked
+from beltrami_cli.formats.gltf.references import view_references, view_spans
 from beltrami_cli.formats.gltf.uris import data_uri
 from beltrami_cli.surface.records import ImageFile
 
-_ALIGNMENT = 8  # of merged buffers: enough for all component types, and required by KHR extensions
 Holder = tuple[int, str | None]  # a view, and the extension with its compressed bytes or None
 # An object or array, its member that is an index, and the change that applies to it.
 Use = tuple[Any, Any, Hashable]
@@ -193,34 +193,3 @@ def _gaps(spans: Iterable[tuple[int, int]]) -> Iterator[tuple[int, int]]:
         if start > at:
             yield at, start
         at = max(at, end + -end % 4)
-
-
-def merge_buffers(edit: Edit) -> bytearray:
-    """Merge all buffers that have bytes, and make the views refer to the result."""
-    tree, binary, starts = edit.tree, bytearray(), dict[int, int]()
-    entries, canonical = tree.get("buffers", []), edit.accessors.buffers.canonical
-    for index in range(len(entries)):
-        if canonical(index) in starts:
-            starts[index] = starts[canonical(index)]
-        elif edit.source(index) != "nowhere":
-            binary += bytes(-len(binary) % _ALIGNMENT)
-            starts[index] = len(binary)
-            binary += edit.buffers[index] if index in edit.buffers else edit.accessors.buffers.stored(index)
-    if not starts:
-        return binary
-    kept = [index for index in range(len(entries)) if index not in starts]
-    numbers = dict.fromkeys(starts, 0) | {index: 1 + rank for rank, index in enumerate(kept)}
-    for view in tree.get("bufferViews", []):
-        for holder in objects([view, *view.get("extensions", {}).values()]):
-            if isinstance(holder.get("buffer"), int):
-                start = starts.get(holder["buffer"], 0)
-                holder["buffer"] = numbers.get(holder["buffer"], holder["buffer"])
-                if start and isinstance(holder.get("byteOffset", 0), int):
-                    holder["byteOffset"] = holder.get("byteOffset", 0) + start
-    merged = {key: value for key, value in entries[next(iter(starts))].items() if key != "uri"}
-    merged["byteLength"] = len(binary)
-    if "extensions" in merged:  # then it is not only a fallback for compressed data
-        others = {key: value for key, value in merged.pop("extensions").items() if key not in MESHOPT}
-        merged |= {"extensions": others} if others else {}
-    tree["buffers"] = [merged, *(entries[index] for index in kept)]
-    return binary

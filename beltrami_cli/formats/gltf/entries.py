@@ -7,7 +7,6 @@ the others.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -149,27 +148,3 @@ def require_structure(root: Entry) -> None:
                 if key in shape or _ANY_MEMBER in shape:
                     inner = shape.get(key, shape.get(_ANY_MEMBER))
                     stack.append((f"{place}.{key}" if place else key, child, inner))
-
-
-def objects_within(value: object) -> Iterator[Tree]:
-    """Yield all objects in a value, itself included."""
-    stack = [value]
-    while stack:
-        value = stack.pop()
-        if isinstance(value, list):
-            stack += value
-        elif isinstance(value, dict):
-            stack += value.values()
-            yield value
-
-
-def objects(values: object) -> list[Tree]:
-    """Return the objects among the values of an array that should hold nothing else."""
-    return [value for value in values if isinstance(value, dict)] if isinstance(values, list) else []
-
-
-def primitives_of(tree: Tree) -> Iterator[tuple[tuple[int, int], Tree]]:
-    """Yield the primitives of all meshes, each with the index of its mesh and its own within the mesh."""
-    for mesh, holder in enumerate(objects(tree.get("meshes"))):
-        for part, primitive in enumerate(objects(holder.get("primitives"))):
-            yield (mesh, part), primitive

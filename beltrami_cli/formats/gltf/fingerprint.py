@@ -8,13 +8,17 @@ from typing import Any
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.gltf.accessors import Accessors
-from beltrami_cli.formats.gltf.buffers import view_references
 from beltrami_cli.formats.gltf.container import Container
 from beltrami_cli.formats.gltf.draco import DRACO
-from beltrami_cli.formats.gltf.entries import Tree, objects, primitives_of
+from beltrami_cli.formats.gltf.entries import Tree
 from beltrami_cli.formats.gltf.images import IMAGE_EXTENSIONS, Images
-from beltrami_cli.formats.gltf.materials import texture_infos
-from beltrami_cli.formats.gltf.new_attributes import accessor_uses
+from beltrami_cli.formats.gltf.references import (
+    accessor_uses,
+    objects,
+    primitives_of,
+    texture_infos,
+    view_references,
+)
 from beltrami_cli.formats.model_folder import UnfitReferenceError
 from beltrami_cli.surface.records import Texture
 
@@ -47,10 +51,11 @@ def fingerprint(
 
 def _hide_images(images: Images, tree: Tree, textures: dict[str, Texture]) -> None:
     """Describe textures where materials name them, without where their images are, and note the images."""
-    apart = ("materials", "accessors", "bufferViews", "buffers", "images", "textures")
-    others = [texture_infos(value, key) for key, value in tree.items() if key not in apart]
-    shown, elsewhere = set(), {info["index"] for infos in others for _, info in infos}
-    for place, info in texture_infos(tree.get("materials"), "materials"):
+    # Textures that something else shows, too, stay described in their own place.
+    infos, shown = list(texture_infos(tree)), set[int]()
+    of_materials = [(place, info) for place, info in infos if place.startswith("materials[")]
+    elsewhere = {info["index"] for place, info in infos if not place.startswith("materials[")}
+    for place, info in of_materials:
         number = info.pop("index")
         if 0 <= number < len(images.textures):
             shown.add(number)

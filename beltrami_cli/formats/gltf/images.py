@@ -82,7 +82,9 @@ class Images:
                 return holder.integer("source", below=len(self))
         for extension in _UNREAD:
             if extension in extensions:
-                raise UnfitReferenceError(f"is a {kind_of(extension)} image ({extension}), which is not read")
+                raise UnfitReferenceError(
+                    f"is a {image_type(extension)} image ({extension}), which is not read"
+                )
         raise UnfitReferenceError("has no image")
 
     def _sampler(self, texture: int) -> Entry | None:
@@ -135,8 +137,8 @@ def image_key(image: int) -> str:
     return f"image {image}"
 
 
-def kind_of(extension: str) -> str:
-    """Return the common name of the image type of an extension."""
+def image_type(extension: str) -> str:
+    """Return the image type that an extension of textures allows, such as "DDS", for messages."""
     return IMAGE_EXTENSIONS[extension].rpartition("/")[2].rpartition(".")[2].upper()
 
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from beltrami_cli.arrays import Float64s
 from beltrami_cli.formats.colours import clipped_factor, display_colour
-from beltrami_cli.formats.gltf.entries import Entry, Tree
+from beltrami_cli.formats.gltf.entries import Entry
 from beltrami_cli.surface.records import AlphaMode, Material, Slot
 
 SLOT_PATHS: dict[Slot, tuple[tuple[str, ...], ...]] = {
@@ -133,23 +132,3 @@ def read_material(entry: Entry) -> Material:
         alpha=alpha,
         cutoff=cutoff,
     )
-
-
-def texture_infos(value: Any, place: str, *, is_texture: bool | None = None) -> Iterator[tuple[str, Tree]]:
-    """Find the textureInfos in a part of the JSON, with their places; `is_texture` if not as its place says."""
-    is_texture = _names_texture(place) if is_texture is None else is_texture
-    if isinstance(value, list):
-        for index, child in enumerate(value):
-            yield from texture_infos(child, f"{place}[{index}]", is_texture=is_texture)
-    elif isinstance(value, dict):
-        for key, child in list(value.items()):
-            names_texture = key != "extras" and (is_texture or _names_texture(key))
-            yield from texture_infos(child, f"{place}.{key}", is_texture=names_texture)
-        if is_texture and isinstance(value.get("index"), int):
-            yield place, value
-
-
-def _names_texture(name: str) -> bool:
-    # In materials every `index` is that of a texture. Elsewhere, and in data of applications, it may be that of
-    # anything, such as a morph target in VRM.
-    return name.startswith("materials") or "texture" in name.lower()

@@ -24,11 +24,12 @@ from beltrami_cli.formats.gltf.accessors import (
     element_bytes,
     padded_elements,
 )
-from beltrami_cli.formats.gltf.buffers import VERTEX_DATA, View, view_references, view_spans
+from beltrami_cli.formats.gltf.buffers import VERTEX_DATA, View
 from beltrami_cli.formats.gltf.draco import DRACO
 from beltrami_cli.formats.gltf.edit import Edit, Use
-from beltrami_cli.formats.gltf.entries import Tree, objects, primitives_of
+from beltrami_cli.formats.gltf.entries import Tree
 from beltrami_cli.formats.gltf.primitives import Primitive
+from beltrami_cli.formats.gltf.references import accessor_uses, view_references, view_spans
 
 
 @dataclass(frozen=True)
@@ -145,23 +146,6 @@ def _update_bounds(accessor: Tree, column: Column) -> None:
             was, now = reduce(column.before, axis=0), reduce(column.after, axis=0)
             for component in np.nonzero(was != now)[0]:
                 bounds[component] = now[component].item()
-
-
-def accessor_uses(tree: Tree) -> Iterator[tuple[tuple[int, int] | None, Tree, str]]:
-    """Yield the references to accessors, as (primitive if it is an attribute of one, holder, key)."""
-    # Primitives, objects, and the members of these that refer to accessors; no members: all.
-    holders: list[tuple[tuple[int, int] | None, Any, tuple[str, ...]]] = []
-    for number, primitive in primitives_of(tree):
-        holders += [(number, primitive.get("attributes"), ()), (None, primitive, ("indices",))]
-        holders += [(None, target, ()) for target in objects(primitive.get("targets"))]
-    for animation in objects(tree.get("animations")):
-        holders += [(None, each, ("input", "output")) for each in objects(animation.get("samplers"))]
-    holders += [(None, skin, ("inverseBindMatrices",)) for skin in objects(tree.get("skins"))]
-    for extensions in objects([node.get("extensions") for node in objects(tree.get("nodes"))]):
-        holders += [(None, each.get("attributes"), ()) for each in objects(list(extensions.values()))]
-    for place, holder, keys in holders:
-        if isinstance(holder, dict):
-            yield from ((place, holder, key) for key in keys or holder if isinstance(holder.get(key), int))
 
 
 def _alone(edit: Edit, columns: Sequence[Column], shared: set[int]) -> list[bool]:

@@ -9,7 +9,7 @@ follow, copied otherwise (`Edit.separate`).
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any
@@ -17,21 +17,22 @@ from typing import Any
 from beltrami_cli.errors import BeltramiError, OutputError
 from beltrami_cli.formats.changes import NewImages
 from beltrami_cli.formats.gltf.edit import Edit
-from beltrami_cli.formats.gltf.entries import Tree, objects, objects_within
+from beltrami_cli.formats.gltf.entries import Tree
 from beltrami_cli.formats.gltf.images import (
     IMAGE_EXTENSIONS,
     MEDIA,
     WEBP,
     Images,
     image_key,
-    kind_of,
+    image_type,
     media_type,
 )
-from beltrami_cli.formats.gltf.materials import SLOT_PATHS, texture_infos
-from beltrami_cli.formats.gltf.uris import data_uri, is_data, quoted_uri, read_uri
+from beltrami_cli.formats.gltf.materials import SLOT_PATHS
+from beltrami_cli.formats.gltf.references import image_uses, objects, objects_within, texture_infos
+from beltrami_cli.formats.gltf.uris import data_uri, is_data
 from beltrami_cli.formats.image import read_image, write_image
 from beltrami_cli.formats.image.file_formats import suffix_for
-from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError
+from beltrami_cli.formats.model_folder import UnfitReferenceError
 from beltrami_cli.formats.new_files import stale_use_notice
 from beltrami_cli.surface.records import ImageFile, PlannedImage, Slot
 
@@ -39,7 +40,6 @@ from beltrami_cli.surface.records import ImageFile, PlannedImage, Slot
 _COLOURS = re.compile(
     r".*(albedo|colou?r|diffuse|emissive|matcap|rimMultiply|shade|shadeMultiply)(map|texture)", re.IGNORECASE
 )
-_WITHOUT_TEXTURES = ("accessors", "animations", "bufferViews", "buffers", "images", "skins", "textures")
 
 Wanted = Mapping[tuple[Slot, int], ImageFile]  # new files by slot and image
 
@@ -69,8 +69,9 @@ def _texture_uses(
 ) -> list[tuple[Any, Any, ImageFile | None]]:
     """Return the textureInfos of a file, each with the new file that it is to show; `shown`: images of textures."""
     uses, stale = list[tuple[Any, Any, ImageFile | None]](), dict[str, str]()
-    for place, info, slot in _infos(edit.tree):
-        image = shown.get(info["index"], -1)
+    slots = _slots_of_infos(edit.tree)
+    for place, info in texture_infos(edit.tree):
+        slot, image = slots.get(id(info)), shown.get(info["index"], -1)
         files = [wanted[each, image] for each in SLOT_PATHS if (each, image) in wanted]
         if slot is not None:
             file = wanted.get((slot, image))
@@ -85,27 +86,13 @@ def _texture_uses(
 
 def _separate_images(edit: Edit, images: Images, file_of: Mapping[int, ImageFile]) -> dict[int, ImageFile]:
     """Give new files images that nothing else uses, and return these; `file_of`: by identity of what names an image."""
-    uses = [(holder, member, file_of.get(id(holder))) for holder, member in _image_uses(edit.tree)]
+    uses = [(holder, member, file_of.get(id(holder))) for holder, member in image_uses(edit.tree)]
     named = {holder[member] for holder, member, _ in uses}
     files = {index: file for (_, file), index in edit.separate("images", uses).items()}
     # An image that nothing shows follows those over the same bytes.
     by_bytes = {images.canonical(index): file for index, file in files.items()}
     unused = set(range(len(images))) - named
     return files | {n: by_bytes[images.canonical(n)] for n in unused if images.canonical(n) in by_bytes}
-
-
-def _image_uses(tree: Tree) -> Iterator[tuple[Any, Any]]:
-    """Yield the places that name images: the object or array, and its member."""
-    for texture in tree["textures"]:
-        for holder in [texture, *objects(list(texture.get("extensions", {}).values()))]:
-            if isinstance(holder.get("source"), int):
-                yield holder, "source"
-    lights = tree.get("extensions", {}).get("EXT_lights_image_based", {})
-    stack: list[Any] = [light.get("specularImages") for light in objects(lights.get("lights"))]
-    for value in stack:
-        if isinstance(value, list):
-            stack += [child for child in value if isinstance(child, list)]
-            yield from ((value, place) for place, child in enumerate(value) if isinstance(child, int))
 
 
 def _wanted(edit: Edit, images: Images, new: NewImages) -> Wanted:
@@ -162,7 +149,7 @@ class _ShownImages:
             else:
                 del extensions[name]
                 if name not in (fitting, present):
-                    lost = f"{place} loses its {kind_of(name)} image ({name})"
+                    lost = f"{place} loses its {image_type(name)} image ({name})"
                     self._edit.notices.append(f"{lost}, which would show the old colours.")
         # Of several descriptions of the same image, the texture keeps the one that it names.
         kept = named.get(target, first)
@@ -203,8 +190,8 @@ def _declare(tree: Tree, before: set[str]) -> None:
             del tree[key]
 
 
-def _infos(tree: Tree) -> Iterator[tuple[str, Tree, Slot | None]]:
-    """Find all textureInfos, also in extensions, each with its place and the slot that it belongs to if any."""
+def _slots_of_infos(tree: Tree) -> dict[int, Slot]:
+    """Return the slots of textureInfos in materials, by the identity of these."""
     slots: dict[int, Slot] = {}
     for material in objects(tree.get("materials")):
         for slot, paths in SLOT_PATHS.items():
@@ -213,10 +200,7 @@ def _infos(tree: Tree) -> Iterator[tuple[str, Tree, Slot | None]]:
                 for key in path:
                     holder = holder.get(key) if isinstance(holder, dict) else None
                 slots[id(holder)] = slot
-    for key, value in tree.items():
-        if key not in _WITHOUT_TEXTURES:
-            for place, info in texture_infos(value, key):
-                yield place, info, slots.get(id(info))
+    return slots
 
 
 def _recoloured(images: Images, image: int, shown: ImageFile) -> ImageFile | None:
@@ -257,24 +241,3 @@ def _put_images(edit: Edit, files: Mapping[int, ImageFile]) -> None:
     for (old, file), view in edit.separate("bufferViews", uses, copied=lambda _: {}).items():
         home = edit.growing_buffer([edit.tree["bufferViews"][old]["buffer"]])
         edit.put(home, (view, None), file.data)
-
-
-def embed_images(edit: Edit, folder: ModelFolder) -> None:
-    """Put images from the folder into a buffer; a notice names each that stays outside."""
-    for index, image in enumerate(edit.tree.get("images", [])):
-        uri = image.get("uri")
-        if uri is None or is_data(uri):
-            continue
-        try:
-            new = edit.images.get(index)
-            data = read_uri(uri, folder) if new is None else new.data
-            kind = image.get("mimeType") or media_type(data)
-            if kind is None:
-                raise UnfitReferenceError("is of an unknown type, so it cannot be embedded")
-        except UnfitReferenceError as error:
-            edit.notices.append(f"images[{index}] stays outside the GLB: {quoted_uri(uri)} {error}.")
-            continue
-        view = edit.add("bufferViews", {})
-        edit.put(edit.growing_buffer([]), (view, None), data)
-        del image["uri"]
-        image |= {"bufferView": view, "mimeType": kind}

@@ -11,14 +11,18 @@ from urllib.parse import quote
 
 from beltrami_cli.formats.changes import Bytes, Naming, Written
 from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, glb_pieces
-from beltrami_cli.formats.gltf.edit import Edit, merge_buffers
+from beltrami_cli.formats.gltf.edit import Edit
 from beltrami_cli.formats.gltf.entries import Tree
+from beltrami_cli.formats.gltf.images import media_type
 from beltrami_cli.formats.gltf.json_text import revised
-from beltrami_cli.formats.gltf.new_images import embed_images
-from beltrami_cli.formats.gltf.uris import SidecarFiles, data_uri, is_data, locate_uri
+from beltrami_cli.formats.gltf.meshopt import MESHOPT
+from beltrami_cli.formats.gltf.references import objects
+from beltrami_cli.formats.gltf.uris import SidecarFiles, data_uri, is_data, locate_uri, quoted_uri, read_uri
 from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError, is_outside
 from beltrami_cli.formats.new_files import NewFiles
 from beltrami_cli.surface.records import ImageFile
+
+_ALIGNMENT = 8  # of merged buffers: enough for all component types, and required by KHR extensions
 
 
 def write_files(edit: Edit, naming: Naming, form: str, source: SidecarFiles) -> Written:
@@ -101,9 +105,61 @@ def _files(edit: Edit, folder: ModelFolder) -> Iterator[tuple[Tree, str, Bytes |
 
 def _as_glb(edit: Edit, folder: ModelFolder) -> Written:
     """Return a text file as binary: all buffers merged into BIN, images inside the folder embedded."""
-    embed_images(edit, folder)
+    _embed_images(edit, folder)
     edit.finish()
-    binary = merge_buffers(edit)
+    binary = _merge_buffers(edit)
     chunks = [Chunk(JSON_CHUNK, revised(edit.container.text, edit.tree).strip(" \t\r\n").encode())]
     chunks += [Chunk(BIN_CHUNK, binary)] if binary else []
     return Written(glb_pieces(chunks), notices=tuple(edit.notices))
+
+
+def _embed_images(edit: Edit, folder: ModelFolder) -> None:
+    """Put images from the folder into a buffer; a notice names each that stays outside."""
+    for index, image in enumerate(edit.tree.get("images", [])):
+        uri = image.get("uri")
+        if uri is None or is_data(uri):
+            continue
+        try:
+            new = edit.images.get(index)
+            data = read_uri(uri, folder) if new is None else new.data
+            kind = image.get("mimeType") or media_type(data)
+            if kind is None:
+                raise UnfitReferenceError("is of an unknown type, so it cannot be embedded")
+        except UnfitReferenceError as error:
+            edit.notices.append(f"images[{index}] stays outside the GLB: {quoted_uri(uri)} {error}.")
+            continue
+        view = edit.add("bufferViews", {})
+        edit.put(edit.growing_buffer([]), (view, None), data)
+        del image["uri"]
+        image |= {"bufferView": view, "mimeType": kind}
+
+
+def _merge_buffers(edit: Edit) -> bytearray:
+    """Merge all buffers that have bytes, and make the views refer to the result."""
+    tree, binary, starts = edit.tree, bytearray(), dict[int, int]()
+    entries, canonical = tree.get("buffers", []), edit.accessors.buffers.canonical
+    for index in range(len(entries)):
+        if canonical(index) in starts:
+            starts[index] = starts[canonical(index)]
+        elif edit.source(index) != "nowhere":
+            binary += bytes(-len(binary) % _ALIGNMENT)
+            starts[index] = len(binary)
+            binary += edit.buffers[index] if index in edit.buffers else edit.accessors.buffers.stored(index)
+    if not starts:
+        return binary
+    kept = [index for index in range(len(entries)) if index not in starts]
+    numbers = dict.fromkeys(starts, 0) | {index: 1 + rank for rank, index in enumerate(kept)}
+    for view in tree.get("bufferViews", []):
+        for holder in objects([view, *view.get("extensions", {}).values()]):
+            if isinstance(holder.get("buffer"), int):
+                start = starts.get(holder["buffer"], 0)
+                holder["buffer"] = numbers.get(holder["buffer"], holder["buffer"])
+                if start and isinstance(holder.get("byteOffset", 0), int):
+                    holder["byteOffset"] = holder.get("byteOffset", 0) + start
+    merged = {key: value for key, value in entries[next(iter(starts))].items() if key != "uri"}
+    merged["byteLength"] = len(binary)
+    if "extensions" in merged:  # then it is not only a fallback for compressed data
+        others = {key: value for key, value in merged.pop("extensions").items() if key not in MESHOPT}
+        merged |= {"extensions": others} if others else {}
+    tree["buffers"] = [merged, *(entries[index] for index in kept)]
+    return binary

@@ -13,6 +13,8 @@ from beltrami_cli.formats.gltf.entries import Entry
 from beltrami_cli.surface.polygons import unrolled
 
 TRIANGLES, _STRIP, _FAN = 4, 5, 6  # drawing modes with faces; 0 to 3 are points and lines
+# The attribute of vertex colours of textured meshes: COLOR_0 would be multiplied with the texture.
+OWN_COLOURS = "_COLOR_0"
 
 
 class Primitive:
@@ -65,7 +67,10 @@ class Primitive:
         return self.mode, self.indices and self.indices.identity
 
     def triangles(self, count: int) -> Int64s:
-        """Return the triangles, shape (F, 3), as vertex indices in [0, count), with glTF's winding."""
+        """Return the triangles, shape (F, 3), as vertex indices in [0, count), with glTF's winding.
+
+        Each call counts towards the limit of `Accessors.count_drawn`.
+        """
         indices = self.indices
         self._accessors.count_drawn(self.entry, count if indices is None else indices.count)
         corners = np.arange(count)

@@ -16,8 +16,7 @@ from beltrami_cli.formats.gltf.images import Images
 from beltrami_cli.formats.gltf.materials import SLOT_PATHS, read_material, texture_uses
 from beltrami_cli.formats.gltf.nodes import Placement, instances
 from beltrami_cli.formats.gltf.parts import Part, Parts, ShownMaterial
-from beltrami_cli.formats.gltf.primitives import TRIANGLES, Meshes, Primitive
-from beltrami_cli.formats.gltf.writer import OWN_COLOURS
+from beltrami_cli.formats.gltf.primitives import OWN_COLOURS, TRIANGLES, Meshes, Primitive
 from beltrami_cli.surface import records
 
 # Colours of the vertices of a primitive by mesh and number, shape (n, 3) or with opacity (n, 4), linear.

@@ -19,10 +19,10 @@ from beltrami_cli.errors import NoColoursError
 from beltrami_cli.formats.colours import quantised
 from beltrami_cli.formats.gltf.accessors import MAX_ROWS, Accessor, Stored, fractions
 from beltrami_cli.formats.gltf.edit import Edit
-from beltrami_cli.formats.gltf.entries import primitives_of
 from beltrami_cli.formats.gltf.new_attributes import Column, exchange
 from beltrami_cli.formats.gltf.nodes import Placement
 from beltrami_cli.formats.gltf.primitives import Meshes, Primitive
+from beltrami_cli.formats.gltf.references import primitives_of
 from beltrami_cli.surface.geometry import unit_vectors
 from beltrami_cli.surface.records import ColouredVertices, MovedVertices
 

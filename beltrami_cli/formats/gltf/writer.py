@@ -23,6 +23,7 @@ from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, gl
 from beltrami_cli.formats.gltf.entries import Tree
 from beltrami_cli.formats.gltf.images import MEDIA, WRAPS
 from beltrami_cli.formats.gltf.materials import SLOT_PATHS
+from beltrami_cli.formats.gltf.primitives import OWN_COLOURS
 from beltrami_cli.formats.textured_mesh import (
     bare_polygons,
     image_names,
@@ -44,7 +45,10 @@ sRGB levels are closest near black, where one of 255 is 20 of 65535 linear steps
 
 _COMPONENT_TYPE = {np.dtype(name): number for number, name in COMPONENTS.items()}
 _MAX_FOR_U16 = 65535  # vertices: index 65535 would mean the restart of a strip
-
+_LINEAR, _MIPMAPS = 9729, 9987  # filters of samplers
+_OWN_COLOURS_NOTICE = (
+    f"Vertex colours of textured parts are kept as {OWN_COLOURS}: as COLOR_0 they would tint the texture."
+)
 
 Model = tuple[list[Tree], Tree, Mapping[str, ImageFile]]
 """Meshes, the members of the JSON that colour these, and images by the names of their files."""
@@ -185,16 +189,6 @@ def _unit_normals(normals: Float32s) -> Stored:
     return units.astype("<f4")
 
 
-OWN_COLOURS = "_COLOR_0"
-"""The attribute of vertex colours of textured meshes: COLOR_0 would be multiplied with the texture."""
-
-_LINEAR, _MIPMAPS = 9729, 9987
-_MODES = {"mask": "MASK", "blend": "BLEND"}
-_OWN_COLOURS_NOTICE = (
-    f"Vertex colours of textured parts are kept as {OWN_COLOURS}: as COLOR_0 they would tint the texture."
-)
-
-
 def _textured(mesh: MeshContents, stem: str, arrays: Arrays) -> Model:
     """Make a mesh with its textures; vertices are split where their corners differ."""
     mesh = _with_bare_materials(mesh)
@@ -279,8 +273,8 @@ def _material(material: Material, look: Tree, images: Sequence[MeshImage], stem:
     base["roughnessFactor"] = _plain(material.roughness)
     if any(material.emission):
         tree["emissiveFactor"] = _linear(material.emission)
-    if material.alpha in _MODES:
-        tree["alphaMode"] = _MODES[material.alpha]
+    if material.alpha != "opaque":
+        tree["alphaMode"] = material.alpha.upper()
     if material.alpha == "mask" and material.cutoff != Material.cutoff:
         tree["alphaCutoff"] = material.cutoff
     return tree
