@@ -81,8 +81,8 @@ def _part_of(rng, pixels, side):
 def in_squares(sample: Sample, filled: np.ndarray) -> Observed | None:
     """Cut noisy colours, noise and loss into squares; None if no square is filled."""
     rows, columns = sample.noisy.shape[:2]
-    grid = Grid(filled[:rows, :columns], MAX_SQUARES)
-    return cut_into(grid, sample) if grid.filled.any() else None
+    filled = filled[:rows, :columns]
+    return cut_into(Grid.of(filled, MAX_SQUARES), sample) if filled.any() else None
 
 
 def cut_into(neighbourhoods: Neighbourhoods, sample: Sample) -> Observed | None:

@@ -43,7 +43,7 @@ def surface(number: int) -> tuple[VertexClusters, np.ndarray]:
     edges = np.unique(np.sort(pairs, axis=1), axis=0).astype(np.int32)
     priorities = rng.integers(0, 2**63, len(places), dtype=np.uint64)
     positions = np.column_stack([places, np.zeros(len(places))])
-    return VertexClusters(Graph(positions, edges, priorities)), (places / side).clip(0, 1)
+    return VertexClusters.of(Graph(positions, edges, priorities)), (places / side).clip(0, 1)
 
 
 def _places(rng: np.random.Generator, kind: str, side: int) -> np.ndarray:

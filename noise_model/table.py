@@ -100,7 +100,7 @@ def cases(crops: list[Crop], kind: str) -> Iterator[tuple[Grid, Sample]]:
     for rng, clean, recipe in pictures_of(crops, kind):
         made = degrade(rng, clean, recipe)
         sample = made.mapped(lambda planes: planes[:SIDE, :SIDE])
-        yield Grid(np.ones(sample.noisy.shape[:2], bool)), sample
+        yield Grid.of(np.ones(sample.noisy.shape[:2], bool)), sample
 
 
 def cases_on_surfaces(crops: list[Crop], kind: str) -> Iterator[tuple[VertexClusters, Sample]]:

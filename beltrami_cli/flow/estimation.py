@@ -29,7 +29,7 @@ def estimate_on_mesh(mesh: ColouredMesh) -> MeshColours:
     )
     graph = geometry.graph(channels.T, mesh.resources)
     noise = estimate_noise(
-        channels, VertexClusters(graph), parameters.given_noise,
+        channels, VertexClusters.of(graph), parameters.given_noise,
         varies=parameters.stabilises_noise and mesh.moving is None, strength=parameters.strength,
         measured=None if mesh.deviations is None else relative_to_mean(mesh.deviations),
     )  # fmt: skip
@@ -52,7 +52,7 @@ def estimate_on_canvas(canvas: ColouredCanvas) -> CanvasColours:
         relative[relative == 0] = 1  # empty cells
         measured = relative, sigma
     noise = estimate_noise(
-        planes, Grid(atlas.is_owned), parameters.given_noise, varies=parameters.stabilises_noise,
+        planes, Grid.of(atlas.is_owned), parameters.given_noise, varies=parameters.stabilises_noise,
         strength=parameters.strength, measured=measured,
     )  # fmt: skip
     if noise.stabiliser is not None:

@@ -15,7 +15,7 @@ from beltrami_cli.surface.records import Cells, SampledSurface
 def noise_of_image(image, **options):
     """Return the noise model of an image of shape (R, C, N)."""
     planes = np.ascontiguousarray(np.moveaxis(image, 2, 0), np.float32)
-    return read_noise(planes, Grid(np.ones(planes.shape[1:], bool)), **options)
+    return read_noise(planes, Grid.of(np.ones(planes.shape[1:], bool)), **options)
 
 
 def manifold_of(positions, faces, colours, parameters=None):

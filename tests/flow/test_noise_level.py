@@ -28,7 +28,7 @@ def on_mesh(colours, faces):
     sides = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     priorities = np.random.default_rng(0).integers(0, 2**63, len(colours), dtype=np.uint64)
     graph = Graph(np.zeros((len(colours), 3)), np.unique(sides, axis=0).astype(np.int32), priorities)
-    return 255 * read_noise(colours.T, VertexClusters(graph), varies=False).sigma
+    return 255 * read_noise(colours.T, VertexClusters.of(graph), varies=False).sigma
 
 
 def grain(size, seed=0):

@@ -79,7 +79,7 @@ def test_the_result_is_the_same(model, photograph_as_jpeg, tmp_path, monkeypatch
 
 def test_reading_noise_takes_no_memory_for_each_texel():
     def peak(side):
-        planes, grid = np.zeros((3, side, side), np.float32), Grid(np.ones((side, side), bool))
+        planes, grid = np.zeros((3, side, side), np.float32), Grid.of(np.ones((side, side), bool))
         tracemalloc.start()
         try:
             read_noise(planes, grid)

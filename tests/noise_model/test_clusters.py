@@ -34,11 +34,11 @@ def painted(graph):
 
 def read(graph, colours):
     stored = np.rint(colours.clip(0, 1) * 255).astype(np.float32) / 255
-    return read_noise(stored, VertexClusters(graph))
+    return read_noise(stored, VertexClusters.of(graph))
 
 
 def test_independent_noise_has_the_same_variance_at_all_scales():
-    clusters = VertexClusters(lattice(160, 120))
+    clusters = VertexClusters.of(lattice(160, 120))
     cells = clusters.cut(white(clusters.graph.size)).cells()
     assert len(cells) == SCALES
     for own in cells:
@@ -54,7 +54,7 @@ def test_the_order_of_vertices_does_not_matter():
     other = Graph(graph.positions[order], rank[graph.edges], graph.priorities[order])
     found = []
     for own, values in ((graph, colours), (other, colours[:, order])):
-        samples = VertexClusters(own).cut(values)
+        samples = VertexClusters.of(own).cut(values)
         described = describe(samples.features(), samples.cells())
         found.append(described[np.lexsort(described.T[:3])])
     np.testing.assert_allclose(*found, rtol=1e-3, atol=1e-3)
@@ -62,7 +62,7 @@ def test_the_order_of_vertices_does_not_matter():
 
 @pytest.mark.parametrize("rows", [17, 25])
 def test_small_surfaces_have_finite_features(rows):
-    clusters = VertexClusters(lattice(rows, rows))
+    clusters = VertexClusters.of(lattice(rows, rows))
     samples = clusters.cut(white(rows**2))
     cells = samples.cells()
     assert len(describe(samples.features(), cells)) == clusters.count
@@ -75,12 +75,12 @@ def test_vertices_without_edges_are_no_neighbourhoods(size):
     rng = np.random.default_rng(0)
     priorities = rng.integers(0, 2**63, size, dtype=np.uint64)
     graph = Graph(rng.random((size, 3)), np.zeros((0, 2), np.int32), priorities)
-    assert VertexClusters(graph).count == 0
+    assert VertexClusters.of(graph).count == 0
 
 
 @pytest.mark.slow
 def test_large_surfaces_are_read_in_some_blocks():
-    clusters = VertexClusters(lattice(700, 500))
+    clusters = VertexClusters.of(lattice(700, 500))
     assert 2**15 < len(clusters.chosen) <= 2**16
     share = len(clusters.chosen) / clusters.graph.size
     counts = np.histogram(clusters.chosen, bins=8, range=(0, clusters.graph.size))[0]

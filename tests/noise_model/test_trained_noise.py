@@ -10,8 +10,7 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 from beltrami_cli.flow.noise.drawing import draw_model
-from beltrami_cli.flow.noise.features import MAX_SQUARES
-from beltrami_cli.flow.noise.grid_squares import SIDE, Grid, choose_corners
+from beltrami_cli.flow.noise.grid_squares import MAX_SQUARES, SIDE, Grid, choose_corners
 from beltrami_cli.flow.noise.reading import read_noise
 from flow.noisy_surfaces import by_camera
 from oracles.pictures import photograph
@@ -21,7 +20,7 @@ SHAPE = (128, 192)  # of whole squares, so that turning the picture keeps them
 
 def estimate(planes, filled=None, **given):
     filled = np.ones(planes.shape[1:], bool) if filled is None else filled
-    return read_noise(np.ascontiguousarray(planes, np.float32), Grid(filled), **given)
+    return read_noise(np.ascontiguousarray(planes, np.float32), Grid.of(filled), **given)
 
 
 def ramp():
@@ -230,7 +229,7 @@ def test_the_size_of_opposite_noise_is_read_on_slopes_of_light(seed):
 
 def test_large_pictures_are_read_in_some_squares():
     filled = np.ones((2048, 3000), bool)
-    corners = choose_corners(filled)
+    corners = choose_corners(filled, MAX_SQUARES)
     assert len(corners) == MAX_SQUARES
     assert not (corners % SIDE).any()
     counts = np.histogram2d(*corners.T, bins=4, range=((0, 2048), (0, 3000)))[0]

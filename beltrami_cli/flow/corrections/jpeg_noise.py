@@ -113,7 +113,7 @@ class _Covariances:
     def add(self, noise: Float32s, used: Bools) -> None:
         """Add details of noise, shape (R, C, 1 or 3), full scale 255, in squares of used cells."""
         planes = np.broadcast_to(np.moveaxis(noise / np.float32(255), 2, 0), (3, *used.shape))
-        seen = Grid(used, most=used.size).cut(planes, np.arange(3))
+        seen = Grid.of(used, most=used.size).cut(planes, np.arange(3))
         for number, scale in enumerate(seen.where.scales[:SCALES]):
             self._sums[number] += seen.products[number] @ scale.freedom
             self._counted[number] += scale.freedom.sum()

@@ -124,7 +124,7 @@ def _sides_of_seams(atlas: Atlas, reached: Int32s) -> Int32s:
 
 def end_at_seams_in_place(planes: Float32s, atlas: Atlas, threads: int) -> None:
     """Extend a guide as a constant over the seams whose sides differ."""
-    sigma = read_noise(planes, Grid(atlas.is_owned), varies=False).sigma
+    sigma = read_noise(planes, Grid.of(atlas.is_owned), varies=False).sigma
     beyond = atlas.halo_cells[halo_beyond(atlas, find_colour_jumps(atlas, planes, sigma))]
     if len(beyond):
         is_beyond = np.zeros(atlas.kind.shape, bool)

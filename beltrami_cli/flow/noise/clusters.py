@@ -11,7 +11,7 @@ import numpy as np
 
 from beltrami_cli._native import pilot_of_graph
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
-from beltrami_cli.flow.noise.features import PAIRS, SCALES
+from beltrami_cli.flow.noise.features import PAIRS, SCALES, FurtherStatistics
 from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, Samples, Scale, in_components
 from beltrami_cli.flow.vertex_graph import Graph, levels_of
 
@@ -99,37 +99,24 @@ class ClusterScale(Scale):
         return np.asarray(np.bincount(one, values[other], count) + np.bincount(other, values[one], count))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class VertexClusters(Neighbourhoods):
-    """Clusters of samples joined by edges.
+    """Clusters of samples joined by edges."""
 
-    Consecutive samples must be close to each other, since a large surface is read in blocks of these.
-    """
-
-    graph: Graph
     kind: ClassVar[str] = "cluster"
 
-    @cached_property
-    def chosen(self) -> Int64s:
-        """Indices of the samples that are read, ascending: those in large neighbourhoods of the blocks."""
-        return self._cut[0]
+    scales: list[ClusterScale]
+    graph: Graph
+    chosen: Int64s  # indices of the samples that are read, ascending
 
-    @property
-    def scales(self) -> list[ClusterScale]:
-        return self._cut[1]
+    @classmethod
+    def of(cls, graph: Graph) -> VertexClusters:
+        """Choose the large neighbourhoods.
 
-    @property
-    def of_samples(self) -> Int64s:
-        return self._cut[2]
-
-    def sampled(self, planes: Float32s) -> Float32s:
-        return planes[:, self.chosen]
-
-    @cached_property
-    def _cut(self) -> tuple[Int64s, list[ClusterScale], Int64s]:
-        """The samples that are read, the scales, and the neighbourhood of each sample."""
-        chosen, graph = _some_samples(self.graph)
-        levels = list(islice(levels_of(graph), SCALES + 2))
+        Consecutive samples must be close to each other, since a large surface is read in blocks of these.
+        """
+        candidates, part = _some_samples(graph)
+        levels = list(islice(levels_of(part), SCALES + 2))
         large = _large_ones(levels[-1].counts)
         # The neighbourhood of each cluster by level, -1 if it is not read, and consecutive numbers of those read.
         of_clusters = [large[levels[-1].members[level.centres]] for level in levels]
@@ -149,7 +136,14 @@ class VertexClusters(Neighbourhoods):
                 edges=edges[(edges >= 0).all(axis=1)],
             )
             scales.append(scale)
-        return chosen[of_clusters[0] >= 0], scales, of_clusters[0][of_clusters[0] >= 0]
+        is_chosen = of_clusters[0] >= 0
+        chosen, of_samples = candidates[is_chosen], of_clusters[0][is_chosen]
+        sums = [np.bincount(of_samples, own) for own in graph.positions[chosen].T]
+        centres = np.stack(sums, axis=1) / np.bincount(of_samples)[:, None]
+        return cls(scales, of_samples, centres, graph, chosen)
+
+    def sampled(self, planes: Float32s) -> Float32s:
+        return planes[:, self.chosen]
 
     def channel_energies(self, samples: Samples) -> Float32s:
         finest = self.scales[0]
@@ -161,13 +155,21 @@ class VertexClusters(Neighbourhoods):
         degree = np.bincount(self.graph.edges.ravel(), minlength=self.graph.size)[self.chosen]
         return [np.log2(self.counts) / 4, self.means(degree[None])[0] / 4]
 
-    def cell_features(self, samples: Samples, number: int) -> tuple[Float32s, Float32s, Float32s | None]:
+    def cell_features(self, samples: Samples, number: int) -> tuple[Float32s, Float32s, FurtherStatistics]:
         residuals = self._residuals(samples, number) if number < _SCALES_OF_RESIDUALS else None
         return (
             self._mean_squares(samples, number),
             self._correlations(self.scales[number], samples.details[number]),
-            residuals,
+            FurtherStatistics(self._clipped_around(samples, number), residuals),
         )
+
+    def _clipped_around(self, samples: Samples, number: int) -> Float32s:
+        """Return the share of clipped samples in the cell of the next scale around each cell."""
+        *below, scale, above = self.scales[: number + 2]
+        clipped = samples.is_clipped.mean(axis=0, dtype=np.float64)
+        for each in (*below, scale, above):
+            clipped = each.means(clipped)
+        return scale.padded(above.spread(clipped))
 
     def _mean_squares(self, samples: Samples, number: int) -> Float32s:
         """Return the mean squares of the energies of cells in each neighbourhood, by component, shape (P, 3)."""
@@ -189,7 +191,7 @@ class VertexClusters(Neighbourhoods):
 
     def _residuals(self, samples: Samples, number: int) -> Float32s:
         """Return the mean products of the residuals in each cell, or of the details where there are no residuals."""
-        scale, values = self.scales[number], in_components(samples.means[number])
+        scale, values = self.scales[number], in_components(samples.means[number].astype(np.float64))
         inside = scale.degree >= _NEIGHBOURS
         differences = [own - scale.sums_around(own) / np.maximum(scale.degree, 1) for own in values]
         residuals = np.stack(differences)[:, inside] / scale.deviations_of_residuals[inside]
@@ -198,11 +200,6 @@ class VertexClusters(Neighbourhoods):
         count = np.bincount(parents, minlength=cells)
         products = samples.products[number]
         return scale.padded(np.where(count > 0, sums / np.maximum(count, 1), products))
-
-    @cached_property
-    def centres(self) -> Float64s:
-        sums = [np.bincount(self.of_samples, own) for own in self.graph.positions[self.chosen].T]
-        return np.stack(sums, axis=1) / self.counts[:, None]
 
     def pilot(self, colours: Float32s, variances: Float32s) -> Float32s:
         return pilot_of_graph(colours, self.scales[0].edges, variances)

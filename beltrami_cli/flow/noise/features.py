@@ -1,8 +1,8 @@
 """Statistics of details in small neighbourhoods, from which the noise model reads the noise.
 
-A neighbourhood is a square of 32 x 32 cells of a grid, or a cluster of vertices. Its orthonormal details at four scales
-hold independent noise with the same variance; textures and filtered noise grow from scale to scale. Details are
-described for the mean of three channels and two differences of channels, which are orthonormal as well.
+The orthonormal details of a neighbourhood at four scales hold independent noise with the same variance; textures and
+filtered noise grow from scale to scale. Details are described for the mean of three channels and two differences of
+channels, which are orthonormal as well.
 
 `neighbourhoods` measures the details of cells. It sorts channels by the energy of their finest details, so that
 features do not depend on the order of the input.
@@ -27,9 +27,6 @@ PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 # Weights by which products of component pairs add up to the square of each channel.
 _OF_CHANNELS = np.stack([COMPONENTS[k] * COMPONENTS[m] * (1 if k == m else 2) for k, m in PAIRS])
-
-# Maximum number of neighbourhoods that are read from a picture. Training pictures have at most half as many.
-MAX_SQUARES = 128
 
 # Number of 8-bit steps in full scale.
 STEPS = np.float32(255)
@@ -61,6 +58,15 @@ _CONSTANT = 0.01
 
 
 @dataclass(frozen=True)
+class FurtherStatistics:
+    """Statistics of one scale that only the network of clusters reads; the network of grids was trained without."""
+
+    clipped: Float32s  # share of clipped samples around a cell, shape (P, n)
+    # Mean products of residuals, which are free of slopes, in each cell, shape (6, P, n); None: not measured.
+    residuals: Float32s | None
+
+
+@dataclass(frozen=True)
 class Cells:
     """The details of one scale in P neighbourhoods of up to n cells and m blocks of cells."""
 
@@ -68,12 +74,9 @@ class Cells:
     freedom: Float32s  # details in each cell, shape (P, n); 0: no cell
     blocks: Float32s  # mean squares by component in blocks of cells, shape (3, P, m); infinite: no block
     unevenness: Float32s  # energy of the next two scales around a cell, shape (P, n); infinite: unknown
-    clipped: Float32s  # share of clipped samples around a cell, shape (P, n)
     fourth: Float32s  # mean fourth power of the details by component, shape (P, 3)
     others: Float32s  # features that only this kind of neighbourhood has, shape (P, F)
-    # Mean products of residuals, which are free of slopes, in each cell, shape (6, P, n); None: not measured.
-    residuals: Float32s | None = None
-    is_grid: bool = True
+    further: FurtherStatistics | None
 
     @property
     def is_valid(self) -> Bools:
@@ -102,8 +105,8 @@ def _describe_scale(cells: Cells) -> list[Float32s]:
         np.sum(energy < _CONSTANT, axis=2, where=valid) / count,
         cells.others,
     ]
-    if cells.residuals is not None:
-        energy = np.moveaxis(cells.residuals[:3], 0, 1)
+    if cells.further is not None and cells.further.residuals is not None:
+        energy = np.moveaxis(cells.further.residuals[:3], 0, 1)
         features += _quantiles(np.where(valid, energy, np.inf), _QUANTILES[:-1])
         features.append(log_deviation(energy.sum(axis=2, where=valid) / count))
     return [*features, quiet_deviations(cells), _correlations(_quiet_products(cells))]
@@ -135,11 +138,11 @@ def describe_even_cells(cells: Sequence[Cells]) -> tuple[Float32s, Float32s]:
     for scale in cells:
         known, whole = _known_cells(scale)
         features.append(np.log2([1 + whole.sum()]))
-        if not scale.is_grid:
+        if scale.further is not None:
             features.append(np.array([whole.sum() / max(1, known.sum())]))
         by_share = [_describe_even(scale, whole, share) for share in EVEN_SHARES]
         features += [column for columns in by_share for column in columns]
-        if not scale.is_grid:
+        if scale.further is not None:
             blocks = np.sort(scale.blocks.reshape(3, -1), axis=1)
             features += [quantile[:, 0] for quantile in _quantiles(blocks[:, None], _SHARES_OF_BLOCKS)]
         by_place.append(_even_by_neighbourhood(scale, whole))
@@ -200,23 +203,26 @@ def _known_cells(cells: Cells, chosen: Bools | bool = True) -> tuple[Bools, Bool
     valid = cells.is_valid & chosen
     known = valid & np.isfinite(cells.unevenness)
     known = known if known.any() else valid
-    whole = known & (cells.clipped <= _MAX_CLIPPED)
+    if cells.further is None:
+        return known, known
+    whole = known & (cells.further.clipped <= _MAX_CLIPPED)
     return known, whole if 4 * whole.sum() > _EVEN_SHARE * known.sum() else known
 
 
 def _describe_even(cells: Cells, whole: Bools, share: float) -> list[Float32s]:
     """Return features of a share of the cells in the mask `whole`, the most even ones; deviations come first."""
-    residuals = cells.residuals if share == _SHARE_OF_RESIDUALS else None
+    further = cells.further
+    residuals = further.residuals if further is not None and share == _SHARE_OF_RESIDUALS else None
     products, freedom, unevenness = cells.products[:, whole], cells.freedom[whole], cells.unevenness[whole]
     if not len(unevenness):
         # As many columns as below.
-        others = 6 + (0 if cells.is_grid else 5) + (0 if residuals is None else 9)
+        others = 6 + (0 if further is None else 5) + (0 if residuals is None else 9)
         return [np.full(size, log_deviation(0)) for size in (3, others)]
     # Cells within one coarser cell are equally even, so ties are included.
     even = unevenness <= np.sort(unevenness)[int(share * (len(unevenness) - 1))]
     chosen, weights = products[:, even], freedom[even]
     features = _deviations_and_correlations(np.einsum("kn,n->k", chosen, weights)[None] / weights.sum())
-    if not cells.is_grid:
+    if further is not None:
         scatter = (np.square(chosen[:3]).mean(axis=1) + 1e-3) / (np.square(chosen[:3].mean(axis=1)) + 1e-3)
         around = np.minimum(unevenness[even], 1e6).mean()
         features.append(np.log2(scatter) / 4)

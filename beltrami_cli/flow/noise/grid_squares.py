@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -11,9 +10,12 @@ import numpy as np
 from beltrami_cli._native import pilot_of_squares
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
 from beltrami_cli.flow.noise import jpeg_traces
-from beltrami_cli.flow.noise.features import MAX_SQUARES, SCALES
+from beltrami_cli.flow.noise.features import SCALES
 from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, Samples, Scale
 from beltrami_cli.surface import large_arrays
+
+# Maximum number of squares that are read from a grid. Training pictures have at most half as many.
+MAX_SQUARES = 128
 
 # Cells per side of a square: the smallest side with 2 x 2 cells at the coarsest scale.
 SIDE = 2 ** (SCALES + 1)
@@ -90,67 +92,35 @@ def laid_out(values: Array, present: Bools | None, side: int) -> Array:
     return squares
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Grid(Neighbourhoods):
-    """At most `most` squares of a grid, given the mask of its filled cells, shape (R, C)."""
+    """Squares of a grid."""
 
-    filled: Bools
-    most: int = MAX_SQUARES
     kind: ClassVar[str] = "grid"
-    precision: ClassVar[type] = np.float32  # enough for means of a few samples
 
-    @cached_property
-    def corners(self) -> Int64s:
-        """Row and column of the first cell of each square, shape (P, 2)."""
-        return choose_corners(self.filled, self.most)
+    scales: list[SquareScale]
+    filled: Bools  # mask of the filled cells of the grid, shape (R, C)
+    corners: Int64s  # row and column of the first cell of each square, shape (P, 2)
+    squares: Bools  # mask of the filled cells in each square, shape (P, SIDE, SIDE)
+
+    @classmethod
+    def of(cls, filled: Bools, most: int = MAX_SQUARES) -> Grid:
+        """Choose at most `most` squares."""
+        corners = choose_corners(filled, most)
+        squares = _cut_out(filled, corners)
+        of_samples = np.nonzero(squares)[0].astype(np.int64, copy=False)
+        return cls(_scales_of(squares), of_samples, corners / SIDE, filled, corners, squares)
 
     @property
-    def centres(self) -> Float64s:
-        return np.asarray(self.corners / SIDE, np.float64)
-
-    @cached_property
-    def _squares(self) -> Bools:
-        """Mask of the filled cells in each square, shape (P, SIDE, SIDE)."""
-        return self._cut_out(self.filled)
-
-    @cached_property
     def _present(self) -> Bools | None:
-        """The mask `_squares`; None: all cells are filled."""
-        return None if self._squares.all() else self._squares
-
-    def _cut_out(self, plane: Array) -> Array:
-        """Return the squares of a plane, with 0 beyond its border."""
-        squares = np.zeros((len(self.corners), SIDE, SIDE), plane.dtype)
-        for square, (row, column) in zip(squares, self.corners, strict=True):
-            inside = plane[row : row + SIDE, column : column + SIDE]
-            square[: inside.shape[0], : inside.shape[1]] = inside
-        return squares
-
-    @cached_property
-    def scales(self) -> list[SquareScale]:
-        whole, present, scales = self._squares, self._present, []
-        for number in range(SCALES + 1):
-            whole = np.logical_and.reduce([whole[:, i::2, j::2] for i in (0, 1) for j in (0, 1)])
-            is_whole, samples = whole.ravel(), np.full(1, 4.0**number, np.float32)  # equal in all parts
-            freedom = np.float32(3) * is_whole
-            scales.append(SquareScale(samples, freedom, is_whole, whole.shape[-1], present))
-            present = None
-        return scales
-
-    @cached_property
-    def of_samples(self) -> Int64s:
-        return np.repeat(np.arange(len(self.corners)), self.counts)
-
-    @cached_property
-    def counts(self) -> Int64s:
-        return np.asarray(np.count_nonzero(self._squares, axis=(1, 2)), np.int64)
+        return self.scales[0].present
 
     def means(self, rows: Array) -> Float32s:
         squares = laid_out(rows, self._present, SIDE).reshape(len(rows), self.count, -1)
         return np.asarray(squares.sum(axis=2, dtype=np.float32) / self.counts, np.float32)
 
     def sampled(self, planes: Float32s) -> Float32s:
-        return np.stack([self._cut_out(plane)[self._squares] for plane in planes])
+        return np.stack([_cut_out(plane, self.corners)[self.squares] for plane in planes])
 
     def channel_energies(self, samples: Samples) -> Float32s:
         finest = self.scales[0]
@@ -161,15 +131,15 @@ class Grid(Neighbourhoods):
     def features(self, samples: Samples) -> list[Array]:
         """Return features of the number of values, of filling, and of JPEG."""
         squares = laid_out(samples.colours, self._present, SIDE)
-        shown = squares if self._present is None else np.where(self._squares, squares, np.float32(-1))
+        shown = squares if self._present is None else np.where(self.squares, squares, np.float32(-1))
         ordered = np.sort(shown.reshape(3, self.count, -1), axis=2)
         values = np.log2(1 + np.count_nonzero(np.diff(ordered, axis=2) > 1 / 16, axis=2)).mean(axis=0)
         luma = np.einsum("c,cpij->pij", jpeg_traces.LUMA[samples.order], squares)
         return [
             values / 4,
             self.counts / SIDE**2,
-            jpeg_traces.block_steps(shown.mean(axis=0), self._squares),
-            *jpeg_traces.coefficients(luma, self._squares),
+            jpeg_traces.block_steps(shown.mean(axis=0), self.squares),
+            *jpeg_traces.coefficients(luma, self.squares),
         ]
 
     def cell_features(self, samples: Samples, number: int) -> tuple[Float32s, Float32s, None]:
@@ -217,7 +187,7 @@ class Grid(Neighbourhoods):
         return np.where(is_whole, quiet, np.nan)
 
     def product_of_neighbours(self, values: Float32s) -> float:
-        squares, filled, total, count = laid_out(values, self._present, SIDE), self._squares, 0.0, 0
+        squares, filled, total, count = laid_out(values, self._present, SIDE), self.squares, 0.0, 0
         for one, other in ((np.s_[..., 1:, :], np.s_[..., :-1, :]), (np.s_[..., 1:], np.s_[..., :-1])):
             total += float(np.einsum("kpij,kpij->", squares[one], squares[other]))
             count += int(np.count_nonzero(filled[one] & filled[other]))
@@ -258,7 +228,27 @@ def _stretched(rows: Float64s, count: int, factor: int) -> Float64s:
     return np.stack([np.interp(middles, np.arange(len(row)), row) for row in rows])
 
 
-def choose_corners(filled: Bools, most: int = MAX_SQUARES) -> Int64s:
+def _cut_out(plane: Array, corners: Int64s) -> Array:
+    """Return the squares of a plane, with 0 beyond its border."""
+    squares = np.zeros((len(corners), SIDE, SIDE), plane.dtype)
+    for square, (row, column) in zip(squares, corners, strict=True):
+        inside = plane[row : row + SIDE, column : column + SIDE]
+        square[: inside.shape[0], : inside.shape[1]] = inside
+    return squares
+
+
+def _scales_of(squares: Bools) -> list[SquareScale]:
+    whole, present, scales = squares, None if squares.all() else squares, []
+    for number in range(SCALES + 1):
+        whole = np.logical_and.reduce([whole[:, i::2, j::2] for i in (0, 1) for j in (0, 1)])
+        is_whole, samples = whole.ravel(), np.full(1, 4.0**number, np.float32)  # equal in all parts
+        freedom = np.float32(3) * is_whole
+        scales.append(SquareScale(samples, freedom, is_whole, whole.shape[-1], present))
+        present = None
+    return scales
+
+
+def choose_corners(filled: Bools, most: int) -> Int64s:
     """Choose the squares to read; return row and column of their first cells, shape (P, 2)."""
     # Squares are aligned with the first filled cell, as the blocks of a JPEG picture are.
     first = [int(filled.any(axis=axis).argmax()) for axis in (1, 0)]

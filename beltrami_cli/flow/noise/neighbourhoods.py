@@ -18,7 +18,14 @@ from typing import ClassVar
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
-from beltrami_cli.flow.noise.features import COMPONENTS, PAIRS, STEPS, Cells, log_deviation
+from beltrami_cli.flow.noise.features import (
+    COMPONENTS,
+    PAIRS,
+    STEPS,
+    Cells,
+    FurtherStatistics,
+    log_deviation,
+)
 from beltrami_cli.surface import large_arrays
 
 # Number of neighbourhoods that are compared at one place: 3 x 3 squares on a grid.
@@ -58,21 +65,15 @@ class Scale(ABC):
         """Lay out values of cells by neighbourhood, shape (..., P, n)."""
 
 
+@dataclass(frozen=True, eq=False)
 class Neighbourhoods(ABC):
     """The neighbourhoods of a surface from which noise is read."""
 
-    kind: ClassVar[str]
-    precision: ClassVar[type] = np.float64  # of means of samples
+    kind: ClassVar[str]  # whose weights read them
 
-    @property
-    @abstractmethod
-    def scales(self) -> Sequence[Scale]:
-        """All scales, and one coarser scale that shows where the last one is even."""
-
-    @property
-    @abstractmethod
-    def of_samples(self) -> Int64s:
-        """The neighbourhood of each sample that is read."""
+    scales: Sequence[Scale]  # and one coarser scale that shows where the last one is even
+    of_samples: Int64s  # the neighbourhood of each sample that is read
+    centres: Float64s  # positions of the neighbourhoods, shape (P, D)
 
     @abstractmethod
     def sampled(self, planes: Float32s) -> Float32s:
@@ -87,8 +88,10 @@ class Neighbourhoods(ABC):
         """Return features of each neighbourhood, shape (P,) each, that are specific to its kind."""
 
     @abstractmethod
-    def cell_features(self, samples: Samples, number: int) -> tuple[Float32s, Float32s, Float32s | None]:
-        """Return the fields of `Cells` that depend on the kind: `fourth`, `others` and `residuals`."""
+    def cell_features(
+        self, samples: Samples, number: int
+    ) -> tuple[Float32s, Float32s, FurtherStatistics | None]:
+        """Return the fields of `Cells` that depend on the kind: `fourth`, `others` and `further`."""
 
     @abstractmethod
     def pilot(self, colours: Float32s, variances: Float32s) -> Float32s:
@@ -118,11 +121,6 @@ class Neighbourhoods(ABC):
         `parts` are the variances of the parts of neighbourhoods, in the order of the last scale. Where they are NaN,
         and where nothing was read, the variance of the nearest neighbourhood is used.
         """
-
-    @property
-    @abstractmethod
-    def centres(self) -> Float64s:
-        """Positions of the neighbourhoods, shape (P, D)."""
 
     def nearest(self, places: Float64s) -> Int64s:
         middle, nearest = self.centres.mean(axis=0), np.empty(len(places), np.int64)
@@ -195,7 +193,7 @@ class Samples:
     @cached_property
     def means(self) -> list[Array]:
         """The means of the parts of each scale by channel, shape (3, n)."""
-        means: list[Array] = [self.colours.astype(self.where.precision)]
+        means: list[Array] = [self.colours]
         for scale in self.where.scales:
             means.append(scale.means(means[-1]))
         return means
@@ -219,25 +217,20 @@ class Samples:
         return found
 
     def cells(self) -> list[Cells]:
-        cells, is_grid = [], self.where.kind == "grid"
-        clipped = self.is_clipped.mean(axis=0, dtype=np.float64)
+        cells = []
         for number, (scale, above) in enumerate(pairwise(self.where.scales)):
             products = self.products[number]
             blocks = above.sums(scale.freedom * products[:3]) / np.maximum(above.sums(scale.freedom), 1)
-            clipped = scale.means(clipped)
-            fourth, others, residuals = self.where.cell_features(self, number)
+            fourth, others, further = self.where.cell_features(self, number)
             cells.append(
                 Cells(
                     products=scale.padded(products),
                     freedom=scale.padded(scale.freedom),
                     blocks=above.padded(np.where(above.is_whole, blocks, np.inf), np.inf),
                     unevenness=scale.padded(self.unevenness(number), np.inf),
-                    # The network of grids was trained without the clipped samples.
-                    clipped=scale.padded(0 * clipped if is_grid else above.spread(above.means(clipped))),
                     fourth=fourth,
                     others=others,
-                    residuals=residuals,
-                    is_grid=is_grid,
+                    further=further,
                 )
             )
         return cells
