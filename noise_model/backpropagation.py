@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from beltrami_cli.flow.noise.network import Layers
+from beltrami_cli.flow.noise.network import Layers, starts_of
 
 LARGEST_GRADIENT = 1.0  # maximum norm
 DECAY = 0.1  # of the weights, relative to the rate
@@ -51,9 +51,8 @@ class Tape(Layers):
         kept = (~is_dropped / (1 - np.mean(is_dropped))).astype(np.float32)
         return self._record(rows.value * kept, lambda gradient: rows.add(gradient * kept))
 
-    def pool(self, rows, starts):
-        value = super().pool(rows.value, starts)
-        counts = np.diff(np.append(starts, len(rows.value)))
+    def pool(self, rows, counts):
+        value, starts = super().pool(rows.value, counts), starts_of(counts)
         _, most, least = np.split(value, 3, axis=1)
 
         def back(gradient):
@@ -68,9 +67,8 @@ class Tape(Layers):
         return self._record(value, back)
 
     def spread(self, rows, counts):
-        starts = np.append(0, np.cumsum(counts)[:-1])
         value = super().spread(rows.value, counts)
-        return self._record(value, lambda gradient: rows.add(np.add.reduceat(gradient, starts)))
+        return self._record(value, lambda gradient: rows.add(np.add.reduceat(gradient, starts_of(counts))))
 
     def join(self, parts):
         ends = np.cumsum([part.value.shape[1] for part in parts])[:-1]

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from beltrami_cli.flow.noise.network import Weights, candidates_of
+from beltrami_cli.flow.noise.network import Weights, candidates_of, starts_of
 from observations import Observation
 
 ROWS = 100_000  # of features that are standardised at a time
@@ -57,16 +57,15 @@ class Batch:
             block[:] = weights.standardised("squares", block.astype(np.float32))
 
     def take(self, chosen: np.ndarray, weights: Weights) -> tuple[tuple, dict, dict]:
-        """Return the arguments of `read` for some observations, the truths, and the candidates."""
+        """Return the arguments of `forward` for some observations, the truths, and the candidates."""
         rows = np.concatenate([np.arange(self.starts[each], self.starts[each + 1]) for each in chosen])
         counts, even = self.counts[chosen], self.parts["even"][chosen]
-        starts = np.append(0, np.cumsum(counts)[:-1])
-        given = self.parts["squares"][rows].astype(np.float32), starts, weights.standardised("even", even)
+        given = self.parts["squares"][rows].astype(np.float32), counts, weights.standardised("even", even)
         quiet = self.parts["quiet"][rows].astype(np.float32)
-        candidates = candidates_of(self.parts["even_deviations"][chosen], quiet, starts)
+        candidates = candidates_of(self.parts["even_deviations"][chosen], quiet, counts)
         truths = {name: self.parts[name][chosen] for name in ("total", "deviations", "correlations")}
         # Squares are read relative to their mean, since often only the mean is uncertain.
-        places = self.parts["places"][rows]
+        places, starts = self.parts["places"][rows], starts_of(counts)
         means = np.add.reduceat(np.nan_to_num(places), starts) / np.maximum(
             np.add.reduceat(np.isfinite(places), starts, dtype=np.float32), 1
         )

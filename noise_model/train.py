@@ -28,7 +28,7 @@ import table
 from backpropagation import Adam, Node, Tape, initial_layer
 from batches import Batch
 from beltrami_cli.flow.noise import network
-from beltrami_cli.flow.noise.network import Weights, read
+from beltrami_cli.flow.noise.network import Weights, forward
 from configuration import NETWORK, WEIGHTS, configuration
 from crops import Crop, clean_crops, folders_of_packages
 from losses import losses
@@ -83,9 +83,9 @@ def slopes_of(
     chosen: np.ndarray, data: Batch, weights: Weights
 ) -> tuple[dict[str, float], dict[str, np.ndarray]]:
     """Return the losses of some observations, and the gradients of the weights."""
-    (squares, starts, even), truths, candidates = data.take(chosen, weights)
+    (squares, counts, even), truths, candidates = data.take(chosen, weights)
     tape = Tape(weights.layers)
-    nodes = read(tape, Node(squares), starts, Node(even))
+    nodes = forward(tape, Node(squares), counts, Node(even))
     del nodes["context"]  # an intermediate value without a loss
     outputs = {name: node.value for name, node in nodes.items()}
     values, gradients = losses(outputs, truths, candidates)

@@ -16,7 +16,7 @@ from scipy.special import ndtr
 
 import observations
 from backpropagation import Adam, Node, Tape, initial_layer
-from beltrami_cli.flow.noise.channel_noise import read_network
+from beltrami_cli.flow.noise import network
 from beltrami_cli.flow.noise.network import OFFSET, Weights, weights_of
 from beltrami_cli.flow.noise.size import EDGES, LAYERS, WIDTHS, evidence, removal_curve, sizes_of
 from configuration import SIZES, WEIGHTS, configuration
@@ -50,7 +50,7 @@ def make_rows(
         noise, loss = (
             0.0 if own is None else float(np.mean(np.square(own.colours, dtype=np.float64))) for own in parts
         )
-        outputs, candidates = read_network(seen, weights)
+        outputs, candidates = network.read(seen, weights)
         rows.append((
             outputs["context"][0], np.sort(outputs["total"][0]), candidates[0, 0], removal_curve(seen),
             seen.where.count, np.sqrt(max(0.0, noise - loss)),

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from beltrami_cli.flow.noise import network, size
+from beltrami_cli.flow.noise import network
 from configuration import NETWORK, SIZES, code_of, configuration
 
 KINDS = "grid", "cluster"
@@ -15,7 +15,7 @@ MOST_BYTES = 400 * 1024  # of all weights
 def test_weights_belong_to_the_configuration(kind):
     remedy = "run `make noise-model`, or noise_model/configuration.py if no value of training changed"
     assert network.weights_of(kind).configuration == configuration(NETWORK), remedy
-    assert size.size_weights(kind).configuration == configuration(SIZES), remedy
+    assert network.weights_of(kind, "sizes").configuration == configuration(SIZES), remedy
 
 
 @pytest.mark.parametrize(

@@ -9,21 +9,13 @@ from functools import cached_property
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
-from beltrami_cli.flow.noise import features
+from beltrami_cli.flow.noise import network
 from beltrami_cli.flow.noise.features import COMPONENTS, SCALES, STEPS, even_covariances
 from beltrami_cli.flow.noise.model import MAX_NO_NOISE_PROBABILITY, covariance_of_cells
 from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, Samples
-from beltrami_cli.flow.noise.network import (
-    OFFSET,
-    QUANTILES,
-    Layers,
-    Weights,
-    candidates_of,
-    read,
-    readings,
-)
+from beltrami_cli.flow.noise.network import OFFSET, QUANTILES, Weights, weights_of
 from beltrami_cli.flow.noise.residual import Residual
-from beltrami_cli.flow.noise.size import Size, evidence, removal_curve, size_weights, sizes_of
+from beltrami_cli.flow.noise.size import Size, evidence, removal_curve, sizes_of
 from beltrami_cli.flow.noise.stabiliser import COLOURS
 from beltrami_cli.flow.noise.structure import MAX_CLIPPED_SHARE, Structure, shares_of_noise
 
@@ -68,12 +60,12 @@ class ChannelNoise:
         """Read the noise of three channels, or of one channel, which is repeated three times."""
         samples = where.cut(np.broadcast_to(planes, (COLOURS, *planes.shape[1:])))
         samples, full_scale, are_levels = _in_full_scale(samples)
-        outputs, candidates = read_network(samples, weights)
+        outputs, candidates = network.read(samples, weights)
         rows, first = evidence(
             outputs["context"], np.sort(outputs["total"]), candidates[:, 0], removal_curve(samples)[None],
             np.array([where.count]),
         )  # fmt: skip
-        (size,) = sizes_of(size_weights(where.kind), rows, first)
+        (size,) = sizes_of(weights_of(where.kind, "sizes"), rows, first)
         if len(where.of_samples) < _MIN_SAMPLES:
             size = dataclasses.replace(size, none=1.0)
         sigma = size.quantile(0.5) if size.none <= MAX_NO_NOISE_PROBABILITY else 0.0
@@ -164,16 +156,6 @@ def difference_of_scales(covariances: Float64s) -> float:
     fine, coarse = covariances[:2]
     least = min(float(np.linalg.norm(fine)), float(np.linalg.norm(coarse)))
     return float(np.linalg.norm(coarse - fine)) / max(1e-12, least)
-
-
-def read_network(samples: Samples, weights: Weights) -> tuple[dict[str, Array], Array]:
-    """Return the network's reading of samples, its context, and candidates of the total, shape (1, 1, M)."""
-    cells, start = samples.cells(), np.zeros(1, np.int64)
-    even, deviations = features.describe_even_cells(cells)
-    candidates = candidates_of(deviations[None], features.quiet_deviations(cells[0]), start)
-    squares = weights.standardised("squares", features.describe(samples.features(), cells))
-    outputs = read(Layers(weights.layers), squares, start, weights.standardised("even", even[None]))
-    return readings(outputs, candidates), candidates["total"]
 
 
 def _components(outputs: dict[str, Array]) -> Float64s:

@@ -17,8 +17,16 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Int64s
-from beltrami_cli.flow.noise.features import EVEN_SHARES, FLOOR, SCALES
+from beltrami_cli.flow.noise.features import (
+    EVEN_SHARES,
+    FLOOR,
+    SCALES,
+    describe,
+    describe_even_cells,
+    quiet_deviations,
+)
 from beltrami_cli.flow.noise.model import covariance_of_cells
+from beltrami_cli.flow.noise.neighbourhoods import Samples
 
 # The network reads log2(deviation + OFFSET), in 8-bit steps. Rounding to 8 bits has a deviation of 0.29.
 OFFSET = 0.3
@@ -63,11 +71,11 @@ class Layers:
         """
         return np.einsum("ni,io->no", rows, matrix)
 
-    def pool(self, rows: Any, starts: Int64s) -> Any:
-        """Return the mean, maximum and minimum of runs of rows."""
-        counts = np.diff(np.append(starts, len(rows)))[:, None]
+    def pool(self, rows: Any, counts: Int64s) -> Any:
+        """Return the mean, maximum and minimum of the rows of each picture."""
+        starts = starts_of(counts)
         least, most = np.minimum.reduceat(rows, starts), np.maximum.reduceat(rows, starts)
-        return np.concatenate([np.add.reduceat(rows, starts) / counts, most, least], axis=1)
+        return np.concatenate([np.add.reduceat(rows, starts) / counts[:, None], most, least], axis=1)
 
     def spread(self, rows: Any, counts: Int64s) -> Any:
         """Repeat each row."""
@@ -78,15 +86,19 @@ class Layers:
         return np.concatenate(parts, axis=1)
 
 
-def read(layers: Layers, squares: Any, starts: Int64s, even: Any) -> dict[str, Any]:
-    """Read the noise of N pictures.
+def starts_of(counts: Int64s) -> Int64s:
+    """Return the first row of each picture, given the numbers of their rows."""
+    return np.append(0, np.cumsum(counts)[:-1])
 
-    `squares` are the standardised features of the squares of all pictures. The squares of a picture begin at its entry
-    in `starts`. `even` are the features of pictures, shape (N, F).
+
+def forward(layers: Layers, squares: Any, counts: Int64s, even: Any) -> dict[str, Any]:
+    """Return the outputs of the network for N pictures.
+
+    `squares` are the standardised features of the squares of all pictures, `counts` the numbers of squares of each.
+    `even` are the features of pictures, shape (N, F).
     """
-    counts = np.diff(np.append(starts, len(getattr(squares, "value", squares))))
     inner = layers.dense(layers.dense(squares, "square 1"), "square 2")
-    whole = layers.join([layers.pool(inner, starts), even])
+    whole = layers.join([layers.pool(inner, counts), even])
     context = layers.dense(layers.dense(whole, "whole 1"), "whole 2")
     # One layer suffices: where noise is obvious, readings are nearly linear in the features of even cells.
     outputs = {
@@ -115,16 +127,7 @@ def split_mixture(outputs: Array, candidates: Array) -> tuple[Array, Array]:
     return outputs[..., :count], weights / weights.sum(axis=-1, keepdims=True)
 
 
-def readings(outputs: dict[str, Array], candidates: dict[str, Array]) -> dict[str, Array]:
-    """Combine outputs of `read` with the candidates of `candidates_of`; other outputs stay."""
-    combined = {
-        name: mixed(outputs[name].reshape(*given.shape[:-1], -1), given).reshape(len(given), -1)
-        for name, given in candidates.items()
-    }
-    return {**outputs, **combined}
-
-
-def candidates_of(even: Float32s, quiet: Float32s, starts: Int64s) -> dict[str, Array]:
+def candidates_of(even: Float32s, quiet: Float32s, counts: Int64s) -> dict[str, Array]:
     """Return candidate estimates of log2(deviation + OFFSET), along the last axis.
 
     "total", shape (N, 1, M), and "deviations" by scale and component, shape (N, 12, M), are made from the deviations in
@@ -132,8 +135,7 @@ def candidates_of(even: Float32s, quiet: Float32s, starts: Int64s) -> dict[str, 
     relative to the mean of their picture.
     """
     of_squares = log_of(4.0**quiet - FLOOR).mean(axis=1)
-    counts = np.diff(np.append(starts, len(quiet)))
-    of_squares -= np.repeat(np.add.reduceat(of_squares, starts) / counts, counts)
+    of_squares -= np.repeat(np.add.reduceat(of_squares, starts_of(counts)) / counts, counts)
     places = np.stack([of_squares, np.zeros_like(of_squares)], axis=-1)
     return {**_candidates_of_even(even), "places": places[:, None]}
 
@@ -189,6 +191,19 @@ class Weights:
 
 
 @cache
-def weights_of(kind: str) -> Weights:
-    """Return the weights for a kind of neighbourhoods: "grid" or "cluster"."""
-    return Weights.load(Path(__file__).with_name(f"{kind}_weights.npz"))
+def weights_of(kind: str, name: str = "weights") -> Weights:
+    """Return the weights for a kind of neighbourhoods, "grid" or "cluster"; "sizes": those of the network of `size`."""
+    return Weights.load(Path(__file__).with_name(f"{kind}_{name}.npz"))
+
+
+def read(samples: Samples, weights: Weights) -> tuple[dict[str, Array], Array]:
+    """Return the readings and the context of samples, and the candidates of the total, shape (1, 1, M)."""
+    cells, counts = samples.cells(), np.array([samples.where.count])
+    of_even, deviations = describe_even_cells(cells)
+    squares = weights.standardised("squares", describe(samples.features(), cells))
+    even = weights.standardised("even", of_even[None])
+    outputs = forward(Layers(weights.layers), squares, counts, even)
+    candidates = candidates_of(deviations[None], quiet_deviations(cells[0]), counts)
+    for name, given in candidates.items():
+        outputs[name] = mixed(outputs[name].reshape(*given.shape[:-1], -1), given).reshape(len(given), -1)
+    return outputs, candidates["total"]

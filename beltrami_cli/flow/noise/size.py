@@ -9,8 +9,6 @@ that there is no noise, and into probabilities of its strength relative to the f
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -99,27 +97,15 @@ class Size:
         return max(0.0, float(2 ** np.interp(share, sums, EDGES) * (self.first + OFFSET)) - OFFSET)
 
 
-def read(weights: Weights, rows: Float32s) -> Array:
-    """Return the probabilities of no noise, and of the bins between `EDGES`, shape (N, len(EDGES)).
-
-    `rows` are evidence, shape (N, F).
-    """
+def sizes_of(weights: Weights, rows: Float32s, first: Float64s) -> list[Size]:
+    """Read the distributions from the results of `evidence`."""
     values: Any = weights.standardised("evidence", rows)
     layers = Layers(weights.layers)
     for name in LAYERS:
         values = layers.dense(values, name, is_last=name == LAYERS[-1])
-    shares: Array = np.exp(values - values.max(axis=1, keepdims=True))
-    return np.asarray(shares / shares.sum(axis=1, keepdims=True))
-
-
-def sizes_of(weights: Weights, rows: Float32s, first: Float64s) -> list[Size]:
+    exponentials: Array = np.exp(values - values.max(axis=1, keepdims=True))
+    probabilities = (exponentials / exponentials.sum(axis=1, keepdims=True)).astype(np.float64)
     return [
         Size(float(reading), float(none), np.array(shares) / max(1e-12, sum(shares)))
-        for reading, (none, *shares) in zip(first, read(weights, rows).astype(np.float64), strict=True)
+        for reading, (none, *shares) in zip(first, probabilities, strict=True)
     ]
-
-
-@cache
-def size_weights(kind: str) -> Weights:
-    """Return the weights of the second network for a kind of neighbourhoods: "grid" or "cluster"."""
-    return Weights.load(Path(__file__).with_name(f"{kind}_sizes.npz"))
