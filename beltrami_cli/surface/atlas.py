@@ -33,6 +33,7 @@ EMPTY, OWNED, HALO = 0, 1, 2
 # Weights of the least-squares line through values 1/2, 3/2 and 5/2 texels from a seam, evaluated at the seam.
 _EXTRAPOLATION = np.array([13, 4, -5]) / 12
 REACH = len(_EXTRAPOLATION)
+_CELLS = 1 << 14  # whose areas are measured at a time, in the processor's cache
 
 
 @dataclass(frozen=True)
@@ -230,3 +231,26 @@ def lines_over_seams(atlas: Atlas, reach: int) -> list[list[Int64s]]:
             fits &= inside & (owned if number < reach else beyond)[np.where(inside, cells, 0)]
         lines.append([cells[fits] for cells in line])
     return lines
+
+
+def texel_areas(atlas: Atlas) -> Float64s:
+    """Return the surface area of each owned cell, shape (T,), in the surface's own unit squared."""
+    columns, filled = atlas.kind.shape[1], atlas.kind.reshape(-1) != EMPTY
+    squared_lengths = atlas.squared_lengths[:3].reshape(3, -1)
+    areas = np.empty(len(atlas.owned_cells))
+    for block in large_arrays.blocks(len(areas), _CELLS):
+        total, count = np.zeros((2, block.stop - block.start))
+        # The mean of the squares of four cells around it; all cells around an owned one lie on the canvas.
+        for offset in (0, 1, columns, columns + 1):
+            first = atlas.owned_cells[block] - offset
+            # A parallelogram: |a x b|^2 = |a|^2 |b|^2 - (a . b)^2, where a . b follows from |a + b|^2.
+            a, b, c = squared_lengths[:, first].astype(np.float64)
+            known = np.isfinite(a + b + c)
+            for corner in (0, 1, columns, columns + 1):
+                known &= filled[first + corner]
+            a, b, c = np.where(known, (a, b, c), 0)
+            total += np.sqrt(np.maximum(a * b - ((c - a - b) / 2) ** 2, 0))
+            count += known
+        areas[block] = np.divide(total, count, out=np.full(len(total), np.nan), where=count > 0)
+    measured = np.isfinite(areas)
+    return np.where(measured, areas, areas[measured].mean() if measured.any() else 1.0)

@@ -16,7 +16,7 @@ from beltrami_cli.formats.bounded_text import REPORT, parse_json, text_in
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.document import Document
 from beltrami_cli.jobs.compare.figures import Measured, figures
-from beltrami_cli.jobs.compare.files import ALL_SLOTS, Compared, compare_documents, open_both
+from beltrami_cli.jobs.compare.files import ALL_SLOTS, ComparedDocuments, compare_documents, open_both
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.progress import Progress, tracked
 from beltrami_cli.jobs.writing.output import Output
@@ -67,8 +67,8 @@ def report_file(
 
 
 def _page(
-    names: Sequence[str], compared: Compared, documents: tuple[Document, Document], used: dict[str, Any] | None, *,
-    full_size: bool, progress: Progress | None,
+    names: Sequence[str], compared: ComparedDocuments, documents: tuple[Document, Document],
+    used: dict[str, Any] | None, *, full_size: bool, progress: Progress | None,
 ) -> tuple[bytes, list[str]]:  # fmt: skip
     short = distinct_labels(names)
     differing = compared.differing()

@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from beltrami_cli.jobs.compare.figures import ComparedColours, measure
+from beltrami_cli.jobs.compare.figures import ComparedPart, measure
 from beltrami_cli.view import report
 from beltrami_cli.view.parameter_tables import used_parameters
 from beltrami_cli.view.report_charts import histogram
@@ -24,7 +24,7 @@ def test_changes_by_whole_numbers_are_counted_evenly(largest):
     before = np.where(change < 0, 250, 5)
     one, other = [(values / np.float32(255)).astype(np.float32) for values in (before, before + change)]
     about = {"name": "x", "kind": "vertices", "index": np.arange(len(change)), "space": "data"}
-    part = ComparedColours(**about, read=lambda rows: (one[rows], other[rows]))
+    part = ComparedPart(**about, read=lambda rows: (one[rows], other[rows]))
     (line,) = histogram([measure(part)], largest)["lines"]
     heights = [float(point.split(",")[1]) for point in line["points"].split()]
     assert len(set(heights[2:-2])) == 1

@@ -5,10 +5,9 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from beltrami_cli.jobs.compare.figures import _BLOCK, ComparedColours, figures, measure
-from beltrami_cli.jobs.compare.seams import texel_areas
+from beltrami_cli.jobs.compare.figures import _BLOCK, ComparedPart, figures, measure
 from beltrami_cli.jobs.compare.similarity import cie_lab, delta_e_2000, structural_similarity
-from beltrami_cli.surface.atlas import build_atlas
+from beltrami_cli.surface.atlas import build_atlas, texel_areas
 from beltrami_cli.surface.geometry import triangle_areas
 from jobs.cut_boards import BOARD
 
@@ -66,7 +65,7 @@ def test_structural_similarity_takes_no_notice_of_what_does_not_count():
 
 def measured(reference, test, weights):
     return measure(
-        ComparedColours(
+        ComparedPart(
             name="p", kind="vertices", index=np.arange(len(reference)), space="data",
             weights=np.asarray(weights, float), read=lambda rows: (reference[rows], test[rows]),
         )
@@ -93,7 +92,7 @@ def test_the_psnr_of_the_slightest_error_is_exact(error):
 
 def test_figures_keep_three_numbers_in_single_precision_of_a_sample():
     count = 1 << 19
-    part = ComparedColours(
+    part = ComparedPart(
         name="p", kind="vertices", index=np.zeros(count, np.int8), space="srgb",
         read=lambda rows: (np.zeros((len(rows), 1), np.float32), np.full((len(rows), 1), 0.5, np.float32)),
     )  # fmt: skip

@@ -22,7 +22,7 @@ _SAMPLES_SHARE = 0.7  # of the time of an image: 4.6 s of 16.7 million samples, 
 
 
 @dataclass(frozen=True, kw_only=True)
-class ComparedColours:
+class ComparedPart:
     """A texture, an image, or the vertices of a mesh, in two files; its colours are read block by block."""
 
     name: str
@@ -52,7 +52,10 @@ class ComparedColours:
         covered.reshape(-1)[self.index] = True
         return covered
 
-    def is_near_seam(self) -> Bools:
+    def sample_weights(self) -> Float64s:
+        return np.broadcast_to(1.0, len(self.index)) if self.weights is None else self.weights
+
+    def seam_mask(self) -> Bools:
         return np.zeros(len(self.index), bool) if self.near_seams is None else self.near_seams
 
     def read_rows(self, rows: slice) -> Pair:
@@ -67,7 +70,7 @@ class ComparedColours:
 class Measured:
     """The differences of the samples of one part; `figures` combines several."""
 
-    part: ComparedColours
+    part: ComparedPart
     errors: Float32s  # (S,): the largest in any channel
     rms: Float32s  # (S,): root mean squares over the channels; squares could vanish in single precision
     delta_e: Float32s  # (S,): CIEDE2000 differences; NaN where the numbers are not colours
@@ -91,7 +94,7 @@ class Measured:
         }  # fmt: skip
 
 
-def measure(part: ComparedColours, tick: Callable[[float], None] = lambda share: None) -> Measured:
+def measure(part: ComparedPart, tick: Callable[[float], None] = lambda share: None) -> Measured:
     """Go through the samples of a part, and the windows of an image; `tick` is called with the share that is done."""
     first, samples = 1.0 if part.size is None else _SAMPLES_SHARE, len(part.index)
     errors, rms, delta_e = (large_arrays.empty(samples, np.float32) for _ in range(3))
@@ -117,9 +120,9 @@ def figures(measured: Sequence[Measured]) -> dict[str, Any]:
     rms = _joined([each.rms for each in measured])
     delta_e = _joined([each.delta_e for each in measured])
     is_weighted = any(part.weights is not None for part in parts)
-    weights = _joined([_weights(part) for part in parts]) if is_weighted else None
-    near = np.concatenate([np.zeros(0, bool), *(part.is_near_seam() for part in parts)])
-    structured = [(each.ssim, _weights(each.part).sum()) for each in measured if each.ssim is not None]
+    weights = _joined([part.sample_weights() for part in parts]) if is_weighted else None
+    near = np.concatenate([np.zeros(0, bool), *(part.seam_mask() for part in parts)])
+    structured = [(each.ssim, each.part.sample_weights().sum()) for each in measured if each.ssim is not None]
     worst = [each.worst() for each in measured if len(each.errors)]
     return {
         "samples": len(rms),
@@ -135,10 +138,6 @@ def figures(measured: Sequence[Measured]) -> dict[str, Any]:
 
 def _joined(arrays: Sequence[Array]) -> Array:
     return arrays[0] if len(arrays) == 1 else np.concatenate(arrays or [np.zeros(0)])
-
-
-def _weights(part: ComparedColours) -> Float64s:
-    return np.broadcast_to(1.0, len(part.index)) if part.weights is None else part.weights
 
 
 def _known(values: Array, weights: Float64s | None) -> tuple[Array, Float64s | None]:

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.parameters import Weights
 from beltrami_cli.formats.document import Document
-from beltrami_cli.jobs.compare.figures import ComparedColours, Measured, figures, measure
+from beltrami_cli.jobs.compare.figures import ComparedPart, Measured, figures, measure
 from beltrami_cli.jobs.compare.limits import Verdict, check_limits, check_moves
 from beltrami_cli.jobs.compare.maps import draw_map, open_map
 from beltrami_cli.jobs.compare.parts import compare_images, compare_textures, compare_vertices
@@ -101,7 +100,7 @@ def compare_files(
     )  # fmt: skip
 
 
-def require_samples(parts: Sequence[ComparedColours], name: str) -> None:
+def require_samples(parts: Sequence[ComparedPart], name: str) -> None:
     """Raise InputError if nothing can be compared, or parts weighted by area have none."""
     if not sum(len(part.index) for part in parts):
         raise InputError(
@@ -116,7 +115,7 @@ def require_samples(parts: Sequence[ComparedColours], name: str) -> None:
 
 
 @dataclass(frozen=True)
-class Compared:
+class ComparedDocuments:
     """The common parts of two documents, and their differences."""
 
     measured: list[Measured]  # the vertices first
@@ -125,7 +124,7 @@ class Compared:
     notices: tuple[str, ...] = ()
 
     @property
-    def parts(self) -> list[ComparedColours]:
+    def parts(self) -> list[ComparedPart]:
         return [measured.part for measured in self.measured]
 
     def differing(self) -> list[Measured]:
@@ -159,28 +158,29 @@ def compare_documents(
     weights: Weights,
     job: Job = PLAIN_JOB,
     further: Sequence[str] = (),
-) -> Compared:
+) -> ComparedDocuments:
     """Compare the colours of two models, or of two images; `further` phases of progress follow."""
     selection, notices = choose_parts(documents, settings)
     samples = sum(selection.work())
     job.expect(phases_of(["comparing", "measuring", *further], samples))
     for document in documents:
         dataclasses.replace(selection, document=document).require_memory()
-    steps: list[Callable[[], list[ComparedColours]]] = []
-    if selection.image:
-        steps.append(lambda: [compare_images(documents, settings, job.access)])
-    if selection.vertices:
-        is_extra = bool(selection.slots)
-        steps.append(lambda: [compare_vertices(documents, settings, weights, is_extra=is_extra)])
-    for slot in selection.slots:
-        options = {"is_extra": slot != selection.slots[0]}
-        steps.append(partial(compare_textures, documents, slot, settings, weights, job.access, **options))
-    parts = [part for step in tracked(steps, "comparing", job.progress) for part in step()]
+    parts = list[ComparedPart]()
+    without_slot = [None] * (selection.image or selection.vertices)
+    for slot in tracked([*without_slot, *selection.slots], "comparing", job.progress):
+        if slot is not None:
+            is_extra = slot != selection.slots[0]
+            parts += compare_textures(documents, slot, settings, weights, job.access, is_extra=is_extra)
+        elif selection.image:
+            parts.append(compare_images(documents, settings, job.access))
+        else:
+            is_extra = bool(selection.slots)
+            parts.append(compare_vertices(documents, settings, weights, is_extra=is_extra))
     moves = None if selection.image else moves_between(documents, selection)
-    return Compared(_measured(parts, job), moves, selection.slots, tuple(notices))
+    return ComparedDocuments(_measure_all(parts, job), moves, selection.slots, tuple(notices))
 
 
-def _measured(parts: Sequence[ComparedColours], job: Job) -> list[Measured]:
+def _measure_all(parts: Sequence[ComparedPart], job: Job) -> list[Measured]:
     total, done, measured = sum(len(part.index) for part in parts), 0, []
     progress = job.progress_of("measuring")
 

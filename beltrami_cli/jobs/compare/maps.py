@@ -14,7 +14,7 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.ply.writer import write_scalars_as_ply
-from beltrami_cli.jobs.compare.figures import ComparedColours, Measured
+from beltrami_cli.jobs.compare.figures import ComparedPart, Measured
 from beltrami_cli.jobs.writing.output import Output, Overwrite
 from beltrami_cli.layers.settings import IMAGE_SUFFIXES, SmoothSettings
 from beltrami_cli.surface import large_arrays
@@ -75,7 +75,7 @@ def _draw_vertices(measured: Measured, amounts: Float64s, scale: float, document
     return write_scalars_as_ply(np.nan_to_num(vertices.positions), vertices.faces, shades, scalars)
 
 
-def _image_of(part: ComparedColours, values: Float64s) -> Uint8s:
+def _image_of(part: ComparedPart, values: Float64s) -> Uint8s:
     """Draw values of samples, white where nothing is compared."""
     covered, drawn = part.covered(), np.empty((*part.covered().shape, 3), np.uint8)
     plane = np.zeros(covered.shape, np.float32)

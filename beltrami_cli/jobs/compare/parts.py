@@ -4,28 +4,26 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Float32s, Float64s, Indices, Int32s
+from beltrami_cli.arrays import Bools, Float32s, Float64s, Indices, Int32s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.flow.parameters import Weights
 from beltrami_cli.formats.access import Access
-from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import DecodedImage, read_texture
 from beltrami_cli.formats.image.decoded_image import full_scale_one
 from beltrami_cli.formats.image.sizes import require_memory
-from beltrami_cli.jobs.compare.figures import ComparedColours, Pair
+from beltrami_cli.jobs.compare.figures import ComparedPart, Pair
 from beltrami_cli.jobs.compare.same_model import (
     Documents,
     matching_textures,
     require_one_model,
     require_same_size,
 )
-from beltrami_cli.jobs.compare.seams import near_seams, seam_steps, texel_areas
 from beltrami_cli.layers.channels import choose_channels
 from beltrami_cli.layers.image_layer import ImageLayer
 from beltrami_cli.layers.pixel_colours import PixelColours
@@ -33,19 +31,28 @@ from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.layers.texture_groups import choose_textures
 from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import texels_by_texture
+from beltrami_cli.surface.atlas import (
+    REACH,
+    Atlas,
+    at_seam,
+    lines_over_seams,
+    texel_areas,
+    texels_by_texture,
+)
 from beltrami_cli.surface.colour_values import to_space
 from beltrami_cli.surface.geometry import vertex_areas
 from beltrami_cli.surface.grouping import group_places
+from beltrami_cli.surface.gutters import within
 from beltrami_cli.surface.points import with_surface
 from beltrami_cli.surface.records import ColouredVertices, Slot
 
+_SEAM_DISTANCE = 4  # texels from a seam that count as near
 _OPACITY_TOLERANCE = 0.75 / 255  # below a step of 8 bits, in which opacity is stored
 
 
 def compare_vertices(
     documents: Documents, settings: SmoothSettings, weights: Weights, *, is_extra: bool
-) -> ComparedColours:
+) -> ComparedPart:
     """Match the vertex colours of two models; `is_extra`: textures are compared, too."""
     one, other = _on_one_scale(*(document.coloured_vertices() for document in documents))
     require_one_model(documents, (one, other))
@@ -68,7 +75,7 @@ def compare_vertices(
     place, _ = group_places(one.positions[rows], None if one.space_of is None else one.space_of[rows])
     split = np.bincount(place)[place] > 1 if len(place) else np.zeros(0, bool)
     opacities = (None if each.kind == "volume" else each.contents().alpha for each in documents)
-    return ComparedColours(
+    return ComparedPart(
         name="vertex colours", kind="vertices", index=rows, read=read, space=space,
         weights=_vertex_areas(one, rows, settings) if weights == "area" else None,
         near_seams=split if split.any() else None,
@@ -123,9 +130,7 @@ def _vertex_jumps(colours: list[Float32s], place: Int32s) -> tuple[Float64s, Flo
     return reference[several].astype(np.float64), test[several].astype(np.float64)
 
 
-def compare_images(
-    documents: Sequence[Document], settings: SmoothSettings, access: Access
-) -> ComparedColours:
+def compare_images(documents: Documents, settings: SmoothSettings, access: Access) -> ComparedPart:
     """Match the pixels of two images that are visible and finite in the reference."""
     names = [document.name for document in documents]
     slots = settings.textures.slots or DEFAULTS.textures.slots  # which images do without
@@ -141,7 +146,7 @@ def compare_images(
     if count := int(np.count_nonzero(~other.finite(images[1])[valid])):
         raise InputError(names[1], f"{count} of its pixels are not finite numbers, but are in {names[0]}")
     opacities = [None if "alpha" in one.names else _opacity(image) for image in images]
-    return ComparedColours(
+    return ComparedPart(
         name="image", kind="image", index=large_arrays.find(valid, True),
         read=partial(_both_colours, (one, images[0]), (other, images[1])),
         space=settings.space if set(one.names) <= {"red", "green", "blue", "grey"} else "data",
@@ -152,7 +157,7 @@ def compare_images(
 def compare_textures(
     documents: Documents, slot: Slot, settings: SmoothSettings, weights: Weights, access: Access,
     *, is_extra: bool,
-) -> list[ComparedColours]:  # fmt: skip
+) -> list[ComparedPart]:  # fmt: skip
     """Match the textures of a slot, each a part; `is_extra`: equal files need only a notice."""
     reference, test = documents
     surface = reference.textured(slot)
@@ -165,7 +170,7 @@ def compare_textures(
     if is_extra and [texture.data for texture in before] == [texture.data for texture in after]:
         nothing = np.zeros((0, 3), np.float32)
         return [
-            ComparedColours(
+            ComparedPart(
                 name=name, kind="texture", index=np.zeros(0, np.int64), read=lambda _: (nothing, nothing),
                 space="data", is_identical=True,
             )
@@ -185,11 +190,11 @@ def compare_textures(
 
 def _by_texture(
     one: TextureLayer, other: TextureLayer, names: Sequence[str], weights: Weights
-) -> list[ComparedColours]:
+) -> list[ComparedPart]:
     """Split two layers with one atlas into parts by texture."""
-    atlas, parts = one.atlas, list[ComparedColours]()
-    areas, near = texel_areas(atlas) if weights == "area" else None, near_seams(atlas)
-    (cells, before), (_, after) = (seam_steps(atlas, each.texel_colours) for each in (one, other))
+    atlas, parts = one.atlas, list[ComparedPart]()
+    areas, near = texel_areas(atlas) if weights == "area" else None, _near_seams(atlas)
+    (cells, before), (_, after) = (_seam_steps(atlas, each.texel_colours) for each in (one, other))
     texture_of = np.searchsorted(atlas.texture_offsets, atlas.owned_texels[cells], side="right") - 1
     shown = atlas.owned_texels, np.concatenate([atlas.border_texels, atlas.lone_texels])
     owned, around = (
@@ -205,7 +210,7 @@ def _by_texture(
             beyond = beyond[~one.colours.hidden(old, beyond)]
         here, near_here = texture_of == index, near[inside]
         parts.append(
-            ComparedColours(
+            ComparedPart(
                 name=names[index], kind="texture", index=texels, read=read, space=one.colours.space,
                 weights=None if areas is None else areas[inside],
                 near_seams=near_here if near_here.any() else None,
@@ -215,6 +220,35 @@ def _by_texture(
             )
         )  # fmt: skip
     return parts
+
+
+def _near_seams(atlas: Atlas) -> Bools:
+    """Return which owned cells are within 4 texels of a seam, shape (T,)."""
+    at_border = np.zeros(atlas.kind.shape, bool)
+    for inner, *_ in lines_over_seams(atlas, 1):
+        at_border.reshape(-1)[inner] = True
+    # Charts are further apart on the canvas than this reaches.
+    return within(at_border, _SEAM_DISTANCE - 1).reshape(-1)[atlas.owned_cells]
+
+
+def _seam_steps(atlas: Atlas, colours: Callable[[Indices], Float32s]) -> tuple[Int64s, Float64s]:
+    """Return the owned cells at seams and the jump there, mean over channels; `colours` reads cells by their rows."""
+    # The colours of three texels on a line across the seam are extrapolated to it, from both sides.
+    lines = np.concatenate([np.stack(line) for line in lines_over_seams(atlas, REACH)], axis=1)
+    cells = np.searchsorted(atlas.owned_cells, lines[0])
+    steps = np.empty(len(cells))
+    for block in large_arrays.blocks(len(cells), large_arrays.SCATTERED):
+        values = [colours(np.searchsorted(atlas.owned_cells, inner)) for inner in lines[:REACH, block]]
+        for here, beyond in zip(values, lines[REACH:, block], strict=True):
+            halo = np.searchsorted(atlas.halo_cells, beyond)
+            # Cells that are owned no more have the weight 0.
+            taps = np.minimum(
+                np.searchsorted(atlas.owned_cells, atlas.halo_taps[halo]), len(atlas.owned_cells) - 1
+            )
+            tapped = colours(taps.reshape(-1)).reshape(*taps.shape, -1)
+            np.subtract(np.einsum("ht,htn->hn", atlas.halo_weights[halo], tapped), here, out=here)
+        steps[block] = np.abs(at_seam(values)).mean(axis=1)
+    return cells, steps
 
 
 def _both_colours(
