@@ -22,15 +22,19 @@ from copy import copy
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
+
+import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError, NoColoursError, Obstacle
 from beltrami_cli.formats.access import DEFAULT_ACCESS, Access
 from beltrami_cli.formats.changes import NO_IMAGES, Changes, Naming, NewImages, PlannedImages, Written
+from beltrami_cli.formats.colours import BYTE, holds_bytes
 from beltrami_cli.formats.comparison import Fingerprint
 from beltrami_cli.formats.image import DecodedImage
 from beltrami_cli.formats.image.reading import KeptImage
+from beltrami_cli.formats.scene import Scene
 from beltrami_cli.surface import records
 from beltrami_cli.surface.polygons import triangulate
 from beltrami_cli.surface.records import ColouredVertices
@@ -173,14 +177,13 @@ class Document(ABC):
         return tuple(found) if found or self.has_vertex_colours() else slots
 
     def _gathered(self, slot: records.Slot) -> records.TexturedSurface:
-        surface: records.TexturedSurface
         surface, notices = self._scene.surface(slot, self._undefined())
         self.notices += notices
         return surface
 
     @property
-    def _scene(self) -> Any:
-        """Its polygons and materials, a `Scene`; InputError if it has no textures."""
+    def _scene(self) -> Scene:
+        """Its polygons and materials; InputError if it has no textures."""
         raise InputError(self.name, "it has no textures")
 
     def _undefined(self) -> Obstacle | None:
@@ -214,16 +217,44 @@ class Document(ABC):
         return ()
 
     def contents(self) -> records.MeshContents:
-        """Return the mesh of the coloured vertices for another format; InputError as `coloured_vertices`."""
+        """Return the mesh of the coloured vertices as the file has it; InputError as `coloured_vertices`."""
         return self._mesh
 
     def colours_at_vertices(self, colours: Float32s) -> Float32s:
         """Return colours, rows as in `patch`, with rows as in `contents`: others if the colours are of faces."""
         return colours
 
+    def vertex_mesh(self, colours: Float32s | None = None) -> records.MeshContents:
+        """Return the mesh of the coloured vertices for another format; `colours` as in `patch`."""
+        mesh, shown = self.contents(), self.coloured_vertices()
+        # Where the stored type does not determine the one in another format, the colours do.
+        says_little = mesh.stored == "text" or shown.assumed_scale == BYTE
+        are_bytes = (
+            says_little and holds_bytes(shown.colours) and (mesh.alpha is None or holds_bytes(mesh.alpha))
+        )
+        return replace(
+            mesh,
+            colours=mesh.colours if colours is None else self.colours_at_vertices(colours),
+            stored="uint8" if are_bytes else mesh.stored,
+        )
+
     def textured_mesh(self, colours: Float32s | None = None) -> records.MeshContents:
         """Return all polygons with materials and images for another format; `colours` as in `patch`."""
         raise InputError(self.name, f"the textures of a {self.format} file cannot be converted")
+
+    def _with_vertex_colours(
+        self, mesh: records.MeshContents, colours: Float32s | None
+    ) -> records.MeshContents:
+        """Add vertex colours, as in `patch`, to a textured mesh if both have the same vertices."""
+        if not self.has_vertex_colours():
+            return mesh
+        shown = self.vertex_mesh(colours)
+        if not np.array_equal(shown.positions, mesh.positions):
+            lost = "vertex colours, which are not one for each vertex"
+            return replace(mesh, left_out=(*mesh.left_out, lost))
+        return replace(
+            mesh, colours=shown.colours, alpha=shown.alpha, encoding=shown.encoding, stored=shown.stored
+        )
 
     def with_colours(
         self, vertices: ColouredVertices | None, images: Mapping[tuple[records.Slot, str], bytes]

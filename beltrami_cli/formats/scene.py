@@ -15,8 +15,8 @@ from beltrami_cli.arrays import Array, Bools, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, NoColoursError, Obstacle
 from beltrami_cli.formats.access import LARGE
 from beltrami_cli.formats.image.file_formats import suffix_for
+from beltrami_cli.formats.mesh_contents import MaterialMaps, with_material_per_tile
 from beltrami_cli.formats.new_files import TileSets
-from beltrami_cli.formats.textured_mesh import MaterialMaps, with_material_per_tile
 from beltrami_cli.surface import tiling
 from beltrami_cli.surface.polygons import polygons_of, polygons_with, triangulate_corners
 from beltrami_cli.surface.records import (

@@ -9,7 +9,6 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.conversion import vertex_mesh
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import DecodedImage, read_texture, without_alpha, write_image
 from beltrami_cli.formats.image.decoded_image import full_scale_one, new_image
@@ -95,7 +94,7 @@ def texture_from_vertices(
 ) -> NewTexture:
     """Interpolate vertex colours, or the given ones, shape (V, C), at the texels of a new texture."""
     # The stored numbers (in glTF linear light) are interpolated, and rounded once.
-    contents = vertex_mesh(document, colours)
+    contents = document.vertex_mesh(colours)
     faces = triangulate(contents.positions, contents.corners, contents.offsets)
     if not len(faces):
         remedy = "a texture needs a surface; mesh the points first"

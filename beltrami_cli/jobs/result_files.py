@@ -13,12 +13,11 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.formats import output_format
 from beltrami_cli.formats.changes import Naming, Written
 from beltrami_cli.formats.colours import as_in_file
-from beltrami_cli.formats.conversion import vertex_mesh
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.file_formats import suffix_for
 from beltrami_cli.formats.image_document import ImageDocument
+from beltrami_cli.formats.mesh_contents import with_images, with_suffixes
 from beltrami_cli.formats.output_format import OutputFormat
-from beltrami_cli.formats.textured_mesh import with_images, with_suffixes
 from beltrami_cli.layers.selection import Selection
 from beltrami_cli.layers.storing import StoredColours, all_images
 from beltrami_cli.surface.geometry import vertex_normals
@@ -39,7 +38,7 @@ def files_with_new_colours(
     if kind.is_patched:
         return document.patch(colours, naming, images=images, places=moved, form=kind.name)
     if not _has_textures(document, kind):
-        mesh = _with_positions(vertex_mesh(document, colours), moved)
+        mesh = _with_positions(document.vertex_mesh(colours), moved)
     elif moved is None:
         mesh = with_images(document.textured_mesh(colours), images)
     else:

@@ -5,8 +5,8 @@ import pytest
 import trimesh
 
 from beltrami_cli.formats.image import read_image
+from beltrami_cli.formats.mesh_contents import triangulated
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.formats.textured_mesh import triangulated
 from beltrami_cli.jobs.smooth import smooth_file
 from cli.commands import SAMPLES
 from formats.gltf_comparison import issues, needs_validator

@@ -8,7 +8,6 @@ import pytest
 import trimesh
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.conversion import vertex_mesh
 from beltrami_cli.formats.output_format import write_mesh
 from beltrami_cli.formats.registry import FORMATS, open_bytes
 from beltrami_cli.surface.colour_values import linear_to_srgb
@@ -148,7 +147,7 @@ def test_colours_become_bytes_where_these_hold_them(name, scale, digits, kept):
         )
         text = "\n".join(["ply", "format ascii 1.0", "element vertex 256", *shorts, "end_header", text, ""])
     document = open_bytes(text.encode(), name, None)
-    written = joined(write_mesh(vertex_mesh(document), "ply", "x"))
+    written = joined(write_mesh(document.vertex_mesh(), "ply", "x"))
     found = open_bytes(written, "x.ply", None).coloured_vertices()
     assert found.stored == kept
     np.testing.assert_allclose(found.colours, levels / (scale if scale > 1 else 255), atol=0.5e-5)
@@ -157,8 +156,8 @@ def test_colours_become_bytes_where_these_hold_them(name, scale, digits, kept):
 def test_opacity_is_not_rounded_to_bytes_with_colours_that_are_bytes():
     text = "v 0 0 0 0 0 1 0.123456\nv 1 0 0 0 1 0 0.5\n"
     document = open_bytes(text.encode(), "x.obj", None)
-    written = open_bytes(joined(write_mesh(vertex_mesh(document), "ply", "x")), "x.ply", None)
-    np.testing.assert_allclose(vertex_mesh(written).alpha, [0.123456, 0.5], atol=1e-7)
+    written = open_bytes(joined(write_mesh(document.vertex_mesh(), "ply", "x")), "x.ply", None)
+    np.testing.assert_allclose(written.vertex_mesh().alpha, [0.123456, 0.5], atol=1e-7)
 
 
 @pytest.mark.parametrize("form", ["obj", "ply"])

@@ -16,7 +16,6 @@ from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.colours import linear_colour, linear_colours, quantised
-from beltrami_cli.formats.conversion import not_converted
 from beltrami_cli.formats.gltf.accessors import COMPONENTS, Stored, padded_elements
 from beltrami_cli.formats.gltf.buffers import INDEX_DATA, VERTEX_DATA
 from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, glb_pieces
@@ -24,10 +23,11 @@ from beltrami_cli.formats.gltf.entries import Tree
 from beltrami_cli.formats.gltf.images import MEDIA, WRAPS
 from beltrami_cli.formats.gltf.materials import SLOT_PATHS
 from beltrami_cli.formats.gltf.primitives import OWN_COLOURS
-from beltrami_cli.formats.textured_mesh import (
+from beltrami_cli.formats.mesh_contents import (
     bare_polygons,
     image_names,
     normals_of_corners,
+    not_converted,
     plain_name,
     shown_materials,
     triangulated,

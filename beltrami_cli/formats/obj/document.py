@@ -16,7 +16,6 @@ from beltrami_cli.errors import InputError, NoColoursError, Obstacle
 from beltrami_cli.formats.changes import Changes, Naming, PlannedImages, Written
 from beltrami_cli.formats.colours import full_scale, opacity
 from beltrami_cli.formats.comparison import Fingerprint, labelled
-from beltrami_cli.formats.conversion import with_vertex_colours
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.edits import (
     PLACEHOLDER,
@@ -131,7 +130,7 @@ class ObjDocument(Document):
         return dataclasses.replace(self._mesh, alpha=self._alpha(), left_out=self._scan.dropped)
 
     def textured_mesh(self, colours: Float32s | None = None) -> MeshContents:
-        return with_vertex_colours(self._converted, self, colours)
+        return self._with_vertex_colours(self._converted, colours)
 
     @cached_property
     def _converted(self) -> MeshContents:

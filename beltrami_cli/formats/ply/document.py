@@ -17,7 +17,6 @@ from beltrami_cli.formats.changes import Changes, Naming, PlannedImages, Written
 from beltrami_cli.formats.coloured_polygons import ColouredPolygons, colours_of_vertices
 from beltrami_cli.formats.colours import quantised
 from beltrami_cli.formats.comparison import Fingerprint, labelled
-from beltrami_cli.formats.conversion import with_vertex_colours
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.model_folder import ModelFolder, is_outside
 from beltrami_cli.formats.ply import texturing
@@ -187,7 +186,7 @@ class PlyDocument(Document):
         has_others = self._header.comments > len(self._images)
         left_out = [what for what in dropped if what != "comments" or has_others]
         mesh = dataclasses.replace(self._scene.mesh(left_out), normals=self._normals())
-        return with_vertex_colours(mesh, self, colours)
+        return self._with_vertex_colours(mesh, colours)
 
     @property
     def _converted(self) -> set[str]:

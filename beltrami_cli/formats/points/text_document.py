@@ -21,8 +21,8 @@ from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.changes import Changes, Naming, Written
 from beltrami_cli.formats.colours import display_colours, quantised
 from beltrami_cli.formats.comparison import Fingerprint
-from beltrami_cli.formats.conversion import not_converted
 from beltrami_cli.formats.edits import new_colours, renumbered, without_tokens
+from beltrami_cli.formats.mesh_contents import not_converted
 from beltrami_cli.formats.points.cloud import PointsDocument, Tables
 from beltrami_cli.formats.points.columns import (
     NORMAL,

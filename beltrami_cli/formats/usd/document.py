@@ -13,7 +13,6 @@ from beltrami_cli.arrays import Array, Float32s, Int32s, Int64s
 from beltrami_cli.errors import InputError, NoColoursError, Obstacle
 from beltrami_cli.formats.changes import Changes, Naming, PlannedImages, Written
 from beltrami_cli.formats.comparison import Fingerprint, labelled
-from beltrami_cli.formats.conversion import with_vertex_colours
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.model_folder import IGNORED
 from beltrami_cli.formats.scene import SLOTS, Scene, ShownMap
@@ -180,7 +179,7 @@ class UsdDocument(Document):
     def textured_mesh(self, colours: Float32s | None = None) -> MeshContents:
         groups, normals = (self._contents.meshes, self._arrays["mesh_of"]), self._arrays["normals"]
         mesh = dataclasses.replace(self._scene.mesh(self._omitted(), groups, normals), frame=self.frame)
-        return with_vertex_colours(mesh, self, colours)
+        return self._with_vertex_colours(mesh, colours)
 
     def _omitted(self) -> list[str]:
         contents = self._contents

@@ -18,8 +18,13 @@ import numpy as np
 from beltrami_cli.arrays import Array, Int32s
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.colours import linear_colour, linear_colours
-from beltrami_cli.formats.conversion import not_converted
-from beltrami_cli.formats.textured_mesh import image_names, material_names, normals_of_corners, plain_name
+from beltrami_cli.formats.mesh_contents import (
+    image_names,
+    material_names,
+    normals_of_corners,
+    not_converted,
+    plain_name,
+)
 from beltrami_cli.formats.usd.layers import binary_layer
 from beltrami_cli.formats.usd.package import packed
 from beltrami_cli.surface.grouping import group_equal_rows

@@ -1,9 +1,9 @@
-"""Textured meshes for writers: what the target format cannot hold, and names of image files and materials."""
+"""Meshes for writers: what the target format cannot hold, and names of image files and materials."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import PurePosixPath
 
 import numpy as np
@@ -27,6 +27,16 @@ from beltrami_cli.surface.records import (
 MaterialMaps = Mapping[Slot, MaterialMap]
 _UNNAMED = "painted"  # name of materials without one
 _FALLBACK_SUFFIX = ".png"  # of images whose own type the format cannot hold
+
+
+def not_converted(mesh: MeshContents, further: Iterable[str] = (), *, keeps_frame: bool = False) -> list[str]:
+    """Return a notice of the losses of a conversion, if there are any."""
+    left = dict.fromkeys([*mesh.left_out, *further])
+    if mesh.frame.up != "Y" and not keeps_frame:
+        left |= {f"the axis that is up, which is {mesh.frame.up}": None}
+    if mesh.frame.unit != 1 and not keeps_frame:
+        left |= {f"the unit of {mesh.frame.unit:g} m": None}
+    return [f"Not converted: {'; '.join(left)}."] if left else []
 
 
 def bare_polygons(mesh: MeshContents) -> Bools:
