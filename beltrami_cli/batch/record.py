@@ -46,7 +46,6 @@ class Record:
         )
         self._latest = read_outcomes(path) if resume and is_there(path) else {}
         self.close([])  # removes the incomplete line of an interrupted run
-        self._output.overwrite = True  # from now on this run may replace it
 
     def latest(self, item: Item) -> Outcome | None:
         return self._latest.get(canonical_name(item.target))

@@ -69,12 +69,19 @@ class FileJob:
     watch: Stopwatch
     occupied: dict[str, None] = field(default_factory=dict)  # names in OUTPUT's folder that other models use
 
+    @property
+    def is_moved(self) -> bool:
+        """Whether output and source are in different folders."""
+        if "-" in (self.source, self.target):
+            return self.source != "-"
+        return Path(self.source).resolve().parent != Path(os.path.realpath(self.target)).parent
+
     def reserve(self, sidecars: Callable[[Naming], Iterable[str]]) -> Naming:
         """Return the naming of the output's sidecar files; OutputError if one of them must not be written."""
         if self.job.check is not None:
             self.job.check(self.document)
-        in_place, moved = _is_in_place(self.source, self.target), is_moved(self.source, self.target)
-        naming = Naming(Path(self.target).stem, in_place, moved, self._is_taken)
+        in_place = _is_in_place(self.source, self.target)
+        naming = Naming(Path(self.target).stem, in_place, self.is_moved, self._is_taken)
         names = sidecars(naming)
         if self.output is not None:
             self.output.check_sidecars(names)
@@ -88,10 +95,7 @@ class FileJob:
 
     def reserve_new(self, image_suffix: str | None) -> str:
         """Return an unused stem for the sidecar files of a new mesh with one texture or no texture."""
-
-        def names(stem: str) -> list[str]:
-            return output_format.sidecar_names(self.format.name, stem, image_suffix)
-
+        names = partial(output_format.sidecar_names, self.format.name, image_suffix=image_suffix)
         return self.reserve(lambda naming: names(naming.free_stem(names))).free_stem(names)
 
     def write(
@@ -131,7 +135,8 @@ def begin(
     """Open a source, and choose where the output goes in which format; UsageError or OutputError if it cannot."""
     watch, output, access = Stopwatch(), None, job.access
     if not job.dry_run:
-        output = Output(target, overwrite=job.overwrite, files=job.files)
+        references = partial(_references, target, access)
+        output = Output(target, overwrite=job.overwrite, files=job.files, references=references)
         output.files.guard(settings.input_files(source))
         access = output.files.watching(access)
     job.begin("reading")
@@ -140,10 +145,8 @@ def begin(
         if models_only and document.kind == "image":
             document.coloured_vertices()  # raises an error: it is not a model
         kind = choose_format(document, target, job.format)
-    if output is not None:
-        output.references = partial(_references, target, access)
-        if _is_in_place(source, target):
-            output.replaceable = frozenset(document.references())
+    if output is not None and _is_in_place(source, target):
+        output.replaceable = frozenset(document.references())
     return FileJob(source, target, replace(job, access=access), document, kind, output, watch)
 
 
@@ -182,10 +185,3 @@ def _references(name: str, access: Access) -> frozenset[str]:
 
 def _is_in_place(source: str, target: str) -> bool:
     return "-" not in (source, target) and Path(source).resolve() == Path(os.path.realpath(target))
-
-
-def is_moved(source: str, target: str) -> bool:
-    """Whether output and source are in different folders."""
-    if "-" in (source, target):
-        return source != "-"
-    return Path(source).resolve().parent != Path(os.path.realpath(target)).parent

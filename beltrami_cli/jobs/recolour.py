@@ -15,7 +15,7 @@ from typing import ClassVar, Generic, TypeVar
 
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.output_format import OutputFormat
-from beltrami_cli.jobs.file_job import FileReport, begin, is_moved
+from beltrami_cli.jobs.file_job import FileReport, begin
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.progress import phases_of
 from beltrami_cli.jobs.result_files import files_with_new_colours, sidecar_names, with_new_colours
@@ -94,9 +94,7 @@ def recolour(
         with watch.stage("write"):
             new = [each.stored for each in results]
             images, image_notices = all_images(new)
-            written = files_with_new_colours(
-                document, new, images, kind, naming, in_place=not is_moved(source, target)
-            )
+            written = files_with_new_colours(document, new, images, kind, naming, in_place=not file.is_moved)
         notices += [*(notice for each in new for notice in each.notices), *image_notices]
         warnings = [warning for each in results for warning in each.warnings]
         report = file.write(written, parameters, notices, warnings)

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, BinaryIO
 
 from beltrami_cli.formats.bounded_text import parse_json
 from beltrami_cli.jobs.writing.file_rights import PRIVATE, take_over
-from beltrami_cli.jobs.writing.locks import close, folders_locked, signals_deferred, try_lock
+from beltrami_cli.jobs.writing.locks import close_descriptor, folders_locked, signals_deferred, try_lock
 from beltrami_cli.jobs.writing.placing import TemporaryFile, identity_of, put, undo
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ class Journal:
 
     def close(self) -> list[OSError]:
         """Remove the temporary files, unless the next run needs them to roll back; return why some stay."""
-        close(self._descriptor)
+        close_descriptor(self._descriptor)
         return [] if self._is_needed else _remove(self._files, self._path)
 
     def _list(self, file: TemporaryFile) -> None:

@@ -26,7 +26,7 @@ def folders_locked(folders: Iterable[Path]) -> Iterator[None]:
                 descriptor = os.open(folder, os.O_RDONLY | getattr(os, "O_DIRECTORY", 0))
             except OSError:  # on Windows, or without permission to list it
                 continue
-            locks.callback(close, descriptor)  # which unlocks it
+            locks.callback(close_descriptor, descriptor)  # which unlocks it
             end = time.monotonic() + _LOCK_TIMEOUT
             while try_lock(descriptor) is False:
                 if time.monotonic() > end:
@@ -36,7 +36,7 @@ def folders_locked(folders: Iterable[Path]) -> Iterator[None]:
         yield
 
 
-def close(descriptor: int) -> None:
+def close_descriptor(descriptor: int) -> None:
     """Close a file or folder that was not written to since it was synchronised."""
     with contextlib.suppress(OSError):
         os.close(descriptor)

@@ -36,6 +36,7 @@ class Output:
     `what` it is, for messages: OUTPUT may replace the file that it was made of, all else replaces nothing that is read.
     `is_own` recognises what this program wrote by its first bytes, for `overwrite="own"`.
     `files` is the set that it belongs to, whose owner puts it in place; without one, `write` does so at once.
+    `references` reads the names of the sidecar files of the existing OUTPUT, which may be replaced.
     OutputError if it exists and must not be replaced, or its folder cannot be written to.
     """
 
@@ -49,6 +50,7 @@ class Output:
         is_own: Callable[[bytes], bool] = lambda head: False,
         files: FileSet | None = None,
         reads: Iterable[str] = (),
+        references: Callable[[], frozenset[str]] = frozenset,
     ) -> None:
         self.target, self.overwrite, self.what = target, bool(overwrite), what
         self.is_result = what == "OUTPUT"
@@ -63,9 +65,10 @@ class Output:
         # None for standard output and devices, which take one file only.
         self.folder = None if self.is_stdout or self.is_device else self.path.parent
         self._sidecars: tuple[str, ...] = ()
-        # Reads the names of the sidecar files of the existing OUTPUT, which may be replaced; and these, once read.
-        self.references: Callable[[], frozenset[str]] = frozenset
-        self.replaceable: frozenset[str] = frozenset()
+        self.references = references
+        self.replaceable: frozenset[str] = (
+            frozenset()
+        )  # the names that `references` returns, once they are needed
         self._is_alone = files is None
         self.files = FileSet(reads) if files is None else files
         self.files.add(self)

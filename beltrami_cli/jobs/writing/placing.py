@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from beltrami_cli.jobs.writing.file_rights import PRIVATE, take_over
-from beltrami_cli.jobs.writing.locks import close
+from beltrami_cli.jobs.writing.locks import close_descriptor
 
 # Size and modification time: a file keeps them when it is linked, renamed, or moved to another file system.
 Identity = tuple[int, int]
@@ -81,7 +81,7 @@ def put(file: TemporaryFile, *, keep: bool) -> None:
 
 def _copy(path: Path, copy: Path) -> None:
     """Copy a file with its rights and times."""
-    close(os.open(copy, os.O_CREAT | os.O_EXCL | os.O_WRONLY, PRIVATE))
+    close_descriptor(os.open(copy, os.O_CREAT | os.O_EXCL | os.O_WRONLY, PRIVATE))
     shutil.copyfile(path, copy)
     take_over(path, copy)
     status = path.stat()
@@ -99,7 +99,7 @@ def _put_new(temporary: Path, path: Path) -> None:
         raise
     except OSError:  # the file system has no hard links
         # Only one process can make the empty file, and may then replace it.
-        close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
+        close_descriptor(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
         try:
             temporary.replace(path)
         except OSError:
