@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from beltrami_cli.formats.foreign_library import ForeignLibrary
-from beltrami_cli.formats.usd.layers import carry_out
+from beltrami_cli.formats.usd.process import carry_out
 
 
 @pytest.fixture

@@ -4,10 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from beltrami_cli.formats.colours import clipped_factor, display_colour
 from beltrami_cli.surface.records import AlphaMode, Material, Slot, Wrap
+
+
+class SurfaceInput(NamedTuple):
+    """An input of a UsdPreviewSurface that images have values for."""
+
+    name: str
+    type: str
+    channel: str  # of the image
+
+
+INPUTS: dict[Slot, tuple[SurfaceInput, ...]] = {
+    "baseColor": (SurfaceInput("diffuseColor", "color3f", "rgb"),),
+    "emissive": (SurfaceInput("emissiveColor", "color3f", "rgb"),),
+    "normal": (SurfaceInput("normal", "normal3f", "rgb"),),
+    "occlusion": (SurfaceInput("occlusion", "float", "r"),),
+    "metallicRoughness": (SurfaceInput("roughness", "float", "g"), SurfaceInput("metallic", "float", "b")),
+}
 
 
 @dataclass(frozen=True)
@@ -65,7 +82,21 @@ class MaterialInputs:
 
 @dataclass(frozen=True)
 class SceneContents:
-    """A scene without its arrays."""
+    """A scene without its arrays, which are sent with it by name.
+
+    Of the V points, the P polygons and their K corners in all meshes, and the C colours of those that have any:
+
+    - positions (V, 3): in world space
+    - sizes (P,): corners of each polygon
+    - material_of, mesh_of (P,): indices into `materials` (-1: none) and `meshes`
+    - corners, rows (K,): indices of the points, and of the colours (-1: none)
+    - normals (K, 3): of unit length; NaN: none
+    - uv, "uv SLOT" (K, 2): texture coordinates, v up, as stored and as the images of a slot are placed; NaN: none
+    - colours (C, 3), opacity (C,): in linear light
+    - colour_vertex (C,): indices of the points
+
+    Those without rows may be missing.
+    """
 
     uses: tuple[TextureUse, ...]
     images: Mapping[str, str]  # all images that the layers name, by attribute

@@ -29,7 +29,7 @@ _VECTOR = re.compile(rb"\([^()]*\)")
 
 
 def edit(order: dict[str, Any], arrays: dict[str, Array]) -> tuple[dict[str, Any], dict[str, Array]]:
-    """Return the root layer with new colours and images, in the same form or in that of `suffix`."""
+    """Return the root layer with new colours and images, in the form of a suffix, or in its own ("")."""
     stage = opened(order["root"], order["layers"], order["refused"])
     blocks = [ColourBlock(**block) for block in order["blocks"]]
     root, before = stage.GetRootLayer(), _stored(stage, blocks, order["files"])
@@ -37,10 +37,11 @@ def edit(order: dict[str, Any], arrays: dict[str, Array]) -> tuple[dict[str, Any
         *(_recolour(stage, block, arrays["colours"][block.rows]) for block in blocks),
         *(_set(stage, path, Sdf.AssetPath(name)) for path, name in order["files"].items()),
     ]
-    made = None
-    if order["same"]:
-        made = _patched(Path(order["root"]), root, before, _stored(stage, blocks, order["files"]))
-    layer = _exported(root, order["suffix"]) if made is None else np.frombuffer(made, np.uint8)
+    made, file = None, Path(order["root"])
+    if not order["suffix"]:
+        made = _patched(file, root, before, _stored(stage, blocks, order["files"]))
+    suffix = order["suffix"] or file.suffix
+    layer = _exported(root, suffix) if made is None else np.frombuffer(made, np.uint8)
     return {"hides": any(hides)}, {"layer": layer}
 
 

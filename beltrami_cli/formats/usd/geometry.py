@@ -10,8 +10,8 @@ import numpy as np
 from pxr import Usd, UsdGeom, UsdShade
 
 from beltrami_cli.arrays import Array, Bools, Float64s, Int64s
-from beltrami_cli.formats.usd.contents import ColourBlock, MaterialInputs
-from beltrami_cli.formats.usd.materials import AS_STORED, INPUTS, ShownImage, UvMapping, read_material
+from beltrami_cli.formats.usd.contents import INPUTS, ColourBlock, MaterialInputs
+from beltrami_cli.formats.usd.materials import AS_STORED, ShownImage, UvMapping, read_material
 from beltrami_cli.surface.records import Slot
 
 _SMOOTH = ("vertex", "varying")
@@ -62,7 +62,7 @@ class Geometry:
             self.add(positions=points @ matrix[:3, :3] + matrix[3, :3])
         materials = self._materials_of(prim, len(polygons.sizes))
         rows = self._colour_rows(prim, polygons)
-        of_corners = self._coordinates(prim, polygons, materials) | {
+        of_corners = self._coordinates_by_slot(prim, polygons, materials) | {
             "corners": polygons.vertex + self._vertices,
             "rows": rows,
             "normals": _normals(mesh, polygons, matrix),
@@ -94,7 +94,7 @@ class Geometry:
             number_of[chosen[(chosen >= 0) & (chosen < count)]] = self._material(bound)
         return number_of
 
-    def _coordinates(self, prim: Any, polygons: _Polygons, materials: Int64s) -> dict[str, Array]:
+    def _coordinates_by_slot(self, prim: Any, polygons: _Polygons, materials: Int64s) -> dict[str, Array]:
         """Return the texture coordinates of corners in every slot, and the usual ones."""
         plain, bare = _coordinates(prim, AS_STORED, polygons), np.full((len(polygons.vertex), 2), np.nan)
         arrays: dict[str, Array] = {"uv": bare if plain is None else plain}

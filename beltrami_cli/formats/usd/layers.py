@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import posixpath
 import re
 from collections.abc import Mapping, Sequence
@@ -15,7 +14,7 @@ import numpy as np
 from beltrami_cli.arrays import Array, Float32s
 from beltrami_cli.errors import InputError, MemoryLimitError, Obstacle
 from beltrami_cli.formats.access import Access
-from beltrami_cli.formats.foreign_library import ForeignLibrary, serve_files
+from beltrami_cli.formats.foreign_library import ForeignLibrary
 from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError, is_outside
 from beltrami_cli.formats.tile_names import found_tiles, has_token
 from beltrami_cli.formats.usd.contents import ColourBlock, SceneContents
@@ -24,10 +23,9 @@ from beltrami_cli.surface.temporary_files import temporary_folder, writing_tempo
 from beltrami_cli.surface.worker_process import Message
 
 _EXPORT = "open and save it with a program for USD"
-_USD_CORE = ForeignLibrary("beltrami_cli.formats.usd.layers", "usd", 5, _EXPORT)
+_USD_CORE = ForeignLibrary("beltrami_cli.formats.usd.process", "usd", 5, _EXPORT)
 _MAX_LAYERS = 2000  # bounds the time: each that names another one takes a further process, of 0.3 s
 _CRATE = b"PXR-USDC"
-_NO_MEMORY = "std::bad_alloc"  # in messages of usd-core
 _UNFIT = re.compile(r"[^\w .()+-]")
 
 
@@ -86,8 +84,7 @@ class Layers:
         It gets the form of a suffix, or keeps its own ("") with as many bytes as possible. Also return whether the new
         values hide values of variants in other layers.
         """
-        order: dict[str, Any] = {"task": "edit", "files": dict(files), "same": not suffix}
-        order["suffix"] = suffix or Path(self.root).suffix
+        order: dict[str, Any] = {"task": "edit", "files": dict(files), "suffix": suffix}
         order["blocks"] = [] if colours is None else [asdict(block) for block in blocks]
         said, made = self.ask(order, {} if colours is None else {"colours": colours})
         return made["layer"].tobytes(), said["hides"]
@@ -156,33 +153,3 @@ def binary_layer(text: bytes, name: str) -> bytes:
         order = {"task": "convert", "folder": str(folder)}
         question = order, {"text": np.frombuffer(text, np.uint8)}
         return _USD_CORE.ask(question, name, len(text), None)[1]["layer"].tobytes()
-
-
-class UsdError(Exception):
-    """An error that usd-core reports for a layer."""
-
-
-def carry_out(order: dict[str, Any], arrays: dict[str, Array]) -> Message:
-    from pxr import Tf
-
-    from beltrami_cli.formats.usd import editing, reading
-
-    os.chdir(order["folder"])
-    tasks = {"read": reading.read, "text": reading.text, "edit": editing.edit, "convert": editing.convert}
-    try:
-        return tasks[order["task"]](order, arrays)
-    except Tf.ErrorException as error:
-        if _NO_MEMORY in str(error):
-            raise MemoryError from error
-        raise UsdError(_first_message(str(error), order["folder"])) from error
-
-
-def _first_message(error: str, folder: str) -> str:
-    """Return the first message of an error, without C++ namespaces and the path of the temporary folder."""
-    match = re.search(r" at line \d+ in file \S+ : '(.*?)'(?:\s*Error in '|\s*$)", error, re.DOTALL)
-    message = error if match is None else match[1]
-    return re.sub(r"pxrInternal_\w+::|" + re.escape(f"{folder}{os.sep}"), "", message)
-
-
-if __name__ == "__main__":
-    serve_files(carry_out, "USD", "usd-core")

@@ -16,18 +16,10 @@ import numpy as np
 from pxr import UsdShade
 
 from beltrami_cli.arrays import Float64s
-from beltrami_cli.formats.usd.contents import MaterialInputs
+from beltrami_cli.formats.usd.contents import INPUTS, MaterialInputs
 from beltrami_cli.formats.usd.stage import layer_of, placed
 from beltrami_cli.surface.records import Slot, Wrap
 
-# The inputs of a UsdPreviewSurface by slot; the last two are the green and blue of one image.
-INPUTS: dict[Slot, tuple[str, ...]] = {
-    "baseColor": ("diffuseColor",),
-    "emissive": ("emissiveColor",),
-    "normal": ("normal",),
-    "occlusion": ("occlusion",),
-    "metallicRoughness": ("roughness", "metallic"),
-}
 # The colour inputs of MaterialX surfaces; an image may be connected to each.
 _MTLX: dict[str, dict[Slot, str]] = {
     "ND_standard_surface_surfaceshader": {"baseColor": "base_color", "emissive": "emission_color"},
@@ -38,7 +30,6 @@ _MTLX: dict[str, dict[Slot, str]] = {
 _MTLX_IMAGES = ("ND_image_color3", "ND_image_color4", "ND_tiledimage_color3", "ND_tiledimage_color4")
 _MTLX_READERS = {"ND_geompropvalue_vector2": "geomprop", "ND_UsdPrimvarReader_vector2": "varname"}
 _MTLX_WRAPS = {"periodic": "repeat", "mirror": "mirror"}
-_CHANNELS: dict[Slot, tuple[str, ...]] = {"occlusion": ("r",), "metallicRoughness": ("g", "b")}
 _WRAPS = {"repeat": "repeat", "mirror": "mirror"}  # other modes show nothing beyond the image, or its border
 _NUMBERS = ("metallic", "roughness", "opacity", "opacityThreshold")
 _COLOURS = ("diffuseColor", "emissiveColor")
@@ -92,13 +83,12 @@ def read_material(material: Any) -> tuple[MaterialInputs, dict[Slot, ShownImage]
         numbers = _floats(surface, name)
         if len(numbers) == (3 if name in _COLOURS else 1):
             inputs.values[name] = numbers if name in _COLOURS else numbers[0]
-    for slot, names in INPUTS.items():
-        shown_images = [shown for name in names if (shown := _image_at(surface, name)) is not None]
-        outputs = tuple(shown.output for shown in shown_images)
-        is_one = len(shown_images) == len(names) and len({shown.shader for shown in shown_images}) == 1
-        if is_one and outputs == _CHANNELS.get(slot, outputs):
-            images[slot] = shown_images[0]
-        elif shown_images:
+    for slot, wanted in INPUTS.items():
+        found = [(shown, each) for each in wanted if (shown := _image_at(surface, each.name)) is not None]
+        is_one = len(found) == len(wanted) and len({shown.shader for shown, _ in found}) == 1
+        if is_one and all(each.type != "float" or shown.output == each.channel for shown, each in found):
+            images[slot] = found[0][0]
+        elif found:
             inputs.lost.append(f"{slot} maps{_UNFIT}")
     opacity, base = _image_at(surface, "opacity"), images.get("baseColor")
     if opacity is not None:
@@ -124,11 +114,11 @@ def _factors(images: Mapping[Slot, ShownImage]) -> dict[str, Any]:
     """Return the scales of images as values of the inputs that the images replace."""
     colours: tuple[Slot, ...] = ("baseColor", "emissive")
     factors: dict[str, Any] = {
-        INPUTS[slot][0]: [*images[slot].scale[:3]] for slot in colours if slot in images
+        INPUTS[slot][0].name: [*images[slot].scale[:3]] for slot in colours if slot in images
     }
     if "metallicRoughness" in images:
         data = images["metallicRoughness"].scale[1:3]
-        factors |= zip(INPUTS["metallicRoughness"], data, strict=True)
+        factors |= zip(("roughness", "metallic"), data, strict=True)
     return factors
 
 

@@ -25,6 +25,7 @@ from beltrami_cli.formats.mesh_contents import (
     not_converted,
     plain_name,
 )
+from beltrami_cli.formats.usd.contents import INPUTS
 from beltrami_cli.formats.usd.layers import binary_layer
 from beltrami_cli.formats.usd.package import packed
 from beltrami_cli.surface.grouping import group_equal_rows
@@ -34,14 +35,8 @@ from beltrami_cli.surface.records import Frame, Material, MeshContents, MeshImag
 
 _BLOCK = 1 << 16  # rows written at a time
 _UNFIT = re.compile(r"\W", re.ASCII)
-# By slot: inputs of the surface, type and output of the texture, whether it is data (not colours).
-_INPUTS: dict[Slot, tuple[tuple[str, str, str], ...]] = {
-    "baseColor": (("diffuseColor", "color3f", "rgb"),),
-    "emissive": (("emissiveColor", "color3f", "rgb"),),
-    "normal": (("normal", "normal3f", "rgb"),),
-    "occlusion": (("occlusion", "float", "r"),),
-    "metallicRoughness": (("roughness", "float", "g"), ("metallic", "float", "b")),
-}
+_PLAIN = '        uniform token subdivisionScheme = "none"\n'
+_BOUND = '        prepend apiSchemas = ["MaterialBindingAPI"]\n'
 _UNSCALED = (1, 1, 1, 1)
 _TYPES = {"rgb": "float3", "r": "float", "g": "float", "b": "float", "a": "float"}
 
@@ -75,10 +70,6 @@ def _written(suffix: str, mesh: MeshContents, stem: str) -> Written:
     images = {name: image.file.data for image, name in file_of.items()}
     notices += not_converted(mesh, keeps_frame=True)
     return _finished(suffix, b"".join(text), stem, images, notices)
-
-
-_PLAIN = '        uniform token subdivisionScheme = "none"\n'
-_BOUND = '        prepend apiSchemas = ["MaterialBindingAPI"]\n'
 
 
 def _finished(suffix: str, text: bytes, stem: str, images: dict[str, bytes], notices: list[str]) -> Written:
@@ -158,9 +149,9 @@ def _material(name: str, material: Material, file_of: dict[MeshImage, str], path
     }
     shaders = []
     for slot, shown in material.maps.items():
-        outputs = {output for _, _, output in _INPUTS[slot]}
-        for target, kind, output in _INPUTS[slot]:
-            inputs[target] = f"{kind} inputs:{target}.connect = <{path}/{slot}.outputs:{output}>"
+        outputs = {each.channel for each in INPUTS[slot]}
+        for target, kind, channel in INPUTS[slot]:
+            inputs[target] = f"{kind} inputs:{target}.connect = <{path}/{slot}.outputs:{channel}>"
         if slot == "baseColor" and material.alpha != "opaque":
             outputs.add("a")
             inputs["opacity"] = f"float inputs:opacity.connect = <{path}/baseColor.outputs:a>"
