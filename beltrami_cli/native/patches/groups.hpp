@@ -85,8 +85,6 @@ struct alignas(64) Group {
 
 // Estimates the patches of a group from its noisy ones, by the pilot if there is one. All `size` rows are written;
 // those from `found` on, and their weights, are undefined.
-using EstimateGroup = void (*)(Group& group, bool has_pilot);
-
 BELTRAMI_DECLARE_VARIANTS(void estimate_group(Group& group, bool has_pilot))
 
 }  // namespace beltrami::patches

@@ -21,8 +21,8 @@ constexpr double furthest = 0.8, highest = 2.0;
 // Tolerance within which squared distances from nodes are equal.
 constexpr double tie = 1e-6;
 
-// Vertices processed together.
-constexpr std::size_t chunk = 1024;
+// Vertices processed together, and number of parts whose sums are added at a time.
+constexpr std::size_t chunk = 1024, parts_in_wave = 32;
 
 using points::dot;
 
@@ -255,6 +255,33 @@ void SurfacePatches::find_candidates(const std::vector<std::int32_t>& starts, co
     }
   };
   parallel_chunks(parts_.size(), 1, static_cast<unsigned>(rings.size()), find, poll);
+}
+
+void SurfacePatches::collaborate(const Colours& colours, bool has_pilot, const Sums& sums, unsigned threads,
+                                 const Poll& poll) const {
+  const auto sum_part_of = BELTRAMI_VARIANT_OF(sum_part, choose_instruction_set());
+  const std::size_t n = colours.channels, count = patches_.size(), parts = parts_.size();
+  std::vector<PartSums> wave(std::min(parts, parts_in_wave));
+  std::vector<PartScratch> scratch(std::max(1U, threads));
+  for (std::size_t first = 0; first < parts; first += wave.size()) {
+    const std::size_t here = std::min(wave.size(), parts - first);
+    parallel_chunks(
+        here, 1, threads,
+        [&](std::size_t begin, std::size_t end, unsigned worker) {
+          for (std::size_t i = begin; i < end; ++i)
+            sum_part_of(patches_, parts_[first + i], colours, has_pilot, wave[i], scratch[worker]);
+        },
+        poll ? Poll([&](std::size_t done) { return poll((first + done) * count / parts); }) : Poll());
+    // In the order of the parts, so that sums do not depend on the threads.
+    for (std::size_t part = 0; part < here; ++part)
+      for (std::size_t i = 0; i < wave[part].members.size(); ++i)
+        for (std::size_t c = 0; c < n; ++c) {
+          const std::size_t to = static_cast<std::size_t>(wave[part].members[i]) * n + c;
+          const auto [estimate, weight] = wave[part].sums[i * n + c];
+          sums.estimates[to] += estimate;
+          sums.weights[to] += weight;
+        }
+  }
 }
 
 }  // namespace beltrami::patches

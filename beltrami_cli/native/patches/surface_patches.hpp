@@ -12,6 +12,7 @@
 #include <span>
 #include <vector>
 
+#include "instruction_set.hpp"
 #include "parallel.hpp"
 #include "patches/groups.hpp"
 
@@ -25,6 +26,37 @@ constexpr std::size_t block_size = 4096;
 
 using Position = std::array<double, 3>;
 using Nodes = std::array<std::int32_t, nodes>;  // vertices, -1 where there is none
+
+// The starts of a block, and the vertices with whose patches theirs are compared.
+struct Part {
+  std::vector<std::int32_t> vertices;
+  std::vector<std::int32_t> candidates;    // of all starts, places in `vertices`; of each, itself first
+  std::vector<std::size_t> first;          // of each start, and one beyond the last
+  std::vector<std::size_t> without_pilot;  // of each start: how many of them are compared then
+};
+
+// Sums of the groups of a part, with the vertices of its patches renumbered so that little memory is accessed at a time.
+struct PartSums {
+  std::vector<std::int32_t> members;
+  std::vector<std::array<float, 2>> sums;  // of estimates and of their weights, a row of channels a member
+};
+
+// Scratch memory of one thread.
+struct PartScratch {
+  std::vector<std::int32_t> numbers;           // [vertex]: its number among the members, -1 for others
+  std::vector<Nodes> patches;                  // of candidates: numbers of members
+  std::vector<float> noisy, pilot, relative;   // of members, with mixed channels
+  // Of candidates: values and sums of estimates at all nodes, and sums of weights.
+  std::vector<float> noisy_rows, pilot_rows, sum_rows, weights;
+  std::vector<std::uint8_t> is_chosen;
+  std::vector<float> compared;  // 1 at the nodes of a row that are compared, else 0
+  std::vector<std::uint64_t> keys;
+  Group group{};
+};
+
+// Sums the estimates of the groups that start in a part; `patches` of all vertices.
+BELTRAMI_DECLARE_VARIANTS(void sum_part(std::span<const Nodes> patches, const Part& part, const Colours& colours,
+                                        bool has_pilot, PartSums& to, PartScratch& scratch))
 
 class SurfacePatches {
  public:
@@ -44,15 +76,6 @@ class SurfacePatches {
 
  private:
   class VertexRings;
-  class Worker;
-
-  // The starts of a block, and the vertices with whose patches theirs are compared.
-  struct Part {
-    std::vector<std::int32_t> vertices;
-    std::vector<std::int32_t> candidates;  // of all starts, places in `vertices`; of each, itself first
-    std::vector<std::size_t> first;        // of each start, and one beyond the last
-    std::vector<std::size_t> without_pilot;  // of each start: how many of them are compared then
-  };
 
   void find_patches(std::span<const Position> positions, const std::array<Position, 2>& axes,
                     std::span<const std::uint64_t> priorities, std::span<VertexRings> rings, const Poll& poll);
