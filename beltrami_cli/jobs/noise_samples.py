@@ -185,5 +185,5 @@ class _TextureSamples(_PixelSamples):
     def new_colours(self, after: Float32s) -> NewColours:
         atlas = self._layer.atlas
         planes = on_canvas(atlas, after)
-        beyond = np.ascontiguousarray(planes.reshape(len(planes), -1)[:, atlas.gutter_cells].T)
-        return NewColours.of(after, atlas.owned_texels, atlas.gutter_texels, beyond)
+        beyond = np.ascontiguousarray(planes.reshape(len(planes), -1)[:, atlas.gutter.cells].T)
+        return NewColours.of(after, atlas.owned_texels, atlas.gutter.texels, beyond)

@@ -224,7 +224,7 @@ class TextureLayer(PixelLayer):
         self._fill(pixels, index, new.beyond_places[rows], beyond.take, is_dithered=is_dithered)
         keep_foreign_texels(
             image.pixels, pixels, covered, known, partial(self.colours.shown, image),
-            width=gutter, lone=self._of_image(self.atlas.lone_texels, index)[1], threads=threads,
+            width=gutter, lone=self._of_image(self.atlas.gutter.lone_texels, index)[1], threads=threads,
         )  # fmt: skip
         opacity, columns = self.colours.opacity(image), self.colours.columns(image)
         fill_gutter(pixels, covered, gutter, known, threads, columns, opacity)

@@ -110,11 +110,11 @@ def steps_over_seams(atlas: Atlas, planes: Float32s, places: ChartPlaces) -> Ste
     """Measure the colours of both sides of all seams of an atlas; its halo is interpolated in place."""
     refresh_halo(planes, atlas, interpolated=True)
     inner, outer, colours, low, high = _both_sides(atlas, planes)
-    halo = np.searchsorted(atlas.halo_cells, outer)
-    cells = np.column_stack([inner, atlas.halo_nearest[halo]]).astype(np.int64)
+    halo = np.searchsorted(atlas.halo.cells, outer)
+    cells = np.column_stack([inner, atlas.halo.nearest[halo]]).astype(np.int64)
     ends = atlas.chart_of[np.searchsorted(atlas.owned_cells, cells)].astype(np.int64)
     where = [places.at(positions_of(atlas, cells[:, side]), ends[:, side]) for side in (0, 1)]
-    seams = atlas.halo_seams[halo].astype(np.int64)
+    seams = atlas.halo.seams[halo].astype(np.int64)
     keys = np.column_stack([seams, ends, *np.divmod(cells[:, 0], atlas.kind.shape[1])])
     keys[:, 3:] //= STRETCH
     while len((ordered := _ordered(keys))[1]) > MAX_STRETCHES:
@@ -164,7 +164,7 @@ def _both_sides(atlas: Atlas, planes: Float32s) -> tuple[Int64s, Int64s, Float64
     for reach in (3, 1):  # one cell if charts are too narrow for three
         measured = []
         for line in lines_over_seams(atlas, reach):
-            seams = atlas.halo_seams[np.searchsorted(atlas.halo_cells, line[reach])]
+            seams = atlas.halo.seams[np.searchsorted(atlas.halo.cells, line[reach])]
             cells = [each[~is_known[seams]] for each in line]
             measured.append(seams)
             inner.append(cells[0])

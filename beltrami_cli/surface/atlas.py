@@ -18,7 +18,7 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,11 +29,54 @@ from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.grouping import group_places
 from beltrami_cli.surface.records import TexturedSurface
 
+if TYPE_CHECKING:
+    from beltrami_cli._native import AtlasArrays
+
 EMPTY, OWNED, HALO = 0, 1, 2
 # Weights of the least-squares line through values 1/2, 3/2 and 5/2 texels from a seam, evaluated at the seam.
 _EXTRAPOLATION = np.array([13, 4, -5]) / 12
 REACH = len(_EXTRAPOLATION)
 _CELLS = 1 << 14  # whose areas are measured at a time, in the processor's cache
+
+
+@dataclass(frozen=True)
+class Halo:
+    """The halo cells, H in number."""
+
+    cells: Indices  # (H,): flat indices, ascending
+    taps: Indices  # (H, 4): owned cells (flat indices) to interpolate from
+    weights: Float32s  # (H, 4): non-negative weights of sum 1
+    # Shape (H,): seam over which the cell was reached; -1: none, the cell stands for a texel owned elsewhere.
+    seams: Int32s
+
+    @cached_property
+    def nearest(self) -> Indices:
+        """The nearest owned cell of each halo cell, shape (H,)."""
+        nearest = self.weights.argmax(axis=1)
+        return np.take_along_axis(self.taps, nearest[:, None], axis=1)[:, 0]
+
+    def only(self, chosen: Bools) -> Halo:
+        return Halo(self.cells[chosen], self.taps[chosen], self.weights[chosen], self.seams[chosen])
+
+
+@dataclass(frozen=True)
+class Gutter:
+    """Uncovered texels that show colours of charts."""
+
+    cells: Indices  # (G,): halo cells (flat indices) on uncovered texels
+    texels: (
+        Indices  # (G,): those texels, each at most once: the colours for lookups just beyond a chart's border
+    )
+    # Shapes (B,) and (L,), ascending: texels that lookups on faces read. Border texels are next to texels that the
+    # chart of each such face covers; lone texels are next to none, and may show a part of the surface far from the
+    # charts around them.
+    border_texels: Indices
+    lone_texels: Indices
+
+
+_NOTHING = np.zeros(0, np.int64)
+NO_HALO = Halo(_NOTHING, np.zeros((0, 4), np.int64), np.zeros((0, 4), np.float32), np.zeros(0, np.int32))
+NO_GUTTER = Gutter(_NOTHING, _NOTHING, _NOTHING, _NOTHING)
 
 
 @dataclass(frozen=True)
@@ -52,19 +95,8 @@ class Atlas:
     owned_texels: Indices  # (T,): their texels: offset of the texture + row * width + column
     # Shape (number of textures + 1,): texels of texture i are numbered from its offset, row by row.
     texture_offsets: Int64s
-    halo_cells: Indices  # (H,): flat indices of the halo cells, ascending
-    halo_taps: Indices  # (H, 4): owned cells (flat indices) to interpolate from
-    halo_weights: Float32s  # (H, 4): non-negative weights of sum 1
-    # Shape (H,): seam over which the cell was reached; -1: none, the cell stands for a texel owned elsewhere.
-    halo_seams: Int32s
-    gutter_cells: Indices  # (G,): halo cells (flat indices) on uncovered texels
-    # Shape (G,): those texels, each at most once: the colours for lookups just beyond a chart's border.
-    gutter_texels: Indices
-    # Shapes (B,) and (L,), ascending: uncovered texels that lookups on faces read. Border texels are next to texels
-    # that the chart of each such face covers; lone texels are next to none, and may show a part of the surface far from
-    # the charts around them.
-    border_texels: Indices
-    lone_texels: Indices
+    halo: Halo
+    gutter: Gutter
     chart_of: Indices  # (T,): chart of each owned cell
     # Numbers of charts and seams. A seam is a run of seam edges between two charts, or of a chart with itself.
     charts: int
@@ -100,12 +132,6 @@ class Atlas:
             return np.array([len(self.owned_texels)])
         return np.histogram(self.owned_texels, self.texture_offsets)[0].astype(np.int64)
 
-    @cached_property
-    def halo_nearest(self) -> Indices:
-        """The nearest owned cell of each halo cell, shape (H,)."""
-        nearest = self.halo_weights.argmax(axis=1)
-        return np.take_along_axis(self.halo_taps, nearest[:, None], axis=1)[:, 0]
-
 
 def texels_by_texture(offsets: Int64s, texels: Indices) -> Iterator[tuple[int, Bools | slice, Indices]]:
     """Yield the index of each texture, a mask of its texels, and these relative to the first texel."""
@@ -127,10 +153,10 @@ def refresh_halo(planes: Float32s | Int8s, atlas: Atlas, *, interpolated: bool =
     """Update the halo cells of all planes, shape (N, R, C), from their owned cells, in place."""
     # Averages need the nearest cell: an interpolated value has less noise than other samples, and at an edge it is a
     # colour of neither side, which lets kernels leak across. Interpolated values are for display.
-    cells, nearest = atlas.halo_cells, atlas.halo_nearest
+    halo, cells, nearest = atlas.halo, atlas.halo.cells, atlas.halo.nearest
     at_once = large_arrays.SCATTERED if interpolated or large_arrays.any_in_files() else max(1, len(cells))
     for block in large_arrays.blocks(len(cells), at_once):
-        taps, weights = atlas.halo_taps[block], atlas.halo_weights[block]
+        taps, weights = halo.taps[block], halo.weights[block]
         for plane in planes.reshape(len(planes), -1):
             shown = np.einsum("ht,ht->h", plane[taps], weights) if interpolated else plane[nearest[block]]
             plane[cells[block]] = shown
@@ -138,28 +164,28 @@ def refresh_halo(planes: Float32s | Int8s, atlas: Atlas, *, interpolated: bool =
 
 def without_halo(atlas: Atlas, dropped: Bools) -> Atlas:
     """Return the atlas with the marked halo cells, shape (H,), emptied."""
-    kind = large_arrays.copy_of(atlas.kind)
-    kind.reshape(-1)[atlas.halo_cells[dropped]] = EMPTY
-    seen = kind.reshape(-1)[atlas.gutter_cells] != EMPTY
-    names = ("halo_cells", "halo_taps", "halo_weights", "halo_seams")
-    halo = {name: getattr(atlas, name)[~dropped] for name in names}
-    gutter = {name: getattr(atlas, name)[seen] for name in ("gutter_cells", "gutter_texels")}
-    return dataclasses.replace(atlas, kind=kind, **gutter, **halo)
+    kind, gutter = large_arrays.copy_of(atlas.kind), atlas.gutter
+    kind.reshape(-1)[atlas.halo.cells[dropped]] = EMPTY
+    seen = kind.reshape(-1)[gutter.cells] != EMPTY
+    gutter = dataclasses.replace(gutter, cells=gutter.cells[seen], texels=gutter.texels[seen])
+    return dataclasses.replace(atlas, kind=kind, halo=atlas.halo.only(~dropped), gutter=gutter)
 
 
 def without_owned(atlas: Atlas, dropped: Bools) -> Atlas:
     """Return the atlas with the marked owned cells, shape (T,), emptied, and halo cells that depend on them."""
     gone = np.zeros(atlas.kind.size, bool)
     gone[atlas.owned_cells[dropped]] = True
-    weights = np.where(gone[atlas.halo_taps], 0, atlas.halo_weights)
+    weights = np.where(gone[atlas.halo.taps], 0, atlas.halo.weights)
     total = weights.sum(axis=1)
     orphaned = total <= 0
     weights /= np.where(orphaned, 1, total)[:, None]
     kind = large_arrays.copy_of(atlas.kind)
     kind.reshape(-1)[gone] = EMPTY
-    of_owned = {name: getattr(atlas, name)[~dropped] for name in ("owned_texels", "chart_of")}
-    halo_weights = weights.astype(np.float32)
-    kept = dataclasses.replace(atlas, kind=kind, owned=owned_of(kind), halo_weights=halo_weights, **of_owned)
+    kept = dataclasses.replace(
+        atlas, kind=kind, owned=owned_of(kind),
+        owned_texels=atlas.owned_texels[~dropped], chart_of=atlas.chart_of[~dropped],
+        halo=dataclasses.replace(atlas.halo, weights=weights.astype(np.float32)),
+    )  # fmt: skip
     return without_halo(kept, orphaned)
 
 
@@ -176,18 +202,31 @@ def build_atlas(
 ) -> Atlas:
     """Lay out the charts of a textured surface, and extend each by `margin` cells over its seams."""
     build = partial(_build, surface, sizes, margin, threads)
-    arrays = build()
-    lengths = large_arrays.Droppable(arrays.pop("squared_lengths"), lambda: build()["squared_lengths"])
-    numbers = arrays["chart_of"]  # in the smallest integer type
-    arrays["chart_of"] = large_arrays.empty(len(numbers), np.min_scalar_type(-arrays["charts"] - 1))
-    for block in large_arrays.blocks(len(numbers)):
-        arrays["chart_of"][block] = numbers[block]
+    made = build()
+    smallest = np.min_scalar_type(-made["charts"] - 1)
+    chart_of = large_arrays.empty(len(made["chart_of"]), smallest)
+    for block in large_arrays.blocks(len(chart_of)):
+        chart_of[block] = made["chart_of"][block]
     texels = np.array([width * height for width, height in sizes], np.int64)
-    offsets = np.concatenate([[0], np.cumsum(texels)])
-    return Atlas(texture_offsets=offsets, lengths=lengths, owned=owned_of(arrays["kind"]), **arrays)
+    return Atlas(
+        kind=made["kind"],
+        lengths=large_arrays.Droppable(made["squared_lengths"], lambda: build()["squared_lengths"]),
+        cut_cells=made["cut_cells"],
+        owned=owned_of(made["kind"]),
+        owned_texels=made["owned_texels"],
+        texture_offsets=np.concatenate([[0], np.cumsum(texels)]),
+        halo=Halo(made["halo_cells"], made["halo_taps"], made["halo_weights"], made["halo_seams"]),
+        gutter=Gutter(
+            made["gutter_cells"], made["gutter_texels"], made["border_texels"], made["lone_texels"]
+        ),
+        chart_of=chart_of,
+        charts=made["charts"], seams=made["seams"], covered=made["covered"], overlapped=made["overlapped"],
+    )  # fmt: skip
 
 
-def _build(surface: TexturedSurface, sizes: Sequence[tuple[int, int]], margin: int, threads: int) -> Any:
+def _build(
+    surface: TexturedSurface, sizes: Sequence[tuple[int, int]], margin: int, threads: int
+) -> AtlasArrays:
     place_of, first = group_places(surface.positions, surface.space_of, surface.faces)
     wraps = ([_WRAP_CODES[mode] for mode in texture.wrap] for texture in surface.textures)
     rows = [(*size, *wrap) for size, wrap in zip(sizes, wraps, strict=True)]
@@ -220,7 +259,7 @@ def lines_over_seams(atlas: Atlas, reach: int) -> list[list[Int64s]]:
     columns, size = atlas.kind.shape[1], atlas.kind.size
     owned = atlas.kind.reshape(-1) == OWNED
     beyond = np.zeros(size, bool)
-    beyond[atlas.halo_cells[atlas.halo_seams >= 0]] = True
+    beyond[atlas.halo.cells[atlas.halo.seams >= 0]] = True
     first = np.flatnonzero(beyond)
     lines = []
     for step in (1, -1, columns, -columns):

@@ -8,7 +8,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import OWNED, Atlas, owned_of
+from beltrami_cli.surface.atlas import NO_GUTTER, NO_HALO, OWNED, Atlas, owned_of
 
 # Row and column offsets of the neighbours in `Atlas`: right, below, below right, below left.
 STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))
@@ -26,18 +26,13 @@ def grid_atlas(shape: tuple[int, int], margin: int, positions: Float64s | None, 
         kind[inside][rows][filled[rows]] = OWNED
     measure = partial(_measure_grid, filled, margin, positions)
     texels = large_arrays.find(filled, True)
-    nothing = np.zeros(0, np.int64)
     return Atlas(
         kind=kind,
         lengths=large_arrays.Droppable(measure(), measure),
         owned=owned_of(kind),
         owned_texels=texels,
         texture_offsets=np.array([0, shape[0] * shape[1]], np.int64),
-        cut_cells=nothing, halo_cells=nothing,
-        gutter_cells=nothing, gutter_texels=nothing, border_texels=nothing, lone_texels=nothing,
-        halo_taps=np.zeros((0, 4), np.int64),
-        halo_weights=np.zeros((0, 4), np.float32),
-        halo_seams=np.zeros(0, np.int32),
+        cut_cells=np.zeros(0, np.int64), halo=NO_HALO, gutter=NO_GUTTER,
         chart_of=large_arrays.zeros(len(texels), np.int8),
         charts=1, seams=0, covered=len(texels), overlapped=0,
     )  # fmt: skip

@@ -51,7 +51,7 @@ def shown_texels(atlas):
     """The texel that each cell of the canvas shows, for a halo cell the one that weighs most; -1 where it is empty."""
     texel = np.full(atlas.kind.size, -1)
     texel[atlas.owned_cells] = atlas.owned_texels
-    texel[atlas.halo_cells] = texel[atlas.halo_nearest]
+    texel[atlas.halo.cells] = texel[atlas.halo.nearest]
     return texel.reshape(atlas.kind.shape)
 
 
@@ -59,11 +59,20 @@ def assert_sound(atlas, margin):
     """Each covered texel is owned once, lists are those of the canvas, and its border is free of owned cells."""
     flat = atlas.kind.reshape(-1)
     assert np.array_equal(np.flatnonzero(flat == OWNED), atlas.owned_cells)
-    assert np.array_equal(np.flatnonzero(flat == HALO), atlas.halo_cells)
+    assert np.array_equal(np.flatnonzero(flat == HALO), atlas.halo.cells)
     assert len(np.unique(atlas.owned_texels)) == len(atlas.owned_texels) == atlas.covered >= atlas.overlapped
     outer = np.ones_like(atlas.kind, bool)
     outer[margin:-margin, margin:-margin] = False
     assert not (atlas.kind[outer] == OWNED).any()
+
+
+def assert_equal(one, other):
+    """Two atlases have the same cells, numbers and lengths."""
+    assert np.array_equal(one.squared_lengths, other.squared_lengths)
+    assert np.array_equal(one.owned_cells, other.owned_cells)
+    for this, that in ((one, other), (one.halo, other.halo), (one.gutter, other.gutter)):
+        for name in vars(this).keys() - {"lengths", "owned", "halo", "gutter"}:
+            assert np.array_equal(getattr(this, name), getattr(that, name)), name
 
 
 class CutPlane:

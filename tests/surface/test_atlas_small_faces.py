@@ -27,12 +27,12 @@ def shown(atlas, place_of_column):
     column[atlas.owned_cells] = atlas.owned_texels % 64
     first = atlas.owned_cells[column[atlas.owned_cells] < 20]
     origin = first[0] % columns - column[first[0]]
-    box = atlas.halo_cells % columns - origin, atlas.halo_cells // columns
+    box = atlas.halo.cells % columns - origin, atlas.halo.cells // columns
     rows = np.unique(first // columns)
     beyond = box[0] - column[first].max()
     mine = np.isin(box[1], rows) & (beyond > 0) & (beyond < MARGIN + 1)
-    x = place_of_column(column[atlas.halo_taps])
-    return box[0][mine] + 0.5, (x * atlas.halo_weights).sum(axis=1)[mine]
+    x = place_of_column(column[atlas.halo.taps])
+    return box[0][mine] + 0.5, (x * atlas.halo.weights).sum(axis=1)[mine]
 
 
 def test_a_sliver_at_the_border_does_not_throw_the_halo_far_away():
@@ -69,7 +69,7 @@ def test_slivers_at_a_seam_are_crossed_up_to_a_bound(slivers, halo):
     spans = zip(pairwise(x), zip(first, first + np.diff(x), strict=True), strict=True)
     atlas = build_atlas(strips(spans, (40, 16)), [(40, 16)], 3)
     assert atlas.covered == 2 * 64
-    assert len(atlas.halo_cells) == halo
+    assert len(atlas.halo.cells) == halo
 
 
 coordinates = st.one_of(
@@ -102,10 +102,10 @@ def test_every_covered_texel_is_owned_once_and_halos_draw_on_owned_cells(soup, m
     atlas = build_atlas(surface, sizes, margin)
     flat = atlas.kind.reshape(-1)
     assert_sound(atlas, margin)
-    assert (flat[atlas.halo_taps] == OWNED).all()
-    assert (atlas.halo_weights >= 0).all()
-    assert np.allclose(atlas.halo_weights.sum(axis=1), 1, atol=1e-6)
-    assert np.isin(atlas.halo_seams, np.arange(-1, atlas.seams)).all()
+    assert (flat[atlas.halo.taps] == OWNED).all()
+    assert (atlas.halo.weights >= 0).all()
+    assert np.allclose(atlas.halo.weights.sum(axis=1), 1, atol=1e-6)
+    assert np.isin(atlas.halo.seams, np.arange(-1, atlas.seams)).all()
     lengths = atlas.squared_lengths
     assert (lengths >= 0).all()
     assert np.isinf(lengths[:, atlas.kind == EMPTY]).all()
@@ -113,9 +113,9 @@ def test_every_covered_texel_is_owned_once_and_halos_draw_on_owned_cells(soup, m
     outer[margin:-margin, margin:-margin] = False
     assert not (atlas.kind[outer] == OWNED).any()
     # No face covers the texels that faces look up, each is listed once, and none is another chart's gutter.
-    listed = np.concatenate([atlas.owned_texels, atlas.border_texels, atlas.lone_texels])
+    listed = np.concatenate([atlas.owned_texels, atlas.gutter.border_texels, atlas.gutter.lone_texels])
     assert len(np.unique(listed)) == len(listed)
-    assert not np.isin(atlas.gutter_texels, atlas.lone_texels).any()
+    assert not np.isin(atlas.gutter.texels, atlas.gutter.lone_texels).any()
 
 
 IMAGE_SIDE = 32
@@ -143,8 +143,8 @@ def ring(first, last):
 
 def test_a_chart_looks_up_the_texels_around_it():
     atlas = with_face(ABOVE, SQUARE[:3])
-    assert atlas.border_texels.tolist() == ring(4, 20).tolist()
-    assert not len(atlas.lone_texels)
+    assert atlas.gutter.border_texels.tolist() == ring(4, 20).tolist()
+    assert not len(atlas.gutter.lone_texels)
 
 
 @pytest.mark.parametrize(
@@ -157,7 +157,7 @@ def test_a_chart_looks_up_the_texels_around_it():
 )
 def test_a_face_without_texels_looks_up_the_texels_around_it(corners, texels):
     atlas = with_face(ABOVE, corners)
-    assert atlas.lone_texels.tolist() == sorted(row * IMAGE_SIDE + column for column, row in texels)
+    assert atlas.gutter.lone_texels.tolist() == sorted(row * IMAGE_SIDE + column for column, row in texels)
 
 
 def test_what_a_face_without_texels_shows_is_not_the_gutter_of_the_chart_beside_it():
@@ -165,7 +165,7 @@ def test_what_a_face_without_texels_shows_is_not_the_gutter_of_the_chart_beside_
     surface = strips([((0, 8), (4, 12)), ((8, 16), (20, 28))], (32, 16))
     alone = build_atlas(surface, [(32, 16)], 6)
     shown = [13 + 32 * 8, 14 + 32 * 8, 13 + 32 * 9, 14 + 32 * 9]
-    assert np.isin(shown, alone.gutter_texels).all()
+    assert np.isin(shown, alone.gutter.texels).all()
     positions = np.concatenate([surface.positions, [[0, 0, 50], [9, 0, 50], [0, 9, 50]]])
     faces = np.concatenate([surface.faces, [[8, 9, 10]]]).astype(np.int32)
     point = np.full((1, 3, 2), [14.1, 9.0]) / [32, 16]
@@ -174,18 +174,18 @@ def test_what_a_face_without_texels_shows_is_not_the_gutter_of_the_chart_beside_
         texture_of=np.zeros(len(faces), np.int32),
     )  # fmt: skip
     atlas = build_atlas(surface, [(32, 16)], 6)
-    assert atlas.lone_texels.tolist() == sorted(shown)
-    assert np.array_equal(np.setdiff1d(alone.gutter_texels, atlas.gutter_texels), sorted(shown))
+    assert atlas.gutter.lone_texels.tolist() == sorted(shown)
+    assert np.array_equal(np.setdiff1d(alone.gutter.texels, atlas.gutter.texels), sorted(shown))
 
 
 def test_a_face_without_area_on_a_border_shows_the_chart():
     """Two of its corners are corners of the square, in the image, too, and the third lies between them there."""
     corners = np.array([[20, 4], [20, 20], [20, 12]], float)
     atlas = with_face(np.array([[16, 0, 0], [16, 16, 0], [24, 8, 0]]), corners)
-    assert atlas.border_texels.tolist() == ring(4, 20).tolist()
-    assert not len(atlas.lone_texels)
+    assert atlas.gutter.border_texels.tolist() == ring(4, 20).tolist()
+    assert not len(atlas.gutter.lone_texels)
     elsewhere = with_face(np.array([[16, 0, 50], [16, 16, 50], [24, 8, 50]]), corners)
-    assert len(elsewhere.lone_texels)
+    assert len(elsewhere.gutter.lone_texels)
 
 
 def test_mirrored_halves_look_up_what_their_owner_does():
@@ -195,15 +195,15 @@ def test_mirrored_halves_look_up_what_their_owner_does():
     atlas = with_face(mirrored, corners)
     assert atlas.charts == 2
     assert atlas.overlapped
-    assert not len(atlas.lone_texels)
-    assert np.isin(ring(4, 20), atlas.border_texels).all()
+    assert not len(atlas.gutter.lone_texels)
+    assert np.isin(ring(4, 20), atlas.gutter.border_texels).all()
 
 
 def test_the_gutter_of_an_open_border_is_not_the_halo_of_another_chart():
     """A seam joins two strips; next to it, in the image, lies a third one, which is joined to none."""
     surface = strips([((0, 8), (4, 12)), ((8, 16), (20, 28)), ((40, 48), (14, 18))], (32, 16))
     atlas = build_atlas(surface, [(32, 16)], 6)
-    column, row = atlas.gutter_texels % 32, atlas.gutter_texels // 32
+    column, row = atlas.gutter.texels % 32, atlas.gutter.texels // 32
     beside_third = (row >= 4) & (row < 12) & ((column == 13) | (column == 18))
     assert len(column)
     assert not beside_third.any()
@@ -214,4 +214,4 @@ def test_the_gutter_of_an_open_border_is_not_the_halo_of_another_chart():
 def test_lookups_go_round_where_a_texture_repeats():
     corners = np.array([[30.0, 10.25], [34.0, 10.25], [32.0, 10.25]])
     atlas = with_face(ABOVE, corners)
-    assert np.unique(atlas.lone_texels % IMAGE_SIDE).tolist() == [0, 1, 2, 29, 30, 31]
+    assert np.unique(atlas.gutter.lone_texels % IMAGE_SIDE).tolist() == [0, 1, 2, 29, 30, 31]

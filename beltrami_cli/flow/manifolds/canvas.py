@@ -37,14 +37,14 @@ def fill_canvas(atlas: Atlas, channels: int, colours_of: Callable[[slice], Float
 def canvas_colours(atlas: Atlas, planes: Float32s) -> NewColours:
     """Return the colours of owned cells, which are read from the planes on demand, and of the gutter."""
     refresh_halo(planes, atlas, interpolated=True)
-    flat, cells, gutter = planes.reshape(len(planes), -1), atlas.owned_cells, atlas.gutter_cells
+    flat, cells, gutter = planes.reshape(len(planes), -1), atlas.owned_cells, atlas.gutter.cells
     beyond = np.zeros((len(gutter), len(flat)), np.float32)
     for block in large_arrays.blocks(len(gutter), large_arrays.SCATTERED):
         beyond[block] = flat[:, gutter[block]].T
     return NewColours(
         lambda block, inside: colours_at(planes, cells[block][inside]),
         atlas.owned_texels,
-        atlas.gutter_texels,
+        atlas.gutter.texels,
         beyond,
     )
 

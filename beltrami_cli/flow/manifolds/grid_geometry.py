@@ -18,7 +18,7 @@ from beltrami_cli.flow.manifolds.grid_gaussian import SUMMED_ROWS, GridGaussian
 from beltrami_cli.flow.manifolds.kernel_work import KernelWork
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED, Atlas, owned_of, refresh_halo
+from beltrami_cli.surface.atlas import EMPTY, HALO, NO_GUTTER, NO_HALO, OWNED, Atlas, owned_of, refresh_halo
 
 # Rows and columns around a halo cell in which cells with the same texel are searched: enough for a chart up to seven
 # times as fine as the chart beyond the seam.
@@ -154,12 +154,9 @@ def _with_fixed_halo(part: Atlas, whole: Atlas, cells: Int64s) -> Atlas:
     kind[cells == whole.kind.size - 1] = EMPTY  # cells of the margin and beyond the canvas
     cut = np.zeros(whole.kind.size, bool)
     cut[whole.cut_cells] = True
-    nothing = np.zeros(0, np.int64)
     return dataclasses.replace(
         part, cut_cells=np.flatnonzero(cut[cells.reshape(-1)]), owned=owned_of(kind),
-        owned_texels=nothing, halo_cells=nothing, halo_taps=np.zeros((0, 4), np.int64),
-        halo_weights=np.zeros((0, 4), np.float32), halo_seams=np.zeros(0, np.int32), gutter_cells=nothing,
-        gutter_texels=nothing, border_texels=nothing, lone_texels=nothing, chart_of=np.zeros(0, np.int32),
+        owned_texels=np.zeros(0, np.int64), chart_of=np.zeros(0, np.int32), halo=NO_HALO, gutter=NO_GUTTER,
     )  # fmt: skip
 
 
@@ -185,11 +182,11 @@ def _mean_spacing(atlas: Atlas, scale: Float32s) -> float:
 
 def halo_repeats(atlas: Atlas, threads: int) -> Uint8s | None:
     """Return the number of cells that show each cell's texel, shape (R, C); None if all texels are shown once."""
-    if not len(atlas.halo_cells):
+    if not len(atlas.halo.cells):
         return None
-    cells, sources = (np.ascontiguousarray(of, np.int64) for of in (atlas.halo_cells, atlas.halo_nearest))
+    cells, sources = (np.ascontiguousarray(of, np.int64) for of in (atlas.halo.cells, atlas.halo.nearest))
     rows, columns = atlas.kind.shape
     repeats = large_arrays.kept(
-        count_repeats(rows, columns, cells, sources, atlas.halo_seams, _REPEATS_REACH, threads)
+        count_repeats(rows, columns, cells, sources, atlas.halo.seams, _REPEATS_REACH, threads)
     )
     return repeats if repeats.max(initial=1) > 1 else None

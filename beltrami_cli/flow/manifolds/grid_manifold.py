@@ -221,8 +221,8 @@ class GridManifold(Manifold):
         if self.geometry.repeats is not None:
             weights /= self.geometry.repeats.reshape(-1)[cells]
         colours = np.ascontiguousarray(self.colours.reshape(len(self.colours), -1)[:, cells].T)
-        is_halo = np.isin(cells, atlas.halo_cells)
-        cells[is_halo] = atlas.halo_nearest[np.searchsorted(atlas.halo_cells, cells[is_halo])]
+        is_halo = np.isin(cells, atlas.halo.cells)
+        cells[is_halo] = atlas.halo.nearest[np.searchsorted(atlas.halo.cells, cells[is_halo])]
         samples = np.searchsorted(atlas.owned_cells, cells)
         return SampledKernel(samples, distances, weights, self.noise.to_input(colours), offsets)
 

@@ -10,7 +10,7 @@ from beltrami_cli.arrays import Array, Bools, Indices, Int64s
 from beltrami_cli.flow.noise.drawing import draw_model
 from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import EMPTY, OWNED, Atlas, refresh_halo
+from beltrami_cli.surface.atlas import EMPTY, OWNED, Atlas, Halo, refresh_halo
 
 # Cells on which parameters are tried, as a share of all, so that trying takes no longer than smoothing: some sixty
 # iterations are tried, each twice. With twice as many, the default results on thirteen textures with noise of 20 of 255
@@ -64,18 +64,15 @@ def with_halo(part: Atlas, whole: Atlas, cells: Int64s, core: Bools) -> Atlas:
     order = np.lexsort([~core.reshape(-1)[owned], cells.reshape(-1)[owned]])
     owned = owned[order]
     mirrored = np.flatnonzero(part.kind != EMPTY)
-    rank = _rank(whole.halo_cells, cells.reshape(-1)[mirrored])
+    rank = _rank(whole.halo.cells, cells.reshape(-1)[mirrored])
     mirrored, rank = mirrored[rank >= 0], rank[rank >= 0]
-    place = _rank(cells.reshape(-1)[owned], whole.halo_taps[rank])
+    place = _rank(cells.reshape(-1)[owned], whole.halo.taps[rank])
     taps = np.where(place >= 0, owned[place], -1) if len(owned) else place
-    complete = np.all((taps >= 0) | (whole.halo_weights[rank] == 0), axis=1)
-    return dataclasses.replace(
-        part,
-        halo_cells=mirrored[complete],
-        halo_taps=np.maximum(taps[complete], 0).astype(np.int64),
-        halo_weights=whole.halo_weights[rank[complete]],
-        halo_seams=whole.halo_seams[rank[complete]],
-    )
+    complete = np.all((taps >= 0) | (whole.halo.weights[rank] == 0), axis=1)
+    rank = rank[complete]
+    taps = np.maximum(taps[complete], 0).astype(np.int64)
+    halo = Halo(mirrored[complete], taps, whole.halo.weights[rank], whole.halo.seams[rank])
+    return dataclasses.replace(part, halo=halo)
 
 
 def _rank(ascending: Indices, numbers: Indices) -> Int64s:

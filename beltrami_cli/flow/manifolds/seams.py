@@ -48,14 +48,14 @@ def _steps_over_seams(atlas: Atlas, planes: Float32s) -> tuple[Int32s, Float32s,
     seams: list[Int32s] = []
     over: list[Float32s] = []
     before: list[Float32s] = []
-    of_seams = np.flatnonzero(atlas.halo_seams >= 0)
+    of_seams = np.flatnonzero(atlas.halo.seams >= 0)
     for block in large_arrays.blocks(len(of_seams), large_arrays.SCATTERED):
-        cells, halo_seams = atlas.halo_cells[of_seams[block]], atlas.halo_seams[of_seams[block]]
+        cells, reached = atlas.halo.cells[of_seams[block]], atlas.halo.seams[of_seams[block]]
         for step in (1, -1, columns, -columns):
             inner, second = cells - step, cells - 2 * step
             valid = (second >= 0) & (second < rows * columns) & (inner >= 0) & (inner < rows * columns)
             valid[valid] &= (flat_kind[inner[valid]] == OWNED) & (flat_kind[second[valid]] == OWNED)
-            seams.append(halo_seams[valid])
+            seams.append(reached[valid])
             over.append((flat[:, cells[valid]] - flat[:, inner[valid]]).T)
             before.append((flat[:, inner[valid]] - flat[:, second[valid]]).T)
     if not seams:
@@ -80,11 +80,11 @@ def _is_patterned(steps: Float32s, nearby: Float32s, noise: float) -> bool:
 def halo_beyond(atlas: Atlas, different: Bools) -> Bools:
     """Which halo cells, shape (H,), lie beyond the seams marked in `different`, shape (S,)."""
     # Near a corner of several charts a cell may be reached over two seams; either may be marked.
-    seams = atlas.halo_seams
+    seams = atlas.halo.seams
     beyond = (seams >= 0) & different[np.maximum(seams, 0)]
     if not beyond.any():
         return beyond
-    reached = _charts_at(atlas, atlas.halo_nearest)
+    reached = _charts_at(atlas, atlas.halo.nearest)
     sides = _sides_of_seams(atlas, reached)
     jumps = {tuple(pair) for seam, pair in enumerate(np.sort(sides, axis=1).tolist()) if different[seam]}
     # Cells of a third chart, grouped by chart and seam.
@@ -109,8 +109,8 @@ def _charts_at(atlas: Atlas, cells: Indices) -> Int32s:
 def _sides_of_seams(atlas: Atlas, reached: Int32s) -> Int32s:
     """Return the two charts of each seam, shape (S, 2): of an owned cell and of the halo cell next to it."""
     kind, columns = atlas.kind.reshape(-1), atlas.kind.shape[1]
-    of_seams = np.flatnonzero(atlas.halo_seams >= 0)
-    cells, seams = atlas.halo_cells[of_seams], atlas.halo_seams[of_seams]
+    of_seams = np.flatnonzero(atlas.halo.seams >= 0)
+    cells, seams = atlas.halo.cells[of_seams], atlas.halo.seams[of_seams]
     inner, halo = np.full((2, max(1, atlas.seams)), -1, cells.dtype)
     for step in (1, -1, columns, -columns):
         # The first and the last cell of a canvas are in its margin.
@@ -125,7 +125,7 @@ def _sides_of_seams(atlas: Atlas, reached: Int32s) -> Int32s:
 def end_at_seams_in_place(planes: Float32s, atlas: Atlas, threads: int) -> None:
     """Extend a guide as a constant over the seams whose sides differ."""
     sigma = read_noise(planes, Grid.of(atlas.is_owned), varies=False).sigma
-    beyond = atlas.halo_cells[halo_beyond(atlas, find_colour_jumps(atlas, planes, sigma))]
+    beyond = atlas.halo.cells[halo_beyond(atlas, find_colour_jumps(atlas, planes, sigma))]
     if len(beyond):
         is_beyond = np.zeros(atlas.kind.shape, bool)
         is_beyond.reshape(-1)[beyond] = True

@@ -31,9 +31,9 @@ class CanvasSurroundings:
         offsets = (steps[:, None] * atlas.kind.shape[1] + steps).reshape(-1)
         cells: Int64s = cell + offsets[offsets != 0]
         kind = atlas.kind.reshape(-1).take(cells, mode="clip")
-        if len(atlas.halo_cells):
+        if len(atlas.halo.cells):
             halo = kind == HALO
-            cells[halo] = atlas.halo_nearest[np.searchsorted(atlas.halo_cells, cells[halo])]
+            cells[halo] = atlas.halo.nearest[np.searchsorted(atlas.halo.cells, cells[halo])]
         cells[(kind == EMPTY) | (cells == cell)] = -1
         return cells
 

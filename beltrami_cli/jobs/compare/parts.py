@@ -196,7 +196,7 @@ def _by_texture(
     areas, near = texel_areas(atlas) if weights == "area" else None, _near_seams(atlas)
     (cells, before), (_, after) = (_seam_steps(atlas, each.texel_colours) for each in (one, other))
     texture_of = np.searchsorted(atlas.texture_offsets, atlas.owned_texels[cells], side="right") - 1
-    shown = atlas.owned_texels, np.concatenate([atlas.border_texels, atlas.lone_texels])
+    shown = atlas.owned_texels, np.concatenate([atlas.gutter.border_texels, atlas.gutter.lone_texels])
     owned, around = (
         {index: (inside, own) for index, inside, own in texels_by_texture(atlas.texture_offsets, texels)}
         for texels in shown
@@ -240,13 +240,13 @@ def _seam_steps(atlas: Atlas, colours: Callable[[Indices], Float32s]) -> tuple[I
     for block in large_arrays.blocks(len(cells), large_arrays.SCATTERED):
         values = [colours(np.searchsorted(atlas.owned_cells, inner)) for inner in lines[:REACH, block]]
         for here, beyond in zip(values, lines[REACH:, block], strict=True):
-            halo = np.searchsorted(atlas.halo_cells, beyond)
+            halo = np.searchsorted(atlas.halo.cells, beyond)
             # Cells that are owned no more have the weight 0.
             taps = np.minimum(
-                np.searchsorted(atlas.owned_cells, atlas.halo_taps[halo]), len(atlas.owned_cells) - 1
+                np.searchsorted(atlas.owned_cells, atlas.halo.taps[halo]), len(atlas.owned_cells) - 1
             )
             tapped = colours(taps.reshape(-1)).reshape(*taps.shape, -1)
-            np.subtract(np.einsum("ht,htn->hn", atlas.halo_weights[halo], tapped), here, out=here)
+            np.subtract(np.einsum("ht,htn->hn", atlas.halo.weights[halo], tapped), here, out=here)
         steps[block] = np.abs(at_seam(values)).mean(axis=1)
     return cells, steps
 
