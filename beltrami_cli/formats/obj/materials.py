@@ -1,4 +1,4 @@
-"""The materials of an OBJ file: its libraries (MTL) [1]_, their texture maps, and the image files.
+"""The materials of an OBJ file: its libraries (MTL) [1]_, their numbers and texture maps, and the image files.
 
 References
 ----------
@@ -9,13 +9,15 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import PurePosixPath
 
 from beltrami_cli.errors import Obstacle
+from beltrami_cli.formats.colours import clipped_factor
 from beltrami_cli.formats.model_folder import IGNORED, ModelFolder, UnfitReferenceError, is_outside
-from beltrami_cli.surface.records import Slot
+from beltrami_cli.surface.records import Material, Slot
 
 SLOTS: dict[str, Slot] = {
     "map_kd": "baseColor",
@@ -32,9 +34,11 @@ BASE_COLOUR_ALIASES = ("map_ka", "map_d")
 _BASE_COLOUR_COMPANIONS = (*BASE_COLOUR_ALIASES, "map_ks")  # all that get it
 # Possessive (++), against quadratic time on lines of a million blanks or digits.
 _STATEMENT = re.compile(
-    rb"^(?:\xef\xbb\xbf)?[ \t]*+(newmtl|(?!map_aat\b)map_\w+|bump|disp|decal|refl|norm)[ \t]++([^\r\n]*[^\s])",
+    rb"^(?:\xef\xbb\xbf)?[ \t]*+(newmtl|kd|ke|d|tr|pm|pr|(?!map_aat\b)map_\w+|bump|disp|decal|refl|norm)"
+    rb"[ \t]++([^\r\n]*[^\s])",
     re.IGNORECASE | re.MULTILINE,
 )
+_FACTORS = ("kd", "ke", "d", "tr", "pm", "pr")  # keywords that numbers follow
 _NUMBERS = rb"(?:[ \t]++[-+]?(?:\d++\.?\d*+|\.\d++)(?:e[-+]?\d++)?(?=[ \t])){1,3}"
 _OPTION = re.compile(
     rb"-(?:([ost])(" + _NUMBERS + rb")|mm(?:[ \t]+\S+){2}|(\w+)[ \t]+(\S+))[ \t]+", re.IGNORECASE
@@ -61,17 +65,32 @@ class Map:
     channel: str = ""  # channel of the image for a scalar map (r, g, b, m for alpha, l, z), or empty
 
 
-def read_maps(text: bytes) -> tuple[list[str], list[Map]]:
-    """Return the names of the materials of a library, and all its maps, in file order."""
-    materials: list[str] = []
+Factors = dict[str, list[float]]
+"""The numbers of a material, by keyword in lower case."""
+
+
+def _read_library(text: bytes) -> tuple[dict[str, Factors], list[Map]]:
+    """Return the materials of a library by name, and all its maps in file order."""
+    materials, name, factors = dict[str, Factors](), "", Factors()
     maps = []
     for match in _STATEMENT.finditer(text):
         keyword = match[1].lower().decode("ascii")
         if keyword == "newmtl":
-            materials.append(os.fsdecode(match[2]))
-        else:
-            maps.append(_read_map(materials[-1] if materials else "", keyword, match[2], match.start(2)))
+            name = os.fsdecode(match[2])
+            materials[name] = factors = {}
+        elif keyword not in _FACTORS:
+            maps.append(_read_map(name, keyword, match[2], match.start(2)))
+        elif numbers := _finite_numbers(match[2]):
+            factors[keyword] = numbers
     return materials, maps
+
+
+def _finite_numbers(text: bytes) -> list[float]:
+    try:
+        values = [float(word) for word in text.split(b"#")[0].split()]
+    except ValueError:  # a spectrum in a file, or another space of colours
+        return []
+    return values if all(map(isfinite, values)) else []
 
 
 def _read_map(material: str, keyword: str, arguments: bytes, start: int) -> Map:
@@ -108,7 +127,7 @@ class Library:
 
     path: str  # relative to the folder of the model
     data: bytes
-    materials: frozenset[str]  # their names
+    materials: Mapping[str, Factors]
     # In file order, each with the path of its file or None.
     maps: tuple[tuple[Map, str | None], ...]
     # Its name in the OBJ file, and the span of the name there.
@@ -133,18 +152,35 @@ class Materials:
                     mentions.setdefault(path, []).append((name, begin, begin + len(os.fsencode(name))))
         self.libraries = [self._read(path, places) for path, places in mentions.items()]
         self._shown: dict[tuple[str, Slot], tuple[Map, str | None]] = {}
-        defined: set[str] = set()
+        self._factors: dict[str, Factors] = {}
         for library in self.libraries:
             # The first library with a material counts; in it, the last map of the preferred keyword.
             for keyword, slot in reversed(SLOTS.items()):
                 for each, file in library.maps:
-                    if each.keyword == keyword and each.material not in defined:
+                    if each.keyword == keyword and each.material not in self._factors:
                         self._shown[each.material, slot] = each, file
-            defined |= library.materials
+            new = library.materials.keys() - self._factors.keys()
+            self._factors |= {name: library.materials[name] for name in new}
 
     def maps_of(self, material: str) -> dict[Slot, tuple[Map, str | None]]:
         """Return the map of each slot of a material, and the path of its file or None."""
         return {slot: self._shown[material, slot] for slot in MAP_SLOTS if (material, slot) in self._shown}
+
+    def material(self, name: str) -> Material:
+        """Return a material without its maps; the defaults if no library has it."""
+        factors = self._factors.get(name, {})
+        transparency = factors.get("tr", [0.0])[0]
+        # Some exporters write "Tr 1" for opaque materials; fully transparent ones are not exported.
+        opacity = clipped_factor(factors.get("d", [1 - transparency])[0]) or 1.0
+        return Material(
+            name=name,
+            colour=_colour(factors.get("kd", [1.0])),
+            emission=_colour(factors.get("ke", [0.0])),
+            opacity=opacity,
+            metalness=clipped_factor(factors.get("pm", [0.0])[0]),
+            roughness=clipped_factor(factors.get("pr", [1.0])[0]),
+            alpha="blend" if opacity < 1 else "opaque",
+        )
 
     def obstacle(self, name: str) -> Obstacle:
         return self._unread.get(name, Obstacle("cannot be read"))
@@ -194,10 +230,10 @@ class Materials:
         if len(data) > _MAX_BYTES:
             self._ignore(Obstacle(f"'{path}' has more than {_MAX_BYTES} bytes"))
             data = b""
-        materials, maps = read_maps(data)
+        materials, maps = _read_library(data)
         within = PurePosixPath(path).parent
         located = tuple((each, self._found(each.name, within)) for each in maps)
-        return Library(path, data, frozenset(materials), located, tuple(mentions))
+        return Library(path, data, materials, located, tuple(mentions))
 
     def _ignore(self, obstacle: Obstacle) -> None:
         self.obstacles.append(obstacle)
@@ -223,6 +259,11 @@ class Materials:
         self.paths += new
         self._listed.update(new)
         return path
+
+
+def _colour(numbers: list[float]) -> tuple[float, ...]:
+    whole = numbers if len(numbers) >= 3 else [numbers[0]] * 3  # one number stands for three
+    return tuple(map(clipped_factor, whole[:3]))
 
 
 def _split(names: str) -> Iterator[tuple[int, int]]:

@@ -25,6 +25,16 @@ _WITH_COLOURS, _WITH_ALPHA_OR_WEIGHT, _WITH_ALPHA_AND_WEIGHT = 6, 7, 8  # number
 _COORDINATE_DIGITS = 8  # of the largest new coordinate, at least: a little more than float32 has
 _MAX_DECIMALS = 17
 
+_UNSUPPORTED = {
+    "materials": (b"usemtl",),
+    "texture coordinates": (b"vt",),
+    "normals": (b"vn",),
+    "groups and objects": (b"g", b"o"),
+    "lines and points": (b"l", b"p"),
+    "curves and surfaces": (b"curv", b"curv2", b"surf"),
+}
+_DUPLICATE_NOTICE = "Vertices have colours on their own lines and in #MRGB lines; these are left as they are."
+
 
 @dataclass(frozen=True)
 class Vertices:
@@ -105,17 +115,6 @@ def new_positions(
     present = most_decimals(data, starts, ends) if changed.any() else 0
     decimals = min(max(present, enough, 0), _MAX_DECIMALS)
     return NewNumbers(starts[changed], ends[changed], positions[changed], b"%%.%df" % decimals)
-
-
-_UNSUPPORTED = {
-    "materials": (b"usemtl",),
-    "texture coordinates": (b"vt",),
-    "normals": (b"vn",),
-    "groups and objects": (b"g", b"o"),
-    "lines and points": (b"l", b"p"),
-    "curves and surfaces": (b"curv", b"curv2", b"surf"),
-}
-_DUPLICATE_NOTICE = "Vertices have colours on their own lines and in #MRGB lines; these are left as they are."
 
 
 @dataclass(frozen=True)

@@ -4,23 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import re
 from dataclasses import dataclass
 
 import numpy as np
 
 from beltrami_cli.arrays import Float64s, Int64s
-from beltrami_cli.formats.colours import clipped_factor
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.obj.materials import BASE_COLOUR_ALIASES, SLOTS, Map, Materials
 from beltrami_cli.formats.obj.statements import Statements
 from beltrami_cli.formats.obj.vertices import Scan, unit_normals
 from beltrami_cli.formats.scene import Maps, Scene, ShownMap
-from beltrami_cli.surface.records import Material, MeshContents, Slot, Wrap
-
-_VALUE = re.compile(
-    rb"^(?:\xef\xbb\xbf)?[ \t]*+(newmtl|kd|ke|d|tr|pm|pr)[ \t]++([^\r\n]*[^\s])", re.IGNORECASE | re.MULTILINE
-)
+from beltrami_cli.surface.records import MeshContents, Slot, Wrap
 
 _Transform = tuple[tuple[float, float], tuple[float, float]]  # scale and offset of texture coordinates
 _IDENTITY: _Transform = ((1.0, 1.0), (0.0, 0.0))
@@ -71,7 +65,7 @@ def _materials_of(statements: Statements, materials: Materials) -> tuple[list[st
 
 def read_scene(scan: Scan, coordinates: Coordinates, materials: Materials, name: str) -> Scene:
     """Return the polygons of a file with their materials; polygons without one have the last."""
-    names, values = (*coordinates.names, ""), _read_values(materials)
+    names = (*coordinates.names, "")
     maps_of = [materials.maps_of(material) for material in names]
     unnamed, numbers = len(coordinates.names), coordinates.material_of
     material_of = np.where(numbers < 0, unnamed, numbers)
@@ -93,7 +87,7 @@ def read_scene(scan: Scan, coordinates: Coordinates, materials: Materials, name:
         corners=scan.corners,
         offsets=scan.offsets,
         material_of=material_of,
-        materials=[_material(name, values.get(name, {})) for name in names],
+        materials=[materials.material(name) for name in names],
         maps=[_shown(maps, materials) for maps in maps_of],
         uv=uv,
         tiles=materials.folder.tiles,
@@ -154,48 +148,6 @@ def _is_grey(materials: Materials, path: str) -> bool:
     image = read_image(materials.folder.content(file), file, finite=False)
     colours = image.pixels[..., list(image.colour)]
     return bool((colours == colours[..., :1]).all())
-
-
-def _material(name: str, values: dict[str, list[float]]) -> Material:
-    dark = [0.0, 0.0, 0.0]
-    transparency = values.get("tr", [0.0])[0]
-    # Some exporters write "Tr 1" for opaque materials; fully transparent ones are not exported.
-    opacity = clipped_factor(values.get("d", [1 - transparency])[0]) or 1.0
-    return Material(
-        name=name,
-        colour=_colour(values.get("kd", [1.0, 1.0, 1.0])),
-        emission=_colour(values.get("ke", dark)),
-        opacity=opacity,
-        metalness=clipped_factor(values.get("pm", [0.0])[0]),
-        roughness=clipped_factor(values.get("pr", [1.0])[0]),
-        alpha="blend" if opacity < 1 else "opaque",
-    )
-
-
-def _colour(numbers: list[float]) -> tuple[float, ...]:
-    whole = numbers if len(numbers) >= 3 else [numbers[0]] * 3  # one number stands for three
-    return tuple(map(clipped_factor, whole[:3]))
-
-
-def _read_values(materials: Materials) -> dict[str, dict[str, list[float]]]:
-    """Read the numbers of all materials by their keywords; of two libraries the first that has a material counts."""
-    values_of: dict[str, dict[str, list[float]]] = {}
-    for library in reversed(materials.libraries):
-        numbers_of: dict[str, list[float]] = {}
-        for match in _VALUE.finditer(library.data):
-            if match[1].lower() == b"newmtl":
-                numbers_of = values_of[os.fsdecode(match[2])] = {}
-            elif numbers := _numbers(match[2]):
-                numbers_of[match[1].lower().decode("ascii")] = numbers
-    return values_of
-
-
-def _numbers(text: bytes) -> list[float]:
-    try:
-        values = [float(word) for word in text.split(b"#")[0].split()]
-    except ValueError:  # a spectrum in a file, or another space of colours
-        return []
-    return values if np.isfinite(values).all() else []
 
 
 def _groups(statements: Statements) -> tuple[tuple[str, ...], Int64s, list[str]]:
