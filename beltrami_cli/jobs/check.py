@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache, partial
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -24,16 +24,22 @@ from beltrami_cli.surface.atlas import build_atlas, texels_by_texture
 from beltrami_cli.surface.records import Texture
 
 Value = TypeVar("Value")
-Finding = tuple[str, bool]  # how something differs, and whether in colour
+
+
+class Finding(NamedTuple):
+    """How two values differ."""
+
+    detail: str
+    of_colour: bool = False  # whether only colours differ, which may
 
 
 @dataclass(frozen=True)
 class Difference:
-    """Something that differs."""
+    """A difference, and its place in the file."""
 
-    what: str  # its place in the file
-    detail: str  # how it differs
-    of_colour: bool  # whether it is a colour or an image, which may differ
+    what: str
+    detail: str
+    of_colour: bool
 
 
 @dataclass(frozen=True)
@@ -110,18 +116,18 @@ def _differences(
     differences = []
     for what in {**old, **new}:
         if what in old and what in new:
-            difference = differ(old[what], new[what])
+            finding = differ(old[what], new[what])
         else:
-            difference = "is new" if what in new else "is missing", False
-        if difference is not None:
-            differences.append(Difference(what, *difference))
+            finding = Finding("is new" if what in new else "is missing")
+        if finding is not None:
+            differences.append(Difference(what, *finding))
     return differences
 
 
 def _difference_of_colours(before: Array, after: Array) -> Finding | None:
     if before.shape != after.shape:
-        return f"{before.shape} became {after.shape}", False
-    return None if np.array_equal(before, after) else (_amount(before, after), True)
+        return Finding(f"{before.shape} became {after.shape}")
+    return None if np.array_equal(before, after) else Finding(_amount(before, after), of_colour=True)
 
 
 def _amount(before: Array, after: Array) -> str:
@@ -146,22 +152,22 @@ def _difference_of_images(
     try:
         before, after = read_image(old.data, old.name), read_image(new.data, new.name)
     except InputError as error:
-        return f"{old.name} and {new.name} differ, and {error}", False
+        return Finding(f"{old.name} and {new.name} differ, and {error}")
     names = old.name if old.name == new.name else f"{old.name}, now {new.name}"
     sizes = [f"{len(p.pixels[0])} x {len(p.pixels)} pixels" for p in (before, after)]
     if sizes[0] != sizes[1]:
-        return f"{names}: {sizes[0]} became {sizes[1]}", False
+        return Finding(f"{names}: {sizes[0]} became {sizes[1]}")
     if cleared := _cleared(before, after):
-        return f"{names}: {cleared} pixels under an alpha of 0 lost their colours, which became 0", False
+        return Finding(f"{names}: {cleared} pixels under an alpha of 0 lost their colours, which became 0")
     kinds = [f"{p.stored} {'/'.join(p.channels)} in {p.format}" for p in (before, after)]
     if kinds[0] != kinds[1]:
-        return f"{names}: {kinds[0]} became {kinds[1]}", True
+        return Finding(f"{names}: {kinds[0]} became {kinds[1]}", of_colour=True)
     mask = visible().get(old.data)
     if mask is None:
         amount = _amount(*(p.pixels.reshape(-1, len(p.channels)) for p in (before, after)))
-        return f"{names}: pixels, {amount}", True
+        return Finding(f"{names}: pixels, {amount}", of_colour=True)
     on, off = (_amount(before.pixels[part], after.pixels[part]) for part in (mask, ~mask))
-    return f"{names}: on the surface {on}; in the gutter {off}", True
+    return Finding(f"{names}: on the surface {on}; in the gutter {off}", of_colour=True)
 
 
 def _cleared(before: DecodedImage, after: DecodedImage) -> int:
@@ -181,5 +187,5 @@ def _difference_of_bytes(old: bytes, new: bytes) -> Finding | None:
     differing = np.flatnonzero(np.frombuffer(old, np.uint8, length) != np.frombuffer(new, np.uint8, length))
     at = int(differing[0]) if differing.size else length
     if b"\n" in old and old[: at + 80].isascii():
-        return f"differs from its line {old.count(10, 0, at) + 1} on", False
-    return f"differs from its byte {at} on, {len(old)} bytes against {len(new)}", False
+        return Finding(f"differs from its line {old.count(10, 0, at) + 1} on")
+    return Finding(f"differs from its byte {at} on, {len(old)} bytes against {len(new)}")

@@ -1,11 +1,11 @@
 """The kinds of noise, as functions of colours.
 
-Samples at one place have one random number, so that split vertices stay equal, and seams stay invisible.
-Noise of samples by themselves is a function of a colour and of a uniform random number of the sample: the inverse of a
-distribution function. So samples with one colour and one number change equally, and samples at one place with different
-colours change in the same direction. A camera counts photons in linear light, which makes a variance of A L + B^2, and
-in images through a Bayer mosaic that is demosaiced chart by chart, bilinearly. Grain is a function of the place in
-space: random numbers on a lattice, mixed linearly between its points and divided by the deviation of the mixture.
+Samples at one place share a random number, so that split vertices stay equal and seams stay invisible. Independent
+noise is a function of the colour and of a uniform random number: the inverse of a distribution function. Samples with
+equal colours and numbers change equally, and samples at one place with different colours change in the same direction.
+A camera counts photons in linear light, with a variance of A L + B^2; images of three channels are seen through a Bayer
+mosaic, which is demosaiced bilinearly, chart by chart. Grain is a function of the place in space: random numbers on a
+lattice, interpolated linearly and divided by the deviation of the interpolated number.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def _generator(samples: NumberedSamples, settings: NoiseSettings) -> np.random.G
     return np.random.Generator(np.random.Philox(np.random.SeedSequence([settings.seed, samples.stream])))
 
 
-def _drawn(numbers: Float32s) -> Float64s:
+def _above_zero(numbers: Float32s) -> Float64s:
     # Multiples of 2^-24; half of that keeps them off 0, where distributions without bound have no inverse.
     return numbers.astype(np.float64) + 2.0**-25
 
@@ -82,11 +82,13 @@ def add_noise(samples: NumberedSamples, settings: NoiseSettings) -> Float32s:
         drawn = numbers[number_of, min(channel, columns - 1)]
         if samples.is_grey is not None:
             drawn = np.where(samples.is_grey, numbers[number_of, 0], drawn)
-        noisy[:, channel] = _changed(colours[:, channel].astype(np.float64), _drawn(drawn), settings)
+        noisy[:, channel] = _independent_noise(
+            colours[:, channel].astype(np.float64), _above_zero(drawn), settings
+        )
     return noisy.clip(*samples.limits)
 
 
-def _changed(colours: Float64s, numbers: Float64s, settings: NoiseSettings) -> Float64s:
+def _independent_noise(colours: Float64s, numbers: Float64s, settings: NoiseSettings) -> Float64s:
     from scipy.special import ndtri
 
     sigma = settings.deviation
@@ -109,7 +111,7 @@ def seen_by_camera(samples: NumberedSamples, cells: Cells | None, settings: Nois
 
     light = from_space(samples.colours, "linear", samples.space).astype(np.float64)
     count, channels = int(samples.number_of.max()) + 1, light.shape[1]
-    numbers = _drawn(_generator(samples, settings).random((count, channels), dtype=np.float32))
+    numbers = _above_zero(_generator(samples, settings).random((count, channels), dtype=np.float32))
     normal = ndtri(numbers)[samples.number_of]
     if samples.is_grey is not None:
         normal[samples.is_grey] = normal[samples.is_grey, :1]

@@ -166,7 +166,7 @@ class _TextureSamples(_PixelSamples):
 
     def __init__(self, layer: TextureLayer) -> None:
         super().__init__(layer)
-        self._layer, atlas = layer, layer.atlas
+        self._surface, self._atlas = layer.surface, (atlas := layer.atlas)
         # Texels are numbered by their place in the textures, and not on the canvas.
         number = np.empty(len(atlas.owned_texels), np.int64)
         number[np.argsort(atlas.owned_texels)] = np.arange(len(number))
@@ -180,10 +180,10 @@ class _TextureSamples(_PixelSamples):
         )
 
     def positions(self) -> tuple[Float64s, Float64s]:
-        return places_of_texels(self._layer.surface, self.cells)
+        return places_of_texels(self._surface, self.cells)
 
     def new_colours(self, after: Float32s) -> NewColours:
-        atlas = self._layer.atlas
+        atlas = self._atlas
         planes = on_canvas(atlas, after)
         beyond = np.ascontiguousarray(planes.reshape(len(planes), -1)[:, atlas.gutter.cells].T)
         return NewColours.of(after, atlas.owned_texels, atlas.gutter.texels, beyond)

@@ -13,7 +13,6 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.choice.choice import Choice
 from beltrami_cli.jobs.arrays.arguments import (
     Progress,
-    array_of,
     colour_table,
     image_array,
     in_type_of,
@@ -175,9 +174,8 @@ def _checked_surface(surface: ImageSurface | None, table: Float32s, shape: tuple
     return ImageSurface(heights, positions, valid)
 
 
-def _pixel_colours(colours: ArrayLike) -> tuple[Float32s, tuple[int, int]]:
+def _pixel_colours(image: Array) -> tuple[Float32s, tuple[int, int]]:
     """Return the colours of all pixels, shape (H * W, C), and the shape (H, W)."""
-    image = array_of(colours, "colours")
     if image.ndim not in (2, 3) or image.size == 0:
         raise UsageError(f"colours must be of shape (H, W) or (H, W, C), not {image.shape}")
     rows, columns = image.shape[:2]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
@@ -15,6 +15,7 @@ from beltrami_cli.fields import override
 from beltrami_cli.formats.image.decoded_image import DecodedImage, array_image
 from beltrami_cli.jobs.arrays.arguments import (
     ARRAYS,
+    Progress,
     array_of,
     colour_table,
     face_table,
@@ -61,7 +62,7 @@ def smooth_textured(
     origin: Literal["lower", "upper"] = "lower",
     slot: Slot = "baseColor",
     encoding: Encoding = "srgb",
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
     **overrides: Any,
 ) -> TexturedResult:
     """Smooth the textures of a mesh over its surface, across their seams, with the short-time Beltrami kernel.
@@ -110,7 +111,8 @@ def smooth_textured(
     if images is None:
         images = [] if arrays.image is None else [arrays.image]
     given = [image_array(image, f"image {number}") for number, image in enumerate(images)]
-    decoded = _images_of(given, encoding)
+    require_choice("encoding", encoding)
+    decoded = [_decoded(image, f"image {number}", encoding) for number, image in enumerate(given)]
     names = [image.name for image in decoded]
     surface = _textured_surface(arrays, names, texture_of, origin)
     # Images that other slots show, too, are handed back as pixels, not as files: here all of them.
@@ -151,20 +153,15 @@ def _textured_surface(
     return TexturedSurface(positions, faces, uv, image_of.astype(np.int32), textures)
 
 
-def _images_of(images: Sequence[Array], encoding: Encoding) -> list[DecodedImage]:
-    """Take textures: numbers as for `colour_table`, grey or RGB, with opacity or without."""
-    require_choice("encoding", encoding)
-    decoded = []
-    for number, image in enumerate(images):
-        name = f"image {number}"
-        if image.ndim not in (2, 3) or image.size == 0 or image.shape[2:] > (4,):
-            wanted = "(H, W), or (H, W, C) with C from 1 to 4"
-            raise UsageError(f"{name} must be of shape {wanted}, not {image.shape}")
-        pixels, kind = image.reshape(*image.shape[:2], -1), image.dtype
-        if kind not in (np.uint8, np.uint16):
-            pixels = colour_table(pixels.reshape(-1, pixels.shape[2])).reshape(pixels.shape)
-            if not np.isfinite(pixels).all():
-                raise InputError(name, "some of its values are not finite", "repair it")
-        stored = "float16" if kind == np.float16 else str(pixels.dtype)
-        decoded.append(array_image(pixels, name, encoding, stored))
-    return decoded
+def _decoded(image: Array, name: str, encoding: Encoding) -> DecodedImage:
+    """Take a texture: numbers as for `colour_table`, grey or RGB, with opacity or without."""
+    if image.ndim not in (2, 3) or image.size == 0 or image.shape[2:] > (4,):
+        wanted = "(H, W), or (H, W, C) with C from 1 to 4"
+        raise UsageError(f"{name} must be of shape {wanted}, not {image.shape}")
+    pixels, kind = image.reshape(*image.shape[:2], -1), image.dtype
+    if kind not in (np.uint8, np.uint16):
+        pixels = colour_table(pixels.reshape(-1, pixels.shape[2])).reshape(pixels.shape)
+        if not np.isfinite(pixels).all():
+            raise InputError(name, "some of its values are not finite", "repair it")
+    stored = "float16" if kind == np.float16 else str(pixels.dtype)
+    return array_image(pixels, name, encoding, stored)
