@@ -15,12 +15,12 @@ from beltrami_cli.formats.image.containers.png import packed_chunk
 from beltrami_cli.formats.image.file_formats import is_image
 from beltrami_cli.jobs.writing.output import FileSet, Output, Overwrite
 from beltrami_cli.layers.settings import SmoothSettings
-from beltrami_cli.view.image_view import ImageView
-from beltrami_cli.view.panels import draw_views
+from beltrami_cli.view.drawing.image_view import ImageView
+from beltrami_cli.view.drawing.panels import draw_views
+from beltrami_cli.view.drawing.surface_view import require_embree
+from beltrami_cli.view.drawing.views import open_views, require_memory_to_draw
 from beltrami_cli.view.render import encoded, picture_suffix
 from beltrami_cli.view.settings import DEFAULT_RENDER, Crop, RenderSettings
-from beltrami_cli.view.surface_view import require_embree
-from beltrami_cli.view.views import open_views, require_memory_to_draw
 
 _MARK = packed_chunk(b"tEXt", b"Software\0beltrami smooth --preview")  # of PNG files that are previews
 _MARK_OFFSET = 33  # where it is: behind the signature and IHDR

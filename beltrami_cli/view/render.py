@@ -18,10 +18,10 @@ from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.image.file_formats import FORMATS
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.writing.output import Output
-from beltrami_cli.view.image_view import ImageView
-from beltrami_cli.view.panels import draw_views
+from beltrami_cli.view.drawing.image_view import ImageView
+from beltrami_cli.view.drawing.panels import draw_views
+from beltrami_cli.view.drawing.views import open_views
 from beltrami_cli.view.settings import DEFAULT_RENDER, MAX_PIXELS, RenderSettings
-from beltrami_cli.view.views import open_views
 
 
 def render_file(

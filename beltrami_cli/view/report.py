@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import io
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,15 +21,22 @@ from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.progress import Progress, tracked
 from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.layers.settings import SmoothSettings
+from beltrami_cli.surface.colour_map import as_bytes, colour_by_value
 from beltrami_cli.surface.records import Slot
-from beltrami_cli.view import pages
-from beltrami_cli.view.models import ModelWriter
+from beltrami_cli.view.pages.models import ModelWriter
+from beltrami_cli.view.pages.rendering import PAGES, page_with_models
 from beltrami_cli.view.parameter_tables import used_parameters
 from beltrami_cli.view.render import distinct_labels
-from beltrami_cli.view.report_charts import histogram, seam_map
 
 _SCALE_QUANTILE = 0.995  # share of the samples with smaller changes than the one shown brightest
 _MAX_PAGE_BYTES = 8_000_000  # bytes of a page, unless its meshes alone are larger
+_MAX_MAP_SIDE = 768  # pixels
+_WIDTH, _HEIGHT = 720, 220  # of a histogram, in pixels
+# Colours and dashes of the lines of channels: the dashes are for those who cannot distinguish the colours.
+_NAMES = {3: ("red", "green", "blue")}
+_DASHES = ("none", "8 4", "2 3")
+_MAX_BINS = 64  # of a histogram
+_MAX_FINE_CHANGE = 4.0  # 255ths; larger changes are counted in bins of whole numbers
 _SCALED = "Pictures have {:.0f} % of their width on the page; --full-size keeps all of it."
 
 
@@ -52,8 +59,8 @@ def report_file(
         raise UsageError("BEFORE and AFTER must be files and not pipes")
     known = names if parameters is None else [*names, parameters]
     output = Output(target, overwrite=job.overwrite, is_text=True, what="page", reads=known)
-    if target != "-" and Path(target).suffix.lower() not in pages.PAGES:
-        raise UsageError(f"the report is a page; end its name in {' or '.join(pages.PAGES)}", target)
+    if target != "-" and Path(target).suffix.lower() not in PAGES:
+        raise UsageError(f"the report is a page; end its name in {' or '.join(PAGES)}", target)
     access = output.files.watching(job.access)
     job = dataclasses.replace(job, access=access)
     used = None if parameters is None else read_parameters(parameters, access)
@@ -89,7 +96,7 @@ def _page(
         writer.add(documents, slot)
 
     def page_with(data: dict[str, Any], notices: Sequence[str]) -> bytes:
-        return pages.page_with_models("report.html", "report.js", data, notices=notices, **values)
+        return page_with_models("report.html", "report.js", data, notices=notices, **values)
 
     limit = np.inf if full_size else _MAX_PAGE_BYTES - len(page_with({}, [*notices, _SCALED]))
     models, share = writer.packed(reach, limit)
@@ -118,3 +125,50 @@ def _figures(differing: Sequence[Measured]) -> list[dict[str, Any]]:
             {"name": name, **found, "change": change / found["samples"] if found["samples"] else None}
         )
     return rows
+
+
+def histogram(measured: Iterable[Measured], reach: float) -> dict[str, Any]:
+    """Return the lines of a histogram of changes by channel, in steps of 1/255, and its axis.
+
+    Of parts with different channels, the ones with most are drawn; nearly all changes are within `reach`, in 255ths.
+    """
+    reach = max(1.0, reach)
+    step = -(-2 * reach // _MAX_BINS) // 2 * 2 + 1 if reach > _MAX_FINE_CHANGE else 2 * reach / _MAX_BINS
+    bins = 2 * int(reach // step) + 1
+    counts = np.zeros((1, bins), np.int64)
+    for each in measured:
+        for _, reference, test in each.part.blocks():
+            # Larger changes are counted in the first and last bin.
+            places = 255 / step * (test.astype(np.float64) - reference) + bins / 2
+            channels = places.clip(0, bins - 1).astype(np.int64).T
+            if len(channels) > len(counts):
+                counts = np.zeros((len(channels), bins), np.int64)
+            if len(channels) == len(counts):
+                counts += [np.bincount(channel, minlength=bins) for channel in channels]
+    most, names = max(1, int(counts.max())), _NAMES.get(len(counts), ("",) * len(counts))
+    lines = []
+    for number, (count, name) in enumerate(zip(counts, names, strict=True)):
+        corners = zip(_WIDTH * (np.arange(bins) + 0.5) / bins, _HEIGHT * (1 - count / most), strict=True)
+        points = " ".join(f"{x:.1f},{y:.1f}" for x, y in corners)
+        ink = f"var(--{name})" if name else "currentColor"
+        lines.append({"name": name, "ink": ink, "dash": _DASHES[number % 3], "points": points})
+    return {"size": (_WIDTH, _HEIGHT), "lines": lines, "reach": step * bins / 2}
+
+
+def seam_map(measured: Measured) -> dict[str, Any] | None:
+    """Return a picture of the changes of a texture near its seams, `size` = (rows, columns); None without seams."""
+    pair = measured.part
+    if pair.size is None or pair.near_seams is None or not pair.near_seams.any():
+        return None
+    stride = max(1, -(-max(pair.size) // _MAX_MAP_SIDE))
+    errors, values = measured.errors[pair.near_seams], np.full(pair.size, -1.0, np.float32)
+    largest = max(float(errors.max()), 1 / 255)
+    values.reshape(-1)[pair.index[pair.near_seams]] = errors / largest
+    down, across = (np.arange(0, side, stride) for side in pair.size)
+    values, covered = (
+        np.maximum.reduceat(np.maximum.reduceat(each, down, axis=0), across, axis=1)
+        for each in (values, pair.covered())
+    )
+    shades = np.repeat(np.where(covered[..., None], np.float32(0.6), np.float32(1)), 3, axis=2)
+    drawn = colour_by_value(np.maximum(values, 0), shades, values >= 0)
+    return {"name": pair.name, "picture": as_bytes(drawn), "largest": 255 * largest}

@@ -1,11 +1,16 @@
-"""The sheet of a sweep: views of inputs and results, in a picture or on a page."""
+"""The trials of a sweep, and its sheet: a table of their figures, or views of them in a picture or on a page."""
 
 from __future__ import annotations
 
 import contextlib
+import csv
 import dataclasses
+import io
+import json
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
 
 from beltrami_cli.arrays import Uint8s
 from beltrami_cli.errors import OutputError
@@ -13,14 +18,57 @@ from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.document import Document
 from beltrami_cli.jobs.progress import Progress
 from beltrami_cli.jobs.writing.output import Output
-from beltrami_cli.view.arranging import Panel, arranged
-from beltrami_cli.view.pages import data_address, page_from
-from beltrami_cli.view.panels import draw_panels, fixed_settings
+from beltrami_cli.view.drawing.arranging import Panel, arranged
+from beltrami_cli.view.drawing.panels import draw_panels, fixed_settings
+from beltrami_cli.view.drawing.views import view_of
+from beltrami_cli.view.pages.rendering import data_address, page_from
 from beltrami_cli.view.settings import RenderSettings
-from beltrami_cli.view.trials import FIGURES, Trial, best_of, columns_of
-from beltrami_cli.view.views import view_of
 
+FigureFormat = Literal["csv", "json"]
+FIGURES = {
+    "psnr": "PSNR, dB",
+    "estimated_psnr": "estimated PSNR, dB",
+    "estimated_gain": "estimated gain, dB",
+    "psnr_near_seams": "PSNR near seams, dB",
+    "ssim": "SSIM",
+    "delta_e": "Delta E 2000",
+}
 _REWRITE_FACTOR = 10  # time between two writes of the page, in times that the last write took
+
+
+@dataclass(frozen=True)
+class Trial:
+    """The result of one set of the swept parameters: figures against a reference if there is one, and estimates."""
+
+    parameters: dict[str, float]
+    figures: dict[str, float]
+
+    @property
+    def label(self) -> str:
+        words = [f"{name} {value:g}" for name, value in self.parameters.items()] or ["default"]
+        return ", ".join(words) + (f": {self.figures['psnr']:.2f} dB" if "psnr" in self.figures else "")
+
+
+def best_of(trials: Sequence[Trial]) -> int | None:
+    """Return the index of the trial with the highest PSNR; None without a reference."""
+    known = [number for number, trial in enumerate(trials) if "psnr" in trial.figures]
+    return max(known, key=lambda number: trials[number].figures["psnr"], default=None)
+
+
+def columns_of(trials: Sequence[Trial]) -> tuple[list[str], list[str]]:
+    parameters = sorted({key for trial in trials for key in trial.parameters})
+    return parameters, [key for key in FIGURES if any(key in trial.figures for trial in trials)]
+
+
+def table_of(trials: Sequence[Trial], kind: FigureFormat | None) -> str:
+    if kind == "json":
+        return json.dumps([dataclasses.asdict(trial) for trial in trials], indent=2) + "\n"
+    parameters, found = columns_of(trials)
+    text = io.StringIO()
+    writer = csv.DictWriter(text, [*parameters, *found], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({**trial.parameters, **trial.figures} for trial in trials)
+    return text.getvalue()
 
 
 class SweepSheet:

@@ -19,12 +19,11 @@ from beltrami_cli.jobs.recolour import recolour_in_memory
 from beltrami_cli.jobs.smoothing import Smoothed, Smoothing
 from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.layers.settings import LevelSetSettings, SmoothSettings
-from beltrami_cli.view.pages import PAGES
+from beltrami_cli.view.drawing.views import require_memory_to_draw
+from beltrami_cli.view.pages.rendering import PAGES
 from beltrami_cli.view.render import encoded, picture_suffix
 from beltrami_cli.view.settings import MAX_PIXELS, RenderSettings
-from beltrami_cli.view.sheet import SweepSheet
-from beltrami_cli.view.trials import FigureFormat, Trial, table_of
-from beltrami_cli.view.views import require_memory_to_draw
+from beltrami_cli.view.sheet import FigureFormat, SweepSheet, Trial, table_of
 
 Variation = tuple[dict[str, float], SmoothSettings]  # the swept parameters, and all settings with them
 

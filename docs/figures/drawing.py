@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli.surface.colour_values import srgb_to_linear
-from beltrami_cli.view.arranging import displayed
-from beltrami_cli.view.cameras import fitted, orientation
+from beltrami_cli.view.drawing.arranging import displayed
+from beltrami_cli.view.drawing.cameras import fitted, orientation
+from beltrami_cli.view.drawing.surface_colours import InterpolatedColours
+from beltrami_cli.view.drawing.surface_view import SurfaceView
 from beltrami_cli.view.settings import DEFAULT_RENDER
-from beltrami_cli.view.surface_colours import InterpolatedColours
-from beltrami_cli.view.surface_view import SurfaceView
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -12,7 +12,7 @@ import pytest
 from beltrami_cli.jobs.compare.figures import ComparedPart, measure
 from beltrami_cli.view import report
 from beltrami_cli.view.parameter_tables import used_parameters
-from beltrami_cli.view.report_charts import histogram
+from beltrami_cli.view.report import histogram
 from cli.commands import SAMPLES, beltrami, colours_in
 from cli.pictures import encode, textured_square
 

@@ -11,8 +11,8 @@ from beltrami_cli.formats.registry import open_bytes, open_document
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.settings import SmoothSettings
+from beltrami_cli.view.drawing.views import view_of
 from beltrami_cli.view.settings import RenderSettings
-from beltrami_cli.view.views import view_of
 from formats.image_files import encode
 from hostile.textured_models import PICTURE, write_model
 from small_models import COLOURED, ply

@@ -61,7 +61,7 @@ class LiveViewer(Viewer):
 
 # Threads of the core that do not end in time would make Python abort as it ends.
 NEVER_ENDS = (
-    "from beltrami_cli.view.live import Live; Live.close = lambda self: False; "
+    "from beltrami_cli.view.live.live import Live; Live.close = lambda self: False; "
     "from beltrami_cli.__main__ import main; main()"
 )
 

@@ -11,8 +11,8 @@ import pytest
 
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.layers.settings import SmoothSettings
-from beltrami_cli.view.live import Live
-from beltrami_cli.view.server import PageServer
+from beltrami_cli.view.live.live import Live
+from beltrami_cli.view.live.server import PageServer
 from cli.commands import SAMPLES
 
 # One value of each type that JSON has, and some that only look right.
@@ -160,7 +160,7 @@ def test_parts_of_another_type_save_and_change_nothing(request_name, name, page_
     if request_name == "save":
         lacking = {key: value for key, value in right.items() if key != name}
         assert sent(page_server, "save", json.dumps(lacking)) == MALFORMED
-    assert not page_server.answered
+    assert not page_server.unfinished
     assert saved == []
 
 
@@ -169,10 +169,10 @@ def test_a_change_that_is_broken_off_ends_and_leaves_nothing(page_server):
     connection = http.client.HTTPConnection(page_server.host, timeout=10)
     connection.request("POST", f"/{page_server.token}/change", json.dumps(CHANGE), own(page_server))
     assert json.loads(connection.getresponse().readline()) == {"kind": "accepted", "command": "command"}
-    assert page_server.answered
+    assert page_server.unfinished
     connection.close()
     end = time.monotonic() + 60
-    while page_server.answered:
+    while page_server.unfinished:
         assert time.monotonic() < end
         time.sleep(0.05)
 

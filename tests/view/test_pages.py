@@ -15,7 +15,7 @@ from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.layers.settings import DEFAULTS
 from beltrami_cli.surface.records import ColouredVertices
-from beltrami_cli.view.models import ModelWriter
+from beltrami_cli.view.pages.models import ModelWriter
 from beltrami_cli.view.settings import RenderSettings
 from beltrami_cli.view.sweep import sweep_file
 from cli.commands import SAMPLES, beltrami

@@ -18,13 +18,14 @@ from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.job import PLAIN_JOB
 from beltrami_cli.jobs.recolour import recolour_in_memory
 from beltrami_cli.jobs.smoothing import Smoothing
+from beltrami_cli.layers.selection import select
 from beltrami_cli.layers.settings import DEFAULTS
 from beltrami_cli.surface.records import ColouredVertices
-from beltrami_cli.view.controls import plain_settings, settings_from, values_of
-from beltrami_cli.view.layer_view import LayerView
 from beltrami_cli.view.light import displayed_colours, displayed_pixels
-from beltrami_cli.view.models import ModelWriter
-from beltrami_cli.view.preview import Focus, NoPreviewError, previewer_of
+from beltrami_cli.view.live.controls import plain_settings, settings_from, values_of
+from beltrami_cli.view.live.layer_view import LayerView
+from beltrami_cli.view.live.previews import Focus, obstacle_to, previewer_of
+from beltrami_cli.view.pages.models import ModelWriter
 from cli.commands import SAMPLES
 from cli.pictures import encode
 from small_models import textured_squares
@@ -76,8 +77,8 @@ def test_moved_vertices_go_back_on_every_page():
     layer.add_to(ModelWriter(is_live=True))
     layer.whole(moved)
     for _ in range(2):  # two pages
-        (patch,) = layer.whole(still)
-        assert "places" in patch
+        (update,) = layer.whole(still)
+        assert "places" in update
 
 
 def middle(kind, document):
@@ -127,32 +128,41 @@ def test_most_of_a_preview_is_what_the_whole_becomes(inputs, name, slot, budget,
     settings = override(replace(DEFAULTS, kernel=kernel), **{**more, **texts})
     document = open_input(str(SAMPLES / name.format(inputs)), settings, DEFAULT_ACCESS)
     previewer = previewer_of(document, None if slot == "image" else slot)
-    patches = previewer.smooth(settings, middle(slot, document), budget, None)
-    assert budget / 4 < sum(len(patch.rows) for patch in patches) < 2 * budget
+    updates = previewer.smooth(settings, middle(slot, document), budget, None)
+    assert budget / 4 < sum(len(update.rows) for update in updates) < 2 * budget
     whole, *_ = recolour_in_memory(document, settings, Smoothing.of(settings), PLAIN_JOB)
-    for patch in patches:
+    for update in updates:
         if slot is None:
-            expected, one = displayed_colours(whole.coloured_vertices())[patch.rows], 257
+            expected, one = displayed_colours(whole.coloured_vertices())[update.rows], 257
         else:
-            data = whole.data if slot == "image" else whole.textured(slot).textures[patch.texture].data
-            expected, one = displayed_pixels(read_image(data, name))[patch.rows, patch.columns], 1
-        off = np.abs(patch.colours.astype(int) - expected).max(axis=1) / one
+            data = whole.data if slot == "image" else whole.textured(slot).textures[update.texture].data
+            expected, one = displayed_pixels(read_image(data, name))[update.rows, update.columns], 1
+        off = np.abs(update.colours.astype(int) - expected).max(axis=1) / one
         # JPEG stores less than the page shows; the outermost samples lack what lies beyond. Where vertices move, the
         # noise of normals is estimated on the part.
         assert np.mean(off <= (4 if slot == "image" else 1)) > (
             0.5 if settings.embedding.smooth_geometry else 0.7
         )
-        assert (patch.positions is not None) == settings.embedding.smooth_geometry
-        if patch.positions is not None:
-            before, after = (each.coloured_vertices().positions[patch.rows] for each in (document, whole))
+        assert (update.positions is not None) == settings.embedding.smooth_geometry
+        if update.positions is not None:
+            before, after = (each.coloured_vertices().positions[update.rows] for each in (document, whole))
             moves = np.linalg.norm(after - before, axis=1)
-            assert np.median(np.linalg.norm(patch.positions - after, axis=1)) < 0.4 * np.median(moves)
+            assert np.median(np.linalg.norm(update.positions - after, axis=1)) < 0.4 * np.median(moves)
 
 
-@pytest.mark.parametrize(("name", "slot"), [("knot-noisy.ply", None), ("torus-two-noisy.gltf", "baseColor")])
-def test_guides_have_no_preview(name, slot):
-    document = open_input(str(SAMPLES / name), DEFAULTS, DEFAULT_ACCESS)
-    guided, previewer = override(DEFAULTS, guides=("x",)), previewer_of(document, slot)
-    focus = middle(slot, document)
-    with pytest.raises(NoPreviewError, match="guides are read"):
-        previewer.smooth(guided, focus, 100, None)
+@pytest.mark.parametrize(
+    ("slot", "changed", "obstacle"),
+    [
+        ("baseColor", {}, ""),
+        (None, {}, "not smoothed"),
+        ("baseColor", {"iterations": 0}, "no iteration"),
+        ("baseColor", {"level_seams": True}, "levelled over the whole"),
+        ("baseColor", {"guides": ("normal",)}, "guides are read"),
+    ],
+)
+def test_a_part_that_cannot_be_smoothed_alone_has_no_preview(slot, changed, obstacle):
+    document = open_input(str(SAMPLES / "head-tex-noisy.glb"), DEFAULTS, DEFAULT_ACCESS)
+    settings = override(DEFAULTS, **changed)
+    reason = obstacle_to(settings, select(document, settings), slot)
+    assert obstacle in reason
+    assert bool(reason) == bool(obstacle)

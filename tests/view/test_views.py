@@ -8,15 +8,15 @@ import pytest
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.surface.geometry import triangle_areas
 from beltrami_cli.surface.records import Texture, TexturedSurface
-from beltrami_cli.view.arranging import Panel, arranged, displayed
-from beltrami_cli.view.cameras import fitted, framed, orientation, within_reach
-from beltrami_cli.view.cloud_view import CloudView, draw_discs
-from beltrami_cli.view.image_view import ImageView
-from beltrami_cli.view.panels import draw_views, is_lost_on_white, most_detailed_window
+from beltrami_cli.view.drawing.arranging import Panel, arranged, displayed
+from beltrami_cli.view.drawing.cameras import fitted, framed, orientation, within_reach
+from beltrami_cli.view.drawing.cloud_view import CloudView, draw_discs
+from beltrami_cli.view.drawing.image_view import ImageView
+from beltrami_cli.view.drawing.panels import draw_views, is_lost_on_white, most_detailed_window
+from beltrami_cli.view.drawing.surface_colours import InterpolatedColours, TextureColours
+from beltrami_cli.view.drawing.surface_view import AMBIENT, LAMP, SurfaceView
 from beltrami_cli.view.render import distinct_labels
 from beltrami_cli.view.settings import DEFAULT_RENDER, RenderSettings
-from beltrami_cli.view.surface_colours import InterpolatedColours, TextureColours
-from beltrami_cli.view.surface_view import AMBIENT, LAMP, SurfaceView
 from oracles import surfaces
 
 pytest.importorskip("embreex")

@@ -75,8 +75,8 @@ def sweep(
     plain = trials[0][1]
     on = "vertices" if plain.on == "vertices" else "auto"
     settings = record_from(RenderSettings, given, on=on, slot=plain.textures.slots[0])
+    from beltrami_cli.view.sheet import best_of
     from beltrami_cli.view.sweep import sweep_file
-    from beltrami_cli.view.trials import best_of
 
     with options.job_from(given, source, messages) as job:
         done = sweep_file(

@@ -29,8 +29,8 @@ from beltrami_cli.layers.settings import SmoothSettings, given_values
 def view(source: str, no_open: bool, messages: Messages, **smoothing: Any) -> None:
     """Show MODEL in the browser, and smooth it there while parameters are changed."""
     settings = options.settings_from(smoothing)
-    from beltrami_cli.view.live import Live
-    from beltrami_cli.view.server import PageServer
+    from beltrami_cli.view.live.live import Live
+    from beltrami_cli.view.live.server import PageServer
 
     def typed(settings: SmoothSettings, target: str) -> str:
         words = [*words_of(settings, smoothing["preset"]), *_words_on(record_from(Access, smoothing))]

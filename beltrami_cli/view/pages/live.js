@@ -130,14 +130,14 @@
       none = `No preview: ${reason}. `;
       say("The whole follows.");
     },
-    preview: async ({ patches, samples, stage, seconds }) => {
-      await viewer.patching.apply(patches);
+    preview: async ({ updates, samples, stage, seconds }) => {
+      await viewer.updating.apply(updates);
       part("viewer").dataset.previews = Number(part("viewer").dataset.previews || 0) + 1;
       part("viewer").dataset.latency = performance.now() - part("viewer").dataset.asked;
       say(`Preview of ${samples} samples in the middle${stage}, ${seconds.toFixed(2)} s; the whole follows.`);
     },
-    whole: async ({ patches, used, chosen, notices, noise }) => {
-      await viewer.patching.apply(patches);
+    whole: async ({ updates, used, chosen, notices, noise }) => {
+      await viewer.updating.apply(updates);
       part("progress").value = 1;
       none = "";
       say("Done.");

@@ -1,4 +1,4 @@
-// Restores what `view/models.py` packs: a compressed file whose tables are kept as differences, byte by byte.
+// Restores what `view/pages/models.py` packs: a compressed file whose tables are kept as differences, byte by byte.
 "use strict";
 const Unpacking = (() => {
   async function inflated(text) {

@@ -18,7 +18,7 @@ const Viewer = (() => {
       this.at = 50;
       this.show = "swipe";
       this.operating = new Operating(this);
-      this.patching = new Patching(this);
+      this.updating = new Updating(this);
     }
 
     async start() {

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -25,6 +24,7 @@ from beltrami_cli.layers.image_layer import ImageLayer
 from beltrami_cli.layers.image_surface import ImageSurface
 from beltrami_cli.layers.layer import Layer
 from beltrami_cli.layers.mesh_layer import MeshLayer
+from beltrami_cli.layers.selection import Selection
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.layers.texture_groups import choose_textures
 from beltrami_cli.layers.texture_layer import TextureLayer
@@ -33,7 +33,7 @@ from beltrami_cli.surface.geometry import triangle_areas
 from beltrami_cli.surface.records import ColouredVertices, Slot, TexturedSurface
 from beltrami_cli.view.light import displayed_colours, displayed_pixels
 
-Progress = Callable[[int, int], None]
+Steps = Callable[[int, int], None]  # called with the steps done and all; it may raise to stop
 
 _PIECE = 320  # most texels of a piece of a triangle, so that many fit into a preview
 _MAX_PIECES = 100_000  # of a texture, even if pieces are then larger
@@ -41,10 +41,6 @@ _MAX_SPLITS = 24  # each halves the longest sides
 _NO_FACES = np.zeros((0, 3), np.int32)
 _APART = 1e3  # distance of textures that are laid flat, so that the nearest points are all in one
 _FOCUS_RADIUS = 0.05  # of the model's size: distance from the line of sight of triangles in focus
-
-
-class NoPreviewError(Exception):
-    """The reason why there is no preview."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +52,7 @@ class Focus:
 
 
 @dataclass(frozen=True)
-class Patch:
+class Update:
     """New colours of some samples: of vertices, which may have moved, or of texels of one texture."""
 
     texture: int  # index of the texture; -1: vertices
@@ -66,40 +62,35 @@ class Patch:
     positions: Float64s | None = None  # of vertices, (K, 3), if they moved
 
 
-class Previewer(ABC):
-    """Smooths parts of the pixels, the vertex colours or the textures of a slot of a document."""
-
-    def smooth(
-        self, settings: SmoothSettings, focus: Focus, budget: int, progress: Progress | None
-    ) -> list[Patch]:
-        """Smooth about `budget` samples around the focus."""
-        if settings.level_seams:
-            raise NoPreviewError("exposure steps are levelled over the whole model")
-        if settings.embedding.guides:
-            raise NoPreviewError("guides are read for the whole model")
-        return self._smooth(settings, focus, budget, progress)
-
-    @abstractmethod
-    def _smooth(
-        self, settings: SmoothSettings, focus: Focus, budget: int, progress: Progress | None
-    ) -> list[Patch]: ...
+def obstacle_to(settings: SmoothSettings, selection: Selection, slot: Slot | None) -> str:
+    """Return the reason why a part has no preview; empty if it has one."""
+    if not (selection.image or (selection.vertices if slot is None else slot in selection.slots)):
+        return "the colours in view are not smoothed"
+    if not settings.kernel.iterations:
+        return "no iteration is wanted, so nothing changes"
+    if settings.level_seams:
+        return "exposure steps are levelled over the whole model"
+    return "guides are read for the whole model" if settings.embedding.guides else ""
 
 
 def previewer_of(document: Document, slot: Slot | None) -> Previewer:
-    """Return the previewer of the pixels of an image, of the textures of a slot, or (None) of vertex colours."""
+    """Return the previewer of the pixels of an image, of the textures of a slot, or (None) of vertex colours.
+
+    Its `smooth` smooths about `budget` samples around a focus.
+    """
     if document.kind == "image":
         return _ImagePreviewer(document)
     return _VertexPreviewer(document) if slot is None else _TexturePreviewer(document, slot)
 
 
-class _ImagePreviewer(Previewer):
+class _ImagePreviewer:
     def __init__(self, document: Document) -> None:
         self._document = document
         self._layer: ImageLayer | None = None  # of the last settings
 
-    def _smooth(
-        self, settings: SmoothSettings, focus: Focus, budget: int, progress: Progress | None
-    ) -> list[Patch]:
+    def smooth(
+        self, settings: SmoothSettings, focus: Focus, budget: int, progress: Steps | None
+    ) -> list[Update]:
         kernel = settings.kernel
         if self._layer is None or dataclasses.replace(self._layer.settings, kernel=kernel) != settings:
             self._layer = ImageLayer.read(self._document, settings).normalised()
@@ -110,10 +101,10 @@ class _ImagePreviewer(Previewer):
         pixels, _ = layer.new_pixels(0, _smoothed(layer, progress))
         shown = displayed_pixels(dataclasses.replace(layer.image, pixels=pixels))
         row, column = (axis.ravel() for axis in np.indices(shown.shape[:2]))
-        return [Patch(0, row + top.start, column + left.start, shown.reshape(-1, 4))]
+        return [Update(0, row + top.start, column + left.start, shown.reshape(-1, 4))]
 
 
-class _VertexPreviewer(Previewer):
+class _VertexPreviewer:
     def __init__(self, document: Document) -> None:
         self._document = document
 
@@ -129,9 +120,9 @@ class _VertexPreviewer(Previewer):
             vertices.positions[vertices.faces].mean(axis=1) if has_faces else vertices.positions
         )
 
-    def _smooth(
-        self, settings: SmoothSettings, focus: Focus, budget: int, progress: Progress | None
-    ) -> list[Patch]:
+    def smooth(
+        self, settings: SmoothSettings, focus: Focus, budget: int, progress: Steps | None
+    ) -> list[Update]:
         coloured, grid, order = self._coloured, self._document.grid(), self._by_distance.order(focus)
         is_mesh = len(coloured.faces) > 0
         layer: VertexLayer
@@ -156,10 +147,10 @@ class _VertexPreviewer(Previewer):
             positions=layer.vertices.positions[part_rows],
             faces=_NO_FACES,
         )
-        return [Patch(-1, rows, rows, displayed_colours(kept), made.positions)]
+        return [Update(-1, rows, rows, displayed_colours(kept), made.positions)]
 
 
-class _TexturePreviewer(Previewer):
+class _TexturePreviewer:
     def __init__(self, document: Document, slot: Slot) -> None:
         self._document, self._slot = document, slot
 
@@ -176,9 +167,9 @@ class _TexturePreviewer(Previewer):
         flat = np.column_stack([surface.uv.mean(axis=1), _APART * surface.texture_of])
         return _ByDistance(surface.positions[surface.faces].mean(axis=1), flat)
 
-    def _smooth(
-        self, settings: SmoothSettings, focus: Focus, budget: int, progress: Progress | None
-    ) -> list[Patch]:
+    def smooth(
+        self, settings: SmoothSettings, focus: Focus, budget: int, progress: Steps | None
+    ) -> list[Update]:
         (surface, covered), order = self._pieces, self._by_distance.order(focus)
         order = order[: max(1, int(np.searchsorted(np.cumsum(covered[order]), budget)))]
         rows, corners = np.unique(surface.faces[order], return_inverse=True)
@@ -190,7 +181,7 @@ class _TexturePreviewer(Previewer):
         chosen = choose_textures(part, settings.textures)
         layer = TextureLayer.read(chosen, self._slot, settings, guided=self._document).normalised()
         new = _smoothed(layer, progress)
-        offsets, patches = layer.atlas.texture_offsets, []
+        offsets, updates = layer.atlas.texture_offsets, []
         keys = [each.key for each in surface.textures]
         for index, picture in enumerate(layer.images):
             inside = (new.places >= offsets[index]) & (new.places < offsets[index + 1])
@@ -199,8 +190,11 @@ class _TexturePreviewer(Previewer):
                 pixels = layer.new_pixels(index, new)[0].reshape(-1, picture.pixels.shape[2])[texels]
                 shown = displayed_pixels(dataclasses.replace(picture, pixels=pixels[None]))[0]
                 rows, columns = np.divmod(texels, picture.pixels.shape[1])
-                patches.append(Patch(keys.index(layer.surface.textures[index].key), rows, columns, shown))
-        return patches
+                updates.append(Update(keys.index(layer.surface.textures[index].key), rows, columns, shown))
+        return updates
+
+
+Previewer = _ImagePreviewer | _VertexPreviewer | _TexturePreviewer
 
 
 class _ByDistance:
@@ -221,7 +215,7 @@ class _ByDistance:
         return self._last[1]
 
 
-def _smoothed(layer: Layer, progress: Progress | None) -> NewColours:
+def _smoothed(layer: Layer, progress: Steps | None) -> NewColours:
     new: NewColours = smooth_in_place(layer.plan(), progress).manifold.new_colours()
     return new
 

@@ -16,13 +16,13 @@ from beltrami_cli.jobs.progress import Progress, tracked
 from beltrami_cli.layers.settings import COLOUR_SLOTS, DEFAULTS, SLOTS, SmoothSettings
 from beltrami_cli.surface.geometry import triangle_areas
 from beltrami_cli.surface.records import Slot
-from beltrami_cli.view.cameras import within_reach
-from beltrami_cli.view.cloud_view import CloudView
-from beltrami_cli.view.image_view import ImageView
+from beltrami_cli.view.drawing.cameras import within_reach
+from beltrami_cli.view.drawing.cloud_view import CloudView
+from beltrami_cli.view.drawing.image_view import ImageView
+from beltrami_cli.view.drawing.surface_colours import InterpolatedColours, TextureColours
+from beltrami_cli.view.drawing.surface_view import SurfaceView
 from beltrami_cli.view.light import linear_colours, linear_pixels
 from beltrami_cli.view.settings import RenderSettings
-from beltrami_cli.view.surface_colours import InterpolatedColours, TextureColours
-from beltrami_cli.view.surface_view import SurfaceView
 
 _TEXEL_BYTES = 22  # of a texel: four floats, and a third more for smaller copies
 

@@ -14,7 +14,7 @@ from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.layers.settings import COLOUR_SLOTS
 from beltrami_cli.surface.records import Slot, Texture
 from beltrami_cli.view.light import displayed_pixels
-from beltrami_cli.view.pages import png_of
+from beltrami_cli.view.pages.rendering import png_of
 
 ImageBytes = tuple[str, bytes]  # MIME type and content
 _MIME = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg"}

@@ -32,15 +32,15 @@ from beltrami_cli.jobs.smoothing import Smoothed, Smoothing
 from beltrami_cli.layers.selection import select
 from beltrami_cli.layers.settings import SmoothSettings, describe_settings
 from beltrami_cli.surface.records import Slot
-from beltrami_cli.view.controls import CONTROLS, SLIDERS, plain_settings, settings_from, values_of
-from beltrami_cli.view.layer_view import LayerView
-from beltrami_cli.view.models import ModelWriter
-from beltrami_cli.view.pages import page_with_models, rendered
+from beltrami_cli.view.drawing.views import require_memory_to_draw
+from beltrami_cli.view.live.controls import CONTROLS, SLIDERS, plain_settings, settings_from, values_of
+from beltrami_cli.view.live.layer_view import LayerView
+from beltrami_cli.view.live.previews import Focus, obstacle_to
+from beltrami_cli.view.live.server import GoneError, MalformedError, PageRequest
+from beltrami_cli.view.pages.models import ModelWriter
+from beltrami_cli.view.pages.rendering import page_with_models, rendered
 from beltrami_cli.view.parameter_tables import used_parameters
-from beltrami_cli.view.preview import Focus, NoPreviewError
-from beltrami_cli.view.server import GoneError, MalformedError, PageRequest
 from beltrami_cli.view.settings import RenderSettings
-from beltrami_cli.view.views import require_memory_to_draw
 from beltrami_cli.view.words import noise_of
 
 Command = Callable[[SmoothSettings, str], str]
@@ -117,8 +117,10 @@ class Live:
         if target == "-":
             raise UsageError("the output must be a file, since the page cannot show it")
         with self._saving:
-            page.check_open()
-            job = dataclasses.replace(self._job, overwrite=overwrite, progress=lambda *_: page.check_open())
+            page.require_running()
+            job = dataclasses.replace(
+                self._job, overwrite=overwrite, progress=lambda *_: page.require_running()
+            )
             report = smooth_file(self._source, target, settings, job)
         page.send(written=report.written, warnings=report.warnings, command=command)
 
@@ -151,32 +153,28 @@ class Live:
         """Smooth the part in view: first by the kernel, then with patches if the settings have them."""
         settings, slot = change.settings, change.layer.slot
         try:
-            selection = select(self._document, settings)
-            if not (selection.image or (selection.vertices if slot is None else slot in selection.slots)):
-                raise NoPreviewError("the colours in view are not smoothed")
-            if not settings.kernel.iterations:
-                raise NoPreviewError("no iteration is wanted, so nothing changes")
+            if obstacle := obstacle_to(settings, select(self._document, settings), slot):
+                change.page.send(kind="none", reason=obstacle)
+                return
             at_once = self._without_search(settings)
             self._preview_part(change, at_once, "")
             if settings.kernel.takes_patches and not settings.embedding.smooth_geometry:
                 self._preview_part(change, override(at_once, patches="on"), _WITH_PATCHES)
         except GoneError:
             raise
-        except NoPreviewError as error:
-            change.page.send(kind="none", reason=str(error))
         except Exception:  # the same error is reported for the whole, which follows
             change.page.send(kind="none", reason="the part in view cannot be smoothed alone")
 
     def _preview_part(self, change: _Change, settings: SmoothSettings, stage: str) -> None:
         iterations, began = max(1, settings.kernel.iterations), time.perf_counter()
         budget = int(np.clip(_PREVIEW_SECONDS * self._rates[stage] / iterations, _MIN_SAMPLES, _MAX_SAMPLES))
-        patches, samples = change.layer.preview(
-            settings, change.focus, budget, lambda *_: change.page.check()
+        updates, samples = change.layer.preview(
+            settings, change.focus, budget, lambda *_: change.page.require_page()
         )
         spent = time.perf_counter() - began
         self._rates[stage] = 0.5 * self._rates[stage] + 0.5 * samples * iterations / max(spent, 1e-3)
-        change.page.check()
-        change.page.send(kind="preview", patches=patches, stage=stage, seconds=spent, samples=samples)
+        change.page.require_page()
+        change.page.send(kind="preview", updates=updates, stage=stage, seconds=spent, samples=samples)
 
     def _without_search(self, settings: SmoothSettings) -> SmoothSettings:
         """Return settings without a search: free parameters have the values chosen last, or the ones of `--fast`."""
@@ -205,10 +203,10 @@ class Live:
             page.send(kind="failed", message=message)
             return
         with self._previewing:
-            page.check()
+            page.require_page()
             self._chosen[kernel.strength, kernel.noise] = described["chosen"]
-            patches = [patch for layer in self._layers for patch in layer.whole(result)]
-            page.send(kind="whole", patches=patches, **described)
+            updates = [update for layer in self._layers for update in layer.whole(result)]
+            page.send(kind="whole", updates=updates, **described)
 
     def _described(
         self, results: Sequence[Smoothed], notices: Sequence[str], settings: SmoothSettings
@@ -240,7 +238,7 @@ class Live:
 
         def show(label: str, done: float, total: float) -> None:
             with self._previewing:  # so that previews of other pages do not compete for the processors
-                page.check()
+                page.require_page()
             at_times(label, done, total)
 
         announce("choosing parameters", 0, 1)

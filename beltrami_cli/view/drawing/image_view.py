@@ -6,7 +6,7 @@ import numpy as np
 from PIL import Image
 
 from beltrami_cli.arrays import Float32s
-from beltrami_cli.view.cameras import SAMPLES, Window
+from beltrami_cli.view.drawing.cameras import SAMPLES, Window
 from beltrami_cli.view.light import LinearPixels
 from beltrami_cli.view.settings import SHORTEST_SIDE
 

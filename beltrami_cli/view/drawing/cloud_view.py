@@ -6,7 +6,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.surface.ranges import expanded, runs_of
-from beltrami_cli.view.cameras import SAMPLES, Camera, Window
+from beltrami_cli.view.drawing.cameras import SAMPLES, Camera, Window
 
 _NEIGHBOURS = 4  # on a square grid, all at the same distance
 _SHARE = (

@@ -62,16 +62,12 @@ class PageServer(ThreadingHTTPServer):
         reload_timeout: float = 2.0, body_timeout: float = 5.0,
     ) -> None:  # fmt: skip
         super().__init__(("127.0.0.1", 0), PageRequest)
-        self.files, self.answer, self._reload_timeout, self.body_timeout = (
-            files,
-            answer,
-            reload_timeout,
-            body_timeout,
-        )
+        self.files, self.answer = files, answer
+        self._reload_timeout, self.body_timeout = reload_timeout, body_timeout
         self.host = f"127.0.0.1:{self.server_address[1]}"
         self.token, self._ticket = secrets.token_urlsafe(32), secrets.token_urlsafe(32)
         self._lock = threading.Lock()
-        self.answered: set[PageRequest] = set()  # requests whose answers are not yet complete
+        self.unfinished: set[PageRequest] = set()  # requests whose answers are not yet complete
         self.closing = threading.Event()  # set when all connections are to end
 
     @property
@@ -97,7 +93,7 @@ class PageServer(ThreadingHTTPServer):
             end = math.inf
             while time.monotonic() < end:
                 time.sleep(_HEARTBEAT)
-                if not all(request.is_gone() for request in [*self.answered]):
+                if not all(request.is_gone() for request in [*self.unfinished]):
                     end = time.monotonic() + self._reload_timeout
         finally:
             self.closing.set()
@@ -142,22 +138,22 @@ class PageRequest(BaseHTTPRequestHandler):
             message = f"unexpected error: {type(error).__name__}: {error}"
             self._refuse(HTTPStatus.INTERNAL_SERVER_ERROR, message)
         finally:
-            self.server.answered.discard(self)
+            self.server.unfinished.discard(self)
 
     def send(self, **event: Any) -> None:
         """Send an event; GoneError if the page has closed the connection."""
-        self.check()
-        if self not in self.server.answered:
-            self.server.answered.add(self)
+        self.require_page()
+        if self not in self.server.unfinished:
+            self.server.unfinished.add(self)
             self._send(HTTPStatus.OK, "application/json")
         try:
             self.wfile.write(json.dumps(event).encode() + b"\n")
         except OSError as error:
             raise GoneError from error
 
-    def check(self) -> None:
-        """Raise GoneError if the page has closed the connection."""
-        self.check_open()
+    def require_page(self) -> None:
+        """Raise GoneError if the page has closed the connection, or the program ends."""
+        self.require_running()
         if self.is_gone():
             raise GoneError
 
@@ -168,7 +164,8 @@ class PageRequest(BaseHTTPRequestHandler):
         except (OSError, ValueError):  # the connection was reset or closed
             return True
 
-    def check_open(self) -> None:
+    def require_running(self) -> None:
+        """Raise GoneError if the program ends."""
         if self.server.closing.is_set():
             raise GoneError
 
@@ -176,11 +173,11 @@ class PageRequest(BaseHTTPRequestHandler):
         """Wait until the page closes the connection, or some time has passed."""
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0:
-            self.check()
+            self.require_page()
             self.server.closing.wait(min(left, _HEARTBEAT))
 
     def _refuse(self, status: HTTPStatus, message: str) -> None:
-        if self not in self.server.answered:
+        if self not in self.server.unfinished:
             self._send(status, "application/json", json.dumps({"message": message}).encode())
 
     def _request(self) -> dict[str, Any]:

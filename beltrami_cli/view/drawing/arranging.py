@@ -13,7 +13,7 @@ from beltrami_cli.errors import ProcessingError, one_line
 from beltrami_cli.formats.image.opening import error_of
 from beltrami_cli.surface.colour_map import as_bytes
 from beltrami_cli.surface.colour_values import LUMINANCE, linear_to_srgb, srgb_to_linear
-from beltrami_cli.view.cameras import Window
+from beltrami_cli.view.drawing.cameras import Window
 from beltrami_cli.view.settings import Colour
 
 # Frames of details, distinct for the colour-blind too. M. Okabe, K. Ito, "Color universal design" (2008).

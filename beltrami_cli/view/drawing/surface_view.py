@@ -18,8 +18,8 @@ from beltrami_cli.surface.geometry import unit_vectors, vertex_normals, without_
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.large_arrays import blocks
 from beltrami_cli.surface.memory import memory_reserved
-from beltrami_cli.view.cameras import SAMPLES, Camera, Window, size_between
-from beltrami_cli.view.surface_colours import SurfaceColours
+from beltrami_cli.view.drawing.cameras import SAMPLES, Camera, Window, size_between
+from beltrami_cli.view.drawing.surface_colours import SurfaceColours
 
 AMBIENT = 0.35  # share of ambient light
 # Direction of the lamp in view coordinates: upper left, behind the eye.

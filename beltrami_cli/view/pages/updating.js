@@ -1,28 +1,28 @@
 // Shows new colours: of all or some vertices, of a texture, or of a part of one.
 "use strict";
-const Patching = (() => {
-  class Patching {
+const Updating = (() => {
+  class Updating {
     constructor(viewer) {
       this.viewer = viewer;
     }
 
-    async apply(patches) {
-      for (const patch of patches) {
-        const layer = this.viewer.layers[patch.layer];
-        if (patch.colours) await this.patchVertices(layer, patch);
-        else if (patch.source) await this.patchTexture(layer, patch);
-        else await this.patchTexels(layer, patch);
+    async apply(updates) {
+      for (const update of updates) {
+        const layer = this.viewer.layers[update.layer];
+        if (update.colours) await this.updateVertices(layer, update);
+        else if (update.source) await this.updateTexture(layer, update);
+        else await this.updateTexels(layer, update);
       }
       this.viewer.draw();
     }
 
-    async patchVertices(layer, patch) {
-      const rows = new Uint32Array(await Unpacking.inflated(patch.rows)), colours = new Uint16Array(await Unpacking.inflated(patch.colours));
+    async updateVertices(layer, update) {
+      const rows = new Uint32Array(await Unpacking.inflated(update.rows)), colours = new Uint16Array(await Unpacking.inflated(update.colours));
       const { _after: after } = layer.meshes[0].geometry.attributes;
       for (let at = 0; at < rows.length; at++)
         for (let channel = 0; channel < 3; channel++) after.array[4 * rows[at] + channel] = colours[3 * at + channel];
       after.needsUpdate = true;
-      if (patch.places) this.move(layer, rows, new Float32Array(await Unpacking.inflated(patch.places)));
+      if (update.places) this.move(layer, rows, new Float32Array(await Unpacking.inflated(update.places)));
     }
 
     // Vertices that are smoothed along with their colours.
@@ -43,8 +43,8 @@ const Patching = (() => {
       return layer.textured.filter(([textures]) => textures && textures[0] === layer.pairs[number][0]);
     }
 
-    async patchTexture(layer, patch) {
-      const { image } = await Viewer.loaded(patch.source), parts = this.using(layer, patch.texture);
+    async updateTexture(layer, update) {
+      const { image } = await Viewer.loaded(update.source), parts = this.using(layer, update.texture);
       if (parts.length) this.replace(parts, image);
     }
 
@@ -58,19 +58,19 @@ const Patching = (() => {
       return made;
     }
 
-    async patchTexels(layer, patch) {
-      const parts = this.using(layer, patch.texture), { uniforms } = parts[0][1];
+    async updateTexels(layer, update) {
+      const parts = this.using(layer, update.texture), { uniforms } = parts[0][1];
       let map = uniforms.mapFresh.value;
       if (map === uniforms.mapOld.value) map = this.replace(parts, map.image);
-      const pixels = new Uint8Array(await Unpacking.inflated(patch.pixels));
-      const piece = new THREE.DataTexture(pixels, patch.width, patch.height);
+      const pixels = new Uint8Array(await Unpacking.inflated(update.pixels));
+      const piece = new THREE.DataTexture(pixels, update.width, update.height);
       piece.colorSpace = THREE.SRGBColorSpace;
       piece.needsUpdate = true;
       this.viewer.renderer.initTexture(map);
-      this.viewer.renderer.copyTextureToTexture(piece, map, null, new THREE.Vector2(patch.x, patch.y));
+      this.viewer.renderer.copyTextureToTexture(piece, map, null, new THREE.Vector2(update.x, update.y));
       piece.dispose();
     }
   }
 
-  return Patching;
+  return Updating;
 })();

@@ -11,11 +11,11 @@ import numpy as np
 from beltrami_cli.arrays import Float32s, Float64s, Uint8s
 from beltrami_cli.jobs.progress import Progress, tracked
 from beltrami_cli.surface.colour_values import LUMINANCE, linear_to_srgb
-from beltrami_cli.view.arranging import Panel, arranged, gap_of
-from beltrami_cli.view.cameras import Camera, Window, fitted, framed, orientation, part_of
-from beltrami_cli.view.image_view import ImageView
+from beltrami_cli.view.drawing.arranging import Panel, arranged, gap_of
+from beltrami_cli.view.drawing.cameras import Camera, Window, fitted, framed, orientation, part_of
+from beltrami_cli.view.drawing.image_view import ImageView
+from beltrami_cli.view.drawing.views import Drawable
 from beltrami_cli.view.settings import RenderSettings
-from beltrami_cli.view.views import Drawable
 
 _GREY = 128 / 255  # background where the outline is invisible on white
 # Share of an outline that may be twice as close to white as to grey: beyond a lightness L* of 85.

@@ -14,10 +14,10 @@ from beltrami_cli.formats.image import read_texture
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.records import Slot
 from beltrami_cli.view.light import displayed_colours, displayed_pixels
-from beltrami_cli.view.models import ModelWriter, Placement
-from beltrami_cli.view.page_images import image_of, textures_of
-from beltrami_cli.view.pages import packed_array
-from beltrami_cli.view.preview import Focus, Patch, Progress, previewer_of
+from beltrami_cli.view.live.previews import Focus, Steps, Update, previewer_of
+from beltrami_cli.view.pages.images import image_of, textures_of
+from beltrami_cli.view.pages.models import ModelWriter, Placement
+from beltrami_cli.view.pages.rendering import packed_array
 
 _COMPRESSION_LEVEL = 1  # of zlib
 
@@ -43,24 +43,24 @@ class LayerView:
         self._placement = writer.add((self._document, self._document), self.slot)
 
     def preview(
-        self, settings: SmoothSettings, focus: Focus, budget: int, progress: Progress | None
+        self, settings: SmoothSettings, focus: Focus, budget: int, progress: Steps | None
     ) -> tuple[list[dict[str, Any]], int]:
-        """Smooth about `budget` samples around the focus, in the box of the model; return patches and samples."""
+        """Smooth about `budget` samples around the focus, in the box of the model; return updates and samples."""
         if focus.direction is not None and self._placement is not None:
             box = self._placement.box
             focus = Focus(box.low + box.size * focus.origin, focus.direction)
-        patches = self._previewer.smooth(settings, focus, budget, progress)
-        return [self._packed(patch) for patch in patches], sum(len(patch.rows) for patch in patches)
+        updates = self._previewer.smooth(settings, focus, budget, progress)
+        return [self._packed(update) for update in updates], sum(len(update.rows) for update in updates)
 
     def whole(self, result: Document) -> list[dict[str, Any]]:
-        """Return the patches that show the part of a result."""
+        """Return the updates that show the part of a result."""
         self._shown.clear()
         if self.slot is None and not self._is_image:
             vertices = result.coloured_vertices()
             rows = np.arange(len(vertices.positions))
             self._can_move |= not np.array_equal(vertices.positions, self._positions, equal_nan=True)
             positions = vertices.positions if self._can_move else None
-            return [self._packed(Patch(-1, rows, rows, displayed_colours(vertices), positions))]
+            return [self._packed(Update(-1, rows, rows, displayed_colours(vertices), positions))]
         found = []
         textures = zip(textures_of(self._document, self.slot), textures_of(result, self.slot), strict=True)
         for index, (before, after) in enumerate(textures):
@@ -71,30 +71,30 @@ class LayerView:
             found.append({"layer": self._number, "texture": index, "source": source})
         return found
 
-    def _packed(self, patch: Patch) -> dict[str, Any]:
-        packed = self._packed_vertices(patch) if patch.texture < 0 else self._packed_texels(patch)
+    def _packed(self, update: Update) -> dict[str, Any]:
+        packed = self._packed_vertices(update) if update.texture < 0 else self._packed_texels(update)
         return {"layer": self._number, **packed}
 
-    def _packed_vertices(self, patch: Patch) -> dict[str, Any]:
+    def _packed_vertices(self, update: Update) -> dict[str, Any]:
         assert self._placement is not None
         assert self._placement.row_of is not None
-        rows = self._placement.row_of[patch.rows]
+        rows = self._placement.row_of[update.rows]
         drawn = rows >= 0  # points without a position are not drawn
-        arrays = {"rows": rows.astype(np.uint32), "colours": patch.colours}
-        if patch.positions is not None:
-            arrays["places"] = self._placement.box.shares(patch.positions).astype(np.float32)
+        arrays = {"rows": rows.astype(np.uint32), "colours": update.colours}
+        if update.positions is not None:
+            arrays["places"] = self._placement.box.shares(update.positions).astype(np.float32)
         return {name: packed_array(values[drawn], _COMPRESSION_LEVEL) for name, values in arrays.items()}
 
-    def _packed_texels(self, patch: Patch) -> dict[str, Any]:
+    def _packed_texels(self, update: Update) -> dict[str, Any]:
         """Return the bounding rectangle of texels, and record their new pixels."""
-        if patch.texture not in self._shown:
-            self._shown[patch.texture] = self._displayed(self._document, patch.texture)
-        pixels = self._shown[patch.texture]
-        pixels[patch.rows, patch.columns] = patch.colours
-        top, left = int(patch.rows.min()), int(patch.columns.min())
-        part = pixels[top : int(patch.rows.max()) + 1, left : int(patch.columns.max()) + 1]
+        if update.texture not in self._shown:
+            self._shown[update.texture] = self._displayed(self._document, update.texture)
+        pixels = self._shown[update.texture]
+        pixels[update.rows, update.columns] = update.colours
+        top, left = int(update.rows.min()), int(update.columns.min())
+        part = pixels[top : int(update.rows.max()) + 1, left : int(update.columns.max()) + 1]
         return {
-            "texture": patch.texture, "x": left, "y": top, "width": part.shape[1], "height": part.shape[0],
+            "texture": update.texture, "x": left, "y": top, "width": part.shape[1], "height": part.shape[0],
             "pixels": packed_array(part, _COMPRESSION_LEVEL),
         }  # fmt: skip
 

@@ -33,14 +33,13 @@ from beltrami_cli.formats.gltf.images import WRAPS
 from beltrami_cli.formats.gltf.writer import Arrays
 from beltrami_cli.surface.colour_map import VIRIDIS
 from beltrami_cli.surface.geometry import edges_of
-from beltrami_cli.surface.grouping import group_equal_rows
+from beltrami_cli.surface.grouping import connected, group_equal_rows, group_places
 from beltrami_cli.surface.records import ColouredVertices, Slot, Texture, TexturedSurface
-from beltrami_cli.view.cameras import framed
-from beltrami_cli.view.charts import charts_of, ends_of
-from beltrami_cli.view.cloud_view import disc_radii
+from beltrami_cli.view.drawing.cameras import framed
+from beltrami_cli.view.drawing.cloud_view import disc_radii
 from beltrami_cli.view.light import displayed_colours
-from beltrami_cli.view.page_images import ImageBytes, image_of, resized, textures_of
-from beltrami_cli.view.pages import packed_array
+from beltrami_cli.view.pages.images import ImageBytes, image_of, resized, textures_of
+from beltrami_cli.view.pages.rendering import packed_array
 
 Pair = tuple[Document, Document]
 
@@ -113,20 +112,20 @@ class ModelWriter:
             [self._texture(each, partial(image_of, each, slot)) for each in both]
             for both in zip(surface.textures, other.textures, strict=True)
         ]
-        box, (chart_of, seams) = Box(surface), charts_of(surface)
+        box, (chart_of, seams) = Box(surface), _charts_of(surface)
         nodes = []
         for number in np.unique(surface.texture_of).tolist():
             pair = None if number < 0 else pairs[number]
             nodes.append(self._part(surface, box, number, chart_of, pair))
             borders = seams[surface.texture_of[seams[:, 0]] == number]
             if pair is not None and len(borders):
-                uv = _finite(ends_of(surface.uv, borders)) * (1, -1) + (-0.5, 0.5)
+                uv = _finite(_ends_of(surface.uv, borders)) * (1, -1) + (-0.5, 0.5)
                 flat = self._arrays.add(
                     np.column_stack([uv, np.full(len(uv), 0.002)]).astype("<f4"), bounds=True
                 )
                 nodes.append(self._node({"POSITION": flat}, _LINES, {"textures": pair}))
         if len(seams):
-            ends = self._positions(box.shares(ends_of(surface.positions[surface.faces], seams)))
+            ends = self._positions(box.shares(_ends_of(surface.positions[surface.faces], seams)))
             nodes.append(self._node({"POSITION": ends}, _LINES, {}))
         self._scene(f"{slot} textures", nodes, middle=box.middle, pairs=pairs)
         return Placement(box)
@@ -285,3 +284,30 @@ def _sorted(faces: Int32s, count: int) -> tuple[Int64s, Int64s]:
     index = number[faces]
     index = np.take_along_axis(index, (index.argmin(axis=1)[:, None] + np.arange(3)) % 3, 1)
     return order, index[np.lexsort((index[:, 1], index[:, 0]))]
+
+
+def _charts_of(surface: TexturedSurface) -> tuple[Int32s, Int64s]:
+    """Return the chart of each triangle, and the seams, (K, 2), as triangles and the corners they begin at."""
+    place_of, _ = group_places(surface.positions, surface.space_of, surface.faces)
+    starts = place_of[surface.faces]
+    ends = np.roll(starts, -1, axis=1)
+    uv = np.stack([surface.uv, np.roll(surface.uv, -1, axis=1)], axis=2).reshape(-1, 2, 2)
+    turned = (starts > ends).reshape(-1)
+    uv[turned] = uv[turned, ::-1]
+    low, high = np.minimum(starts, ends).reshape(-1), np.maximum(starts, ends).reshape(-1)
+    order = np.lexsort((high, low))
+    equal = (np.diff(low[order]) == 0) & (np.diff(high[order]) == 0)
+    here, there = order[:-1][equal], order[1:][equal]
+    same = surface.texture_of[here // 3] == surface.texture_of[there // 3]
+    same &= (uv[here] == uv[there]).all(axis=(1, 2))
+    chart_of = connected(len(surface.faces), np.stack([here[same] // 3, there[same] // 3], axis=1))
+    cut = np.concatenate([here[~same], there[~same]])
+    cut = cut[surface.texture_of[cut // 3] >= 0]
+    return chart_of, np.stack([cut // 3, cut % 3], axis=1)
+
+
+def _ends_of(corners: Float64s, edges: Int64s) -> Float64s:
+    """Return both ends of edges, given by triangle and first corner, (2 K, X)."""
+    face, corner = edges.T
+    pairs = np.stack([corners[face, corner], corners[face, (corner + 1) % 3]], axis=1)
+    return np.asarray(pairs.reshape(-1, corners.shape[2]), np.float64)

@@ -1,0 +1,1 @@
+"""Views of surfaces, points and images, and their arrangement in one picture."""
