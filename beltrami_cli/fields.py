@@ -248,7 +248,7 @@ def override(record: Record, **values: Any) -> Record:
     known = {each.name for each in parameters(record, deep=True)}
     for name in values:
         if name not in known:
-            raise UsageError(f"there is no parameter {name}{_alike(name, known)}")
+            raise UsageError(f"there is no parameter {name}{_suggestion(name, known)}")
     changed = {each.name: values[each.name] for each in parameters(record) if each.name in values}
     for name, kind in parts(record).items():
         nested = {each.name: values[each.name] for each in parameters(kind, deep=True) if each.name in values}
@@ -300,7 +300,7 @@ def _enumerated(words: tuple[str, ...]) -> str:
     return " or ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
 
 
-def _alike(name: str, known: set[str]) -> str:
+def _suggestion(name: str, known: set[str]) -> str:
     from difflib import get_close_matches
 
     similar = get_close_matches(name, sorted(known))

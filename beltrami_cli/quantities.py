@@ -38,7 +38,7 @@ def share_in(text: str) -> float:
 _AMOUNT = "an amount such as 20 (of 255), 20/255 or 8%"
 
 
-def amount(text: str, forms: str = _AMOUNT) -> float:
+def amount_in(text: str, forms: str = _AMOUNT) -> float:
     """Read a part of full scale: 20 is 20/255, and 20/255, 1310/65535 and 8% are what they say; or ValueError."""
     try:
         value, is_plain = number_in(text)
@@ -55,9 +55,9 @@ def of_255(share: float) -> str:
     return f"{value:.1f}" if value >= 0.05 or value == 0 else f"{value:.2g}"
 
 
-def sure_amount(text: str, forms: str = _AMOUNT) -> float:
-    """Read it, but reject plain numbers between 0 and 1, which are ambiguous: of 255 or of full scale."""
-    value = amount(text, forms)
+def unambiguous_amount_in(text: str, forms: str = _AMOUNT) -> float:
+    """Read a part of full scale; plain numbers between 0 and 1 are rejected, which may be of 255 or of full scale."""
+    value = amount_in(text, forms)
     if value > 1:
         raise ValueError(f"is {text.strip()}, but must be at most 255 (of 255), or 100%")
     if 0 < value < 1 / 255 and not set(text) & set("/%"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from beltrami_cli.quantities import sure_amount
+from beltrami_cli.quantities import unambiguous_amount_in
 
 _CAMERA = re.compile(r"shot:([^,]+),read:([^,]+)")
 
@@ -49,7 +49,7 @@ def given_noise(text: str) -> GivenNoise:
     camera, source = _CAMERA.fullmatch(text.strip()), _SOURCE.fullmatch(text)
     if camera is None:
         if source is None:
-            return GivenNoise(sure_amount(text, _NOISE_FORMS))
+            return GivenNoise(unambiguous_amount_in(text, _NOISE_FORMS))
         return GivenNoise(source=source[2] or source[4], kind=source[1] or "")
     try:
         shot, read = map(float, camera.groups())

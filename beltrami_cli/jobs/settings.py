@@ -10,7 +10,7 @@ from typing import ClassVar, Literal, get_args
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import Checked, check, described, parameter
-from beltrami_cli.quantities import amount, share_in, sure_amount
+from beltrami_cli.quantities import amount_in, share_in, unambiguous_amount_in
 
 _SMALLEST_SIDE, _LARGEST_SIDE = 16, 16384  # of a texture: less is of no use, graphics cards take no more
 Kind = Literal["gaussian", "salt-pepper", "speckle", "poisson", "white", "camera", "grain", "jpeg"]
@@ -28,7 +28,7 @@ class NoiseSettings(Checked):
         None,
         "How much, of full scale: 20 is 20/255, as `beltrami info` shows noise; or as 20/255, 1310/65535 or "
         "8%. Needed by all kinds but camera and jpeg.",
-        kind=float, low=0, high=1, unit="shares of full scale", metavar="S", parse=sure_amount, is_daily=True,
+        kind=float, low=0, high=1, unit="shares of full scale", metavar="S", parse=unambiguous_amount_in, is_daily=True,
     )  # fmt: skip
     kind: Kind = parameter(
         "gaussian",
@@ -120,7 +120,7 @@ class Limits(Checked):
         None,
         "How much larger the mean colour step over seams may be than in REFERENCE: 1 is 1/255; or as 1/255 "
         "or 0.4%.",
-        kind=float, metavar="X", parse=amount, is_daily=True,
+        kind=float, metavar="X", parse=amount_in, is_daily=True,
     )  # fmt: skip
     max_move: float | None = parameter(
         None,

@@ -32,6 +32,8 @@ _MAX_NUMBERS = 1 << 31  # of an array, before it is known that it fits
 _ONE_ROW_REMEDY = "it needs one row for each coloured vertex, in the order of the file"
 # Values of a slot without a texture (glTF 2.0, section 3.9); a normal is perpendicular to the surface.
 _VALUES_WITHOUT_TEXTURE = {"normal": (0.5, 0.5, 1.0), "emissive": (0.0, 0.0, 0.0)}
+# Side in pixels of the squares in which the deviation of a frame is measured: 289 pixels determine it to 4 %.
+_FRAME_WINDOW = 17
 
 
 def vertex_guides(document: Document, settings: SmoothSettings) -> list[Guide]:
@@ -209,10 +211,6 @@ def _at_size(image: Float32s, size: tuple[int, ...], texture: Texture, texels: I
     row, column = np.divmod(texels, size[1])
     uv = np.column_stack([(column + 0.5) / size[1], (row + 0.5) / size[0]])
     return np.asarray(look_up(image, uv, texture.wrap), np.float32)
-
-
-# Side in pixels of the squares in which the deviation of a frame is measured: 289 pixels determine it to 4 %.
-_FRAME_WINDOW = 17
 
 
 def noise_of_pixels(

@@ -191,7 +191,7 @@ def without_owned(atlas: Atlas, dropped: Bools) -> Atlas:
 
 def owned_of(kind: Uint8s) -> large_arrays.Droppable[Indices]:
     """Return the flat indices of the owned cells, ascending, computed on demand."""
-    return large_arrays.Droppable(None, partial(large_arrays.find, kind, OWNED))
+    return large_arrays.Droppable(None, partial(large_arrays.indices_of, kind, OWNED))
 
 
 _WRAP_CODES = {"repeat": 0, "mirror": 1, "clamp": 2}

@@ -169,11 +169,6 @@ def count_topology(positions: Float64s, faces: Int32s) -> dict[str, int]:
     }
 
 
-# Number of averages over neighbours: enough to be steady where edge lengths vary at random, few enough to follow a
-# gradation of the mesh.
-_SMOOTHING_ROUNDS = 3
-
-
 def mean_side(positions: Float64s, faces: Int32s) -> float:
     """Return the mean side length of all triangles; 1 without any."""
     corners = positions[faces]
@@ -215,6 +210,11 @@ def edges_in_space(edges: Int32s, positions: Float64s) -> tuple[Int32s, Float64s
     np.sqrt(lengths, out=lengths)
     long = lengths > 0
     return (edges, lengths) if long.all() else (edges[long], lengths[long])
+
+
+# Number of averages over neighbours: enough to be steady where edge lengths vary at random, few enough to follow a
+# gradation of the mesh.
+_SMOOTHING_ROUNDS = 3
 
 
 def local_spacing(count: int, edges: Int32s, lengths: Float64s) -> Float64s:

@@ -25,7 +25,7 @@ def grid_atlas(shape: tuple[int, int], margin: int, positions: Float64s | None, 
     for rows in large_arrays.blocks(shape[0], large_arrays.ROWS):
         kind[inside][rows][filled[rows]] = OWNED
     measure = partial(_measure_grid, filled, margin, positions)
-    texels = large_arrays.find(filled, True)
+    texels = large_arrays.indices_of(filled, True)
     return Atlas(
         kind=kind,
         lengths=large_arrays.Droppable(measure(), measure),

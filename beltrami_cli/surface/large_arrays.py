@@ -21,7 +21,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import DTypeLike
 
-from beltrami_cli.arrays import Array, Indices, Int8s
+from beltrami_cli.arrays import Array, Indices
 from beltrami_cli.errors import OutputError
 from beltrami_cli.surface.temporary_files import unwritable
 
@@ -190,7 +190,7 @@ def copy_of(array: Array) -> Array:
     return copy
 
 
-def find(array: Array, value: int) -> Indices:
+def indices_of(array: Array, value: int) -> Indices:
     """Return the flat indices of elements with a value, ascending, in the smallest integer type."""
     flat, at = array.reshape(-1), 0
     counts = [int(np.count_nonzero(flat[block] == value)) for block in blocks(len(flat))]
@@ -220,12 +220,3 @@ def release_pages() -> None:
 def any_in_files() -> bool:
     limit = _LIMIT.get()
     return limit is not None and len(limit.maps) > 0
-
-
-def random_signs(shape: Sequence[int], random: np.random.Generator) -> Int8s:
-    """Draw independent signs; the result does not depend on blocks, which are multiples of one draw."""
-    signs: Int8s = empty(shape, np.int8)
-    flat = signs.reshape(-1)
-    for block in blocks(len(flat)):
-        flat[block] = random.integers(0, 2, block.stop - block.start, np.int8) * 2 - 1
-    return signs

@@ -37,6 +37,11 @@ _MAX_VALUE = 1e9
 _LARGEST_EXPONENT = 1000  # exponent of a scale whose inverse is also finite
 SLAB = 1 << 22  # voxels processed at a time in double precision, to bound memory
 
+_NEIGHBOURS = 4  # points from which a vertex takes its colour, about those around it on a surface
+_COLOUR_RADIUS = 4.0  # in voxels, or point spacings if larger
+_PROBES = 10_000  # points whose spacing represents that of all to a per cent
+_WEIGHTLESS = 1e-6  # below the weight of any contributing voxel
+
 
 @dataclass(frozen=True)
 class Lattice:
@@ -79,12 +84,6 @@ class Volume:
     known: Bools | None = None  # (X, Y, Z): false where the value is unknown; None: all known
     level: float | None = None  # value on the surface, if in the file
     colours: GridColours | NearColours | None = None  # colours of the surface, if in the file
-
-
-_NEIGHBOURS = 4  # points from which a vertex takes its colour, about those around it on a surface
-_COLOUR_RADIUS = 4.0  # in voxels, or point spacings if larger
-_PROBES = 10_000  # points whose spacing represents that of all to a per cent
-_WEIGHTLESS = 1e-6  # below the weight of any contributing voxel
 
 
 def places(lattice: Lattice, at: Float64s) -> Float64s:

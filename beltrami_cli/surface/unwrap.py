@@ -46,10 +46,12 @@ def unwrap(
     positions: Float64s, faces: Int32s, size: int | None, padding: int, name: str, *,
     texels: float = 0.0, space_of: Int32s | None = None, progress: Progress = None,
 ) -> Unwrapped:  # fmt: skip
-    """Unwrap a mesh to a square. Coincident vertices of one space are joined."""
-    # `size`: longest side of the texture in texels; None: up to 8192, so that charts cover `texels`. `padding`: texels
-    # between and around charts. `progress` is called several times a second with the elapsed and the expected tenths of
-    # a second.
+    """Unwrap a mesh to a square. Coincident vertices of one space are joined.
+
+    `size`: longest side of the texture in texels; None: up to 8192, so that charts cover `texels`. `padding`: texels
+    between and around charts. `progress` is called several times a second with the elapsed and the expected tenths of a
+    second.
+    """
     require_finite(positions, name, "the position of vertex")
     used, row_of = np.unique(faces, return_inverse=True)
     unit, rows = centred(positions[used]) / 2, row_of.reshape(-1, 3).astype(np.int32)

@@ -10,7 +10,7 @@ from beltrami_cli.jobs.noise import noise_file
 from beltrami_cli.jobs.noise_kinds import NumberedSamples, add_noise
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
-from beltrami_cli.quantities import amount, sure_amount
+from beltrami_cli.quantities import amount_in, unambiguous_amount_in
 from cli.commands import SAMPLES, beltrami
 from formats.image_files import encode, stored
 from jobs.cut_boards import cut, write_board
@@ -151,9 +151,9 @@ def test_no_noise_is_the_file_itself(tmp_path):
 
 def test_an_amount_is_of_255_or_a_fraction():
     for text in ("20", "20/255", " 5140/65535", f"{2000 / 255}%"):
-        assert sure_amount(text) == pytest.approx(20 / 255, rel=1e-12)
-    assert amount("0.5") == 0.5 / 255
-    assert (sure_amount("0"), sure_amount("1")) == (0, 1 / 255)
+        assert unambiguous_amount_in(text) == pytest.approx(20 / 255, rel=1e-12)
+    assert amount_in("0.5") == 0.5 / 255
+    assert (unambiguous_amount_in("0"), unambiguous_amount_in("1")) == (0, 1 / 255)
 
 
 def test_the_command_adds_what_it_is_asked_for(tmp_path):

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Indices, Int64s
-from beltrami_cli.flow.noise.drawing import draw_model
+from beltrami_cli.flow.noise.drawing import draw_model, draw_signs
 from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, OWNED, Atlas, Halo, refresh_halo
@@ -87,7 +87,7 @@ def perturbations(count: int, atlas: Atlas, noise: NoiseModel) -> list[Array]:
     """Draw random planes like the noise: independent signs as bytes, or correlated noise."""
     random, shape = np.random.default_rng(_SEED), atlas.kind.shape
     if noise.is_independent:
-        drawn = [*large_arrays.random_signs((count, len(noise.sigma), *shape), random)]
+        drawn = [*draw_signs((count, len(noise.sigma), *shape), random)]
     else:
         size = np.float32(np.sqrt(np.mean(np.square(noise.sigma))))
         drawn = [draw_model(noise.covariances, shape, random) for _ in range(count)]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.arrays import Float32s, Float64s
+from beltrami_cli.arrays import Float32s, Float64s, Int8s
 from beltrami_cli.surface import large_arrays
 
 if TYPE_CHECKING:
@@ -51,12 +51,21 @@ def _with_details(noise: Float32s, details: list[Float32s], size: np.float32) ->
 def mixed_signs(covariance: Float64s, shape: Sequence[int], random: np.random.Generator) -> Float32s:
     """Draw white noise with a covariance of the channels, shape (N, *shape)."""
     root = root_of(covariance)
-    signs = large_arrays.random_signs((len(root), *shape), random)
+    signs = draw_signs((len(root), *shape), random)
     mixed: Float32s = large_arrays.empty(signs.shape, np.float32)
     for rows in large_arrays.blocks(shape[0], _BLOCK_ROWS):
         # Not with BLAS, whose idle threads keep spinning.
         mixed[:, rows] = np.einsum("ij,jrc->irc", root, signs[:, rows].astype(np.float32))
     return mixed
+
+
+def draw_signs(shape: Sequence[int], random: np.random.Generator) -> Int8s:
+    """Draw independent signs; the result does not depend on blocks, which are multiples of one draw."""
+    signs: Int8s = large_arrays.empty(shape, np.int8)
+    flat = signs.reshape(-1)
+    for block in large_arrays.blocks(len(flat)):
+        flat[block] = random.integers(0, 2, block.stop - block.start, np.int8) * 2 - 1
+    return signs
 
 
 def root_of(covariance: Float64s) -> Float32s:

@@ -147,7 +147,7 @@ def compare_images(documents: Documents, settings: SmoothSettings, access: Acces
         raise InputError(names[1], f"{count} of its pixels are not finite numbers, but are in {names[0]}")
     opacities = [None if "alpha" in one.names else _opacity(image) for image in images]
     return ComparedPart(
-        name="image", kind="image", index=large_arrays.find(valid, True),
+        name="image", kind="image", index=large_arrays.indices_of(valid, True),
         read=partial(_both_colours, (one, images[0]), (other, images[1])),
         space=settings.space if set(one.names) <= {"red", "green", "blue", "grey"} else "data",
         size=(valid.shape[0], valid.shape[1]), other_opacity=_opacities_differ(*opacities),
