@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import chain
 
 import numpy as np
@@ -39,103 +40,102 @@ class Part:
     position: Accessor
     faces: Int64s  # (F, 3), indices of positions
     material: ShownMaterial
-    look: int = 0
-    group: str = ""  # name of the object
 
 
-class Parts:
-    """Triangles of primitives, while these are taken one by one, and the scene that they make."""
+class ShownMaterials:
+    """The materials of parts, numbered as they are added."""
 
-    def __init__(self, name: str, images: Images) -> None:
-        self._name, self._images = name, images
-        self.groups: dict[Hashable, list[Part]] = {}  # by what shares vertices
-        self.materials: dict[Hashable, ShownMaterial] = {}
-        self._coordinates: dict[Hashable, Float64s] = {}
+    def __init__(self, images: Images) -> None:
+        self.images = images
+        self.by_key: dict[Hashable, ShownMaterial] = {}
 
-    def __iter__(self) -> Iterator[Part]:
-        return chain(*self.groups.values())
-
-    def add_material(
-        self, key: Hashable, uses: Mapping[Slot, TextureUse], record: records.Material
-    ) -> ShownMaterial:
+    def add(self, key: Hashable, uses: Mapping[Slot, TextureUse], record: records.Material) -> ShownMaterial:
         """Add a material unless it is known by its key."""
-        if key not in self.materials:
+        if key not in self.by_key:
             maps = {slot: self._map(use) for slot, use in uses.items()}
-            self.materials[key] = ShownMaterial(len(self.materials), record, uses, maps)
-        return self.materials[key]
+            self.by_key[key] = ShownMaterial(len(self.by_key), record, uses, maps)
+        return self.by_key[key]
 
     def _map(self, use: TextureUse) -> ShownMap:
-        name = self._images.textures[use.texture].place
+        images, name = self.images, self.images.textures[use.texture].place
         try:
-            image = self._images.canonical(self._images.shown(use.texture))
-            name = self._images.name(image)
-            self._images.data(image)
+            image = images.canonical(images.shown(use.texture))
+            name = images.name(image)
+            images.data(image)
         except UnfitReferenceError as error:
             return ShownMap(name, None, error.obstacle)
-        wrap = self._images.wrap(use.texture)
-        return ShownMap(name, image_key(image), wrap=wrap, alpha_hides=use.alpha_hides)
+        return ShownMap(name, image_key(image), wrap=images.wrap(use.texture), alpha_hides=use.alpha_hides)
 
-    def drawn(self, primitive: Primitive, placement: Placement) -> tuple[Accessor, Int64s] | None:
-        """Return the positions and the triangles of a primitive; None if it draws none."""
-        if primitive.mode < TRIANGLES or "POSITION" not in primitive:
-            return None
-        position = primitive.position()
-        faces = placement.facing(primitive.triangles(position.count))
-        return (position, faces) if len(faces) else None
 
-    def rows_of(self, parts: Sequence[Part]) -> Bools:
-        """Return which positions the parts of one group use."""
-        used = np.zeros(parts[0].position.count, bool)
-        for part in parts:
-            used[part.faces] = True
-        return used
+def drawn_triangles(primitive: Primitive, placement: Placement) -> tuple[Accessor, Int64s] | None:
+    """Return the positions and the triangles of a primitive; None if it draws none."""
+    if primitive.mode < TRIANGLES or "POSITION" not in primitive:
+        return None
+    position = primitive.position()
+    faces = placement.facing(primitive.triangles(position.count))
+    return (position, faces) if len(faces) else None
 
-    def of_triangles(self, values: Sequence[int]) -> Int64s:
-        """Return the values of all parts for their triangles, shape (F,)."""
-        return np.repeat(np.array(values, np.int64), [len(part.faces) for part in self])
 
-    def scene(self) -> Scene:
-        """Return the triangles, without vertices that none uses."""
-        positions, corners, rows = [], [], 0
-        for parts in self.groups.values():
-            used, first = self.rows_of(parts), parts[0]
-            row_of = np.cumsum(used) - 1 + rows
-            corners += [row_of[part.faces].ravel() for part in parts]
-            rows += int(np.count_nonzero(used))
-            if rows > MAX_ROWS:
-                raise first.position.entry.fault("", f"more than {MAX_ROWS} vertices")
-            positions.append(first.placement.positions(first.position, used))
-        material_of = self.of_triangles([part.material.number for part in self])
-        keys = {image_key(index): index for index in range(len(self._images))}
-        return Scene(
-            name=self._name,
-            positions=np.concatenate(positions),
-            corners=np.concatenate(corners).astype(np.int32),
-            offsets=3 * np.arange(len(material_of) + 1),
-            material_of=material_of,
-            materials=[each.record for each in self.materials.values()],
-            maps=[each.maps for each in self.materials.values()],
-            uv=self._uv,
-            tiles={},
-            read=lambda key: self._images.data(keys[key]),
-            names={key: self._images.name(index) for key, index in keys.items()},
-            is_v_up=False,
-            has_factors=True,
-        )
+def used_positions(parts: Sequence[Part]) -> Bools:
+    """Return which of the positions that some parts share they use, shape (V,)."""
+    used = np.zeros(parts[0].position.count, bool)
+    for part in parts:
+        used[part.faces] = True
+    return used
 
-    def _uv(self, slot: Slot | None) -> Float64s:
-        """Return texture coordinates of all corners, shape (K, 2), as a slot places them (None: as they are stored)."""
-        coordinates = []
-        for part in self:
-            use = None if slot is None else part.material.uses.get(slot)
-            name = "TEXCOORD_0" if use is None else use.coordinates
-            uv = np.full((len(part.faces), 3, 2), np.nan)
-            if name in part.primitive and (slot is None or use is not None):
-                accessor = part.primitive.fitting(name, "VEC2", part.position.count)
-                key = accessor, None if use is None else use.transform
-                if key not in self._coordinates:  # parts of one large mesh may share them
-                    stored = accessor.values()
-                    self._coordinates[key] = stored if use is None else use.placed(stored)
-                uv = self._coordinates[key][part.faces]
-            coordinates.append(uv.reshape(-1, 2))
-        return np.concatenate(coordinates)
+
+def by_triangle(parts: Sequence[Part], values: Sequence[int]) -> Int64s:
+    """Return the values of parts for their triangles, shape (F,)."""
+    return np.repeat(np.array(values, np.int64), [len(part.faces) for part in parts])
+
+
+def make_scene(name: str, groups: Collection[Sequence[Part]], materials: ShownMaterials) -> Scene:
+    """Return the triangles of groups of parts that share vertices, without vertices that none uses."""
+    positions, corners, rows = [], [], 0
+    for group in groups:
+        used, first = used_positions(group), group[0]
+        row_of = np.cumsum(used) - 1 + rows
+        corners += [row_of[part.faces].ravel() for part in group]
+        rows += int(np.count_nonzero(used))
+        if rows > MAX_ROWS:
+            raise first.position.entry.fault("", f"more than {MAX_ROWS} vertices")
+        positions.append(first.placement.positions(first.position, used))
+    parts, images = [*chain(*groups)], materials.images
+    material_of = by_triangle(parts, [part.material.number for part in parts])
+    keys = {image_key(index): index for index in range(len(images))}
+    return Scene(
+        name=name,
+        positions=np.concatenate(positions),
+        corners=np.concatenate(corners).astype(np.int32),
+        offsets=3 * np.arange(len(material_of) + 1),
+        material_of=material_of,
+        materials=[each.record for each in materials.by_key.values()],
+        maps=[each.maps for each in materials.by_key.values()],
+        uv=partial(_coordinates, parts, {}),
+        tiles={},
+        read=lambda key: images.data(keys[key]),
+        names={key: images.name(index) for key, index in keys.items()},
+        is_v_up=False,
+        has_factors=True,
+    )
+
+
+def _coordinates(parts: Sequence[Part], known: dict[Hashable, Float64s], slot: Slot | None) -> Float64s:
+    """Return texture coordinates of all corners, shape (K, 2), as a slot places them (None: as they are stored).
+
+    `known` collects those of accessors, which parts of one large mesh may share.
+    """
+    coordinates = []
+    for part in parts:
+        use = None if slot is None else part.material.uses.get(slot)
+        name = "TEXCOORD_0" if use is None else use.coordinates
+        uv = np.full((len(part.faces), 3, 2), np.nan)
+        if name in part.primitive and (slot is None or use is not None):
+            accessor = part.primitive.fitting(name, "VEC2", part.position.count)
+            key = accessor, None if use is None else use.transform
+            if key not in known:
+                stored = accessor.values()
+                known[key] = stored if use is None else use.placed(stored)
+            uv = known[key][part.faces]
+        coordinates.append(uv.reshape(-1, 2))
+    return np.concatenate(coordinates)

@@ -15,7 +15,15 @@ from beltrami_cli.formats.gltf.entries import Entry
 from beltrami_cli.formats.gltf.images import Images
 from beltrami_cli.formats.gltf.materials import SLOT_PATHS, read_material, texture_uses
 from beltrami_cli.formats.gltf.nodes import Placement, instances
-from beltrami_cli.formats.gltf.parts import Part, Parts, ShownMaterial
+from beltrami_cli.formats.gltf.parts import (
+    Part,
+    ShownMaterial,
+    ShownMaterials,
+    by_triangle,
+    drawn_triangles,
+    make_scene,
+    used_positions,
+)
 from beltrami_cli.formats.gltf.primitives import OWN_COLOURS, TRIANGLES, Meshes, Primitive
 from beltrami_cli.surface import records
 
@@ -33,20 +41,23 @@ def read_textured_mesh(
     for index, placement, name in instances(root):
         for number, primitive in enumerate(meshes[index]):
             parts.take(primitive, placement, name, colours.get((index, number)))
-    if not parts.groups:
+    if not parts.parts:
         raise InputError(root.name, "its scene has no triangles, so there is nothing to show a texture")
-    groups = {name: number for number, name in enumerate(dict.fromkeys(part.group for part in parts))}
-    group_of = parts.of_triangles([groups[part.group] for part in parts])
-    normals = np.concatenate([parts.normals(part) for part in parts])
-    mesh = parts.scene().mesh(parts.left_out, (tuple(groups), group_of), normals.reshape(-1, 3))
+    groups = {name: number for number, name in enumerate(dict.fromkeys(parts.groups))}
+    group_of = by_triangle(parts.parts, [groups[name] for name in parts.groups])
+    normals = np.concatenate([_normals(part) for part in parts.parts])
+    scene = make_scene(root.name, [[part] for part in parts.parts], parts.materials)
+    mesh = scene.mesh(parts.left_out, (tuple(groups), group_of), normals.reshape(-1, 3))
     return dataclasses.replace(mesh, **parts.vertex_colours(stored))
 
 
-class _MeshParts(Parts):
+class _MeshParts:
     """Each primitive at every place, with its colours, and with the textures of all slots."""
 
     def __init__(self, root: Entry, images: Images) -> None:
-        super().__init__(root.name, images)
+        self.materials = ShownMaterials(images)
+        self.parts: list[Part] = []
+        self.groups: list[str] = []  # the object of each part, by name
         self.left_out: list[str] = []
         self._colours: list[Float32s | None] = []
         self._entries = root.entries("materials")
@@ -55,12 +66,13 @@ class _MeshParts(Parts):
     def take(self, primitive: Primitive, placement: Placement, group: str, colours: Float32s | None) -> None:
         if primitive.mode < TRIANGLES and "POSITION" in primitive:
             self.left_out.append("points and lines")
-        drawn = self.drawn(primitive, placement)
+        drawn = drawn_triangles(primitive, placement)
         if drawn is None:
             return
         material = self._material(primitive.entry)
-        part = Part(primitive, placement, *drawn, material, group=group)
-        self.groups[len(self.groups)] = [part]
+        part = Part(primitive, placement, *drawn, material)
+        self.parts.append(part)
+        self.groups.append(group)
         self._colours.append(self._of_part(part, colours))
         coordinates = {use.coordinates for use in material.uses.values()} or {"TEXCOORD_0"}
         for name in primitive.attributes.value:
@@ -72,17 +84,17 @@ class _MeshParts(Parts):
     def _material(self, primitive: Entry) -> ShownMaterial:
         """Return the material of a primitive, and note what of it is lost."""
         if "material" not in primitive:
-            return self.add_material(None, {}, records.Material(metalness=1.0))
+            return self.materials.add(None, {}, records.Material(metalness=1.0))
         index = primitive.integer("material", below=len(self._entries))
-        if index in self.materials:
-            return self.materials[index]
+        if index in self.materials.by_key:
+            return self.materials.by_key[index]
         uses = {slot: found[index][0] for slot, found in self._by_slot.items() if found[index]}
         self.left_out += self._entries[index].entry("extensions").value
         for slot, use in uses.items():
             factors = [key for key in ("scale", "strength") if use.info.number(key, default=1.0) != 1]
             self.left_out += [f"the {key} of {slot} maps" for key in factors]
-            self.left_out += ["sharp texels"] if self._images.has_sharp_texels(use.texture) else []
-        return self.add_material(index, uses, read_material(self._entries[index]))
+            self.left_out += ["sharp texels"] if self.materials.images.has_sharp_texels(use.texture) else []
+        return self.materials.add(index, uses, read_material(self._entries[index]))
 
     def _of_part(self, part: Part, colours: Float32s | None) -> Float32s | None:
         """Return the colours of the vertices of a part, shape (n, 3) or (n, 4)."""
@@ -90,27 +102,28 @@ class _MeshParts(Parts):
             self.left_out.append("the tint of textures by their vertex colours")
         if colours is None and OWN_COLOURS in part.primitive:
             colours = fractions(part.primitive.accessor(OWN_COLOURS).finite("colour"))
-        used = self.rows_of([part])
+        used = used_positions([part])
         is_fitting = colours is not None and colours.shape in ((len(used), 3), (len(used), 4))
         return colours[used] if colours is not None and is_fitting else None
-
-    def normals(self, part: Part) -> Float64s:
-        """Return the normals of the corners of a part, shape (F, 3, 3); NaN if there are none."""
-        if "NORMAL" not in part.primitive:
-            return np.full((len(part.faces), 3, 3), np.nan)
-        normals = part.primitive.fitting("NORMAL", "VEC3", part.position.count)
-        return part.placement.normals(normals)[part.faces]
 
     def vertex_colours(self, stored: str) -> dict[str, Any]:
         """Return the colours of all vertices; white for parts without colours, as glTF has it."""
         if all(colours is None for colours in self._colours):
             return {}
         rows_of_parts = []
-        for parts, colours in zip(self.groups.values(), self._colours, strict=True):
-            rows = np.ones((np.count_nonzero(self.rows_of(parts)), 4), np.float32)
+        for part, colours in zip(self.parts, self._colours, strict=True):
+            rows = np.ones((np.count_nonzero(used_positions([part])), 4), np.float32)
             if colours is not None:
                 rows[:, : colours.shape[1]] = colours
             rows_of_parts.append(rows)
         joined = np.concatenate(rows_of_parts)
         alpha = joined[:, 3] if (joined[:, 3] < 1).any() else None
         return {"colours": joined[:, :3], "encoding": "linear", "stored": stored, "alpha": alpha}
+
+
+def _normals(part: Part) -> Float64s:
+    """Return the normals of the corners of a part, shape (F, 3, 3); NaN if there are none."""
+    if "NORMAL" not in part.primitive:
+        return np.full((len(part.faces), 3, 3), np.nan)
+    normals = part.primitive.fitting("NORMAL", "VEC3", part.position.count)
+    return part.placement.normals(normals)[part.faces]

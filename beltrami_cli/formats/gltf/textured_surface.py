@@ -11,7 +11,14 @@ from beltrami_cli.formats.gltf.entries import Entry
 from beltrami_cli.formats.gltf.images import Images
 from beltrami_cli.formats.gltf.materials import TextureUse, looks, texture_uses
 from beltrami_cli.formats.gltf.nodes import Placement
-from beltrami_cli.formats.gltf.parts import Part, Parts, ShownMaterial
+from beltrami_cli.formats.gltf.parts import (
+    Part,
+    ShownMaterial,
+    ShownMaterials,
+    drawn_triangles,
+    make_scene,
+    used_positions,
+)
 from beltrami_cli.formats.gltf.primitives import Meshes, Primitive
 from beltrami_cli.formats.scene import no_texture
 from beltrami_cli.surface import records
@@ -26,14 +33,15 @@ def read_textured_surface(
     for mesh, placement in zip(meshes, places, strict=True):
         for primitive in mesh:
             parts.take(primitive, placement)
-    if not any(part.material.maps for part in parts):
+    groups = parts.groups.values()
+    if not any(part.material.maps for group in groups for part in group):
         raise no_texture(slot, root.name, (), is_bare=parts.counts["bare"] > 0)
-    surface, notices = parts.scene().surface(slot)
-    # Triangles of different looks or spaces do not meet.
-    spaces = [(members[0].placement.space, members[0].look) for members in parts.groups.values()]
+    surface, notices = make_scene(root.name, groups, parts.materials).surface(slot)
+    # Triangles of different spaces or looks do not meet.
+    spaces = [(space, look) for _, _, space, look in parts.groups]
     number_of = {space: number for number, space in enumerate(dict.fromkeys(spaces))}
     if len(number_of) > 1:
-        rows = [np.count_nonzero(parts.rows_of(members)) for members in parts.groups.values()]
+        rows = [np.count_nonzero(used_positions(group)) for group in groups]
         numbers = np.array([number_of[space] for space in spaces], np.int32)
         surface = dataclasses.replace(surface, space_of=np.repeat(numbers, rows))
     sentences = {
@@ -44,18 +52,20 @@ def read_textured_surface(
     return surface, [*notices, *parts.missing, *counted]
 
 
-class _SurfaceParts(Parts):
+class _SurfaceParts:
     """Each primitive where it stands first, with all textures that it can have in one slot."""
 
     def __init__(self, root: Entry, images: Images, slot: Slot) -> None:
-        super().__init__(root.name, images)
+        self.materials = ShownMaterials(images)
+        # By accessor of positions, matrix, space and look: parts that share vertices.
+        self.groups: dict[tuple[Hashable, bytes, int, int], list[Part]] = {}
         self._slot, self._uses = slot, texture_uses(root, slot)
         self.counts = dict.fromkeys(("instanced", "bare"), 0)
         self.missing: dict[str, None] = {}  # notices
         self._seen: set[Hashable] = set()
 
     def take(self, primitive: Primitive, placement: Placement) -> None:
-        drawn = self.drawn(primitive, placement)
+        drawn = drawn_triangles(primitive, placement)
         if drawn is None:
             return
         place = drawn[0].identity
@@ -78,10 +88,10 @@ class _SurfaceParts(Parts):
             if key not in self._seen:
                 self._seen.add(key)
                 group = place, placement.matrix.tobytes(), placement.space, look
-                part = Part(primitive, placement, *drawn, material, look)
+                part = Part(primitive, placement, *drawn, material)
                 self.groups.setdefault(group, []).append(part)
 
     def _material(self, use: TextureUse | None) -> ShownMaterial:
         if use is None:
-            return self.add_material(None, {}, records.Material())
-        return self.add_material(use.info.place, {self._slot: use}, records.Material(use.material))
+            return self.materials.add(None, {}, records.Material())
+        return self.materials.add(use.info.place, {self._slot: use}, records.Material(use.material))
