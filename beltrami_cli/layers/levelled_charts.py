@@ -14,7 +14,7 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import DecodedImage
 from beltrami_cli.layers.reports import LevelReport
 from beltrami_cli.layers.settings import LevelSettings
-from beltrami_cli.levelling.correction import Levelled, level_canvas, level_mesh
+from beltrami_cli.levelling.correction import Levelled, level_canvas_in_place, level_mesh
 from beltrami_cli.levelling.judgement import CONFIDENCE, Verdict
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas
@@ -37,12 +37,12 @@ def level_charts(
     what: str, planes: Float32s, atlas: Atlas, textures: Sequence[Texture], images: Sequence[DecodedImage],
     wanted: LevelSettings, spans: Sequence[int],
 ) -> LevelReport:  # fmt: skip
-    """Remove exposure steps from colours on a canvas, in place; `spans` as in `level_canvas`."""
+    """Remove exposure steps from colours on a canvas, in place; `spans` as in `level_canvas_in_place`."""
     charts = _charts_of(atlas, textures, images)
     fixed = (
         _reference(charts, max(1, atlas.charts), wanted.reference_charts) if wanted.reference_charts else None
     )
-    levelled, change = level_canvas(atlas, planes, wanted.exposure_strength, fixed, spans)
+    levelled, change = level_canvas_in_place(atlas, planes, wanted.exposure_strength, fixed, spans)
     return _report(what, levelled, change, charts)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Indices, Int32s, Int64s
 from beltrami_cli.levelling.exposures import Exposures, fit_exposures, squared_steps
-from beltrami_cli.levelling.hues import continue_hues, mixed_cells
+from beltrami_cli.levelling.hues import continue_hues_in_place, mixed_cells
 from beltrami_cli.levelling.judgement import VISIBLE, Verdict, judge_steps
 from beltrami_cli.levelling.steps import (
     ChartPlaces,
@@ -31,11 +31,11 @@ Samples = Callable[[Int64s], tuple[Float32s, Indices, Float64s]]
 class SeamFacts:
     """Numbers of seams between different charts, and the medians of their steps."""
 
-    seams: int = 0
-    stepped: int = 0
-    edges: int = 0
-    before: float = 0.0
-    after: float = 0.0
+    seams: int
+    stepped: int
+    edges: int
+    before: float
+    after: float
 
 
 @dataclass(frozen=True)
@@ -52,12 +52,8 @@ def find_exposures(
     steps: Steps, verdict: Verdict | None, strength: float, fixed: Bools | None = None
 ) -> Levelled:
     """Fit the exposures of charts if the verdict is that there are any; `fixed` charts are not changed."""
-    if not steps.between.any():
-        return Levelled(None, None, SeamFacts(), np.arange(steps.charts))
-    if verdict is None:
-        return Levelled(None, None, _facts(steps, Exposures.none(steps), 0.0), np.arange(steps.charts))
-    exposures = fit_exposures(steps, verdict.spread, fixed)
-    if not verdict.is_sure:
+    exposures = Exposures.none(steps) if verdict is None else fit_exposures(steps, verdict.spread, fixed)
+    if verdict is None or not verdict.is_sure:
         return Levelled(verdict, None, _facts(steps, exposures, 0.0), np.arange(steps.charts))
     groups = connected(steps.charts, steps.ends[exposures.weights > 0])
     return Levelled(verdict, exposures, _facts(steps, exposures, strength), groups)
@@ -134,10 +130,10 @@ class Correction:
             yield charts, (self.corrected(colours, charts, places) - colours).astype(np.float64)
 
 
-def level_canvas(
+def level_canvas_in_place(
     atlas: Atlas, planes: Float32s, strength: float, fixed: Bools | None, spans: Sequence[int] = ()
 ) -> tuple[Levelled, float]:
-    """Remove exposures from planes, shape (N, R, C), in place; return also the mean change, 0 without a correction.
+    """Remove exposures from planes, shape (N, R, C); return also the mean change, 0 without a correction.
 
     `spans`: the maximum number of texels per stored hue of each texture; brightness is stored for every texel.
     """
@@ -147,7 +143,7 @@ def level_canvas(
     # Hues extrapolated over more texels are less certain; mixed hues, too, must show whether there are exposures.
     if verdict is not None and verdict.is_sure and max(spans, default=1) > 1:
         mixed = mixed_cells(atlas, spans)
-        before = continue_hues(atlas, planes, mixed, max(spans))
+        before = continue_hues_in_place(atlas, planes, mixed, max(spans))
         steps = steps_over_seams(atlas, planes, places)
         verdict = judge_steps(steps, fixed)
         flat[:, mixed] = before

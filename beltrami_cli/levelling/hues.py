@@ -36,7 +36,7 @@ def mixed_cells(atlas: Atlas, spans: Sequence[int]) -> Int64s:
     return np.asarray(cells[np.asarray(spans)[texture] > 1])
 
 
-def continue_hues(atlas: Atlas, planes: Float32s, cells: Int64s, span: int) -> Float32s:
+def continue_hues_in_place(atlas: Atlas, planes: Float32s, cells: Int64s, span: int) -> Float32s:
     """Replace the hue of mixed cells by that extrapolated from the cells behind; return the old colours."""
     flat, limits = planes.reshape(len(planes), -1), limits_of(planes)
     before = flat[:, cells]

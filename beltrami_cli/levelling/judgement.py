@@ -88,23 +88,24 @@ def judge_steps(steps: Steps, fixed: Bools | None = None) -> Verdict | None:
 
 def judge(steps: Steps, fixed: Bools | None = None) -> Verdict:
     """Test by cross-validation whether exposures explain the steps, and whether gains vary within charts."""
-    held_out, verdicts = _CrossValidation.of(steps), dict[tuple[float, ...], Verdict]()
+    held_out, verdicts = _CrossValidation.of(steps), dict[str, Verdict]()
     folds = np.unique(held_out.folds)
-    sides = {spread: held_out.steps.colours.copy() for spread in SPREADS.values()}
+    # The corrected sides by each model that is not rejected.
+    sides = {model: held_out.steps.colours.copy() for model in SPREADS}
     for fold in folds:
-        for spread, each in sides.items():
-            held_out.predict(each, fold, spread, fixed)
+        for model, corrected in sides.items():
+            held_out.predict_in_place(corrected, fold, SPREADS[model], fixed)
         tested = held_out.up_to(fold)
         if tested.count <= FEW_SEAMS and fold != folds[-1]:
             continue
-        verdicts |= {spread: tested.verdict(spread, each) for spread, each in sides.items()}
-        sides = {spread: each for spread, each in sides.items() if not verdicts[spread].is_rejected}
-        change = [_gains(*map(tested.squares, sides.values()))] if len(sides) == 2 else []
-        is_clear = [verdicts[each].is_clear for each in sides]
-        if all(is_clear) and all(tested.is_clear(each, NORMAL_QUANTILE) for each in change):
+        verdicts |= {model: tested.verdict(SPREADS[model], corrected) for model, corrected in sides.items()}
+        sides = {model: corrected for model, corrected in sides.items() if not verdicts[model].is_rejected}
+        by_tilts = _gains(*map(tested.squares, sides.values())) if len(sides) == len(SPREADS) else None
+        is_clear = by_tilts is None or tested.is_clear(by_tilts, NORMAL_QUANTILE)
+        if is_clear and all(verdicts[model].is_clear for model in sides):
             break
-    plain, tilted = verdicts.values()
-    is_better = any(tested.confidence(each) >= CONFIDENCE for each in change)
+    plain, tilted = verdicts["plain"], verdicts["tilted"]
+    is_better = by_tilts is not None and tested.confidence(by_tilts) >= CONFIDENCE
     return tilted if is_better or tilted.is_sure > plain.is_sure else plain
 
 
@@ -141,7 +142,9 @@ class _CrossValidation:
         weights = np.bincount(units, steps.counts[between]).astype(np.float64)
         return cls(steps, folds, steps.part(between), units, weights, inflation)
 
-    def predict(self, sides: Float64s, fold: int, spread: tuple[float, ...], fixed: Bools | None) -> None:
+    def predict_in_place(
+        self, sides: Float64s, fold: int, spread: tuple[float, ...], fixed: Bools | None
+    ) -> None:
         """Correct the stretches of a fold in `sides` by the exposures fitted to the other folds."""
         is_held = self.folds == fold
         rows = is_held[self.whole.between]

@@ -14,7 +14,7 @@ from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.smoothing import unsmoothed
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings, TextureSettings
 from beltrami_cli.layers.texture_layer import TextureLayer
-from beltrami_cli.levelling.correction import level_canvas
+from beltrami_cli.levelling.correction import level_canvas_in_place
 from beltrami_cli.levelling.steps import ChartPlaces, positions_of
 
 GAINS, OFFSET, FALL_OFF = (0.82, 1.12), 10 / 255, 0.15
@@ -104,7 +104,7 @@ class ExposureScene:
         """Return the colours after levelling, and what was found."""
         atlas = self.samples.atlas
         planes = on_canvas(atlas, colours.astype(np.float32))
-        found, _ = level_canvas(atlas, planes, strength, fixed)
+        found, _ = level_canvas_in_place(atlas, planes, strength, fixed)
         return planes.reshape(len(planes), -1)[:, atlas.owned_cells].T.astype(float), found
 
 

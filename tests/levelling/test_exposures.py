@@ -9,7 +9,7 @@ from beltrami_cli.flow.manifolds.canvas import on_canvas
 from beltrami_cli.levelling import judgement
 from beltrami_cli.levelling.correction import Correction
 from beltrami_cli.levelling.exposures import SPREADS, Exposures, fit_exposures, known_steps
-from beltrami_cli.levelling.hues import LUMA, continue_hues, mixed_cells
+from beltrami_cli.levelling.hues import LUMA, continue_hues_in_place, mixed_cells
 from beltrami_cli.levelling.judgement import CONFIDENCE, judge, judge_steps
 from beltrami_cli.levelling.steps import ChartPlaces, Steps, steps_over_seams, weighted_median
 from cli.commands import SAMPLES
@@ -83,7 +83,7 @@ def test_mixed_hues_become_those_of_their_chart_and_brightness_stays(head):
     mixed = random.uniform(-0.2, 0.2, (len(cells), 3))
     flat[:, cells] += (mixed - (mixed @ LUMA)[:, None]).T
     before = flat[:, cells]
-    assert np.array_equal(continue_hues(atlas, planes, cells, 2), before)
+    assert np.array_equal(continue_hues_in_place(atlas, planes, cells, 2), before)
     # Where a chart is so narrow that all is mixed, nothing can be done.
     is_known = np.any(flat[:, cells] != before, axis=0)
     assert is_known.mean() > 0.95
