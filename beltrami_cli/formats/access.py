@@ -21,9 +21,6 @@ from beltrami_cli.quantities import names_in, show_size, size_in
 _OPEN_FLAGS = (
     os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOCTTY", 0)
 )
-LARGE = 1 << 20
-"""Bytes from which on an image is read each time it is needed, since all images of a model may not fit into memory."""
-
 _BLOCK = 1 << 24  # bytes of standard input read at a time: a larger request is allocated at once
 
 

@@ -7,8 +7,8 @@ A format is a subclass of `Document`, in a folder of its own, and a line of `for
   held against the length of the data before anything is allocated.
 - `_mesh` (or `_coloured_vertices` and `contents`), `_patched` and `facts` are required; the others have defaults for a
   format without textures, sidecar files, range images, further attributes or movable vertices. With textures, `slots`,
-  `textured_mesh` and `_scene` are required, too: a `Scene` of `formats/scene.py`, which makes their surfaces
-  and meshes.
+  `textured_mesh` and `_scene` are required, too: `formats/scene_surface.py` and `formats/scene_mesh.py` make surfaces
+  and meshes of a `Scene`.
 - `patch` with equal colours returns equal bytes. What changes is rounded once; every other byte stays.
 - Whatever is wrong with the file is an `InputError` with its name, the cause and a remedy.
 """
@@ -35,6 +35,7 @@ from beltrami_cli.formats.comparison import Fingerprint
 from beltrami_cli.formats.image import DecodedImage
 from beltrami_cli.formats.image.reading import KeptImage
 from beltrami_cli.formats.scene import Scene
+from beltrami_cli.formats.scene_surface import textured_surface
 from beltrami_cli.surface import records
 from beltrami_cli.surface.polygons import triangulate
 from beltrami_cli.surface.records import ColouredVertices
@@ -177,7 +178,7 @@ class Document(ABC):
         return tuple(found) if found or self.has_vertex_colours() else slots
 
     def _gathered(self, slot: records.Slot) -> records.TexturedSurface:
-        surface, notices = self._scene.surface(slot, self._undefined())
+        surface, notices = textured_surface(self._scene, slot, self._undefined())
         self.notices += notices
         return surface
 

@@ -18,7 +18,6 @@ from beltrami_cli.jobs.noise_kinds import NumberedSamples, as_jpeg
 from beltrami_cli.layers.image_layer import ImageLayer
 from beltrami_cli.layers.layer import Layer
 from beltrami_cli.layers.pixel_layer import PixelLayer
-from beltrami_cli.layers.settings import SLOTS
 from beltrami_cli.layers.storing import StoredColours
 from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.layers.vertex_layer import VertexLayer, change_of
@@ -26,7 +25,7 @@ from beltrami_cli.surface.baking import places_of_texels
 from beltrami_cli.surface.colour_values import from_space, to_space
 from beltrami_cli.surface.geometry import edges_of
 from beltrami_cli.surface.grouping import group_places
-from beltrami_cli.surface.records import Cells, ColouredVertices
+from beltrami_cli.surface.records import SLOTS, Cells, ColouredVertices
 
 
 class LayerSamples(ABC):

@@ -22,11 +22,11 @@ from beltrami_cli.formats.image.decoded_image import full_scale_one
 from beltrami_cli.formats.image.sizes import require_memory
 from beltrami_cli.formats.registry import document_of
 from beltrami_cli.layers.pixel_colours import PixelColours
-from beltrami_cli.layers.settings import SLOTS, SmoothSettings
+from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.atlas import Atlas, texels_by_texture
 from beltrami_cli.surface.lookups import look_up
 from beltrami_cli.surface.precision import require_single
-from beltrami_cli.surface.records import Slot, Texture, TexturedSurface
+from beltrami_cli.surface.records import SLOTS, Slot, Texture, TexturedSurface
 
 _MAX_NUMBERS = 1 << 31  # of an array, before it is known that it fits
 _ONE_ROW_REMEDY = "it needs one row for each coloured vertex, in the order of the file"

@@ -17,12 +17,12 @@ from beltrami_cli.flow.chunks import chunk_memory
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.sizes import measure_image, require_memory, sizes_of, too_large
 from beltrami_cli.layers.layer import Layer
-from beltrami_cli.layers.settings import SLOTS, SmoothSettings, binding_parameters
+from beltrami_cli.layers.settings import SmoothSettings, binding_parameters
 from beltrami_cli.layers.texture_groups import choose_textures, covered_texels, separate_surfaces
 from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.surface.large_arrays import arrays_in_files
 from beltrami_cli.surface.precision import check_scale, coarse_rounding
-from beltrami_cli.surface.records import Slot, TexturedSurface
+from beltrami_cli.surface.records import SLOTS, Slot, TexturedSurface
 
 if TYPE_CHECKING:
     from beltrami_cli.layers.vertex_layer import VertexLayer

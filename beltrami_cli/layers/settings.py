@@ -26,6 +26,7 @@ from beltrami_cli.fields import (
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters, Space
 from beltrami_cli.formats.access import is_file
 from beltrami_cli.quantities import names_in, share_in
+from beltrami_cli.surface.records import SLOTS
 
 Target = Literal["auto", "vertices", "texture", "both"]
 AlphaMode = Literal["keep", "smooth"]
@@ -33,7 +34,6 @@ Inside = Literal["below", "above"]
 BakeTo = Literal["texture", "vertices"]
 
 COLOUR_SLOTS = ("baseColor", "emissive")  # the other slots are data
-SLOTS = ("baseColor", "emissive", "normal", "occlusion", "metallicRoughness")
 # Values of --format besides extensions; names of outputs may have the extension of any writable format.
 IMAGE_FORMATS = ("png", "jpg", "webp", "tif", "exr", "tga", "bmp", "hdr", "jxl", "ppm")
 IMAGE_SUFFIXES = (

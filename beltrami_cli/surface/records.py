@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,6 +90,7 @@ class Frame:
 
 Wrap = Literal["repeat", "mirror", "clamp"]
 Slot = Literal["baseColor", "emissive", "normal", "occlusion", "metallicRoughness"]
+SLOTS: tuple[Slot, ...] = get_args(Slot)
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
@@ -26,16 +27,19 @@ _MAX_NEW = 1 << 18  # new triangles beyond four times the original number
 _BORDER_TOLERANCE = 1e-9  # a border that an edge crosses this close to its end is none
 
 
-def on_tiles(surface: TexturedSurface, sets: Sequence[Mapping[Tile, int]], name: str) -> TexturedSurface:
-    """Assign the texture of their tile to triangles of set k, whose `texture_of` is -2 - k; -1 if there is none.
+def on_tiles(
+    surface: TexturedSurface, set_of: Int32s, sets: Sequence[Mapping[Tile, int]], name: str
+) -> TexturedSurface:
+    """Assign the texture of their tile, if there is one, to the triangles of tile sets.
 
-    InputError with the name if they span more tiles than any real model.
+    `set_of`, (F,), is the set of each triangle, -1: none. InputError with the name if they span more tiles than those
+    of any real model.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # coordinates are undefined without a texture
-        surface = _cut(surface, name)
+        surface, set_of = _cut(surface, set_of, name)
     texture_of, uv = surface.texture_of.copy(), surface.uv.copy()
     for number, known in enumerate(sets):
-        faces = np.flatnonzero(texture_of == -2 - number)
+        faces = np.flatnonzero(set_of == number)
         tiles = tiles_under(uv[faces])
         uv[faces] += np.column_stack([-tiles[:, 0], tiles[:, 1]])[:, None]
         images = np.full((COLUMNS, ROWS), -1, np.int32)
@@ -53,17 +57,17 @@ def tiles_under(uv: Float64s) -> Float64s:
     return np.asarray(np.floor(np.column_stack([centre[:, 0], 1 - centre[:, 1]])))
 
 
-def _cut(surface: TexturedSurface, name: str) -> TexturedSurface:
-    """Cut triangles at the borders of tiles, and their neighbours at the same points, so that edges still match."""
+def _cut(surface: TexturedSurface, set_of: Int32s, name: str) -> tuple[TexturedSurface, Int32s]:
+    """Cut triangles of tile sets at the borders of tiles, and their neighbours there, so that edges still match."""
     most = 4 * len(surface.faces) + _MAX_NEW
     while True:
         place_of, first = group_places(surface.positions, surface.space_of, surface.faces)
         ends = place_of[np.stack([surface.faces, np.roll(surface.faces, -1, axis=1)], axis=2)]
         share = _crossings(surface.uv, ends)
-        share[surface.texture_of > -2] = np.nan
+        share[set_of < 0] = np.nan
         crossed = ~np.isnan(share)
         if not crossed.any():
-            return surface
+            return surface, set_of
         keys = ends.min(axis=2).astype(np.int64) * len(first) + ends.max(axis=2)
         cut, chosen = np.unique(keys[crossed], return_index=True)
         at = share[crossed][chosen]  # from the end with the lower place number
@@ -77,7 +81,8 @@ def _cut(surface: TexturedSurface, name: str) -> TexturedSurface:
             space_of = np.concatenate([space_of, space_of[low]])
         positions = np.concatenate([surface.positions, start + at[:, None] * (stop - start)])
         surface = dataclasses.replace(surface, positions=positions, space_of=space_of)
-        surface = _split(surface, rows, along)
+        surface, origin = _split(surface, rows, along)
+        set_of = set_of[origin]
         if len(surface.faces) > most:
             cause = "its triangles repeat their texture more often than any real model does"
             raise InputError(name, cause, "check its texture coordinates")
@@ -102,8 +107,10 @@ def _crossings(uv: Float64s, ends: Int32s) -> Float64s:
     return shares
 
 
-def _split(surface: TexturedSurface, new_of: Int64s, before: Float64s) -> TexturedSurface:
-    """Split each triangle with cut edges into up to four, around the first new vertex.
+def _split(
+    surface: TexturedSurface, new_of: Int64s, before: Float64s
+) -> tuple[TexturedSurface, NDArray[np.intp]]:
+    """Split each triangle with cut edges into up to four, around the first new vertex; return also their origins.
 
     Edges, (F, 3), lead from each corner to the next. For each, `new_of` has the row of its new vertex (-1: none), and
     `before` the fraction of the edge before that.
@@ -123,11 +130,12 @@ def _split(surface: TexturedSurface, new_of: Int64s, before: Float64s) -> Textur
     parts = np.array([[0, 4, 1], [0, 1, 5], [0, 5, 2], [0, 2, 3]])
     new, new_uv = rows[:, parts].reshape(-1, 3), coordinates[:, parts].reshape(-1, 3, 2)
     is_real = (new != np.roll(new, 1, axis=1)).all(axis=1)
-    textures = np.repeat(surface.texture_of[faces], len(parts))
-    kept = ~touched
-    return dataclasses.replace(
+    kept = np.flatnonzero(~touched)
+    origin = np.concatenate([kept, np.repeat(faces, len(parts))[is_real]])
+    split = dataclasses.replace(
         surface,
         faces=np.concatenate([surface.faces[kept], new[is_real]]).astype(np.int32),
         uv=np.concatenate([surface.uv[kept], new_uv[is_real]]),
-        texture_of=np.concatenate([surface.texture_of[kept], textures[is_real]]),
+        texture_of=surface.texture_of[origin],
     )
+    return split, origin

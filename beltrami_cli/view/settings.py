@@ -8,7 +8,7 @@ from typing import ClassVar, Literal, get_args
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import check, parameter
-from beltrami_cli.layers.settings import SLOTS
+from beltrami_cli.surface.records import SLOTS
 
 Axis = Literal["x", "y", "z"]
 Colour = tuple[float, float, float, float]  # display values and opacity from 0 to 1

@@ -1,15 +1,12 @@
 """Every option for textures does what its help says, and sidecar files come whole or not at all."""
 
 import json
-from typing import get_args
 
 import numpy as np
 import pytest
 
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.layers.settings import SLOTS
-from beltrami_cli.surface.records import Slot
 from cli.commands import SAMPLES, beltrami
 from formats.image_files import encode
 from small_models import textured_squares
@@ -21,10 +18,6 @@ TEXTURED = [
     "sphere-exr-noisy.obj", "tiled-noisy.glb",
 ]  # fmt: skip
 SIDE = 64
-
-
-def test_every_slot_that_a_file_may_have_can_be_named():
-    assert get_args(Slot) == SLOTS
 
 
 CHART = slice(SIDE // 4, 3 * SIDE // 4)

@@ -14,7 +14,8 @@ from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, missing_package
 from beltrami_cli.jobs.smooth import smooth_file
-from beltrami_cli.layers.settings import SLOTS, SmoothSettings, TextureSettings
+from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
+from beltrami_cli.surface.records import SLOTS
 from formats.gltf_comparison import (
     EXTENSIONS,
     byte_differences,

@@ -25,6 +25,7 @@ from beltrami_cli.formats.gltf.parts import (
     used_positions,
 )
 from beltrami_cli.formats.gltf.primitives import OWN_COLOURS, TRIANGLES, Meshes, Primitive
+from beltrami_cli.formats.scene_mesh import textured_mesh
 from beltrami_cli.surface import records
 
 # Colours of the vertices of a primitive by mesh and number, shape (n, 3) or with opacity (n, 4), linear.
@@ -47,7 +48,7 @@ def read_textured_mesh(
     group_of = by_triangle(parts.parts, [groups[name] for name in parts.groups])
     normals = np.concatenate([_normals(part) for part in parts.parts])
     scene = make_scene(root.name, [[part] for part in parts.parts], parts.materials)
-    mesh = scene.mesh(parts.left_out, (tuple(groups), group_of), normals.reshape(-1, 3))
+    mesh = textured_mesh(scene, parts.left_out, (tuple(groups), group_of), normals.reshape(-1, 3))
     return dataclasses.replace(mesh, **parts.vertex_colours(stored))
 
 

@@ -20,7 +20,7 @@ from beltrami_cli.formats.gltf.parts import (
     used_positions,
 )
 from beltrami_cli.formats.gltf.primitives import Meshes, Primitive
-from beltrami_cli.formats.scene import no_texture
+from beltrami_cli.formats.scene_surface import no_texture, textured_surface
 from beltrami_cli.surface import records
 from beltrami_cli.surface.records import Slot
 
@@ -36,7 +36,7 @@ def read_textured_surface(
     groups = parts.groups.values()
     if not any(part.material.maps for group in groups for part in group):
         raise no_texture(slot, root.name, (), is_bare=parts.counts["bare"] > 0)
-    surface, notices = make_scene(root.name, groups, parts.materials).surface(slot)
+    surface, notices = textured_surface(make_scene(root.name, groups, parts.materials), slot)
     # Triangles of different spaces or looks do not meet.
     spaces = [(space, look) for _, _, space, look in parts.groups]
     number_of = {space: number for number, space in enumerate(dict.fromkeys(spaces))}

@@ -14,6 +14,7 @@ from beltrami_cli.formats.obj.materials import BASE_COLOUR_ALIASES, SLOTS, Map, 
 from beltrami_cli.formats.obj.statements import Statements
 from beltrami_cli.formats.obj.vertices import Scan, unit_normals
 from beltrami_cli.formats.scene import Maps, Scene, ShownMap
+from beltrami_cli.formats.scene_mesh import textured_mesh
 from beltrami_cli.surface.records import MeshContents, Slot, Wrap
 
 _Transform = tuple[tuple[float, float], tuple[float, float]]  # scale and offset of texture coordinates
@@ -114,7 +115,7 @@ def convert(scene: Scene, statements: Statements, scan: Scan, materials: Materia
     if "normals" in scan.dropped:
         rows, _, _ = statements.corners(b"vn")
         normals = np.append(unit_normals(statements), [[np.nan] * 3], axis=0)[rows]
-    return dataclasses.replace(scene, maps=maps).mesh(lost, (groups, group_of), normals)
+    return textured_mesh(dataclasses.replace(scene, maps=maps), lost, (groups, group_of), normals)
 
 
 def _converted_maps(materials: Materials, name: str, left_out: list[str]) -> _MaterialMaps:

@@ -31,6 +31,7 @@ from beltrami_cli.formats.ply.header import NORMAL, POSITION, Header, read_heade
 from beltrami_cli.formats.ply.polygons import POLYGONS, VERTEX_LISTS, read_grid, read_polygons
 from beltrami_cli.formats.ply.tables import Body, NewValues, Table, indices, read_body, read_tables
 from beltrami_cli.formats.scene import Scene
+from beltrami_cli.formats.scene_mesh import textured_mesh
 from beltrami_cli.surface.geometry import unit_vectors
 from beltrami_cli.surface.polygons import dual
 from beltrami_cli.surface.precision import require_single
@@ -185,7 +186,7 @@ class PlyDocument(Document):
         dropped = _omitted(self._header, used, {texturing.NUMBER, *used})
         has_others = self._header.comments > len(self._images)
         left_out = [what for what in dropped if what != "comments" or has_others]
-        mesh = dataclasses.replace(self._scene.mesh(left_out), normals=self._normals())
+        mesh = dataclasses.replace(textured_mesh(self._scene, left_out), normals=self._normals())
         return self._with_vertex_colours(mesh, colours)
 
     @property

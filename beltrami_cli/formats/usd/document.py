@@ -15,12 +15,13 @@ from beltrami_cli.formats.changes import Changes, Naming, PlannedImages, Written
 from beltrami_cli.formats.comparison import Fingerprint, labelled
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.model_folder import IGNORED
-from beltrami_cli.formats.scene import SLOTS, Scene, ShownMap
+from beltrami_cli.formats.scene import Scene, ShownMap
+from beltrami_cli.formats.scene_mesh import textured_mesh
 from beltrami_cli.formats.usd.contents import SceneContents
 from beltrami_cli.formats.usd.images import Images
 from beltrami_cli.formats.usd.layers import Layers
 from beltrami_cli.surface.precision import require_finite, require_single
-from beltrami_cli.surface.records import Frame, Material, MeshContents, Slot
+from beltrami_cli.surface.records import SLOTS, Frame, Material, MeshContents, Slot
 
 _COUNTS = {
     "instanced": "{} mesh(es) are instances of others; each is smoothed once, at its first place",
@@ -178,8 +179,8 @@ class UsdDocument(Document):
 
     def textured_mesh(self, colours: Float32s | None = None) -> MeshContents:
         groups, normals = (self._contents.meshes, self._arrays["mesh_of"]), self._arrays["normals"]
-        mesh = dataclasses.replace(self._scene.mesh(self._omitted(), groups, normals), frame=self.frame)
-        return self._with_vertex_colours(mesh, colours)
+        mesh = textured_mesh(self._scene, self._omitted(), groups, normals)
+        return self._with_vertex_colours(dataclasses.replace(mesh, frame=self.frame), colours)
 
     def _omitted(self) -> list[str]:
         contents = self._contents

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,7 +31,7 @@ from beltrami_cli.layers.reports import SlotReport
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings
 from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.surface.precision import check_scale, require_finite
-from beltrami_cli.surface.records import Encoding, Slot, Texture, TexturedSurface
+from beltrami_cli.surface.records import SLOTS, Encoding, Slot, Texture, TexturedSurface
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def smooth_textured(
     guides, noise = settings.embedding.guides, settings.kernel.given_noise
     if guides or settings.embedding.smooth_geometry or (noise is not None and noise.source):
         raise UsageError("smooth_textured takes no guides, files of noise or smooth_geometry")
-    require_choice("slot", slot, get_args(Slot))
+    require_choice("slot", slot, SLOTS)
     arrays = mesh_arrays(mesh) or MeshArrays(mesh)
     if images is None:
         images = [] if arrays.image is None else [arrays.image]

@@ -1,0 +1,127 @@
+"""The textured mesh of a scene, for writers of other formats."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import PurePath
+from typing import Any
+
+import numpy as np
+
+from beltrami_cli.arrays import Array, Float64s, Int64s
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.image.file_formats import suffix_for
+from beltrami_cli.formats.image.reading import read_image
+from beltrami_cli.formats.image.sizes import measure_image
+from beltrami_cli.formats.mesh_contents import MaterialMaps, with_material_per_tile
+from beltrami_cli.formats.scene import Scene
+from beltrami_cli.surface.polygons import polygons_of
+from beltrami_cli.surface.records import (
+    SLOTS,
+    AlphaMode,
+    ImageFile,
+    Material,
+    MaterialMap,
+    MeshContents,
+    MeshImage,
+    Slot,
+)
+
+_MAX_COORDINATE = 1e30  # texture coordinate that single precision holds with room for computing
+
+
+def textured_mesh(
+    scene: Scene,
+    left_out: Sequence[str],
+    groups: tuple[tuple[str, ...], Int64s] = (("",), np.zeros(1, np.int64)),
+    normals: Array | None = None,
+) -> MeshContents:
+    """Return the polygons with all materials; `groups`: names, and the index of the group of each polygon."""
+    uv, elsewhere = _common_coordinates(scene)
+    images, materials, lost = dict[str, MeshImage](), [*scene.materials], [*left_out]
+    kept = np.flatnonzero(scene.is_whole)
+    if not len(kept):
+        raise InputError(scene.name, "it has no faces, so there is nothing to show a texture")
+    for number in np.unique(scene.material_of[kept]).tolist():
+        maps: dict[Slot, MaterialMap] = {}
+        for slot, found in scene.maps[number].items():
+            if found.path is None:
+                lost.append(f"the {slot} map '{found.name}', which cannot be read")
+            elif (number, slot) in elsewhere:
+                lost.append(f"{slot} maps that are placed otherwise than the base colour")
+            else:
+                maps[slot] = MaterialMap(_image(scene, found.path, images), found.wrap)
+        materials[number] = _with_maps(scene, materials[number], maps)
+    corner_normals = None if normals is None or np.isnan(normals).all() else normals.astype(np.float32)
+    mesh = MeshContents(
+        positions=scene.positions,
+        corners=scene.corners,
+        offsets=scene.offsets,
+        colours=np.empty((len(scene.positions), 0), np.float32),
+        left_out=tuple(lost),
+        uv=uv,
+        materials=tuple(materials),
+        material_of=scene.material_of.astype(np.int32),
+        groups=groups[0],
+        group_of=np.broadcast_to(groups[1], len(scene.offsets) - 1).astype(np.int32),
+        corner_normals=corner_normals,
+        source=PurePath(scene.name).stem,
+    )
+    return with_material_per_tile(mesh.polygons(kept))
+
+
+def _image(scene: Scene, path: str, known: dict[str, MeshImage]) -> MeshImage:
+    """Return the image of a file or tile set."""
+    if path in scene.tiles:
+        tiles = tuple((tile, _image(scene, file, known)) for tile, file in scene.tiles[path].items())
+        return dataclasses.replace(tiles[0][1], tiles=tiles)
+    if path not in known:
+        data, name = scene.read(path), scene.name_of(path)
+        known[path] = MeshImage(ImageFile(data, suffix_for(data, name) or ".png"), name, path)
+    return known[path]
+
+
+def _with_maps(scene: Scene, material: Material, maps: MaterialMaps) -> Material:
+    """Return a material with maps; the factors of these are white and 1 unless the scene has factors."""
+    white, base = (1.0, 1.0, 1.0), maps.get("baseColor")
+    new: dict[str, Any] = {"maps": maps}
+    if not scene.has_factors:
+        new |= {"colour": white} if base is not None else {}
+        new |= {"emission": white} if "emissive" in maps else {}
+        new |= {"metalness": 1.0, "roughness": 1.0} if "metallicRoughness" in maps else {}
+        if material.alpha == "opaque" and base is not None:
+            new["alpha"] = _alpha_mode(base.image.file.data, base.image.name)
+    return dataclasses.replace(material, **new)
+
+
+def _common_coordinates(scene: Scene) -> tuple[Float64s, set[tuple[int, Slot]]]:
+    """Return one set of texture coordinates, (K, 2), v down, and the materials and slots that need another set."""
+    uv, elsewhere = np.full((len(scene.corners), 2), np.nan), set[tuple[int, Slot]]()
+    material_of = scene.material_of[polygons_of(scene.offsets)]
+    for slot in (*(slot for slot in SLOTS if any(slot in maps for maps in scene.maps)), None):
+        fresh = np.isnan(uv).any(axis=1)
+        if slot is None and not fresh.any():
+            break
+        own = scene.uv_down(slot)
+        own = np.where(np.abs(own) < _MAX_COORDINATE, own, np.nan)
+        has_map = np.array([slot is None or slot in maps for maps in scene.maps])[material_of]
+        given = has_map & ~np.isnan(own).any(axis=1)
+        if slot is not None:
+            differs = given & ~fresh & (own != uv).any(axis=1)
+            elsewhere |= {(number, slot) for number in np.unique(material_of[differs]).tolist()}
+        np.copyto(uv, own, where=(given & fresh)[:, None])
+    return uv, elsewhere
+
+
+def _alpha_mode(data: bytes, name: str) -> AlphaMode:
+    """Return the alpha mode of an image, for formats whose materials have none."""
+    size = measure_image(data)
+    if size is None or size.channels not in (2, 4):
+        return "opaque"
+    image = read_image(data, name, finite=False)
+    opacity = image.pixels[..., image.alpha or 0]
+    most = np.iinfo(opacity.dtype).max if opacity.dtype.kind == "u" else 1
+    if image.alpha is None or not (opacity < most).any():
+        return "opaque"
+    return "mask" if np.isin(opacity, (0, most)).all() else "blend"
