@@ -26,6 +26,7 @@ import contextlib
 import dataclasses
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -40,8 +41,7 @@ from beltrami_cli.flow.mixing import NOISELESS, PERTURBATION, Mixing
 from beltrami_cli.surface import large_arrays
 
 
-@dataclass(frozen=True)
-class _Prior:
+class _Prior(NamedTuple):
     """Prior of the weights of regions. Its mean is the weight over all samples, in [0, 1], raised to a power."""
 
     power: float
@@ -51,7 +51,7 @@ class _Prior:
 # Regions with small sums are plain, where means of many samples are better than patches. The variance of the weights
 # between regions was 0.02 to 0.45 on eight textures with noise of 10, 20 and 40 of 255. A prior narrower than that
 # would carry the weight of patterned regions over to plain ones.
-_PRIORS = {"samples": _Prior(1.0, 0.025), "means": _Prior(0.5, 0.02)}
+_PRIOR_OF_SAMPLES, _PRIOR_OF_MEANS = _Prior(1.0, 0.025), _Prior(0.5, 0.02)
 
 # Shares of unclipped samples from which on a mean is trusted at all, and fully. Errors of samples at a limit (black,
 # white) have one sign, and the kernel does not make them.
@@ -70,11 +70,18 @@ class Blend:
     gain: float
 
 
+class _Pair(NamedTuple):
+    """The result of the noisy colours, and that of the perturbed ones."""
+
+    plain: Stack
+    perturbed: Stack
+
+
 @dataclass(frozen=True)
 class _Probed:
     """Noisy colours z and their perturbation, `size` times signs or noise of unit variance.
 
-    The divergence of a result is its response times the perturbation, divided by `divisors`.
+    The divergence of a result is its response times the signs, divided by `divisors`.
     """
 
     colours: Stack
@@ -92,6 +99,17 @@ class _Probed:
         divisors = np.asarray(size * power, np.float32).reshape(-1, *[1] * (manifold.colours.ndim - 1))
         return cls(manifold.colours, signs, size, divisors)
 
+    def means(self, level: CoarseLevel) -> _Probed:
+        colours, perturbation = level.means(self.colours), self.size * level.means(self.signs)
+        return _Probed(colours, perturbation, np.float32(1), self.size * self.divisors)
+
+    @contextlib.contextmanager
+    def perturbed(self, axis: int) -> Iterator[None]:
+        """Add the perturbation to the colours within this context."""
+        _add(axis, self.colours, self.signs, self.size)
+        yield
+        _add(axis, self.colours, self.signs, -self.size)
+
 
 def blend_with_patches_in_place(
     manifold: Manifold,
@@ -101,7 +119,7 @@ def blend_with_patches_in_place(
 ) -> Blend:
     """Blend the results of the kernel and of patches; they overwrite the colours of the manifold."""
     noisy, geometry, sigma = manifold.colours, manifold.geometry, manifold.noise.sigma
-    axis, threads = geometry.axis, geometry.threads
+    axis, threads, strength = geometry.axis, geometry.threads, manifold.parameters.strength
     # Chunked kernels do not overwrite the colours.
     before = kernel(large_arrays.copy_of(noisy) if manifold.resources.chunking is None else noisy).stacks[0]
     perturbation = manifold.perturbation()
@@ -115,7 +133,7 @@ def blend_with_patches_in_place(
     if clipped is not None:
         for_blocks(clipped.impute_in_place, threads, axis, noisy, before, manifold.relative_variance)
     mixing = Mixing.of(geometry.steps(before), manifold.noise.covariance)
-    with_pilot = mixing.with_pilot(manifold.parameters.strength, is_shared=manifold.noise.is_shared)
+    with_pilot = mixing.with_pilot(strength, is_shared=manifold.noise.is_shared)
 
     def estimate(pilot: Stack) -> Stack:
         first = manifold.collaborate(noisy, pilot, mixing, stage(PASSES[0]))
@@ -124,16 +142,16 @@ def blend_with_patches_in_place(
 
     after = estimate(before)
     probed = _Probed.of(manifold, perturbation.get(), size)
-    with _perturbed(axis, noisy, probed.signs, size):
+    with probed.perturbed(axis):
         response = estimate(perturbed)
+    results = _Pair(before, perturbed)
     # The strength scales the weight of smoothness, as in the choice of parameters.
-    model = _NoiseTerms(sigma * np.sqrt(np.sqrt(manifold.parameters.strength)), clipped, threads)
-    results = before, after
-    share, gain = _mix_in_place(manifold, model, probed, results, (perturbed, response))
+    noise = _NoiseTerms(sigma * np.sqrt(np.sqrt(strength)), clipped)
+    share, gain = _blend_samples_in_place(manifold, noise, probed, results, _Pair(after, response))
     del response
     for level in _plain_levels(manifold):
-        means = _noisy_means(level, manifold, model, probed, results)
-        gain += _improve_means_in_place(level, model, with_pilot, means, (before, perturbed))
+        means = _NoisyMeans.of(level, manifold, noise, probed, before, scratch=after)
+        gain += _blend_means_in_place(level, noise, with_pilot, means, results)
     count = max(1, geometry.kernels)
     return Blend(
         dataclasses.replace(averaged, stacks=[before]), share / count,
@@ -141,36 +159,32 @@ def blend_with_patches_in_place(
     )  # fmt: skip
 
 
-def _mix_in_place(
-    manifold: Manifold,
-    model: _NoiseTerms,
-    noisy: _Probed,
-    results: tuple[Stack, Stack],
-    responses: tuple[Stack, Stack],
+def _blend_samples_in_place(
+    manifold: Manifold, noise: _NoiseTerms, noisy: _Probed, kernel: _Pair, patches: _Pair
 ) -> tuple[float, float]:
-    """Blend the second result into the first; return the sum of the weights and of the gain."""
-    regions, relative = manifold.regions, manifold.relative_variance
-    stacks = [
+    """Blend the patches' results into the kernel's; return the sum of the weights and of the gain."""
+    regions, threads = manifold.regions, manifold.geometry.threads
+    z, signs, relative, p, p_perturbed, q, q_perturbed = (
         np.moveaxis(stack, manifold.geometry.axis, 0)
-        for stack in (noisy.colours, noisy.signs, relative, *results, *responses)
-    ]
+        for stack in (noisy.colours, noisy.signs, manifold.relative_variance, *kernel, *patches)
+    )
 
     def terms(rows: slice) -> Float32s:
-        z, signs, variance, *estimates = (stack[:, rows] for stack in stacks)
-        sums: Float32s = np.empty((2, *z.shape[1:]), np.float32)
-        probe: Array = signs / noisy.divisors
-        blend_terms(z, probe, tuple(estimates), (*model.noise, variance), sums, 1)
+        sums: Float32s = np.empty((2, *z[0, rows].shape), np.float32)
+        estimates = tuple(stack[:, rows] for stack in (p, q, p_perturbed, q_perturbed))
+        probe: Array = signs[:, rows] / noisy.divisors
+        blend_terms(z[:, rows], probe, estimates, (*noise.for_core, relative[:, rows]), sums, 1)
         return sums
 
     def move(rows: slice) -> None:
         weight = regions.enlarged(weights, rows)
-        for p, q in (stacks[3:5], stacks[5:]):
-            p[:, rows] += weight * (q[:, rows] - p[:, rows])
+        for of_kernel, of_patches in ((p, q), (p_perturbed, q_perturbed)):
+            of_kernel[:, rows] += weight * (of_patches[:, rows] - of_kernel[:, rows])
 
-    sums = regions.gathered(2, terms, stacks[0], model.threads)
-    weights, share, gain = _weigh(regions, sums, model.variance * regions.noise, _PRIORS["samples"])
-    in_parallel(move, model.threads, ((rows,) for rows in block_rows(stacks[0], regions.side)))
-    for stack in (results[0], responses[0]):
+    sums = regions.gathered(2, terms, z, threads)
+    weights, share, gain = _weigh(regions, sums, noise.variance, _PRIOR_OF_SAMPLES)
+    in_parallel(move, threads, ((rows,) for rows in block_rows(z, regions.side)))
+    for stack in kernel:
         manifold.geometry.refresh(stack)
     return share, gain
 
@@ -185,68 +199,65 @@ def _plain_levels(manifold: Manifold) -> Iterator[CoarseLevel]:
 
 @dataclass(frozen=True)
 class _NoisyMeans:
-    """Means of the noisy colours, of the probe added to them, and of the residual of the estimate.
+    """Means of the noisy colours and of their residual, and a mean of the shares of unclipped samples."""
 
-    `within` is the share of unclipped samples, a mean that emphasises small shares.
-    """
-
-    colours: Stack
-    probe: Float32s
-    divisors: Float32s  # see `_Probed`
+    probed: _Probed
     residual: Float32s
-    within: Float32s
+    within: Float32s  # emphasises small shares
+
+    @classmethod
+    def of(
+        cls, level: CoarseLevel, manifold: Manifold, noise: _NoiseTerms, noisy: _Probed, result: Stack, *,
+        scratch: Stack,
+    ) -> _NoisyMeans:  # fmt: skip
+        """Average over a level; the residual is that of a result. `scratch` is overwritten."""
+        geometry, relatives = manifold.geometry, manifold.relative_variance
+
+        def cube_share(p: Array, shares: Array, relative: Array) -> None:
+            blend_share_within(p, (*noise.for_core, relative), shares, 1)
+            np.subtract(1, shares, out=shares)
+            shares *= np.square(shares)
+
+        for_blocks(
+            lambda z, p, residual, relative: blend_residual(z, p, (*noise.for_core, relative), residual, 1),
+            geometry.threads, geometry.axis, noisy.colours, result, scratch, relatives,
+        )  # fmt: skip
+        residual = level.means(scratch)
+        for_blocks(cube_share, geometry.threads, geometry.axis, result, scratch, relatives)
+        # A cubic mean: a residual found where most is clipped, as on white paper, would bleed into ink, too.
+        return cls(noisy.means(level), residual, 1 - np.cbrt(level.means(scratch)))
 
 
-def _noisy_means(
-    level: CoarseLevel, manifold: Manifold, model: _NoiseTerms, noisy: _Probed, results: tuple[Stack, Stack]
-) -> _NoisyMeans:
-    """Compute the means of noisy colours and their residual to the first result; the second result is overwritten."""
-    axis, relatives, (before, memory) = manifold.geometry.axis, manifold.relative_variance, results
-    means, probe = level.means(noisy.colours), noisy.size * level.means(noisy.signs)
-
-    def cube_share(p: Array, shares: Array, relative: Array) -> None:
-        blend_share_within(p, (*model.noise, relative), shares, 1)
-        np.subtract(1, shares, out=shares)
-        shares *= np.square(shares)
-
-    for_blocks(
-        lambda z, p, residual, relative: blend_residual(z, p, (*model.noise, relative), residual, 1),
-        model.threads, axis, noisy.colours, before, memory, relatives,
-    )  # fmt: skip
-    residual = level.means(memory)
-    for_blocks(cube_share, model.threads, axis, before, memory, relatives)
-    # A cubic mean: a residual found where most is clipped, as on white paper, would bleed into ink, too.
-    within = 1 - np.cbrt(level.means(memory))
-    return _NoisyMeans(means, probe, noisy.size * noisy.divisors, residual, within)
-
-
-def _improve_means_in_place(
-    level: CoarseLevel, model: _NoiseTerms, mixing: Mixing, noisy: _NoisyMeans, colours: tuple[Stack, Stack]
+def _blend_means_in_place(
+    level: CoarseLevel, noise: _NoiseTerms, mixing: Mixing, means: _NoisyMeans, results: _Pair
 ) -> float:
-    """Blend the means of colours, and of perturbed ones, with their estimates by patches; return the estimated gain."""
+    """Blend the means of results with their estimates by patches; return the estimated gain."""
     # The means of the blend are used as the pilot directly: a first estimate without a pilot would bring back noise.
     mixing = dataclasses.replace(mixing, variances=mixing.variances * level.noise)
-    (p, p_perturbed), axis, sums = (level.means(stack) for stack in colours), level.axis, level.planes(2)
-    difference = level.collaborate(noisy.colours, p, mixing)
-    with _perturbed(axis, noisy.colours, noisy.probe, np.float32(1)):
-        moved = level.collaborate(noisy.colours, p_perturbed, mixing)
-    stacks = in_blocks(
-        axis, difference, moved, p, p_perturbed, noisy.residual, noisy.probe, noisy.within,
-        np.expand_dims(level.relative, axis),
-    )  # fmt: skip
-    for (d, d_perturbed, a, a_perturbed, residual, probe, within, relative), (terms,) in zip(
-        stacks, in_blocks(0, sums), strict=True
-    ):
-        least, enough = _TRUSTED_WITHIN
+    noisy, axis, sums, (least, enough) = means.probed, level.axis, level.planes(2), _TRUSTED_WITHIN
+    pilots = _Pair(*(level.means(stack) for stack in results))
+    change = level.collaborate(noisy.colours, pilots.plain, mixing)
+    with noisy.perturbed(axis):
+        perturbed_change = level.collaborate(noisy.colours, pilots.perturbed, mixing)
+
+    def compare(
+        q: Array, q_perturbed: Array, p: Array, p_perturbed: Array,
+        residual: Array, signs: Array, within: Array, relative: Array, terms: Array,
+    ) -> None:  # fmt: skip
+        """Turn estimates by patches into changes, and write the terms of their weight."""
         trusted = np.clip((within - least) / (enough - least), 0, 1)
-        d[:], d_perturbed[:] = trusted * (d - a), trusted * (d_perturbed - a_perturbed)
-        terms[:] = model.terms(
-            residual, probe / noisy.divisors, within * d, within * d_perturbed, within * relative[0]
+        q[:], q_perturbed[:] = trusted * (q - p), trusted * (q_perturbed - p_perturbed)
+        terms[:] = noise.terms(
+            residual, signs / noisy.divisors, within * q, within * q_perturbed, within * relative
         )
-    weights, _, gain = _weigh(level, sums, model.variance * level.noise, _PRIORS["means"])
-    for stack, changes in zip(colours, (difference, moved), strict=True):
-        for (change,), (weight,) in zip(in_blocks(axis, changes), in_blocks(0, weights), strict=True):
-            change *= weight[0]
+
+    for_blocks(
+        compare, 1, axis, change, perturbed_change, *pilots, means.residual, noisy.signs, means.within,
+        np.expand_dims(level.relative, axis), np.moveaxis(sums, 0, axis),
+    )  # fmt: skip
+    weights, _, gain = _weigh(level, sums, noise.variance, _PRIOR_OF_MEANS)
+    for stack, changes in zip(results, (change, perturbed_change), strict=True):
+        changes *= np.moveaxis(weights, 0, axis)
         level.add_enlarged(stack, changes)
     return gain
 
@@ -254,8 +265,7 @@ def _improve_means_in_place(
 class _NoiseTerms:
     """Noise of the channels in the form that the sums take."""
 
-    def __init__(self, sigma: Float64s, clipped: ClippedChannels | None, threads: int) -> None:
-        self.threads = threads
+    def __init__(self, sigma: Float64s, clipped: ClippedChannels | None) -> None:
         self._variances = np.square(sigma, dtype=np.float32)
         self.variance = float(np.mean(np.square(sigma)))
         channels = np.zeros((len(sigma), 4), np.float32)
@@ -263,7 +273,7 @@ class _NoiseTerms:
         if clipped is not None:
             channels[:, 1:] = np.column_stack([clipped.sigma, clipped.low, clipped.high])
         tables = normal_tables()
-        self.noise = channels, tables.furthest, tables.lost, tables.share  # in the layout of the core
+        self.for_core = channels, tables.furthest, tables.lost, tables.share
 
     def terms(
         self, residual: Float32s, probe: Array, difference: Float32s, moved: Float32s, relative: Float32s
@@ -275,29 +285,22 @@ class _NoiseTerms:
 
 
 def _weigh(
-    surface: Domain, sums: Float32s, variance: float, expected: _Prior
+    domain: Domain, sums: Float32s, variance: float, expected: _Prior
 ) -> tuple[Float32s, float, float]:
     """Solve for w from its terms; return w, its sum, and the sum of the reduction of the squared error."""
-    slope, square = surface.total(sums)
+    slope, square = domain.total(sums)
     overall = min(1.0, max(0.0, slope / square)) ** expected.power if square > 0 else 0.0
     # The variance of w is sigma^2 over the sum of squares; a mean by a Gaussian stands for this many samples.
-    prior = np.float32(variance / (4 * np.pi * surface.width**2) / expected.variance)
-    means = surface.spread(sums)
+    prior = np.float32(variance * domain.noise / (4 * np.pi * domain.width**2) / expected.variance)
+    means = domain.spread(sums)
     for mean, terms in in_blocks(0, means, sums):
         weight = np.clip((mean[0] + prior * overall) / (mean[1] + prior), 0, 1)
         mean[0], mean[1] = weight, weight * (2 * terms[0] - weight * terms[1])
-    share, gain = surface.total(means)
+    share, gain = domain.total(means)
     return means[:1], float(share), float(gain)
 
 
-@contextlib.contextmanager
-def _perturbed(axis: int, stack: Float32s, signs: Array, size: np.float32) -> Iterator[None]:
-    """Add a multiple of the signs to a stack within this context."""
-    _add(axis, stack, signs, size)
-    yield
-    _add(axis, stack, signs, -size)
-
-
 def _add(axis: int, stack: Float32s, signs: Array, size: np.float32) -> None:
+    """Add a multiple of signs to a stack."""
     for block, sign in in_blocks(axis, stack, signs):
         block += np.multiply(sign, size, dtype=np.float32)

@@ -82,12 +82,14 @@ class Groups {
   void describe() {
     const std::size_t count = part_.vertices.size();
     // Of the last channel `short_row` values are read too.
-    for (auto* rows : {&scratch_.noisy_rows, &scratch_.pilot_rows, &scratch_.sum_rows}) rows->assign(count * length_ + short_row, 0);
+    for (auto* rows : {&scratch_.noisy_rows, &scratch_.pilot_rows, &scratch_.sum_rows})
+      rows->assign(count * length_ + short_row, 0);
     scratch_.weights.assign(count * n_, 0);
     scratch_.is_chosen.assign(count, 0);
     for (std::size_t i = 0; i < count; ++i)
       for (std::size_t c = 0; c < n_; ++c) {
-        float *noisy = scratch_.noisy_rows.data() + i * length_ + c * nodes, *pilot = scratch_.pilot_rows.data() + i * length_ + c * nodes;
+        const std::size_t row = i * length_ + c * nodes;
+        float *noisy = scratch_.noisy_rows.data() + row, *pilot = scratch_.pilot_rows.data() + row;
         for (std::size_t node = 0; node < nodes; ++node) {
           const std::int32_t member = scratch_.patches[i][node];
           const std::size_t from = static_cast<std::size_t>(std::max(member, 0)) * n_ + c;
