@@ -81,8 +81,8 @@ class ChunkRunner:
         try:
             while waiting or in_work:
                 while waiting and not self._pool.is_full:
-                    held = self._pool.held()
-                    number = next((each for each in waiting if each in held), waiting[0])
+                    kept = self._pool.kept()
+                    number = next((each for each in waiting if each in kept), waiting[0])
                     waiting.remove(number)
                     in_work.add(number)
                     chunk = chunks[number]

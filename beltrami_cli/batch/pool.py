@@ -47,7 +47,7 @@ class Pool(ABC):
     def give_up(self) -> None:
         """Cancel the running tasks."""
 
-    def held(self) -> Collection[int]:
+    def kept(self) -> Collection[int]:
         """Return the keys of the parts that the next worker has, if that is known."""
         return ()
 

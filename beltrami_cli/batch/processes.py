@@ -35,7 +35,7 @@ class _Worker:
             self.process.start()
         theirs.close()  # so that the pipe closes when the process ends
         self.channel = Channel(ours, path)
-        self.key, self.held = -1, set[int]()  # of the task in work, and of parts
+        self.key, self.kept = -1, set[int]()  # of the task in work, and of parts
 
     def end(self, seconds: float | None = 0) -> None:
         """End the process within some seconds; None: wait until it ends by itself."""
@@ -62,10 +62,10 @@ class Processes(Pool):
             if not self._idle:
                 self._idle.append(_Worker())
             worker = self._idle[-1]
-            new_part = part() if part is not None and key not in worker.held else None
+            new_part = part() if part is not None and key not in worker.kept else None
             part_key = None if part is None else key
             try:
-                worker.channel.send(Order(task, arguments, part_key, new_part, frozenset(worker.held)))
+                worker.channel.send(Order(task, arguments, part_key, new_part, frozenset(worker.kept)))
                 break
             except ConnectionError:  # it died while it was idle
                 self._idle.pop().end()
@@ -74,7 +74,7 @@ class Processes(Pool):
                 raise ProcessingError(f"{cause}; lower --jobs, or raise --pieces") from error
         worker.key = key
         if part is not None:
-            worker.held.add(key)
+            worker.kept.add(key)
         self._busy.append(self._idle.pop())
 
     def events(self) -> Iterator[tuple[int, Any]]:
@@ -91,12 +91,12 @@ class Processes(Pool):
                     self._idle.append(worker)
             yield worker.key, event
 
-    def held(self) -> Collection[int]:
-        return self._idle[-1].held if self._idle else ()
+    def kept(self) -> Collection[int]:
+        return self._idle[-1].kept if self._idle else ()
 
     def forget(self) -> None:
         for worker in self._idle:
-            worker.held.clear()
+            worker.kept.clear()
 
     def give_up(self) -> None:
         for worker in self._busy:

@@ -35,8 +35,8 @@ def do_item(
     start = time.monotonic()
     try:
         with limited_memory(memory if is_alone else None, item.source):
-            done = _done(item, local or item, memory, progress, chunking)
-        return Attempt(dataclasses.replace(done, seconds=round(time.monotonic() - start, 3)))
+            outcome = _smooth_staged(item, local or item, memory, progress, chunking)
+        return Attempt(dataclasses.replace(outcome, seconds=round(time.monotonic() - start, 3)))
     except BeltramiError as error:
         is_named = error.name in (item.source, item.target)
         message = str(error) if is_named else f"{item.source}: {error}"
@@ -50,19 +50,19 @@ def do_item(
         return Attempt(failed(item, message, 1, time.monotonic() - start), traceback=traceback.format_exc())
 
 
-def _done(
+def _smooth_staged(
     item: Item, local: Item, memory: int | None, progress: Progress | None, chunking: Chunking | None
 ) -> Outcome:
     to_url = is_url(local.target)
     with staged(local.source, local.target) as stage:
-        copy = dataclasses.replace(
+        staged_item = dataclasses.replace(
             local, source=stage.source, target=stage.target,
             overwrite=local.overwrite or to_url, is_retry=local.is_retry and not to_url,
         )  # fmt: skip
         try:
             # Files that the source refers to are downloaded when they are first looked for.
             access = Access(local.outside, memory, stage.note, stage.download, columns=local.columns)
-            report = _smoothed(copy, access, progress, chunking)
+            report = _smooth(staged_item, access, progress, chunking)
         except BeltramiError as error:
             names = {stage.source: item.source, stage.target: item.target}
             error.name = names.get(error.name, error.name)
@@ -80,9 +80,7 @@ def _done(
         return outcome_of(item, "done", read=stage.read, written=written, report=dataclasses.asdict(report))
 
 
-def _smoothed(
-    item: Item, access: Access, progress: Progress | None, chunking: Chunking | None
-) -> SmoothReport:
+def _smooth(item: Item, access: Access, progress: Progress | None, chunking: Chunking | None) -> SmoothReport:
     from beltrami_cli.jobs.smooth import smooth_file
 
     with FileSet() as files:

@@ -31,8 +31,8 @@ class Order:
     task: Task
     arguments: tuple[Any, ...] = ()
     key: int | None = None  # of its part; None: no part
-    part: Any = None  # unless the worker holds it from an earlier order
-    held: frozenset[int] = frozenset()  # keys of the parts that the worker continues to hold
+    part: Any = None  # unless the worker keeps it from an earlier order
+    kept: frozenset[int] = frozenset()  # keys of the parts that the worker continues to keep
 
 
 class Channel:
@@ -77,7 +77,7 @@ def serve(pipe: Connection[Any, Any], path: Path) -> None:
     if (leader := multiprocessing.parent_process()) is not None and leader.pid is not None:
         end_with_parent(leader.pid, signal.SIGTERM)  # a signal on which it removes its files
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes; the leading one decides
-    channel, held = Channel(pipe, path), dict[int, Any]()  # parts by key
+    channel, kept = Channel(pipe, path), dict[int, Any]()  # parts by key
 
     def report(label: str, done: float, total: float) -> None:
         try:
@@ -89,9 +89,9 @@ def serve(pipe: Connection[Any, Any], path: Path) -> None:
     with contextlib.suppress(EOFError, ConnectionError):
         while True:
             order: Order = channel.receive()
-            held = {key: held[key] for key in order.held}
+            kept = {key: kept[key] for key in order.kept}
             if order.key is not None and order.part is not None:
                 # The arrays of a message are valid until the next one.
-                held[order.key] = copy.deepcopy(order.part)
-            parts = () if order.key is None else (held[order.key],)
+                kept[order.key] = copy.deepcopy(order.part)
+            parts = () if order.key is None else (kept[order.key],)
             channel.send(order.task(*parts, *order.arguments, progress))

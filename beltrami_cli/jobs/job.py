@@ -39,7 +39,7 @@ class Job:
     chunking : Chunking, optional
         Only for batches: into how many chunks surfaces are cut, and who works on them.
     chunk_memory : int, optional
-        Bytes that a chunk of a mesh may take; larger meshes are cut. Set as `access` limits the memory.
+        Bytes that a chunk of a mesh may take; larger meshes are cut. Set from the memory of `access`.
     """
 
     access: Access = DEFAULT_ACCESS

@@ -116,7 +116,10 @@ def texture_from_vertices(
 
     pixels = bake(uv, size, shade, values.shape[1], dtype)
     notices = _notices_on_vertices(contents)
-    return NewTexture(contents.positions, faces, uv, space_of, pixels, charts, notices, contents.frame)
+    return NewTexture(
+        positions=contents.positions, faces=faces, uv=uv, space_of=space_of, pixels=pixels,
+        charts=charts, notices=notices, frame=contents.frame,
+    )  # fmt: skip
 
 
 def texture_from_textures(
@@ -145,15 +148,9 @@ def texture_from_textures(
     pixels = bake(unwrapped.uv, unwrapped.size, shade, channels, dtype)
     notices = _notices_on_textures(document, old, images)
     return NewTexture(
-        old.positions,
-        old.faces,
-        unwrapped.uv,
-        old.space_of,
-        pixels,
-        unwrapped.charts,
-        notices,
-        document.frame,
-    )
+        positions=old.positions, faces=old.faces, uv=unwrapped.uv, space_of=old.space_of, pixels=pixels,
+        charts=unwrapped.charts, notices=notices, frame=document.frame,
+    )  # fmt: skip
 
 
 def _unwrapped(

@@ -4,18 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.jobs.compare.same_model import ROUNDED_MOVE, Moves
 from beltrami_cli.jobs.settings import Limits
 
-_FIGURES = {"min_psnr": "psnr", "min_ssim": "ssim", "max_delta_e": "delta_e", "max_seam_jump": "seam_jump"}
-_LIMITED_FIGURE = {"max_delta_e": "mean", "max_seam_jump": "change"}
-_MISSING_FIGURE = {
-    "min_ssim": "cannot be tested without a picture in which a window of 11 x 11 pixels counts",
-    "max_delta_e": "cannot be tested where the numbers are not grey, or red, green and blue, in sRGB or linear light",
-    "max_seam_jump": "cannot be tested where no chart has three texels in a row on either side of a seam",
+
+class _Figure(NamedTuple):
+    key: str
+    inner: str | None = None  # key within the figure; None: it is a number
+    missing: str = ""  # where it is missing; empty: it is then infinite
+
+
+_FIGURES = {
+    "min_psnr": _Figure("psnr"),
+    "min_ssim": _Figure("ssim", None, "without a picture in which a window of 11 x 11 pixels counts"),
+    "max_delta_e": _Figure(
+        "delta_e", "mean", "where the numbers are not grey, or red, green and blue, in sRGB or linear light"
+    ),
+    "max_seam_jump": _Figure(
+        "seam_jump", "change", "where no chart has three texels in a row on either side of a seam"
+    ),
 }
 _REMEDY = "leave that limit out, or choose what has it with --on, --slots, --texture, --channels or --space"
 
@@ -38,17 +48,18 @@ def check_limits(
     # A limit that cannot be measured raises InputError: an unchecked limit must not pass.
     compared = [part for part in parts if part["samples"] and not part.get("identical")]
     verdicts: list[Verdict] = []
-    for limit, allowed in vars(limits).items():
-        if allowed is None or limit not in _FIGURES:
+    for limit, (key, inner, missing) in _FIGURES.items():
+        allowed = getattr(limits, limit)
+        if allowed is None:
             continue
         for part in compared:
             if limit == "max_seam_jump" and part["near_seams"] is None:
                 continue  # nothing can jump
-            figure = part[_FIGURES[limit]]
-            if figure is None and limit != "min_psnr":
+            figure = part[key]
+            if figure is None and missing:
                 option = f"--{limit.replace('_', '-')}"
-                raise InputError(test, f"{part['name']}: {option} {_MISSING_FIGURE[limit]}", _REMEDY)
-            measured = float(figure[_LIMITED_FIGURE[limit]]) if limit in _LIMITED_FIGURE else figure
+                raise InputError(test, f"{part['name']}: {option} cannot be tested {missing}", _REMEDY)
+            measured = figure if inner is None else float(figure[inner])
             sign = 1 if limit.startswith("min") else -1
             kept = measured is None or sign * measured >= sign * allowed
             verdicts.append(Verdict(limit, part["name"], allowed, measured, kept))
