@@ -55,6 +55,11 @@ def of_255(share: float) -> str:
     return f"{value:.1f}" if value >= 0.05 or value == 0 else f"{value:.2g}"
 
 
+def show_amount(share: float) -> str:
+    """Write a share of full scale as `amount_in` reads it: 20.0/255."""
+    return f"{of_255(share)}/255"
+
+
 def unambiguous_amount_in(text: str, forms: str = _AMOUNT) -> float:
     """Read a part of full scale; plain numbers between 0 and 1 are rejected, which may be of 255 or of full scale."""
     value = amount_in(text, forms)

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sized
 from typing import Any
 
-from beltrami_cli.view.words import choice_in_words, noise_of_255, reading_in_words
+from beltrami_cli.quantities import show_amount
+from beltrami_cli.view.words import choice_in_words, reading_in_words
 
 _LABELS = {"pitch": "distance of neighbouring samples", "patches": "share from similar patches"}
 NO_AREA = "no face has an area"
@@ -65,7 +66,7 @@ def _parts_in(value: Any) -> list[dict[str, Any]]:
 
 def _with_noise_in_words(values: dict[str, float]) -> dict[str, str]:
     return {
-        name: f"{value:.1f} samples" if name == "grain" else noise_of_255(value)
+        name: f"{value:.1f} samples" if name == "grain" else show_amount(value)
         for name, value in values.items()
     }
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from beltrami_cli.quantities import of_255
+from beltrami_cli.quantities import show_amount
 from beltrami_cli.view.words import noise_in_words, psnr_in_words
 
 # Kernel parameters that are shown even if they have their defaults.
@@ -63,7 +63,7 @@ def _measured(given: str | None, done: dict[str, Any]) -> Iterator[list[str]]:
         what = "replaced" if wrong["replaced"] else "kept"
         yield ["wrong samples", f"{wrong['count']} ({100 * wrong['share']:.2g} %) {what}", "measured"]
     if done["change"]:
-        yield ["mean change", f"{of_255(done['change']['mean'])}/255", "measured"]
+        yield ["mean change", show_amount(done["change"]["mean"]), "measured"]
     choice = done["choice"]
     if choice and choice["psnr"] is not None:
         yield ["result", psnr_in_words(choice), f"the best of {choice['candidates']}"]

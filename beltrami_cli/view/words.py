@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from beltrami_cli.flow.noise_amount import NEGLIGIBLE, VISIBLE, noise_size, root_mean_square
-from beltrami_cli.quantities import BYTE_STEP, of_255
+from beltrami_cli.quantities import BYTE_STEP, of_255, show_amount
 
 NO_NOISE_FOUND = "no noise detected"
 
@@ -15,16 +15,11 @@ NO_NOISE_FOUND = "no noise detected"
 _WIDE_RATIO = 1.5
 
 
-def noise_of_255(share: float) -> str:
-    """Format noise as `--noise` and `beltrami noise` accept it."""
-    return f"{of_255(share)}/255"
-
-
 def noise_of(part: Mapping[str, Any]) -> str:
     """Return the noise of a part of a report, or of `info`, as a quantity, with its interval where that is wide."""
     reading = part["reading"]
     if reading is None or reading["high"] <= _WIDE_RATIO * reading["low"]:
-        return noise_of_255(noise_size(part))
+        return show_amount(noise_size(part))
     low, median, high = (_rounded(reading[key]) for key in ("low", "median", "high"))
     return f"about {median}/255 ({low} to {high})"
 

@@ -12,7 +12,8 @@ from beltrami_cli.flow.noise import channel_noise
 from beltrami_cli.flow.noise.model import Reading
 from beltrami_cli.flow.noise.size import sizes_of
 from beltrami_cli.layers.reports import describe_reading
-from beltrami_cli.view.words import noise_in_words, noise_of, noise_of_255
+from beltrami_cli.quantities import show_amount
+from beltrami_cli.view.words import noise_in_words, noise_of
 from cli.commands import SAMPLES, beltrami, colours_in
 from formats.image_files import encode
 from oracles.pictures import photograph
@@ -122,12 +123,12 @@ def test_info_and_the_report_say_the_same_as_the_result(none, noisy, suppose):
 @pytest.mark.slow
 def test_tables_have_the_same_noise_as_the_message_on_a_single_file(noisy):
     _, part, _ = smoothed(noisy)
-    size = noise_of_255(part["reading"]["median"])
+    size = show_amount(part["reading"]["median"])
     other = noisy.with_stem("other")
     other.write_bytes(noisy.read_bytes())
     listed = beltrami("info", noisy, other, text=True).stdout.splitlines()[1:]
     done = batch(noisy, "--out-dir", noisy.parent / "many")
-    assert noise_of_255(max(part["noise"].values())) != size
+    assert show_amount(max(part["noise"].values())) != size
     assert [re.findall(r"[\d.]+/255", line)[0] for line in listed] == [size, size]
     assert size in done
 

@@ -7,12 +7,11 @@ from typing import Any, get_args
 
 import click
 
-from beltrami_cli.cli import options
+from beltrami_cli.cli import options, outputs
 from beltrami_cli.cli.command import command
 from beltrami_cli.cli.console import Messages
 from beltrami_cli.cli.parameter_options import options_of, record_from, refuse_typed
 from beltrami_cli.cli.phrases import counted, output_name
-from beltrami_cli.cli.writing import reporting, run_and_write
 from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.layers.settings import BakeTo
 
@@ -21,7 +20,7 @@ from beltrami_cli.layers.settings import BakeTo
 @click.option("--to", type=click.Choice(get_args(BakeTo)), required=True, help="Where the colours go.")
 @options_of(BakeSettings)
 @options.output_format
-@reporting
+@outputs.report
 @options.writing
 def bake(source: str, target: str, to: BakeTo, messages: Messages, **values: Any) -> None:
     """Move the colours of INPUT from its vertices to a texture, or from its textures to the vertices."""
@@ -30,7 +29,7 @@ def bake(source: str, target: str, to: BakeTo, messages: Messages, **values: Any
         refuse_typed(BakeSettings, "of the new texture that --to texture makes; leave it out")
     from beltrami_cli.jobs.bake import bake_file
 
-    report = run_and_write(
+    report = outputs.run_and_write(
         values, (source, target), messages, partial(bake_file, source, target, to, settings)
     )
     messages.warn_of(report.input, report.warnings)

@@ -20,7 +20,7 @@ from beltrami_cli.fields import without_effect
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import Access, is_url
 from beltrami_cli.jobs.progress import Label, Work
-from beltrami_cli.quantities import of_255
+from beltrami_cli.quantities import show_amount
 from beltrami_cli.surface.memory import default_memory
 
 if TYPE_CHECKING:
@@ -257,4 +257,4 @@ def _row(outcome: Outcome) -> list[str]:
     result: str = outcome.status
     if is_left and result == "done":  # it may be changed by levelling
         result = "not smoothed" if change else "left as it is"
-    return [outcome.output, result, seconds, f"{of_255(noise)}/255", f"{of_255(change)}/255"]
+    return [outcome.output, result, seconds, show_amount(noise), show_amount(change)]

@@ -17,13 +17,13 @@ from beltrami_cli.errors import BeltramiError, InputError
 from beltrami_cli.flow.noise_amount import noise_size
 from beltrami_cli.formats.access import is_url
 from beltrami_cli.layers.settings import SmoothSettings
+from beltrami_cli.quantities import show_amount
 from beltrami_cli.view.words import (
     advice_in_words,
     choice_in_words,
     doubt_in_words,
     noise_in_words,
     noise_of,
-    noise_of_255,
     reason_in_words,
 )
 
@@ -90,7 +90,7 @@ def _parts_of(source: str, facts: dict[str, Any]) -> Iterator[list[str]]:
             str(facts["file"]["format"]),
             what,
             "" if samples is None else str(samples),
-            noise_of_255(noise_size(part)),
+            show_amount(noise_size(part)),
             "" if iterations is None else str(iterations),
             *(f"{plan[key]:.3g}" if iterations and plan[key] is not None else "" for key in ("t", "beta")),
         ]
@@ -105,15 +105,15 @@ def _summary(facts: dict[str, Any]) -> Iterator[str]:
         images = slot["images"] if len(slot["images"]) > 1 else []
         rows += [("", f"{each['name']}: {noise_of(each)}") for each in images[:_SHOWN_IMAGES]]
         rows += [("", f"and {len(images) - _SHOWN_IMAGES} more")] if len(images) > _SHOWN_IMAGES else []
-        rows += _answer(slot)
+        rows += _noise_and_plan(slot)
         if (slot["exposure"] or {}).get("is_exposure"):
-            step = f"median step {noise_of_255(slot['exposure']['step'])} at seams; `beltrami level` removes them"
-            rows.append(("exposure", step))
+            step = show_amount(slot["exposure"]["step"])
+            rows.append(("exposure", f"median step {step} at seams; `beltrami level` removes them"))
     if "smooth" in facts:
         colours = facts.get("colours") or facts["image"]
         names = colours.get("smoothed") or colours["channels"]
         kind = "pixels" if "image" in facts else "vertex colours"
-        rows += [(kind, f"{', '.join(names)}, stored as {colours['stored']}"), *_answer(facts)]
+        rows += [(kind, f"{', '.join(names)}, stored as {colours['stored']}"), *_noise_and_plan(facts)]
     space = _SUMMARY - len(rows) - 1
     notices = facts["notices"]
     rows += [("note", text) for text in notices[:space]]
@@ -136,7 +136,7 @@ def _size_in_words(facts: dict[str, Any]) -> Iterator[str]:
         yield from (counted(counts[key], noun) for key, noun in names.items() if key in counts)
 
 
-def _answer(part: dict[str, Any]) -> Iterator[tuple[str, str]]:
+def _noise_and_plan(part: dict[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield the noise of a part and what smoothing would do to it."""
     if wrong := outliers_in_words(part.get("wrong_samples", {}), "sample"):
         yield "outliers", wrong

@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from beltrami_cli.cli import options
+from beltrami_cli.cli import options, outputs
 from beltrami_cli.cli.command import command
 from beltrami_cli.cli.console import Messages
 from beltrami_cli.cli.parameter_options import options_of, record_from
 from beltrami_cli.cli.phrases import counted, output_name
-from beltrami_cli.cli.writing import report_options, run_and_write
 from beltrami_cli.layers.settings import LevelSettings, SmoothSettings
 
 if TYPE_CHECKING:
@@ -26,7 +25,9 @@ if TYPE_CHECKING:
 @options.output_format
 @options.reading
 @options.overwrite
-@report_options
+@outputs.dry_run
+@outputs.report
+@outputs.preview
 @options.messages
 def level(source: str, target: str, messages: Messages, **values: Any) -> None:
     """Remove the exposure steps between the charts of the textures of INPUT, and write OUTPUT."""
@@ -35,7 +36,7 @@ def level(source: str, target: str, messages: Messages, **values: Any) -> None:
     from beltrami_cli.jobs.level import level_file
 
     carry_out = partial(level_file, source, target, levelling, settings)
-    report = run_and_write(values, (source, target), messages, carry_out, settings)
+    report = outputs.run_and_write(values, (source, target), messages, carry_out, settings)
     messages.warn_of(source, report.warnings)
     unwritten = "not written (dry run), " if values["dry_run"] else ""
     show_levelled(messages, report.levelled, f"{output_name(target)}: {unwritten}")

@@ -5,12 +5,11 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from beltrami_cli.cli import options
+from beltrami_cli.cli import options, outputs
 from beltrami_cli.cli.command import command
 from beltrami_cli.cli.console import Messages
 from beltrami_cli.cli.parameter_options import options_of, record_from
 from beltrami_cli.cli.phrases import counted, output_name
-from beltrami_cli.cli.writing import reporting, run_and_write
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.layers.settings import SmoothSettings
 
@@ -19,7 +18,7 @@ from beltrami_cli.layers.settings import SmoothSettings
 @options_of(NoiseSettings)
 @options_of(SmoothSettings, only=(*options.COLOURS, *options.ENCODING), changed=options.SPACE_WITHOUT_OKLAB)
 @options.output_format
-@reporting
+@outputs.report
 @options.writing
 def noise(source: str, target: str, messages: Messages, **values: Any) -> None:
     """Add noise to the colours of INPUT, and write OUTPUT with nothing else changed: for tests and demonstrations."""
@@ -27,7 +26,7 @@ def noise(source: str, target: str, messages: Messages, **values: Any) -> None:
     noise = record_from(NoiseSettings, values)
     from beltrami_cli.jobs.noise import noise_file
 
-    report = run_and_write(
+    report = outputs.run_and_write(
         values, (source, target), messages, partial(noise_file, source, target, noise, settings)
     )
     messages.warn_of(source, report.warnings)

@@ -7,15 +7,14 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from beltrami_cli.cli import options
+from beltrami_cli.cli import options, outputs
 from beltrami_cli.cli.command import command
 from beltrami_cli.cli.commands.level import show_levelled
 from beltrami_cli.cli.console import Messages
 from beltrami_cli.cli.phrases import NO_AREA, counted, lines_on, outliers_in_words, output_name
-from beltrami_cli.cli.writing import report_options, run_and_write
 from beltrami_cli.flow.noise_amount import noise_size
-from beltrami_cli.quantities import of_255, show_size
-from beltrami_cli.view.words import advice_in_words, doubt_in_words, noise_of, noise_of_255, reason_in_words
+from beltrami_cli.quantities import show_amount, show_size
+from beltrami_cli.view.words import advice_in_words, doubt_in_words, noise_of, reason_in_words
 
 if TYPE_CHECKING:
     from beltrami_cli.flow.given_noise import GivenNoise
@@ -29,7 +28,9 @@ if TYPE_CHECKING:
 @options.output_format
 @options.reading
 @options.overwrite
-@report_options
+@outputs.dry_run
+@outputs.report
+@outputs.preview
 @options.messages
 def smooth(source: str, target: str, messages: Messages, **smoothing: Any) -> None:
     """Smooth the colours of INPUT, in its vertices, textures or pixels, and write OUTPUT with nothing else changed."""
@@ -38,7 +39,7 @@ def smooth(source: str, target: str, messages: Messages, **smoothing: Any) -> No
     from beltrami_cli.jobs.smooth import smooth_file
 
     carry_out = partial(smooth_file, source, target, settings, unwrap=unwrap)
-    report = run_and_write(smoothing, (source, target), messages, carry_out, settings)
+    report = outputs.run_and_write(smoothing, (source, target), messages, carry_out, settings)
     name = output_name(report.output)
     show_levelled(messages, report.levelled, f"{name}: ")
     if settings.kernel.iterations:
@@ -112,7 +113,7 @@ def _show_done(
     if is_smoothed and not done.change["largest"]:
         messages.say(f"{what}, noise {noise_of(part)}, but no colour of the written file changes")
         return
-    moved = f" (colours moved by {of_255(done.change['mean'])}/255 on average)"
+    moved = f" (colours moved by {show_amount(done.change['mean'])} on average)"
     if doubt := doubt_in_words(part, is_smoothed=is_smoothed, moved=moved):
         messages.say(f"{what}, {doubt}")
         return
@@ -129,9 +130,9 @@ def _show_done(
 
 def _left_by_coding(done: LayerReport, given: GivenNoise | None) -> str:
     """Explain the noise of a JPEG image that had the given noise before it was coded."""
-    if given is None or noise_of_255(noise_size(asdict(done))) == noise_of_255(given.sigma):
+    if given is None or show_amount(noise_size(asdict(done))) == show_amount(given.sigma):
         return ""
-    return f", which JPEG coding left of {noise_of_255(given.sigma)}" if given.sigma else ""
+    return f", which JPEG coding left of {show_amount(given.sigma)}" if given.sigma else ""
 
 
 def _show_unchanged(messages: Messages, report: SmoothReport, *, unwrapped: bool, dry_run: bool) -> None:

@@ -140,9 +140,8 @@ def framed(positions: Float64s, faces: Int32s) -> Float64s:
     )
     reach = _MIN_OUTLIER_GAP * (high - low).max()
     is_near = is_finite & ((places >= low - reach) & (places <= high + reach)).all(axis=1)
-    if (
-        len(faces) and not is_near.all()
-    ):  # parts that are connected to the rest, at places of vertices, are framed
+    # Parts that are connected to the rest, at places of vertices, are framed.
+    if len(faces) and not is_near.all():
         place_of, _ = group_equal_rows(*np.nan_to_num(places).T)
         corners = place_of[faces]
         part_of = connected(len(places), np.concatenate([corners[:, :2], corners[:, 1:]]))[place_of]

@@ -9,9 +9,8 @@ from beltrami_cli.surface.ranges import expanded, runs_of
 from beltrami_cli.view.drawing.cameras import SAMPLES, Camera, Window
 
 _NEIGHBOURS = 4  # on a square grid, all at the same distance
-_SHARE = (
-    0.75  # of the distance to the farthest neighbour: a little more than half the diagonal of a grid cell
-)
+# Of the distance to the farthest neighbour: a little more than half the diagonal of a grid cell.
+_SHARE = 0.75
 _MAX_RADIUS_RATIO = 3.0  # times the median radius
 _LONE_RADIUS = 0.02  # radius of a point without neighbours, in widths of the view
 _SMALLEST = 0.75  # radius in samples; smaller points would fall between samples

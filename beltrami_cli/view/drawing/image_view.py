@@ -21,9 +21,8 @@ class ImageView:
     def size_within(self, size: tuple[int, int]) -> tuple[int, int]:
         """Return the largest size of a view that the image fills, but for the least size of views."""
         shape = np.array(self._pixels.shape[1::-1])
-        width, height = np.maximum(np.round(shape * (np.array(size) / shape).min()), SHORTEST_SIDE).astype(
-            int
-        )
+        fitting = np.round(shape * (np.array(size) / shape).min())
+        width, height = np.maximum(fitting, SHORTEST_SIDE).astype(int)
         return int(width), int(height)
 
     def draw(self, size: tuple[int, int], window: Window) -> Float32s:

@@ -31,27 +31,20 @@ Report = TypeVar("Report", bound="FileReport")
 _REPORT_HEAD = re.compile(rb'\{\n  "input": ".*",\n  "output": ".*",\n  "format": "\w+",\n  "parameters": \{')
 _LOSSY = {"jpeg", "webp", "avif", "ktx2"}  # which --jpeg-quality is for
 
-_dry_run = click.option("--dry-run", is_flag=True, help="Compute and report, but write no OUTPUT.")
+dry_run = click.option("--dry-run", is_flag=True, help="Compute and report, but write no OUTPUT.")
 _report = click.option(
-    "--report",
-    "report_path",
-    metavar="FILE.json",
-    shell_complete=complete_files,
+    "--report", "report_path", metavar="FILE.json", shell_complete=complete_files,
     help="Write parameters, counts and changes; - prints them.",
-)
-_preview = click.option(
+)  # fmt: skip
+preview = click.option(
     "--preview", "preview_path", metavar="FILE.png", shell_complete=complete_files,
     help="Draw INPUT and OUTPUT side by side, with a detail; `beltrami render` draws others.",
 )  # fmt: skip
 
 
-def reporting(command: Callable[..., Any]) -> Callable[..., Any]:
+def report(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add --json and --report."""
     return options.as_json(_report(command))
-
-
-def report_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options of a dry run, a report and a preview."""
-    return _dry_run(reporting(_preview(command)))
 
 
 def run_and_write(
