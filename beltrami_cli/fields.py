@@ -231,16 +231,12 @@ def with_files(record: Record, renamed: Callable[[str], str]) -> Record:
     return dataclasses.replace(record, **changed) if changed else record  # type: ignore[type-var]
 
 
-def check(record: Any) -> None:
-    for each in parameters(record):
-        each.check(getattr(record, each.name))
-
-
 class Checked:
-    """A record that is checked as it is made."""
+    """A record whose parameters are checked as it is made."""
 
     def __post_init__(self) -> None:
-        check(self)
+        for each in parameters(self):
+            each.check(getattr(self, each.name))
 
 
 def override(record: Record, **values: Any) -> Record:

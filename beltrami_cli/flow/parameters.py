@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, get_args
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.fields import check, described, parameter
+from beltrami_cli.fields import Checked, described, parameter
 from beltrami_cli.flow.given_noise import GivenNoise, file_of_noise, given_noise
 
 Weights = Literal["uniform", "area"]
@@ -59,7 +59,7 @@ def _strength_shown(value: float) -> str:
 
 @described
 @dataclass(frozen=True)
-class KernelParameters:
+class KernelParameters(Checked):
     """Parameters of the smoothing kernel, with those of noise and patches."""
 
     group: ClassVar[str] = "Kernel"
@@ -201,7 +201,7 @@ class KernelParameters:
     def __post_init__(self) -> None:
         if isinstance(self.strength, str):
             object.__setattr__(self, "strength", STRENGTHS.get(self.strength, self.strength))
-        check(self)
+        super().__post_init__()
         _ = self.given_noise
 
     def in_unit(self, unit: float, of_light: float) -> KernelParameters:

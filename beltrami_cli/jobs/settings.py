@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal, get_args
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.fields import Checked, check, described, parameter
+from beltrami_cli.fields import Checked, described, parameter
 from beltrami_cli.quantities import amount_in, share_in, unambiguous_amount_in
 
 _SMALLEST_SIDE, _LARGEST_SIDE = 16, 16384  # of a texture: less is of no use, graphics cards take no more
@@ -74,7 +74,7 @@ class NoiseSettings(Checked):
 
 @described
 @dataclass(frozen=True)
-class BakeSettings:
+class BakeSettings(Checked):
     """How a new texture is made."""
 
     group: ClassVar[str] = "New textures"
@@ -95,7 +95,7 @@ class BakeSettings:
     )  # fmt: skip
 
     def __post_init__(self) -> None:
-        check(self)
+        super().__post_init__()
         if self.size is not None and self.size <= 4 * self.padding:
             raise UsageError(f"a size of {self.size} leaves no room between paddings of {self.padding}")
 

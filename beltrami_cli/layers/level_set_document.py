@@ -29,6 +29,104 @@ MAX_CROSSINGS = 1 << 26
 _BYTES_OF_VOXEL = 16  # value in double precision, colour, and memory of marching cubes
 
 
+class LevelSetDocument(Document):
+    """The triangulated surface of a volume; vertices of unknown colour are white and are not changed."""
+
+    format: ClassVar[str] = "level set"
+    kind: ClassVar[str] = "volume"
+
+    def __init__(
+        self, name: str, folder: Path | None, access: Access, *,
+        vertices: ColouredVertices, contents: MeshContents, facts: dict[str, object],
+    ) -> None:  # fmt: skip
+        super().__init__(b"", name, folder, access)
+        self._coloured_vertices, self._contents, self._facts = vertices, contents, facts
+
+    def contents(self) -> MeshContents:
+        return self._contents
+
+    def facts(self) -> dict[str, object]:
+        return self._facts
+
+    def _patched(self, new: Changes, naming: Naming) -> Written:
+        cause = "a level set is not written"
+        raise InputError(self.name, cause, "name an output in .ply, .obj, .glb or .gltf")
+
+
+def read_level_set(
+    data: bytes, name: str, folder: Path | None, settings: LevelSetSettings, access: Access, threads: int
+) -> LevelSetDocument:
+    """Triangulate a volume, and colour its surface."""
+    require_package("skimage.measure", "scikit-image", name, "to triangulate level sets")
+    max_voxels = settings.max_voxels
+    if access.memory is not None:
+        max_voxels = min(max_voxels, access.memory // _BYTES_OF_VOXEL)
+    volume = read_volume(data, name, ModelFolder(folder, access), max_voxels)
+    level = settings.iso if settings.iso is not None else volume.level or 0.0
+    known = np.isfinite(volume.values)
+    if volume.known is not None:
+        known &= volume.known
+    facts = {
+        "grid": list(volume.values.shape),
+        "spacing": np.linalg.norm(volume.lattice.axes, axis=1).tolist(),
+        "origin": volume.lattice.origin.tolist(),
+        "values": list(_range(volume.values, known)),
+        "level": level,
+        "unknown_voxels": int(known.size - np.count_nonzero(known)),
+    }
+    vertices, faces = _triangulated(volume, known, level, settings.inside, name)
+    positions = volume.lattice.in_space(vertices)
+    source, where = _find_colours(volume, settings.colours, name, access, max_voxels)
+    values = _colours_at(source, volume.lattice, known, positions, threads)
+    is_coloured = level_sets.has_colour(values)
+    if not is_coloured.any():
+        raise InputError(where, "none of its colours is on the surface", "check the spacings and origins")
+    colours, alpha, notices = _scaled(source, values, is_coloured, where)
+    names = ("red", "green", "blue") if colours.shape[1] == 3 else ("grey",)
+    encoding: Encoding = "srgb"
+    stored = source.samples.dtype.name
+    if isinstance(source, level_sets.NearColours):
+        encoding, stored = source.encoding, source.stored or stored
+    # Triangles whose corners have colours.
+    whole = np.ascontiguousarray(faces[is_coloured[faces].all(axis=1)])
+    offsets = np.arange(0, faces.size + 1, 3, dtype=np.int64)
+    document = LevelSetDocument(
+        name,
+        folder,
+        access,
+        vertices=ColouredVertices(positions, whole, colours, names, encoding, stored),
+        contents=MeshContents(positions, faces.ravel(), offsets, colours, encoding, stored, alpha),
+        facts=facts,
+    )
+    document.notices += notices
+    return document
+
+
+def _triangulated(
+    volume: level_sets.Volume, known: Bools, level: float, inside: Inside, name: str
+) -> tuple[Float64s, Int32s]:
+    """Return the surface in units of the grid, facing outwards in space."""
+    values = volume.values
+    if (
+        4 * values.shape[1] * values.shape[2] > np.iinfo(np.int32).max
+    ):  # marching cubes counts four per sample
+        raise InputError(name, f"the grid of {values.shape} is too large in y and z", "cut it in pieces")
+    crossings = level_sets.find_crossings(values, level, known)
+    if crossings.count > MAX_CROSSINGS:
+        cause = f"the surface at level {level:g} cuts {crossings.count} edges of the grid, as noise does"
+        raise InputError(name, cause, "choose another --iso, or smooth the values first")
+    vertices, faces = np.empty((0, 3)), np.empty((0, 3), np.int32)
+    if crossings.count:
+        vertices, faces = level_sets.triangulate_level_set(values, level, crossings, known)
+    if not len(faces):
+        low, high = _range(values, known)
+        cause = f"there is no surface at level {level:g}; the values go from {low:g} to {high:g}"
+        raise InputError(name, cause, "choose another --iso")
+    # Triangles face larger values if the axes of the grid are right-handed.
+    mirrored = np.linalg.det(volume.lattice.axes) < 0
+    return vertices, faces[:, ::-1] if (inside == "above") != mirrored else faces
+
+
 def _find_colours(
     volume: level_sets.Volume, path: str | None, name: str, access: Access, max_size: int
 ) -> tuple[Source, str]:
@@ -87,104 +185,6 @@ def _scaled(
         far = f"{bare} of {len(is_coloured)} vertices have no colour nearby"
         notices.append(f"{far}; they are white and lend none.")
     return colours, alpha, notices
-
-
-class LevelSetDocument(Document):
-    """The triangulated surface of a volume; vertices of unknown colour are white and are not changed."""
-
-    format: ClassVar[str] = "level set"
-    kind: ClassVar[str] = "volume"
-
-    def __init__(
-        self, name: str, folder: Path | None, access: Access, *,
-        vertices: ColouredVertices, contents: MeshContents, facts: dict[str, object],
-    ) -> None:  # fmt: skip
-        super().__init__(b"", name, folder, access)
-        self._coloured_vertices, self._contents, self._facts = vertices, contents, facts
-
-    def contents(self) -> MeshContents:
-        return self._contents
-
-    def facts(self) -> dict[str, object]:
-        return self._facts
-
-    def _patched(self, new: Changes, naming: Naming) -> Written:
-        cause = "a level set is not written"
-        raise InputError(self.name, cause, "name an output in .ply, .obj, .glb or .gltf")
-
-
-def read_level_set(
-    data: bytes, name: str, folder: Path | None, settings: LevelSetSettings, access: Access, threads: int
-) -> LevelSetDocument:
-    """Triangulate a volume, and colour its surface."""
-    require_package("skimage.measure", "scikit-image", name, "to triangulate level sets")
-    max_voxels = settings.max_voxels
-    if access.memory is not None:
-        max_voxels = min(max_voxels, access.memory // _BYTES_OF_VOXEL)
-    volume = read_volume(data, name, ModelFolder(folder, access), max_voxels)
-    level = settings.iso if settings.iso is not None else volume.level or 0.0
-    known = np.isfinite(volume.values)
-    if volume.known is not None:
-        known &= volume.known
-    facts = {
-        "grid": list(volume.values.shape),
-        "spacing": np.linalg.norm(volume.lattice.axes, axis=1).tolist(),
-        "origin": volume.lattice.origin.tolist(),
-        "values": list(_range(volume.values, known)),
-        "level": level,
-        "unknown_voxels": int(known.size - np.count_nonzero(known)),
-    }
-    vertices, faces = _triangulated(volume, known, level, settings.inside, name)
-    positions = level_sets.places(volume.lattice, vertices)
-    source, where = _find_colours(volume, settings.colours, name, access, max_voxels)
-    values = _colours_at(source, volume.lattice, known, positions, threads)
-    is_coloured = level_sets.has_colour(values)
-    if not is_coloured.any():
-        raise InputError(where, "none of its colours is on the surface", "check the spacings and origins")
-    colours, alpha, notices = _scaled(source, values, is_coloured, where)
-    names = ("red", "green", "blue") if colours.shape[1] == 3 else ("grey",)
-    encoding: Encoding = "srgb"
-    stored = source.samples.dtype.name
-    if isinstance(source, level_sets.NearColours):
-        encoding, stored = source.encoding, source.stored or stored
-    # Triangles whose corners have colours.
-    whole = np.ascontiguousarray(faces[is_coloured[faces].all(axis=1)])
-    offsets = np.arange(0, faces.size + 1, 3, dtype=np.int64)
-    document = LevelSetDocument(
-        name,
-        folder,
-        access,
-        vertices=ColouredVertices(positions, whole, colours, names, encoding, stored),
-        contents=MeshContents(positions, faces.ravel(), offsets, colours, encoding, stored, alpha),
-        facts=facts,
-    )
-    document.notices += notices
-    return document
-
-
-def _triangulated(
-    volume: level_sets.Volume, known: Bools, level: float, inside: Inside, name: str
-) -> tuple[Float64s, Int32s]:
-    """Return the surface in units of the grid, facing outwards in space."""
-    values = volume.values
-    if (
-        4 * values.shape[1] * values.shape[2] > np.iinfo(np.int32).max
-    ):  # marching cubes counts four per sample
-        raise InputError(name, f"the grid of {values.shape} is too large in y and z", "cut it in pieces")
-    crossings = level_sets.find_crossings(values, level, known)
-    if crossings.count > MAX_CROSSINGS:
-        cause = f"the surface at level {level:g} cuts {crossings.count} edges of the grid, as noise does"
-        raise InputError(name, cause, "choose another --iso, or smooth the values first")
-    vertices, faces = np.empty((0, 3)), np.empty((0, 3), np.int32)
-    if crossings.count:
-        vertices, faces = level_sets.triangulate_level_set(values, level, crossings, known)
-    if not len(faces):
-        low, high = _range(values, known)
-        cause = f"there is no surface at level {level:g}; the values go from {low:g} to {high:g}"
-        raise InputError(name, cause, "choose another --iso")
-    # Triangles face larger values if the axes of the grid are right-handed.
-    mirrored = np.linalg.det(volume.lattice.axes) < 0
-    return vertices, faces[:, ::-1] if (inside == "above") != mirrored else faces
 
 
 def _range(values: Array, known: Bools) -> tuple[float, float]:

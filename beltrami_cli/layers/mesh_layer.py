@@ -55,7 +55,7 @@ class MeshLayer(VertexLayer):
         return self.vertices.encoding == "linear" and bool(colours.max(initial=0) > 1)
 
     @cached_property
-    def joined(self) -> ColouredVertices:
+    def triangulated(self) -> ColouredVertices:
         """The vertices with triangles, from the file or of the surface fitted to points."""
         if not self._is_cloud:
             return self.vertices
@@ -66,7 +66,7 @@ class MeshLayer(VertexLayer):
     @cached_property
     def sampling(self) -> VertexSampling:
         # Points that only rounding distinguishes are not merged: triangles between points have no open borders.
-        return sample_vertices(dataclasses.replace(self.joined, faces=self.vertices.faces))
+        return sample_vertices(dataclasses.replace(self.triangulated, faces=self.vertices.faces))
 
     @cached_property
     def _stored(self) -> Float32s:
@@ -76,11 +76,13 @@ class MeshLayer(VertexLayer):
         return self._stored
 
     def _in_own_unit(self) -> Self:
-        return dataclasses.replace(super()._in_own_unit(), fitted=self.joined if self._is_cloud else None)
+        return dataclasses.replace(
+            super()._in_own_unit(), fitted=self.triangulated if self._is_cloud else None
+        )
 
     def surface(self) -> SampledSurface:
         """Return the sampled surface, made on demand, since it is as large as the file."""
-        surface = self.sampling.surface(self.joined, self._stored)
+        surface = self.sampling.surface(self.triangulated, self._stored)
         levelled = self.levelled_colours
         return surface if levelled is None else dataclasses.replace(surface, colours=levelled)
 
@@ -101,7 +103,7 @@ class MeshLayer(VertexLayer):
     def report(self, plan: Plan[MeshManifold], result: FlowResult[MeshManifold]) -> VertexReport:
         counts: dict[str, float] = {"triangles": len(self.vertices.faces)}
         if self._is_cloud:
-            counts = dataclasses.asdict(count_cloud(self.joined))
+            counts = dataclasses.asdict(count_cloud(self.triangulated))
         samples = len(self.sampling.first_vertex)
         counts |= {"samples": samples, "hard_edge_samples": samples - self.sampling.places}
         report = self._report(plan, result, counts)
@@ -120,7 +122,7 @@ class MeshLayer(VertexLayer):
         return dataclasses.replace(report, geometry=geometry)
 
     def describe(self) -> dict[str, object]:
-        vertices, counts, plan = self.joined, self._counts(), self.plan()
+        vertices, counts, plan = self.triangulated, self._counts(), self.plan()
         manifold, planned = plan.manifold, self._described_plan(plan)
         if (moved := manifold.moving) is not None:
             planned["smooth"] |= {"normal_noise": float(moved.sigma), "normal_beta": float(moved.beta)}
@@ -135,7 +137,7 @@ class MeshLayer(VertexLayer):
         places, place_of = self.sampling.places, self.sampling.place_of
         if self._is_cloud:
             counts = {"points": vertices, "samples": samples, "coincident_points": vertices - places}
-            return {**counts, **dataclasses.asdict(count_cloud(self.joined))}
+            return {**counts, **dataclasses.asdict(count_cloud(self.triangulated))}
         surface = self.surface()
         # Position of each place; a hard colour edge is not a boundary of the surface.
         positions = np.empty((places, surface.positions.shape[1]))
@@ -150,7 +152,7 @@ class MeshLayer(VertexLayer):
         }
 
     def places(self) -> SampledVertices:
-        return SampledVertices(self.joined, self.sampling.sample_of)
+        return SampledVertices(self.triangulated, self.sampling.sample_of)
 
     def levelled(self, wanted: LevelSettings) -> MeshLayer:
         if self.photographs_of is None:

@@ -14,7 +14,6 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import (
     Checked,
     Parameter,
-    check,
     described,
     given_parameters,
     named_files,
@@ -162,7 +161,7 @@ class LevelSettings(Checked):
 
 @described
 @dataclass(frozen=True)
-class ImageSettings:
+class ImageSettings(Checked):
     """The surface of an image, and its holes."""
 
     group: ClassVar[str] = "Images"
@@ -192,7 +191,7 @@ class ImageSettings:
     )  # fmt: skip
 
     def __post_init__(self) -> None:
-        check(self)
+        super().__post_init__()
         if self.height is not None and self.positions is not None:
             raise UsageError("height and positions are two surfaces for one image; give one of them")
         if self.height is None and self.height_scale != ImageSettings.height_scale:
@@ -232,7 +231,7 @@ class LevelSetSettings(Checked):
 
 @described
 @dataclass(frozen=True)
-class EmbeddingSettings:
+class EmbeddingSettings(Checked):
     """Further channels of the metric, and smoothing of positions."""
 
     group: ClassVar[str] = "Guides and geometry"
@@ -272,7 +271,7 @@ class EmbeddingSettings:
     )  # fmt: skip
 
     def __post_init__(self) -> None:
-        check(self)
+        super().__post_init__()
         if self.guide_betas and not self.guides:
             raise UsageError("guide_beta is of a guide; add --guide")
         if self.guide_betas and len(self.guide_betas) not in (1, len(self.guides)):
@@ -292,7 +291,7 @@ class EmbeddingSettings:
 
 @described
 @dataclass(frozen=True)
-class SmoothSettings:
+class SmoothSettings(Checked):
     """All parameters of a smoothing; by default the kernel's parameters are chosen from the data as far as possible."""
 
     group: ClassVar[str] = "Colours"
@@ -327,7 +326,7 @@ class SmoothSettings:
     embedding: EmbeddingSettings = part(EmbeddingSettings)
 
     def __post_init__(self) -> None:
-        check(self)
+        super().__post_init__()
         if self.space == "oklab" and self.channels is not None:
             raise UsageError("the space oklab mixes the channels, so --channels cannot choose among them")
         if self.space == "oklab" and self.embedding.metric_channels:

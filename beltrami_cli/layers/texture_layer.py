@@ -157,16 +157,14 @@ class TextureLayer(PixelLayer):
         plan, described = self.plan(), self._facts()
         seams = 0
         for index, facts in enumerate(described):
-            manifold = plan.manifold if len(described) == 1 else self._manifold_alone(index)
+            manifold, noise, reading = plan.manifold, plan.noise, plan.reading
+            if len(described) > 1:
+                manifold = self._manifold_alone(index)
+                noise, reading = manifold.noise.of_input, manifold.noise.reading
             atlas = manifold.geometry.atlas
-            noise, read = (
-                (plan.noise, plan.reading)
-                if manifold is plan.manifold
-                else (manifold.noise.of_input, manifold.noise.reading)
-            )
             facts |= {"charts": atlas.charts, "seams": atlas.seams, "overlapped": atlas.overlapped}
             facts |= {"pitch": manifold.geometry.spacing, "noise": named(self.names, self.unit * noise)}
-            facts["reading"] = describe_reading(read, self.unit)
+            facts["reading"] = describe_reading(reading, self.unit)
             seams += atlas.seams
         return {
             "slot": self.slot,

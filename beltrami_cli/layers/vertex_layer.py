@@ -38,13 +38,13 @@ class VertexLayer(Layer):
         return choose_channels(self.vertices.channels, self.settings, "the colours have")
 
     @property
-    def joined(self) -> ColouredVertices:
-        """The vertices with the triangles that join them."""
+    def triangulated(self) -> ColouredVertices:
+        """The vertices with all triangles that are known of their surface."""
         return self.vertices
 
     def _in_own_unit(self) -> Self:
         are_data = self.settings.space == "data"
-        unit = unit_of_vertices(self.joined, self.channels.sampled, are_data=are_data)
+        unit = unit_of_vertices(self.triangulated, self.channels.sampled, are_data=are_data)
         return dataclasses.replace(self, stored_unit=unit)
 
     def unit_in(self, space: str) -> float:

@@ -51,6 +51,10 @@ class Lattice:
     axes: Float64s
     origin: Float64s  # (3,): position of sample (0, 0, 0), the centre of its voxel
 
+    def in_space(self, at: Float64s) -> Float64s:
+        """Convert points, shape (V, 3), from units of the lattice."""
+        return np.asarray(self.origin + at @ self.axes)
+
 
 @dataclass(frozen=True)
 class GridColours:
@@ -84,11 +88,6 @@ class Volume:
     known: Bools | None = None  # (X, Y, Z): false where the value is unknown; None: all known
     level: float | None = None  # value on the surface, if in the file
     colours: GridColours | NearColours | None = None  # colours of the surface, if in the file
-
-
-def places(lattice: Lattice, at: Float64s) -> Float64s:
-    """Convert points from units of a lattice to space, shape (V, 3)."""
-    return np.asarray(lattice.origin + at @ lattice.axes)
 
 
 def interpolate_colours(colours: GridColours, positions: Float64s, known: Bools | None = None) -> Float64s:

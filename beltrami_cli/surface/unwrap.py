@@ -68,14 +68,14 @@ def unwrap(
     sizes = [side - 2 * padding for side in (_SIDES if size is None else [size])]
     job = {"sizes": sizes, "texels": texels, "padding": padding}
     (inner, charts), answer = _ask_worker((job, {"positions": scaled, "faces": triangles}), progress)
-    corners, size = answer["corners"], inner + 2 * padding
+    corners, side = answer["corners"], inner + 2 * padding
     if not np.isfinite(corners).all():
         raise ProcessingError("no texture coordinates can be found for it; repair the mesh first", name)
     largest = corners.reshape(-1, 2).max(axis=0)
     if largest.max() > inner:
-        cause = f"its {charts} charts do not fit on a texture of {size} texels with {padding} between them"
+        cause = f"its {charts} charts do not fit on a texture of {side} texels with {padding} between them"
         raise ProcessingError(f"{cause}; raise the size or lower the padding", name)
-    width, height = (_side(reach + 2 * padding, size) for reach in largest.tolist())
+    width, height = (_shortened(side, reach + 2 * padding) for reach in largest.tolist())
     uv = np.empty((len(faces), 3, 2))
     uv[whole] = (corners + padding) / [width, height]
     _collapse_degenerate(uv, faces, whole, len(positions))
@@ -92,11 +92,11 @@ def require_few_faces(count: int, most: int, name: str) -> None:
         raise InputError(name, f"{cause}, growing faster than their number", remedy)
 
 
-def _side(needed: float, size: int) -> int:
+def _shortened(side: int, needed: float) -> int:
     """Halve the side of a texture as long as it still fits `needed`."""
-    while needed <= size // 2 and size % 2 == 0:
-        size //= 2
-    return size
+    while needed <= side // 2 and side % 2 == 0:
+        side //= 2
+    return side
 
 
 def _collapse_degenerate(uv: Float64s, faces: Int32s, whole: NDArray[np.intp], vertices: int) -> None:
@@ -145,7 +145,7 @@ _COVERAGE = 0.75  # assumed by xatlas for packing with a given resolution
 _MAX_ATTEMPTS = 8
 
 
-def unwrapped(
+def cut_and_pack(
     positions: Float32s, faces: NDArray[np.uint32], sizes: list[int], wanted: float, padding: int
 ) -> tuple[Float64s, int, int]:
     """Cut a mesh into charts and pack them; return corners in texels, shape (F, 3, 2), size and number of charts."""
@@ -198,7 +198,7 @@ def _generated(
 
 def _answer(job: dict[str, Any], mesh: dict[str, Array]) -> Message:
     sizes, texels, padding = job["sizes"], job["texels"], job["padding"]
-    corners, size, charts = unwrapped(mesh["positions"], mesh["faces"], sizes, texels, padding)
+    corners, size, charts = cut_and_pack(mesh["positions"], mesh["faces"], sizes, texels, padding)
     return (size, charts), {"corners": corners}
 
 

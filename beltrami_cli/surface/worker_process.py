@@ -22,7 +22,7 @@ from beltrami_cli.import_path import safe_environment
 from beltrami_cli.signals import end_with_parent
 
 Message = tuple[Any, dict[str, Array]]
-"""Words, as JSON has them, and arrays by name."""
+"""Data in JSON types, and arrays by name."""
 
 PARENT = "BELTRAMI_PARENT"  # environment variable with the id of the waiting process
 _POLL = 0.1  # seconds between checks for the end of a process or an interruption
@@ -90,7 +90,7 @@ def serve(answer: Callable[[Any, dict[str, Array]], Message], seconds: int) -> N
 
 
 def _packed(message: Message) -> bytes:
-    everything: dict[str, Any] = {"words": np.array(json.dumps(message[0])), **message[1]}
+    everything: dict[str, Any] = {"json": np.array(json.dumps(message[0])), **message[1]}
     file = io.BytesIO()
     np.savez(file, **everything)
     return file.getvalue()
@@ -98,5 +98,5 @@ def _packed(message: Message) -> bytes:
 
 def _unpacked(data: bytes) -> Message:
     with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-        arrays = {name: archive[name] for name in archive.files if name != "words"}
-        return json.loads(str(archive["words"])), arrays
+        arrays = {name: archive[name] for name in archive.files if name != "json"}
+        return json.loads(str(archive["json"])), arrays

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal, get_args
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.fields import check, parameter
+from beltrami_cli.fields import Checked, parameter
 from beltrami_cli.surface.records import SLOTS
 
 Axis = Literal["x", "y", "z"]
@@ -56,7 +56,7 @@ def _size(text: str) -> tuple[int, int]:
 
 
 @dataclass(frozen=True)
-class RenderSettings:
+class RenderSettings(Checked):
     """How models and images are drawn; UsageError if a value is out of its range."""
 
     group: ClassVar[str] = "Pictures"
@@ -127,7 +127,7 @@ class RenderSettings:
     )  # fmt: skip
 
     def __post_init__(self) -> None:
-        check(self)
+        super().__post_init__()
         if len(self.size) != 2:
             raise UsageError(f"size is {self.size}, but must be a width and a height")
         if len(self.crops) > 5:

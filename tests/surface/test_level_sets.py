@@ -13,7 +13,6 @@ from beltrami_cli.surface.level_sets import (
     find_crossings,
     interpolate_colours,
     nearest_colours,
-    places,
     triangulate_level_set,
 )
 from oracles.level_sets import CENTRE, euler_characteristic, sphere
@@ -139,7 +138,7 @@ def test_what_is_linear_along_each_axis_is_interpolated_exactly():
     at = inside(200)
     x, y, z = at.T
     expected = np.column_stack([1 + x - 2 * y + 3 * z + x * y * z, x * y - z])[:, [0, 1, 0]]
-    found = interpolate_colours(grid(samples), places(LATTICE, at))
+    found = interpolate_colours(grid(samples), LATTICE.in_space(at))
     np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
@@ -154,13 +153,13 @@ def test_voxels_without_a_colour_lend_none_whatever_they_hold(by):
         samples[absent, 3] = 0
     samples[absent, :3] = np.nan if by == "value" else 50
     at = inside(300)
-    found = interpolate_colours(grid(samples), places(LATTICE, at), known)
+    found = interpolate_colours(grid(samples), LATTICE.in_space(at), known)
     bare = np.isnan(found).any(axis=1)
     corners = np.floor(at).astype(int)[:, None] + np.indices((2, 2, 2)).reshape(3, 8).T
     np.testing.assert_array_equal(bare, absent[tuple(np.moveaxis(corners, -1, 0))].all(axis=1))
     assert found[~bare].max() <= 1 + 1e-12
     constant = np.where(absent[..., None], samples, [0.3, 0.4, 0.5, 1.0])
-    found = interpolate_colours(grid(constant), places(LATTICE, at), known)[~bare]
+    found = interpolate_colours(grid(constant), LATTICE.in_space(at), known)[~bare]
     np.testing.assert_allclose(found, np.broadcast_to([0.3, 0.4, 0.5, 1.0], found.shape), rtol=1e-12)
 
 
@@ -169,7 +168,7 @@ def test_beyond_the_last_voxel_there_is_no_colour():
     last = np.array(SHAPE) - 1.0
     at = np.array([last, last, last, [-1.1, 0, 0], [-0.5, -0.5, 0]])
     at[1:3, 0] += [0.5, 1.1]
-    found = interpolate_colours(grid(samples), places(LATTICE, at))
+    found = interpolate_colours(grid(samples), LATTICE.in_space(at))
     np.testing.assert_array_equal(np.isnan(found).any(axis=1), [False, False, True, True, False])
     np.testing.assert_allclose(found[[0, 1, 4]], 0.25)
 

@@ -90,7 +90,7 @@ def test_charts_have_as_many_texels_as_wanted_on_no_larger_a_texture_than_they_n
 
 def test_more_texels_than_there_is_room_for_fill_the_largest_size():
     positions, faces = surfaces.icosphere(1)
-    corners, size, charts = unwrapping.unwrapped(
+    corners, size, charts = unwrapping.cut_and_pack(
         positions.astype(np.float32), faces.astype(np.uint32), [64, 128], 1e12, 2
     )
     assert size == 128

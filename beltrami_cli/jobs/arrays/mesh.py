@@ -186,7 +186,7 @@ def smooth(
     if opacity is not None:
         new = np.concatenate([new, opacity], axis=1)
     moved = None if stored.positions is None else _with_rows(vertices.positions, rows, stored.positions)
-    return _result(done, new, moved, count_cloud(layer.joined) if faces is None else None)
+    return _result(done, new, moved, count_cloud(layer.triangulated) if faces is None else None)
 
 
 def _result(
