@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from beltrami_cli.flow.noise.network import Layers, starts_of
@@ -83,6 +85,13 @@ class Tape(Layers):
         """Propagate the gradients of the outputs back to the weights."""
         for step in reversed(self.steps):
             step()
+
+
+def shuffled(rng: np.random.Generator, count: int, size: int) -> Iterator[np.ndarray]:
+    """Yield batches of indices for an epoch; a smaller one at the end is left out."""
+    order = rng.permutation(count)
+    for first in range(0, count - size + 1, size):
+        yield order[first : first + size]
 
 
 def initial_layer(rng: np.random.Generator, name: str, inputs: int, outputs: int) -> dict[str, np.ndarray]:

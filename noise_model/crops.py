@@ -59,10 +59,8 @@ def clean_crops(roots: list[Path], part: str, seed: int) -> list[Crop]:
             if part_of(path.relative_to(root)) != part or path.is_symlink() or path.stem in BENCHMARKED:
                 continue
             is_photograph = any(word in str(path) for word in PHOTOGRAPHS) and path.stem not in SURFACES
-            kind, pixels = (
-                "photograph" if is_photograph else "texture",
-                _clean_pixels(path, is_photograph, rng),
-            )
+            kind = "photograph" if is_photograph else "texture"
+            pixels = _clean_pixels(path, is_photograph, rng)
             if pixels is None or min(pixels.shape[:2]) < FEWEST:
                 continue
             for _ in range(CROPS[kind] * (1 + (min(pixels.shape[:2]) > 2 * SIDE))):

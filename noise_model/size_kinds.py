@@ -34,7 +34,7 @@ def draw_recipe_of_sizes(rng: np.random.Generator) -> Recipe:
         return draw_recipe_of_textures(rng)
     kinds: dict[Kind, float] = {
         _photons: 0.1, _in_parts: 0.125, _opposite: 0.1, _of_chroma: 0.075, _by_level: 0.075, _of_camera: 0.1,
-        _in_blocks: 0.075, _of_light: 0.075, _shared_by_channels: 0.175, lambda rng, plain: Recipe(): 0.1,
+        _in_blocks: 0.075, _of_light: 0.075, _shared_by_channels: 0.175, _none: 0.1,
     }  # fmt: skip
     return _one_of(kinds, rng)
 
@@ -66,7 +66,7 @@ def draw_recipe_on_slopes(rng: np.random.Generator) -> Recipe:
     """Draw noise for pictures without detail, on which its size can be read exactly."""
     kinds: dict[Kind, float] = {
         _shared_by_channels: 0.2, _opposite: 0.25, _of_chroma: 0.2, _in_parts: 0.1, _by_level: 0.075, _photons: 0.075,
-        lambda rng, plain: Recipe(): 0.1,
+        _none: 0.1,
     }  # fmt: skip
     return _one_of(kinds, rng)
 
@@ -89,6 +89,10 @@ def slopes(rng: np.random.Generator, pixels: np.ndarray) -> np.ndarray:
     grey = rng.choice([0, rng.uniform(0, 1)])
     coarse = (1 - grey) * coarse + grey * coarse.mean(axis=2, keepdims=True)
     return varied(rng, to_size(coarse.astype(np.float32), *pixels.shape[1::-1], kernel=1).clip(0, 1))
+
+
+def _none(rng, plain):
+    return Recipe()
 
 
 def _photons(rng, plain):

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from beltrami_cli.flow.noise.clusters import VertexClusters
 from beltrami_cli.flow.noise.grid_squares import Grid
+from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods
 from beltrami_cli.flow.noise.network import OFFSET, Weights
 from beltrami_cli.flow.noise.reading import read_noise
 from crops import Crop, clean_crops, folders_of_packages
@@ -96,21 +96,21 @@ def pictures_of(crops: list[Crop], kind: str) -> Iterator[tuple[np.random.Genera
         yield rng, large[number].pixels[:SIDE, :SIDE] / np.float32(255), KINDS[kind](rng)
 
 
-def cases(crops: list[Crop], kind: str) -> Iterator[tuple[Grid, Sample]]:
+def cases(crops: list[Crop], kind: str) -> Iterator[tuple[Neighbourhoods, np.ndarray, Sample]]:
+    """Yield noisy grids of a kind: where they are read, their channels, and their noise."""
     for rng, clean, recipe in pictures_of(crops, kind):
-        made = degrade(rng, clean, recipe)
-        sample = made.mapped(lambda planes: planes[:SIDE, :SIDE])
-        yield Grid.of(np.ones(sample.noisy.shape[:2], bool)), sample
+        sample = degrade(rng, clean, recipe).mapped(lambda planes: planes[:SIDE, :SIDE])
+        yield Grid.of(np.ones(sample.noisy.shape[:2], bool)), np.moveaxis(sample.noisy, 2, 0), sample
 
 
-def cases_on_surfaces(crops: list[Crop], kind: str) -> Iterator[tuple[VertexClusters, Sample]]:
+def cases_on_surfaces(crops: list[Crop], kind: str) -> Iterator[tuple[Neighbourhoods, np.ndarray, Sample]]:
     """Yield noisy surfaces of a kind, with one sample per texel."""
     for number, (rng, clean, recipe) in enumerate(pictures_of(crops, kind)):
         clusters, places = surface(SURFACES[number % len(SURFACES)])
         side = int(np.clip(np.sqrt(len(places)), 16, SIDE))
         on_vertices = KINDS_ON_SURFACES[kind]
         sample = sampled(rng, clean[:side, :side], places, recipe, is_on_vertices=on_vertices)
-        yield clusters, sample.mapped(lambda planes: planes.reshape(1, -1, 3))
+        yield clusters, sample.noisy.reshape(-1, 3).T, sample
 
 
 def truth_of(sample: Sample) -> float:
@@ -134,9 +134,8 @@ def main(roots: list[Path], part: str, kind: str, weights: Weights | None = None
     print(f"| kind of noise on a {kind} | cases | model | 90 % interval holds |\n|---|---|---|---|")
     for name in kinds:
         rows = []
-        for neighbourhoods, sample in make(crops, name):
-            planes = np.ascontiguousarray(np.moveaxis(sample.noisy, 2, 0), np.float32)
-            model = read_noise(planes if kind == "grid" else planes[:, 0], neighbourhoods, weights=weights)
+        for neighbourhoods, planes, sample in make(crops, name):
+            model = read_noise(np.ascontiguousarray(planes, np.float32), neighbourhoods, weights=weights)
             truth = truth_of(sample)
             holds = model.reading.low - OFFSET / 255 <= truth <= model.reading.high + OFFSET / 255
             rows.append((truth, model.overall, holds))

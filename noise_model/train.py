@@ -25,7 +25,7 @@ import numpy as np
 
 import surfaces
 import table
-from backpropagation import Adam, Node, Tape, initial_layer
+from backpropagation import Adam, Node, Tape, initial_layer, shuffled
 from batches import Batch
 from beltrami_cli.flow.noise import network
 from beltrami_cli.flow.noise.network import Weights, forward
@@ -105,9 +105,9 @@ def train(kind: str, training: Batch, validation: Batch, epochs: int) -> Weights
     adam = Adam(weights.layers, RATE, epochs * (len(training.counts) // BATCH), WARM_UP)
     began = time.monotonic()
     for epoch in range(epochs):
-        order, sums = rng.permutation(len(training.counts)), []
-        for at in range(0, len(order) - BATCH + 1, BATCH):
-            values, gradients = slopes_of(order[at : at + BATCH], training, weights)
+        sums = []
+        for chosen in shuffled(rng, len(training.counts), BATCH):
+            values, gradients = slopes_of(chosen, training, weights)
             sums.append(values)
             adam.step(gradients)
         if epoch % 5 == 4 or epoch == epochs - 1:
@@ -136,21 +136,14 @@ def save(weights: Weights, path: Path) -> None:
     np.savez_compressed(path, configuration=np.array(weights.configuration), **arrays)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description="Train the network that reads noise.")
+def parser_of(description: str) -> argparse.ArgumentParser:
+    """Return the options that the training of both networks has."""
+    parser = argparse.ArgumentParser(description=description)
     parser.add_argument("folders", nargs="+", type=Path, help="with pictures")
     parser.add_argument("--kinds", nargs="+", default=list(SAMPLES), choices=list(SAMPLES))
-    parser.add_argument("--observations", type=int, help="of each kind")
-    parser.add_argument("--epochs", type=int, default=EPOCHS)
     parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument(
-        "--judged", default="test", choices=["validation", "test"], help="the part that is judged"
-    )
     parser.add_argument("--weights", type=Path, default=WEIGHTS, help="the folder that they are written to")
-    options = parser.parse_args()
-    roots = [*options.folders, *folders_of_packages()]
-    for kind in options.kinds:
-        train_kind(kind, roots, options)
+    return parser
 
 
 def train_kind(kind: str, roots: list[Path], options: argparse.Namespace) -> None:
@@ -172,4 +165,12 @@ def train_kind(kind: str, roots: list[Path], options: argparse.Namespace) -> Non
 
 
 if __name__ == "__main__":
-    main()
+    parser = parser_of("Train the network that reads noise.")
+    parser.add_argument("--observations", type=int, help="of each kind")
+    parser.add_argument("--epochs", type=int, default=EPOCHS)
+    parser.add_argument(
+        "--judged", default="test", choices=["validation", "test"], help="the part that is judged"
+    )
+    options = parser.parse_args()
+    for kind in options.kinds:
+        train_kind(kind, [*options.folders, *folders_of_packages()], options)

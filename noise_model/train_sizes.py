@@ -15,14 +15,14 @@ import numpy as np
 from scipy.special import ndtr
 
 import observations
-from backpropagation import Adam, Node, Tape, initial_layer
+from backpropagation import Adam, Node, Tape, initial_layer, shuffled
 from beltrami_cli.flow.noise import network
 from beltrami_cli.flow.noise.network import OFFSET, Weights, weights_of
 from beltrami_cli.flow.noise.size import EDGES, LAYERS, WIDTHS, evidence, removal_curve, sizes_of
-from configuration import SIZES, WEIGHTS, configuration
+from configuration import SIZES, configuration
 from crops import folders_of_packages
 from size_kinds import FAMILIES
-from train import SAMPLES, crops_of, save
+from train import SAMPLES, crops_of, parser_of, save
 
 TEST_ROWS = 1_000  # per family
 CHUNK = 500  # rows that are made together
@@ -78,10 +78,8 @@ def train(rows: np.ndarray, first: np.ndarray, truth: np.ndarray) -> Weights:
     adam = Adam(layers, RATE, EPOCHS * (len(rows) // BATCH), WARM_UP)
     standardised = weights.standardised("evidence", rows)
     for _ in range(EPOCHS):
-        order = rng.permutation(len(rows))
-        for at in range(0, len(order) - BATCH + 1, BATCH):
-            chosen, tape = order[at : at + BATCH], Tape(layers)
-            logits = Node(standardised[chosen])
+        for chosen in shuffled(rng, len(rows), BATCH):
+            tape, logits = Tape(layers), Node(standardised[chosen])
             for name in LAYERS:
                 logits = tape.dense(logits, name, is_last=name == LAYERS[-1])
                 if name != LAYERS[-1]:
@@ -148,17 +146,9 @@ def train_kind(kind: str, roots: list[Path], options: argparse.Namespace) -> Non
     print(f"written after {time.monotonic() - began:.0f} s", flush=True)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description="Train the network that reads the size of noise.")
-    parser.add_argument("folders", nargs="+", type=Path, help="with pictures")
-    parser.add_argument("--kinds", nargs="+", default=list(SAMPLES), choices=list(SAMPLES))
+if __name__ == "__main__":
+    parser = parser_of("Train the network that reads the size of noise.")
     parser.add_argument("--rows", type=int, help="of each family")
-    parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--weights", type=Path, default=WEIGHTS, help="the folder that they are written to")
     options = parser.parse_args()
     for kind in options.kinds:
         train_kind(kind, [*options.folders, *folders_of_packages()], options)
-
-
-if __name__ == "__main__":
-    main()
