@@ -92,22 +92,25 @@ def write_mesh(mesh: MeshContents, name: str, stem: str) -> Written:
 def sidecars_of(mesh: MeshContents, name: str, stem: str) -> list[str]:
     """Return the names of the sidecar files of `write_mesh`; images have the suffixes of `with_suffixes`."""
     line = _writer(name)
-    suffixes = (line.textured_sidecars if mesh.materials else line.sidecars).split()
-    images = image_names(_fitted(mesh, line), stem, line.images) if ".*" in suffixes else []
-    return [*(stem + suffix for suffix in suffixes if suffix != ".*"), *images]
+    images = image_names(_fitted(mesh, line), stem, line.images) if mesh.materials else None
+    return _sidecar_names(line, stem, images)
+
+
+def sidecar_names(name: str, stem: str, image_suffix: str | None) -> list[str]:
+    """Return the names of the sidecar files of `write_mesh` for a mesh with one image, or without."""
+    line = _writer(name) if image_suffix is None else require_textures(name, image_suffix)
+    return _sidecar_names(line, stem, None if image_suffix is None else [stem + image_suffix])
+
+
+def _sidecar_names(line: Format, stem: str, images: list[str] | None) -> list[str]:
+    suffixes = (line.sidecars if images is None else line.textured_sidecars).split()
+    return [name for suffix in suffixes for name in (images or [] if suffix == ".*" else [stem + suffix])]
 
 
 def image_suffixes(name: str) -> tuple[str, ...] | None:
     """Return the suffixes of the textures that a format can hold, empty for any; None: it has no textures."""
     line = _writer(name)
     return line.images if line.has_textures else None
-
-
-def sidecar_names(name: str, stem: str, image_suffix: str | None) -> list[str]:
-    """Return the names of the sidecar files of `write_mesh` for a mesh with one image, or without."""
-    line = _writer(name) if image_suffix is None else require_textures(name, image_suffix)
-    suffixes = line.sidecars if image_suffix is None else line.textured_sidecars
-    return [stem + (suffix.replace(".*", image_suffix or ".*")) for suffix in suffixes.split()]
 
 
 def require_textures(name: str, image_suffix: str | None = None) -> Format:

@@ -120,10 +120,9 @@ def _textured(name: str, mark: Recogniser | None, reader: str, form: str = "", *
     return Format(name, mark, module, f"document.{document}", writer, has_textures=True, **more)
 
 
-_is_image = _by_function("image.file_formats.is_image")
 # The first line whose mark matches is taken. Names are considered only if no mark matches.
 FORMATS = (
-    Format("image", _is_image, "image_document", "ImageDocument", kind="image"),
+    Format("image", _by_function("image.file_formats.is_image"), "image_document", "ImageDocument", kind="image"),
     Format("volume", _by_function("volume.is_volume", *_VOLUMES), "volume", "read_volume", kind="volume"),
     _textured("ply", _by_start(rb"ply[\n\r \t]"), "ply.PlyDocument", textured_sidecars=".*", slots=("baseColor",)),
     _textured(
@@ -176,21 +175,29 @@ KEPT_FORMATS = tuple(line.name for line in FORMATS if line.keeps_form)
 """Formats that only documents of the same format are written in."""
 
 
-def open_document(source: str, access: Access = DEFAULT_ACCESS) -> Document:
-    """Open a file, or standard input for "-", as the model that it is; InputError if it is none or damaged."""
-    return document_of(read_source(source, access), source, access)
+def open_document(source: str, access: Access = DEFAULT_ACCESS, data: bytes | None = None) -> Document:
+    """Open a file, or standard input for "-", as the model that it is; InputError if it is none or damaged.
+
+    `data` are its bytes, if they have been read already.
+    """
+    data = read_source(source, access) if data is None else data
+    return open_bytes(data, *name_and_folder(source), access)
 
 
-def document_of(data: bytes, source: str, access: Access = DEFAULT_ACCESS) -> Document:
-    """Open a source whose bytes have been read already; see `open_document`."""
-    if source == "-":
-        return open_bytes(data, "<stdin>", None, access)
-    return open_bytes(data, source, Path(source).parent, access)
+def name_and_folder(source: str) -> tuple[str, Path | None]:
+    """Return the name of a source for messages, and the folder of its sidecar files; standard input has none."""
+    return ("<stdin>", None) if source == "-" else (source, Path(source).parent)
 
 
 def open_bytes(data: bytes, name: str, folder: Path | None, access: Access = DEFAULT_ACCESS) -> Document:
     """Open the bytes of a model whose sidecars lie in a folder (None: nowhere); InputError as `open_document`."""
-    return open_as(recognised(data, name, models_only=True), data, name, folder, access)
+    line = recognised(data, name)
+    if line is not None and line.kind != "model":
+        what = "an image" if line.kind == "image" else "a level set"
+        raise InputError(
+            name, f"it is {what}, not a model", "give a mesh or points, such as .ply, .obj or .glb"
+        )
+    return open_as(line, data, name, folder, access)
 
 
 def open_as(line: Format | None, data: bytes, name: str, folder: Path | None, access: Access) -> Document:
@@ -201,15 +208,12 @@ def open_as(line: Format | None, data: bytes, name: str, folder: Path | None, ac
     return document
 
 
-def recognised(data: bytes, name: str, *, models_only: bool = False) -> Format | None:
+def recognised(data: bytes, name: str) -> Format | None:
     """Return the format of a file by its bytes, or else by its name; None: unknown."""
-    if models_only and _is_image(data, name):
-        return None
-    lines = [line for line in FORMATS if line.kind == "model" or not models_only]
-    marked = next((line for line in lines if line.mark is not None and line.mark(data, name)), None)
+    marked = next((line for line in FORMATS if line.mark is not None and line.mark(data, name)), None)
     if marked is not None or not data or _unread(data, name):
         return marked
-    named = (line for line in lines if line.by_name and name.lower().endswith(line.suffixes))
+    named = (line for line in FORMATS if line.by_name and name.lower().endswith(line.suffixes))
     return next(named, None)
 
 
@@ -218,8 +222,6 @@ def _refusal(data: bytes, name: str) -> InputError:
         return InputError(name, f"it is a {known}, which is not read", _UNREAD[known][2])
     if not data:
         return InputError(name, "the file is empty", _READABLE)
-    if _is_image(data, name):
-        return InputError(name, "it is an image, not a model", _READABLE)
     if not Path(name).suffix:  # standard input among them
         remedy = "give OBJ files, and points in .xyz and .pts, by their names"
         return InputError(name, "the content has no mark of a known format", remedy)

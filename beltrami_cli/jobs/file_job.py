@@ -167,7 +167,7 @@ def require_level_set(settings: SmoothSettings, *documents: Document) -> None:
 def open_any(source: str, settings: SmoothSettings, access: Access) -> Document:
     """Open a file as `open_input`, and allow options of level sets for any file."""
     data, access = read_source(source, access), replace(access, channels=settings.channels or ())
-    name, folder = ("<stdin>", None) if source == "-" else (source, Path(source).parent)
+    name, folder = registry.name_and_folder(source)
     line = registry.recognised(data, name)
     if line is not None and line.kind == "volume":
         from beltrami_cli.layers.level_set_document import read_level_set

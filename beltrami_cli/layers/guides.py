@@ -20,7 +20,7 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import DecodedImage, read_image, read_texture
 from beltrami_cli.formats.image.decoded_image import full_scale_one
 from beltrami_cli.formats.image.sizes import require_memory
-from beltrami_cli.formats.registry import document_of
+from beltrami_cli.formats.registry import open_document
 from beltrami_cli.layers.pixel_colours import PixelColours
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.atlas import Atlas, texels_by_texture
@@ -70,11 +70,8 @@ def read_table(path: str, document: Document) -> Float64s:
         table = archive.array(archive.names[0], _MAX_NUMBERS)
     else:
         # The given columns belong to the points that are smoothed, not to a guide.
-        table = (
-            document_of(data, path, dataclasses.replace(access, columns=(), channels=()))
-            .coloured_vertices()
-            .colours
-        )
+        guide = open_document(path, dataclasses.replace(access, columns=(), channels=()), data)
+        table = guide.coloured_vertices().colours
     if table.ndim == 1:
         table = table[:, None]
     if table.ndim != 2 or table.shape[0] != rows or not table.shape[1]:

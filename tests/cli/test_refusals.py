@@ -41,6 +41,8 @@ def folder(tmp_path_factory):
     (path / "colourless.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     (path / "bad.ply").write_bytes(b"ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nend_header\n")
     (path / "list.json").write_text("[]")
+    (path / "image.ply").write_bytes(encode(np.full((4, 4, 3), 9, np.uint8), "png"))
+    np.savez(path / "level_set.npz", values=np.zeros((2, 2, 2)))
     (path / "kept").mkdir()
     (path / "kept" / "there.ply").write_bytes(b"kept")
     (path / "frames").mkdir()
@@ -212,6 +214,9 @@ REFUSED = [
     ("sweep @nonmanifold-noisy.ply a.png -n 1 --reference @knot-clean.ply --size 32", 3, "nonmanifold-noisy.ply"),
     # images
     ("smooth @head-tex-noisy.png out.glb", 2, "is an image, not a model"),
+    ("check @head-tex-noisy.png @head-tex-noisy.png", 3, "is an image, not a model; give a mesh"),
+    ("check level_set.npz level_set.npz", 3, "is a level set, not a model; give a mesh"),
+    ("smooth image.ply out.ply", 2, "image.ply is an image, not a model"),
     ("smooth @head-tex-noisy.png out.gif", 2, "cannot be written as GIF"),
     ("smooth @head-tex-noisy.png out.pgm", 2, "PGM holds grey only"),
     ("smooth @mirrored-noisy.png out.png --space oklab", 2, "grey"),
