@@ -11,10 +11,10 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
-import peers
-from harness import arguments, psnr, show
 
+import peers
 from beltrami_cli.jobs.noise_kinds import jpeg_file
+from harness import arguments, psnr, rms, show
 from pictures import colours_of, images, smoothed, stored, with_noise
 
 CAMERAS = ((0.002, 0.005), (0.01, 0.01), (0.03, 0.02))  # A and B
@@ -49,7 +49,7 @@ def cases(clean):
 
 def best_of_bm3d(noisy, truth):
     """Return the best PSNR of BM3D at several strengths."""
-    sigma = float(np.sqrt(np.mean((noisy - truth) ** 2)))
+    sigma = rms(noisy - truth)
     score = partial(clipped_psnr, truth=truth)
     return max(peers.bm3d(255 * noisy, score, sigma=factor * sigma) for factor in FACTORS)
 

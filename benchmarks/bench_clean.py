@@ -9,10 +9,10 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from harness import arguments, psnr, show
 
 import beltrami_cli
 from beltrami_cli.formats.image import read_image
+from harness import arguments, psnr, show
 from pictures import pictures
 
 

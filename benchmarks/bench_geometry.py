@@ -5,17 +5,13 @@ Shapes have edges of about one unit. Errors are distances from the true surface,
 """
 
 import numpy as np
-from harness import arguments, show
 
 import beltrami_cli
+from harness import arguments, rms, show
 from oracles import surfaces
 
 SIGMAS = (0.1, 0.2, 0.3)  # edge lengths
 SIDE = 40  # edge lengths of the cube
-
-
-def rms(values):
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def results(positions, faces, sigma):

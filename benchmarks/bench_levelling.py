@@ -12,12 +12,12 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from harness import SAMPLES, arguments, show
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from beltrami_cli.flow.manifolds.canvas import on_canvas
 from beltrami_cli.levelling.steps import ChartPlaces, steps_over_seams
+from harness import SAMPLES, arguments, show
 from levelling.exposure_scene import ExposureScene, fall
 
 NAMES = ("head-tex-clean.glb", "head-tex-noisy.glb", "torus-two-clean.gltf", "sphere-exr-clean.obj", "scan-clean.glb",

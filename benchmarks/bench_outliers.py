@@ -9,7 +9,6 @@ noise of 10/255.
 from __future__ import annotations
 
 import numpy as np
-from harness import arguments, show
 
 from beltrami_cli.flow.corrections import outliers
 from beltrami_cli.flow.manifolds.surroundings import CanvasSurroundings
@@ -17,6 +16,7 @@ from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.image.decoded_image import full_scale_one
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.surface.grid_atlas import grid_atlas
+from harness import arguments, show
 
 LARGEST = 512  # pixels per side that are judged
 PHOTOGRAPHS = 4  # the most colourful ones take impulses

@@ -16,23 +16,24 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-import peers
-import textures
-from harness import SAMPLES, arguments, extra_models, show
-from scenes import Scene, icosphere, write_ply
 from scipy.ndimage import uniform_filter, zoom
 
 import beltrami_cli
+import peers
+import textures
 from beltrami_cli.flow.parameters import parameters_with
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.noise import noise_file
 from beltrami_cli.jobs.settings import NoiseSettings
+from harness import SAMPLES, arguments, extra_models, psnr, show
 from pictures import PHOTOGRAPHS, SIDE, on_sphere, photograph
+from scenes import Scene, icosphere, write_ply
 
 SUBDIVISIONS = 6  # of the icosphere: 40,962 vertices
 MARGIN = 20  # texels around the judged part that peers also get: half of BM3D's window
 MAX_COMPARED = 40_000  # maximum number of texels for the mean CIEDE2000
+ROUNDING = float(10 * np.log10(12 * 255**2))  # dB: PSNR of colours that are rounded to 8 bit
 PEERS = {"bilateral": peers.bilateral, "non-local means": peers.nonlocal_means, "BM3D": peers.bm3d}
 OURS = {"`--patches off`": "off", "default": "auto"}
 
@@ -115,7 +116,7 @@ def peer_results(noisy, where, clean, covered, sigma):
 
         def score(image, tried=tried):
             tried.append(to_8_bit(image)[inner])
-            return psnr(tried[-1], clean, covered), len(tried) - 1
+            return psnr_within(covered, tried[-1], clean), len(tried) - 1
 
         try:
             _, best = run(np.ascontiguousarray(noisy[around]), score, sigma=sigma / 255)
@@ -131,12 +132,9 @@ def to_8_bit(image):
     return np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)
 
 
-def psnr(image, clean, mask):
+def psnr_within(mask, image, clean):
     """Return the PSNR over a mask, at most that of rounding to 8 bit."""
-    if not mask.any():
-        return np.nan
-    error = np.square(image[mask] / np.float32(255) - clean[mask]).mean(dtype=float)
-    return float(-10 * np.log10(max(error, 1 / 12 / 255**2)))
+    return min(psnr(image / 255, clean, mask), ROUNDING) if mask.any() else np.nan
 
 
 def judge(image, clean, masks):
@@ -144,7 +142,7 @@ def judge(image, clean, masks):
     color = peers.needed("skimage.color")
     chosen = slice(None, None, max(1, int(masks[0].sum()) // MAX_COMPARED))
     shown = (color.rgb2lab(colours[masks[0]][chosen]) for colours in (image / 255, clean))
-    return *(psnr(image, clean, mask) for mask in masks), float(color.deltaE_ciede2000(*shown).mean())
+    return *(psnr_within(mask, image, clean) for mask in masks), float(color.deltaE_ciede2000(*shown).mean())
 
 
 def judge_vertices(sigma, path):

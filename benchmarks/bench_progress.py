@@ -7,15 +7,15 @@ import time
 from pathlib import Path
 
 import numpy as np
-import textures
-from harness import arguments, show
 
+import textures
 from beltrami_cli.jobs.compare.files import compare_files
 from beltrami_cli.jobs.inspect import inspect_file
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.progress import phase_of
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.view.report import report_file
+from harness import arguments, show
 
 CORNERS = np.array([[[0, 0, 0], [1, 0, 0], [1, 1, 0]], [[0, 0, 0], [1, 1, 0], [0, 1, 0]]], float)
 

@@ -21,8 +21,9 @@ from itertools import islice
 from typing import Any
 
 import numpy as np
-from harness import arguments, show
-from regret_scene import kinds, rms
+
+from harness import arguments, rms, show
+from regret_cases import kinds
 
 CLEAN_PSNR = 42.0  # dB from which on a clean picture counts as unchanged
 NOISY_SHARE = 0.7  # weight of the noisy kinds in the loss

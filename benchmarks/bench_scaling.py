@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+
 import scenes
 import textures
 from harness import arguments, show, smooth_apart

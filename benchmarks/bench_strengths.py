@@ -8,10 +8,10 @@ against the truth, which may be lower than that of normal by 1.5 dB for gentle a
 from itertools import pairwise
 
 import numpy as np
-from harness import arguments, psnr, show
 
 import beltrami_cli
 from beltrami_cli.jobs.noise_kinds import as_jpeg
+from harness import arguments, psnr, rms, show
 from pictures import images, stored, with_noise
 
 BEST = 60.0  # dB, above which differences are invisible
@@ -25,19 +25,20 @@ def main():
     for name, clean in images(options.images):
         for kind, noisy, truth in kinds(stored(clean)):
             smoothed = [beltrami_cli.smooth_image(noisy, strength=each).colours for each in STRENGTHS]
-            changes = [255 * float(np.sqrt(np.mean((each - noisy) ** 2))) for each in smoothed]
+            changes = [255 * rms(each - noisy) for each in smoothed]
             gentle, normal, strong = (min(BEST, psnr(each, truth)) for each in smoothed)
             is_wrong = any(a >= b > 0 or a > b for a, b in pairwise(changes))  # clean ones may stay
-            rows.append(
-                (f"{name}, {kind}", *changes, normal, normal - gentle, normal - strong, int(is_wrong))
-            )
+            costs = normal - gentle, normal - strong
+            rows.append((f"{name}, {kind}", *changes, normal, *costs, int(is_wrong)))
     means = np.mean([row[1:] for row in rows], axis=0).tolist()
-    costs = "PSNR: normal", "cost of gentle", "of strong", "not in order"
-    show(
-        [*rows, ("mean", *means)],
-        options,
-        ("image, noise", *(f"change: {each}" for each in STRENGTHS), *costs),
+    head = (
+        "image, noise",
+        *(f"change: {each}" for each in STRENGTHS),
+        "PSNR: normal",
+        "cost of gentle",
+        "of strong",
     )
+    show([*rows, ("mean", *means)], options, (*head, "not in order"))
 
 
 def kinds(clean):
@@ -52,11 +53,8 @@ def kinds(clean):
         yield f"camera {shot}, {read}", stored(noisy), seen
         yield f"camera {shot}, {read}, JPEG 95", as_jpeg(noisy, 95), seen
     for size, sigma in ((2, 12), (3, 6), (4, 12)):
-        yield (
-            f"grain of {size}, {sigma}",
-            stored(with_noise(clean, "grain", grain_size=float(size), sigma=sigma / 255)),
-            clean,
-        )
+        grain = with_noise(clean, "grain", grain_size=float(size), sigma=sigma / 255)
+        yield f"grain of {size}, {sigma}", stored(grain), clean
     for quality in (80, 92):
         white = clean + 10 / 255 * random.standard_normal(clean.shape)
         yield f"white 10, JPEG {quality}", as_jpeg(white, quality), clean

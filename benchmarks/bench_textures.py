@@ -10,15 +10,15 @@ import time
 from pathlib import Path
 
 import numpy as np
-import textures
-from harness import SIGMA, arguments, show, smooth_apart
-from peers import PeerError, bilateral_seconds
 
 import beltrami_cli
+import textures
 from beltrami_cli.flow.beltrami_flow import smooth_in_place
 from beltrami_cli.formats.image import read_texture
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.layers.texture_layer import TextureLayer
+from harness import SIGMA, arguments, show, smooth_apart
+from peers import PeerError, bilateral_seconds
 
 CONTRAST = 1.4  # beta times the noise
 SMALL = 128  # texels per side of the texture whose memory is subtracted

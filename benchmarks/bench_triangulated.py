@@ -12,12 +12,12 @@ import time
 from functools import partial
 
 import numpy as np
-import peers
-import scenes
-from harness import arguments, psnr, show
 
 import beltrami_cli
+import peers
+import scenes
 from beltrami_cli import _native
+from harness import arguments, psnr, show
 
 BETA = 5.0  # of the runs that are timed
 SAMPLES = (20, 50)  # per kernel

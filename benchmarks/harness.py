@@ -78,6 +78,10 @@ def extra_models(suffixes):
     return sorted(path for path in Path(extra).rglob("*") if path.suffix in suffixes) if extra else []
 
 
+def rms(values):
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
 def psnr(colours, truth, counted=...):
     """Return the peak signal-to-noise ratio in dB, which may be infinite; the peak is 1."""
     error = np.asarray(colours, float)[counted] - np.asarray(truth, float)[counted]

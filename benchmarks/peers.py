@@ -5,6 +5,7 @@ import itertools
 import time
 
 import numpy as np
+
 from harness import SIGMA, psnr
 
 MAX_ITERATIONS = 8  # of the bilateral filter

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from peers import needed
 from scipy.ndimage import map_coordinates
 
 import beltrami_cli
@@ -17,8 +16,8 @@ from beltrami_cli.formats.image import read_image
 from beltrami_cli.jobs.noise_kinds import NumberedSamples, add_grain, seen_by_camera
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.surface.records import Cells
+from peers import needed
 
-PHOTOGRAPHS = ("astronaut", "coffee", "chelsea", "immunohistochemistry")
 SIDE = 224  # pixels per side of windows of images
 # Top and left of the window of a photograph.
 CORNERS = {
@@ -27,6 +26,7 @@ CORNERS = {
     "chelsea": (40, 110),
     "immunohistochemistry": (150, 150),
 }
+PHOTOGRAPHS = tuple(CORNERS)
 SUFFIXES = ".png", ".jpg", ".jpeg", ".tga", ".bmp", ".webp"
 SIDES = 64, 1024  # range of pixels per side of a picture
 COUNT = 130  # maximum number of pictures of a folder

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
-from scenes import patches
 from scipy.ndimage import gaussian_filter
 
 from pictures import pictures
+from scenes import patches
 
 SIDE, MIN_SIDE = 192, 128  # texels per side of crops
 

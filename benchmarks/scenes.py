@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from harness import SIGMA
 
+from harness import SIGMA
 from oracles import surfaces
 
 
@@ -32,8 +32,8 @@ def torus(rings, sides):
     u, v = 2 * np.pi * ring / rings, 2 * np.pi * side / sides
     reach = 0.75 + 0.25 * np.cos(v)
     positions = np.column_stack([reach * np.cos(u), reach * np.sin(u), 0.25 * np.sin(v)])
-    there, beside = (ring + 1) % rings, (side + 1) % sides
-    a, b, c, d = (r * sides + s for r, s in ((ring, side), (there, side), (there, beside), (ring, beside)))
+    there, across = (ring + 1) % rings, (side + 1) % sides
+    a, b, c, d = (r * sides + s for r, s in ((ring, side), (there, side), (there, across), (ring, across)))
     faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])]).astype(np.int32)
     return coloured(positions, faces, chequer)
 
@@ -71,9 +71,8 @@ def write_ply(path, scene):
     vertices["xyz"], vertices["rgb"] = scene.positions, np.rint(np.clip(scene.noisy, 0, 1) * 255)
     faces = np.empty(len(scene.faces), [("count", "u1"), ("corners", "<i4", 3)])
     faces["count"], faces["corners"] = 3, scene.faces
-    names = [f"property float {axis}" for axis in "xyz"] + [
-        f"property uchar {c}" for c in ("red", "green", "blue")
-    ]
+    names = [f"property float {axis}" for axis in "xyz"]
+    names += [f"property uchar {colour}" for colour in ("red", "green", "blue")]
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}", *names]
     header += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header\n"]
     path.write_bytes("\n".join(header).encode() + vertices.tobytes() + faces.tobytes())

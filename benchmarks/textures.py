@@ -11,8 +11,6 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from harness import SAMPLES, SIGMA, extra_models
-from scenes import chequer
 from scipy.ndimage import distance_transform_edt, uniform_filter
 
 from beltrami_cli.errors import BeltramiError
@@ -23,7 +21,9 @@ from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.noise import noise_file
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.surface.colour_values import linear_to_srgb
+from harness import SAMPLES, SIGMA, extra_models
 from pictures import PHOTOGRAPHS, on_sphere, photograph
+from scenes import chequer
 
 NEAR = 4  # maximum distance in texels of a texel near a seam
 SMALLEST, LARGEST = 64, 1024  # texels per side; smaller images are palettes, larger ones are halved
@@ -131,10 +131,8 @@ def rasterised(triangles, size):
     seen = np.zeros((height, width), bool)
     # Triangles are moved to the first tile, so that distant tiles do not cost time.
     triangles = triangles - np.floor(triangles.min(axis=1, keepdims=True) / size) * size
-    low, high = (
-        np.ceil(triangles.min(axis=1) - 0.5).astype(int),
-        np.floor(triangles.max(axis=1) - 0.5).astype(int),
-    )
+    low = np.ceil(triangles.min(axis=1) - 0.5).astype(int)
+    high = np.floor(triangles.max(axis=1) - 0.5).astype(int)
     for (a, b, c), (left, top), (right, bottom) in zip(triangles, low, high, strict=True):
         area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
         if right < left or bottom < top or abs(area) < 1e-12:
@@ -162,9 +160,8 @@ def seams(corners, uv, texture_of):
     first = np.full(len(count), -1)
     first[edge[::-1]] = np.arange(len(edge))[::-1]
     other = first[edge]
-    differ = (np.abs(sides - sides[other]) > 1e-6).any(axis=(1, 2)) | (
-        texture_of[face] != texture_of[face[other]]
-    )
+    differ = (np.abs(sides - sides[other]) > 1e-6).any(axis=(1, 2))
+    differ |= texture_of[face] != texture_of[face[other]]
     is_seam = np.zeros(len(count), bool)
     np.logical_or.at(is_seam, edge, differ)
     at_seam = is_seam[edge] & (ends[:, 0] != ends[:, 1])
@@ -200,12 +197,10 @@ def from_file(path):
 
 def displayed(picture):
     """Return display values, shape (H, W, 3)."""
-    values = full_scale_one(picture.pixels)[
-        ..., picture.colour if len(picture.colour) == 3 else picture.colour * 3
-    ]
-    return np.clip(linear_to_srgb(values) if picture.encoding == "linear" else values, 0, 1).astype(
-        np.float32
-    )
+    colour = picture.colour if len(picture.colour) == 3 else picture.colour * 3
+    values = full_scale_one(picture.pixels)[..., colour]
+    shown = linear_to_srgb(values) if picture.encoding == "linear" else values
+    return np.clip(shown, 0, 1).astype(np.float32)
 
 
 def seen(picture):
@@ -268,9 +263,7 @@ def halved(scene):
     clean, visible = [], []
     for image, seen in zip(scene.clean, scene.visible, strict=True):
         step = 1
-        while max(image.shape[:2]) // step > LARGEST and not any(
-            side % (2 * step) for side in image.shape[:2]
-        ):
+        while max(image.shape) // step > LARGEST and not any(side % (2 * step) for side in image.shape[:2]):
             step *= 2
         height, width = image.shape[0] // step, image.shape[1] // step
         blocks = image.reshape(height, step, width, step, 3).mean(axis=(1, 3))

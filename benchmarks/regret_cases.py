@@ -13,14 +13,15 @@ from typing import Any
 from zlib import crc32
 
 import numpy as np
-from regret_pictures import SIDE, halved, label, paint, pixel_art, plaster, rendered, textures, weave
-from scenes import icosphere, patches
 from scipy.ndimage import gaussian_filter
 
 import beltrami_cli
 from beltrami_cli.jobs.noise_kinds import jpeg_file
 from beltrami_cli.surface.colour_values import linear_to_srgb
+from harness import rms
 from pictures import PHOTOGRAPHS, Smoothed, colours_of, on_sphere, photograph, smoothed, stored, with_noise
+from regret_pictures import SIDE, halved, label, paint, pixel_art, plaster, rendered, textures, weave
+from scenes import icosphere, patches
 
 SIGMAS = tuple(sigma / 255 for sigma in (6, 12, 20))
 PHOTONS = 25  # per texel at full scale
@@ -51,10 +52,6 @@ class Case:
         """Return the PSNR of displayed colours, which may be the bytes of a file."""
         error = self.display(colours_of(colours)).astype(np.float64) - self.display(self.truth)
         return -20 * float(np.log10(max(rms(error[self.counted]), EXACT)))
-
-
-def rms(values):
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def kinds(folders):
