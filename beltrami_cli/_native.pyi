@@ -176,6 +176,8 @@ def grid_distances(
     cell: int,
 ) -> NDArray[np.float32]: ...
 
+FURTHEST_SUPPORT: int
+SWEEP_TILE_ROWS: int
 PATCH_REACH: int
 PATCH_BLOCK_SIZE: int
 PATCH_TILE_SIDE: int

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from beltrami_cli._native import PATCH_REACH
+from beltrami_cli._native import FURTHEST_SUPPORT, PATCH_REACH
 from beltrami_cli.arrays import Float32s
 from beltrami_cli.flow.manifolds.grid_gaussian import guide_radius
 from beltrami_cli.flow.manifolds.grid_geometry import colours_at
@@ -14,9 +14,6 @@ from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas, refresh_halo
-
-# The paper's scheme searches the support of an obtuse quadrant up to this many cells away.
-FURTHEST_SUPPORT = 10
 
 
 def on_canvas(atlas: Atlas, colours: Float32s) -> Float32s:

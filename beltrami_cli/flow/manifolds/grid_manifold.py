@@ -14,11 +14,11 @@ from typing import cast
 
 import numpy as np
 
-from beltrami_cli._native import grid_distances, smooth_grid
+from beltrami_cli._native import FURTHEST_SUPPORT, SWEEP_TILE_ROWS, grid_distances, smooth_grid
 from beltrami_cli.arrays import Array, Bools, Float32s, Int64s
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunk, Figures, Resources
 from beltrami_cli.flow.cuts import Rectangle, chunks_of_canvas
-from beltrami_cli.flow.manifolds.canvas import FURTHEST_SUPPORT, canvas_colours, kernel_margin, on_canvas
+from beltrami_cli.flow.manifolds.canvas import canvas_colours, kernel_margin, on_canvas
 from beltrami_cli.flow.manifolds.domain import Gaussian, Stack
 from beltrami_cli.flow.manifolds.grid_gaussian import GridGaussian, guide_radius
 from beltrami_cli.flow.manifolds.grid_geometry import Cells, GridGeometry, pick
@@ -41,9 +41,6 @@ from beltrami_cli.flow.mixing import Mixing
 from beltrami_cli.flow.parameters import KernelParameters, Space
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, OWNED, Atlas, refresh_halo
-
-# Row blocks end at borders of tiles, so that no tile is cut.
-_TILE_ROWS = 32
 
 # Number of threads for which a row block has cells at least.
 _MIN_THREADS = 4
@@ -179,7 +176,7 @@ class GridManifold(Manifold):
         chunking, margin = self.resources.chunking, kernel_margin(self.parameters)
         kind = self.geometry.atlas.kind
         assert chunking is not None
-        return chunks_of_canvas(self._part, kind == OWNED, chunking.count, _TILE_ROWS, margin, margin)
+        return chunks_of_canvas(self._part, kind == OWNED, chunking.count, SWEEP_TILE_ROWS, margin, margin)
 
     def _part(self, around: Rectangle, core: Rectangle) -> tuple[GridManifold, Rectangle]:
         inside = np.zeros_like(self.geometry.atlas.kind[around], bool)
@@ -314,8 +311,11 @@ def cut_blocks(whole: GridManifold, cells: Int64s, core: Bools, reach: int) -> G
 
 
 def row_blocks(rows: int, columns: int, margin: int, cells: int) -> list[slice]:
-    """Return the rows averaged at a time, of at least so many cells; each block depends only on adjacent blocks."""
-    height = -(-max(cells // max(1, columns), margin, 1) // _TILE_ROWS) * _TILE_ROWS
+    """Return the rows averaged at a time, whole tiles of at least so many cells.
+
+    Each block depends only on adjacent blocks.
+    """
+    height = -(-max(cells // max(1, columns), margin, 1) // SWEEP_TILE_ROWS) * SWEEP_TILE_ROWS
     return [slice(top, min(rows, top + height)) for top in range(0, rows, height)]
 
 

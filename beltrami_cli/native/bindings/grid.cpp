@@ -199,6 +199,8 @@ void add_enlarged_to(const Cells& kind, const Cells& kinds, const Stack& changes
 
 void bind_grid(nb::module_& module) {
   using namespace nb::literals;
+  module.attr("FURTHEST_SUPPORT") = furthest_support;
+  module.attr("SWEEP_TILE_ROWS") = tile_rows;
   module.def("smooth_grid", &smooth_grid, "kind"_a, "squared_lengths"_a, "scale"_a.none(), "repeats"_a.none(),
              "metric"_a, "colours"_a, "beta"_a, "time_step"_a, "radius"_a, "window_radius"_a, "scheme"_a, "threads"_a,
              "progress"_a.none());

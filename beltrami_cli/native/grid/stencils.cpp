@@ -14,10 +14,6 @@ using triangulated::none;
 using triangulated::Partner;
 using triangulated::Stencils;
 
-// Maximum distance of split supports: a quadrant that needs further ones has a section narrower than about 1 / 10
-// radian, and the front then runs along the edges.
-constexpr int furthest_support = 10;
-
 double squared(double x) { return x * x; }
 
 class ImageGrid {

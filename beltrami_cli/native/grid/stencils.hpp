@@ -16,6 +16,10 @@ namespace beltrami::grid {
 
 using triangulated::Index;
 
+// Maximum distance of split supports: a quadrant that needs further ones has a section narrower than about 1 / 10
+// radian, and the front then runs along the edges.
+constexpr int furthest_support = 10;
+
 enum class Scheme {
   triangles,  // the eight triangles around a cell, as in the window sweep
   metric      // quadrants, split by the metric

@@ -20,7 +20,7 @@ struct Totals {
 // Converts the window's distances to kernel values, 0 beyond the radius, and sums them with that of the centre.
 // `shares` is the weight of each cell of the tile, if not 1 for all.
 template <bool shared>
-Totals weigh(const TileJob& job, const Layout& layout, const float* shares, std::size_t centre, float* window) {
+Totals weigh(const TileJob& job, const TileLayout& layout, const float* shares, std::size_t centre, float* window) {
   const float factor = -1 / (4 * job.parameters->time_step);
   const float reach = std::min(job.parameters->radius, longest_radius);
   Totals totals{splat(1), splat(1)};
@@ -40,7 +40,7 @@ Totals weigh(const TileJob& job, const Layout& layout, const float* shares, std:
 
 // Sums channels over the window by its weights, as differences from the centres, so that a constant is preserved.
 template <std::size_t channels>
-void sum_up(const TileJob& job, const Layout& layout, const float* window, const float* colours, float* sums) {
+void sum_up(const TileJob& job, const TileLayout& layout, const float* window, const float* colours, float* sums) {
   std::array<Lanes, channels> sum{}, here;
   for (std::size_t channel = 0; channel < channels; ++channel) here[channel] = load(colours + channel * layout.size);
   for (const Target& target : job.program->targets) {
@@ -53,7 +53,7 @@ void sum_up(const TileJob& job, const Layout& layout, const float* window, const
 }
 
 // Sums all channels, three at a time as long as possible.
-void sum_up_all(const TileJob& job, const Layout& layout, const float* window, const float* colours, float* sums) {
+void sum_up_all(const TileJob& job, const TileLayout& layout, const float* window, const float* colours, float* sums) {
   std::size_t channel = 0;
   for (; channel + 3 <= job.colours.channels; channel += 3)
     sum_up<3>(job, layout, window, colours + channel * layout.size, sums + channel * lane_count);
@@ -63,7 +63,7 @@ void sum_up_all(const TileJob& job, const Layout& layout, const float* window, c
 
 // Writes the averages of the owned centres, `count` of them from `cell` on in the grid and from `colours` on in the
 // tile; returns their number of samples.
-std::int64_t write_owned(const TileJob& job, const Layout& layout, const Totals& totals, const float* colours,
+std::int64_t write_owned(const TileJob& job, const TileLayout& layout, const Totals& totals, const float* colours,
                          const float* sums, std::size_t cell, std::size_t count) {
   const Grid& grid = *job.grid;
   const std::uint8_t* kind = grid.kind + cell;
@@ -96,7 +96,7 @@ bool any_owned(const std::uint8_t* kind, std::size_t count) {
 
 std::int64_t sweep_tile(const TileJob& job, const Tile& tile, TileScratch& scratch) {
   const Grid& grid = *job.grid;
-  const Layout layout(tile, job.program->radius);
+  const TileLayout layout(tile, job.program->radius);
   const int side = 2 * job.program->radius + 1;
   // Besides the colours: blocked cells, the scale and the shares.
   const std::size_t colour_planes = job.metric.channels + job.colours.channels + 3;
@@ -108,14 +108,14 @@ std::int64_t sweep_tile(const TileJob& job, const Tile& tile, TileScratch& scrat
   float* coefficients = lengths + direction_count * layout.size;
   float* metric = coefficients + coefficient_planes * layout.size;
   float* colours = metric + job.metric.channels * layout.size;
-  copy_planes(grid, job.metric, tile, layout, metric);
-  copy_planes(grid, job.colours, tile, layout, colours);
+  copy_to_tile(grid, job.metric, tile, layout, metric);
+  copy_to_tile(grid, job.colours, tile, layout, colours);
   float* blocked = colours + job.colours.channels * layout.size;
   float* scale = grid.scale != nullptr ? blocked + layout.size : nullptr;
-  if (scale != nullptr) copy_plane(grid, grid.scale, tile, layout, 1, scale);
+  if (scale != nullptr) copy_to_tile(grid, grid.scale, tile, layout, 1, scale);
   float* shares = grid.repeats != nullptr ? blocked + 2 * layout.size : nullptr;
   if (shares != nullptr) {
-    copy_plane(grid, grid.repeats, tile, layout, 1, shares,
+    copy_to_tile(grid, grid.repeats, tile, layout, 1, shares,
                [](std::uint8_t repeats) { return 1 / static_cast<float>(repeats); });
     if (std::all_of(shares, shares + layout.size, [](float share) { return share == 1; })) shares = nullptr;
   }

@@ -30,8 +30,6 @@ struct TileScratch {
 };
 
 // Returns the number of samples in the kernels of the tile's owned cells.
-using SweepTile = std::int64_t (*)(const TileJob& job, const Tile& tile, TileScratch& scratch);
-
 BELTRAMI_DECLARE_VARIANTS(std::int64_t sweep_tile(const TileJob& job, const Tile& tile, TileScratch& scratch))
 
 }  // namespace beltrami::grid

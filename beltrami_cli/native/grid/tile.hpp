@@ -23,8 +23,8 @@ constexpr std::size_t plane_count = 2 * direction_count + coefficient_planes;
 // Two registers of centres alternate, so that neither waits for its square roots.
 constexpr std::size_t register_count = 2, centre_count = register_count * lane_count;
 
-struct Layout {
-  Layout(const Tile& tile, int window_radius)
+struct TileLayout {
+  TileLayout(const Tile& tile, int window_radius)
       : border(static_cast<std::size_t>(window_radius) + 1),
         rows(tile.rows + 2 * border),
         // Whole blocks of centres, and spare cells for the loads of the last lanes.
@@ -36,7 +36,7 @@ struct Layout {
 
 // Copies a plane of the grid to the tile and its border, converting each value; `fill` is the value outside the grid.
 template <class T, class Convert>
-void copy_plane(const Grid& grid, const T* plane, const Tile& tile, const Layout& layout, float fill, float* out,
+void copy_to_tile(const Grid& grid, const T* plane, const Tile& tile, const TileLayout& layout, float fill, float* out,
                 Convert convert) {
   std::fill(out, out + layout.size, fill);
   // Rectangle of the grid in the tile's planes.
@@ -50,27 +50,27 @@ void copy_plane(const Grid& grid, const T* plane, const Tile& tile, const Layout
   }
 }
 
-inline void copy_plane(const Grid& grid, const float* plane, const Tile& tile, const Layout& layout, float fill,
+inline void copy_to_tile(const Grid& grid, const float* plane, const Tile& tile, const TileLayout& layout, float fill,
                        float* out) {
-  copy_plane(grid, plane, tile, layout, fill, out, [](float value) { return value; });
+  copy_to_tile(grid, plane, tile, layout, fill, out, [](float value) { return value; });
 }
 
-inline void copy_planes(const Grid& grid, Planes planes, const Tile& tile, const Layout& layout, float* out) {
+inline void copy_to_tile(const Grid& grid, Planes planes, const Tile& tile, const TileLayout& layout, float* out) {
   for (std::size_t channel = 0; channel < planes.channels; ++channel)
-    copy_plane(grid, planes[channel], tile, layout, 0, out + channel * layout.size);
+    copy_to_tile(grid, planes[channel], tile, layout, 0, out + channel * layout.size);
 }
 
 // |dX|^2 + beta^2 |dI|^2 of every edge in the tile and its border; no_edge where there is none.
-inline void measure_edges(const TileJob& job, const Tile& tile, const Layout& layout, const float* metric,
+inline void measure_edges(const TileJob& job, const Tile& tile, const TileLayout& layout, const float* metric,
                    const float* scale, float* blocked, float* squared, float* lengths) {
   const Grid& grid = *job.grid;
   const float squared_beta = job.parameters->beta * job.parameters->beta;
-  copy_plane(grid, grid.kind, tile, layout, no_edge, blocked,
+  copy_to_tile(grid, grid.kind, tile, layout, no_edge, blocked,
              [](std::uint8_t kind) { return kind == empty ? no_edge : 0.0F; });
   const std::array<std::size_t, direction_count> steps{1, layout.columns, layout.columns + 1, layout.columns - 1};
   for (std::size_t direction = 0; direction < direction_count; ++direction) {
     float* __restrict total = squared + direction * layout.size;
-    copy_plane(grid, grid.squared_lengths[direction], tile, layout, no_edge, total);
+    copy_to_tile(grid, grid.squared_lengths[direction], tile, layout, no_edge, total);
     if (scale != nullptr)
       for (std::size_t i = 0; i < layout.size; ++i) total[i] *= scale[i];
     const std::size_t last = layout.size - steps[direction];
@@ -89,7 +89,7 @@ inline void measure_edges(const TileJob& job, const Tile& tile, const Layout& la
   }
 }
 
-inline void make_class(const Layout& layout, const float* squared, const StencilClass& stencil, float* out) {
+inline void make_class(const TileLayout& layout, const float* squared, const StencilClass& stencil, float* out) {
   const auto plane = [&](EdgePlace place) { return squared + place.plane * layout.size + layout.at(place.cell); };
   const float* to_diagonal = plane(edge_place({0, 0}, stencil.diagonal));
   const float* to_axis = plane(edge_place({0, 0}, stencil.axis));
@@ -115,7 +115,7 @@ inline void make_class(const Layout& layout, const float* squared, const Stencil
 // centres; computing them per centre would take as long as the updates.
 class Course {
  public:
-  Course(const std::vector<Target>& targets, const Layout& layout) {
+  Course(const std::vector<Target>& targets, const TileLayout& layout) {
     const auto place = [](int slot) { return slot * static_cast<std::ptrdiff_t>(centre_count); };
     const auto plane = [&](std::size_t index) { return static_cast<std::ptrdiff_t>(index * layout.size); };
     for (const Target& target : targets) {

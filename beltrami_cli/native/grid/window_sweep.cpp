@@ -11,9 +11,6 @@
 namespace beltrami::grid {
 namespace {
 
-// The planes of a tile, about 32 floats a cell, stay in the second-level cache (some 0.5 MB).
-constexpr std::size_t tile_rows = 32, tile_columns = 96;
-
 std::vector<Tile> cut_into_tiles(const Grid& grid) {
   std::vector<Tile> tiles;
   // A band of a canvas has rows without owned cells above, and its own rows are whole tiles.
@@ -32,41 +29,30 @@ std::vector<Tile> cut_into_tiles(const Grid& grid) {
   return tiles;
 }
 
-SweepTile choose_sweep() { return BELTRAMI_VARIANT_OF(sweep_tile, choose_instruction_set()); }
-
 int squared_length(Offset offset) { return offset.x * offset.x + offset.y * offset.y; }
 
-class Window {
- public:
-  explicit Window(int radius) : radius_(radius) {}
-  int slot(Offset offset) const { return (offset.y + radius_) * (2 * radius_ + 1) + offset.x + radius_; }
-
-  std::vector<Offset> rings() const {
-    std::vector<Offset> offsets;
-    for (int y = -radius_; y <= radius_; ++y)
-      for (int x = -radius_; x <= radius_; ++x)
-        if (x != 0 || y != 0) offsets.push_back({x, y});
-    std::stable_sort(offsets.begin(), offsets.end(),
-                     [](Offset a, Offset b) { return squared_length(a) < squared_length(b); });
-    return offsets;
-  }
-
- private:
-  int radius_;
-};
+std::vector<Offset> rings_of_window(int radius) {
+  std::vector<Offset> offsets;
+  for (int y = -radius; y <= radius; ++y)
+    for (int x = -radius; x <= radius; ++x)
+      if (x != 0 || y != 0) offsets.push_back({x, y});
+  std::stable_sort(offsets.begin(), offsets.end(),
+                   [](Offset a, Offset b) { return squared_length(a) < squared_length(b); });
+  return offsets;
+}
 
 template <class Usable>
-Target make_target(const Window& window, Offset offset, Usable usable) {
-  Target target{window.slot(offset), offset, {}, {}};
+Target make_target(int radius, Offset offset, Usable usable) {
+  const auto slot = [&](Offset at) { return (at.y + radius) * (2 * radius + 1) + at.x + radius; };
+  Target target{slot(offset), offset, {}, {}};
   for (const Offset step : neighbours)
     if (usable(offset + step)) {
       const auto [plane, cell] = edge_place(offset, step);
-      target.edges.push_back({window.slot(offset + step), plane, cell});
+      target.edges.push_back({slot(offset + step), plane, cell});
     }
   for (std::size_t i = 0; i < stencil_classes.size(); ++i) {
     const Offset axis = offset + stencil_classes[i].axis, diagonal = offset + stencil_classes[i].diagonal;
-    if (usable(axis) && usable(diagonal))
-      target.triangles.push_back({window.slot(axis), window.slot(diagonal), i});
+    if (usable(axis) && usable(diagonal)) target.triangles.push_back({slot(axis), slot(diagonal), i});
   }
   return target;
 }
@@ -82,11 +68,10 @@ void copy_planes(const Planes& planes, std::size_t cells, float* const* copies, 
 }
 
 WindowProgram make_window_program(int radius) {
-  const Window window(radius);
   WindowProgram program{radius, {}};
-  for (const Offset offset : window.rings()) {
+  for (const Offset offset : rings_of_window(radius)) {
     const auto nearer = [&](Offset other) { return squared_length(other) < squared_length(offset); };
-    program.targets.push_back(make_target(window, offset, nearer));
+    program.targets.push_back(make_target(radius, offset, nearer));
   }
   return program;
 }
@@ -95,7 +80,7 @@ std::int64_t smooth_by_sweeps(const Grid& grid, Planes metric, Planes colours, c
                               const WindowProgram& program, float* smoothed, unsigned threads, const Poll& poll) {
   copy_planes(colours, grid.cells(), planes_of(smoothed, grid, colours.channels).data(), threads);
   const auto tiles = cut_into_tiles(grid);
-  const SweepTile sweep = choose_sweep();
+  const auto sweep = BELTRAMI_VARIANT_OF(sweep_tile, choose_instruction_set());
   const TileJob job{&grid, metric, colours, &parameters, &program, smoothed};
   std::vector<TileScratch> scratch(std::max(1U, threads));
   std::vector<std::int64_t> samples(tiles.size());
@@ -113,7 +98,7 @@ void distances_by_sweeps(const Grid& grid, Planes metric, const SweepParameters&
   const std::size_t side = 2 * static_cast<std::size_t>(program.radius) + 1;
   TileScratch scratch;
   const TileJob job{&grid, metric, {nullptr, 0}, &parameters, &program, nullptr, distances};
-  choose_sweep()(job, {cell / grid.columns, cell % grid.columns, 1, 1}, scratch);
+  BELTRAMI_VARIANT_OF(sweep_tile, choose_instruction_set())(job, {cell / grid.columns, cell % grid.columns, 1, 1}, scratch);
   const float reach = std::min(parameters.radius, longest_radius);
   std::replace_if(distances, distances + side * side, [&](float distance) { return !(distance <= reach); },
                   std::numeric_limits<float>::infinity());

@@ -39,14 +39,15 @@ std::size_t rows_at_once(const Canvas& canvas, unsigned threads) {
   return 2 * ((tiles_per_thread * (threads - 1)) / of_colour + 1);
 }
 
-// Moves a band down to start at row `first`: rows in both positions keep their sums, new ones are zero.
+// Moves a band down to the rows [first, end): the last rows that it had become the first, and new ones are zero.
 void move_band(Band& band, const Canvas& canvas, std::size_t first, std::size_t end) {
-  const std::size_t columns = canvas.columns, kept = (std::max(first, band.first + band.rows) - first) * columns;
+  const std::size_t columns = canvas.columns, kept = std::max(first, band.first + band.rows) - first;
   for (std::vector<float>* sums : {&band.estimates, &band.weights}) {
     std::vector<float> moved(canvas.channels * (end - first) * columns, 0);
-    for (std::size_t channel = 0; channel < canvas.channels; ++channel)
-      std::copy_n(sums->end() - static_cast<std::ptrdiff_t>((canvas.channels - 1 - channel) * band.rows * columns + kept), kept,
-                  moved.begin() + static_cast<std::ptrdiff_t>(channel * (end - first) * columns));
+    for (std::size_t channel = 0; channel < canvas.channels; ++channel) {
+      const float* from = sums->data() + ((channel + 1) * band.rows - kept) * columns;
+      std::copy_n(from, kept * columns, moved.data() + channel * (end - first) * columns);
+    }
     *sums = std::move(moved);
   }
   band.first = first;

@@ -15,6 +15,15 @@
 namespace beltrami::points {
 namespace {
 
+// A neighbour relative to the point, which is the origin.
+struct Spoke {
+  double x, y;
+  Index point;
+  double squared_length() const { return x * x + y * y; }
+};
+
+double cross(const Spoke& a, const Spoke& b) { return a.x * b.y - a.y * b.x; }
+
 // Relative distance within which points count as on a circle: grids that are rotated and stored in single precision
 // remain grids.
 constexpr double on_circle = 3e-5;
@@ -67,8 +76,7 @@ std::vector<Spoke> distinct_directions(const std::vector<Spoke>& spokes) {
   return distinct;
 }
 
-}  // namespace
-
+// Square of the radius of the circle through the origin and both ends; infinite if these are in one line.
 double squared_circumradius(const Spoke& a, const Spoke& b) {
   const double area = 2 * cross(a, b);
   if (area == 0) return std::numeric_limits<double>::infinity();
@@ -76,6 +84,9 @@ double squared_circumradius(const Spoke& a, const Spoke& b) {
   return a.squared_length() / area * (b.squared_length() / area) * (dx * dx + dy * dy);
 }
 
+// Keeps the spokes that a Delaunay triangulation joins to the origin, anticlockwise. Several points on one empty
+// circle, which have no unique triangulation, are all kept. Spokes must not have length zero, and the first must be the
+// shortest. Takes O(k log k).
 void keep_delaunay_star(std::vector<Spoke>& spokes) {
   if (spokes.size() < 2) return;
   const std::vector<Spoke> around = distinct_directions(spokes);
@@ -88,8 +99,6 @@ void keep_delaunay_star(std::vector<Spoke>& spokes) {
   }
   spokes.pop_back();
 }
-
-namespace {
 
 constexpr std::size_t chunk = 1024;
 constexpr double infinity = std::numeric_limits<double>::infinity();

@@ -13,24 +13,6 @@
 namespace beltrami::points {
 
 using triangulated::Index;
-
-// A neighbour relative to the point, which is the origin.
-struct Spoke {
-  double x, y;
-  Index point;
-  double squared_length() const { return x * x + y * y; }
-};
-
-inline double cross(const Spoke& a, const Spoke& b) { return a.x * b.y - a.y * b.x; }
-
-// Square of the radius of the circle through the origin and both ends; infinite if these are in one line.
-double squared_circumradius(const Spoke& a, const Spoke& b);
-
-// Keeps the spokes that a Delaunay triangulation joins to the origin, anticlockwise. Several points on one empty
-// circle, which have no unique triangulation, are all kept. Spokes must not have length zero, and the first must be the
-// shortest. Takes O(k log k).
-void keep_delaunay_star(std::vector<Spoke>& spokes);
-
 using Triangle = std::array<Index, 3>;
 
 // The neighbours of some points.
