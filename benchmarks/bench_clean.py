@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 import beltrami_cli
-from beltrami_cli.formats.image import read_image
+from beltrami_cli.formats.image.reading import read_image
 from harness import arguments, psnr, show
 from pictures import pictures
 

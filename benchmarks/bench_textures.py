@@ -14,7 +14,7 @@ import numpy as np
 import beltrami_cli
 import textures
 from beltrami_cli.flow.beltrami_flow import smooth_in_place
-from beltrami_cli.formats.image import read_texture
+from beltrami_cli.formats.image.reading import read_texture
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.layers.texture_layer import TextureLayer
 from harness import SIGMA, arguments, show, smooth_apart

@@ -12,7 +12,7 @@ from scipy.ndimage import map_coordinates
 
 import beltrami_cli
 from beltrami_cli.errors import BeltramiError
-from beltrami_cli.formats.image import read_image
+from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.jobs.noise_kinds import NumberedSamples, add_grain, seen_by_camera
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.surface.records import Cells

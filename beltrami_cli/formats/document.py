@@ -32,7 +32,7 @@ from beltrami_cli.formats.access import DEFAULT_ACCESS, Access
 from beltrami_cli.formats.changes import NO_IMAGES, Changes, Naming, NewImages, PlannedImages, Written
 from beltrami_cli.formats.colours import BYTE, holds_bytes
 from beltrami_cli.formats.comparison import Fingerprint
-from beltrami_cli.formats.image import DecodedImage
+from beltrami_cli.formats.image.decoded_image import DecodedImage
 from beltrami_cli.formats.image.reading import KeptImage
 from beltrami_cli.formats.scene import Scene
 from beltrami_cli.formats.scene_surface import textured_surface

@@ -8,7 +8,8 @@ from typing import ClassVar, NoReturn
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.changes import Changes, Naming, Written
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import DecodedImage, read_image
+from beltrami_cli.formats.image.decoded_image import DecodedImage
+from beltrami_cli.formats.image.reading import read_image
 
 
 class ImageDocument(Document):

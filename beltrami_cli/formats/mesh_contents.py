@@ -138,7 +138,9 @@ def _with_maps(mesh: MeshContents, change: Callable[[MaterialMaps], MaterialMaps
 
 def with_suffixes(mesh: MeshContents, suffixes: Collection[str]) -> tuple[MeshContents, list[str]]:
     """Convert images with other suffixes to PNG; return also notices. No suffixes: any are kept."""
-    from beltrami_cli.formats.image import losses, read_image, write_image
+    from beltrami_cli.formats.image.conversion import losses
+    from beltrami_cli.formats.image.reading import read_image
+    from beltrami_cli.formats.image.writing import write_image
 
     new_of, notices = dict[MeshImage, MeshImage](), list[str]()
     for image in mesh.images:

@@ -11,7 +11,8 @@ import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import DecodedImage, read_texture
+from beltrami_cli.formats.image.decoded_image import DecodedImage
+from beltrami_cli.formats.image.reading import read_texture
 from beltrami_cli.formats.output_format import write_mesh
 from beltrami_cli.jobs.file_job import FileReport, begin
 from beltrami_cli.jobs.job import PLAIN_JOB, Job

@@ -20,8 +20,8 @@ from beltrami_cli.flow.manifolds.iteration import SampledKernel
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.decoded_image import new_image
+from beltrami_cli.formats.image.writing import write_image
 from beltrami_cli.formats.ply.writer import write_scalars_as_ply
 from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.job import PLAIN_JOB, Job

@@ -10,9 +10,10 @@ import numpy as np
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import DecodedImage, read_texture, without_alpha, write_image
-from beltrami_cli.formats.image.decoded_image import full_scale_one, new_image
+from beltrami_cli.formats.image.decoded_image import DecodedImage, full_scale_one, new_image, without_alpha
+from beltrami_cli.formats.image.reading import read_texture
 from beltrami_cli.formats.image.sizes import measure_image
+from beltrami_cli.formats.image.writing import write_image
 from beltrami_cli.jobs.progress import Progress
 from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.surface.baking import bake, interpolated, texels_for_vertices

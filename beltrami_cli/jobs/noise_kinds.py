@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
 from beltrami_cli.flow.parameters import Space
-from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.image.reading import read_image
+from beltrami_cli.formats.image.writing import write_image
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.colour_values import from_space, limits_of, to_space

@@ -7,9 +7,8 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.formats.image import DecodedImage
 from beltrami_cli.formats.image.channels import coloured_layers, colours_and_alpha, layers_of
-from beltrami_cli.formats.image.decoded_image import with_colours_of
+from beltrami_cli.formats.image.decoded_image import DecodedImage, with_colours_of
 from beltrami_cli.layers.settings import SmoothSettings
 
 COLOURS = ("red", "green", "blue", "grey")

@@ -17,8 +17,8 @@ from beltrami_cli.flow.manifolds.guides import Guide, centred
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import Access, is_there, read_source
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import DecodedImage, read_image, read_texture
-from beltrami_cli.formats.image.decoded_image import full_scale_one
+from beltrami_cli.formats.image.decoded_image import DecodedImage, full_scale_one
+from beltrami_cli.formats.image.reading import read_image, read_texture
 from beltrami_cli.formats.image.sizes import require_memory
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.layers.pixel_colours import PixelColours

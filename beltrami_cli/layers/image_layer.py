@@ -18,9 +18,11 @@ from beltrami_cli.flow.manifolds.grid_manifold import ColouredCanvas, GridManifo
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.plan import Plan
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import DecodedImage, is_exact, label_of
 from beltrami_cli.formats.image.conversion import upright
+from beltrami_cli.formats.image.decoded_image import DecodedImage
+from beltrami_cli.formats.image.file_formats import label_of
 from beltrami_cli.formats.image.jpeg_tables import read_jpeg_tables
+from beltrami_cli.formats.image.writing import is_exact
 from beltrami_cli.layers.channels import with_chosen_layer
 from beltrami_cli.layers.guides import noise_of_pixels, read_guide_images
 from beltrami_cli.layers.image_surface import ImageSurface, canvas_of_image, read_surface

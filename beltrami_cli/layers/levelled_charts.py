@@ -11,7 +11,7 @@ import numpy as np
 from beltrami_cli.arrays import Bools, Float32s, Int64s
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import DecodedImage
+from beltrami_cli.formats.image.decoded_image import DecodedImage
 from beltrami_cli.layers.reports import LevelReport
 from beltrami_cli.layers.settings import LevelSettings
 from beltrami_cli.levelling.correction import Levelled, level_canvas_in_place, level_mesh

@@ -11,8 +11,8 @@ import numpy as np
 from beltrami_cli.arrays import Array, Bools, Float32s, Indices, Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.parameters import Space
-from beltrami_cli.formats.image import DecodedImage
 from beltrami_cli.formats.image.decoded_image import (
+    DecodedImage,
     full_scale_one,
     is_associated,
     require_colours,

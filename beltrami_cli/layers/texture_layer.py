@@ -22,8 +22,9 @@ from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.plan import Plan
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import DecodedImage, read_texture
+from beltrami_cli.formats.image.decoded_image import DecodedImage
 from beltrami_cli.formats.image.jpeg_tables import JpegTables, read_jpeg_tables
+from beltrami_cli.formats.image.reading import read_texture
 from beltrami_cli.layers.guides import GuidedTexels, noise_of_pixels
 from beltrami_cli.layers.layer import Part
 from beltrami_cli.layers.pixel_colours import PixelColours

@@ -8,7 +8,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Int64s
 from beltrami_cli.formats.colours import BYTE, INTEGER_SCALES, holds_bytes
-from beltrami_cli.formats.image import DecodedImage
+from beltrami_cli.formats.image.decoded_image import DecodedImage
 from beltrami_cli.surface.records import ColouredVertices
 
 # Number of samples for the quantiles of a unit: the 0.99 quantile is between those of 0.9892 and 0.9908 in 95 of 100

@@ -13,9 +13,9 @@ from beltrami_cli.arrays import Uint8s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import require_effect
 from beltrami_cli.formats.changes import Written
-from beltrami_cli.formats.image import check_writable, format_of_suffix, write_image
 from beltrami_cli.formats.image.decoded_image import new_image
-from beltrami_cli.formats.image.file_formats import FORMATS
+from beltrami_cli.formats.image.file_formats import FORMATS, format_of_suffix
+from beltrami_cli.formats.image.writing import check_writable, write_image
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.view.drawing.image_view import ImageView

@@ -3,7 +3,7 @@
 import numpy as np
 
 from beltrami_cli.formats.gltf.writer import write_glb
-from beltrami_cli.formats.image import read_image
+from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.ply.writer import write_ply
 from beltrami_cli.surface.records import MeshContents
 from formats.image_files import encode

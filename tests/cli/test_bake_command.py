@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from beltrami_cli.formats.image import read_image, write_image
 from beltrami_cli.formats.image.decoded_image import new_image
+from beltrami_cli.formats.image.reading import read_image
+from beltrami_cli.formats.image.writing import write_image
 from beltrami_cli.formats.registry import open_document
 from cli.commands import SAMPLES, beltrami, copy_samples
 from cli.pictures import coloured_file

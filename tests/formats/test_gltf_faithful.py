@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, missing_package
+from beltrami_cli.formats.image.writing import write_image
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
 from beltrami_cli.surface.records import SLOTS

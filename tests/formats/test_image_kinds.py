@@ -13,9 +13,12 @@ from PIL import Image, ImageCms
 
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.formats.image import check_writable, extra_codecs, losses, read_image, write_image
+from beltrami_cli.formats.image import extra_codecs
+from beltrami_cli.formats.image.conversion import losses
 from beltrami_cli.formats.image.decoded_image import new_image
+from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.image.sizes import measure_image
+from beltrami_cli.formats.image.writing import check_writable, write_image
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.smooth import smooth_file

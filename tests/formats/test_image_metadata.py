@@ -10,8 +10,9 @@ import OpenImageIO
 import pytest
 from PIL import Image
 
-from beltrami_cli.formats.image import read_image, write_image
 from beltrami_cli.formats.image.metadata import carry_over
+from beltrami_cli.formats.image.reading import read_image
+from beltrami_cli.formats.image.writing import write_image
 from formats.image_files import (
     SUFFIXES,
     bitmap,

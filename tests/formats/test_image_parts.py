@@ -16,9 +16,11 @@ from PIL import Image
 
 from beltrami_cli import smooth_file
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.image import losses, read_image, write_image
+from beltrami_cli.formats.image.conversion import losses
 from beltrami_cli.formats.image.jpeg_tables import read_jpeg_tables
+from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.image.sizes import measure_image
+from beltrami_cli.formats.image.writing import write_image
 from beltrami_cli.surface.colour_values import srgb_to_linear
 from cli.commands import beltrami
 from formats.image_files import encode, jpeg_segment, phantom, saved

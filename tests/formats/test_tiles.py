@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.flow.parameters import parameters_with
-from beltrami_cli.formats.image import read_image
+from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.formats.tile_names import found_tiles, tile_name
 from beltrami_cli.jobs.check import check_files

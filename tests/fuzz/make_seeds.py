@@ -15,8 +15,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from beltrami_cli.batch.item import Outcome
-from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.decoded_image import new_image
+from beltrami_cli.formats.image.writing import write_image
 from beltrami_cli.formats.usd.package import packed as as_package
 from formats.gltf_comparison import with_better_image
 from formats.gltf_compressed import GRID, draco_model, meshopt_model

@@ -10,7 +10,7 @@ import pytest
 
 from batch.batches import without_workers
 from beltrami_cli.cli.outputs import is_report
-from beltrami_cli.formats.image import read_image
+from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.jobs.compare.maps import is_map
 from beltrami_cli.view import before_after
 from beltrami_cli.view.before_after import is_preview

@@ -5,7 +5,7 @@ import pytest
 
 from beltrami_cli.cli.console import printable
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.image import read_image
+from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.smooth import smooth_file
 from cli.commands import beltrami

@@ -7,7 +7,7 @@ import pytest
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.formats.image import read_image
+from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.registry import open_bytes, open_document
 from beltrami_cli.jobs.bake import bake_file
 from beltrami_cli.jobs.check import check_files

@@ -5,7 +5,7 @@ import pytest
 
 import beltrami_cli
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.formats.image import read_image
+from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
 from formats.image_files import encode
 from small_models import textured_squares

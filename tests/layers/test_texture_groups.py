@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli.flow.parameters import KernelParameters, parameters_with
-from beltrami_cli.formats.image import read_image
+from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.jobs.inspect import inspect_file
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file

@@ -8,8 +8,9 @@ import numpy as np
 
 from beltrami_cli.flow.beltrami_flow import smooth_in_place
 from beltrami_cli.flow.manifolds.canvas import canvas_colours, on_canvas
-from beltrami_cli.formats.image import read_image, write_image
 from beltrami_cli.formats.image.decoded_image import new_image
+from beltrami_cli.formats.image.reading import read_image
+from beltrami_cli.formats.image.writing import write_image
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.smoothing import unsmoothed
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings, TextureSettings

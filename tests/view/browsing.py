@@ -6,7 +6,7 @@ import subprocess
 
 import pytest
 
-from beltrami_cli.formats.image import read_image
+from beltrami_cli.formats.image.reading import read_image
 from cli.commands import COMMAND
 
 RED, BLUE, WHITE = (255, 0, 0), (0, 0, 255), (255, 255, 255)

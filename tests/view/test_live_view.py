@@ -10,7 +10,7 @@ import time
 import numpy as np
 import pytest
 
-from beltrami_cli.formats.image import read_image
+from beltrami_cli.formats.image.reading import read_image
 from cli.commands import COMMAND, SAMPLES, beltrami
 from cli.pictures import textured_square
 from view.browsing import Served, Viewer

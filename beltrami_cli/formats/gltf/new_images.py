@@ -30,8 +30,9 @@ from beltrami_cli.formats.gltf.images import (
 from beltrami_cli.formats.gltf.materials import SLOT_PATHS
 from beltrami_cli.formats.gltf.references import image_uses, objects, objects_within, texture_infos
 from beltrami_cli.formats.gltf.uris import data_uri, is_data
-from beltrami_cli.formats.image import read_image, write_image
 from beltrami_cli.formats.image.file_formats import suffix_for
+from beltrami_cli.formats.image.reading import read_image
+from beltrami_cli.formats.image.writing import write_image
 from beltrami_cli.formats.model_folder import UnfitReferenceError
 from beltrami_cli.formats.new_files import stale_use_notice
 from beltrami_cli.surface.records import ImageFile, PlannedImage, Slot

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from beltrami_cli.arrays import Float64s, Int64s
-from beltrami_cli.formats.image import read_image
+from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.obj.materials import BASE_COLOUR_ALIASES, SLOTS, Map, Materials
 from beltrami_cli.formats.obj.statements import Statements
 from beltrami_cli.formats.obj.vertices import Scan, unit_normals

@@ -11,8 +11,8 @@ from beltrami_cli.arrays import Float64s, Uint8s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.decoded_image import new_image
+from beltrami_cli.formats.image.writing import write_image
 from beltrami_cli.formats.ply.writer import write_scalars_as_ply
 from beltrami_cli.jobs.compare.figures import ComparedPart, Measured
 from beltrami_cli.jobs.writing.output import Output, Overwrite

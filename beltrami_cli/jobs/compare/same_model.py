@@ -9,7 +9,7 @@ import numpy as np
 from beltrami_cli.arrays import Float64s, Int32s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import DecodedImage
+from beltrami_cli.formats.image.decoded_image import DecodedImage
 from beltrami_cli.layers.selection import Selection
 from beltrami_cli.surface.records import ColouredVertices, Texture, TexturedSurface
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Float64s, Uint8s
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import read_texture
+from beltrami_cli.formats.image.reading import read_texture
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.records import Slot
 from beltrami_cli.view.light import displayed_colours, displayed_pixels

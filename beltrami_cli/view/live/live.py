@@ -20,7 +20,7 @@ from beltrami_cli.errors import BeltramiError, UsageError
 from beltrami_cli.fields import override
 from beltrami_cli.flow.parameters import TUNABLE
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import WRITABLE
+from beltrami_cli.formats.image.file_formats import WRITABLE
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
 from beltrami_cli.jobs.file_job import FileReport, open_input
 from beltrami_cli.jobs.job import Job

@@ -16,8 +16,8 @@ from beltrami_cli.flow.beltrami_flow import smooth_in_place
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import read_texture
 from beltrami_cli.formats.image.jpeg_tables import CODED_TOGETHER
+from beltrami_cli.formats.image.reading import read_texture
 from beltrami_cli.jobs.smoothing import smooth_layer
 from beltrami_cli.layers.grid_layer import GridLayer
 from beltrami_cli.layers.image_layer import ImageLayer

@@ -9,8 +9,8 @@ from PIL import Image
 
 from beltrami_cli.arrays import Uint8s
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import DecodedImage, read_texture
-from beltrami_cli.formats.image.reading import read_image
+from beltrami_cli.formats.image.decoded_image import DecodedImage
+from beltrami_cli.formats.image.reading import read_image, read_texture
 from beltrami_cli.layers.settings import COLOUR_SLOTS
 from beltrami_cli.surface.records import Slot, Texture
 from beltrami_cli.view.light import displayed_pixels

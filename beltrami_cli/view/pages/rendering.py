@@ -15,8 +15,8 @@ from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
 from beltrami_cli.arrays import Array, Uint8s
-from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.decoded_image import new_image
+from beltrami_cli.formats.image.writing import write_image
 
 PAGES = (".html", ".htm")
 """Extensions of pages."""
