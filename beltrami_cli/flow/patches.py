@@ -32,7 +32,8 @@ import numpy as np
 
 from beltrami_cli._native import blend_residual, blend_share_within, blend_terms
 from beltrami_cli.arrays import Array, Float32s, Float64s
-from beltrami_cli.flow.corrections.clipping import ClippedChannels, normal_tables
+from beltrami_cli.flow.corrections.clipping import ClippedChannels
+from beltrami_cli.flow.corrections.normal_tables import normal_tables
 from beltrami_cli.flow.manifolds.blocks import block_rows, for_blocks, in_blocks, in_parallel
 from beltrami_cli.flow.manifolds.domain import CoarseLevel, Domain, Stack
 from beltrami_cli.flow.manifolds.iteration import Averaged

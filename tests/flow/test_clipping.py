@@ -7,7 +7,8 @@ import pytest
 from scipy import stats
 
 from beltrami_cli import smooth, smooth_image
-from beltrami_cli.flow.corrections.clipping import ClippedChannels, find_clipped, variance_of_clipped
+from beltrami_cli.flow.corrections.clipping import ClippedChannels, find_clipped
+from beltrami_cli.flow.corrections.normal_tables import variance_of_clipped
 from oracles import surfaces
 
 SIGMA = 0.08

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from beltrami_cli import _native, smooth, smooth_image
-from beltrami_cli.flow.corrections.clipping import ClippedChannels, normal_tables
+from beltrami_cli.flow.corrections.clipping import ClippedChannels
+from beltrami_cli.flow.corrections.normal_tables import normal_tables
 from beltrami_cli.flow.parameters import PRESETS
 from oracles import surfaces
 from oracles.pictures import flat_areas, line_art, photograph, psnr, with_noise

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s
-from beltrami_cli.flow.corrections.clipping import variance_of_clipped
+from beltrami_cli.flow.corrections.normal_tables import variance_of_clipped
 from beltrami_cli.flow.manifolds.iteration import Step
 from beltrami_cli.flow.manifolds.manifold import SampleTrial
 from beltrami_cli.flow.noise.stabiliser import VarianceStabiliser

@@ -1,9 +1,9 @@
 """Averages of colours whose noise was clipped at 0 and at full scale.
 
 Where a surface is white, noise can only darken it: what would be brighter than full scale is stored as full scale. An
-average over such samples is too dark, by up to 0.4 standard deviations of the noise, however many samples it has. But
-the share of the samples at the limit shows how close the true colour is to it: samples are a normal variable censored
-at the limit, with known mean and share.
+average over such samples is too dark, by up to 0.4 standard deviations of the noise, however many samples it has [2]_.
+But the share of the samples at the limit shows how close the true colour is to it: samples are a normal variable
+censored at the limit, with known mean and share.
 
 With alpha = (limit - true) / sigma, the share at the limit is 1 - Phi(alpha), and the mean lies below the limit by
 sigma (alpha Phi(alpha) + phi(alpha)) [1]_. The share gives alpha, and the gap between limit and mean the local sigma.
@@ -20,13 +20,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache
-from statistics import NormalDist
-from typing import ClassVar
 
 import numpy as np
 
+from beltrami_cli._native import impute_cut_off, restore_cut_off
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s
+from beltrami_cli.flow.corrections.normal_tables import censored_normal, normal_tables
 from beltrami_cli.flow.manifolds.blocks import block_rows, for_blocks
 from beltrami_cli.flow.manifolds.domain import Stack
 from beltrami_cli.flow.manifolds.manifold import Manifold
@@ -43,10 +42,6 @@ _MAX_LOCAL_NOISE = 1.2
 
 # Standard deviations that contain nearly all of the noise.
 _NOISE_EXTENT = 3.0
-
-# Lengths of the tables: over the share of samples at a limit, up to one half; over limits, for a quarter of their
-# range.
-_TABLE = 1024
 
 # Smaller than the share of any sample in a mean of its neighbourhood.
 MIN_SHARE = 1e-6
@@ -66,16 +61,19 @@ class ClippedChannels:
         return [k for k, (low, high) in enumerate(zip(self.low, self.high, strict=True)) if low or high]
 
     def sides(self) -> Iterator[tuple[int, ClippedChannels]]:
-        """Yield each channel with each of its limits, as if it were the only one."""
+        """Yield the number of each channel, and its clipping at each of its limits alone."""
         for k, sides in enumerate(zip(self.low, self.high, strict=True)):
             for low, high in ((sides[0], False), (False, sides[1])):
                 if low or high:
                     yield k, ClippedChannels((low,), (high,), self.sigma[k : k + 1])
 
-    def near_limit(self, channel: Float32s, relative: Float32s) -> Bools:
-        """Mark samples of the only channel, shape (1, ...), that noise may have moved to the limit."""
-        reach = np.float32(_NOISE_EXTENT) * (np.float32(self.sigma[0]) * np.sqrt(relative))
-        return channel < reach if self.low[0] else channel > 1 - reach
+    def near_limit(self, channels: Float32s, relative: Float32s) -> Bools:
+        """Mark samples that noise may have moved to a limit."""
+        low, high, sigma = (
+            np.reshape(each, (-1, *[1] * (channels.ndim - 1))) for each in (self.low, self.high, self.sigma)
+        )
+        reach = np.float32(_NOISE_EXTENT) * (sigma.astype(np.float32) * np.sqrt(relative))
+        return np.asarray((low & (channels < reach)) | (high & (channels > 1 - reach)))
 
     def mark(self, channels: Float32s, marks: Float32s) -> None:
         """Mark samples at a limit, to be averaged like colours, by 1, 0 or -1; shape (clipped channels, ...)."""
@@ -88,9 +86,7 @@ class ClippedChannels:
         self, channels: Float32s, marks: Float32s, relative: Float32s, threads: int = 1
     ) -> None:
         """Turn averages of clipped colours into estimates of the noise-free colours."""
-        from beltrami_cli._native import restore_cut_off
-
-        table, relative = _censored_normal(), np.broadcast_to(relative, (1, *channels.shape[1:]))
+        table, relative = censored_normal(), np.broadcast_to(relative, (1, *channels.shape[1:]))
         tables = table.share, table.alpha, table.gap
         for mark, k in enumerate(self.clipped):
             channel, share = channels[k : k + 1], marks[mark : mark + 1]
@@ -100,8 +96,6 @@ class ClippedChannels:
         self, channels: Float32s, pilot: Float32s, relative: Float32s, threads: int = 1
     ) -> None:
         """Replace samples at a limit by the mean of noise beyond it, given the pilot."""
-        from beltrami_cli._native import impute_cut_off
-
         tables, relative = normal_tables(), np.broadcast_to(relative, (1, *channels.shape[1:]))
         for k in self.clipped:
             channel, around = channels[k : k + 1], pilot[k : k + 1]
@@ -194,74 +188,3 @@ def _impute_side_in_place(
         means[1:] /= np.maximum(means[:1], MIN_SHARE)
         side.restore_in_place(means[1:2], means[2:], variance, threads)
         side.impute_in_place(channel[:, rows], means[1:2], variance, threads)
-
-
-def variance_of_clipped(share: Float64s) -> Float64s:
-    """Return the variance of unit noise after clipping [1]_, given the share of samples at the limit."""
-    table = _censored_normal()
-    variance: Float64s = np.interp(share, table.share, table.variance)
-    return variance
-
-
-@dataclass(frozen=True)
-class _CensoredNormal:
-    """Statistics of a unit normal variable censored at a limit, by the share of samples at the limit."""
-
-    share: Float64s  # ascending from 0 to 1
-    alpha: Float64s  # distance from the mean before censoring to the limit
-    gap: Float64s  # distance from the mean after censoring to the limit
-    variance: Float64s  # after censoring
-
-
-@cache
-def _censored_normal() -> _CensoredNormal:
-    # SciPy has these functions, but importing it takes longer than smoothing a small mesh.
-    normal = NormalDist()
-    share = np.linspace(0, 1, 2 * _TABLE - 1)
-    # For shares of 0 and 1 alpha is unbounded; the values in the table there do not affect the mean.
-    least = share[1] / 100
-    inside = np.clip(share, least, 1 - least)
-    alpha = -np.array([normal.inv_cdf(part) for part in inside])
-    density = np.exp(-(alpha**2) / 2) / np.sqrt(2 * np.pi)
-    gap = alpha * (1 - inside) + density
-    variance = 1 - inside - alpha * density + alpha**2 * inside - (alpha - gap) ** 2
-    variance[[0, -1]] = 1, 0
-    return _CensoredNormal(share, alpha, gap, variance)
-
-
-@dataclass(frozen=True)
-class NormalTables:
-    """Functions of a limit a for a unit normal variable z, at even steps from `-furthest` to `furthest`."""
-
-    furthest: ClassVar[float] = 8.0
-    lost: Float32s  # E max(z - a, 0)
-    share: Float32s  # P(z > a)
-    beyond: Float64s  # E[z | z > a]
-
-    @property
-    def limits(self) -> Float64s:
-        """The limits a of the table entries."""
-        return np.linspace(-self.furthest, self.furthest, len(self.lost))
-
-    def clipping_bias(self, colours: Float32s, sigma: float) -> Float32s:
-        """Return the difference between colours and the mean of their noisy values clipped to [0, 1]."""
-        low, high = (self._lost_at(gap / np.float32(sigma)) for gap in (colours, 1 - colours))
-        return (high - low) * np.float32(sigma)
-
-    def _lost_at(self, a: Float32s) -> Float32s:
-        from beltrami_cli._native import interpolate
-
-        values = np.ravel(a).astype(np.float32)
-        interpolate(values, self.limits, self.lost.astype(np.float64))
-        return values.reshape(a.shape)
-
-
-@cache
-def normal_tables() -> NormalTables:
-    from math import erfc, sqrt
-
-    limits = np.linspace(-NormalTables.furthest, NormalTables.furthest, 4 * _TABLE + 1)
-    share = np.array([erfc(limit / sqrt(2)) / 2 for limit in limits])
-    density = np.exp(-(limits**2) / 2) / np.sqrt(2 * np.pi)
-    lost = density - limits * share
-    return NormalTables(lost.astype(np.float32), share.astype(np.float32), density / share)

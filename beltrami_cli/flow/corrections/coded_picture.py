@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s
-from beltrami_cli.flow.corrections.clipping import normal_tables
+from beltrami_cli.flow.corrections.normal_tables import normal_tables
 from beltrami_cli.surface import large_arrays
 
 # Luma and the two chroma channels of red, green and blue (JFIF).
