@@ -26,7 +26,8 @@ def outcome(job, mebibytes):
         resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 """
 CODEC = """
-from beltrami_cli.formats.image import read_image, write_image
+from beltrami_cli.formats.image.reading import read_image
+from beltrami_cli.formats.image.writing import write_image
 from beltrami_cli.formats.image.decoded_image import new_image
 slopes = np.linspace(0, 255, 1024 * 1024 * 4).reshape(1024, 1024, 4).astype(np.uint8)
 def encoded(pixels):
