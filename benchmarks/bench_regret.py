@@ -71,7 +71,8 @@ def main():
     means = [float(np.mean([losses[kind] for kind in some])) if some else np.nan for some in (noisy, clean)]
     means.append(NOISY_SHARE * means[0] + (1 - NOISY_SHARE) * means[1])
     for name, lost, some in zip(("noisy", "clean", "all"), means, (noisy, clean, judged), strict=True):
-        rows.append((name, lost, *figures([each for kind in some for each in judged[kind]])))
+        if not np.isnan(lost):
+            rows.append((name, lost, *figures([each for kind in some for each in judged[kind]])))
     show(rows, options, ("kind", "dB lost", "worst", "not found", "intervals hold"))
 
 

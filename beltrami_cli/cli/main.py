@@ -123,20 +123,25 @@ def _run() -> int:
         return _failure(error.exit_code, str(error))
     except MemoryError:
         return _failure(1, "there is not enough memory; use a smaller mesh or a machine with more")
-    except Exception as error:  # the last resort: even a mistake of ours ends in one line
-        if Interruption.last is not None:
-            return _failure(Interruption.last.exit_code, _INTERRUPTED)
-        if _wants_traceback():
-            traceback.print_exc()
-        try:
-            os.getcwd()  # noqa: PTH109
-        except OSError:
-            return _failure(InputError.exit_code, "the working folder was removed; change to one that exists")
-        if isinstance(error, OSError) and isinstance(error.filename, str | bytes):
-            cause = f"cannot be used ({error.strerror})"
-            return _failure(InputError.exit_code, str(InputError(os.fsdecode(error.filename), cause)))
-        cause = " ".join(f"{type(error).__name__}: {error}".split())
-        return _failure(1, f"unexpected error: {cause}; run again with -vv and report it")
+    except Exception as error:
+        return _unexpected(error)
+
+
+def _unexpected(error: Exception) -> int:
+    """Print an error of a kind that no module handles, in one line as well; return the exit code."""
+    if Interruption.last is not None:
+        return _failure(Interruption.last.exit_code, _INTERRUPTED)
+    if _wants_traceback():
+        traceback.print_exc()
+    try:
+        os.getcwd()  # noqa: PTH109
+    except OSError:
+        return _failure(InputError.exit_code, "the working folder was removed; change to one that exists")
+    if isinstance(error, OSError) and isinstance(error.filename, str | bytes):
+        cause = f"cannot be used ({error.strerror})"
+        return _failure(InputError.exit_code, str(InputError(os.fsdecode(error.filename), cause)))
+    cause = " ".join(f"{type(error).__name__}: {error}".split())
+    return _failure(1, f"unexpected error: {cause}; run again with -vv and report it")
 
 
 def _wants_traceback() -> bool:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sized
 from typing import Any
 
 from beltrami_cli.quantities import show_amount
-from beltrami_cli.view.words import choice_in_words, reading_in_words
+from beltrami_cli.view.noise_in_words import choice_in_words, reading_in_words
 
 _LABELS = {"pitch": "distance of neighbouring samples", "patches": "share from similar patches"}
 NO_AREA = "no face has an area"

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from beltrami_cli.quantities import show_amount
-from beltrami_cli.view.words import noise_in_words, psnr_in_words
+from beltrami_cli.view.noise_in_words import noise_in_words, psnr_in_words
 
 # Kernel parameters that are shown even if they have their defaults.
 _ALWAYS_SHOWN = ("iterations", "t", "beta", "beta_growth", "metric_steps", "space")

@@ -13,7 +13,7 @@ from beltrami_cli.flow.noise.model import Reading
 from beltrami_cli.flow.noise.size import sizes_of
 from beltrami_cli.layers.reports import describe_reading
 from beltrami_cli.quantities import show_amount
-from beltrami_cli.view.words import noise_in_words, noise_of
+from beltrami_cli.view.noise_in_words import noise_in_words, noise_of
 from cli.commands import SAMPLES, beltrami, colours_in
 from formats.image_files import encode
 from oracles.pictures import photograph

@@ -73,8 +73,7 @@ def test_moved_vertices_go_back_on_every_page():
         )
         for shown in (vertices, replace(vertices, positions=vertices.positions + 0.1))
     )
-    layer = LayerView(still, None)
-    layer.add_to(ModelWriter(is_live=True))
+    layer = LayerView(still, None, ModelWriter(is_live=True))
     layer.whole(moved)
     for _ in range(2):  # two pages
         (update,) = layer.whole(still)

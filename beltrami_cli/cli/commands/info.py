@@ -18,7 +18,7 @@ from beltrami_cli.flow.noise_amount import noise_size
 from beltrami_cli.formats.access import is_url
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.quantities import show_amount
-from beltrami_cli.view.words import (
+from beltrami_cli.view.noise_in_words import (
     advice_in_words,
     choice_in_words,
     doubt_in_words,

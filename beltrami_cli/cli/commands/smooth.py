@@ -14,7 +14,7 @@ from beltrami_cli.cli.console import Messages
 from beltrami_cli.cli.phrases import NO_AREA, counted, lines_on, outliers_in_words, output_name
 from beltrami_cli.flow.noise_amount import noise_size
 from beltrami_cli.quantities import show_amount, show_size
-from beltrami_cli.view.words import advice_in_words, doubt_in_words, noise_of, reason_in_words
+from beltrami_cli.view.noise_in_words import advice_in_words, doubt_in_words, noise_of, reason_in_words
 
 if TYPE_CHECKING:
     from beltrami_cli.flow.given_noise import GivenNoise

@@ -16,20 +16,23 @@ from beltrami_cli.surface.records import Slot
 from beltrami_cli.view.light import displayed_colours, displayed_pixels
 from beltrami_cli.view.live.previews import Focus, Steps, Update, previewer_of
 from beltrami_cli.view.pages.images import image_of, textures_of
-from beltrami_cli.view.pages.models import ModelWriter, Placement
+from beltrami_cli.view.pages.models import ModelWriter
 from beltrami_cli.view.pages.rendering import packed_array
 
 _COMPRESSION_LEVEL = 1  # of zlib
 
 
 class LayerView:
-    """The textures of a `slot`, or (None) vertices or pixels: the layer of a `number` on all open pages."""
+    """The textures of a `slot`, or (None) vertices or pixels: the layer of a `number` on all open pages.
 
-    def __init__(self, document: Document, slot: Slot | None, number: int = 0) -> None:
+    It is added to the model of the page, with equal colours before and after.
+    """
+
+    def __init__(self, document: Document, slot: Slot | None, writer: ModelWriter, number: int = 0) -> None:
         self.slot, self._document, self._number = slot, document, number
         self._previewer = previewer_of(document, slot)
         self._is_image = document.kind == "image"
-        self._placement: Placement | None = None  # in the model of the page; None: an image
+        self._placement = writer.add((document, document), slot)
         self._can_move = False  # whether vertices have moved, on any page
         # Pixels sent last, by texture, if they differ from the document.
         self._shown: dict[int, Uint8s] = {}
@@ -37,10 +40,6 @@ class LayerView:
     @cached_property
     def _positions(self) -> Float64s:
         return self._document.coloured_vertices().positions
-
-    def add_to(self, writer: ModelWriter) -> None:
-        """Add the part to a model for the viewer, with equal colours before and after."""
-        self._placement = writer.add((self._document, self._document), self.slot)
 
     def preview(
         self, settings: SmoothSettings, focus: Focus, budget: int, progress: Steps | None

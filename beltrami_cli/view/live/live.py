@@ -37,11 +37,11 @@ from beltrami_cli.view.live.controls import CONTROLS, SLIDERS, plain_settings, s
 from beltrami_cli.view.live.layer_view import LayerView
 from beltrami_cli.view.live.previews import Focus, obstacle_to
 from beltrami_cli.view.live.server import GoneError, MalformedError, PageRequest
+from beltrami_cli.view.noise_in_words import noise_of
 from beltrami_cli.view.pages.models import ModelWriter
 from beltrami_cli.view.pages.rendering import page_with_models, rendered
 from beltrami_cli.view.parameter_tables import used_parameters
 from beltrami_cli.view.settings import RenderSettings
-from beltrami_cli.view.words import noise_of
 
 Command = Callable[[SmoothSettings, str], str]
 Value = TypeVar("Value")
@@ -81,14 +81,12 @@ class Live:
         slots: list[Slot | None] = [*self._document.slots()] if self._document.kind != "image" else [None]
         if slots != [None] and self._document.has_vertex_colours():
             slots.append(None)
-        self._layers = [LayerView(self._document, slot, number) for number, slot in enumerate(slots)]
+        writer = ModelWriter(is_live=True)
+        self._layers = [LayerView(self._document, slot, writer, number) for number, slot in enumerate(slots)]
         self._rates = {"": _FIRST_RATE, _WITH_PATCHES: _FIRST_RATE / 5}
         # The values chosen last, by strength and noise.
         self._chosen: dict[tuple[float, str | None], dict[str, float]] = {}
         self._previewing, self._smoothing, self._saving = (threading.Lock() for _ in range(3))
-        writer = ModelWriter(is_live=True)
-        for layer in self._layers:
-            layer.add_to(writer)
         self.files = {
             "": ("text/html; charset=utf-8", self._html(settings)),
             "model.glb": ("model/gltf-binary", writer.glb(_BRIGHTEST_CHANGE)),

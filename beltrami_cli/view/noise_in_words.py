@@ -1,4 +1,4 @@
-"""Descriptions of noise and results in words, shared by messages, `info`, reports and the live view."""
+"""Noise, and the parameters chosen for it, in words that are shared by messages, `info`, reports and the live view."""
 
 from __future__ import annotations
 
