@@ -17,9 +17,9 @@ from beltrami_cli.formats.output_format import write_mesh
 from beltrami_cli.jobs.file_job import FileReport, begin
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.new_texture import as_rgba, texture_description, texture_from_vertices
-from beltrami_cli.jobs.settings import BakeSettings
+from beltrami_cli.jobs.settings import BakeSettings, BakeTo
 from beltrami_cli.layers.selection import Selection
-from beltrami_cli.layers.settings import DEFAULTS, BakeTo
+from beltrami_cli.layers.settings import DEFAULTS
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.surface.grouping import group_equal_rows, group_places
 from beltrami_cli.surface.lookups import look_up, noise_around

@@ -13,6 +13,7 @@ from beltrami_cli.fields import Checked, described, parameter
 from beltrami_cli.quantities import amount_in, share_in, unambiguous_amount_in
 
 _SMALLEST_SIDE, _LARGEST_SIDE = 16, 16384  # of a texture: less is of no use, graphics cards take no more
+BakeTo = Literal["texture", "vertices"]
 Kind = Literal["gaussian", "salt-pepper", "speckle", "poisson", "white", "camera", "grain", "jpeg"]
 _WITHOUT_SIGMA = ("camera", "jpeg")
 _OF_ONE_KIND = {"shot": "camera", "read": "camera", "grain_size": "grain", "quality": "jpeg"}

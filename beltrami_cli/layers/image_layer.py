@@ -24,12 +24,13 @@ from beltrami_cli.formats.image.file_formats import label_of
 from beltrami_cli.formats.image.jpeg_tables import read_jpeg_tables
 from beltrami_cli.formats.image.writing import is_exact
 from beltrami_cli.layers.channels import with_chosen_layer
-from beltrami_cli.layers.guides import noise_of_pixels, read_guide_images
+from beltrami_cli.layers.guides import read_guide_images
 from beltrami_cli.layers.image_surface import ImageSurface, canvas_of_image, read_surface
 from beltrami_cli.layers.layer import Part
 from beltrami_cli.layers.pixel_colours import PixelColours
 from beltrami_cli.layers.pixel_layer import PixelLayer
 from beltrami_cli.layers.reports import ImageReport
+from beltrami_cli.layers.sample_files import noise_of_pixels
 from beltrami_cli.layers.settings import SmoothSettings, binding_parameters
 from beltrami_cli.layers.storing import StoredColours, rewritten
 from beltrami_cli.surface.records import Cells
@@ -66,9 +67,9 @@ class ImageLayer(PixelLayer):
         remarks = [*surface.notices]
         if unfit := usable.size - int(np.count_nonzero(usable)):
             remarks.append(f"{image.name} has {unfit} pixels that are not finite; they are holes, and stay.")
-        if colours.others and settings.channels is None and not colours_only:
+        if colours.further and settings.channels is None and not colours_only:
             remarks.append(
-                f"{image.name}: the channels {', '.join(colours.others)} are smoothed too, and count as differences; "
+                f"{image.name}: the channels {', '.join(colours.further)} are smoothed too, and count as differences; "
                 "--channels leaves them out."
             )
         if not valid.any():

@@ -39,9 +39,9 @@ class PixelColours:
     slot: Slot
     space: Space  # of the samples: the working space, or data as stored
     width: int  # colour channels of the images; grey among coloured ones is repeated
-    others: dict[str, int]  # sampled channels other than colours and opacity, by name
+    further: dict[str, int]  # sampled channels other than colours and opacity, by name
     has_alpha: bool  # whether opacity is sampled
-    hides: bool  # whether transparent pixels supply no colour
+    skips_transparent: bool  # whether transparent pixels supply no colour
     unit: float = 1.0  # stored number that becomes 1 in the working space
 
     @classmethod
@@ -76,8 +76,8 @@ class PixelColours:
             raise UsageError(cause)
         return cls(
             channels=chosen, slot=slot, space=space, width=width, has_alpha=has_alpha,
-            others={name: further[name] for name in chosen.names if name in further},
-            hides=slot in COLOUR_SLOTS and not smoothes_alpha,
+            further={name: further[name] for name in chosen.names if name in further},
+            skips_transparent=slot in COLOUR_SLOTS and not smoothes_alpha,
         )  # fmt: skip
 
     @property
@@ -85,7 +85,7 @@ class PixelColours:
         return self.channels.names
 
     @property
-    def kept(self) -> list[int]:
+    def sampled(self) -> list[int]:
         """The colour channels that are sampled."""
         return [i for i in self.channels.sampled if i < self.width]
 
@@ -94,10 +94,10 @@ class PixelColours:
         return [i for i in self.channels.changing if i < self.width]
 
     @property
-    def shows_all(self) -> bool:
+    def is_stored(self) -> bool:
         """Whether samples are all colour channels as stored, and nothing else."""
         is_stored = self.space in ("srgb", "data") and not self._is_normal
-        return is_stored and len(self.kept) == self.width == len(self.names)
+        return is_stored and len(self.sampled) == self.width == len(self.names)
 
     @property
     def _is_normal(self) -> bool:
@@ -110,30 +110,30 @@ class PixelColours:
 
     def normalised(self, images: Sequence[DecodedImage]) -> PixelColours:
         """Return the conversion with a unit of the colours, or of further channels if no colour is sampled."""
-        plain, first = dataclasses.replace(self, space="data", unit=1.0), len(self.kept) or None
+        plain, first = dataclasses.replace(self, space="data", unit=1.0), len(self.sampled) or None
         unit = unit_of_images(
             images, lambda *where: plain.working(*where)[~self.hidden(*where), :first],
             are_data=self.space == "data",
         )  # fmt: skip
         return dataclasses.replace(self, unit=unit)
 
-    def shown(self, image: DecodedImage, stored: Array) -> Float32s:
+    def written_channels(self, image: DecodedImage, stored: Array) -> Float32s:
         """Convert the written channels of some pixels, shape (K, C), to the working space."""
         return self._working(image, stored)[:, self.channels.written]
 
     def _working(self, image: DecodedImage, stored: Array) -> Float32s:
         pixels = self._straight(image, full_scale_one(stored))
         colours = to_space(self._widened(image, pixels), image.encoding, self.space, self.unit)
-        columns = [colours if len(self.kept) == self.width else colours[:, self.kept]]
-        if self.others:
-            columns.append(pixels[:, list(self.others.values())])
+        columns = [colours if len(self.sampled) == self.width else colours[:, self.sampled]]
+        if self.further:
+            columns.append(pixels[:, list(self.further.values())])
         if self.has_alpha:
             alpha = 1 if image.alpha is None else pixels[:, image.alpha, None]
             columns.append(np.broadcast_to(np.float32(alpha), (len(pixels), 1)))
-        columns[1:] = (column / self._unit_of_others(image) for column in columns[1:])
+        columns[1:] = (column / self._unit_of_further(image) for column in columns[1:])
         return columns[0] if len(columns) == 1 else np.concatenate(columns, axis=1)
 
-    def _unit_of_others(self, image: DecodedImage) -> np.float32:
+    def _unit_of_further(self, image: DecodedImage) -> np.float32:
         # The ratios of differences between channels of all kinds are preserved.
         return np.float32(unit_in_space(self.unit, image.encoding, self.space))
 
@@ -141,21 +141,21 @@ class PixelColours:
         """Return the pixels with finite numbers in all sampled channels, as a mask of shape (H, W)."""
         if image.pixels.dtype.kind != "f":
             return np.ones(image.pixels.shape[:2], bool)
-        sampled = [image.colour[i] for i in self.kept] + [*self.others.values()]
+        sampled = [image.colour[i] for i in self.sampled] + [*self.further.values()]
         sampled += [image.alpha] if self.has_alpha and image.alpha is not None else []
         return np.asarray(np.isfinite(image.pixels[..., sampled]).all(axis=2))
 
     def hidden(self, image: DecodedImage, pixels: Int64s | slice) -> Bools:
         """Return which pixels (row * width + column) of an image supply no colour."""
         table = _table(image)
-        if image.alpha is None or not self.hides:
+        if image.alpha is None or not self.skips_transparent:
             return np.zeros(table[pixels, 0].shape, bool)
         return ~supplies_colour(image, table[pixels, image.alpha])
 
     def columns(self, image: DecodedImage) -> list[int]:
-        is_grey, first = len(image.colour) == 1, len(self.kept)
+        is_grey, first = len(image.colour) == 1, len(self.sampled)
         colours = {image.colour[0 if is_grey else i]: None for i in self.changing}
-        further = list(self.others.values())
+        further = list(self.further.values())
         others = [further[i - first] for i in self.channels.written if 0 <= i - first < len(further)]
         opacity = [image.alpha] if self.has_alpha and image.alpha is not None else []
         return [*colours, *others, *opacity]
@@ -176,13 +176,13 @@ class PixelColours:
         if is_plain and self.unit == 1:  # the numbers are stored unconverted
             return new[:, : len(columns)]
         rows = np.take(table, pixels, axis=0)
-        moved = self.shown(image, rows) != new
+        moved = self.written_channels(image, rows) != new
         before = full_scale_one(rows)
         colours = self._colours(image, before, new[:, :count]) if count else new[:, :0]
         if colours.shape[1] < count or self._is_normal or self.space == "oklab":  # Oklab mixes the channels
             moved[:, :count] = moved[:, :count].any(axis=1, keepdims=True)
         first = count - colours.shape[1]
-        others = new[:, count:] * self._unit_of_others(image)
+        others = new[:, count:] * self._unit_of_further(image)
         after = np.concatenate([colours, others], axis=1)[:, : len(columns)]
         return np.where(moved[:, first : first + len(columns)], after, before[:, columns])
 
@@ -209,7 +209,7 @@ class PixelColours:
 
     def _is_divided(self, image: DecodedImage) -> bool:
         # If alpha is averaged too, the samples are multiplied by it already.
-        return self.hides and self.space != "data" and is_associated(image)
+        return self.skips_transparent and self.space != "data" and is_associated(image)
 
     def _straight(self, image: DecodedImage, pixels: Float32s) -> Float32s:
         return without_alpha(image, pixels) if self._is_divided(image) else pixels

@@ -71,7 +71,7 @@ class PixelLayer(Layer):
         self, tick: Callable[[], None] | None = None, resources: Resources = IN_ONE_PIECE
     ) -> Plan[GridManifold]:
         canvas = dataclasses.replace(self.canvas(), resources=resources)
-        is_coded = self.colours.shows_all and decodes_again(canvas.parameters)
+        is_coded = self.colours.is_stored and decodes_again(canvas.parameters)
         return plan_on_canvas(canvas, self._coded_images(canvas.atlas) if is_coded else (), tick)
 
     def _coded_images(self, atlas: Atlas) -> list[CodedPicture]:

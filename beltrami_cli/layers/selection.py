@@ -212,9 +212,10 @@ def absent_slots(document: Document, settings: SmoothSettings) -> list[str]:
 def layer_of_vertices(document: Document, settings: SmoothSettings) -> VertexLayer:
     """Make the layer of a model's coloured vertices: on a mesh, as points, on a grid, or on a level set."""
     from beltrami_cli.layers.grid_layer import GridLayer
-    from beltrami_cli.layers.guides import noise_of_vertices, vertex_guides
+    from beltrami_cli.layers.guides import vertex_guides
     from beltrami_cli.layers.levelled_charts import photographs_of
     from beltrami_cli.layers.mesh_layer import MeshLayer
+    from beltrami_cli.layers.sample_files import noise_of_vertices
 
     vertices, grid = document.coloured_vertices(), document.grid()
     guides = vertex_guides(document, settings)

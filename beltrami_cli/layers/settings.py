@@ -30,7 +30,6 @@ from beltrami_cli.surface.records import SLOTS
 Target = Literal["auto", "vertices", "texture", "both"]
 AlphaMode = Literal["keep", "smooth"]
 Inside = Literal["below", "above"]
-BakeTo = Literal["texture", "vertices"]
 
 COLOUR_SLOTS = ("baseColor", "emissive")  # the other slots are data
 # Values of --format besides extensions; names of outputs may have the extension of any writable format.
@@ -40,7 +39,7 @@ IMAGE_SUFFIXES = (
 )  # fmt: skip
 
 
-MAX_VOXELS = 1 << 31  # rows and columns of the marching cubes are counted in 32 bits
+_MAX_VOXELS = 1 << 31  # rows and columns of the marching cubes are counted in 32 bits
 _WIDEST_GUTTER = 99_999
 
 
@@ -225,7 +224,7 @@ class LevelSetSettings(Checked):
     max_voxels: int = parameter(
         1 << 28,
         "For level sets: the largest grid that is read.",
-        low=8, high=MAX_VOXELS, unit="voxels", metavar="COUNT", lifts_limit=True, of=("level sets",),
+        low=8, high=_MAX_VOXELS, unit="voxels", metavar="COUNT", lifts_limit=True, of=("level sets",),
     )  # fmt: skip
 
 

@@ -25,11 +25,12 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.decoded_image import DecodedImage
 from beltrami_cli.formats.image.jpeg_tables import JpegTables, read_jpeg_tables
 from beltrami_cli.formats.image.reading import read_texture
-from beltrami_cli.layers.guides import GuidedTexels, noise_of_pixels
+from beltrami_cli.layers.guides import GuidedTexels
 from beltrami_cli.layers.layer import Part
 from beltrami_cli.layers.pixel_colours import PixelColours
 from beltrami_cli.layers.pixel_layer import PixelLayer
 from beltrami_cli.layers.reports import SlotReport, describe_reading, named
+from beltrami_cli.layers.sample_files import noise_of_pixels
 from beltrami_cli.layers.settings import COLOUR_SLOTS, LevelSettings, SmoothSettings
 from beltrami_cli.layers.storing import Change, SharedImage, StoredColours, rewritten
 from beltrami_cli.layers.texture_groups import only_textures
@@ -222,7 +223,7 @@ class TextureLayer(PixelLayer):
         beyond = NewColours.of(new.beyond[rows])
         self._fill(pixels, index, new.beyond_places[rows], beyond.take, is_dithered=is_dithered)
         keep_foreign_texels(
-            image.pixels, pixels, covered, known, partial(self.colours.shown, image),
+            image.pixels, pixels, covered, known, partial(self.colours.written_channels, image),
             width=gutter, lone=self._of_image(self.atlas.gutter.lone_texels, index)[1], threads=threads,
         )  # fmt: skip
         opacity, columns = self.colours.opacity(image), self.colours.columns(image)
@@ -289,7 +290,7 @@ def _visible_atlas(
     atlas = build_atlas(surface, sizes, canvas_margin(kernel), kernel.thread_count)
     pairs = zip(images, surface.textures, strict=True)
     can_hide = [image.alpha is not None and texture.alpha_hides for image, texture in pairs]
-    if not (colours.hides and any(can_hide)):
+    if not (colours.skips_transparent and any(can_hide)):
         return atlas
     hidden = np.zeros(len(atlas.owned_texels), bool)
     for block in large_arrays.blocks(len(hidden)):

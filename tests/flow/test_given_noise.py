@@ -10,7 +10,7 @@ from beltrami_cli.fields import override
 from beltrami_cli.flow.given_noise import GivenNoise, file_of_noise, given_noise
 from beltrami_cli.flow.noise.model import relative_to_mean
 from beltrami_cli.jobs.settings import BakeSettings
-from beltrami_cli.layers.guides import deviation_in_frame
+from beltrami_cli.layers.sample_files import deviation_in_frame
 from hostile.textured_models import ONCE, PICTURE, write_model
 from oracles.pictures import photograph, psnr
 from oracles.surfaces import icosphere

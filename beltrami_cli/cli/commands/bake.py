@@ -12,8 +12,7 @@ from beltrami_cli.cli.command import command
 from beltrami_cli.cli.console import Messages
 from beltrami_cli.cli.parameter_options import options_of, record_from, refuse_typed
 from beltrami_cli.cli.phrases import counted, output_name
-from beltrami_cli.jobs.settings import BakeSettings
-from beltrami_cli.layers.settings import BakeTo
+from beltrami_cli.jobs.settings import BakeSettings, BakeTo
 
 
 @command("bake", source="INPUT", target="OUTPUT")
