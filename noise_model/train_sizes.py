@@ -18,7 +18,7 @@ import observations
 from backpropagation import Adam, Node, Tape, initial_layer, shuffled
 from beltrami_cli.flow.noise import network
 from beltrami_cli.flow.noise.network import OFFSET, Weights, weights_of
-from beltrami_cli.flow.noise.size import EDGES, LAYERS, WIDTHS, evidence, removal_curve, sizes_of
+from beltrami_cli.flow.noise.size import EDGES, LAYERS, WIDTHS, evidence, sizes_of
 from configuration import SIZES, configuration
 from crops import folders_of_packages
 from size_kinds import FAMILIES
@@ -50,13 +50,9 @@ def make_rows(
         noise, loss = (
             0.0 if own is None else float(np.mean(np.square(own.colours, dtype=np.float64))) for own in parts
         )
-        outputs, candidates = network.read(seen, weights)
-        rows.append((
-            outputs["context"][0], np.sort(outputs["total"][0]), candidates[0, 0], removal_curve(seen),
-            seen.where.count, np.sqrt(max(0.0, noise - loss)),
-        ))  # fmt: skip
-    *columns, truth = (np.array(own) for own in zip(*rows, strict=True))
-    return [*evidence(*columns), truth]
+        truth = np.sqrt([max(0.0, noise - loss)])
+        rows.append((*evidence(seen, *network.read(seen, weights)), truth))
+    return [np.concatenate(column) for column in zip(*rows, strict=True)]
 
 
 def labels_of(truth: np.ndarray, first: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from beltrami_cli.flow.noise.model import MAX_NO_NOISE_PROBABILITY, covariance_o
 from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, Samples
 from beltrami_cli.flow.noise.network import OFFSET, QUANTILES, Weights, weights_of
 from beltrami_cli.flow.noise.residual import Residual
-from beltrami_cli.flow.noise.size import Size, evidence, removal_curve, sizes_of
+from beltrami_cli.flow.noise.size import Size, evidence, sizes_of
 from beltrami_cli.flow.noise.stabiliser import COLOURS
 from beltrami_cli.flow.noise.structure import MAX_CLIPPED_SHARE, Structure, shares_of_noise
 
@@ -61,11 +61,7 @@ class ChannelNoise:
         samples = where.cut(np.broadcast_to(planes, (COLOURS, *planes.shape[1:])))
         samples, full_scale, are_levels = _in_full_scale(samples)
         outputs, candidates = network.read(samples, weights)
-        rows, first = evidence(
-            outputs["context"], np.sort(outputs["total"]), candidates[:, 0], removal_curve(samples)[None],
-            np.array([where.count]),
-        )  # fmt: skip
-        (size,) = sizes_of(weights_of(where.kind, "sizes"), rows, first)
+        (size,) = sizes_of(weights_of(where.kind, "sizes"), *evidence(samples, outputs, candidates))
         if len(where.of_samples) < _MIN_SAMPLES:
             size = dataclasses.replace(size, none=1.0)
         sigma = size.quantile(0.5) if size.none <= MAX_NO_NOISE_PROBABILITY else 0.0

@@ -215,7 +215,7 @@ def _describe_even(cells: Cells, whole: Bools, share: float) -> list[Float32s]:
     residuals = further.residuals if further is not None and share == _SHARE_OF_RESIDUALS else None
     products, freedom, unevenness = cells.products[:, whole], cells.freedom[whole], cells.unevenness[whole]
     if not len(unevenness):
-        # As many columns as below.
+        # As many columns as below: of channels and correlations, of clusters alone, and of residuals.
         others = 6 + (0 if further is None else 5) + (0 if residuals is None else 9)
         return [np.full(size, log_deviation(0)) for size in (3, others)]
     # Cells within one coarser cell are equally even, so ties are included.

@@ -124,7 +124,7 @@ def read_noise(
         _simplified(covariances),
         None if structure.curve is None else structure.curve.stabiliser(colours[0].full_scale),
         structure.over_samples(colours[0].residual) if structure.is_by_place else None,
-        _reading_of(colours, ratios),
+        _reading_of(colours, ratios[:colour_groups]),
     )
 
 
@@ -140,7 +140,7 @@ def _reading_of(colours: Sequence[ChannelNoise], ratios: Sequence[float]) -> Rea
     """Return the RMS over the channels of the sizes read, times ratios, and the probability of no noise in any."""
     sizes = [
         [ratio * quantile for quantile in noise.quantiles]
-        for noise, ratio in zip(colours, ratios, strict=False)
+        for noise, ratio in zip(colours, ratios, strict=True)
     ]
     low, median, high = np.sqrt(np.mean(np.square(sizes), axis=0)).tolist()
     return Reading(float(np.prod([noise.size.none for noise in colours])), low, median, high)

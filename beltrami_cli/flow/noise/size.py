@@ -34,7 +34,7 @@ LAYERS = ("size 1", "size 2", "size 3")
 WIDTHS = (96, 48)
 
 
-def removal_curve(samples: Samples) -> Float32s:
+def _removal_curve(samples: Samples) -> Float32s:
     """Return statistics of what pilots remove, by the noise that they assume, shape (len(LADDER), 8).
 
     These are log2 of deviations relative to the assumed noise, for components and for quiet, usual and loud cells; the
@@ -57,16 +57,14 @@ def removal_curve(samples: Samples) -> Float32s:
     return np.array(rows, np.float32)
 
 
-def evidence(
-    context: Array, quantiles: Array, candidates: Array, curves: Array, counts: Array
-) -> tuple[Float32s, Float64s]:
-    """Return the input of the second network, shape (N, F), and the first readings, shape (N,), in 8-bit steps.
+def evidence(samples: Samples, outputs: dict[str, Array], candidates: Array) -> tuple[Float32s, Float64s]:
+    """Return the input of the second network, shape (1, F), and the first reading, shape (1,), in 8-bit steps.
 
-    `quantiles` and `candidates` are readings of the first network, as log2(deviation + OFFSET); `counts` are numbers of
-    neighbourhoods. A first reading is the median of the first network. If it exceeds the noise of rounding, it is
-    raised to the smallest candidate: even cells show noise that the network was not trained on, such as noise of
-    opposite sign in two channels.
+    `outputs` and `candidates` are those of the first network, see `network.read`. The first reading is its median. If
+    it exceeds the noise of rounding, it is raised to the smallest candidate: even cells show noise that the network was
+    not trained on, such as noise of opposite sign in two channels.
     """
+    quantiles, candidates = np.sort(outputs["total"]), candidates[:, 0]
     read, least = (
         np.maximum(2.0 ** logs.astype(np.float64) - OFFSET, 0)
         for logs in (quantiles[:, quantiles.shape[1] // 2], candidates.min(axis=1))
@@ -75,12 +73,11 @@ def evidence(
     logs = np.log2(first + OFFSET)[:, None]
     place = np.clip(np.log2(np.maximum(first, OFFSET))[:, None] + PLACES, 0, np.log2(LADDER[-1]))
     place *= (len(LADDER) - 1) / np.log2(LADDER[-1])
-    below = np.minimum(place.astype(np.intp), len(LADDER) - 2)
-    share, rows = (place - below)[..., None], np.arange(len(curves))[:, None]
-    described = (1 - share) * curves[rows, below] + share * curves[rows, below + 1]
-    described = described.reshape(len(curves), -1)
-    columns = [context, quantiles - logs, candidates - logs, logs, described, np.log2(counts)[:, None]]
-    return np.concatenate(columns, axis=1).astype(np.float32), first
+    below = np.minimum(place[0].astype(np.intp), len(LADDER) - 2)
+    share, curve = (place[0] - below)[:, None], _removal_curve(samples)
+    described = (1 - share) * curve[below] + share * curve[below + 1]
+    columns = [outputs["context"], quantiles - logs, candidates - logs, logs, described.reshape(1, -1)]
+    return np.concatenate([*columns, [[np.log2(samples.where.count)]]], axis=1).astype(np.float32), first
 
 
 @dataclass(frozen=True)
