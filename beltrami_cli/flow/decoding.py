@@ -25,7 +25,7 @@ from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.plan import Plan, choose_parameters, should_stay
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import Atlas, texels_by_texture
+from beltrami_cli.surface.atlas import Atlas
 
 Tick = Callable[[], None]
 
@@ -111,12 +111,12 @@ def _decode_rows_in_place(
         rasters.append(raster)
     blocks = list(large_arrays.blocks(len(atlas.owned_texels)))
     for block in blocks:
-        for index, inside, texels in texels_by_texture(atlas.texture_offsets, atlas.owned_texels[block]):
+        for index, inside, texels in atlas.by_texture(atlas.owned_texels[block]):
             rasters[index].reshape(-1, rows.shape[1])[texels] = rows[block][inside]
     noise, stored = noise_after(pictures, rasters, sigma)
     for picture, raster in zip(pictures, rasters, strict=True):
         decode_in_place(picture, raster, sigma)
     for block in blocks:
-        for index, inside, texels in texels_by_texture(atlas.texture_offsets, atlas.owned_texels[block]):
+        for index, inside, texels in atlas.by_texture(atlas.owned_texels[block]):
             rows[block][inside] = rasters[index].reshape(-1, rows.shape[1])[texels]
     return noise, stored

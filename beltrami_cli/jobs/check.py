@@ -20,7 +20,7 @@ from beltrami_cli.formats.image.sizes import measure_image, require_memory
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import build_atlas, texels_by_texture
+from beltrami_cli.surface.atlas import build_atlas
 from beltrami_cli.surface.records import Texture
 
 Value = TypeVar("Value")
@@ -101,7 +101,7 @@ def _visible_texels(document: Document) -> dict[bytes, Bools]:
         if len(known) < len(sizes):  # Such a texture can be compared, but not be laid out.
             continue
         atlas = build_atlas(surface, known, margin=1)
-        for index, _, texels in texels_by_texture(atlas.texture_offsets, atlas.owned_texels):
+        for index, _, texels in atlas.by_texture(atlas.owned_texels):
             empty = np.zeros(known[index][::-1], bool)
             visible.setdefault(surface.textures[index].data, empty).flat[texels] = True
     return visible

@@ -174,7 +174,7 @@ class _TextureSamples(_PixelSamples):
             colours=layer.all_texel_colours(),
             number_of=number,
             stream=1 + SLOTS.index(layer.slot),
-            is_grey=is_grey[np.searchsorted(atlas.texture_offsets, atlas.owned_texels, side="right") - 1],
+            is_grey=is_grey[atlas.texture_of(atlas.owned_texels)],
             space=layer.colours.space,
         )
 

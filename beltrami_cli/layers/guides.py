@@ -17,7 +17,7 @@ from beltrami_cli.formats.image.reading import read_texture
 from beltrami_cli.layers.pixel_colours import PixelColours
 from beltrami_cli.layers.sample_files import read_map, read_table
 from beltrami_cli.layers.settings import SmoothSettings
-from beltrami_cli.surface.atlas import Atlas, texels_by_texture
+from beltrami_cli.surface.atlas import Atlas
 from beltrami_cli.surface.lookups import look_up
 from beltrami_cli.surface.precision import require_single
 from beltrami_cli.surface.records import SLOTS, Slot, Texture, TexturedSurface
@@ -107,7 +107,7 @@ class GuidedTexels:
         colours = PixelColours.of(images, slot, SmoothSettings(space=self.settings.space))
         width = len(colours.names)
         values = np.empty((len(self.atlas.owned_texels), width), np.float32)
-        for index, inside, texels in texels_by_texture(self.atlas.texture_offsets, self.atlas.owned_texels):
+        for index, inside, texels in self.atlas.by_texture(self.atlas.owned_texels):
             shown = self._texture_at_same_faces(index, guiding, slot)
             if shown is None:
                 values[inside] = np.resize(_VALUES_WITHOUT_TEXTURE.get(slot, (1.0,)), width)

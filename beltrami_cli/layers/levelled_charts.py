@@ -63,7 +63,7 @@ def _charts_of(atlas: Atlas, textures: Sequence[Texture], images: Sequence[Decod
     texel, charts = np.zeros(len(areas), np.int64), list[_Chart]()
     for block in large_arrays.blocks(len(atlas.chart_of)):
         texel[atlas.chart_of[block]] = atlas.owned_texels[block]
-    texture_of = np.searchsorted(atlas.texture_offsets, texel, side="right") - 1
+    texture_of = atlas.texture_of(texel)
     for chart in np.flatnonzero(areas).tolist():
         index = int(texture_of[chart])
         of_texture = int(texel[chart] - atlas.texture_offsets[index])

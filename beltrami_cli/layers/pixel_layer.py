@@ -27,7 +27,7 @@ from beltrami_cli.layers.layer import Layer
 from beltrami_cli.layers.pixel_colours import PixelColours
 from beltrami_cli.layers.storing import Change, dithered, store
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import Atlas, texels_by_texture
+from beltrami_cli.surface.atlas import Atlas
 from beltrami_cli.surface.colour_values import unit_in_space
 from beltrami_cli.surface.records import ImageFile
 
@@ -84,7 +84,7 @@ class PixelLayer(Layer):
             return []
         used = [large_arrays.zeros(pixels.shape[:2], bool) for pixels, _ in coded]
         for block in large_arrays.blocks(len(atlas.owned_texels)):
-            for index, _, texels in texels_by_texture(atlas.texture_offsets, atlas.owned_texels[block]):
+            for index, _, texels in atlas.by_texture(atlas.owned_texels[block]):
                 used[index].reshape(-1)[texels] = True
         return [
             CodedPicture(pixels, mask, tables.steps, tables.span)

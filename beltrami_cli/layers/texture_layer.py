@@ -35,7 +35,7 @@ from beltrami_cli.layers.settings import COLOUR_SLOTS, LevelSettings, SmoothSett
 from beltrami_cli.layers.storing import Change, SharedImage, StoredColours, rewritten
 from beltrami_cli.layers.texture_groups import only_textures
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import Atlas, build_atlas, texels_by_texture, without_owned
+from beltrami_cli.surface.atlas import Atlas, build_atlas, without_owned
 from beltrami_cli.surface.gutters import fill_gutter, keep_foreign_texels, within
 from beltrami_cli.surface.records import Cells, ImageFile, Slot, TexturedSurface
 
@@ -117,7 +117,7 @@ class TextureLayer(PixelLayer):
         """Return the stored colours of some owned cells in the working space, shape (T, N)."""
         texels = self.atlas.owned_texels[rows]
         table = np.empty((len(texels), len(self.names)), np.float32)
-        for index, inside, of_texture in texels_by_texture(self.atlas.texture_offsets, texels):
+        for index, inside, of_texture in self.atlas.by_texture(texels):
             table[inside] = self.colours.working(self.images[index], of_texture)
         return table
 
@@ -262,7 +262,7 @@ class TextureLayer(PixelLayer):
 
     def places(self) -> Cells:
         atlas, sizes = self.atlas, [image.pixels.shape[:2] for image in self.images]
-        image = np.searchsorted(atlas.texture_offsets, atlas.owned_texels, side="right") - 1
+        image = atlas.texture_of(atlas.owned_texels)
         of_image = atlas.owned_texels - atlas.texture_offsets[image]
         row, column = np.divmod(of_image, np.array([columns for _, columns in sizes], np.int64)[image])
         names = [texture.name for texture in self.surface.textures]
@@ -294,7 +294,7 @@ def _visible_atlas(
         return atlas
     hidden = np.zeros(len(atlas.owned_texels), bool)
     for block in large_arrays.blocks(len(hidden)):
-        for index, inside, texels in texels_by_texture(atlas.texture_offsets, atlas.owned_texels[block]):
+        for index, inside, texels in atlas.by_texture(atlas.owned_texels[block]):
             if can_hide[index]:
                 hidden[block][inside] = colours.hidden(images[index], texels)
     return without_owned(atlas, hidden) if hidden.any() else atlas

@@ -32,7 +32,7 @@ def mixed_cells(atlas: Atlas, spans: Sequence[int]) -> Int64s:
         parts.append(np.flatnonzero(inside) + band.start * columns)
     cells = np.concatenate(parts)
     texels = atlas.owned_texels[np.searchsorted(atlas.owned_cells, cells)]
-    texture = np.searchsorted(atlas.texture_offsets, texels, side="right") - 1
+    texture = atlas.texture_of(texels)
     return np.asarray(cells[np.asarray(spans)[texture] > 1])
 
 

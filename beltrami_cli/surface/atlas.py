@@ -132,21 +132,22 @@ class Atlas:
             return np.array([len(self.owned_texels)])
         return np.histogram(self.owned_texels, self.texture_offsets)[0].astype(np.int64)
 
+    def texture_of(self, texels: Indices) -> Int64s:
+        return np.searchsorted(self.texture_offsets, texels, side="right") - 1
 
-def texels_by_texture(offsets: Int64s, texels: Indices) -> Iterator[tuple[int, Bools | slice, Indices]]:
-    """Yield the index of each texture, a mask of its texels, and these relative to the first texel."""
-    if not len(texels):
-        return
-    first = int(np.searchsorted(offsets, texels.min(), "right")) - 1
-    last = int(np.searchsorted(offsets, texels.max(), "right")) - 1
-    for index in range(first, last + 1):
-        begin, end = offsets[index : index + 2].tolist()
-        if first == last:
-            yield index, slice(None), texels - begin
+    def by_texture(self, texels: Indices) -> Iterator[tuple[int, Bools | slice, Indices]]:
+        """Yield the index of each texture, a mask of its texels, and these relative to the first texel."""
+        if not len(texels):
             return
-        inside = (texels >= begin) & (texels < end)
-        if inside.any():
-            yield index, inside, texels[inside] - begin
+        first, last = self.texture_of(np.array([texels.min(), texels.max()])).tolist()
+        for index in range(first, last + 1):
+            begin, end = self.texture_offsets[index : index + 2].tolist()
+            if first == last:
+                yield index, slice(None), texels - begin
+                return
+            inside = (texels >= begin) & (texels < end)
+            if inside.any():
+                yield index, inside, texels[inside] - begin
 
 
 def refresh_halo(planes: Float32s | Int8s, atlas: Atlas, *, interpolated: bool = False) -> None:

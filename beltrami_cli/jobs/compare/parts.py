@@ -37,7 +37,6 @@ from beltrami_cli.surface.atlas import (
     at_seam,
     lines_over_seams,
     texel_areas,
-    texels_by_texture,
 )
 from beltrami_cli.surface.colour_values import to_space
 from beltrami_cli.surface.geometry import vertex_areas
@@ -195,11 +194,10 @@ def _by_texture(
     atlas, parts = one.atlas, list[ComparedPart]()
     areas, near = texel_areas(atlas) if weights == "area" else None, _near_seams(atlas)
     (cells, before), (_, after) = (_seam_steps(atlas, each.texel_colours) for each in (one, other))
-    texture_of = np.searchsorted(atlas.texture_offsets, atlas.owned_texels[cells], side="right") - 1
+    texture_of = atlas.texture_of(atlas.owned_texels[cells])
     shown = atlas.owned_texels, np.concatenate([atlas.gutter.border_texels, atlas.gutter.lone_texels])
     owned, around = (
-        {index: (inside, own) for index, inside, own in texels_by_texture(atlas.texture_offsets, texels)}
-        for texels in shown
+        {index: (inside, own) for index, inside, own in atlas.by_texture(texels)} for texels in shown
     )
     nothing = slice(0), np.zeros(0, np.int64)
     for index in range(len(names)):
