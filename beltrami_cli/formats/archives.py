@@ -46,10 +46,14 @@ def refusing_damage(name: str, what: str, remedy: str = _DAMAGED) -> Iterator[No
 class Archive:
     """A ZIP archive in memory; members are read one by one, within limits. InputError if it is damaged."""
 
-    def __init__(self, data: bytes, name: str, access: Access = DEFAULT_ACCESS, share: int = 1) -> None:
-        """`share`: how many times its own size a member takes in memory while it is used."""
+    def __init__(
+        self, data: bytes, name: str, access: Access = DEFAULT_ACCESS, memory_per_byte: int = 1
+    ) -> None:
+        """`memory_per_byte`: what a member takes while it is used, for each of its bytes."""
         self.name = name
-        self._most = _MAX_MEMBER if access.memory is None else min(_MAX_MEMBER, access.memory // share)
+        self._most = (
+            _MAX_MEMBER if access.memory is None else min(_MAX_MEMBER, access.memory // memory_per_byte)
+        )
         with refusing_damage(name, "the archive"):
             self._file = zipfile.ZipFile(io.BytesIO(data))
         self.entries = [entry for entry in self._file.infolist() if not entry.filename.endswith("/")]

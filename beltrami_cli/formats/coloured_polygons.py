@@ -9,6 +9,7 @@ import numpy as np
 from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError, NoColoursError
 from beltrami_cli.surface.grouping import group_equal_rows
+from beltrami_cli.surface.polygons import polygons_of
 from beltrami_cli.surface.precision import require_finite, require_single
 from beltrami_cli.surface.records import Frame
 
@@ -23,7 +24,7 @@ class ColouredPolygons:
 
     positions: Float64s  # (V, 3)
     corners: Int64s  # (K,): vertices of all polygons, one polygon after the other
-    sizes: Int64s  # number of corners of each polygon
+    offsets: Int64s  # (P + 1,): first corner of each polygon
     colours: Float32s  # (K, 3), or (K, 4) with opacity; full scale 1, NaN: no colour
     stored: str  # the type of colours in the file, as in `ColouredVertices`
     left_out: tuple[str, ...] = ()  # what else the file holds
@@ -60,7 +61,7 @@ def colours_of_vertices(found: ColouredPolygons) -> tuple[Float32s, list[str]]:
     count, notices = len(found.positions), []
     known = np.isfinite(found.colours).all(axis=1)
     corners, colours = found.corners[known], found.colours[known]
-    weights = np.repeat(_areas(found), found.sizes)[known]
+    weights = _areas(found)[polygons_of(found.offsets)][known]
     total = np.bincount(corners, weights, count)
     first = np.zeros(count, np.int64)
     first[corners[::-1]] = np.arange(len(corners))[::-1]
@@ -81,13 +82,12 @@ def colours_of_vertices(found: ColouredPolygons) -> tuple[Float32s, list[str]]:
 
 def _areas(found: ColouredPolygons) -> Float64s:
     """Return the areas of polygons relative to their mean, all positive."""
-    starts = np.cumsum(found.sizes) - found.sizes
-    polygon = np.repeat(np.arange(len(found.sizes)), found.sizes)
+    starts, polygon = found.offsets[:-1], polygons_of(found.offsets)
     extent = float(np.abs(found.positions).max()) or 1.0
     points = found.positions[found.corners] / extent
     points = points - points[starts[polygon]]
     after = np.arange(len(found.corners)) + 1
-    after[starts + found.sizes - 1] = starts
+    after[found.offsets[1:] - 1] = starts
     across = np.cross(points, points[after])
     sums = np.stack([np.bincount(polygon, column, len(starts)) for column in across.T], axis=1)
     areas: Float64s = np.linalg.norm(sums, axis=1)

@@ -102,7 +102,7 @@ def slots_by_path(images: NewImages, paths_of: Callable[[Slot, str], Iterable[st
     return slots
 
 
-def new_files(path: str, new: str, sets: TileSets) -> dict[str, str]:
+def new_paths(path: str, new: str, sets: TileSets) -> dict[str, str]:
     """Return the new path of each file of an image or tile set."""
     tiles = sets[path].items() if path in sets else ()
     return {file: file if path == new else tile_name(new, tile) for tile, file in tiles} or {path: new}

@@ -135,7 +135,8 @@ def test_vertices_have_the_mean_of_their_corners_and_nothing_beyond(data):
     corners = random.integers(0, 12, sizes.sum())
     colours = random.random((len(corners), 3), np.float32)
     colours[random.random(len(corners)) < 0.2] = np.nan
-    found = ColouredPolygons(random.random((12, 3)), corners, sizes, colours, "float32")
+    offsets = np.append(0, np.cumsum(sizes))
+    found = ColouredPolygons(random.random((12, 3)), corners, offsets, colours, "float32")
     result, _ = colours_of_vertices(found)
     for vertex in range(12):
         own = colours[(corners == vertex) & np.isfinite(colours[:, 0])]

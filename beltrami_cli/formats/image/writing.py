@@ -24,6 +24,15 @@ from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.records import ImageFile
 
 _KEEPING_BYTES = ("png", "jpeg", "webp")  # formats whose metadata are carried over as bytes
+# Single fields of the profile would be kept as well; samples of fewer bits would lose the new values. One image is
+# written; announced as more it would count as truncated, and the means belong to the old one.
+_OMITTED_METADATA = (
+    "ICCProfile:", "oiio:BitsPerSample", "textureformat", "openexr:levelmode", "openexr:roundingmode",
+    "oiio:AverageColor", "oiio:ConstantColor",
+)  # fmt: skip
+_STORAGE_IN_TIFF = ("tiff:", "oiio:", "compression", "planarconfig")
+_CHOICES = ".tif, .png or .exr as the ending of OUTPUT or, of textures, with --texture-format"
+_FROM_TOP = 0x20  # bit of byte 17 of a TGA file: the first row is the top one
 
 
 def is_exact(image: DecodedImage) -> bool:
@@ -42,17 +51,6 @@ def noise_losses(image: DecodedImage, suffix: str | None, remedy: str) -> tuple[
     kind = label_of(image.format)
     what = "is not exact and takes some of the noise away, most of all in hues"
     return (f"{image.name}: {kind} {what}; {remedy}",)
-
-
-# Single fields of the profile would be kept as well; samples of fewer bits would lose the new values. One image is
-# written; announced as more it would count as truncated, and the means belong to the old one.
-_OMITTED_METADATA = (
-    "ICCProfile:", "oiio:BitsPerSample", "textureformat", "openexr:levelmode", "openexr:roundingmode",
-    "oiio:AverageColor", "oiio:ConstantColor",
-)  # fmt: skip
-_STORAGE_IN_TIFF = ("tiff:", "oiio:", "compression", "planarconfig")
-_CHOICES = ".tif, .png or .exr as the ending of OUTPUT or, of textures, with --texture-format"
-_FROM_TOP = 0x20  # bit of byte 17 of a TGA file: the first row is the top one
 
 
 def write_image(
@@ -147,15 +145,15 @@ def _square_error(some: Array, others: Array) -> float:
     )
 
 
-def _with_own_metadata(image: DecodedImage, encoded: bytes) -> bytes:
+def _with_own_metadata(image: DecodedImage, data: bytes) -> bytes:
     """Return new pixels, in the format of an image, with its metadata unless they are damaged."""
     try:
-        return carry_over(image.source, encoded, image.format, image.part or 0)
+        return carry_over(image.source, data, image.format, image.part or 0)
     except DAMAGED as error:
         if len(image.parts) > 1:
             cause = "the table of its parts is damaged"
             raise InputError(image.name, cause, "export it again") from error
-        return encoded
+        return data
 
 
 def check_writable(image: DecodedImage, suffix: str | None) -> str:

@@ -14,7 +14,7 @@ from beltrami_cli.formats.model_folder import is_outside
 from beltrami_cli.formats.new_files import (
     NewFiles,
     common_suffix,
-    new_files,
+    new_paths,
     new_reference,
     path_inside,
     slots_by_path,
@@ -63,7 +63,7 @@ def _take_images(materials: Materials, images: NewImages, names: NewFiles) -> di
         is_replaced = len(affected) == materials.uses(path)
         suffix = common_suffix(image.suffix for _, image in files)
         new = names.image(path, suffix, is_replaced=is_replaced, tiles=materials.folder.tiles.get(path, ()))
-        new_of = new_files(path, new, materials.folder.tiles)
+        new_of = new_paths(path, new, materials.folder.tiles)
         names.sidecars |= {new_of.pop(file): image.content for file, image in files}
         names.copied |= {file: old for old, file in new_of.items() if file != old}
         for library, shown in affected.values():
@@ -105,7 +105,7 @@ def _copied(materials: Materials, names: NewFiles, path: str) -> str:
     """Put an image or tile set that stays as it is among the copies; return its new path."""
     tiles = materials.folder.tiles
     new = names.image(path, tiles=tiles.get(path, ()))
-    for old, copy in new_files(path, new, tiles).items():
+    for old, copy in new_paths(path, new, tiles).items():
         if is_outside(old):
             names.sidecars[copy] = materials.folder.content(old)
         else:

@@ -33,7 +33,7 @@ from beltrami_cli.formats.ply.tables import Body, NewValues, Table, indices, rea
 from beltrami_cli.formats.scene import Scene
 from beltrami_cli.formats.scene_mesh import textured_mesh
 from beltrami_cli.surface.geometry import unit_vectors
-from beltrami_cli.surface.polygons import dual
+from beltrami_cli.surface.polygons import dual, polygons_of
 from beltrami_cli.surface.precision import require_single
 from beltrami_cli.surface.records import MeshContents, MovedVertices, Slot
 
@@ -176,10 +176,9 @@ class PlyDocument(Document):
             return colours
         self.notices += [_MEANS] if _MEANS not in self.notices else []
         corners, offsets = self._coloured_faces
-        sizes = np.diff(offsets)
-        polygons = (self._positions, corners.astype(np.int64), sizes)
-        coloured = ColouredPolygons(*polygons, np.repeat(colours, sizes, axis=0), self._stored)
-        return colours_of_vertices(coloured)[0]
+        shown = colours[polygons_of(offsets)]
+        polygons = ColouredPolygons(self._positions, corners.astype(np.int64), offsets, shown, self._stored)
+        return colours_of_vertices(polygons)[0]
 
     def textured_mesh(self, colours: Float32s | None = None) -> MeshContents:
         used = self._converted | {*texturing.find_coordinates(self._tables)}

@@ -24,7 +24,7 @@ from beltrami_cli.formats.points.scan import Arrays, Scan
 _SECONDS_PER_MEBIBYTE = 5  # LAZ: a million points of 3 MiB take a second
 _REMEDY = "convert it to PLY, for example with PDAL or CloudCompare"
 _LIBRARY = ForeignLibrary("beltrami_cli.formats.points.survey", "scans", _SECONDS_PER_MEBIBYTE, _REMEDY)
-_SCANS: dict[bytes, type[Scan]] = {b"LASF": Las, b"ASTM": E57}  # by the first bytes; others are PCD
+_SCANS: dict[str, type[Scan]] = {"las": Las, "laz": Las, "e57": E57, "pcd": Pcd}
 
 
 class SurveyDocument(NpzPointsDocument):
@@ -35,13 +35,11 @@ class SurveyDocument(NpzPointsDocument):
 
     @property
     def format(self) -> str:  # type: ignore[override]
-        if self.data.startswith(b"LASF"):
-            return "laz" if is_laz(self.data) else "las"
-        return "e57" if self.data.startswith(b"ASTM") else "pcd"
+        return _format_of(self.data)
 
     @property
     def forms(self) -> tuple[str, ...]:  # type: ignore[override]
-        return ("las", "laz") if self.data.startswith(b"LASF") else (self.format,)
+        return ("las", "laz") if _SCANS[self.format] is Las else (self.format,)
 
     def _patched(self, new: Changes, naming: Naming) -> Written:
         stored, form = self._recoloured(new.colours), new.form or self.format
@@ -57,9 +55,15 @@ class SurveyDocument(NpzPointsDocument):
         return _LIBRARY.ask(question, self.name, len(self.data), self.access.memory)[1]["made"].tobytes()
 
 
+def _format_of(data: bytes) -> str:
+    if data.startswith(b"LASF"):
+        return "laz" if is_laz(data) else "las"
+    return "e57" if data.startswith(b"ASTM") else "pcd"
+
+
 def _answer(form: str | None, arrays: Arrays) -> tuple[None, Arrays]:
     data = arrays["data"].tobytes()
-    scan = _SCANS.get(data[:4], Pcd)(data)
+    scan = _SCANS[_format_of(data)](data)
     if form is not None:
         made = scan.written(arrays.get("new"), form)
     else:

@@ -21,7 +21,7 @@ from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.archives import Archive
 from beltrami_cli.formats.coloured_polygons import ColouredPolygons
 from beltrami_cli.formats.foreign_library import ForeignLibrary, serve_files
-from beltrami_cli.formats.read_only.xml import TREE_SIZE, safe_parser
+from beltrami_cli.formats.read_only.xml import MEMORY_PER_BYTE, safe_parser
 from beltrami_cli.surface.records import Frame
 from beltrami_cli.surface.worker_process import Message
 
@@ -38,7 +38,7 @@ def is_collada(data: bytes) -> bool:
 def read_collada(data: bytes, name: str, access: Access) -> ColouredPolygons:
     """Read a COLLADA file, or the first one in an archive (.zae)."""
     if data[:2] == b"PK":
-        archive = Archive(data, name, access, TREE_SIZE)
+        archive = Archive(data, name, access, MEMORY_PER_BYTE)
         member = next((each for each in archive.members if each.lower().endswith(".dae")), None)
         if member is None:
             raise InputError(name, "the archive has no .dae file in it")
@@ -47,9 +47,9 @@ def read_collada(data: bytes, name: str, access: Access) -> ColouredPolygons:
     question = {"data": np.frombuffer(data, np.uint8)}
     (left_out, up, unit), made = _PYCOLLADA.ask((None, question), name, len(data), access.memory)
     corners = np.arange(len(made["positions"]))  # triangles have vertices of their own
-    sizes = np.full(len(corners) // 3, 3)
+    offsets = 3 * np.arange(len(corners) // 3 + 1)
     places, frame = made["positions"], Frame(up, unit)
-    return ColouredPolygons(places, corners, sizes, made["colours"], "float32", tuple(left_out), frame)
+    return ColouredPolygons(places, corners, offsets, made["colours"], "float32", tuple(left_out), frame)
 
 
 def _require_sound_xml(data: bytes, name: str) -> None:

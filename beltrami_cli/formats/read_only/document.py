@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.changes import Changes, Naming, Written
 from beltrami_cli.formats.coloured_polygons import (
     ColouredPolygons,
@@ -22,7 +24,13 @@ from beltrami_cli.formats.read_only.stl import is_stl, read_stl
 from beltrami_cli.formats.read_only.threemf import read_3mf
 from beltrami_cli.surface.records import MeshContents
 
-_ARCHIVES = {".3mf": "3mf", ".zae": "zae"}
+_READERS: dict[str, Callable[[bytes, str, Access], ColouredPolygons]] = {
+    "off": lambda data, name, _: read_off(data, name),
+    "stl": lambda data, name, _: read_stl(data, name),
+    "3mf": read_3mf,
+    "dae": read_collada,
+    "zae": read_collada,
+}
 _READ_ONLY = (
     "{} files are read, but not written: OUTPUT holds the polygons and their colours, and nothing else."
 )
@@ -30,14 +38,13 @@ _READ_ONLY = (
 
 def kind_of(data: bytes, name: str) -> str | None:
     """Return the format of a file by its content, and by its name where many formats have such content."""
-    suffix = "." + name.lower().rpartition(".")[2]
+    suffix = name.lower().rpartition(".")[2]
     if data[:2] == b"PK":
-        return _ARCHIVES.get(suffix)
+        return suffix if suffix in ("3mf", "zae") else None
     if is_off(data):
         return "off"
-    if suffix == ".stl" and is_stl(data):
-        return "stl"
-    return "dae" if suffix == ".dae" and is_collada(data) else None
+    is_known = (suffix == "stl" and is_stl(data)) or (suffix == "dae" and is_collada(data))
+    return suffix if is_known else None
 
 
 class ReadOnlyDocument(Document):
@@ -50,7 +57,7 @@ class ReadOnlyDocument(Document):
 
     @cached_property
     def _mesh(self) -> MeshContents:
-        found = self._read()
+        found = _READERS[self.format](self.data, self.name, self.access)
         check_polygons(found, self.name)
         self.notices.append(_READ_ONLY.format(self.format.upper()))
         if len(found.positions) == len(found.corners):  # every polygon has vertices of its own
@@ -63,7 +70,7 @@ class ReadOnlyDocument(Document):
         return MeshContents(
             positions=found.positions,
             corners=found.corners.astype(np.int32),
-            offsets=np.concatenate([[0], np.cumsum(found.sizes)]),
+            offsets=found.offsets,
             colours=np.ascontiguousarray(colours[:, :3]),
             encoding="srgb",
             stored=found.stored,
@@ -71,11 +78,6 @@ class ReadOnlyDocument(Document):
             left_out=found.left_out,
             frame=found.frame,
         )
-
-    def _read(self) -> ColouredPolygons:
-        if self.format in ("3mf", "dae", "zae"):
-            return (read_3mf if self.format == "3mf" else read_collada)(self.data, self.name, self.access)
-        return (read_off if self.format == "off" else read_stl)(self.data, self.name)
 
     def _patched(self, new: Changes, naming: Naming) -> Written:
         remedy = "name an output in .ply, .obj, .glb or .gltf"

@@ -18,6 +18,7 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.coloured_polygons import ColouredPolygons
 from beltrami_cli.formats.colours import full_scale
 from beltrami_cli.formats.tokens import Lines, without_comments
+from beltrami_cli.surface.polygons import polygons_of
 from beltrami_cli.surface.precision import require_single
 
 _HEADER = re.compile(rb"(?:\s++|#[^\n]*+\n)*+(ST)?(C)?(N)?(4)?(n)?OFF(?![A-Za-z_])", re.IGNORECASE)
@@ -43,17 +44,17 @@ def read_off(data: bytes, name: str) -> ColouredPolygons:
     table = _vertex_rows(lines, vertices, first)
     extra = table[:, first : table.shape[1] - (2 if texture else 0)]
     rows = slice(1 + vertices, 1 + vertices + faces)
-    corners, sizes = _corners(lines, rows)
+    corners, offsets = _corners(lines, rows)
     if extra.shape[1] in _COLOUR and vertices:
         scaled, scale = _scaled(extra, name)
         inside = (corners >= 0) & (corners < vertices)  # other corners are refused later
         colours = scaled[np.where(inside, corners, 0)]
     else:
-        shades, scale = _face_colours(lines, rows, sizes)
-        colours = np.repeat(shades, sizes, axis=0)
+        shades, scale = _face_colours(lines, rows, np.diff(offsets))
+        colours = shades[polygons_of(offsets)]
     stored = "uint8" if scale > 1 else "float32"
     left = [what for what, there in (("normals", normals), ("texture coordinates", texture)) if there]
-    return ColouredPolygons(table[:, :3], corners, sizes, colours, stored, tuple(left))
+    return ColouredPolygons(table[:, :3], corners, offsets, colours, stored, tuple(left))
 
 
 def _counts(lines: Lines) -> tuple[int, int]:
@@ -82,6 +83,7 @@ def _vertex_rows(lines: Lines, vertices: int, least: int) -> Float64s:
 
 
 def _corners(lines: Lines, rows: slice) -> tuple[Int64s, Int64s]:
+    """Return the vertices of all corners, and the first corner of each face."""
     heads, stops = lines.heads[rows], lines.stops[rows]
     counted = lines.numbers(heads)
     wrong = ~((counted >= 1) & (counted < stops - heads) & (counted % 1 == 0))
@@ -89,11 +91,11 @@ def _corners(lines: Lines, rows: slice) -> tuple[Int64s, Int64s]:
         cause = f"face {np.argmax(wrong)} does not name the vertices that it counts"
         raise InputError(lines.name, cause, "export it again")
     sizes = counted.astype(np.int64)
-    starts = np.cumsum(sizes) - sizes
-    corners = lines.numbers(np.repeat(heads + 1 - starts, sizes) + np.arange(sizes.sum()))
+    offsets = np.append(0, np.cumsum(sizes))
+    corners = lines.numbers(np.repeat(heads + 1 - offsets[:-1], sizes) + np.arange(offsets[-1]))
     if not ((np.abs(corners) < _MAX_INDEX) & (corners % 1 == 0)).all():
         raise InputError(lines.name, "a face names a vertex that cannot be", "export it again")
-    return corners.astype(np.int64), sizes
+    return corners.astype(np.int64), offsets
 
 
 def _face_colours(lines: Lines, rows: slice, sizes: Int64s) -> tuple[Float32s, float]:

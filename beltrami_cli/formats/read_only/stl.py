@@ -59,7 +59,7 @@ def read_stl(data: bytes, name: str) -> ColouredPolygons:
     return ColouredPolygons(
         positions=positions,
         corners=np.arange(len(positions)),
-        sizes=np.full(len(bits), 3),
+        offsets=3 * np.arange(len(bits) + 1),
         colours=np.repeat(colours, 3, axis=0),
         stored="uint8",
         left_out=("normals",),

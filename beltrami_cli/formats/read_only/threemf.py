@@ -24,7 +24,7 @@ from beltrami_cli.errors import InputError, MemoryLimitError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.archives import Archive
 from beltrami_cli.formats.coloured_polygons import ColouredPolygons
-from beltrami_cli.formats.read_only.xml import TREE_SIZE, safe_parser
+from beltrami_cli.formats.read_only.xml import MEMORY_PER_BYTE, safe_parser
 from beltrami_cli.surface.records import Frame
 
 _RELATIONSHIPS = "_rels/.rels"
@@ -84,7 +84,7 @@ class _Model:
 
 
 def read_3mf(data: bytes, name: str, access: Access) -> ColouredPolygons:
-    building = _Building(Archive(data, name, access, TREE_SIZE), name, access)
+    building = _Building(Archive(data, name, access, MEMORY_PER_BYTE), name, access)
     for part in building.model(building.root).built:
         building.add(part, np.eye(4), building.root, 0)
     return building.whole()
@@ -239,7 +239,7 @@ class _Building:
         return ColouredPolygons(
             positions=np.concatenate([np.empty((0, 3)), *self._positions]),
             corners=corners,
-            sizes=np.full(len(corners) // 3, 3),
+            offsets=3 * np.arange(len(corners) // 3 + 1),
             colours=np.concatenate([np.empty((0, 4), np.float32), *self._colours]),
             stored="uint8",
             left_out=(*sorted(other_groups), "names, metadata and settings of printers"),

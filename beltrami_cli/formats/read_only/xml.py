@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from xml.parsers import expat
 
-TREE_SIZE = 16  # times as much memory as its text takes an XML document while it is read
+MEMORY_PER_BYTE = 16  # bytes that an XML document takes while it is read, for each of its own
 
 
 def safe_parser(namespace_separator: str | None = None) -> expat.XMLParserType:

@@ -10,7 +10,7 @@ from beltrami_cli.errors import InputError, Obstacle, UsageError
 from beltrami_cli.formats.changes import Naming, NewImages, Written
 from beltrami_cli.formats.image.file_formats import format_of, format_of_suffix
 from beltrami_cli.formats.model_folder import UnfitReferenceError
-from beltrami_cli.formats.new_files import NewFiles, SlotsByPath, common_suffix, new_files, slots_by_path
+from beltrami_cli.formats.new_files import NewFiles, SlotsByPath, common_suffix, new_paths, slots_by_path
 from beltrami_cli.formats.usd.contents import SceneContents
 from beltrami_cli.formats.usd.layers import Layers
 from beltrami_cli.formats.usd.package import IMAGES
@@ -87,7 +87,7 @@ class Images:
             for attribute in sorted(self._attributes(path) - {use.attribute for use in self._contents.uses}):
                 names.note_stale_use(attribute, path)
             new = self._new_path(path, dict(changed), names, is_replaced=is_replaced)
-            new_of = new_files(path, new, self._layers.folder.tiles)
+            new_of = new_paths(path, new, self._layers.folder.tiles)
             names.sidecars |= {new_of.pop(file): image.content for file, image in changed}
             names.copied |= {file: old for old, file in new_of.items() if file != old}
             if new != path:
