@@ -9,8 +9,8 @@ from beltrami_cli.quantities import unambiguous_amount_in
 
 _CAMERA = re.compile(r"shot:([^,]+),read:([^,]+)")
 
-# A file of standard deviations is recognised by its extension.
-_SOURCE = re.compile(r"(frame|attribute):(.+)|()(.+\.[A-Za-z]\w*)")
+# A file of standard deviations is recognised by its extension, any other source by its prefix.
+_SOURCE = re.compile(r"(?:(frame|attribute):)?((?(1).+|.+\.[A-Za-z]\w*))")
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ def given_noise(text: str) -> GivenNoise:
     if camera is None:
         if source is None:
             return GivenNoise(unambiguous_amount_in(text, _NOISE_FORMS))
-        return GivenNoise(source=source[2] or source[4], kind=source[1] or "")
+        return GivenNoise(source=source[2], kind=source[1] or "")
     try:
         shot, read = map(float, camera.groups())
     except ValueError:
@@ -63,4 +63,4 @@ def given_noise(text: str) -> GivenNoise:
 def file_of_noise(text: str) -> str:
     """Return the file that a value of `noise` names; empty if it names none."""
     source = _SOURCE.fullmatch(text)
-    return "" if source is None or source[1] == "attribute" else source[2] or source[4]
+    return "" if source is None or source[1] == "attribute" else source[2]

@@ -72,7 +72,7 @@ def test_the_estimated_error_and_its_own_standard_error_are_the_true_ones(monkey
         signs = np.random.default_rng(seed + 1000).choice([-1.0, 1.0], (probes, *clean.shape))
         estimate = RiskEstimate.on(Blur(noisy(clean, seed=seed).astype(float), signs), np.full(3, SIGMA))
         state = estimate.step(estimate.step(estimate.start, step), step)
-        found = estimate.of(state)
+        found = estimate.risk(state)
         differences.append(found.value - np.mean((state.plain - clean) ** 2))
         reported.append(found.error)
     spread = np.std(differences, ddof=1)
@@ -129,14 +129,14 @@ class Valleys:
     """An estimate of errors that falls towards two places among contrasts and growths, the deeper one far away."""
 
     def __init__(self, deeper):
-        self.start = (0.0, 1.0, 0)
+        self.start, self.noise = (0.0, 1.0, 0), 1.0
         self._deeper = deeper
 
     def step(self, state, step):
         beta, _, done = state
         return (step.beta, 1.0, 1) if done == 0 else (beta, step.beta / beta, done + 1)
 
-    def of(self, state):
+    def risk(self, state):
         beta, growth, done = state
         if done < 2:
             return Risk(1.0, 0.1, 0.0)
@@ -148,7 +148,7 @@ class Valleys:
 def test_the_search_finds_the_deeper_of_two_valleys(deeper, beta):
     """One descent alone would end in the valley next to its start."""
     grid = Candidates((0.7, 1.4, 2.8), (1.5, 3.0), 8.0, (0,), 2, 10, ((1, 0, 0), (1, 1, 0)))
-    best = Search(Valleys(deeper), grid, noise=1.0).run()
+    best = Search(Valleys(deeper), grid).run()
     assert best.beta == beta
 
 

@@ -73,7 +73,7 @@ def test_the_estimated_error_is_the_true_one_where_neighbours_share_noise():
             estimate = RiskEstimate.on(Blur(clean + noise, signs[None]), own)
             state = estimate.step(estimate.step(estimate.start, step), step)
             true = np.mean((state.plain - clean) ** 2)
-            differences[name].append((estimate.of(state).value - true) / np.mean(own**2))
+            differences[name].append((estimate.risk(state).value - true) / np.mean(own**2))
     error = np.std(differences["like"], ddof=1) / np.sqrt(30)
     assert abs(np.mean(differences["like"])) < 4 * error + 0.03
     assert error < 0.02  # or the test could not fail

@@ -16,7 +16,7 @@ from beltrami_cli.flow.choice.risk import Risk, RiskEstimate
 from beltrami_cli.flow.choice.search import Candidates, Schedule, Search
 from beltrami_cli.flow.manifolds.kernel_work import LOG
 from beltrami_cli.flow.manifolds.manifold import Manifold, SampleTrial
-from beltrami_cli.flow.noise.model import choose_beta, overall_noise
+from beltrami_cli.flow.noise.model import overall_noise
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.quantities import BYTE_STEP
 
@@ -95,10 +95,9 @@ def tune(
 def _choose_by_rule(manifold: Manifold) -> tuple[KernelParameters, Choice]:
     """Set the free parameters by a rule, from the noise of the channels in the metric."""
     rule, parameters, beta = manifold.rule, manifold.parameters, manifold.beta
-    sigma = manifold.noise.sigma[manifold.metric_channels]
-    if "beta" in parameters.free and len(sigma):
-        beta = choose_beta(sigma, rule.contrast) * manifold.unit / float(np.sqrt(parameters.strength))
-    plain = rule.count(overall_noise(sigma)) - rule.regularised
+    if "beta" in parameters.free:
+        beta = manifold.beta_at(rule.contrast) / math.sqrt(parameters.strength)
+    plain = rule.count(overall_noise(manifold.metric_sigma)) - rule.regularised
     chosen, values = _with_schedule(manifold, Schedule(beta, rule.growth, rule.step, rule.regularised, plain))
     return chosen, Choice(values)
 
@@ -110,7 +109,7 @@ def _choose_by_risk(
     noise, parameters = manifold.noise, manifold.parameters
     weight = (_SHARED_NOISE_WEIGHT if noise.is_shared else 1.0) * parameters.strength
     risks = RiskEstimate.on(trial, noise.sigma, noise.stabiliser)
-    search = Search(risks, _candidates(manifold), risks.noise, weight, tick)
+    search = Search(risks, _candidates(manifold), weight, tick)
     best = search.run()
     psnr, error, gain = _decibels(search.tried[best], risks.noise)
     chosen, values = _with_schedule(manifold, best)
@@ -129,10 +128,8 @@ def is_noisy(sigma: Float64s) -> bool:
 
 def _candidates(manifold: Manifold) -> Candidates:
     """Return the values that are tried: of free parameters those of the search range, of the others the given one."""
-    parameters, tried = manifold.parameters, manifold.search_range
-    sigma, free = manifold.noise.sigma[manifold.metric_channels], parameters.free
-    # Beta at which noise has the length 1; 0 if no colour enters the metric.
-    scale = choose_beta(sigma, 1.0) * manifold.unit if len(sigma) else 0.0
+    parameters, tried, free = manifold.parameters, manifold.search_range, manifold.parameters.free
+    scale = manifold.beta_at(1.0)
     most = _MAX_BEFORE_PATCHES if parameters.takes_patches else max(_CONTRASTS)
     betas = tuple(sorted({contrast * scale for contrast in _CONTRASTS if contrast <= most}))
     growths, regularised = tried.growths, tried.regularised

@@ -102,7 +102,7 @@ class RiskEstimate:
         perturbed = tuple(self.trial.step(colours, step) for colours in state.perturbed)
         return State(self.trial.step(state.plain, step), perturbed)
 
-    def of(self, state: State) -> Risk:
+    def risk(self, state: State) -> Risk:
         smoothed = self.trial.scored(state.plain).astype(np.float64)
         divergence = np.zeros_like(smoothed)
         for weights, colours in zip(self.weights, state.perturbed, strict=True):

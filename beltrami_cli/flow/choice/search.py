@@ -60,22 +60,18 @@ class Candidates:
 
 
 class Search:
-    """Coordinate descent over candidate schedules; `noise` is the variance of the noise.
-
-    `tick` is called before each iteration, and may raise to stop.
-    """
+    """Coordinate descent over candidate schedules; `tick` is called before each iteration, and may raise to stop."""
 
     def __init__(
         self,
         estimate: RiskEstimate,
         candidates: Candidates,
-        noise: float,
         weight: float = 1.0,
         tick: Callable[[], None] | None = None,
     ) -> None:
         self.tried: dict[Schedule, Risk] = {}
         self._estimate, self._candidates, self._tick = estimate, candidates, tick
-        self._gain, self._weight = _MIN_IMPROVEMENT * noise, weight
+        self._gain, self._weight = _MIN_IMPROVEMENT * estimate.noise, weight
         self._least: dict[Place, float] = {}
         self._regularised_states: dict[Schedule, State] = {}
 
@@ -131,7 +127,7 @@ class Search:
         return len(risks) > 1 and risks[-2] - risks[-1] < self._candidates.least_gain * abs(risks[-2])
 
     def _try(self, schedule: Schedule, state: State) -> float:
-        self.tried[schedule] = self._estimate.of(state)
+        self.tried[schedule] = self._estimate.risk(state)
         return self.tried[schedule].value
 
     def _after_regularised(self, schedule: Schedule) -> State:

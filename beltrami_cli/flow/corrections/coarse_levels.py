@@ -52,13 +52,13 @@ def without_shared_noise(
     manifold = dataclasses.replace(manifold, colours=large_arrays.copy_of(manifold.colours))
     if manifold.parameters.clipping == "restore":
         impute_clipped_in_place(manifold)
-    levels, error = manifold.levels(_coarsest(covariances), tick), 0.0
+    levels, error = manifold.levels(_coarsest(covariances)), 0.0
     if not levels:
         return manifold, 0.0
     fill_dark_outliers_in_place(manifold, levels[0], sigma_of_covariances(covariances))
     for number, level in reversed(list(enumerate(levels, 1))):
         noise = level.noise * _noise_of_level(covariances, number, is_coarsest=number == len(levels))
-        error += max(0.0, _estimate_in_place(level, manifold, noise))
+        error += max(0.0, _estimate_in_place(level, manifold, noise, tick))
     left = dataclasses.replace(manifold.noise, covariances=_residual_covariances(covariances))
     return dataclasses.replace(manifold, noise=left), manifold.noise.square_to_input(error)
 
@@ -69,11 +69,14 @@ def _coarsest(covariances: Float64s) -> int:
     return int(grows[-1]) + 1 if len(grows) else 0
 
 
-def _estimate_in_place(level: CoarseLevel, manifold: Manifold, noise: Float64s) -> float:
+def _estimate_in_place(
+    level: CoarseLevel, manifold: Manifold, noise: Float64s, tick: Callable[[], None] | None
+) -> float:
     """Estimate means; return their mean square error by SURE, see `risk`."""
     first, means = Mixing.of(manifold.geometry.steps(manifold.colours), noise), level.means(manifold.colours)
     second = first.with_pilot(manifold.parameters.strength, is_shared=manifold.noise.is_shared)
-    collaborate = partial(level.collaborate, shared=True)
+    progress = None if tick is None else lambda _: tick()
+    collaborate = partial(level.collaborate, progress=progress, shared=True)
 
     def estimate(noisy: Float32s) -> Float32s:
         return collaborate(noisy, collaborate(noisy, noisy, first), second)

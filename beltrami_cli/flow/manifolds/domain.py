@@ -39,10 +39,10 @@ class Domain(Samples):
     width: float
     """Standard deviation of `spread`, in sample spacings."""
 
-    noise: float = 1.0
+    noise: float
     """Variance of the noise, relative to that of the averaged samples."""
 
-    side: int = 1
+    side: int
     """Number of rows of averaged samples in a row of means."""
 
     @abstractmethod
@@ -158,7 +158,10 @@ class CoarseLevel(Domain):
     def means(self, stack: Stack) -> Stack: ...
 
     @abstractmethod
-    def collaborate(self, noisy: Stack, pilot: Stack, mixing: Mixing, *, shared: bool = False) -> Stack:
+    def collaborate(
+        self, noisy: Stack, pilot: Stack, mixing: Mixing, progress: Callable[[int], None] | None = None, *,
+        shared: bool = False,
+    ) -> Stack:  # fmt: skip
         """Estimate means from patches that are similar in the pilot; `shared` noise is the same in all means."""
 
     @abstractmethod

@@ -23,7 +23,7 @@ from beltrami_cli.flow.manifolds.domain import Gaussian, Stack
 from beltrami_cli.flow.manifolds.grid_gaussian import GridGaussian, guide_radius
 from beltrami_cli.flow.manifolds.grid_geometry import Cells, GridGeometry, pick
 from beltrami_cli.flow.manifolds.grid_patches import Squares, collaborate_on_canvas, largest_side
-from beltrami_cli.flow.manifolds.grid_trial import choose_blocks, perturbations, tried_cells, with_halo
+from beltrami_cli.flow.manifolds.grid_trial import choose_blocks, draw_perturbations, tried_cells, with_halo
 from beltrami_cli.flow.manifolds.guides import Guide, GuideStack
 from beltrami_cli.flow.manifolds.iteration import (
     Averaged,
@@ -257,13 +257,13 @@ class GridManifold(Manifold):
 
     def perturbation(self) -> large_arrays.Droppable[Array]:
         atlas, noise = self.geometry.atlas, self.noise
-        return large_arrays.Droppable(None, lambda: perturbations(1, atlas, noise)[0])
+        return large_arrays.Droppable(None, lambda: draw_perturbations(1, atlas, noise)[0])
 
-    def levels(self, most: int, tick: Callable[[], None] | None = None) -> list[Squares]:
+    def levels(self, most: int) -> list[Squares]:
         grid, largest = self.geometry, largest_side(self.geometry.atlas, self.parameters)
         sides = (2**level for level in range(1, most + 1))
         return [
-            Squares(grid.atlas, side, grid.threads, self.noise.relative, self.resources.chunking, tick)
+            Squares(grid.atlas, side, grid.threads, self.noise.relative, self.resources.chunking)
             for side in sides
             if side <= largest
         ]
@@ -286,7 +286,7 @@ class GridManifold(Manifold):
             planes = pick(planes, cells)
             planes[:, part.geometry.atlas.kind == EMPTY] = 0
             scored = np.flatnonzero(core & (part.geometry.atlas.kind == OWNED))
-        drawn = perturbations(wanted_probes(len(scored)), part.geometry.atlas, self.noise)
+        drawn = draw_perturbations(wanted_probes(len(scored)), part.geometry.atlas, self.noise)
         part = dataclasses.replace(part, changes_stacks=False)
         return SampleTrial(part, planes, np.array(drawn, np.float32), scored)
 

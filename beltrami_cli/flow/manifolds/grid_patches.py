@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -50,12 +50,13 @@ def collaborate_on_canvas(
     """
     noisy, pilot = stacks[:2]
     if chunking is None:
-        memory = pilot if replaces_pilot else None
-        return _patches_on((kind, ...), stacks, threads, mixing, progress, memory)[0][0]
-    estimates: Float32s = large_arrays.empty(noisy.shape, np.float32)
+        estimates = pilot if replaces_pilot else large_arrays.empty(noisy.shape, np.float32)
+        _write_estimates(kind, stacks, mixing, threads, estimates, progress)
+        return estimates
+    estimates = large_arrays.empty(noisy.shape, np.float32)
     # Groups start tile by tile. The order in which tiles add to a cell has a period of two tiles.
     before, after = 2 * PATCH_TILE_SIDE, PATCH_TILE_SIDE + PATCH_TILE_MARGIN
-    cut, operation = partial(_part_for_patches, kind), partial(_patches_on, mixing=mixing)
+    cut, operation = partial(_part_for_patches, kind), partial(_estimate_part, mixing=mixing)
     chunks = chunks_of_canvas(cut, kind == OWNED, chunking.count, before, before, after)
     chunking.apply(chunks, operation, stacks, [estimates], progress, size=kind.size, threads=threads)
     return estimates
@@ -71,17 +72,23 @@ def _part_for_patches(kind: Uint8s, around: Rectangle, core: Rectangle) -> tuple
     return part, core
 
 
-def _patches_on(
-    part: tuple[Uint8s, Any],
-    stacks: Sequence[Float32s],
-    threads: int,
-    mixing: Mixing,
-    progress: Callable[[int], None] | None = None,
-    estimates: Float32s | None = None,
+def _estimate_part(
+    part: tuple[Uint8s, Rectangle], stacks: Sequence[Float32s], threads: int, mixing: Mixing
 ) -> tuple[list[Float32s], Figures]:
-    (kind, core), (noisy, pilot, *relative) = part, stacks
-    if estimates is None:
-        estimates = large_arrays.empty(noisy.shape, np.float32)
+    (kind, core), estimates = part, large_arrays.empty(stacks[0].shape, np.float32)
+    _write_estimates(kind, stacks, mixing, threads, estimates)
+    return [estimates[core]], (0, 0)
+
+
+def _write_estimates(
+    kind: Uint8s,
+    stacks: Sequence[Float32s],
+    mixing: Mixing,
+    threads: int,
+    estimates: Float32s,
+    progress: Callable[[int], None] | None = None,
+) -> None:
+    noisy, pilot, *relative = stacks
 
     def report(done: int) -> None:
         large_arrays.release_pages()
@@ -92,7 +99,6 @@ def _patches_on(
     collaborate_on_grid(
         kind, noisy, pilot, mixing.parts, variances, mixing.has_pilot, estimates, threads, report
     )
-    return [estimates[core]], (0, 0)
 
 
 @dataclass(eq=False)
@@ -102,11 +108,10 @@ class Squares(CoarseLevel):
     axis: ClassVar[int] = 0
 
     atlas: Atlas
-    side: int = field()  # in cells; without the default of other domains
+    side: int  # in cells
     threads: int
     cell_variances: Float32s | None = None  # of the noise, relative to the mean; None: the same everywhere
     chunking: Chunking | None = None
-    tick: Callable[[], None] | None = None
     width: float = 3.0
 
     def __post_init__(self) -> None:
@@ -136,7 +141,10 @@ class Squares(CoarseLevel):
         rows, columns = self.atlas.kind.shape
         return large_arrays.blocks(rows, max(1, large_arrays.BLOCK // (self.side * columns)) * self.side)
 
-    def collaborate(self, noisy: Stack, pilot: Stack, mixing: Mixing, *, shared: bool = False) -> Stack:
+    def collaborate(
+        self, noisy: Stack, pilot: Stack, mixing: Mixing, progress: Callable[[int], None] | None = None, *,
+        shared: bool = False,
+    ) -> Stack:  # fmt: skip
         """Estimate means from patches; `shared` noise does not fall with the number of cells in a square."""
         stacks = [noisy, pilot]
         if not shared:
@@ -144,11 +152,9 @@ class Squares(CoarseLevel):
             stacks.append((self.relative / fewer)[None])
         elif self.cell_variances is not None:
             stacks.append(self.relative[None])
-        tick = self.tick
         return collaborate_on_canvas(
-            self.kinds, stacks, mixing, self.threads, None if tick is None else lambda _: tick(),
-            chunking=self.chunking,
-        )  # fmt: skip
+            self.kinds, stacks, mixing, self.threads, progress, chunking=self.chunking
+        )
 
     def probe(self, means: Stack, noise: Float64s) -> Stack:
         return mixed_signs(noise, means.shape[1:], np.random.default_rng(_SEED))

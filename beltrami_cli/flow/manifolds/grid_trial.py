@@ -83,7 +83,7 @@ def _rank(ascending: Indices, numbers: Indices) -> Int64s:
     return np.where(ascending[rank] == numbers, rank, -1)
 
 
-def perturbations(count: int, atlas: Atlas, noise: NoiseModel) -> list[Array]:
+def draw_perturbations(count: int, atlas: Atlas, noise: NoiseModel) -> list[Array]:
     """Draw random planes like the noise: independent signs as bytes, or correlated noise."""
     random, shape = np.random.default_rng(_SEED), atlas.kind.shape
     if noise.is_independent:

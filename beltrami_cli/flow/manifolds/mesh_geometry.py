@@ -50,7 +50,7 @@ class MeshGeometry(Geometry, Domain):
     """Vertices, triangles and edges; stacks have one row per vertex."""
 
     axis: ClassVar[int] = 1
-    width = 4.0
+    width, noise, side = 4.0, 1.0, 1
 
     order: Int32s  # the caller's number of each sample
     positions: Float64s

@@ -243,10 +243,9 @@ class MeshManifold(Manifold):
 
     def perturbation(self) -> Droppable[Array]:
         """Draw random signs that depend only on nearby colours."""
-        return Droppable(self._perturbations(quantised(self.colours), self.graph.priorities, 1)[0])
+        return Droppable(self._draw_perturbations(quantised(self.colours), self.graph.priorities, 1)[0])
 
-    def levels(self, most: int, tick: Callable[[], None] | None = None) -> list[Clusters]:
-        del tick
+    def levels(self, most: int) -> list[Clusters]:
         return clusters_for(self.graph, most, self.noise.relative)
 
     @property
@@ -258,7 +257,9 @@ class MeshManifold(Manifold):
         around = fingerprints(colours, edges)
         # A patch that reached a hub would contain all vertices around it.
         patches = choose_patches(colours, around, without_hubs(size, edges))
-        signs = self._perturbations(colours, around, wanted_probes(int(np.count_nonzero(patches.scored))))
+        signs = self._draw_perturbations(
+            colours, around, wanted_probes(int(np.count_nonzero(patches.scored)))
+        )
         part, samples = self._whole, patches.samples
         if len(samples) < size:
             part, colours, signs = self.cut(samples), colours[samples], signs[:, samples]
@@ -275,7 +276,7 @@ class MeshManifold(Manifold):
         new = self._with_outliers(NewColours.of(mesh.in_order(self.noise.to_input(self.colours))), mesh.order)
         return new if moving is None else dataclasses.replace(new, positions=mesh.in_order(moving.positions))
 
-    def _perturbations(self, colours: Float32s, around: NDArray[np.uint64], count: int) -> Float32s:
+    def _draw_perturbations(self, colours: Float32s, around: NDArray[np.uint64], count: int) -> Float32s:
         """Draw random stacks from nearby colours: signs, or noise that is correlated like that of the colours."""
         if self.noise.is_independent:
             return random_signs(colours, around, count)

@@ -85,7 +85,7 @@ class Clusters(CoarseLevel):
     """Means of clusters of samples, as a stack with one row per cluster."""
 
     axis: ClassVar[int] = 1
-    width = 3.0
+    width, side = 3.0, 1
 
     def __init__(self, samples: Graph, level: Level, relative: Float32s) -> None:
         self._samples, self._level, self._graph = samples, level, level.graph
@@ -98,10 +98,13 @@ class Clusters(CoarseLevel):
         signs = random_signs(means, self._graph.priorities, 1)[0]
         return np.asarray(np.einsum("ij,sj->si", root_of(noise), signs), np.float32)
 
-    def collaborate(self, noisy: Stack, pilot: Stack, mixing: Mixing, *, shared: bool = False) -> Stack:
+    def collaborate(
+        self, noisy: Stack, pilot: Stack, mixing: Mixing, progress: Callable[[int], None] | None = None, *,
+        shared: bool = False,
+    ) -> Stack:  # fmt: skip
         """Estimate means from patches of clusters; `shared` noise does not fall with their size."""
         relative = self.relative if shared else self.relative / (self._counts * np.float32(self.noise))
-        return collaborate_on_graph(self._graph, noisy, pilot, mixing, relative, is_whole=shared)
+        return collaborate_on_graph(self._graph, noisy, pilot, mixing, relative, progress, is_whole=shared)
 
     def add_enlarged(self, stack: Stack, changes: Stack) -> None:
         """Add changes of clusters to their samples, smoothed like bilinear interpolation of squares."""

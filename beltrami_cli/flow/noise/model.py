@@ -36,11 +36,6 @@ MAX_NO_NOISE_PROBABILITY, _CERTAINLY_NO_NOISE = 0.3, 0.95
 # factor of 1, by benchmarks/bench_regret.py: underestimated noise is kept as edges.
 _REMOVED_PER_MEDIAN = 1.1
 
-# Beta times sigma: the distance of colours at which the first kernel should decay, in units of the noise. A search over
-# vertex colours and textures at sigma 20 of 255, with t = 2.4, a growth of 2, two regularised and three plain
-# iterations, has its flat optimum here.
-_BETA_SIGMA = 0.8
-
 # Levels of dark, middle and bright colours at which noise is described.
 _DESCRIBED_LEVELS = {"dark": 0.1, "middle": 0.5, "bright": 0.9}
 
@@ -230,7 +225,7 @@ def relative_to_mean(deviations: Float32s) -> tuple[Float32s, Float64s]:
     return relative.astype(np.float32), sigma
 
 
-def choose_beta(sigma: Float64s, contrast: float = _BETA_SIGMA) -> float:
+def choose_beta(sigma: Float64s, contrast: float) -> float:
     """Choose beta, in spacings per unit of colour, so that noise has a length of `contrast` spacings."""
     # Standard deviation of rounding to 8 bits; less noise cannot be measured.
     rounding = BYTE_STEP / math.sqrt(12)
