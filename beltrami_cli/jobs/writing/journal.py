@@ -1,4 +1,4 @@
-"""Write files under temporary names and move them into place: the steps of a `Transaction`.
+"""Write files under temporary names, and move them to their paths together.
 
 A run that writes files has a journal, `.beltrami-ID.tmp` in OUTPUT's folder, which it keeps locked. It names the
 temporary files, `.beltrami-ID.N.tmp`, each in its target's folder. Before several files are put in place it lists them,
@@ -11,13 +11,16 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import filecmp
 import json
+import logging
 import os
 import re
 import stat
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
@@ -29,6 +32,7 @@ from beltrami_cli.jobs.writing.placing import TemporaryFile, identity_of, put, u
 if TYPE_CHECKING:
     from beltrami_cli.formats.changes import Bytes
 
+LOG = logging.getLogger(__name__)
 _JOURNAL = re.compile(r"\.beltrami-[0-9a-f]{12}\.tmp")
 _COMMITTED = True  # last line of a journal whose set is complete or rolled back
 _LARGEST_JOURNAL = 1 << 26  # bytes: 10,000 files with paths of 4096 bytes
@@ -40,19 +44,27 @@ _BLOCK = 1 << 20  # bytes read back at a time
 
 
 class Journal:
-    """The journal of a run's temporary files, from which the next run cleans up if this one is killed.
+    """The temporary files of a run, and their journal, from which the next run cleans up if this one is killed.
 
     It is made within the lock of its folder, so that no other run finds it before it is locked itself.
+    The `filename` of an OSError is the path that could not be written.
     """
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / f".beltrami-{os.urandom(6).hex()}.tmp"
         self._files, self._is_needed = list[TemporaryFile](), False
+        self._staged: dict[Path, TemporaryFile] = {}  # those that are moved into place, by path
+        self._made_folders: list[Path] = []  # innermost first
         self._descriptor = os.open(self._path, _OPEN_FLAGS | os.O_CREAT | os.O_EXCL, 0o600)
+        self._lock = contextlib.ExitStack()
+        self._lock.callback(close_descriptor, self._descriptor)
         try_lock(self._descriptor)
 
-    def write_aside(self, path: Path, pieces: Iterable[Bytes], *, overwrite: bool) -> TemporaryFile:
+    def stage(self, path: Path, pieces: Iterable[Bytes], *, overwrite: bool) -> None:
         """Write a file under a temporary name, with the rights of a new file, or of the file that it replaces."""
+        missing = takewhile(lambda each: not each.exists(), (path.parent, *path.parent.parents))
+        self._made_folders = [*missing, *self._made_folders]
+        path.parent.mkdir(parents=True, exist_ok=True)
         file = TemporaryFile(path.with_name(f"{self._path.stem}.{len(self._files)}.tmp"), path, overwrite)
         self._files.append(file)
         self._list(file)
@@ -66,9 +78,46 @@ class Journal:
         _require_readable(file.temporary, checksum)
         if replaces:
             take_over(path, file.temporary)
-        return file
+        self._staged[path] = file
 
-    def rename_all(self, files: Sequence[TemporaryFile]) -> None:
+    def temporary_files(self) -> dict[Path, Path]:
+        """Return the temporary files by the paths that they will have."""
+        return {path: file.temporary for path, file in self._staged.items()}
+
+    def keep_equal(self) -> None:
+        """Keep existing files that have the same bytes; FileExistsError if one differs."""
+        for path, file in list(self._staged.items()):
+            try:
+                if not path.exists():
+                    self._staged[path] = replace(file, overwrite=False)
+                elif filecmp.cmp(path, file.temporary, shallow=False):
+                    del self._staged[path]
+                else:
+                    raise FileExistsError
+            except OSError as error:
+                error.filename = str(path)
+                raise
+
+    def commit(
+        self, order: Callable[[Path], tuple[bool, bool, str]], may_replace: Callable[[Path], bool]
+    ) -> None:
+        """Move all files into place in an order, or none; `may_replace` decides on files that appeared meanwhile."""
+        paths = sorted(self._staged, key=order)
+        with folders_locked(path.parent for path in paths), signals_deferred():
+            self._rename_all([_allowed_to_replace(self._staged[path], may_replace) for path in paths])
+            self._made_folders.clear()
+            self._remove_temporary_files()
+
+    def close(self) -> None:
+        """Remove files and folders that were not moved into place."""
+        with signals_deferred():
+            self._remove_temporary_files()
+            for folder in self._made_folders:
+                with contextlib.suppress(OSError):  # it may contain other files by now
+                    folder.rmdir()
+            self._made_folders.clear()
+
+    def _rename_all(self, files: Sequence[TemporaryFile]) -> None:
         """Move all files into place, in this order, or none; OSError names the file that failed."""
         if len(files) < 2:  # a single rename is atomic
             for file in files:
@@ -102,10 +151,12 @@ class Journal:
         with contextlib.suppress(OSError):  # A second rollback would do no harm.
             self._write(_COMMITTED)
 
-    def close(self) -> list[OSError]:
-        """Remove the temporary files, unless the next run needs them to roll back; return why some stay."""
-        close_descriptor(self._descriptor)
-        return [] if self._is_needed else _remove(self._files, self._path)
+    def _remove_temporary_files(self) -> None:
+        """Remove the temporary files, unless the next run needs them to roll back."""
+        self._lock.close()
+        # It is not a failure if some stay, since all outputs are complete.
+        for error in [] if self._is_needed else _remove(self._files, self._path):
+            LOG.warning("the temporary file %s cannot be removed (%s)", error.filename, error.strerror)
 
     def _list(self, file: TemporaryFile) -> None:
         # Relative names stay valid if the whole folder is moved.
@@ -116,6 +167,13 @@ class Journal:
         left = memoryview(json.dumps(value).encode() + b"\n")
         while left:
             left = left[os.write(self._descriptor, left) :]
+
+
+def _allowed_to_replace(file: TemporaryFile, may_replace: Callable[[Path], bool]) -> TemporaryFile:
+    if file.overwrite or not os.path.lexists(file.path) or not may_replace(file.path):
+        return file
+    take_over(file.path, file.temporary)
+    return replace(file, overwrite=True)
 
 
 def _write_pieces(file: BinaryIO, pieces: Iterable[Bytes]) -> int:

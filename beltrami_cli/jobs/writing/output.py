@@ -18,9 +18,8 @@ from typing import TYPE_CHECKING, Literal
 
 from beltrami_cli.errors import OutputError
 from beltrami_cli.formats.access import Access, is_url
-from beltrami_cli.jobs.writing.journal import recover
-from beltrami_cli.jobs.writing.locks import signals_deferred
-from beltrami_cli.jobs.writing.transaction import Transaction
+from beltrami_cli.jobs.writing.journal import Journal, recover
+from beltrami_cli.jobs.writing.locks import folders_locked, signals_deferred
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.changes import Bytes, Written
@@ -204,7 +203,7 @@ class FileSet:
         self._outputs: list[Output] = []
         self._reads = {canonical_path(Path(name)) for name in reads if name != "-"}
         self._guarded: set[str] = set()
-        self._transaction = Transaction()
+        self._journal: Journal | None = None  # from the first staged file until all are in place
         self._names: dict[Path, str] = {}  # for messages
         self._overwriting: dict[Path, Output] = {}  # outputs that may replace files, by the paths of these
         self._streams: list[Callable[[], None]] = []
@@ -213,7 +212,9 @@ class FileSet:
         return self
 
     def __exit__(self, *error: object) -> None:
-        self._transaction.close()
+        if self._journal is not None:
+            self._journal.close()
+            self._journal = None
         self._streams.clear()
 
     def add(self, output: Output) -> None:
@@ -239,9 +240,9 @@ class FileSet:
 
     def with_staged_files(self, access: Access) -> Access:
         """Return an access that reads temporary files as if they were already in place."""
+        staged = {} if self._journal is None else self._journal.temporary_files()
         replacements = {
-            Path(os.path.realpath(path.parent), path.name): temporary
-            for path, temporary in self._transaction.temporary_files().items()
+            Path(os.path.realpath(path.parent), path.name): temporary for path, temporary in staged.items()
         }
         return dataclasses.replace(access, on_read=None, replacements=replacements)
 
@@ -268,8 +269,10 @@ class FileSet:
             if output.overwrite:
                 self._overwriting[path] = output
             try:
-                overwrite = output.may_replace(path)
-                self._transaction.stage(path, pieces, overwrite=overwrite, journal_in=folder)
+                if self._journal is None:
+                    with folders_locked([folder]), signals_deferred():
+                        self._journal = Journal(folder)
+                self._journal.stage(path, pieces, overwrite=output.may_replace(path))
             except OSError as error:
                 raise _unwritable(output.target, error) from error
             release_pages()
@@ -282,7 +285,8 @@ class FileSet:
         """Keep existing files that have the same bytes; OutputError if one differs."""
         self._overwriting.clear()
         try:
-            self._transaction.keep_equal()
+            if self._journal is not None:
+                self._journal.keep_equal()
         except OSError as error:
             raise self._failure(error) from error
 
@@ -293,12 +297,14 @@ class FileSet:
         # Files come before the files that refer to them, so OUTPUT is last.
         is_result = {output.path: output.is_result for output in self._outputs}
         try:
-            self._transaction.commit(
-                order=lambda path: (path in is_result, is_result.get(path, False), str(path)),
-                may_replace=self._is_of_newer_output,
-            )
+            if self._journal is not None:
+                self._journal.commit(
+                    order=lambda path: (path in is_result, is_result.get(path, False), str(path)),
+                    may_replace=self._is_of_newer_output,
+                )
         except OSError as error:
             raise self._failure(error) from error
+        self._journal = None
         self._streams.clear()
 
     def _is_of_newer_output(self, path: Path) -> bool:
