@@ -77,7 +77,7 @@ class FileJob:
         return Path(self.source).resolve().parent != Path(os.path.realpath(self.target)).parent
 
     def reserve(self, sidecars: Callable[[Naming], Iterable[str]]) -> Naming:
-        """Return the naming of the output's sidecar files; OutputError if one of them must not be written."""
+        """Check the document and the names of sidecar files, and return their naming; OutputError if one is refused."""
         if self.job.check is not None:
             self.job.check(self.document)
         in_place = _is_in_place(self.source, self.target)

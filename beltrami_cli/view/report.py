@@ -88,7 +88,7 @@ def _page(
         "change": histogram(tracked(differing, "counting changes", progress), reach), "used": used,
         "seams": [drawn for each in tracked(compared.measured, "drawing seams", progress) if (drawn := seam_map(each))],
     }  # fmt: skip
-    writer, notices = ModelWriter(), compared.all_notices()
+    writer, notices = ModelWriter(), compared.notices()
     slots: list[Slot | None] = [*compared.slots]
     if not slots or any(part.kind == "vertices" for part in compared.parts):
         slots.append(None)

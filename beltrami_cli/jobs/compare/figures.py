@@ -128,11 +128,11 @@ def figures(measured: Sequence[Measured]) -> dict[str, Any]:
         "samples": len(rms),
         "psnr": _psnr(rms, weights),
         "ssim": _mean(*np.array(structured).T) if structured else None,
-        "delta_e": _spread(delta_e, weights),
+        "delta_e": _delta_e(delta_e, weights),
         "worst": max(worst, key=lambda each: float(each["error"]), default=None),
         "near_seams": _near_seams(rms[near], delta_e[near], None if weights is None else weights[near]),
-        "seam_jump": _jumps([part.jumps for part in parts if part.jumps is not None]),
-        "around_charts": _around([part.around for part in parts if part.around is not None]),
+        "seam_jump": _seam_jump([part.jumps for part in parts if part.jumps is not None]),
+        "around_charts": _around_charts([part.around for part in parts if part.around is not None]),
     }  # fmt: skip
 
 
@@ -140,14 +140,14 @@ def _joined(arrays: Sequence[Array]) -> Array:
     return arrays[0] if len(arrays) == 1 else np.concatenate(arrays or [np.zeros(0)])
 
 
-def _known(values: Array, weights: Float64s | None) -> tuple[Array, Float64s | None]:
+def _without_nan(values: Array, weights: Float64s | None) -> tuple[Array, Float64s | None]:
     known = ~np.isnan(values)
     return (values, weights) if known.all() else (values[known], None if weights is None else weights[known])
 
 
 def _mean(values: Array, weights: Float64s | None, power: int = 1) -> float | None:
     """Return the mean of a power of the known values; None without any."""
-    values, weights = _known(values, weights)
+    values, weights = _without_nan(values, weights)
     total = len(values) if weights is None else weights.sum()
     factors = [values] * power + ([] if weights is None else [weights])
     # einsum makes no array of the products.
@@ -161,9 +161,9 @@ def _psnr(rms: Array, weights: Float64s | None) -> float | None:
     return -10 * math.log10(mean) if mean else None
 
 
-def _spread(delta_e: Array, weights: Float64s | None) -> dict[str, float] | None:
-    """Return mean, weighted 95th percentile, and maximum of the Delta E of all samples."""
-    mean, (values, weights) = _mean(delta_e, weights), _known(delta_e, weights)
+def _delta_e(delta_e: Array, weights: Float64s | None) -> dict[str, float] | None:
+    """Return mean, 95th percentile and maximum of the Delta E of all samples."""
+    mean, (values, weights) = _mean(delta_e, weights), _without_nan(delta_e, weights)
     if mean is None:
         return None
     p95 = np.quantile(values, 0.95, weights=weights, method="inverted_cdf")
@@ -176,7 +176,7 @@ def _near_seams(rms: Array, delta_e: Array, weights: Float64s | None) -> dict[st
     return {"samples": len(rms), "psnr": _psnr(rms, weights), "delta_e": _mean(delta_e, weights)}
 
 
-def _around(pairs: Sequence[Pair]) -> dict[str, object] | None:
+def _around_charts(pairs: Sequence[Pair]) -> dict[str, object] | None:
     """Return the error of texels that faces look up without covering them; None if there are no such texels."""
     errors = [np.abs(test.astype(np.float64) - reference) for reference, test in pairs if len(reference)]
     if not errors:
@@ -186,7 +186,7 @@ def _around(pairs: Sequence[Pair]) -> dict[str, object] | None:
     return {"samples": len(rms), "psnr": _psnr(rms, None), "worst": worst}
 
 
-def _jumps(jumps: Sequence[tuple[Float64s, Float64s]]) -> dict[str, object] | None:
+def _seam_jump(jumps: Sequence[tuple[Float64s, Float64s]]) -> dict[str, object] | None:
     reference, test = (_joined([pair[k] for pair in jumps]) for k in (0, 1))
     if not reference.size:
         return None

@@ -96,7 +96,7 @@ def compare_files(
     return Comparison(
         reference=names[0], test=names[1], weights=weights, space=settings.space, parts=described,
         overall=compared.overall(), geometry=moves, limits=verdicts, passed=all(each.kept for each in verdicts),
-        map_scale=scale, notices=[*compared.all_notices(), *untested],
+        map_scale=scale, notices=[*compared.notices(), *untested],
     )  # fmt: skip
 
 
@@ -121,7 +121,7 @@ class ComparedDocuments:
     measured: list[Measured]  # the vertices first
     moves: Moves | None = None  # of the vertices of a model
     slots: tuple[Slot, ...] = ()  # whose textures are among the parts
-    notices: tuple[str, ...] = ()
+    selection_notices: tuple[str, ...] = ()
 
     @property
     def parts(self) -> list[ComparedPart]:
@@ -134,9 +134,9 @@ class ComparedDocuments:
     def overall(self) -> dict[str, Any]:
         return figures(self.differing())
 
-    def all_notices(self) -> list[str]:
+    def notices(self) -> list[str]:
         """Return notices for users, above all on colours that are not compared."""
-        found = [*self.notices]
+        found = [*self.selection_notices]
         if self.moves is not None and not self.moves.is_rounding:
             largest, mean = (f"{100 * move:.3g} %" for move in (self.moves.largest, self.moves.mean))
             found.append(
