@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +20,6 @@ from pictures import Picture, random_picture
 from recipes import Recipe, draw_recipe, draw_recipe_of_textures
 
 Draw = Callable[[np.random.Generator], Recipe]
-Observed = tuple[Samples, Samples | None, Samples | None]  # noisy colours, noise, error of compression alone
 
 SIDES = (32, 48, 64, 96, 128, 192, 256)  # texels per side of a picture
 SHARES = (0.06, 0.06, 0.14, 0.22, 0.24, 0.2, 0.08)  # of pictures, by side
@@ -31,6 +31,14 @@ OF_SCALES = np.array([0.75, 0.1875, 0.046875, 0.015625])
 FEWEST_DETAILS = 3 * SIDE**2 / 16  # minimum number of details of the finest cells in a picture
 # Minimum noise of the loudest and of the quietest component whose correlation is trained, in 8-bit steps.
 CORRELATED, MIN_DEVIATION = 1.0, 0.05
+
+
+class NoisySamples(NamedTuple):
+    """Noisy colours in neighbourhoods, their noise, and the error of compression alone; None: there is none."""
+
+    noisy: Samples
+    noise: Samples | None
+    loss: Samples | None
 
 
 @dataclass(frozen=True)
@@ -53,8 +61,8 @@ def draw_recipe_of_grids(rng: np.random.Generator) -> Recipe:
 
 def random_samples(
     rng: np.random.Generator, crops: list[Crop], draw: Draw, picture: Picture = random_picture
-) -> Observed | None:
-    """Draw noisy colours, their noise, and the error of compression alone."""
+) -> NoisySamples | None:
+    """Draw noisy colours on a grid."""
     crop = crops[rng.integers(len(crops))]
     recipe, side = draw(rng), int(rng.choice(SIDES, p=SHARES))
     wanted = int(np.ceil(side / min(1, recipe.resampled * recipe.after_codec))) + 8
@@ -78,15 +86,15 @@ def _part_of(rng, pixels, side):
     return pixels[top : top + side, left : left + side]
 
 
-def in_squares(sample: Sample, filled: np.ndarray) -> Observed | None:
-    """Cut noisy colours, noise and loss into squares; None if no square is filled."""
+def in_squares(sample: Sample, filled: np.ndarray) -> NoisySamples | None:
+    """Cut noisy colours into squares; None if no square is filled."""
     rows, columns = sample.noisy.shape[:2]
     filled = filled[:rows, :columns]
     return cut_into(Grid.of(filled, MAX_SQUARES), sample) if filled.any() else None
 
 
-def cut_into(neighbourhoods: Neighbourhoods, sample: Sample) -> Observed | None:
-    """Cut noisy colours, noise and loss into neighbourhoods; None if there are none."""
+def cut_into(neighbourhoods: Neighbourhoods, sample: Sample) -> NoisySamples | None:
+    """Cut noisy colours into neighbourhoods; None if there are none."""
     if not neighbourhoods.count:
         return None
     planes = sample.mapped(lambda colours: np.moveaxis(colours, -1, 0).astype(np.float32))
@@ -94,11 +102,12 @@ def cut_into(neighbourhoods: Neighbourhoods, sample: Sample) -> Observed | None:
     noise, loss = (
         neighbourhoods.cut(part, seen.order) if part.any() else None for part in (planes.noise, planes.loss)
     )
-    return seen, noise, loss
+    return NoisySamples(seen, noise, loss)
 
 
-def observed(seen: Samples, noise: Samples | None, loss: Samples | None) -> Observation | None:
-    """Return the observation of noisy colours, given their noise and loss; None if there are too few details."""
+def observation_of(samples: NoisySamples) -> Observation | None:
+    """Describe noisy colours and their noise; None if there are too few details."""
+    seen, noise, loss = samples
     cells = seen.cells()
     products = [0.0 * own.products for own in cells]
     for part, sign in ((noise, 1), (loss, -1)):

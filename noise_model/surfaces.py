@@ -13,7 +13,7 @@ from beltrami_cli.flow.noise.clusters import VertexClusters
 from beltrami_cli.flow.vertex_graph import Graph
 from crops import Crop
 from noises import Sample, degrade, of_one_channel
-from observations import ONE_CHANNEL, Draw, Observed, cut_into
+from observations import ONE_CHANNEL, Draw, NoisySamples, cut_into
 from pictures import Picture, random_picture
 from recipes import Recipe
 
@@ -63,8 +63,8 @@ def _places(rng: np.random.Generator, kind: str, side: int) -> np.ndarray:
 
 def random_samples(
     rng: np.random.Generator, crops: list[Crop], draw: Draw, picture: Picture = random_picture
-) -> Observed | None:
-    """Draw noisy colours, their noise, and the error of compression alone."""
+) -> NoisySamples | None:
+    """Draw noisy colours at vertices."""
     clusters, places = surface(int(rng.integers(SURFACES)))
     density = np.exp(rng.uniform(*np.log(DENSITIES)))
     pixels = crops[rng.integers(len(crops))].pixels
@@ -80,11 +80,11 @@ def random_samples(
     clean = picture(rng, pixels[top : top + height, left : left + width])
     if rng.random() < ONE_CHANNEL:
         clean, recipe = of_one_channel(clean, recipe)
-    sample = sampled(rng, clean, places, recipe, is_on_vertices=is_on_vertices)
+    sample = degrade_at_vertices(rng, clean, places, recipe, is_on_vertices=is_on_vertices)
     return cut_into(clusters, sample.mapped(lambda colours: colours.reshape(-1, 3)))
 
 
-def sampled(
+def degrade_at_vertices(
     rng: np.random.Generator,
     picture: np.ndarray,
     places: np.ndarray,
@@ -96,20 +96,20 @@ def sampled(
     of_picture = replace(recipe, sigma=0.0, impulses=0.0) if is_on_vertices else recipe
     sample, order = degrade(rng, picture, of_picture), int(rng.integers(2))
     at = places.T * (np.array(sample.noisy.shape[:2])[:, None] - 1)
-    sample = sample.mapped(lambda planes: _sampled(planes, at, order))
+    sample = sample.mapped(lambda planes: _looked_up(planes, at, order))
     if is_on_vertices:
-        return degrade(rng, sample.noisy[:, None], of_vertices(recipe))
+        return degrade(rng, sample.noisy[:, None], without_filters(recipe))
     return replace(sample, noisy=np.rint(sample.noisy * 255) / np.float32(255)) if recipe.bits else sample
 
 
-def _sampled(picture: np.ndarray, at: np.ndarray, order: int) -> np.ndarray:
+def _looked_up(picture: np.ndarray, at: np.ndarray, order: int) -> np.ndarray:
     if not picture.any():
         return np.zeros((at.shape[1], 3), np.float32)
     planes = np.moveaxis(picture, 2, 0)
     return np.stack([map_coordinates(each, at, order=order, mode="nearest") for each in planes], axis=-1)
 
 
-def of_vertices(recipe: Recipe) -> Recipe:
+def without_filters(recipe: Recipe) -> Recipe:
     """Return a recipe of only those steps that do not need a grid."""
     return Recipe(
         recipe.sigma, recipe.power, recipe.floor, recipe.correlation, recipe.gains, recipe.tail, recipe.shape,

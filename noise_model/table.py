@@ -21,7 +21,7 @@ from beltrami_cli.flow.noise.reading import read_noise
 from crops import Crop, clean_crops, folders_of_packages
 from noises import Sample, degrade
 from recipes import Recipe
-from surfaces import sampled, surface
+from surfaces import degrade_at_vertices, surface
 
 SIDE, CASES, SEED = 192, 44, 7  # texels per side, and noisy pictures of each kind
 FALSE_POSITIVE = 4 / 255  # reading from which a clean picture counts as misread
@@ -109,7 +109,7 @@ def cases_on_surfaces(crops: list[Crop], kind: str) -> Iterator[tuple[Neighbourh
         clusters, places = surface(SURFACES[number % len(SURFACES)])
         side = int(np.clip(np.sqrt(len(places)), 16, SIDE))
         on_vertices = KINDS_ON_SURFACES[kind]
-        sample = sampled(rng, clean[:side, :side], places, recipe, is_on_vertices=on_vertices)
+        sample = degrade_at_vertices(rng, clean[:side, :side], places, recipe, is_on_vertices=on_vertices)
         yield clusters, sample.noisy.reshape(-1, 3).T, sample
 
 

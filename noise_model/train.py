@@ -32,7 +32,7 @@ from beltrami_cli.flow.noise.network import Weights, forward
 from configuration import NETWORK, WEIGHTS, configuration
 from crops import Crop, clean_crops, folders_of_packages
 from losses import losses
-from observations import draw_recipe_of_grids, observed, random_samples
+from observations import draw_recipe_of_grids, observation_of, random_samples
 from recipes import draw_recipe
 
 OBSERVATIONS = {"grid": 140_000, "cluster": 60_000, "validation": 4_000}  # maximum number for validation
@@ -56,7 +56,7 @@ def make_observations(kind: str, part: str, seed: int, count: int, roots: list[P
     rng, observations = np.random.default_rng([SEED, seed, part == "training"]), []
     while len(observations) < count:
         drawn = SAMPLES[kind](rng, crops, RECIPES[kind])
-        observation = None if drawn is None else observed(*drawn)
+        observation = None if drawn is None else observation_of(drawn)
         if observation is not None:
             observations.append(observation)
     return Batch.of(observations)

@@ -44,14 +44,14 @@ def make_rows(
     rng, rows = np.random.default_rng([SEED, seed, part == "training", number]), []
     while len(rows) < count:
         drawn = SAMPLES[kind](rng, crops, family.draw, family.picture)
-        if drawn is None or drawn[0].where.scales[0].freedom.sum() < observations.FEWEST_DETAILS:
+        if drawn is None or drawn.noisy.where.scales[0].freedom.sum() < observations.FEWEST_DETAILS:
             continue
-        seen, *parts = drawn
         noise, loss = (
-            0.0 if own is None else float(np.mean(np.square(own.colours, dtype=np.float64))) for own in parts
+            0.0 if part is None else float(np.mean(np.square(part.colours, dtype=np.float64)))
+            for part in (drawn.noise, drawn.loss)
         )
         truth = np.sqrt([max(0.0, noise - loss)])
-        rows.append((*evidence(seen, *network.read(seen, weights)), truth))
+        rows.append((*evidence(drawn.noisy, *network.read(drawn.noisy, weights)), truth))
     return [np.concatenate(column) for column in zip(*rows, strict=True)]
 
 

@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter
 import beltrami_cli
 from beltrami_cli.flow.choice.risk import RiskEstimate
 from beltrami_cli.flow.manifolds.iteration import Step
-from beltrami_cli.flow.noise.drawing import draw_model
+from beltrami_cli.flow.noise.drawing import draw_on_grid
 from beltrami_cli.flow.noise.model import sigma_of_covariances
 from flow.noisy_surfaces import by_camera, in_8_bits, noise_of_image
 from flow.test_choice import Blur
@@ -50,7 +50,7 @@ def details(noise):
 
 def test_drawn_noise_has_the_covariances_that_were_given():
     """In every octave, to four standard errors: of 16,384 and more coefficients, a covariance is known to 1 %."""
-    noise = draw_model(SHARED, (512, 512), np.random.default_rng(0))
+    noise = draw_on_grid(SHARED, (512, 512), np.random.default_rng(0))
     assert noise.var(axis=(1, 2)) == pytest.approx(sigma_of_covariances(SHARED) ** 2, rel=0.04)
     for level, given in enumerate(SHARED[:3]):
         fine, noise = details(noise)
@@ -67,7 +67,7 @@ def test_the_estimated_error_is_the_true_one_where_neighbours_share_noise():
     differences = {"like": [], "unlike": []}
     for seed in range(30):
         random = np.random.default_rng(seed)
-        noise, like = (np.moveaxis(draw_model(covariances, (64, 64), random), 0, 2) for _ in range(2))
+        noise, like = (np.moveaxis(draw_on_grid(covariances, (64, 64), random), 0, 2) for _ in range(2))
         like = like / np.sqrt(np.mean(own**2))
         for name, signs in (("like", like), ("unlike", random.choice([-1.0, 1.0], clean.shape))):
             estimate = RiskEstimate.on(Blur(clean + noise, signs[None]), own)

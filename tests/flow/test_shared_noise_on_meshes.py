@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli import smooth
-from beltrami_cli.flow.noise.drawing import draw_noise_of_clusters
+from beltrami_cli.flow.noise.drawing import draw_on_clusters
 from beltrami_cli.flow.noise.model import sigma_of_covariances
 from beltrami_cli.flow.vertex_graph import levels_of
 from flow.noisy_surfaces import manifold_of, with_grain
@@ -61,7 +61,7 @@ def test_drawn_noise_has_the_details_of_what_was_found(sphere):
     levels = list(islice(levels_of(manifold.graph), len(covariances) + 1))
     random = np.random.default_rng(5)
     signs = random.choice(np.float32([-1, 1]), (len(levels), manifold.geometry.size, 3))
-    noise = draw_noise_of_clusters(covariances, levels, signs)
+    noise = draw_on_clusters(covariances, levels, signs)
     for number, (fine, above) in enumerate(pairwise(levels[:3])):
         parents = above.members[fine.centres]
         details = (fine.means(noise) - above.means(noise)[parents]) * np.sqrt(fine.counts)[:, None]

@@ -5,7 +5,7 @@ import pytest
 
 from beltrami_cli.flow.noise.network import OFFSET
 from noises import Sample, degrade
-from observations import in_squares, observed
+from observations import in_squares, observation_of
 from recipes import Recipe, draw_recipe, draw_recipe_of_textures
 from size_kinds import draw_recipe_of_cameras, draw_recipe_on_slopes
 
@@ -19,7 +19,7 @@ def clean():
 
 def observe(sample):
     found = in_squares(sample, np.ones(sample.noisy.shape[:2], bool))
-    return None if found is None else observed(*found)
+    return None if found is None else observation_of(found)
 
 
 @pytest.mark.parametrize("sigma", [0, 4, 12])

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 
-from beltrami_cli.flow.noise.drawing import draw_model
+from beltrami_cli.flow.noise.drawing import draw_on_grid
 from beltrami_cli.flow.noise.grid_squares import MAX_SQUARES, SIDE, Grid, choose_corners
 from beltrami_cli.flow.noise.reading import read_noise
 from flow.noisy_surfaces import by_camera
@@ -113,7 +113,7 @@ def test_the_loudest_channel_is_found():
 
 def test_coarse_grain_is_found_at_coarse_scales():
     covariances = np.stack([share * 0.002 * np.eye(3) for share in (0.1, 0.5, 1, 1)])
-    noise = draw_model(covariances, SHAPE, np.random.default_rng(5))
+    noise = draw_on_grid(covariances, SHAPE, np.random.default_rng(5))
     found = np.trace(estimate(rounded(ramp() + noise)).covariances, axis1=1, axis2=2) / 3
     assert found[0] < found[1] < found[2]
 

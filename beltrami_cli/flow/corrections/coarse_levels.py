@@ -108,10 +108,6 @@ def _residual_covariances(covariances: Float64s) -> Float64s:
     """Return the covariances of the noise left by coarser levels, shape (L, N, N), see `noise.model`."""
     left = np.zeros_like(covariances)
     left[0] = covariances[0]
-    left[1:] = (
-        _RESIDUAL_SHARE
-        * covariances[1]
-        / _SHARE_IN_MEANS
-        / 4 ** np.arange(len(covariances) - 1)[:, None, None]
-    )
+    cells = 4.0 ** np.arange(len(covariances) - 1)[:, None, None]
+    left[1:] = _RESIDUAL_SHARE * covariances[1] / (_SHARE_IN_MEANS * cells)
     return left

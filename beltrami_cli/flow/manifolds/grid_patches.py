@@ -24,7 +24,7 @@ from beltrami_cli.flow.manifolds.canvas import canvas_margin
 from beltrami_cli.flow.manifolds.domain import CoarseLevel, Stack
 from beltrami_cli.flow.manifolds.grid_gaussian import gaussian_taps
 from beltrami_cli.flow.mixing import Mixing
-from beltrami_cli.flow.noise.drawing import mixed_signs
+from beltrami_cli.flow.noise.drawing import draw_white
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED, Atlas, refresh_halo
@@ -157,7 +157,7 @@ class Squares(CoarseLevel):
         )
 
     def probe(self, means: Stack, noise: Float64s) -> Stack:
-        return mixed_signs(noise, means.shape[1:], np.random.default_rng(_SEED))
+        return draw_white(noise, means.shape[1:], np.random.default_rng(_SEED))
 
     def enlarged(self, planes: Float32s, rows: slice) -> Float32s:
         """Interpolate planes bilinearly between owned squares, at the owned cells of some rows; 0 in other cells."""

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Indices, Int64s
-from beltrami_cli.flow.noise.drawing import draw_model, draw_signs
+from beltrami_cli.flow.noise.drawing import draw_on_grid, draw_signs
 from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, OWNED, Atlas, Halo, refresh_halo
@@ -90,7 +90,7 @@ def draw_perturbations(count: int, atlas: Atlas, noise: NoiseModel) -> list[Arra
         drawn = [*draw_signs((count, len(noise.sigma), *shape), random)]
     else:
         size = np.float32(np.sqrt(np.mean(np.square(noise.sigma))))
-        drawn = [draw_model(noise.covariances, shape, random) for _ in range(count)]
+        drawn = [draw_on_grid(noise.covariances, shape, random) for _ in range(count)]
     for planes in drawn:
         for rows in large_arrays.blocks(len(atlas.kind), large_arrays.ROWS):
             if not noise.is_independent:

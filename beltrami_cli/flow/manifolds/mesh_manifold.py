@@ -35,7 +35,7 @@ from beltrami_cli.flow.manifolds.moving_positions import GeometryParameters, Mov
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.manifolds.search_range import ON_MESHES, RULE_ON_MESHES
 from beltrami_cli.flow.mixing import Mixing
-from beltrami_cli.flow.noise.drawing import draw_noise_of_clusters
+from beltrami_cli.flow.noise.drawing import draw_on_clusters
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.vertex_graph import Graph, levels_of
 from beltrami_cli.surface.geometry import distinct_edges
@@ -283,6 +283,6 @@ class MeshManifold(Manifold):
         covariances = self.noise.covariances
         levels = list(islice(levels_of(self.graph), len(covariances) + 1))
         signs = np.split(random_signs(colours, around, count * len(levels)), count)
-        drawn = np.stack([draw_noise_of_clusters(covariances, levels, of_levels) for of_levels in signs])
+        drawn = np.stack([draw_on_clusters(covariances, levels, of_levels) for of_levels in signs])
         drawn /= np.float32(np.sqrt(np.mean(np.square(self.noise.sigma))))
         return drawn

@@ -3,27 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s, Int8s
+from beltrami_cli.flow.vertex_graph import Level
 from beltrami_cli.surface import large_arrays
-
-if TYPE_CHECKING:
-    from beltrami_cli.flow.vertex_graph import Level
 
 # Rows processed at a time where each needs temporary memory.
 _BLOCK_ROWS = 64
 
 
-def draw_model(covariances: Float64s, shape: tuple[int, int], random: np.random.Generator) -> Float32s:
+def draw_on_grid(covariances: Float64s, shape: tuple[int, int], random: np.random.Generator) -> Float32s:
     """Draw noise, shape (N, *shape), of the given covariances of Haar details, shape (L, N, N)."""
     levels = len(covariances)
-    noise = mixed_signs(covariances[-1], [-(-size // 2**levels) for size in shape], random)
+    noise = draw_white(covariances[-1], [-(-size // 2**levels) for size in shape], random)
     noise /= np.float32(2**levels)
     for level in reversed(range(levels)):
-        details = [mixed_signs(covariances[level], noise.shape[1:], random) for _ in range(3)]
+        details = [draw_white(covariances[level], noise.shape[1:], random) for _ in range(3)]
         noise = _with_details(noise, details, np.float32(2 ** (level + 1)))
     if noise.shape[1:] == shape:
         return noise
@@ -48,7 +45,7 @@ def _with_details(noise: Float32s, details: list[Float32s], size: np.float32) ->
     return finer
 
 
-def mixed_signs(covariance: Float64s, shape: Sequence[int], random: np.random.Generator) -> Float32s:
+def draw_white(covariance: Float64s, shape: Sequence[int], random: np.random.Generator) -> Float32s:
     """Draw white noise with a covariance of the channels, shape (N, *shape)."""
     root = root_of(covariance)
     signs = draw_signs((len(root), *shape), random)
@@ -75,8 +72,8 @@ def root_of(covariance: Float64s) -> Float32s:
     return root
 
 
-def draw_noise_of_clusters(covariances: Float64s, levels: Sequence[Level], signs: Float32s) -> Float32s:
-    """Draw the noise on clusters instead, from independent signs of samples for each level."""
+def draw_on_clusters(covariances: Float64s, levels: Sequence[Level], signs: Float32s) -> Float32s:
+    """Draw the same noise for vertices, shape (S, N), from independent signs of samples for each level."""
     noise: Float32s = np.zeros(signs.shape[1:], np.float32)
     for number, (level, of_level) in enumerate(zip(levels, signs, strict=True)):
         root = root_of(covariances[min(number, len(covariances) - 1)])
