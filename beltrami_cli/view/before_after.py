@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.access import Access, read_regular
@@ -20,7 +19,7 @@ from beltrami_cli.view.drawing.panels import draw_views
 from beltrami_cli.view.drawing.surface_view import require_embree
 from beltrami_cli.view.drawing.views import open_views, require_memory_to_draw
 from beltrami_cli.view.render import encoded, picture_suffix
-from beltrami_cli.view.settings import DEFAULT_RENDER, Crop, RenderSettings
+from beltrami_cli.view.settings import DEFAULT_RENDER, Crop, RenderSettings, parts_shown
 
 _MARK = packed_chunk(b"tEXt", b"Software\0beltrami smooth --preview")  # of PNG files that are previews
 _MARK_OFFSET = 33  # where it is: behind the signature and IHDR
@@ -40,8 +39,7 @@ class Preview:
         self._suffix = picture_suffix(path, DEFAULT_RENDER)
         self._source, self._target = source, target
         self._reading, self._access = settings, access
-        on: Literal["vertices", "auto"] = "vertices" if settings.on == "vertices" else "auto"
-        self._rendering = RenderSettings(on=on, slot=settings.textures.slots[0], crops=(Crop(),))
+        self._rendering = RenderSettings(crops=(Crop(),), **parts_shown(settings))
         head = b""
         with contextlib.suppress(OSError):  # which is reported when it is smoothed
             head = read_regular(Path(source), access, _HEAD)

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import ClassVar, Literal, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import Checked, parameter
 from beltrami_cli.surface.records import SLOTS
+
+if TYPE_CHECKING:
+    from beltrami_cli.layers.settings import SmoothSettings
 
 Axis = Literal["x", "y", "z"]
 Colour = tuple[float, float, float, float]  # display values and opacity from 0 to 1
@@ -156,3 +159,8 @@ class RenderSettings(Checked):
 
 
 DEFAULT_RENDER = RenderSettings()
+
+
+def parts_shown(settings: SmoothSettings) -> dict[str, Any]:
+    """Return the values of `RenderSettings` that show what is smoothed with some settings."""
+    return {"on": "vertices" if settings.on == "vertices" else "auto", "slot": settings.textures.slots[0]}

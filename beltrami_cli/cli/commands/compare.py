@@ -31,8 +31,7 @@ _LIMITS = {
     "max_seam_jump": ("colour step over seams beyond the reference's", 255.0, "/255"),
     "max_move": ("largest move of a vertex", 100.0, " % of the model's size"),
 }
-
-
+# The head of JUnit reports, by which they are recognised.
 _SUITE = "beltrami compare"
 _XML = b'<?xml version="1.0" encoding="utf-8"?>\n'
 _JUNIT_HEAD = _XML + f'<testsuite name="{_SUITE}"'.encode()

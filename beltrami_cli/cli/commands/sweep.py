@@ -17,7 +17,7 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import Parameter, parameters
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.layers.settings import SmoothSettings
-from beltrami_cli.view.settings import RenderSettings
+from beltrami_cli.view.settings import RenderSettings, parts_shown
 
 _SWEPT = ("beta", "t", "iterations", "metric_scale", "metric_steps")
 _LABELS = {"iterations": "n", "metric_scale": "metric scale", "metric_steps": "metric steps"}
@@ -72,9 +72,7 @@ def sweep(
     trials, columns = _trials(given)
     if kind is not None:
         refuse_typed(RenderSettings, f"of pictures, and --format {kind} draws none; leave it out")
-    plain = trials[0][1]
-    on = "vertices" if plain.on == "vertices" else "auto"
-    settings = record_from(RenderSettings, given, on=on, slot=plain.textures.slots[0])
+    settings = record_from(RenderSettings, given, **parts_shown(trials[0][1]))
     from beltrami_cli.view.sheet import best_of
     from beltrami_cli.view.sweep import sweep_file
 

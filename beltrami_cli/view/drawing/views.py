@@ -15,7 +15,7 @@ from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.progress import Progress, tracked
 from beltrami_cli.layers.settings import COLOUR_SLOTS, DEFAULTS, SmoothSettings
 from beltrami_cli.surface.geometry import triangle_areas
-from beltrami_cli.surface.records import SLOTS, Slot
+from beltrami_cli.surface.records import Slot
 from beltrami_cli.view.drawing.cameras import within_reach
 from beltrami_cli.view.drawing.cloud_view import CloudView
 from beltrami_cli.view.drawing.image_view import ImageView
@@ -51,7 +51,7 @@ def require_memory_to_draw(
         return
     texels = largest = 0
     for document in documents:
-        for data, name in image_files(document, () if settings.on == "vertices" else (settings.slot,)):
+        for data, name in _image_files(document, () if settings.on == "vertices" else (settings.slot,)):
             size = measure_image(data, name)
             if size is not None:  # otherwise the decoder reports the error
                 texels, largest = texels + size.texels, max(largest, size.decoded)
@@ -85,7 +85,7 @@ def view_of(document: Document, settings: RenderSettings) -> Drawable:
     return CloudView(positions[finite], light[finite])
 
 
-def image_files(document: Document, slots: Collection[str] = SLOTS) -> list[tuple[bytes, str]]:
+def _image_files(document: Document, slots: Collection[str]) -> list[tuple[bytes, str]]:
     """Return the image files of a document, with their names; of a model, the textures of some slots."""
     if document.kind == "image":
         return [(document.data, document.name)]
