@@ -17,16 +17,8 @@ from beltrami_cli.formats.image.sizes import measure_image
 from beltrami_cli.formats.mesh_contents import MaterialMaps, with_material_per_tile
 from beltrami_cli.formats.scene import Scene
 from beltrami_cli.surface.polygons import polygons_of
-from beltrami_cli.surface.records import (
-    SLOTS,
-    AlphaMode,
-    ImageFile,
-    Material,
-    MaterialMap,
-    MeshContents,
-    MeshImage,
-    Slot,
-)
+from beltrami_cli.surface.records import AlphaMode, ImageFile, Material, MaterialMap, MeshContents, MeshImage
+from beltrami_cli.surface.slots import SLOTS, Slot
 
 _MAX_COORDINATE = 1e30  # texture coordinate that single precision holds with room for computing
 

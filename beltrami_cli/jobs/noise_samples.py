@@ -25,7 +25,8 @@ from beltrami_cli.surface.baking import places_of_texels
 from beltrami_cli.surface.colour_values import from_space, to_space
 from beltrami_cli.surface.geometry import edges_of
 from beltrami_cli.surface.grouping import group_places
-from beltrami_cli.surface.records import SLOTS, Cells, ColouredVertices
+from beltrami_cli.surface.records import Cells, ColouredVertices
+from beltrami_cli.surface.slots import SLOTS
 
 
 class LayerSamples(ABC):

@@ -20,7 +20,8 @@ from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.atlas import Atlas
 from beltrami_cli.surface.lookups import look_up
 from beltrami_cli.surface.precision import require_single
-from beltrami_cli.surface.records import SLOTS, Slot, Texture, TexturedSurface
+from beltrami_cli.surface.records import Texture, TexturedSurface
+from beltrami_cli.surface.slots import SLOTS, Slot
 
 # Values of a slot without a texture (glTF 2.0, section 3.9); a normal is perpendicular to the surface.
 _VALUES_WITHOUT_TEXTURE = {"normal": (0.5, 0.5, 1.0), "emissive": (0.0, 0.0, 0.0)}

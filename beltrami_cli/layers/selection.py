@@ -22,7 +22,8 @@ from beltrami_cli.layers.texture_groups import choose_textures, covered_texels, 
 from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.surface.large_arrays import arrays_in_files
 from beltrami_cli.surface.precision import check_scale, coarse_rounding
-from beltrami_cli.surface.records import SLOTS, Slot, TexturedSurface
+from beltrami_cli.surface.records import TexturedSurface
+from beltrami_cli.surface.slots import SLOTS, Slot
 
 if TYPE_CHECKING:
     from beltrami_cli.layers.vertex_layer import VertexLayer

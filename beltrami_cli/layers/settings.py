@@ -25,7 +25,7 @@ from beltrami_cli.fields import (
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters, Space
 from beltrami_cli.formats.access import is_file
 from beltrami_cli.quantities import names_in, share_in
-from beltrami_cli.surface.records import SLOTS
+from beltrami_cli.surface.slots import SLOTS
 
 Target = Literal["auto", "vertices", "texture", "both"]
 AlphaMode = Literal["keep", "smooth"]

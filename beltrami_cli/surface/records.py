@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Indices, Int32s, Int64s
 from beltrami_cli.surface.ranges import entries
+from beltrami_cli.surface.slots import Slot as Slot
 
 Encoding = Literal["srgb", "linear"]
 
@@ -89,8 +90,6 @@ class Frame:
 
 
 Wrap = Literal["repeat", "mirror", "clamp"]
-Slot = Literal["baseColor", "emissive", "normal", "occlusion", "metallicRoughness"]
-SLOTS: tuple[Slot, ...] = get_args(Slot)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import Checked, parameter
-from beltrami_cli.surface.records import SLOTS
+from beltrami_cli.surface.slots import SLOTS
 
 if TYPE_CHECKING:
     from beltrami_cli.layers.settings import SmoothSettings

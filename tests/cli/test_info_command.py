@@ -11,7 +11,7 @@ from beltrami_cli import SmoothSettings, inspect_file
 from beltrami_cli.cli.documentation import notes_on
 from beltrami_cli.cli.phrases import label_of
 from beltrami_cli.fields import override
-from beltrami_cli.surface.records import SLOTS
+from beltrami_cli.surface.slots import SLOTS
 from cli.commands import SAMPLES, beltrami, colours_in, copy_samples
 from formats.gltf_files import Textured
 from formats.image_files import encode

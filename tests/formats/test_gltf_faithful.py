@@ -15,7 +15,7 @@ from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, missing_packag
 from beltrami_cli.formats.image.writing import write_image
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
-from beltrami_cli.surface.records import SLOTS
+from beltrami_cli.surface.slots import SLOTS
 from formats.gltf_comparison import (
     EXTENSIONS,
     byte_differences,

@@ -12,7 +12,7 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.gltf.document import GltfDocument
 from beltrami_cli.formats.image.reading import read_texture
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.surface.records import SLOTS
+from beltrami_cli.surface.slots import SLOTS
 from formats.gltf_files import JPEG, KTX2, Model, Textured, picture
 from formats.gltf_showcase import showcase
 from formats.image_files import encode

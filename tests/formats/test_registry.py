@@ -16,7 +16,7 @@ from beltrami_cli.jobs.noise import noise_file
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
-from beltrami_cli.surface.records import SLOTS
+from beltrami_cli.surface.slots import SLOTS
 from formats.gltf_comparison import with_better_image
 from formats.gltf_compressed import GRID, draco_model, meshopt_model
 from formats.gltf_files import coloured

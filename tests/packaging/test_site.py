@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from beltrami_cli.formats.registry import FORMATS
-from beltrami_cli.surface.records import SLOTS
+from beltrami_cli.surface.slots import SLOTS
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "beltrami_cli"

@@ -21,7 +21,8 @@ from beltrami_cli.formats.usd.contents import SceneContents
 from beltrami_cli.formats.usd.images import Images
 from beltrami_cli.formats.usd.layers import Layers
 from beltrami_cli.surface.precision import require_finite, require_single
-from beltrami_cli.surface.records import SLOTS, Frame, Material, MeshContents, Slot
+from beltrami_cli.surface.records import Frame, Material, MeshContents
+from beltrami_cli.surface.slots import SLOTS, Slot
 
 _COUNTS = {
     "instanced": "{} mesh(es) are instances of others; each is smoothed once, at its first place",

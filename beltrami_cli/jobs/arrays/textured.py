@@ -31,7 +31,8 @@ from beltrami_cli.layers.reports import SlotReport
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings
 from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.surface.precision import check_scale, require_finite
-from beltrami_cli.surface.records import SLOTS, Encoding, Slot, Texture, TexturedSurface
+from beltrami_cli.surface.records import Encoding, Texture, TexturedSurface
+from beltrami_cli.surface.slots import SLOTS, Slot
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from beltrami_cli.fields import require_effect
 from beltrami_cli.jobs.compare.same_model import Documents
 from beltrami_cli.layers.selection import Selection, absent_slots, select
 from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
-from beltrami_cli.surface.records import SLOTS, Slot
+from beltrami_cli.surface.slots import SLOTS, Slot
 
 
 def choose_parts(documents: Documents, settings: SmoothSettings) -> tuple[Selection, list[str]]:
