@@ -13,7 +13,7 @@ from beltrami_cli.batch.item import Attempt, Item, Outcome, failed, outcome_of
 from beltrami_cli.batch.staging import staged
 from beltrami_cli.batch.storage import hash_at
 from beltrami_cli.errors import BeltramiError, MemoryLimitError, NoColoursError
-from beltrami_cli.formats.access import Access, is_url
+from beltrami_cli.formats.access import Access, Hooks, is_url
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.progress import Progress, Share
 from beltrami_cli.jobs.writing.output import FileSet
@@ -61,7 +61,8 @@ def _smooth_staged(
         )  # fmt: skip
         try:
             # Files that the source refers to are downloaded when they are first looked for.
-            access = Access(local.outside, memory, stage.note, stage.download, columns=local.columns)
+            hooks = Hooks(stage.note, stage.download)
+            access = Access(local.outside, memory, columns=local.columns, hooks=hooks)
             report = _smooth(staged_item, access, progress, chunking)
         except BeltramiError as error:
             names = {stage.source: item.source, stage.target: item.target}

@@ -1,4 +1,4 @@
-"""Which files a job may read, from where and up to which size, and the functions that read within these limits."""
+"""Limits of what a job may read, and functions that read within them."""
 
 from __future__ import annotations
 
@@ -25,8 +25,26 @@ _BLOCK = 1 << 24  # bytes of standard input read at a time: a larger request is 
 
 
 @dataclass(frozen=True)
+class Hooks:
+    """What a job does as files are read."""
+
+    # Called with the path and content of every file that was read, so that a job can record its inputs.
+    on_read: Callable[[Path, bytes], None] | None = None
+    # Called with the path of every sidecar file before it is opened, so that it can be fetched from elsewhere.
+    fetch: Callable[[Path], None] | None = None
+    # Replacements of files, by resolved path: new files that are not in place yet.
+    replacements: Mapping[Path, Path] = field(default_factory=dict)
+
+    def found_at(self, path: Path) -> Path:
+        """Return the path that a file is read from: its own, or its replacement."""
+        if not self.replacements:
+            return path
+        return self.replacements.get(Path(os.path.realpath(path.parent), path.name), path)
+
+
+@dataclass(frozen=True)
 class Access(Checked):
-    """What a job may read.
+    """What a job may read, and how where a file leaves that open.
 
     Attributes
     ----------
@@ -34,18 +52,14 @@ class Access(Checked):
         Whether a model may refer to files outside of its folder. Networks are never used.
     memory : int or None
         Bytes that the job may use; None: no limit. Larger files and images are refused before they are read.
-    on_read : callable or None
-        Called with the path and content of every file that was read, so that a job can record its inputs.
-    fetch : callable or None
-        Called with the path of every sidecar file before it is opened, so that it can be fetched from elsewhere.
-    replacements : mapping of Path to Path
-        Replacements of files, by resolved path: new files that are not in place yet.
     columns : tuple of str
         Names of all columns of points in text files, where neither the file nor its values determine them.
     channels : tuple of str
         Channels of PLY vertices to smooth, which may include one scalar.
     typed : tuple of Parameter
         Parameters that the user typed for a single input, each of which must have an effect on it.
+    hooks : Hooks
+        Callables for files as they are read, and replacements of files.
     """
 
     group: ClassVar[str] = "Files and memory"
@@ -63,9 +77,6 @@ class Access(Checked):
         kind=int, low=1, allowed="a size such as 500M or 4G", unset="half of the available memory",
         flags=("--max-memory",), metavar="SIZE", parse=size_in, show=show_size, lifts_limit=True,
     )  # fmt: skip
-    on_read: Callable[[Path, bytes], None] | None = field(default=None, compare=False)
-    fetch: Callable[[Path], None] | None = field(default=None, compare=False)
-    replacements: Mapping[Path, Path] = field(default_factory=dict, compare=False)
     channels: tuple[str, ...] = ()
     typed: tuple[Parameter, ...] = field(default=(), compare=False)
     columns: tuple[str, ...] = parameter(
@@ -75,12 +86,7 @@ class Access(Checked):
         unset="those in the file, or by the values", metavar="LIST", parse=names_in, show=",".join,
         of=("points in text files",),
     )  # fmt: skip
-
-    def found_at(self, path: Path) -> Path:
-        """Return the path that a file is read from: its own, or its replacement."""
-        if not self.replacements:
-            return path
-        return self.replacements.get(Path(os.path.realpath(path.parent), path.name), path)
+    hooks: Hooks = field(default=Hooks(), compare=False)
 
 
 DEFAULT_ACCESS = Access()  # the default: files in the model's folder, of any size
@@ -114,13 +120,13 @@ def open_regular(path: Path) -> BufferedReader:
 
 def read_regular(path: Path, access: Access, most: int = -1) -> bytes:
     """Return the content of a regular file, or its first `most` bytes; OSError if it cannot be read."""
-    with open_regular(access.found_at(path)) as file:
+    with open_regular(access.hooks.found_at(path)) as file:
         size = os.fstat(file.fileno()).st_size
         if most < 0 and access.memory is not None and size > access.memory:
             raise OSError(errno.EFBIG, f"its {size} bytes are more than the memory it may take")
         data = file.read(most)
-    if access.on_read is not None and not 0 <= most <= len(data):  # otherwise there may be more of it
-        access.on_read(path, data)
+    if access.hooks.on_read is not None and not 0 <= most <= len(data):  # otherwise there may be more of it
+        access.hooks.on_read(path, data)
     return data
 
 

@@ -81,10 +81,10 @@ class ModelFolder:
         path = checked_path(name, within, outside=self.access.outside)
         if self._folder is None:
             raise UnfitReferenceError(*_OUTSIDE_FOLDER)
-        if self.access.fetch is not None:
-            self.access.fetch(self._folder / path)
+        if self.access.hooks.fetch is not None:
+            self.access.hooks.fetch(self._folder / path)
         try:
-            is_file = stat.S_ISREG(self.access.found_at(self._folder / path).stat().st_mode)
+            is_file = stat.S_ISREG(self.access.hooks.found_at(self._folder / path).stat().st_mode)
             there = (self._folder / path).resolve()
         except (FileNotFoundError, NotADirectoryError):
             similar = None if is_outside(path) else self._similar_path(path)
@@ -129,12 +129,14 @@ class ModelFolder:
         if self._folder is None:
             raise UnfitReferenceError(*_OUTSIDE_FOLDER)
         folder = PurePosixPath(path).parent
-        if self.access.fetch is not None:
+        if self.access.hooks.fetch is not None:
             # Storage that is not listed is asked for the hundred tiles that a set has at most in practice.
             for u, v in product(range(COLUMNS), range(10)):
-                self.access.fetch(self._folder / folder / tile_name(PurePosixPath(path).name, (u, v)))
+                self.access.hooks.fetch(self._folder / folder / tile_name(PurePosixPath(path).name, (u, v)))
         names = {*self._names_in(self._folder / folder).values()}
-        names |= {there.name for there in self.access.replacements if there.parent == self._folder / folder}
+        names |= {
+            there.name for there in self.access.hooks.replacements if there.parent == self._folder / folder
+        }
         tiles = found_tiles(PurePosixPath(path).name, names)
         if not tiles:
             raise _missing(" (no tile of it is there)")

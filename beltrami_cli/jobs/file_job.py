@@ -178,8 +178,9 @@ def open_any(source: str, settings: SmoothSettings, access: Access) -> Document:
 
 def _references(name: str, access: Access) -> frozenset[str]:
     """Read the names of the sidecar files of an existing output; none if it cannot be read."""
+    unwatched = replace(access, hooks=replace(access.hooks, on_read=None))
     with suppress(BeltramiError):
-        return frozenset(registry.open_document(name, replace(access, on_read=None)).references())
+        return frozenset(registry.open_document(name, unwatched).references())
     return frozenset()
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.access import Access
+from beltrami_cli.formats.access import Access, Hooks
 from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.formats.volume import is_volume, read_colours, read_volume
 from beltrami_cli.surface.level_sets import GridColours, NearColours
@@ -131,7 +131,7 @@ def test_a_detached_header_finds_its_data_beside_it_and_nowhere_else(tmp_path):
     with pytest.raises(InputError, match="its data are in"):
         read(detached, None)
     seen = {}
-    noted = Access(on_read=lambda path, content: seen.update({path.name: content}))
+    noted = Access(hooks=Hooks(lambda path, content: seen.update({path.name: content})))
     read_volume(detached, "file", ModelFolder(folder, noted), 1000)
     assert seen == {"values.raw.gz": data}
     with pytest.raises(InputError, match="cannot be read"):

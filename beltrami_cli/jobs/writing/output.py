@@ -231,12 +231,12 @@ class FileSet:
         """Return an access that records files as read, so that only the result may replace them."""
 
         def note(path: Path, data: bytes) -> None:
-            if access.on_read is not None:
-                access.on_read(path, data)
+            if access.hooks.on_read is not None:
+                access.hooks.on_read(path, data)
             self._reads.add(canonical_path(path))
             self.check()
 
-        return dataclasses.replace(access, on_read=note)
+        return dataclasses.replace(access, hooks=dataclasses.replace(access.hooks, on_read=note))
 
     def with_staged_files(self, access: Access) -> Access:
         """Return an access that reads temporary files as if they were already in place."""
@@ -244,7 +244,8 @@ class FileSet:
         replacements = {
             Path(os.path.realpath(path.parent), path.name): temporary for path, temporary in staged.items()
         }
-        return dataclasses.replace(access, on_read=None, replacements=replacements)
+        hooks = dataclasses.replace(access.hooks, on_read=None, replacements=replacements)
+        return dataclasses.replace(access, hooks=hooks)
 
     def check(self) -> None:
         """Raise OutputError if two outputs are the same file, or one is a file that must not be replaced."""
