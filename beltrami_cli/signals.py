@@ -1,10 +1,13 @@
-"""Signals that end a process, and the end of a process with its parent."""
+"""Signals that end a process: which they are, deferred ones, and the end of a process with its parent."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import sys
+import threading
+from collections.abc import Iterator
 
 # Signals whose default is not to end a process, that cannot be caught, or that mean faults in native code,
 # which would fault again and again if Python handled them.
@@ -33,3 +36,23 @@ def unhandled_signals() -> set[int]:
     """Return the signals that would end this process; ignored ones, as under nohup, are left out."""
     ends = (signal.SIG_DFL, signal.default_int_handler)
     return {number for number in ENDING_SIGNALS if signal.getsignal(number) in ends}
+
+
+@contextlib.contextmanager
+def signals_deferred() -> Iterator[None]:
+    """Defer signals that end the process."""
+    waiting: list[int] = []
+    before: dict[int, signal._HANDLER] = {}
+    if threading.current_thread() is threading.main_thread():
+        for number in ENDING_SIGNALS:  # also alarms, by which the command repeats what was lost
+            handler = signal.getsignal(number)
+            if handler not in (None, signal.SIG_IGN):  # None: not set from Python, so it cannot be restored
+                before[number] = handler
+                signal.signal(number, lambda received, _: waiting.append(received))
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        for number in waiting:
+            signal.raise_signal(number)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from beltrami_cli.jobs.writing.locks import signals_deferred
+from beltrami_cli.signals import signals_deferred
 from cli.commands import beltrami
 from formats.tile_files import tiled_model
 from hostile.textured_models import OTHER, PICTURE, write_model

@@ -26,8 +26,9 @@ from typing import TYPE_CHECKING, BinaryIO
 
 from beltrami_cli.formats.bounded_text import parse_json
 from beltrami_cli.jobs.writing.file_rights import PRIVATE, take_over
-from beltrami_cli.jobs.writing.locks import close_descriptor, folders_locked, signals_deferred, try_lock
+from beltrami_cli.jobs.writing.locks import close_descriptor, folders_locked, try_lock
 from beltrami_cli.jobs.writing.placing import TemporaryFile, identity_of, put, undo
+from beltrami_cli.signals import signals_deferred
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.changes import Bytes

@@ -1,17 +1,13 @@
-"""Locks against other runs, and deferred signals, while files are put in place."""
+"""Locks against other runs that put files in place."""
 
 from __future__ import annotations
 
 import contextlib
 import errno
 import os
-import signal
-import threading
 import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-
-from beltrami_cli.signals import ENDING_SIGNALS
 
 _LOCK_TIMEOUT, _LOCK_POLL = 30.0, 0.02  # seconds that a run waits for another, and between two attempts
 
@@ -53,24 +49,3 @@ def try_lock(descriptor: int) -> bool | None:
     except (ImportError, OSError):  # Windows, and some file systems
         return None
     return True
-
-
-@contextlib.contextmanager
-def signals_deferred() -> Iterator[None]:
-    """Defer signals that end the process."""
-    waiting: list[int] = []
-    before: dict[int, signal._HANDLER] = {}
-    if threading.current_thread() is threading.main_thread():
-        for number in ENDING_SIGNALS:  # also alarms, by which the command repeats what was lost
-            handler = signal.getsignal(number)
-            if handler not in (None, signal.SIG_IGN):  # None: not set from Python, so it cannot be restored
-                before[number] = handler
-                signal.signal(number, lambda received, _: waiting.append(received))
-
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-        for number in waiting:
-            signal.raise_signal(number)

@@ -19,7 +19,8 @@ from typing import TYPE_CHECKING, Literal
 from beltrami_cli.errors import OutputError
 from beltrami_cli.formats.access import Access, is_url
 from beltrami_cli.jobs.writing.journal import Journal, recover
-from beltrami_cli.jobs.writing.locks import folders_locked, signals_deferred
+from beltrami_cli.jobs.writing.locks import folders_locked
+from beltrami_cli.signals import signals_deferred
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.changes import Bytes, Written
