@@ -33,7 +33,7 @@ from beltrami_cli.formats.gltf.vertex_colours import ColouredBlocks
 from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.surface.records import ColouredVertices, MeshContents, Slot, TexturedSurface
 
-# What conversion leaves out of a file with textures, too.
+# Of `_omitted`, what is lost where textures are converted as well.
 _NOT_TEXTURED = ("skins", "animations", "cameras", "morph targets")
 
 

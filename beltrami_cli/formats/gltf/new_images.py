@@ -65,6 +65,22 @@ def show_images(edit: Edit, images: Images, new: NewImages) -> None:
     _declare(edit.tree, before)
 
 
+def _wanted(edit: Edit, images: Images, new: NewImages) -> Wanted:
+    """Return the files that differ from the present ones."""
+    indices = {image_key(index): index for index in range(len(images))}
+    wanted = {}
+    for (slot, key), file in new.items():
+        if key not in indices or images.canonical(indices[key]) != indices[key]:
+            raise ValueError(f"there is no image called {key!r}")
+        if file.suffix.lower() not in MEDIA:
+            cause = f"glTF cannot hold {file.suffix} textures ({images.name(indices[key])})"
+            remedy = "choose PNG, JPEG, WebP, KTX2 or AVIF with --texture-format"
+            raise OutputError(edit.container.name, cause, remedy)
+        if file.data != images.data(indices[key]):
+            wanted[slot, indices[key]] = file
+    return wanted
+
+
 def _texture_uses(
     edit: Edit, images: Images, wanted: Wanted, shown: Mapping[int, int]
 ) -> list[tuple[Any, Any, ImageFile | None]]:
@@ -85,31 +101,17 @@ def _texture_uses(
     return uses
 
 
-def _separate_images(edit: Edit, images: Images, file_of: Mapping[int, ImageFile]) -> dict[int, ImageFile]:
-    """Give new files images that nothing else uses, and return these; `file_of`: by identity of what names an image."""
-    uses = [(holder, member, file_of.get(id(holder))) for holder, member in image_uses(edit.tree)]
-    named = {holder[member] for holder, member, _ in uses}
-    files = {index: file for (_, file), index in edit.separate("images", uses).items()}
-    # An image that nothing shows follows those over the same bytes.
-    by_bytes = {images.canonical(index): file for index, file in files.items()}
-    unused = set(range(len(images))) - named
-    return files | {n: by_bytes[images.canonical(n)] for n in unused if images.canonical(n) in by_bytes}
-
-
-def _wanted(edit: Edit, images: Images, new: NewImages) -> Wanted:
-    """Return the files that differ from the present ones."""
-    indices = {image_key(index): index for index in range(len(images))}
-    wanted = {}
-    for (slot, key), file in new.items():
-        if key not in indices or images.canonical(indices[key]) != indices[key]:
-            raise ValueError(f"there is no image called {key!r}")
-        if file.suffix.lower() not in MEDIA:
-            cause = f"glTF cannot hold {file.suffix} textures ({images.name(indices[key])})"
-            remedy = "choose PNG, JPEG, WebP, KTX2 or AVIF with --texture-format"
-            raise OutputError(edit.container.name, cause, remedy)
-        if file.data != images.data(indices[key]):
-            wanted[slot, indices[key]] = file
-    return wanted
+def _slots_of_infos(tree: Tree) -> dict[int, Slot]:
+    """Return the slots of textureInfos in materials, by the identity of these."""
+    slots: dict[int, Slot] = {}
+    for material in objects(tree.get("materials")):
+        for slot, paths in SLOT_PATHS.items():
+            for path in paths:
+                holder: Any = material
+                for key in path:
+                    holder = holder.get(key) if isinstance(holder, dict) else None
+                slots[id(holder)] = slot
+    return slots
 
 
 class _ShownImages:
@@ -171,39 +173,6 @@ class _ShownImages:
         return self._renewed[key]
 
 
-def _extensions(tree: Tree) -> set[str]:
-    used = {name for texture in objects(tree.get("textures")) for name in texture.get("extensions", {})}
-    return used & IMAGE_EXTENSIONS.keys()
-
-
-def _declare(tree: Tree, before: set[str]) -> None:
-    """Update the lists of extensions that are used and required; `before` are the former ones for images."""
-    after = _extensions(tree)
-    for extension in sorted(name for name in after if IMAGE_EXTENSIONS[name] in MEDIA.values()):
-        holders = [t for t in objects(tree["textures"]) if extension in t.get("extensions", {})]
-        is_required = any("source" not in texture for texture in holders)
-        for key in ("extensionsUsed", *(["extensionsRequired"] if is_required else [])):
-            if extension not in tree.setdefault(key, []):
-                tree[key].append(extension)
-    for key in ("extensionsUsed", "extensionsRequired") if before - after else ():
-        tree[key] = [name for name in tree.get(key, []) if name not in before - after]
-        if not tree[key]:
-            del tree[key]
-
-
-def _slots_of_infos(tree: Tree) -> dict[int, Slot]:
-    """Return the slots of textureInfos in materials, by the identity of these."""
-    slots: dict[int, Slot] = {}
-    for material in objects(tree.get("materials")):
-        for slot, paths in SLOT_PATHS.items():
-            for path in paths:
-                holder: Any = material
-                for key in path:
-                    holder = holder.get(key) if isinstance(holder, dict) else None
-                slots[id(holder)] = slot
-    return slots
-
-
 def _recoloured(images: Images, image: int, shown: ImageFile) -> ImageFile | None:
     """Return an image of a texture in its own type with the colours of the new one; None if that cannot be."""
     name = images.name(image)
@@ -217,6 +186,17 @@ def _recoloured(images: Images, image: int, shown: ImageFile) -> ImageFile | Non
         return write_image(old, new.pixels[..., : len(old.channels)])
     except (BeltramiError, UnfitReferenceError):
         return None
+
+
+def _separate_images(edit: Edit, images: Images, file_of: Mapping[int, ImageFile]) -> dict[int, ImageFile]:
+    """Give new files images that nothing else uses, and return these; `file_of`: by identity of what names an image."""
+    uses = [(holder, member, file_of.get(id(holder))) for holder, member in image_uses(edit.tree)]
+    named = {holder[member] for holder, member, _ in uses}
+    files = {index: file for (_, file), index in edit.separate("images", uses).items()}
+    # An image that nothing shows follows those over the same bytes.
+    by_bytes = {images.canonical(index): file for index, file in files.items()}
+    unused = set(range(len(images))) - named
+    return files | {n: by_bytes[images.canonical(n)] for n in unused if images.canonical(n) in by_bytes}
 
 
 def _put_images(edit: Edit, files: Mapping[int, ImageFile]) -> None:
@@ -242,3 +222,23 @@ def _put_images(edit: Edit, files: Mapping[int, ImageFile]) -> None:
     for (old, file), view in edit.separate("bufferViews", uses, copied=lambda _: {}).items():
         home = edit.growing_buffer([edit.tree["bufferViews"][old]["buffer"]])
         edit.put(home, (view, None), file.data)
+
+
+def _declare(tree: Tree, before: set[str]) -> None:
+    """Update the lists of extensions that are used and required; `before` are the former ones for images."""
+    after = _extensions(tree)
+    for extension in sorted(name for name in after if IMAGE_EXTENSIONS[name] in MEDIA.values()):
+        holders = [t for t in objects(tree["textures"]) if extension in t.get("extensions", {})]
+        is_required = any("source" not in texture for texture in holders)
+        for key in ("extensionsUsed", *(["extensionsRequired"] if is_required else [])):
+            if extension not in tree.setdefault(key, []):
+                tree[key].append(extension)
+    for key in ("extensionsUsed", "extensionsRequired") if before - after else ():
+        tree[key] = [name for name in tree.get(key, []) if name not in before - after]
+        if not tree[key]:
+            del tree[key]
+
+
+def _extensions(tree: Tree) -> set[str]:
+    used = {name for texture in objects(tree.get("textures")) for name in texture.get("extensions", {})}
+    return used & IMAGE_EXTENSIONS.keys()

@@ -38,8 +38,9 @@ _OF_FACES = (
     "st",
     "t",
 )
-_ARTEC = ("multi_texture_vertex", "multi_texture_face")
-_ARTEC_NUMBER, _ARTEC_FACE, _ARTEC_CORNERS = "tx", "tn", "texture_vertex_indices"
+_ARTEC_VERTICES, _ARTEC_FACES = "multi_texture_vertex", "multi_texture_face"  # elements
+_ARTEC_NUMBER, _ARTEC_FACE, _ARTEC_CORNERS = "tx", "tn", "texture_vertex_indices"  # properties of the faces
+_REMEDY = "export it again"
 NUMBER = "texnumber"  # property of faces: the index of their image
 
 
@@ -74,11 +75,10 @@ def read_comments(header: bytes, folder: model_folder.ModelFolder) -> list[Textu
 
 def find_coordinates(tables: Mapping[str, Table]) -> tuple[str, ...]:
     """Return the properties that are texture coordinates: a list of faces, two of vertices, or none."""
-    if tables.keys() >= {*_ARTEC}:
+    if tables.keys() >= {_ARTEC_VERTICES, _ARTEC_FACES}:
         return (_ARTEC_CORNERS,)
-    lists = (
-        {prop.name.lower(): prop.name for prop in tables["face"].element.lists} if "face" in tables else {}
-    )
+    given = tables["face"].element.lists if "face" in tables else []
+    lists = {prop.name.lower(): prop.name for prop in given}
     if (found := next((lists[name] for name in _OF_FACES if name in lists), None)) is not None:
         return (found,)
     scalars = {name.lower(): name for name in tables["vertex"].element.scalars}
@@ -131,8 +131,8 @@ def _numbers(
     """Return the number of every polygon's texture, -1 for none; strips, which have no number, show the first."""
     numbers = np.zeros(polygons, np.int64)
     face, number = tables.get("face"), NUMBER
-    if tables.keys() >= {*_ARTEC}:
-        face, number = tables[_ARTEC[1]], _ARTEC_NUMBER
+    if tables.keys() >= {_ARTEC_VERTICES, _ARTEC_FACES}:
+        face, number = tables[_ARTEC_FACES], _ARTEC_NUMBER
     if face is None or number not in face.element.scalars:
         several = f"It names {textures} textures but not which face shows which; the first is taken for all."
         return numbers, [several] if textures > 1 else []
@@ -152,31 +152,24 @@ def _artec_faces(rows: Table, polygons: int, name: str) -> Int64s:
         return np.arange(rows.element.count)
     faces = rows.scalars(_ARTEC_FACE).astype(np.int64)
     if faces.size and (faces.min() < 0 or faces.max() >= polygons or len(np.unique(faces)) < len(faces)):
-        raise InputError(name, f"element {_ARTEC[1]} names faces that are not there, or one twice")
+        raise InputError(name, f"element {_ARTEC_FACES} names faces that are not there, or one twice")
     return faces
 
 
 def _artec_coordinates(tables: Mapping[str, Table], offsets: Int64s, name: str) -> Float64s:
     """Look up coordinates of every corner as `_face_coordinates` does, by Artec's elements."""
-    vertices, rows = (tables[element] for element in _ARTEC)
-    if not (
-        {"u", "v"} <= vertices.element.scalars.keys()
-        and any(p.name == _ARTEC_CORNERS for p in rows.element.lists)
-    ):
-        raise InputError(
-            name, f"elements {' and '.join(_ARTEC)} lack u, v or {_ARTEC_CORNERS}", "export it again"
-        )
+    vertices, rows = tables[_ARTEC_VERTICES], tables[_ARTEC_FACES]
+    lists = {prop.name for prop in rows.element.lists}
+    if not {"u", "v"} <= vertices.element.scalars.keys() or _ARTEC_CORNERS not in lists:
+        cause = f"elements {_ARTEC_VERTICES} and {_ARTEC_FACES} lack u, v or {_ARTEC_CORNERS}"
+        raise InputError(name, cause, _REMEDY)
     chosen, bounds = rows.lists(_ARTEC_CORNERS)
     if chosen.size and (chosen.min() < 0 or chosen.max() >= vertices.element.count):
-        raise InputError(
-            name, f"element {_ARTEC[1]} names texture vertices that are not there", "export it again"
-        )
+        raise InputError(name, f"element {_ARTEC_FACES} names texture vertices that are not there", _REMEDY)
     uv = vertices.columns(("u", "v"), "texture coordinate")
     faces, lengths = _artec_faces(rows, len(offsets) - 1, name), np.diff(bounds)
     if (lengths != np.diff(offsets)[faces]).any():
-        raise InputError(
-            name, f"element {_ARTEC[1]} has other numbers of corners than its faces", "export it again"
-        )
+        raise InputError(name, f"element {_ARTEC_FACES} has other numbers of corners than its faces", _REMEDY)
     values = np.full((int(offsets[-1]), 2), np.nan)
     values[np.repeat(offsets[faces] - bounds[:-1], lengths) + np.arange(len(chosen))] = uv[chosen]
     return values
