@@ -61,7 +61,7 @@ def find_exposures(
 
 def _facts(steps: Steps, exposures: Exposures, strength: float) -> SeamFacts:
     inside = steps.between
-    between, outliers = steps.part(inside), exposures.are_outliers(steps)[inside]
+    between, outliers = steps.select(inside), exposures.are_outliers(steps)[inside]
     _, first, seam = np.unique(between.seams, return_index=True, return_inverse=True)
     changed = between.colours + strength * (exposures.sides(between) - between.colours)
     before, after = (np.sqrt(squared_steps(between, each, seam)) for each in (between.colours, changed))

@@ -73,7 +73,7 @@ class Verdict:
 
 def have_steps(steps: Steps) -> bool:
     """Whether enough of the length of seams between charts has steps for these to be due to exposures."""
-    between, noise = steps.part(steps.between), np.square(deviations(steps, steps.colours))[steps.between]
+    between, noise = steps.select(steps.between), np.square(deviations(steps, steps.colours))[steps.between]
     _, seam, stretches = np.unique(between.seams, return_inverse=True, return_counts=True)
     error = np.bincount(seam, noise) / stretches / np.minimum(stretches, PARTS)  # squared, of the mean
     limit = np.maximum(VISIBLE**2, BEYOND_NOISE**2 * error)
@@ -140,7 +140,7 @@ class _CrossValidation:
             units, folds = number, (np.random.default_rng(0).permutation(len(seams)) % count)[number]
         units = np.unique(units[between], return_inverse=True)[1]
         weights = np.bincount(units, steps.counts[between]).astype(np.float64)
-        return cls(steps, folds, steps.part(between), units, weights, inflation)
+        return cls(steps, folds, steps.select(between), units, weights, inflation)
 
     def predict_in_place(
         self, sides: Float64s, fold: int, spread: tuple[float, ...], fixed: Bools | None
@@ -148,7 +148,7 @@ class _CrossValidation:
         """Correct the stretches of a fold in `sides` by the exposures fitted to the other folds."""
         is_held = self.folds == fold
         rows = is_held[self.whole.between]
-        sides[rows] = fit_exposures(self.whole.part(~is_held), spread, fixed).sides(self.steps.part(rows))
+        sides[rows] = fit_exposures(self.whole.select(~is_held), spread, fixed).sides(self.steps.select(rows))
 
     def up_to(self, fold: int) -> _CrossValidation:
         """Return the test restricted to the units of the first folds."""

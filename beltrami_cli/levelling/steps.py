@@ -44,7 +44,7 @@ class Steps:
         """Which stretches are between different charts, shape (K,)."""
         return np.asarray(self.ends[:, 0] != self.ends[:, 1])
 
-    def part(self, rows: Bools) -> Steps:
+    def select(self, rows: Bools) -> Steps:
         charts, *others = (getattr(self, each.name) for each in fields(self))
         return Steps(charts, *(each[rows] for each in others))
 
@@ -129,9 +129,11 @@ def steps_over_seams(atlas: Atlas, planes: Float32s, places: ChartPlaces) -> Ste
         return np.asarray(sums / counts[:, None, None])
 
     first, both = order[starts], mean(np.stack(where, axis=1))
+    exact, of_lines = np.split(mean(colours), 2, axis=2)
     is_low, is_high = (mean(each) > 0 for each in (low, high))
-    steps = Steps(atlas.charts, ends[first], mean(colours), both, seams[first], counts, is_low, is_high)
-    return _reduce_noise(steps.oriented())
+    sharp = Steps(atlas.charts, ends[first], exact, both, seams[first], counts, is_low, is_high)
+    soft = replace(sharp, colours=(exact + of_lines) / 2)
+    return _less_noisy(sharp.oriented(), soft.oriented())
 
 
 def _ordered(keys: Int64s) -> tuple[Int64s, Int64s]:
@@ -141,22 +143,20 @@ def _ordered(keys: Int64s) -> tuple[Int64s, Int64s]:
     return order, np.flatnonzero(np.r_[True, is_new][: len(order)])
 
 
-def _reduce_noise(steps: Steps) -> Steps:
-    """Use the colours at the seam, or halfway to line means, which have less noise but are biased by slopes."""
-    exact, means = np.split(steps.colours, 2, axis=2)
-    sharp, soft = (replace(steps, colours=each) for each in (exact, (exact + means) / 2))
-    by_slopes = np.zeros(len(steps.seams))
-    for change in np.diff(soft.colours - exact, axis=1)[:, 0].T:
-        by_slopes += np.square(steps.means(change, steps.seams))[steps.seams] / exact.shape[2]
+def _less_noisy(sharp: Steps, soft: Steps) -> Steps:
+    """Choose between the steps at the seam and those of means, which have less noise but are biased by slopes."""
+    by_slopes = np.zeros(len(sharp.seams))
+    for change in np.diff(soft.colours - sharp.colours, axis=1)[:, 0].T:
+        by_slopes += np.square(sharp.means(change, sharp.seams))[sharp.seams] / sharp.colours.shape[2]
     before, after = (np.square(deviations(each, each.colours)) / PARTS for each in (sharp, soft))
-    middle = [weighted_median(each, steps.counts) for each in (before, after + by_slopes)]
+    middle = [weighted_median(each, sharp.counts) for each in (before, after + by_slopes)]
     return soft if middle[1] < middle[0] else sharp
 
 
 def _both_sides(atlas: Atlas, planes: Float32s) -> tuple[Int64s, Int64s, Float64s, Bools, Bools]:
     """Return the cells on both sides of seams, the colours there, and which of these are clipped at 0 or 1.
 
-    Colours are those at the seam, and the means of the lines that lead to it.
+    The colours of N channels are those at the seam, followed by the means of the lines that lead to it.
     """
     flat = planes.reshape(len(planes), -1)
     inner, outer, colours, low, high = [], [], [], [], []

@@ -219,7 +219,7 @@ def test_exposures_are_found_at_any_brightness_and_taken_out(brightness):
     ("steps", "is_sure"),
     [
         (grid(4, 0.1, 5, np.full(16, 0.8)), False),
-        (seam(0).part(np.arange(400) < 1), False),
+        (seam(0).select(np.arange(400) < 1), False),
         (seam(0), True),  # by the pattern that crosses it
     ],
     ids=["one exposure of all charts", "a seam of one stretch", "a long seam"],
