@@ -30,9 +30,9 @@ from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.formats.obj.materials import Materials
 from beltrami_cli.formats.obj.polypaint import with_entries, without_entries
 from beltrami_cli.formats.obj.renaming import renaming
-from beltrami_cli.formats.obj.scene import Coordinates, convert, read_coordinates, read_scene
+from beltrami_cli.formats.obj.scene import Coordinates, convert, read_coordinates, read_normals, read_scene
 from beltrami_cli.formats.obj.statements import Statements
-from beltrami_cli.formats.obj.vertices import Scan, among, new_positions, read_normals, scan_file
+from beltrami_cli.formats.obj.vertices import Scan, among, new_positions, scan_file
 from beltrami_cli.formats.scene import Scene
 from beltrami_cli.surface.records import MeshContents, Slot
 

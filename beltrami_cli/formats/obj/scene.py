@@ -1,4 +1,4 @@
-"""The polygons of an OBJ file with their texture coordinates and materials."""
+"""The polygons of an OBJ file with their texture coordinates, normals and materials."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from beltrami_cli.arrays import Float64s, Int64s
+from beltrami_cli.arrays import Float64s, Int32s, Int64s
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.obj.materials import BASE_COLOUR_ALIASES, SLOTS, Map, Materials
 from beltrami_cli.formats.obj.statements import Statements
-from beltrami_cli.formats.obj.vertices import Scan, unit_normals
+from beltrami_cli.formats.obj.vertices import Scan
 from beltrami_cli.formats.scene import Maps, Scene, ShownMap
 from beltrami_cli.formats.scene_mesh import textured_mesh
+from beltrami_cli.surface.geometry import unit_vectors
 from beltrami_cli.surface.records import MeshContents, Slot, Wrap
 
 _Transform = tuple[tuple[float, float], tuple[float, float]]  # scale and offset of texture coordinates
@@ -114,7 +115,7 @@ def convert(scene: Scene, statements: Statements, scan: Scan, materials: Materia
     normals = None
     if "normals" in scan.dropped:
         rows, _, _ = statements.corners(b"vn")
-        normals = np.append(unit_normals(statements), [[np.nan] * 3], axis=0)[rows]
+        normals = np.append(_unit_normals(statements), [[np.nan] * 3], axis=0)[rows]
     return textured_mesh(dataclasses.replace(scene, maps=maps), lost, (groups, group_of), normals)
 
 
@@ -161,3 +162,31 @@ def _groups(statements: Statements) -> tuple[tuple[str, ...], Int64s, list[str]]
     numbers = np.array([number_of[name] for name in names])
     lost = ["groups within objects"] if given[b"o"].size and len(given[b"g"]) > len(given[b"o"]) else []
     return tuple(number_of), numbers[np.searchsorted(chosen, polygons)], lost
+
+
+def read_normals(statements: Statements, corners: Int32s, count: int) -> Float64s:
+    """Read the unit normals of all vertices, shape (count, 3); NaN where no corner of a vertex has one."""
+    values = _unit_normals(statements)
+    rows, tokens, _ = statements.corners(b"vn")
+    given = rows >= 0
+    normals = np.full((count, 3), np.nan)
+    vertices, directions = corners[given], values[rows[given]]
+    normals[vertices[::-1]] = directions[::-1]  # in reverse, so that the first normal of a vertex is kept
+    differs = (normals[vertices] != directions).any(axis=1)
+    if differs.any():
+        token = tokens[given][int(np.argmax(differs))]
+        raise statements.error(token, "has another normal than an earlier corner of the same vertex")
+    return normals
+
+
+def _unit_normals(statements: Statements) -> Float64s:
+    """Return all `vn` statements as unit vectors, shape (N, 3)."""
+    chosen = statements.select(b"vn")
+    tokens, offsets = statements.arguments(chosen)
+    wrong = np.diff(offsets) != 3
+    if wrong.any():
+        head = statements.heads[chosen[int(np.argmax(wrong))]]
+        raise statements.error(head, "has not three numbers behind it")
+    values = statements.numbers(tokens)
+    statements.require_finite(tokens, values, np.arange(len(tokens)))
+    return unit_vectors(values.reshape(-1, 3))

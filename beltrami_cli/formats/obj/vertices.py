@@ -16,7 +16,6 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.edits import NewNumbers, most_decimals
 from beltrami_cli.formats.obj.polypaint import MARK, Polypaint, read_polypaint
 from beltrami_cli.formats.obj.statements import Statements
-from beltrami_cli.surface.geometry import unit_vectors
 from beltrami_cli.surface.polygons import polygons_of, polygons_with
 
 _SIZES = (3, 4, 5, 6, 7, 8)
@@ -167,31 +166,3 @@ def among(corners: Int32s, offsets: Int64s, vertices: Int64s, count: int) -> tup
     moved = row[corners]
     kept = ~polygons_with(moved < 0, offsets)
     return moved[kept[polygons_of(offsets)]], np.concatenate([[0], np.cumsum(np.diff(offsets)[kept])])
-
-
-def read_normals(statements: Statements, corners: Int32s, count: int) -> Float64s:
-    """Read the unit normals of all vertices, shape (count, 3); NaN where no corner of a vertex has one."""
-    values = unit_normals(statements)
-    rows, tokens, _ = statements.corners(b"vn")
-    given = rows >= 0
-    normals = np.full((count, 3), np.nan)
-    vertices, directions = corners[given], values[rows[given]]
-    normals[vertices[::-1]] = directions[::-1]  # in reverse, so that the first normal of a vertex is kept
-    differs = (normals[vertices] != directions).any(axis=1)
-    if differs.any():
-        token = tokens[given][int(np.argmax(differs))]
-        raise statements.error(token, "has another normal than an earlier corner of the same vertex")
-    return normals
-
-
-def unit_normals(statements: Statements) -> Float64s:
-    """Return all `vn` statements as unit vectors, shape (N, 3)."""
-    chosen = statements.select(b"vn")
-    tokens, offsets = statements.arguments(chosen)
-    wrong = np.diff(offsets) != 3
-    if wrong.any():
-        head = statements.heads[chosen[int(np.argmax(wrong))]]
-        raise statements.error(head, "has not three numbers behind it")
-    values = statements.numbers(tokens)
-    statements.require_finite(tokens, values, np.arange(len(tokens)))
-    return unit_vectors(values.reshape(-1, 3))
