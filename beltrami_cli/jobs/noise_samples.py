@@ -64,7 +64,7 @@ def samples_of(layer: Layer) -> LayerSamples:
 class _VertexSamples(LayerSamples):
     def __init__(self, layer: VertexLayer) -> None:
         self._layer, vertices, space = layer, layer.vertices, layer.settings.space
-        self._rows = vertices.coloured_rows(in_triangles=layer.in_triangles)
+        self._rows = vertices.coloured_rows()
         colours = to_space(vertices.colours[self._rows][:, layer.channels.changing], vertices.encoding, space)
         spaces = None if vertices.space_of is None else vertices.space_of[self._rows]
         self._place_of = group_places(vertices.positions[self._rows], spaces)[0]

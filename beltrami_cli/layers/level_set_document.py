@@ -94,7 +94,7 @@ def read_level_set(
         name,
         folder,
         access,
-        vertices=ColouredVertices(positions, whole, colours, names, encoding, stored),
+        vertices=ColouredVertices(positions, whole, colours, names, encoding, stored, needs_triangles=True),
         contents=MeshContents(positions, faces.ravel(), offsets, colours, encoding, stored, alpha),
         facts=facts,
     )

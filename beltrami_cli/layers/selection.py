@@ -222,14 +222,9 @@ def layer_of_vertices(document: Document, settings: SmoothSettings) -> VertexLay
     guides = vertex_guides(document, settings)
     noise = noise_of_vertices(settings.kernel, document)
     if grid is None:
-        in_triangles = document.kind == "volume"
+        photographs = partial(photographs_of, document)
         return MeshLayer(
-            vertices=vertices,
-            settings=settings,
-            guides=guides,
-            noise=noise,
-            in_triangles=in_triangles,
-            photographs_of=partial(photographs_of, document),
+            vertices=vertices, settings=settings, guides=guides, noise=noise, photographs_of=photographs
         )
     if wrong := [each.flag for each in binding_parameters(settings) if each.of == ("vertex colours",)]:
         cause = f"{', '.join(wrong)}: not on range images, whose vertices lie on a grid; leave it out"

@@ -30,7 +30,6 @@ class VertexLayer(Layer):
     part: ClassVar[Part] = "vertices"
 
     vertices: ColouredVertices
-    in_triangles: bool = False  # whether isolated vertices have no colour
     stored_unit: float = 1.0  # stored number that becomes 1 in the working space
 
     @cached_property

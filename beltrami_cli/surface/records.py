@@ -36,6 +36,7 @@ class ColouredVertices:
     space_of: Int32s | None = None
     # Number in the file that becomes full scale; None: given by the type.
     assumed_scale: float | None = None
+    needs_triangles: bool = False  # whether vertices in no triangle have no colour
 
     @property
     def full_scale(self) -> float:
@@ -45,10 +46,10 @@ class ColouredVertices:
         is_integer = self.stored.startswith(("uint", "int"))
         return float(np.iinfo(self.stored).max) if is_integer else 1.0
 
-    def coloured_rows(self, *, in_triangles: bool = False) -> NDArray[np.intp]:
-        """Return the numbers of the vertices with a finite position, or only of those in triangles."""
+    def coloured_rows(self) -> NDArray[np.intp]:
+        """Return the numbers of the vertices with a finite position and a colour."""
         valid = np.asarray(np.isfinite(self.positions).all(axis=1))
-        if in_triangles:
+        if self.needs_triangles:
             joined = np.zeros(len(valid), bool)
             joined[self.faces] = True
             valid &= joined

@@ -55,10 +55,7 @@ def compare_vertices(
     """Match the vertex colours of two models; `is_extra`: textures are compared, too."""
     one, other = _on_one_scale(*(document.coloured_vertices() for document in documents))
     require_one_model(documents, (one, other))
-    coloured = [
-        each.coloured_vertices().coloured_rows(in_triangles=each.kind == "volume") for each in documents
-    ]
-    rows = np.intersect1d(coloured[0], coloured[1])
+    rows = np.intersect1d(one.coloured_rows(), other.coloured_rows())
     channels, space = choose_channels(one.channels, settings, "the colours have").changing, settings.space
 
     def read(vertices: Indices) -> Pair:
