@@ -28,7 +28,7 @@ from beltrami_cli.jobs.noise import noise_file
 from beltrami_cli.jobs.settings import NoiseSettings
 from harness import SAMPLES, arguments, extra_models, psnr, show
 from pictures import PHOTOGRAPHS, SIDE, on_sphere, photograph
-from scenes import Scene, icosphere, write_ply
+from vertices import Scene, icosphere, write_ply
 
 SUBDIVISIONS = 6  # of the icosphere: 40,962 vertices
 MARGIN = 20  # texels around the judged part that peers also get: half of BM3D's window

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-import scenes
 import textures
+import vertices
 from harness import arguments, show, smooth_apart
 
 COUNTS = [10_000, 31_623, 100_000, 316_228, 1_000_000, 3_162_278, 10_000_000]
@@ -44,14 +44,14 @@ def main():
 def write_vertices(folder, count, *, shuffle):
     """Write a torus with noisy vertex colours."""
     rings = math.isqrt(int(2.56 * count))
-    scene = scenes.torus(rings, count // rings)
+    scene = vertices.torus(rings, count // rings)
     if shuffle:
         random = np.random.default_rng(5)
         order = random.permutation(len(scene.positions)).astype(np.int32)
         rank = np.argsort(order).astype(np.int32)
         faces = rank[scene.faces[random.permutation(len(scene.faces))]]
         scene = replace(scene, positions=scene.positions[order], faces=faces, noisy=scene.noisy[order])
-    scenes.write_ply(folder / "noisy.ply", scene)
+    vertices.write_ply(folder / "noisy.ply", scene)
     return folder / "noisy.ply"
 
 

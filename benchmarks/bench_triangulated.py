@@ -15,7 +15,7 @@ import numpy as np
 
 import beltrami_cli
 import peers
-import scenes
+import vertices
 from beltrami_cli import _native
 from harness import arguments, psnr, show
 
@@ -35,10 +35,10 @@ OURS = {
 
 def main():
     options = arguments(__doc__, level=7, repeats=5)
-    sphere = scenes.icosphere(options.level)
+    sphere = vertices.icosphere(options.level)
     rows = [row for samples in SAMPLES for row in time_rows(sphere, samples, options.repeats)]
     for name in ("chequer", "patches"):
-        rows += quality_rows(scenes.icosphere(options.level, getattr(scenes, name)), name)
+        rows += quality_rows(vertices.icosphere(options.level, getattr(vertices, name)), name)
     show(rows, options)
 
 
@@ -52,7 +52,7 @@ def time_rows(sphere, samples, repeats):
     yield f"{what}: two threads against one, wall", f"{each[1] / each[2]:.2f} x"
     order = _native.morton_order(sphere.positions)
     faces = np.argsort(order).astype(np.int32)[sphere.faces]
-    positions = sphere.positions[order] / scenes.surfaces.mean_edge_length(sphere.positions, sphere.faces)
+    positions = sphere.positions[order] / vertices.surfaces.mean_edge_length(sphere.positions, sphere.faces)
     marching, segments = (
         1e6 * solver_seconds(solver(faces, count), positions, sphere.noisy[order], t, repeats) / count
         for solver in (_native.TriangulatedManifold, _native.SegmentManifold)

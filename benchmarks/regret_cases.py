@@ -21,7 +21,7 @@ from beltrami_cli.surface.colour_values import linear_to_srgb
 from harness import rms
 from pictures import PHOTOGRAPHS, Smoothed, colours_of, on_sphere, photograph, smoothed, stored, with_noise
 from regret_pictures import SIDE, halved, label, paint, pixel_art, plaster, rendered, textures, weave
-from scenes import icosphere, patches
+from vertices import icosphere, patches
 
 SIGMAS = tuple(sigma / 255 for sigma in (6, 12, 20))
 PHOTONS = 25  # per texel at full scale

@@ -7,7 +7,7 @@ from PIL import Image, ImageDraw, ImageFont
 from scipy.ndimage import gaussian_filter
 
 from pictures import pictures
-from scenes import patches
+from vertices import patches
 
 SIDE, MIN_SIDE = 192, 128  # texels per side of crops
 

@@ -24,7 +24,7 @@ from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from harness import SAMPLES, SIGMA, extra_models
 from pictures import PHOTOGRAPHS, on_sphere, photograph
-from scenes import chequer
+from vertices import chequer
 
 NEAR = 4  # maximum distance in texels of a texel near a seam
 SMALLEST, LARGEST = 64, 1024  # texels per side; smaller images are palettes, larger ones are halved

@@ -29,6 +29,11 @@ def output_name(path: str) -> str:
     return "<stdout>" if path == "-" else path
 
 
+def head_of_result(path: str, *, dry_run: bool) -> str:
+    """Return what a message on OUTPUT begins with."""
+    return f"{output_name(path)}: {'not written (dry run), ' if dry_run else ''}"
+
+
 def lines_on(facts: dict[str, Any]) -> Iterator[str]:
     """Yield a line for each fact, or of a report for each figure; what belongs together is indented below its name."""
     shown = {label_of(key): value for key, value in facts.items() if not _is_empty(value)}

@@ -10,7 +10,7 @@ from beltrami_cli.cli import options, outputs
 from beltrami_cli.cli.command import command
 from beltrami_cli.cli.console import Messages
 from beltrami_cli.cli.parameter_options import options_of, record_from
-from beltrami_cli.cli.phrases import counted, output_name
+from beltrami_cli.cli.phrases import counted, head_of_result
 from beltrami_cli.layers.settings import LevelSettings, SmoothSettings
 
 if TYPE_CHECKING:
@@ -38,8 +38,7 @@ def level(source: str, target: str, messages: Messages, **values: Any) -> None:
     carry_out = partial(level_file, source, target, levelling, settings)
     report = outputs.run_and_write(values, (source, target), messages, carry_out, settings)
     messages.warn_of(source, report.warnings)
-    unwritten = "not written (dry run), " if values["dry_run"] else ""
-    show_levelled(messages, report.levelled, f"{output_name(target)}: {unwritten}")
+    show_levelled(messages, report.levelled, head_of_result(target, dry_run=values["dry_run"]))
 
 
 def show_levelled(messages: Messages, reports: Sequence[LevelReport], name: str) -> None:

@@ -11,7 +11,14 @@ from beltrami_cli.cli import options, outputs
 from beltrami_cli.cli.command import command
 from beltrami_cli.cli.commands.level import show_levelled
 from beltrami_cli.cli.console import Messages
-from beltrami_cli.cli.phrases import NO_AREA, counted, lines_on, outliers_in_words, output_name
+from beltrami_cli.cli.phrases import (
+    NO_AREA,
+    counted,
+    head_of_result,
+    lines_on,
+    outliers_in_words,
+    output_name,
+)
 from beltrami_cli.flow.noise_amount import noise_size
 from beltrami_cli.quantities import show_amount, show_size
 from beltrami_cli.view.noise_in_words import advice_in_words, doubt_in_words, noise_of, reason_in_words
@@ -40,15 +47,13 @@ def smooth(source: str, target: str, messages: Messages, **smoothing: Any) -> No
 
     carry_out = partial(smooth_file, source, target, settings, unwrap=unwrap)
     report = outputs.run_and_write(smoothing, (source, target), messages, carry_out, settings)
-    name = output_name(report.output)
-    show_levelled(messages, report.levelled, f"{name}: ")
+    show_levelled(messages, report.levelled, f"{output_name(report.output)}: ")
     if settings.kernel.iterations:
         _show_result(messages, report, settings.kernel.given_noise, dry_run=dry_run)
     elif not settings.level_seams:
         _show_unchanged(messages, report, unwrapped=unwrap is not None, dry_run=dry_run)
     if report.new_texture:
-        unwritten = "not written (dry run), " if dry_run else ""
-        messages.say(f"{name}: {unwritten}{report.new_texture}")
+        messages.say(f"{head_of_result(report.output, dry_run=dry_run)}{report.new_texture}")
     details = asdict(report)
     for line in lines_on({key: details[key] for key in ("stages", "vertices", "image", "textures")}):
         messages.detail(line)
@@ -61,7 +66,7 @@ def _show_result(
     if report.peak_memory is not None:
         show = messages.say if dry_run else messages.detail
         show(f"peak memory: {show_size(report.peak_memory)}")
-    name = f"{output_name(report.output)}: {'not written (dry run), ' if dry_run else ''}"
+    name = head_of_result(report.output, dry_run=dry_run)
     if report.vertices is not None:
         _show_vertices(messages, name, report.vertices)
     if report.image is not None:
