@@ -35,7 +35,7 @@ def canonical_name(name: str) -> str:
     return name if is_url(name) else os.path.realpath(name)
 
 
-def fixed_part(pattern: PurePath) -> PurePath:
+def _fixed_part(pattern: PurePath) -> PurePath:
     """Return the innermost folder that contains all files of a glob."""
     fixed = next(number for number, part in enumerate(pattern.parts) if has_magic(part))
     return type(pattern)(*pattern.parts[:fixed])
@@ -108,7 +108,7 @@ def find(name: str) -> tuple[str, list[tuple[str, PurePath]]]:
         return "", [(str(path), PurePath(path.name))]
     if not is_glob(name) and not is_there(path):
         raise InputError(name, "there is no such file", "check the path")
-    root = Path(fixed_part(path)) if is_glob(name) else path
+    root = Path(_fixed_part(path)) if is_glob(name) else path
     paths = root.glob(str(path.relative_to(root))) if is_glob(name) else root.rglob("*")
     return str(root), [(str(each), each.relative_to(root)) for each in sorted(paths) if is_file(each)]
 
@@ -118,7 +118,7 @@ def _find_at(url: str) -> tuple[str, list[tuple[str, PurePath]]]:
     try:
         if files.isfile(path):
             return "", [(url, PurePosixPath(path.rpartition("/")[2]))]
-        root = str(fixed_part(PurePosixPath(path))) if has_magic(path) else path
+        root = str(_fixed_part(PurePosixPath(path))) if has_magic(path) else path
         names = files.glob(path) if has_magic(path) else files.find(path)
         found = [name for name in sorted(names) if files.isfile(name)]
     except OSError as error:

@@ -75,21 +75,15 @@ def kernel_file(
         drawn_as = ".ply" if on_mesh else ".png"
         raise UsageError(f"a kernel on {layer.label} is drawn as {drawn_as}, or written as .csv", target)
     plan = layer.plan()
-    most = plan.parameters.iterations
-    if iteration > max(most, 1):
-        raise UsageError(
-            f"--iteration {iteration} is not among the {most} of smoothing; lower it, or raise --iterations"
-        )
-    if isinstance(samples, SampledVertices):
-        place = _vertex_at(at, samples, document.name)
-    else:  # glTF counts v from the upper side of an image, other formats from the lower
-        is_flipped = document.format not in ("gltf", "glb")
-        place = _texel_at(at, samples, layer.label, is_flipped=is_flipped)
+    parameters = plan.parameters
+    if iteration > max(parameters.iterations, 1):
+        cause = f"--iteration {iteration} is not among the {parameters.iterations} of smoothing"
+        raise UsageError(f"{cause}; lower it, or raise --iterations")
+    place = _place_at(at, samples, document, layer.label)
     earlier = plan.stopped_before(iteration - 1)
     manifold = smooth_in_place(earlier, job.progress_of("iterations before")).manifold
     kernel = manifold.kernel_at(place.sample, plan.step(iteration - 1))
     table = _table(kernel, place, layer)
-    parameters = plan.parameters
     nearness = 1 - kernel.distances / max(np.float32(parameters.radius), np.finfo(np.float32).tiny)
     if suffix == ".csv":
         written = _csv(table)
@@ -128,6 +122,13 @@ def _csv(table: dict[str, Array]) -> Written:
     rows = zip(*(values.tolist() for values in table.values()), strict=True)
     csv.writer(text, lineterminator="\n").writerows([list(table), *rows])
     return Written([text.getvalue().encode()])
+
+
+def _place_at(at: str, samples: SampledVertices | Cells, document: Document, label: str) -> Place:
+    if isinstance(samples, SampledVertices):
+        return _vertex_at(at, samples, document.name)
+    # glTF counts v from the upper side of an image, other formats from the lower.
+    return _texel_at(at, samples, label, is_flipped=document.format not in ("gltf", "glb"))
 
 
 def _vertex_at(at: str, where: SampledVertices, name: str) -> Place:

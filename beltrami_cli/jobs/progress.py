@@ -127,7 +127,7 @@ class Work:
 
 @dataclass
 class Share(Work):
-    """Progress of a part of a job; `forward` is called with a label and the completed fraction of the part, of 1."""
+    """Progress of a part of a job; `forward` is called with a label, the completed fraction of the part, and 1."""
 
     forward: Progress = lambda label, done, total: None
 
@@ -144,10 +144,10 @@ def each_with_progress(
     if isinstance(progress, Work):
         progress.expect([(noun, float(count))])
 
-    def show(number: int, _: str = "", share: float = 0.0, __: float = 1.0) -> None:
+    def show(number: int, _label: str = "", done: float = 0.0, total: float = 1.0) -> None:
         if progress is not None:
             label = Label(f"{min(number + 1, count)} of {count} {noun}", noun)
-            progress(label, number + share, count)
+            progress(label, number + done / total, count)
 
     for number, item in enumerate(items):
         show(number)

@@ -74,14 +74,13 @@ def smooth_in_job(layer: Layer, job: Job, label: str) -> Smoothed:
 
     def tick() -> None:
         # The number of steps is unknown: progress shows n / (n + 30) after n of them.
-        assert choosing is not None
-        choosing(number := next(steps), number + _USUAL_STEPS)
+        if choosing is not None:
+            choosing(number := next(steps), number + _USUAL_STEPS)
 
-    if choosing is not None:
-        tick()
+    tick()
     smoothing = job.progress_of(Label(f"{label}: smoothing", "smoothing"))
     resources = Resources(job.chunking, job.chunk_memory)
-    return smooth_layer(layer, smoothing, None if choosing is None else tick, resources)
+    return smooth_layer(layer, smoothing, tick, resources)
 
 
 @dataclass(frozen=True)

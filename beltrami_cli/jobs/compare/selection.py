@@ -68,9 +68,9 @@ def _everything(documents: Documents, settings: SmoothSettings) -> tuple[SmoothS
 
 def _require_both(documents: Documents, has: list[bool], what: str) -> None:
     if has[0] != has[1]:
-        names = [documents[not has[0]].name, documents[has[0]].name]
-        cause = f"it has no {what}, but {names[0]} has"
-        raise InputError(names[1], cause, "choose what both have with --slots or --on")
+        with_it, without_it = documents if has[0] else reversed(documents)
+        cause = f"it has no {what}, but {with_it.name} has"
+        raise InputError(without_it.name, cause, "choose what both have with --slots or --on")
 
 
 def _why_unreadable(documents: Documents, slot: Slot) -> str:
