@@ -21,6 +21,7 @@ from beltrami_cli.formats.gltf.entries import Tree, require_structure
 from beltrami_cli.formats.gltf.fingerprint import fingerprint
 from beltrami_cli.formats.gltf.images import Images
 from beltrami_cli.formats.gltf.materials import present_slots
+from beltrami_cli.formats.gltf.new_attributes import move, put_dummies, recolour, require_movable
 from beltrami_cli.formats.gltf.new_images import show_images
 from beltrami_cli.formats.gltf.nodes import placements
 from beltrami_cli.formats.gltf.output import place_files, write_files
@@ -97,14 +98,14 @@ class GltfDocument(Document):
         return self._blocks.attribute(name)
 
     def require_movable(self) -> None:
-        self._blocks.require_movable()
+        require_movable(self._blocks.blocks)
 
     def _patched(self, new: Changes, naming: Naming) -> Written:
         edit = Edit(self._container, self._accessors)
         if new.colours is not None:
-            self._blocks.recolour(edit, self.coloured_vertices().colours, new.colours)
+            recolour(edit, self._blocks.blocks, self.coloured_vertices().colours, new.colours)
         if new.places is not None:
-            self._blocks.move(edit, self.coloured_vertices().positions, new.places)
+            move(edit, self._blocks.blocks, self.coloured_vertices().positions, new.places)
         show_images(edit, self._images, new.images)
         return write_files(edit, naming, new.form or self.format, self._files)
 
@@ -116,7 +117,7 @@ class GltfDocument(Document):
             return []
         edit = Edit(self._container, self._accessors)
         if colours:
-            self._blocks.put_dummies(edit, places=places)
+            put_dummies(edit, self._blocks.blocks, places=places)
         show_images(edit, self._images, images)
         edit.finish()
         return place_files(edit, naming, form, self._files).written().sidecar_names

@@ -1,4 +1,4 @@
-"""The coloured primitives of a glTF file as blocks of rows, which can get new values.
+"""The coloured primitives of a glTF file as blocks of rows.
 
 A mesh is taken at the first node that shows it. A block is one pair of positions and colours. Primitives that use the
 same pair (the same accessors, or accessors over the same bytes) share its rows, so that every stored colour has
@@ -7,8 +7,7 @@ exactly one row.
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -16,20 +15,14 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s, Int32s
 from beltrami_cli.errors import NoColoursError
-from beltrami_cli.formats.colours import quantised
 from beltrami_cli.formats.gltf.accessors import MAX_ROWS, Accessor, Stored, fractions
-from beltrami_cli.formats.gltf.edit import Edit
-from beltrami_cli.formats.gltf.new_attributes import Column, exchange
 from beltrami_cli.formats.gltf.nodes import Placement
 from beltrami_cli.formats.gltf.primitives import Meshes, Primitive
-from beltrami_cli.formats.gltf.references import primitives_of
-from beltrami_cli.surface.geometry import unit_vectors
-from beltrami_cli.surface.records import ColouredVertices, MovedVertices
+from beltrami_cli.surface.records import ColouredVertices
 
 _COLOUR_TYPES = ("uint8", "uint16", "float32")  # component types of COLOR_0, the coarsest first
 _NAMED_SEPARATELY = ("POSITION", "COLOR_0", "NORMAL")  # not among the attributes by name
 _INDICES = ("JOINTS_", "WEIGHTS_")
-_STALE_NOTICE = "The vertices moved, but their {} are as they were; make them again, or leave them out."
 
 
 @dataclass
@@ -198,93 +191,3 @@ class ColouredBlocks:
                 raise block.first_user.attributes.fault(name, cause)
             parts.append(values)
         return np.concatenate(parts)
-
-    def recolour(self, edit: Edit, old: Float32s, new: Float32s) -> None:
-        """Put new colours (V, 3) into a file; only entries that differ from the old ones change."""
-        if new.shape != old.shape or not np.isfinite(new).all():
-            raise ValueError(f"colours must be finite and of shape {old.shape}, not {new.shape}")
-
-        def recoloured(block: Block, before: Stored) -> Stored:
-            entries, after = new[block.rows] != old[block.rows], before.copy()
-            after[:, :3][entries] = quantised(new[block.rows][entries], before.dtype)
-            return after
-
-        self._exchange(edit, "COLOR_0", recoloured)
-
-    def put_dummies(self, edit: Edit, *, places: bool) -> None:
-        """Put numbers unlike the present ones into a file: for colours, or for all that can move, too."""
-        for attribute in ("COLOR_0", *(("POSITION", "NORMAL") if places else ())):
-            self._exchange(edit, attribute, lambda _, before: (~before.view(np.uint8)).view(before.dtype))
-
-    def require_movable(self) -> None:
-        """Check that positions can be replaced: floats, not compressed by Draco, and not scaled to nothing."""
-        for block in self.blocks:
-            accessor = block.accessors["POSITION"]
-            if accessor.is_decoded:
-                remedy = "decompress the model first with a glTF optimiser"
-                raise accessor.entry.fault("", "Draco positions cannot be replaced", remedy)
-            if accessor.component.kind != "f":
-                kind = f"{accessor.component.name} (KHR_mesh_quantization)"
-                cause = f"positions are {kind}, which cannot hold smoothed ones"
-                raise accessor.entry.fault(
-                    "componentType", cause, "store them as floats, with a glTF optimiser"
-                )
-            if abs(np.linalg.det(block.placement.matrix[:3, :3])) < np.finfo(np.float64).tiny:
-                raise accessor.entry.fault("", "its node scales the positions to nothing")
-
-    def move(self, edit: Edit, old: Float64s, places: MovedVertices) -> None:
-        """Put new positions, and normals if there are any, into a file; only rows that change are written."""
-        moves, normals = places.positions - old, places.normals
-
-        def moved(block: Block, before: Stored) -> Stored:
-            rows, after = moves[block.rows].any(axis=1), before.copy()
-            local = moves[block.rows][rows] @ np.linalg.inv(block.placement.matrix[:3, :3]).T
-            after[rows] = (before[rows].astype(np.float64) + local).astype(before.dtype)
-            return after
-
-        def turned(block: Block, before: Stored) -> Stored:
-            assert normals is not None
-            new, after = normals[block.rows], before.copy()
-            rows = ~np.isnan(new).any(axis=1)
-            # Normals went to the common space by the inverse transpose.
-            local = unit_vectors(new[rows].astype(np.float64) @ block.placement.matrix[:3, :3])
-            after[rows] = local if before.dtype.kind == "f" else np.rint(local * np.iinfo(before.dtype).max)
-            return after
-
-        self._exchange(edit, "POSITION", moved)
-        if normals is not None:
-            self._exchange(edit, "NORMAL", turned)
-        has_normals = any("NORMAL" in block.accessors for block in self.blocks)
-        users = [user for block in self.blocks for user in block.users.values()]
-        has_tangents = any("TANGENT" in user for user in users)
-        stale = {"normals": has_normals and normals is None, "tangents": has_tangents}
-        edit.notices += [_STALE_NOTICE.format(what) for what, is_stale in stale.items() if is_stale]
-
-    def _exchange(self, edit: Edit, attribute: str, renewed: Callable[[Block, Stored], Stored]) -> None:
-        """Exchange an attribute of all blocks, which may share its numbers; only new rows are written."""
-        accessors = edit.accessors
-        # By identity, the accessors that primitives name, coloured or not.
-        members: dict[Hashable, set[int]] = defaultdict(set)
-        for _, primitive in primitives_of(edit.container.tree):
-            index = primitive.get("attributes", {}).get(attribute, -1)
-            if 0 <= index < len(accessors):
-                members[accessors[index].identity].add(index)
-        columns: dict[Hashable, Column] = {}
-        for block in self.blocks:
-            if attribute not in block.accessors:
-                continue
-            accessor, position = block.accessors[attribute], block.accessors["POSITION"]
-            before, key = accessor.stored(), accessor.identity
-            after = renewed(block, before)
-            if key not in columns:
-                columns[key] = Column(accessor, members[key], block.users, position, before, after)
-                continue
-            earlier = columns[key].after
-            changes, other = (after != before).any(axis=1), (earlier != before).any(axis=1)
-            if attribute == "POSITION" and not np.array_equal(
-                after[changes | other], earlier[changes | other]
-            ):
-                cause = "is shared by parts that would move apart"
-                raise accessor.entry.fault("", cause, "give each part positions of its own")
-            earlier[changes] = after[changes]
-        exchange(edit, attribute, list(columns.values()))
