@@ -21,7 +21,7 @@ from beltrami_cli.formats.image.decoded_image import DecodedImage, full_scale_on
 from beltrami_cli.layers.sample_files import read_of_size
 from beltrami_cli.layers.settings import ImageSettings
 from beltrami_cli.surface.grid_atlas import grid_atlas
-from beltrami_cli.surface.precision import check_scale
+from beltrami_cli.surface.precision import require_scale
 
 # Names of channels with depth or height in files of renderers and cameras.
 _HEIGHTS = ("z", "depth", "height", "depth.z", "y")
@@ -62,30 +62,28 @@ def read_surface(target: DecodedImage, wanted: ImageSettings, access: Access) ->
     valid = np.ones(target.pixels.shape[:2], bool)
     notices: list[str] = []
     if wanted.height is not None:
-        pixels = _read(wanted.height, target, access, notices)
+        pixels = read_of_size(wanted.height, target, access, "mapped")
+        notices += _notices_of(wanted.height, pixels)
         heights = wanted.height_scale * _height_of(pixels)
         valid &= np.isfinite(heights) & _opaque(pixels)
     if wanted.positions is not None:
-        pixels = _read(wanted.positions, target, access, notices)
+        pixels = read_of_size(wanted.positions, target, access, "mapped")
+        notices += _notices_of(wanted.positions, pixels)
         positions = _positions_of(pixels)
-        check_scale(positions.reshape(-1, 3), _triangles(*positions.shape[:2]), wanted.positions)
+        require_scale(positions.reshape(-1, 3), _triangles(*positions.shape[:2]), wanted.positions)
         valid &= np.isfinite(positions).all(axis=2) & _opaque(pixels)
     if wanted.mask is not None:
-        mask = _read(wanted.mask, target, access, [])  # a mask may be coarse
+        mask = read_of_size(wanted.mask, target, access, "mapped")
         colours = np.nan_to_num(mask.pixels[..., list(mask.colour)])
         valid &= (colours != 0).any(axis=2) & _opaque(mask)
     return ImageSurface(heights, positions, valid, tuple(notices))
 
 
-def _read(path: str, target: DecodedImage, access: Access, notices: list[str]) -> DecodedImage:
-    """Read an image with the size of another; append notices about it to `notices`."""
-    read = read_of_size(path, target, access, "mapped")
-    notices += read.notices
-    if read.stored == "uint8":
-        notices.append(
-            f"{path} has 8 bits only, so that its surface has steps; 16 bits or floats are better."
-        )
-    return read
+def _notices_of(path: str, image: DecodedImage) -> list[str]:
+    if image.stored != "uint8":
+        return [*image.notices]
+    coarse = f"{path} has 8 bits only, so that its surface has steps; 16 bits or floats are better."
+    return [*image.notices, coarse]
 
 
 def _height_of(image: DecodedImage) -> Float64s:

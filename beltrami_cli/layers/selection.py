@@ -21,7 +21,7 @@ from beltrami_cli.layers.settings import SmoothSettings, binding_parameters
 from beltrami_cli.layers.texture_groups import choose_textures, covered_texels, separate_surfaces
 from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.surface.large_arrays import arrays_in_files
-from beltrami_cli.surface.precision import check_scale, coarse_rounding
+from beltrami_cli.surface.precision import coarse_rounding, require_scale
 from beltrami_cli.surface.records import TexturedSurface
 from beltrami_cli.surface.slots import SLOTS, Slot
 
@@ -165,7 +165,7 @@ class Selection:
             surface = document.textured(slot)
             meshes.append((surface.positions, surface.faces[surface.texture_of >= 0]))
         for mesh in meshes:
-            check_scale(*mesh, document.name)
+            require_scale(*mesh, document.name)
         return [*dict.fromkeys(notice for mesh in meshes for notice in coarse_rounding(*mesh))]
 
 

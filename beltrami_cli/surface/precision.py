@@ -48,7 +48,7 @@ def require_single(
         raise InputError(name, cause, "replace it, or scale all down")
 
 
-def check_scale(positions: Float64s, faces: Int32s, name: str) -> None:
+def require_scale(positions: Float64s, faces: Int32s, name: str) -> None:
     """Reject positions or a median edge that cannot be squared in single precision."""
     typical = typical_edge(positions, faces)
     if typical == 0 or _MIN_LENGTH <= typical <= _MAX_LENGTH:

@@ -28,7 +28,7 @@ from beltrami_cli.layers.mesh_layer import MeshLayer
 from beltrami_cli.layers.reports import VertexReport
 from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.surface.points import CloudCounts, count_cloud
-from beltrami_cli.surface.precision import check_scale, require_finite
+from beltrami_cli.surface.precision import require_finite, require_scale
 from beltrami_cli.surface.records import ColouredVertices, Encoding
 
 
@@ -242,5 +242,5 @@ def _vertices_of(
     if len(places) != len(shades):
         raise InputError(ARRAYS, f"there are {len(places)} positions but {len(shades)} colours")
     require_finite(places, ARRAYS, "the position of vertex")
-    check_scale(places, triangles, ARRAYS)
+    require_scale(places, triangles, ARRAYS)
     return ColouredVertices(places, triangles, shades, names, encoding, stored)

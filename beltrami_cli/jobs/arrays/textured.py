@@ -30,7 +30,7 @@ from beltrami_cli.jobs.smoothing import smooth_layer
 from beltrami_cli.layers.reports import SlotReport
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings
 from beltrami_cli.layers.texture_layer import TextureLayer
-from beltrami_cli.surface.precision import check_scale, require_finite
+from beltrami_cli.surface.precision import require_finite, require_scale
 from beltrami_cli.surface.records import Encoding, Texture, TexturedSurface
 from beltrami_cli.surface.slots import SLOTS, Slot
 
@@ -147,7 +147,7 @@ def _textured_surface(
         raise UsageError(f"there are {len(names)} images; texture_of must give each face one of them, or -1")
     shown = np.flatnonzero(image_of >= 0)
     require_finite(uv[shown].reshape(-1, 6), ARRAYS, "uv of face", shown)
-    check_scale(positions, faces[shown], ARRAYS)
+    require_scale(positions, faces[shown], ARRAYS)
     if origin == "lower":
         uv[..., 1] = 1 - uv[..., 1]
     textures = tuple(Texture(name, name, b"") for name in names)
