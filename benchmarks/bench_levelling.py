@@ -55,7 +55,7 @@ def joined(scene):
     """Return the group of each texel; charts that are joined by seams without steps form a group."""
     atlas = scene.samples.atlas
     colours = on_canvas(atlas, scene.truth.astype(np.float32))
-    steps = steps_over_seams(atlas, colours, ChartPlaces.of(atlas))
+    steps = steps_over_seams(atlas, colours, ChartPlaces.of(atlas), np.zeros(atlas.charts, bool))
     signs = np.where(steps.ends[:, 0] < steps.ends[:, 1], 1, -1)[:, None]
     step = signs * (steps.colours[:, 1] - steps.colours[:, 0])
     pairs = []

@@ -48,11 +48,9 @@ class Levelled:
     groups: Indices  # (charts,): group of each chart; seams without outliers join charts
 
 
-def find_exposures(
-    steps: Steps, verdict: Verdict | None, strength: float, fixed: Bools | None = None
-) -> Levelled:
-    """Fit the exposures of charts if the verdict is that there are any; `fixed` charts are not changed."""
-    exposures = Exposures.none(steps) if verdict is None else fit_exposures(steps, verdict.spread, fixed)
+def find_exposures(steps: Steps, verdict: Verdict | None, strength: float) -> Levelled:
+    """Fit the exposures of charts if the verdict is that there are any."""
+    exposures = Exposures.none(steps) if verdict is None else fit_exposures(steps, verdict.spread)
     if verdict is None or not verdict.is_sure:
         return Levelled(verdict, None, _facts(steps, exposures, 0.0), np.arange(steps.charts))
     groups = connected(steps.charts, steps.ends[exposures.weights > 0])
@@ -86,10 +84,9 @@ class Correction:
     shift: Float64s  # (charts, N): added to the corrected colours
 
     @classmethod
-    def of(cls, exposures: Exposures, groups: Indices, strength: float, fixed: Bools | None) -> Correction:
+    def of(cls, exposures: Exposures, groups: Indices, strength: float, fixed: Bools) -> Correction:
         """Return the correction without shifts, given the group of each chart, see `Levelled`."""
         channels, charts, _ = exposures.terms.shape
-        fixed = np.zeros(charts, bool) if fixed is None else fixed
         is_moved = np.asarray(exposures.terms.any(axis=(0, 2))) & ~fixed
         is_free = is_moved & ~np.isin(groups, groups[fixed])
         return cls(exposures, strength, is_moved, is_free, np.zeros((charts, channels)))
@@ -135,19 +132,21 @@ def level_canvas_in_place(
 ) -> tuple[Levelled, float]:
     """Remove exposures from planes, shape (N, R, C); return also the mean change, 0 without a correction.
 
-    `spans`: the maximum number of texels per stored hue of each texture; brightness is stored for every texel.
+    `fixed` charts keep theirs. `spans`: the maximum number of texels per stored hue of each texture; brightness is
+    stored for every texel.
     """
+    fixed = np.zeros(atlas.charts, bool) if fixed is None else fixed
     places, flat = ChartPlaces.of(atlas), planes.reshape(len(planes), -1)
-    steps = steps_over_seams(atlas, planes, places)
-    verdict = judge_steps(steps, fixed)
+    steps = steps_over_seams(atlas, planes, places, fixed)
+    verdict = judge_steps(steps)
     # Hues extrapolated over more texels are less certain; mixed hues, too, must show whether there are exposures.
     if verdict is not None and verdict.is_sure and max(spans, default=1) > 1:
         mixed = mixed_cells(atlas, spans)
         before = continue_hues_in_place(atlas, planes, mixed, max(spans))
-        steps = steps_over_seams(atlas, planes, places)
-        verdict = judge_steps(steps, fixed)
+        steps = steps_over_seams(atlas, planes, places, fixed)
+        verdict = judge_steps(steps)
         flat[:, mixed] = before
-    levelled = find_exposures(steps, verdict, strength, fixed)
+    levelled = find_exposures(steps, verdict, strength)
 
     def samples(rows: Int64s | slice) -> tuple[Float32s, Indices, Float64s]:
         cells, charts = atlas.owned_cells[rows], atlas.chart_of[rows]
@@ -171,7 +170,8 @@ def level_mesh(
     levelled = find_exposures(steps, judge_steps(steps), strength)
     if levelled.exposures is None:
         return levelled, 0.0, colours
-    correction, change = Correction.of(levelled.exposures, levelled.groups, strength, None).preserving_means(
+    correction = Correction.of(levelled.exposures, levelled.groups, strength, steps.fixed)
+    correction, change = correction.preserving_means(
         len(colours), lambda rows: (colours[rows], charts[rows], places[rows])
     )
     return levelled, change, correction.corrected(colours, charts, places) if change else colours

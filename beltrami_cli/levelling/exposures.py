@@ -68,8 +68,8 @@ class Exposures:
         return steps.means(self.weights, steps.seams)[steps.seams] < 1 / 4
 
 
-def fit_exposures(steps: Steps, spread: tuple[float, ...], fixed: Bools | None = None) -> Exposures:
-    """Fit the terms of all charts, whose deviation from 0 is `spread`; `fixed` charts have terms of 0."""
+def fit_exposures(steps: Steps, spread: tuple[float, ...]) -> Exposures:
+    """Fit the terms of all charts, whose deviation from 0 is `spread`; fixed charts have terms of 0."""
     exposures = Exposures.none(steps, len(spread))
     if not len(steps.seams):
         return exposures
@@ -90,7 +90,7 @@ def fit_exposures(steps: Steps, spread: tuple[float, ...], fixed: Bools | None =
             used &= ~Exposures(exposures.terms, weights).are_outliers(steps)
             weights *= used
         by_channel = (weights * trust / np.square(noise))[:, None] * known
-        exposures = Exposures(_solved(steps, exposures, by_channel, spread, fixed), weights)
+        exposures = Exposures(_solved(steps, exposures, by_channel, spread), weights)
     return exposures
 
 
@@ -118,9 +118,7 @@ def squared_steps(steps: Steps, sides: Float64s, units: Int64s) -> Float64s:
     return np.asarray(np.mean([np.square(steps.means(each, units)) for each in step.T], axis=0))
 
 
-def _solved(
-    steps: Steps, exposures: Exposures, weights: Float64s, spread: tuple[float, ...], fixed: Bools | None
-) -> Float64s:
+def _solved(steps: Steps, exposures: Exposures, weights: Float64s, spread: tuple[float, ...]) -> Float64s:
     """Solve for the terms, shape (N, charts, terms), that explain steps with weights of shape (K, N).
 
     Tilts are common to all channels, as with vignetting, so that channels are solved for together.
@@ -138,8 +136,7 @@ def _solved(
     by_gain = colours[:, :, None] * (1 + exposures.terms[:, steps.ends, 0].transpose(1, 0, 2))
     rows[..., 2:] = by_gain[..., None] * steps.places[:, None, :, : terms - 2]
     rows[:, :, 0] *= -1
-    if fixed is not None:
-        rows *= ~fixed[steps.ends][:, None, :, None]
+    rows *= ~steps.fixed[steps.ends][:, None, :, None]
     columns = (steps.ends[:, None, :, None] * unknowns + index[:, None]).ravel()
     starts, shape = np.arange(0, rows.size + 1, 2 * terms), (len(colours) * channels, charts * unknowns)
     weighted = rows * weights[:, :, None, None]

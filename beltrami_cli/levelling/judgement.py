@@ -81,12 +81,12 @@ def have_steps(steps: Steps) -> bool:
     return bool(np.average(is_stepped[seam], weights=between.counts) >= MIN_STEPPED)
 
 
-def judge_steps(steps: Steps, fixed: Bools | None = None) -> Verdict | None:
+def judge_steps(steps: Steps) -> Verdict | None:
     """Decide whether the charts differ in exposure; None if there are no steps."""
-    return judge(steps, fixed) if steps.between.any() and have_steps(steps) else None
+    return judge(steps) if steps.between.any() and have_steps(steps) else None
 
 
-def judge(steps: Steps, fixed: Bools | None = None) -> Verdict:
+def judge(steps: Steps) -> Verdict:
     """Test by cross-validation whether exposures explain the steps, and whether gains vary within charts."""
     held_out, verdicts = _CrossValidation.of(steps), dict[str, Verdict]()
     folds = np.unique(held_out.folds)
@@ -94,7 +94,7 @@ def judge(steps: Steps, fixed: Bools | None = None) -> Verdict:
     sides = {model: held_out.steps.colours.copy() for model in SPREADS}
     for fold in folds:
         for model, corrected in sides.items():
-            held_out.predict_in_place(corrected, fold, SPREADS[model], fixed)
+            held_out.predict_in_place(corrected, fold, SPREADS[model])
         tested = held_out.up_to(fold)
         if tested.count <= FEW_SEAMS and fold != folds[-1]:
             continue
@@ -142,13 +142,11 @@ class _CrossValidation:
         weights = np.bincount(units, steps.counts[between]).astype(np.float64)
         return cls(steps, folds, steps.select(between), units, weights, inflation)
 
-    def predict_in_place(
-        self, sides: Float64s, fold: int, spread: tuple[float, ...], fixed: Bools | None
-    ) -> None:
+    def predict_in_place(self, sides: Float64s, fold: int, spread: tuple[float, ...]) -> None:
         """Correct the stretches of a fold in `sides` by the exposures fitted to the other folds."""
         is_held = self.folds == fold
         rows = is_held[self.whole.between]
-        sides[rows] = fit_exposures(self.whole.select(~is_held), spread, fixed).sides(self.steps.select(rows))
+        sides[rows] = fit_exposures(self.whole.select(~is_held), spread).sides(self.steps.select(rows))
 
     def up_to(self, fold: int) -> _CrossValidation:
         """Return the test restricted to the units of the first folds."""

@@ -30,7 +30,7 @@ RIDGE = 0.005
 class Steps:
     """K stretches of seams, sorted by seam, with the colours of their two sides."""
 
-    charts: int
+    fixed: Bools  # (charts,): whether a chart keeps its exposure
     ends: Int64s  # (K, 2): the charts on the two sides, the one with the lower number first
     colours: Float64s  # (K, 2, N)
     places: Float64s  # (K, 2, 2): position in both charts, about the centre, of deviation 1/2
@@ -40,13 +40,18 @@ class Steps:
     high: Bools  # (K, 2, N): colours clipped at full scale, which are lower bounds
 
     @property
+    def charts(self) -> int:
+        """Number of charts."""
+        return len(self.fixed)
+
+    @property
     def between(self) -> Bools:
         """Which stretches are between different charts, shape (K,)."""
         return np.asarray(self.ends[:, 0] != self.ends[:, 1])
 
     def select(self, rows: Bools) -> Steps:
-        charts, *others = (getattr(self, each.name) for each in fields(self))
-        return Steps(charts, *(each[rows] for each in others))
+        fixed, *others = (getattr(self, each.name) for each in fields(self))
+        return Steps(fixed, *(each[rows] for each in others))
 
     def oriented(self) -> Steps:
         """Swap the sides of stretches whose first chart has the higher number."""
@@ -106,7 +111,7 @@ def positions_of(atlas: Atlas, cells: Indices) -> Float64s:
     return np.column_stack(np.divmod(cells, atlas.kind.shape[1])).astype(np.float64)
 
 
-def steps_over_seams(atlas: Atlas, planes: Float32s, places: ChartPlaces) -> Steps:
+def steps_over_seams(atlas: Atlas, planes: Float32s, places: ChartPlaces, fixed: Bools) -> Steps:
     """Measure the colours of both sides of all seams of an atlas; its halo is interpolated in place."""
     refresh_halo(planes, atlas, interpolated=True)
     inner, outer, colours, low, high = _both_sides(atlas, planes)
@@ -131,7 +136,7 @@ def steps_over_seams(atlas: Atlas, planes: Float32s, places: ChartPlaces) -> Ste
     first, both = order[starts], mean(np.stack(where, axis=1))
     exact, of_lines = np.split(mean(colours), 2, axis=2)
     is_low, is_high = (mean(each) > 0 for each in (low, high))
-    sharp = Steps(atlas.charts, ends[first], exact, both, seams[first], counts, is_low, is_high)
+    sharp = Steps(fixed, ends[first], exact, both, seams[first], counts, is_low, is_high)
     soft = replace(sharp, colours=(exact + of_lines) / 2)
     return _less_noisy(sharp.oriented(), soft.oriented())
 
@@ -232,7 +237,7 @@ def steps_over_edges(
     floor, ceiling = limits_of(colours)
     low, high = colours[across] <= floor + BYTE_STEP / 2, colours[across] >= ceiling - BYTE_STEP / 2
     steps = Steps(
-        charts=int(charts.max(initial=-1)) + 1,
+        fixed=np.zeros(int(charts.max(initial=-1)) + 1, bool),
         ends=ends,
         colours=np.stack(sides, axis=1),
         places=places[across],

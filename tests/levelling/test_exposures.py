@@ -107,7 +107,8 @@ def test_groups_that_no_seam_joins_do_not_keep_the_exposures_of_their_largest_ch
     terms = np.zeros((1, 7, 2))
     terms[0, :, 1] = [0.08, -0.02, -0.02, -0.02, -0.02, 0.03, -0.03]
     shown = (truth + terms[0, charts, 1:]).astype(np.float32)
-    correction, _ = Correction.of(Exposures(terms, np.ones(0)), groups, 1.0, None).preserving_means(
+    correction = Correction.of(Exposures(terms, np.ones(0)), groups, 1.0, np.zeros(7, bool))
+    correction, _ = correction.preserving_means(
         len(shown), lambda rows: (shown[rows], charts[rows], np.zeros((len(rows), 2)))
     )
     after = correction.corrected(shown, charts, np.zeros((len(shown), 2)))
@@ -150,8 +151,9 @@ def test_colour_edges_along_seams_move_by_less_than_a_step(head):
 
 def steps_of(ends, sides, seams):
     """Return stretches of seams, of four texels each, at which nothing is cut off."""
-    count, none = len(seams), np.zeros(sides.shape, bool)
-    return Steps(ends.max() + 1, ends, sides, np.zeros((count, 2, 2)), seams, np.full(count, 4.0), none, none)
+    fixed, none = np.zeros(ends.max() + 1, bool), np.zeros(sides.shape, bool)
+    places, counts = np.zeros((len(seams), 2, 2)), np.full(len(seams), 4.0)
+    return Steps(fixed, ends, sides, places, seams, counts, none, none)
 
 
 def seam(outliers):
@@ -296,6 +298,7 @@ def test_white_beside_what_was_brighter_than_full_scale_becomes_as_bright():
 def test_steps_are_measured_at_the_seam_without_the_slope_of_the_colours(head):
     # The head's phantom is continuous, and slopes on both sides of its seams.
     atlas = head.samples.atlas
-    steps = steps_over_seams(atlas, on_canvas(atlas, head.truth.astype(np.float32)), ChartPlaces.of(atlas))
+    planes, fixed = on_canvas(atlas, head.truth.astype(np.float32)), np.zeros(atlas.charts, bool)
+    steps = steps_over_seams(atlas, planes, ChartPlaces.of(atlas), fixed)
     sizes = np.abs(steps.colours[:, 1] - steps.colours[:, 0]).max(axis=1)
     assert weighted_median(sizes, steps.counts) < 1 / 255
