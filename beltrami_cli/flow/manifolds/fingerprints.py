@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Float32s, Int32s
-from beltrami_cli.flow.manifolds.domain import Stack
 from beltrami_cli.surface import large_arrays
 
 # Odd multipliers with well-mixed bits, as in SplitMix64, for hashing.
@@ -44,7 +43,7 @@ def random_signs(colours: Float32s, around: NDArray[np.uint64], count: int) -> F
     return signs
 
 
-def quantised(colours: Stack) -> Float32s:
+def quantised(colours: Float32s) -> Float32s:
     """Round colours, since hashes of colours that differ only by rounding must be equal."""
     steps = np.multiply(colours, _COARSE, dtype=np.float32)
     return np.round(steps, out=steps)

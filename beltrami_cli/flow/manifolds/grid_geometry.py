@@ -24,8 +24,8 @@ from beltrami_cli.surface.atlas import EMPTY, HALO, NO_GUTTER, NO_HALO, OWNED, A
 # times as fine as the chart beyond the seam.
 _REPEATS_REACH = 3
 
-Cells: TypeAlias = slice | Rectangle | Int64s
-"""Some cells of a canvas: rows, a rectangle, or flat indices, shape (R', C')."""
+Cells: TypeAlias = Rectangle | Int64s
+"""Some cells of a canvas: a rectangle, or flat indices, shape (R', C')."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,17 +77,16 @@ class GridGeometry(Geometry):
         return self.atlas.kind[None]
 
     def cut(self, samples: Cells, inside: Bools) -> GridGeometry:
-        """Cut out cells, shape (R', C'); `inside`: mask of those that have a kernel."""
-        kind = pick(self.atlas.kind, samples).copy()
+        """Cut out cells, shape (R', C'), whose halo is refreshed elsewhere; `inside`: those that have a kernel."""
+        whole, kind = self.atlas, pick(self.atlas.kind, samples).copy()
         kind[(kind == OWNED) & ~inside] = HALO
-        lengths = large_arrays.Droppable(pick(self.atlas.squared_lengths, samples))
-        atlas = dataclasses.replace(self.atlas, kind=kind, lengths=lengths)
-        if isinstance(samples, tuple):
-            _, rows, columns = samples
-            cells = np.r_[rows][:, None] * self.atlas.kind.shape[1] + np.r_[columns]
-            atlas = _with_fixed_halo(atlas, self.atlas, cells)
-        elif not isinstance(samples, slice):
-            atlas = _with_fixed_halo(atlas, self.atlas, samples)
+        if not isinstance(samples, tuple):
+            kind[samples == whole.kind.size - 1] = EMPTY  # cells of the margin and beyond the canvas
+        atlas = dataclasses.replace(
+            whole, kind=kind, lengths=large_arrays.Droppable(pick(whole.squared_lengths, samples)),
+            cut_cells=_cut_cells_among(whole, samples), owned=owned_of(kind), owned_texels=np.zeros(0, np.int64),
+            chart_of=np.zeros(0, np.int32), halo=NO_HALO, gutter=NO_GUTTER,
+        )  # fmt: skip
         scales = None if self.scale is None else large_arrays.Droppable(pick(self.scale, samples))
         repeats = None if self.repeats is None else pick(self.repeats, samples)
         return dataclasses.replace(self, atlas=atlas, scales=scales, repeats=repeats)
@@ -126,9 +125,7 @@ class GridGeometry(Geometry):
 
 
 def pick(planes: Array, samples: Cells) -> Array:
-    """Cells of planes; rows and rectangles are views, not copies."""
-    if isinstance(samples, slice):
-        return planes[..., samples, :]
+    """Cells of planes; rectangles are views, not copies."""
     if isinstance(samples, tuple):
         part: Array = planes[samples]
         return part
@@ -148,16 +145,18 @@ def colours_at(planes: Float32s, cells: Indices) -> Float32s:
     return colours
 
 
-def _with_fixed_halo(part: Atlas, whole: Atlas, cells: Int64s) -> Atlas:
-    """Complete the atlas of a part of another, whose halo is refreshed elsewhere."""
-    kind = part.kind
-    kind[cells == whole.kind.size - 1] = EMPTY  # cells of the margin and beyond the canvas
-    cut = np.zeros(whole.kind.size, bool)
-    cut[whole.cut_cells] = True
-    return dataclasses.replace(
-        part, cut_cells=np.flatnonzero(cut[cells.reshape(-1)]), owned=owned_of(kind),
-        owned_texels=np.zeros(0, np.int64), chart_of=np.zeros(0, np.int32), halo=NO_HALO, gutter=NO_GUTTER,
-    )  # fmt: skip
+def _cut_cells_among(atlas: Atlas, samples: Cells) -> Int64s:
+    """Return the cells at cuts among some cells, as flat indices of these."""
+    if isinstance(samples, tuple):
+        _, rows, columns = samples
+        row, column = np.divmod(atlas.cut_cells, atlas.kind.shape[1])
+        inside = (row >= rows.start) & (row < rows.stop) & (column >= columns.start) & (column < columns.stop)
+        width = columns.stop - columns.start
+        flat: Int64s = (row[inside] - rows.start) * width + column[inside] - columns.start
+        return flat
+    is_cut = np.zeros(atlas.kind.size, bool)
+    is_cut[atlas.cut_cells] = True
+    return np.flatnonzero(is_cut[samples.reshape(-1)])
 
 
 def _local_scales(atlas: Atlas, window: int) -> Float32s:

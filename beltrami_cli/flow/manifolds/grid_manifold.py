@@ -103,8 +103,8 @@ class GridManifold(Manifold):
 
     geometry: GridGeometry
     jumps: int = 0  # number of seams over which colours jump, where kernels stop
-    changes_stacks: bool = True  # average large canvases in place, row block by row block
-    cells_per_thread: int = 1 << 16  # of a row block, which takes some 90 bytes per cell
+    # Of a row block, which takes some 90 bytes per cell. Several row blocks are averaged in place.
+    cells_per_thread: int = 1 << 16
 
     def measure(self, colours: Stack, step: Step, gaussian: Gaussian | None = None) -> Metric:
         """Prepare the metric, eq. (1), which averaging then induces row block by row block."""
@@ -132,7 +132,7 @@ class GridManifold(Manifold):
         cells = self.cells_per_thread * max(_MIN_THREADS, self.parameters.thread_count)
         rows, columns = atlas.kind.shape
         blocks = row_blocks(rows, columns, margin, cells)
-        if not self.changes_stacks or len(blocks) < 2:
+        if len(blocks) < 2:
             planes, samples = self._apply_kernel(stacks, metric, progress)
             refresh_halo(planes, atlas)
             return Averaged(_split(planes, stacks), samples)
@@ -163,7 +163,7 @@ class GridManifold(Manifold):
         gaussian = cast("GridGaussian | None", metric.gaussian)
         if gaussian is not None:
             gaussian = gaussian.from_row(around.start)
-        planes, samples = self.cut(around, inside)._apply_kernel(
+        planes, samples = self.cut((..., around, slice(0, columns)), inside)._apply_kernel(
             [stack[:, around] for stack in stacks],
             dataclasses.replace(metric, gaussian=gaussian),
             _scaled_progress(progress, block.start * columns, (block.stop - block.start) / len(inside)),
@@ -287,7 +287,9 @@ class GridManifold(Manifold):
             planes[:, part.geometry.atlas.kind == EMPTY] = 0
             scored = np.flatnonzero(core & (part.geometry.atlas.kind == OWNED))
         drawn = draw_perturbations(wanted_probes(len(scored)), part.geometry.atlas, self.noise)
-        part = dataclasses.replace(part, changes_stacks=False)
+        part = dataclasses.replace(
+            part, cells_per_thread=part.geometry.size
+        )  # which leaves stacks as they are
         return SampleTrial(part, planes, np.array(drawn, np.float32), scored)
 
     def cut(self, samples: Cells, inside: Bools) -> GridManifold:

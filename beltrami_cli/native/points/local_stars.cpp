@@ -136,30 +136,34 @@ struct Neighbour {
   }
 };
 
+// The star of a point, see `Stars`; not settled: it needs more neighbours.
+struct Star {
+  std::vector<Triangle> triangles;
+  double spacing = 0, flatness = 0, distance = 0;
+  bool settled = false;
+};
+
 // Finds the star of one point at a time; keeps its memory for the next.
 class Finder {
  public:
   explicit Finder(const double* positions) : positions_(positions) {}
 
-  void find(Index point, std::span<const Index> others, bool complete) {
-    triangles_.clear();
-    spacing_ = flatness_ = 0;
-    settled_ = complete;
+  // Valid until the next call.
+  const Star& find(Index point, std::span<const Index> others, bool complete) {
+    star_.triangles.clear();
+    star_.spacing = star_.flatness = 0;
+    star_.settled = complete;
     gather(point, others, complete);
-    if (around_.size() < 2 || !find_plane()) return;
+    star_.distance = around_.empty() ? 0 : std::sqrt(around_[std::min(few, around_.size()) - 1].squared);
+    if (around_.size() < 2 || !find_plane()) return star_;
     // The maximum height of a neighbour depends on the spacing, and the spacing on the neighbours.
     lay_out(infinity);
-    spacing_ = measure_spacing();
-    lay_out(highest * spacing_);
-    spacing_ = measure_spacing();
+    star_.spacing = measure_spacing();
+    lay_out(highest * star_.spacing);
+    star_.spacing = measure_spacing();
     collect(point);
+    return star_;
   }
-
-  const std::vector<Triangle>& triangles() const { return triangles_; }
-  double spacing() const { return spacing_; }
-  double flatness() const { return flatness_; }
-  double distance() const { return around_.empty() ? 0 : std::sqrt(around_[std::min(few, around_.size()) - 1].squared); }
-  bool settled() const { return settled_; }
 
  private:
   // Removes the farthest neighbours, since others at the same distance may be missing.
@@ -200,9 +204,9 @@ class Finder {
       const TangentPlane plane = fit_tangent_plane(offsets_, reach);
       if (plane.second_spread <= in_line * plane.first_spread) continue;
       const double across = plane.normal_spread + plane.height * plane.height;
-      flatness_ = across / plane.second_spread * (1 + doubt / static_cast<double>(wanted));
-      if (flatness_ >= flattest) continue;
-      flattest = flatness_;
+      star_.flatness = across / plane.second_spread * (1 + doubt / static_cast<double>(wanted));
+      if (star_.flatness >= flattest) continue;
+      flattest = star_.flatness;
       plane_ = plane;
     }
     return flattest < infinity;
@@ -210,15 +214,15 @@ class Finder {
 
   // Finds the star in the tangent plane, with each neighbour at its distance in space, as if the surface were unrolled.
   void lay_out(double height_limit) {
-    star_.clear();
+    spokes_.clear();
     for (const Neighbour& neighbour : around_) {
       const double height = std::abs(dot(neighbour.offset, plane_.normal));
       if (height > height_limit || height * height > steepest * steepest * neighbour.squared) continue;
       const double x = dot(neighbour.offset, plane_.first), y = dot(neighbour.offset, plane_.second);
       const double stretch = std::sqrt(neighbour.squared / (x * x + y * y));
-      star_.push_back({stretch * x, stretch * y, neighbour.point});
+      spokes_.push_back({stretch * x, stretch * y, neighbour.point});
     }
-    keep_delaunay_star(star_);
+    keep_delaunay_star(spokes_);
   }
 
   // The side of a square in the circumcircle of a triangle of the star, which on a square grid is the spacing. Lengths
@@ -226,7 +230,7 @@ class Finder {
   // used, since at the rim of a hole half of them may span it.
   double measure_spacing() {
     squared_radii_.clear();
-    for (std::size_t i = 0; i < star_.size(); ++i) squared_radii_.push_back(squared_radius_beside(i));
+    for (std::size_t i = 0; i < spokes_.size(); ++i) squared_radii_.push_back(squared_radius_beside(i));
     if (squared_radii_.empty()) return 0;
     const auto fourth = squared_radii_.begin() + static_cast<std::ptrdiff_t>(squared_radii_.size() / 4);
     std::nth_element(squared_radii_.begin(), fourth, squared_radii_.end());
@@ -237,22 +241,22 @@ class Finder {
 
   // Squared circumradius of the triangle between a spoke and the next; infinite if they are half a turn apart or more.
   double squared_radius_beside(std::size_t spoke) const {
-    const Spoke &a = star_[spoke], &b = star_[(spoke + 1) % star_.size()];
+    const Spoke &a = spokes_[spoke], &b = spokes_[(spoke + 1) % spokes_.size()];
     return cross(a, b) > 0 ? squared_circumradius(a, b) : infinity;
   }
 
   void collect(Index point) {
-    const double limit = largest_radius * largest_radius * spacing_ * spacing_;
+    const double limit = largest_radius * largest_radius * star_.spacing * star_.spacing;
     double largest = 0;
-    for (std::size_t i = 0; i < star_.size(); ++i) {
+    for (std::size_t i = 0; i < spokes_.size(); ++i) {
       const double squared_radius = squared_radius_beside(i);
       largest = std::max(largest, squared_radius);
       if (squared_radius <= limit)
-        triangles_.push_back({point, star_[i].point, star_[(i + 1) % star_.size()].point});
+        star_.triangles.push_back({point, spokes_[i].point, spokes_[(i + 1) % spokes_.size()].point});
     }
     // A circle through the point reaches twice its radius, so farther neighbours cannot be inside. An open star may
     // gain more neighbours, at the rim of the cloud and between dense lines of a scanner.
-    if (largest < infinity && 4 * std::min(largest, limit) <= squared_reach_ && !star_.empty()) settled_ = true;
+    if (largest < infinity && 4 * std::min(largest, limit) <= squared_reach_ && !spokes_.empty()) star_.settled = true;
   }
 
   const double* positions_;
@@ -260,11 +264,9 @@ class Finder {
   double squared_reach_ = infinity;
   std::vector<Vector> offsets_;
   TangentPlane plane_;
-  std::vector<Spoke> star_;
+  std::vector<Spoke> spokes_;
   std::vector<double> squared_radii_;
-  std::vector<Triangle> triangles_;
-  double spacing_ = 0, flatness_ = 0;
-  bool settled_ = false;
+  Star star_;
 };
 
 }  // namespace
@@ -281,15 +283,16 @@ Stars find_stars(const double* positions, const Neighbours& neighbours, bool kee
     std::vector<Index> unsettled;
     for (std::size_t row = begin; row < end; ++row) {
       const Index point = neighbours.rows[row];
-      finder.find(point, {neighbours.table + row * neighbours.count, neighbours.count}, neighbours.complete);
-      if (!finder.settled() && !keep_unsettled) {
+      const Star& star =
+          finder.find(point, {neighbours.table + row * neighbours.count, neighbours.count}, neighbours.complete);
+      if (!star.settled && !keep_unsettled) {
         unsettled.push_back(point);
         continue;
       }
-      triangles.insert(triangles.end(), finder.triangles().begin(), finder.triangles().end());
-      stars.spacing[row] = finder.spacing();
-      stars.flatness[row] = finder.flatness();
-      stars.distance[row] = finder.distance();
+      triangles.insert(triangles.end(), star.triangles.begin(), star.triangles.end());
+      stars.spacing[row] = star.spacing;
+      stars.flatness[row] = star.flatness;
+      stars.distance[row] = star.distance;
     }
     const std::lock_guard lock(mutex);
     stars.triangles.insert(stars.triangles.end(), triangles.begin(), triangles.end());

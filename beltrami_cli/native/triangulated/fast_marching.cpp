@@ -18,7 +18,7 @@ FastMarching::FastMarching(const Stencils& stencils, const Selection& selection)
 std::span<const Reached> FastMarching::march(Index source, float radius, std::size_t max_count) {
   begin_march();
   radius_ = radius;
-  wanted_ = max_count;
+  remaining_ = max_count;
   bound_ = ~std::uint64_t{0};
   if (selection_.places != nullptr) centre_ = selection_.places[source];
   relax(source, 0);
@@ -33,7 +33,7 @@ std::span<const Reached> FastMarching::march(Index source, float radius, std::si
     }
     node.mark = accepted_mark_;
     reached_.push_back({vertex, node.distance});
-    wanted_ = max_count - reached_.size() + 1;  // one more than the kernel takes, to detect that it is truncated
+    remaining_ = max_count - reached_.size() + 1;  // one more than the kernel takes, to detect that it is truncated
     update_from(vertex, node.distance);
   }
   return reached_;
@@ -42,7 +42,7 @@ std::span<const Reached> FastMarching::march(Index source, float radius, std::si
 // Truncates the heap to the vertices that can still be taken; further ones never are, since distances only decrease. So
 // a hub does not fill it.
 void FastMarching::keep_nearest() {
-  const auto furthest = heap_.keep_nearest(wanted_, [&](std::uint64_t key) {
+  const auto furthest = heap_.keep_nearest(remaining_, [&](std::uint64_t key) {
     const Node& node = nodes_[static_cast<std::size_t>(vertex_of(key))];
     return node.mark == accepted_mark_ || distance_of(key) != node.distance;
   });
@@ -143,7 +143,7 @@ void FastMarching::relax(Index target, float distance) {
   if (node.mark == close_mark_ && node.distance <= distance) return;
   node = {distance, close_mark_};
   heap_.push(key);
-  if (heap_.size() / 2 > wanted_) keep_nearest();
+  if (heap_.size() / 2 > remaining_) keep_nearest();
 }
 
 }  // namespace beltrami::triangulated

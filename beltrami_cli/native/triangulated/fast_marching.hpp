@@ -75,7 +75,7 @@ class FastMarching {
   std::uint32_t close_mark_ = 0, accepted_mark_ = 0;
   float radius_ = 0;         // limit of the distances that are found
   std::uint64_t bound_ = 0;  // limit of the keys in the heap
-  std::size_t wanted_ = 0;  // how many vertices can still be taken, and one more
+  std::size_t remaining_ = 0;  // how many vertices can still be taken, and one more
   bool truncated_ = false;
 };
 
