@@ -34,7 +34,7 @@ from beltrami_cli.formats.gltf.vertex_colours import ColouredBlocks
 from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.surface.records import ColouredVertices, MeshContents, Slot, TexturedSurface
 
-# Of `_omitted`, what is lost where textures are converted as well.
+# Of `_omitted`, the losses of conversions with textures.
 _NOT_TEXTURED = ("skins", "animations", "cameras", "morph targets")
 
 

@@ -38,18 +38,19 @@ def read_textured_mesh(
     root: Entry, meshes: Meshes, images: Images, colours: PrimitiveColours, stored: str
 ) -> records.MeshContents:
     """Return the triangles of the default scene, at every place where a node shows them, with their materials."""
-    parts = _MeshParts(root, images)
+    collected = _MeshParts(root, images)
     for index, placement, name in instances(root):
         for number, primitive in enumerate(meshes[index]):
-            parts.take(primitive, placement, name, colours.get((index, number)))
-    if not parts.parts:
+            collected.take(primitive, placement, name, colours.get((index, number)))
+    parts = collected.parts
+    if not parts:
         raise InputError(root.name, "its scene has no triangles, so there is nothing to show a texture")
-    groups = {name: number for number, name in enumerate(dict.fromkeys(parts.groups))}
-    group_of = by_triangle(parts.parts, [groups[name] for name in parts.groups])
-    normals = np.concatenate([_normals(part) for part in parts.parts])
-    scene = make_scene(root.name, [[part] for part in parts.parts], parts.materials)
-    mesh = textured_mesh(scene, parts.left_out, (tuple(groups), group_of), normals.reshape(-1, 3))
-    return dataclasses.replace(mesh, **parts.vertex_colours(stored))
+    groups = {name: number for number, name in enumerate(dict.fromkeys(collected.groups))}
+    group_of = by_triangle(parts, [groups[name] for name in collected.groups])
+    normals = np.concatenate([_normals(part) for part in parts]).reshape(-1, 3)
+    scene = make_scene(root.name, [[part] for part in parts], collected.materials)
+    mesh = textured_mesh(scene, collected.left_out, (tuple(groups), group_of), normals)
+    return dataclasses.replace(mesh, **collected.vertex_colours(stored))
 
 
 class _MeshParts:

@@ -29,16 +29,16 @@ def read_textured_surface(
     root: Entry, meshes: Meshes, places: Sequence[Placement], images: Images, slot: Slot
 ) -> tuple[records.TexturedSurface, list[str]]:
     """Return all triangles of a file and the images that one slot shows on them, with notices for the user."""
-    parts = _SurfaceParts(root, images, slot)
+    collected = _SurfaceParts(root, images, slot)
     for mesh, placement in zip(meshes, places, strict=True):
         for primitive in mesh:
-            parts.take(primitive, placement)
-    groups = parts.groups.values()
+            collected.take(primitive, placement)
+    groups = collected.groups.values()
     if not any(part.material.maps for group in groups for part in group):
-        raise no_texture(slot, root.name, (), is_bare=parts.counts["bare"] > 0)
-    surface, notices = textured_surface(make_scene(root.name, groups, parts.materials), slot)
+        raise no_texture(slot, root.name, (), is_bare=collected.counts["bare"] > 0)
+    surface, notices = textured_surface(make_scene(root.name, groups, collected.materials), slot)
     # Triangles of different spaces or looks do not meet.
-    spaces = [(space, look) for _, _, space, look in parts.groups]
+    spaces = [(space, look) for _, _, space, look in collected.groups]
     number_of = {space: number for number, space in enumerate(dict.fromkeys(spaces))}
     if len(number_of) > 1:
         rows = [np.count_nonzero(used_positions(group)) for group in groups]
@@ -48,8 +48,8 @@ def read_textured_surface(
         "instanced": "{} textured part(s) are shown at several places; each is smoothed once, at its first place.",
         "bare": f"{{}} primitive(s) have no texture coordinates for their {slot} texture.",
     }
-    counted = [sentence.format(n) for key, sentence in sentences.items() if (n := parts.counts[key])]
-    return surface, [*notices, *parts.missing, *counted]
+    counted = [sentence.format(n) for key, sentence in sentences.items() if (n := collected.counts[key])]
+    return surface, [*notices, *collected.missing, *counted]
 
 
 class _SurfaceParts:

@@ -84,7 +84,7 @@ class MaterialInputs:
 class SceneContents:
     """A scene without its arrays, which are sent with it by name.
 
-    Of the V points, the P polygons and their K corners in all meshes, and the C colours of those that have any:
+    Of the V points, P polygons, K corners and C vertex colours of all meshes:
 
     - positions (V, 3): in world space
     - sizes (P,): corners of each polygon
