@@ -2,5 +2,5 @@
 
 A file becomes a `DecodedImage` in `reading`, by what `file_formats`, `opening`, `sizes` and `channels` know. `writing`
 makes a file of new pixels: as another format holds them (`conversion`), encoded (`encoding`), with `metadata`, which
-`containers` read and write in each format. KTX2 and AVIF are coded by `extra_codecs`.
+`containers` read and write in each format. OpenImageIO does not know `ktx2` and `avif`, which `extra_codecs` joins.
 """

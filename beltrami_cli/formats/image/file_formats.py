@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 
+from beltrami_cli.errors import InputError
+
 
 @dataclass(frozen=True)
 class ImageFormat:
@@ -127,6 +129,11 @@ def plugin_of(file_format: str) -> str:
 def label_of(file_format: str) -> str:
     """Return what users call a format."""
     return FORMATS[file_format].suffixes[0][1:].upper()
+
+
+def damaged_image(name: str, file_format: str, reason: object) -> InputError:
+    cause = f"the {label_of(file_format)} image is damaged or cut off ({str(reason)[:150]})"
+    return InputError(name, cause, "export it again")
 
 
 def suffix_of(name: str) -> str:

@@ -98,7 +98,7 @@ def _exif_of(data: bytes, file_format: str) -> bytes:
 def _metadata_names(data: bytes, file_format: str) -> dict[str, bool]:
     """Return names for the pieces of metadata in a file, and whether OpenImageIO reads each, for another format."""
     if file_format in extra_codecs.EXTRA_CODECS:
-        return dict.fromkeys(extra_codecs.metadata_names(data, file_format), False)
+        return dict.fromkeys(extra_codecs.EXTRA_CODECS[file_format].metadata_names(data), False)
     if file_format in ("jpeg2000", "j2k", "jpegxl"):
         return boxes.metadata_names(data)
     container = _CONTAINERS.get(file_format)

@@ -14,7 +14,7 @@ from beltrami_cli.formats.image.containers import bmp, png, targa, webp
 from beltrami_cli.formats.image.containers.text_headers import has_usual_scale
 from beltrami_cli.formats.image.decoded_image import STORED, DecodedImage, image_from
 from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, decoded, measured
-from beltrami_cli.formats.image.file_formats import READABLE, format_of, label_of, plugin_of
+from beltrami_cli.formats.image.file_formats import READABLE, damaged_image, format_of, label_of, plugin_of
 from beltrami_cli.formats.image.opening import error_of, opened, seek_colours
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.records import Texture
@@ -162,9 +162,7 @@ def _damaged(name: str, file_format: str, error: str, path: Path) -> InputError:
     if any(word in shown for word in _NOT_BUILT_IN):
         cause = f"this build of OpenImageIO does not read how the {label_of(file_format)} image is compressed"
         return InputError(name, f"{cause} ({shown})", "save it without compression, or with another one")
-    return InputError(
-        name, f"the {label_of(file_format)} image is damaged or cut off ({shown})", "export it again"
-    )
+    return damaged_image(name, file_format, shown)
 
 
 def _reading_notices(file: Any, part: int, data: bytes, file_format: str, name: str) -> tuple[str, ...]:

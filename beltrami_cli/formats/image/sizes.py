@@ -46,7 +46,7 @@ class ImageSize:
 def measure_image(data: bytes, name: str = UNNAMED) -> ImageSize | None:
     """Return the size of an image file without decoding it; None if it cannot be opened."""
     file_format = format_of(data, name)
-    if file_format in EXTRA_CODECS:
+    if file_format is not None and file_format in EXTRA_CODECS:
         try:
             return ImageSize(*measured(data, file_format, name), 1)
         except InputError:
