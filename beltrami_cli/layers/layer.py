@@ -59,7 +59,7 @@ class Layer(ABC):
 
     @property
     def notices(self) -> Sequence[str]:
-        """Notices about storage and positions."""
+        """Notices about how it is stored, and about its surface."""
         return ()
 
     @property

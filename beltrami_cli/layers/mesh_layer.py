@@ -155,6 +155,7 @@ class MeshLayer(VertexLayer):
         return SampledVertices(self.triangulated, self.sampling.sample_of)
 
     def levelled(self, wanted: LevelSettings) -> MeshLayer:
+        assert not self.is_normalised, "exposures are as stored"
         if self.photographs_of is None:
             raise UsageError(f"{self.label}: nothing says which photograph each vertex is from")
         photographs, surface = self.photographs_of(wanted.photographs), self.surface()

@@ -244,6 +244,7 @@ class TextureLayer(PixelLayer):
     def levelled(self, wanted: LevelSettings) -> TextureLayer:
         from beltrami_cli.layers.levelled_charts import level_charts
 
+        assert not self.is_normalised, "exposures are as stored"
         if self.slot not in COLOUR_SLOTS:
             cause = "they are data, which no camera exposed; leave them out of --slots"
             raise UsageError(f"{self.label}: {cause}")

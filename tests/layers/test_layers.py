@@ -74,10 +74,12 @@ def test_levelling_leaves_the_layer_as_it_was(layer):
 
 
 @pytest.mark.parametrize("layer", NAMES, indirect=True)
-def test_a_layer_that_is_not_normalised_is_not_planned(layer):
+def test_a_layer_is_levelled_before_and_planned_after_it_is_normalised(layer):
     with pytest.raises(AssertionError, match="normalised"):
         layer.plan()
     assert layer.normalised().normalised().unit > 0
+    with pytest.raises((AssertionError, UsageError), match=r"as stored|no charts"):
+        layer.normalised().levelled(LevelSettings())
 
 
 @pytest.mark.parametrize("layer", NAMES, indirect=True)
