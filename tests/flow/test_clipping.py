@@ -25,13 +25,6 @@ def flat(level, size=64, seed=3):
     return np.clip(level + noise, 0, 1).astype(np.float32)
 
 
-def marks_of(clipped, channels):
-    """Return the marks of samples at a limit."""
-    marks = np.empty((len(clipped.clipped), *channels.shape[1:]), np.float32)
-    clipped.mark(channels, marks)
-    return marks
-
-
 @pytest.mark.parametrize("level", [0.0, 0.03, 0.97, 1.0])
 @pytest.mark.parametrize("on", ["image", "mesh"])
 def test_the_mean_of_clipped_noise_is_restored(level, on):
@@ -53,7 +46,7 @@ def test_the_true_value_follows_from_mean_and_share_of_a_censored_normal():
         samples = np.clip(level + SIGMA * draws, 0, 1).astype(np.float32)
         clipped = find_clipped(samples.T, np.array([SIGMA]))
         mean = samples.mean(axis=0, keepdims=True, dtype=np.float64).T.astype(np.float32)
-        marks = marks_of(clipped, samples.T).mean(axis=1, keepdims=True, dtype=np.float64).astype(np.float32)
+        marks = clipped.marks_of(samples.T).mean(axis=1, keepdims=True, dtype=np.float64).astype(np.float32)
         clipped.restore_in_place(mean, marks, np.float32(1))
         # The mean of 400,000 draws has a standard error of 0.002 sigma; near the limit it is up to tripled.
         assert abs(mean[0, 0] - level) < 0.01 * SIGMA
@@ -73,7 +66,7 @@ def test_what_was_cut_off_is_told_by_the_formulas_in_any_layout_on_any_number_of
         own, restored = channels[0].copy(order="K"), channels[1].copy(order="K")
         found.impute_in_place(own, channels[2], relative, threads)
         found.restore_in_place(restored, channels[3], relative, threads)
-        results.append((marks_of(found, channels[0]), own, restored))
+        results.append((found.marks_of(channels[0]), own, restored))
     for one, other in zip(*results, strict=True):
         np.testing.assert_array_equal(one, other)
     for k, (marks, imputed, restored) in enumerate(zip(*results[0], strict=True)):

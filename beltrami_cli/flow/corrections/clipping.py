@@ -75,12 +75,14 @@ class ClippedChannels:
         reach = np.float32(_NOISE_EXTENT) * (sigma.astype(np.float32) * np.sqrt(relative))
         return np.asarray((low & (channels < reach)) | (high & (channels > 1 - reach)))
 
-    def mark(self, channels: Float32s, marks: Float32s) -> None:
-        """Mark samples at a limit, to be averaged like colours, by 1, 0 or -1; shape (clipped channels, ...)."""
+    def marks_of(self, channels: Float32s) -> Float32s:
+        """Mark samples at a limit by 1 or -1, to be averaged like colours; shape (clipped channels, ...)."""
         # Both limits share one plane, because an average seldom contains many samples of both.
-        for mark, k in enumerate(self.clipped):
-            high, low = self.high[k] & (channels[k] >= 1), self.low[k] & (channels[k] <= 0)
-            np.subtract(high, low, out=marks[mark], dtype=np.float32)
+        marks = [
+            np.subtract(self.high[k] & (channels[k] >= 1), self.low[k] & (channels[k] <= 0), dtype=np.float32)
+            for k in self.clipped
+        ]
+        return np.stack(marks)
 
     def restore_in_place(
         self, channels: Float32s, marks: Float32s, relative: Float32s, threads: int = 1
@@ -141,7 +143,7 @@ def mark_clipped(manifold: Manifold, clipped: ClippedChannels) -> Stack:
     marks = np.ascontiguousarray(np.moveaxis(planes, 0, geometry.axis))
 
     def mark(channels: Array, block: Array, kind: Array) -> None:
-        clipped.mark(channels, block)
+        block[:] = clipped.marks_of(channels)
         np.copyto(block, 0, where=kind == EMPTY)
 
     for_blocks(mark, geometry.threads, geometry.axis, manifold.colours, marks, geometry.kind)
@@ -177,10 +179,9 @@ def _impute_side_in_place(
 
     def terms(rows: slice) -> Float32s:
         block = channel[:, rows]
-        marks = np.empty(block.shape, np.float32)
-        side.mark(block, marks)
         # Samples beyond an edge are not near the limit, and are ignored.
-        return np.concatenate([np.ones_like(block), block, marks]) * side.near_limit(block, relative[:, rows])
+        near = side.near_limit(block, relative[:, rows])
+        return np.concatenate([np.ones_like(block), block, side.marks_of(block)]) * near
 
     sums = regions.spread(regions.gathered(3, terms, channel, threads))
     for rows in block_rows(channel, regions.side):
