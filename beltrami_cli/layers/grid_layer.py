@@ -68,6 +68,7 @@ class GridLayer(VertexLayer):
         sample_of[self._measured] = np.arange(len(self._measured))
         return SampledVertices(self.vertices, sample_of)
 
+    @property
     def stored_colours(self) -> Float32s:
         return self.working(self._measured)
 

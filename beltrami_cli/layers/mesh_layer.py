@@ -69,11 +69,8 @@ class MeshLayer(VertexLayer):
         return sample_vertices(dataclasses.replace(self.triangulated, faces=self.vertices.faces))
 
     @cached_property
-    def _stored(self) -> Float32s:
-        return kept(np.ascontiguousarray(self.working(self.sampling.first_vertex)))
-
     def stored_colours(self) -> Float32s:
-        return self._stored
+        return kept(np.ascontiguousarray(self.working(self.sampling.first_vertex)))
 
     def _in_own_unit(self) -> Self:
         return dataclasses.replace(
@@ -82,7 +79,7 @@ class MeshLayer(VertexLayer):
 
     def surface(self) -> SampledSurface:
         """Return the sampled surface, made on demand, since it is as large as the file."""
-        surface = self.sampling.surface(self.triangulated, self._stored)
+        surface = self.sampling.surface(self.triangulated, self.stored_colours)
         levelled = self.levelled_colours
         return surface if levelled is None else dataclasses.replace(surface, colours=levelled)
 

@@ -52,9 +52,10 @@ class VertexLayer(Layer):
     @abstractmethod
     def places(self) -> SampledVertices: ...
 
+    @property
     @abstractmethod
     def stored_colours(self) -> Float32s:
-        """Return the stored colours of the samples in the working space, shape (S, N)."""
+        """The stored colours of the samples in the working space, shape (S, N)."""
 
     def working(self, rows: Any) -> Float32s:
         """Return the sampled channels of some vertices in the working space, shape (K, N)."""
@@ -65,7 +66,7 @@ class VertexLayer(Layer):
         del is_smoothed
         before, changing, written = self.vertices, self.channels.changing, self.channels.written
         sample_of, after = self.places().sample_of, new.table()[:, written]
-        is_changed = np.any(after != self.stored_colours()[:, written], axis=1)
+        is_changed = np.any(after != self.stored_colours[:, written], axis=1)
         changed = np.flatnonzero(np.append(is_changed, False)[sample_of])  # the number -1 reads the last
         colours = copy_of(before.colours)
         if len(changed):
