@@ -38,7 +38,9 @@ def losses(
     return values, gradients
 
 
-def _through_mixture(gradient, read_as, outputs, candidates):
+def _through_mixture(
+    gradient: np.ndarray, read_as: np.ndarray, outputs: np.ndarray, candidates: np.ndarray
+) -> np.ndarray:
     """Return the gradient of the outputs from that of the readings, in which they are combined with candidates."""
     readings, weights = split_mixture(outputs, candidates)
     toward = [

@@ -38,11 +38,11 @@ class Sample:
         return Sample(*map(change, (self.noisy, self.noise, self.loss)))
 
 
-def to_linear(x):
+def to_linear(x: np.ndarray) -> np.ndarray:
     return np.where(x <= 0.04045, x / 12.92, ((np.maximum(x, 0) + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
 
-def to_srgb(x):
+def to_srgb(x: np.ndarray) -> np.ndarray:
     """Encode as sRGB; the curve continues below 0 and above 1."""
     return np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 0.0031308) ** (1 / 2.4) - 0.055).astype(
         np.float32

@@ -81,7 +81,7 @@ def random_samples(
     return in_squares(sample.mapped(lambda planes: planes[top : top + side, left : left + side]), filled)
 
 
-def _part_of(rng, pixels, side):
+def _part_of(rng: np.random.Generator, pixels: np.ndarray, side: int) -> np.ndarray:
     top, left = (int(rng.integers(max(1, size - side + 1))) for size in pixels.shape[:2])
     return pixels[top : top + side, left : left + side]
 

@@ -91,37 +91,37 @@ def slopes(rng: np.random.Generator, pixels: np.ndarray) -> np.ndarray:
     return varied(rng, to_size(coarse.astype(np.float32), *pixels.shape[1::-1], kernel=1).clip(0, 1))
 
 
-def _none(rng, plain):
+def _none(rng: np.random.Generator, plain: Recipe) -> Recipe:
     return Recipe()
 
 
-def _photons(rng, plain):
+def _photons(rng: np.random.Generator, plain: Recipe) -> Recipe:
     return replace(plain, tail="poisson", shape=float(rng.uniform(2.5, 9)))
 
 
-def _in_parts(rng, plain):
+def _in_parts(rng: np.random.Generator, plain: Recipe) -> Recipe:
     return replace(
         plain, places=str(rng.choice(["part", "part", "tiles"])), correlation=float(rng.choice([0, 0, 1])),
         place_gain=float(rng.choice([0, 0, rng.uniform(0, 0.5)])),
     )  # fmt: skip
 
 
-def _opposite(rng, plain):
+def _opposite(rng: np.random.Generator, plain: Recipe) -> Recipe:
     gains = ((1, -1, 0), (1, 0, -1), (0, 1, -1), (1, -0.5, -0.5), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0))
     return replace(plain, gains=gains[rng.integers(len(gains))], correlation=1.0)
 
 
-def _of_chroma(rng, plain):
+def _of_chroma(rng: np.random.Generator, plain: Recipe) -> Recipe:
     return replace(plain, correlation=float(rng.uniform(-0.5, -0.3)))
 
 
-def _by_level(rng, plain):
+def _by_level(rng: np.random.Generator, plain: Recipe) -> Recipe:
     return replace(
         plain, power=float(rng.choice([1, 2])), floor=0.0, correlation=float(rng.choice([0, 0, 1]))
     )
 
 
-def _of_camera(rng, plain):
+def _of_camera(rng: np.random.Generator, plain: Recipe) -> Recipe:
     shot, read = float(np.exp(rng.uniform(*np.log((5e-4, 0.03))))), float(rng.uniform(0.002, 0.02))
     sigma = float(np.sqrt(shot / 2 + read**2))  # at half the light
     return replace(
@@ -132,7 +132,7 @@ def _of_camera(rng, plain):
     )  # fmt: skip
 
 
-def _in_blocks(rng, plain):
+def _in_blocks(rng: np.random.Generator, plain: Recipe) -> Recipe:
     return replace(
         plain,
         sigma=float(rng.choice([0, plain.sigma, plain.sigma])),
@@ -141,7 +141,7 @@ def _in_blocks(rng, plain):
     )
 
 
-def _of_light(rng, plain):
+def _of_light(rng: np.random.Generator, plain: Recipe) -> Recipe:
     return replace(
         plain, sigma=float(rng.uniform(0.05, 0.6)), power=2.0, floor=0.0, correlation=float(rng.choice([0, 1])),
         tail=str(rng.choice(["gamma", "normal"])), shape=float(rng.uniform(2, 20)), is_linear=bool(rng.random() < 0.5),
@@ -149,7 +149,7 @@ def _of_light(rng, plain):
     )  # fmt: skip
 
 
-def _shared_by_channels(rng, plain):
+def _shared_by_channels(rng: np.random.Generator, plain: Recipe) -> Recipe:
     return replace(plain, correlation=float(rng.choice([0, 0, 1, rng.uniform(0, 1)])))
 
 

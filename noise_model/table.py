@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -27,11 +28,11 @@ SIDE, CASES, SEED = 192, 44, 7  # texels per side, and noisy pictures of each ki
 FALSE_POSITIVE = 4 / 255  # reading from which a clean picture counts as misread
 
 
-def _log_uniform(rng, low, high):
+def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
-def _camera(rng, method="bilinear", **others):
+def _camera(rng: np.random.Generator, method: str = "bilinear", **others: Any) -> Recipe:
     shot, read = _log_uniform(rng, 0.002, 0.03), rng.uniform(0.005, 0.02)
     sigma = float(np.sqrt(shot / 2 + read**2))  # at half the light
     return Recipe(sigma, power=1, floor=read / sigma, is_linear=True, mosaic=method, **others)

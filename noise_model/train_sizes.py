@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Iterable
 from multiprocessing import Pool
 from pathlib import Path
 
@@ -128,7 +129,7 @@ def train_kind(kind: str, roots: list[Path], options: argparse.Namespace) -> Non
     with Pool(options.processes) as pool:
         made = list(zip(jobs, pool.starmap(make_rows, jobs, chunksize=1), strict=True))
 
-    def rows_of(part, numbers):
+    def rows_of(part: str, numbers: Iterable[int]) -> list[np.ndarray]:
         chosen = [rows for job, rows in made if job[1] == part and job[2] in numbers]
         return [np.concatenate(own) for own in zip(*chosen, strict=True)]
 
