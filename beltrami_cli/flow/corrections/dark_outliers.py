@@ -15,10 +15,14 @@ from beltrami_cli.flow.manifolds.blocks import in_blocks
 from beltrami_cli.flow.manifolds.domain import CoarseLevel, Geometry
 from beltrami_cli.flow.manifolds.manifold import Manifold
 
-# Outliers are this many standard deviations below the mean around. Places are plain where the local variance is less
-# than this factor of that of noise. The search is repeated this often, since outliers add to the variance. Of normal
-# noise, 3 in 100,000 samples are as far below the mean.
-_OUTLIER, _PLAIN, _ROUNDS = 4.0, 1.4, 2
+# Standard deviations below the local mean from which on samples are outliers: 3 in 100,000 samples of normal noise.
+_OUTLIER = 4.0
+
+# Ratio of the local variance to that of noise below which a place is plain.
+_PLAIN = 1.4
+
+# Number of searches: outliers add to the local variance, which hides others.
+_ROUNDS = 2
 
 
 def fill_dark_outliers_in_place(manifold: Manifold, level: CoarseLevel, sigma: Float64s) -> None:
