@@ -34,7 +34,7 @@ def unit_vectors(vectors: Float64s) -> Float64s:
     return np.asarray(np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0))
 
 
-def centred(positions: Float64s) -> Float64s:
+def scaled_to_unit(positions: Float64s) -> Float64s:
     """Centre and scale points so that the furthest is at 1/2 to 1, and squares neither underflow nor overflow."""
     if not len(positions):
         return positions

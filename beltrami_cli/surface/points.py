@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s, Int32s
-from beltrami_cli.surface.geometry import centred
+from beltrami_cli.surface.geometry import scaled_to_unit
 from beltrami_cli.surface.grouping import group_places
 from beltrami_cli.surface.large_arrays import blocks, kept
 from beltrami_cli.surface.ranges import expanded
@@ -64,7 +64,7 @@ def triangulate_points(positions: Float64s, threads: int = 1, at_once: int = _PO
     if len(positions) < 3:
         return np.empty((0, 3), np.int32)
     points = np.zeros((len(positions), 3))
-    points[:, : positions.shape[1]] = centred(positions)
+    points[:, : positions.shape[1]] = scaled_to_unit(positions)
     order = morton_order(points)  # neighbours lie close in memory, which halves the time
     points = kept(points[order])
     tree, stars = cKDTree(points), LocalTriangulation(points)

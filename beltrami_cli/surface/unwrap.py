@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s
 from beltrami_cli.errors import InputError, ProcessingError
-from beltrami_cli.surface.geometry import centred, triangle_areas
+from beltrami_cli.surface.geometry import scaled_to_unit, triangle_areas
 from beltrami_cli.surface.grouping import group_places
 from beltrami_cli.surface.precision import require_finite
 from beltrami_cli.surface.worker_process import Message, WorkerError, ask, serve
@@ -54,7 +54,7 @@ def unwrap(
     """
     require_finite(positions, name, "the position of vertex")
     used, row_of = np.unique(faces, return_inverse=True)
-    unit, rows = centred(positions[used]) / 2, row_of.reshape(-1, 3).astype(np.int32)
+    unit, rows = scaled_to_unit(positions[used]) / 2, row_of.reshape(-1, 3).astype(np.int32)
     edges = unit[rows] - unit[np.roll(rows, -1, axis=1)]
     longest = np.square(edges).sum(axis=2).max(axis=1, initial=0)
     distinct = (rows != np.roll(rows, -1, axis=1)).all(axis=1)
