@@ -103,7 +103,7 @@ class SceneContents:
     materials: tuple[MaterialInputs, ...]
     blocks: tuple[ColourBlock, ...]
     meshes: tuple[str, ...]  # names
-    counts: Mapping[str, int]  # of parts that are skipped or special, by the keys of `_COUNTS` and others
+    counts: Mapping[str, int]  # of parts that are skipped or special, as `Geometry` counts them
     slots: tuple[Slot, ...]
     others: tuple[str, ...]  # types of geometry other than meshes
     up: str

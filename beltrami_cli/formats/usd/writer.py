@@ -47,12 +47,12 @@ def _written(suffix: str, mesh: MeshContents, stem: str) -> Written:
     file_of = dict(zip(mesh.images, image_names(mesh, stem), strict=True))
     root, notices = _identifier(stem), list[str]()
     shown = _colours(mesh, notices) if mesh.colours.shape[1] else []
-    text, group_of, is_divided = [_header(root, mesh.frame)], mesh.group_numbers, False
+    is_divided = len(np.unique(mesh.group_numbers)) > 1
+    text = [_header(root, mesh.frame)]
     for number, group in enumerate(mesh.groups):
-        polygons = np.flatnonzero(group_of == number)
+        polygons = np.flatnonzero(mesh.group_numbers == number)
         if len(mesh.groups) > 1 and not len(polygons):
             continue
-        is_divided |= len(polygons) < len(group_of)
         bound = f" (\n{_BOUND}    )" if names else ""
         text += [f'    def Mesh "mesh_{number}"{bound}\n    {{\n{_PLAIN}'.encode()]
         if shown_name := plain_name(group).replace("\\", "\\\\").replace('"', '\\"'):
