@@ -6,7 +6,6 @@ Such pictures are decoded around a pilot, the result of the kernel alone, before
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -42,9 +41,8 @@ def plan_on_canvas(
     sigma = _sigma_before(pictures, colours, canvas.parameters)
     if sigma is not None:
         reading = colours.noise.reading
-        decoded = _decode_in_place(canvas, colours, pictures, sigma, tick)
-        plan = choose_parameters(grid_manifold(canvas, decoded.colours), tick)
-        plan = plan.with_noise(decoded.stored_noise, reading)
+        colours, stored_noise = _decode_in_place(canvas, colours, pictures, sigma, tick)
+        plan = choose_parameters(grid_manifold(canvas, colours), tick).with_noise(stored_noise, reading)
         if plan.parameters.iterations and not should_stay(plan.choice, canvas.parameters):
             return plan
         colours = estimate_on_canvas(canvas)  # without iterations, stored colours stay unchanged
@@ -68,18 +66,10 @@ def _sigma_before(
     return sigma if sigma and is_changed(pictures, sigma) else None
 
 
-@dataclass(frozen=True, eq=False)
-class _Decoded:
-    """Colours with the losses of JPEG estimated, and sigma of the noise in the stored ones by channel, shape (N,)."""
-
-    colours: CanvasColours
-    stored_noise: Float64s
-
-
 def _decode_in_place(
     canvas: ColouredCanvas, colours: CanvasColours, pictures: Sequence[CodedPicture], sigma: float, tick: Tick | None
-) -> _Decoded:  # fmt: skip
-    """Decode pictures again around a pilot, which overwrites their colours."""
+) -> tuple[CanvasColours, Float64s]:  # fmt: skip
+    """Decode pictures again around a pilot, which overwrites their colours; return also sigma of the stored noise."""
     before = None
     for _ in range(_PILOTS if canvas.parameters.takes_patches else 1):
         rows = _pilot_in_place(grid_manifold(canvas, colours), tick)
@@ -89,7 +79,7 @@ def _decode_in_place(
         before = large_arrays.copy_of(rows)
         noise, stored = _decode_rows_in_place(canvas.atlas, pictures, rows, sigma)
         colours = with_known_noise(canvas, rows, noise)
-    return _Decoded(colours, stored)
+    return colours, stored
 
 
 def _pilot_in_place(manifold: GridManifold, tick: Tick | None) -> Float32s:

@@ -13,7 +13,7 @@ import numpy as np
 from beltrami_cli.arrays import Float64s
 from beltrami_cli.flow.choice.prediction import Prediction, predict
 from beltrami_cli.flow.choice.risk import Risk, RiskEstimate
-from beltrami_cli.flow.choice.search import Candidates, Schedule, Search
+from beltrami_cli.flow.choice.search import Candidates, Place, Schedule, Search
 from beltrami_cli.flow.manifolds.kernel_work import LOG
 from beltrami_cli.flow.manifolds.manifold import Manifold, SampleTrial
 from beltrami_cli.flow.noise.model import overall_noise
@@ -145,7 +145,7 @@ def _candidates(manifold: Manifold) -> Candidates:
     if iterations is not None:
         regularised = tuple(sorted({min(count, iterations) for count in regularised}))
     starts = tuple(
-        (_nearest(betas, contrast * scale), _nearest(growths, growth), _nearest(regularised, count))
+        Place(_nearest(betas, contrast * scale), _nearest(growths, growth), _nearest(regularised, count))
         for contrast, growth, count in tried.starts
     )
     return Candidates(

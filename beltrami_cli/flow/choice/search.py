@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from typing import NamedTuple
 
 from beltrami_cli.flow.choice.risk import Risk, RiskEstimate, State
 from beltrami_cli.flow.manifolds.iteration import Step
@@ -29,7 +29,12 @@ class Schedule:
         return Step(beta, self.t, iteration < self.regularised)
 
 
-Place: TypeAlias = tuple[int, int, int]
+class Place(NamedTuple):
+    """Indices of the values of a schedule among the candidates."""
+
+    beta: int
+    growth: int
+    regularised: int
 
 
 @dataclass(frozen=True)
@@ -42,7 +47,7 @@ class Candidates:
     regularised: tuple[int, ...]
     iterations: int | None  # exact number; None: up to `max_iterations`
     max_iterations: int
-    starts: tuple[Place, ...]  # indices of beta, growth and regularised iterations
+    starts: tuple[Place, ...]
     least_gain: float = 0.0  # a path ends with an iteration that gains less than this share of the error
 
     def at(self, place: Place) -> Schedule:
@@ -52,11 +57,9 @@ class Candidates:
     def neighbour(self, place: Place, axis: int, way: int) -> Place | None:
         """Return the next place along an axis, or None at its end."""
         size = len((self.betas, self.growths, self.regularised)[axis])
-        moved = place[axis] + way
-        if not 0 <= moved < size:
+        if not 0 <= place[axis] + way < size:
             return None
-        beta, growth, regularised = (moved if k == axis else old for k, old in enumerate(place))
-        return beta, growth, regularised
+        return Place(*(at + way if k == axis else at for k, at in enumerate(place)))
 
 
 class Search:

@@ -107,7 +107,7 @@ static_assert(patch_side * row_length <= Index{long_row} && patch_side <= row_le
 
 struct Shape {
   alignas(64) std::array<float, long_row> is_there{};  // 1 or 0
-  std::array<std::uint16_t, long_row> ones{};                        // the same
+  std::array<std::uint16_t, long_row> ones{};                        // the same, to count estimates
   std::array<std::int32_t, patch_cells> offsets;                     // relative to the centre
   std::array<std::uint8_t, long_row> used;                           // places in the rows, one after the other
   std::array<std::int32_t, patch_cells> every_second;                // of the offsets, like black on a chessboard
@@ -191,6 +191,7 @@ std::size_t count_below(const float* keys, std::uint32_t bound) {
 // the noise of the pilot would prefer those that share it. Keys consist of a distance and, in the last bits, the
 // shuffled number of a candidate.
 std::size_t choose(std::vector<float>& distances, std::vector<std::uint32_t>& chosen, std::size_t size, float near) {
+  // Multiplication by any odd number is a permutation of the 1024 numbers.
   constexpr std::uint32_t low = 1023, shuffling = 599;
   constexpr std::uint32_t itself = rows_beside * candidate_columns + columns_before;
   // Keys are normal numbers, which order like their bits on any processor, unlike subnormal ones.

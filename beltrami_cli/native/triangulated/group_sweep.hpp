@@ -54,9 +54,6 @@ struct GroupScratch {
 
 // Writes the smoothed colours of up to 16 sources. Writes and returns nothing if they reach so many vertices that a
 // march from each is faster.
-using SweepGroup = std::optional<KernelStatistics> (*)(const GroupJob& job, const VertexGroup& group,
-                                                       GroupScratch& scratch);
-
 BELTRAMI_DECLARE_VARIANTS(
     std::optional<KernelStatistics> sweep_group(const GroupJob& job, const VertexGroup& group, GroupScratch& scratch))
 

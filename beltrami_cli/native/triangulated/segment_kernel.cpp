@@ -35,7 +35,7 @@ void SegmentKernel::update_metric(Rows<double> positions, Rows<float> colours, d
 
 KernelStatistics SegmentKernel::smooth(Rows<float> colours, const float* weights, const KernelParameters& parameters,
                                        float* smoothed, unsigned threads, const Poll& poll) {
-  const SweepGroup sweep = BELTRAMI_VARIANT_OF(sweep_group, choose_instruction_set());
+  const auto sweep = BELTRAMI_VARIANT_OF(sweep_group, choose_instruction_set());
   const GroupJob job{&lengths_.segments(), colours, weights, parameters, smoothed};
   const auto is_wanted = [&](Index source) { return source >= parameters.first && source < parameters.last; };
   const auto useful = static_cast<unsigned>(std::clamp<std::size_t>(threads, 1, groups_.count() / groups_per_chunk + 1));

@@ -110,48 +110,39 @@ Partner make_partner(Index vertex, double squared_a, double squared_b, double sq
           static_cast<float>(squared_height / squared_c)};
 }
 
-class FaceUpdate {
- public:
-  FaceUpdate(Stencils& stencils, const Topology& topology, const std::vector<double>& squared_lengths)
-      : stencils_(stencils), topology_(topology), squared_lengths_(squared_lengths) {}
-
-  void corner(Corner corner, std::vector<FoundSplit>& found) const {
-    const auto face_index = static_cast<std::size_t>(corner / 3);
-    const auto& face = topology_.faces[face_index];
-    const auto& edges = topology_.face_edges[face_index];
-    const auto k = static_cast<std::size_t>(corner % 3);
-    const std::size_t ka = (k + 1) % 3, kb = (k + 2) % 3;
-    const double a = squared_lengths_[static_cast<std::size_t>(edges[ka])];
-    const double b = squared_lengths_[static_cast<std::size_t>(edges[kb])];
-    const double c = squared_lengths_[static_cast<std::size_t>(edges[k])];
-    const auto [slot_a, slot_b] = topology_.corner_slots[static_cast<std::size_t>(corner)];
-    Partner& partner_of_a = stencils_.partners[static_cast<std::size_t>(slot_a)];
-    Partner& partner_of_b = stencils_.partners[static_cast<std::size_t>(slot_b)];
-    if (a + b >= c) {
-      partner_of_a = make_partner(face[kb], a, b, c);
-      partner_of_b = make_partner(face[ka], b, a, c);
-      return;
-    }
-    const auto support = unfold(topology_, squared_lengths_, corner);
-    if (!support) {
-      partner_of_a = {face[kb], 0, 0, 0};
-      partner_of_b = {face[ka], 0, 0, 0};
-      return;
-    }
-    const double d = support->squared_target;
-    partner_of_a = make_partner(support->vertex, d, b, support->squared_first);
-    partner_of_b = make_partner(support->vertex, d, a, support->squared_second);
-    found.push_back({support->vertex,
-                     {face[k], static_cast<float>(std::sqrt(d)),
-                      {make_partner(face[ka], b, d, support->squared_first),
-                       make_partner(face[kb], a, d, support->squared_second)}}});
+// Sets the coefficients of the updates of a corner's vertex through its face.
+void update_corner(Stencils& stencils, const Topology& topology, const std::vector<double>& squared_lengths, Corner corner,
+                   std::vector<FoundSplit>& found) {
+  const auto face_index = static_cast<std::size_t>(corner / 3);
+  const auto& face = topology.faces[face_index];
+  const auto& edges = topology.face_edges[face_index];
+  const auto k = static_cast<std::size_t>(corner % 3);
+  const std::size_t ka = (k + 1) % 3, kb = (k + 2) % 3;
+  const double a = squared_lengths[static_cast<std::size_t>(edges[ka])];
+  const double b = squared_lengths[static_cast<std::size_t>(edges[kb])];
+  const double c = squared_lengths[static_cast<std::size_t>(edges[k])];
+  const auto [slot_a, slot_b] = topology.corner_slots[static_cast<std::size_t>(corner)];
+  Partner& partner_of_a = stencils.partners[static_cast<std::size_t>(slot_a)];
+  Partner& partner_of_b = stencils.partners[static_cast<std::size_t>(slot_b)];
+  if (a + b >= c) {
+    partner_of_a = make_partner(face[kb], a, b, c);
+    partner_of_b = make_partner(face[ka], b, a, c);
+    return;
   }
-
- private:
-  Stencils& stencils_;
-  const Topology& topology_;
-  const std::vector<double>& squared_lengths_;
-};
+  const auto support = unfold(topology, squared_lengths, corner);
+  if (!support) {
+    partner_of_a = {face[kb], 0, 0, 0};
+    partner_of_b = {face[ka], 0, 0, 0};
+    return;
+  }
+  const double d = support->squared_target;
+  partner_of_a = make_partner(support->vertex, d, b, support->squared_first);
+  partner_of_b = make_partner(support->vertex, d, a, support->squared_second);
+  found.push_back({support->vertex,
+                   {face[k], static_cast<float>(std::sqrt(d)),
+                    {make_partner(face[ka], b, d, support->squared_first),
+                     make_partner(face[kb], a, d, support->squared_second)}}});
+}
 
 }  // namespace
 
@@ -191,10 +182,9 @@ void update_stencils(Stencils& stencils, const Topology& topology, const std::ve
     }
   });
   std::vector<std::vector<FoundSplit>> chunks((topology.faces.size() + faces_per_chunk - 1) / faces_per_chunk);
-  const FaceUpdate update(stencils, topology, squared_lengths);
   parallel_chunks(topology.faces.size(), faces_per_chunk, threads, [&](std::size_t begin, std::size_t end, unsigned) {
     for (std::size_t corner = 3 * begin; corner < 3 * end; ++corner)
-      update.corner(static_cast<Corner>(corner), chunks[begin / faces_per_chunk]);
+      update_corner(stencils, topology, squared_lengths, static_cast<Corner>(corner), chunks[begin / faces_per_chunk]);
   });
   group_splits(stencils, chunks);
 }
