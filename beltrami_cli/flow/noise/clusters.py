@@ -12,7 +12,7 @@ import numpy as np
 from beltrami_cli._native import pilot_of_graph
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
 from beltrami_cli.flow.noise.features import PAIRS, SCALES, FurtherStatistics
-from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, Samples, Scale, in_components
+from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, Samples, Scale, in_components, ranks_within
 from beltrami_cli.flow.vertex_graph import Graph, levels_of
 
 # Maximum number of blocks of consecutive samples that are read from a large surface, and samples per block.
@@ -132,7 +132,7 @@ class VertexClusters(Neighbourhoods):
                 is_whole=np.ones(len(of_cells), bool),
                 parents=parents,
                 of_cells=of_cells,
-                slot=_ranks_within(of_cells),
+                slot=ranks_within(of_cells, np.argsort(of_cells, kind="stable")),
                 edges=edges[(edges >= 0).all(axis=1)],
             )
             scales.append(scale)
@@ -239,11 +239,3 @@ def _large_ones(counts: Float32s) -> Int64s:
 
 def _numbered(mask: Bools) -> Int64s:
     return np.where(mask, np.cumsum(mask) - 1, -1)
-
-
-def _ranks_within(groups: Int64s) -> Int64s:
-    order = np.argsort(groups, kind="stable")
-    counts = np.bincount(groups)
-    ranks = np.empty(len(groups), np.int64)
-    ranks[order] = np.arange(len(groups)) - np.repeat(np.cumsum(counts) - counts, counts)
-    return ranks

@@ -247,3 +247,10 @@ class Samples:
 def in_components(channels: Array) -> Array:
     """Transform channels, the first axis, to components."""
     return np.asarray(np.einsum("kc,c...->k...", COMPONENTS.astype(channels.dtype), channels))
+
+
+def ranks_within(groups: Int64s, order: Int64s) -> Int64s:
+    """Return the rank of each row within its group, given an order of the rows that sorts them by group."""
+    counts, ranks = np.bincount(groups), np.empty(len(groups), np.int64)
+    ranks[order] = np.arange(len(groups)) - np.repeat(np.cumsum(counts) - counts, counts)
+    return ranks

@@ -14,7 +14,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
 from beltrami_cli.flow.noise.features import symmetric
-from beltrami_cli.flow.noise.neighbourhoods import Samples
+from beltrami_cli.flow.noise.neighbourhoods import Samples, ranks_within
 from beltrami_cli.flow.noise.stabiliser import VarianceStabiliser
 
 # Ratio of the noise that the pilot assumes to the noise. From 1.5 on it removes nine tenths of white noise.
@@ -45,10 +45,8 @@ class Blocks:
 
     def most_even(self, groups: Int64s) -> Bools:
         """Mark the most even known blocks of each group, given the group of each known block."""
-        order, counts = np.lexsort((self.unevenness[self.is_known], groups)), np.bincount(groups)
-        ranks = np.empty(len(order), np.int64)
-        ranks[order] = np.arange(len(order)) - np.repeat(np.cumsum(counts) - counts, counts)
-        return np.asarray(ranks < np.ceil(_EVEN_SHARE * counts)[groups])
+        ranks = ranks_within(groups, np.lexsort((self.unevenness[self.is_known], groups)))
+        return np.asarray(ranks < np.ceil(_EVEN_SHARE * np.bincount(groups))[groups])
 
 
 @dataclass(frozen=True, eq=False)
