@@ -23,6 +23,8 @@ INTEGER_SCALES = (BYTE, 1023.0, 4095.0, 16383.0, 65535.0)
 
 # Quantile of the non-zero colours that determines the range of float colours: larger values may be fireflies.
 _RANGE_QUANTILE = 0.99
+# Largest rounding error, in 8-bit levels, of numbers in 0..1 with five decimals.
+_LEVEL_TOLERANCE = 0.5e-5 * BYTE
 
 
 def full_scale(colours: Float64s, name: str) -> tuple[float, str]:
@@ -90,10 +92,6 @@ def _smallest_integer_scale(values: Float64s, scales: Sequence[float]) -> float 
     if largest <= 1 or (values % 1 != 0).any() or limits_of(values)[0] < 0:
         return None
     return next((scale for scale in scales if largest <= scale), None)
-
-
-# Largest rounding error, in 8-bit levels, of numbers in 0..1 with five decimals.
-_LEVEL_TOLERANCE = 0.5e-5 * BYTE
 
 
 def holds_bytes(values: Float32s) -> bool:

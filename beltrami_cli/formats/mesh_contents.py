@@ -12,9 +12,7 @@ from numpy.typing import NDArray
 from beltrami_cli.arrays import Bools, Float32s, Int32s
 from beltrami_cli.formats.changes import Naming, NewImages
 from beltrami_cli.formats.new_files import NewFiles
-from beltrami_cli.formats.tile_names import tile_name
-from beltrami_cli.surface import tiling
-from beltrami_cli.surface.polygons import polygons_of, polygons_with, triangulate_corners
+from beltrami_cli.surface.polygons import polygons_with, triangulate_corners
 from beltrami_cli.surface.records import (
     Material,
     MaterialMap,
@@ -165,31 +163,3 @@ def shown_materials(
     """Return the materials in use, and the index of each triangle's."""
     used, number_of = np.unique(material_of, return_inverse=True)
     return tuple(materials[index] for index in used), number_of.astype(np.int32)
-
-
-def with_material_per_tile(mesh: MeshContents) -> MeshContents:
-    """Give each tile of a tile set a material of its own, and leave out unused materials."""
-    assert mesh.uv is not None
-    is_tiled = np.array([any(shown.image.tiles for shown in each.maps.values()) for each in mesh.materials])
-    material_of, uv, materials = mesh.material_numbers.copy(), mesh.uv.copy(), list(mesh.materials)
-    chosen = np.flatnonzero(is_tiled[material_of] & ~bare_polygons(mesh))
-    polygon_of = polygons_of(mesh.offsets)
-    sums = [np.bincount(polygon_of, column, len(mesh.sizes)) for column in uv.T]
-    centres = (np.column_stack(sums) / mesh.sizes[:, None])[chosen]
-    tiles = tiling.tiles_under(centres[:, None])
-    moved = np.zeros((len(mesh.sizes), 2))
-    moved[chosen] = np.column_stack([-tiles[:, 0], tiles[:, 1]])
-    pairs = np.column_stack([material_of[chosen], tiles]).astype(np.int64)
-    rows, number_of = np.unique(pairs, axis=0, return_inverse=True)
-    for old, *place in rows.tolist():
-        tile, material = (place[0], place[1]), mesh.materials[old]
-        maps = {
-            slot: dataclasses.replace(shown, image=image)
-            for slot, shown in material.maps.items()
-            if (image := dict(shown.image.tiles).get(tile) if shown.image.tiles else shown.image) is not None
-        }
-        name = tile_name(f"{material.name or 'tile'}_<UDIM>", tile)
-        materials.append(dataclasses.replace(material, name=name, maps=maps))
-    material_of[chosen] = len(mesh.materials) + number_of.reshape(-1)
-    shown, material_of = shown_materials(materials, material_of)
-    return dataclasses.replace(mesh, uv=uv + moved[polygon_of], materials=shown, material_of=material_of)

@@ -14,8 +14,10 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image.file_formats import suffix_for
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.image.sizes import measure_image
-from beltrami_cli.formats.mesh_contents import MaterialMaps, with_material_per_tile
+from beltrami_cli.formats.mesh_contents import MaterialMaps, bare_polygons, shown_materials
 from beltrami_cli.formats.scene import Scene
+from beltrami_cli.formats.tile_names import tile_name
+from beltrami_cli.surface import tiling
 from beltrami_cli.surface.polygons import polygons_of
 from beltrami_cli.surface.records import AlphaMode, ImageFile, Material, MaterialMap, MeshContents, MeshImage
 from beltrami_cli.surface.slots import SLOTS, Slot
@@ -60,7 +62,35 @@ def textured_mesh(
         corner_normals=corner_normals,
         source=PurePath(scene.name).stem,
     )
-    return with_material_per_tile(mesh.polygons(kept))
+    return _with_material_per_tile(mesh.polygons(kept))
+
+
+def _with_material_per_tile(mesh: MeshContents) -> MeshContents:
+    """Give each tile of a tile set a material of its own, and leave out unused materials."""
+    assert mesh.uv is not None
+    is_tiled = np.array([any(shown.image.tiles for shown in each.maps.values()) for each in mesh.materials])
+    material_of, uv, materials = mesh.material_numbers.copy(), mesh.uv.copy(), list(mesh.materials)
+    chosen = np.flatnonzero(is_tiled[material_of] & ~bare_polygons(mesh))
+    polygon_of = polygons_of(mesh.offsets)
+    sums = [np.bincount(polygon_of, column, len(mesh.sizes)) for column in uv.T]
+    centres = (np.column_stack(sums) / mesh.sizes[:, None])[chosen]
+    tiles = tiling.tiles_under(centres[:, None])
+    moved = np.zeros((len(mesh.sizes), 2))
+    moved[chosen] = np.column_stack([-tiles[:, 0], tiles[:, 1]])
+    pairs = np.column_stack([material_of[chosen], tiles]).astype(np.int64)
+    rows, number_of = np.unique(pairs, axis=0, return_inverse=True)
+    for old, *place in rows.tolist():
+        tile, material = (place[0], place[1]), mesh.materials[old]
+        maps = {
+            slot: dataclasses.replace(shown, image=image)
+            for slot, shown in material.maps.items()
+            if (image := dict(shown.image.tiles).get(tile) if shown.image.tiles else shown.image) is not None
+        }
+        name = tile_name(f"{material.name or 'tile'}_<UDIM>", tile)
+        materials.append(dataclasses.replace(material, name=name, maps=maps))
+    material_of[chosen] = len(mesh.materials) + number_of.reshape(-1)
+    shown, material_of = shown_materials(materials, material_of)
+    return dataclasses.replace(mesh, uv=uv + moved[polygon_of], materials=shown, material_of=material_of)
 
 
 def _image(scene: Scene, path: str, known: dict[str, MeshImage]) -> MeshImage:

@@ -82,7 +82,7 @@ def _write_converted(
         data = with_descriptions(image, data, spec, file_format)
     notices = lost_metadata(image, data, file_format)
     if file_format == "webp":
-        notices += encoding_cost(file_format, values, _pixels_of(data, image.name), image.name)
+        notices += _encoding_cost(file_format, values, _pixels_of(data, image.name), image.name)
     return ImageFile(data, FORMATS[file_format].suffixes[0], notices)
 
 
@@ -112,7 +112,7 @@ def _write_in_own_format(image: DecodedImage, pixels: Array, quality: int, *, sm
             notice = f"{image.name} stays as it is: {what}; a format without loss would hold the result."
             return ImageFile(image.source, image.suffix, (notice,))
         if file_format == "webp":
-            notices = encoding_cost(file_format, pixels, again, image.name)
+            notices = _encoding_cost(file_format, pixels, again, image.name)
     data = _with_own_metadata(image, data)
     return ImageFile(data, image.suffix, (*notices, *lost_metadata(image, data, file_format)))
 
@@ -191,7 +191,7 @@ def _write_extra(
         raise unwritten(image.name, file_format, str(error)) from None
     with reading_back():
         again = extra_codecs.decoded(data, file_format, image.name)[0]
-    cost = encoding_cost(file_format, values, again, image.name)
+    cost = _encoding_cost(file_format, values, again, image.name)
     lost = lost_metadata(image, data, file_format)
     return ImageFile(data, FORMATS[file_format].suffixes[0], (*cost, *lost))
 
@@ -224,7 +224,7 @@ def _kept_spec(image: DecodedImage) -> Any:
     return spec
 
 
-def encoding_cost(file_format: str, pixels: Uint8s, again: Uint8s, name: str) -> tuple[str, ...]:
+def _encoding_cost(file_format: str, pixels: Uint8s, again: Uint8s, name: str) -> tuple[str, ...]:
     """Report the loss by encoding of pixels, shape (H, W, C), if any: their PSNR, full scale 255."""
     # Also of those under an alpha of 0, which opaque materials show.
     differences = again[..., :3].astype(np.float32) - pixels[..., :3]
