@@ -122,7 +122,7 @@ def blend_with_patches_in_place(
     noisy, geometry, sigma = manifold.colours, manifold.geometry, manifold.noise.sigma
     axis, threads, strength = geometry.axis, geometry.threads, manifold.parameters.strength
     # Chunked kernels do not overwrite the colours.
-    before = kernel(large_arrays.copy_of(noisy) if manifold.resources.chunking is None else noisy).stacks[0]
+    before = kernel(large_arrays.copy_of(noisy) if manifold.chunking is None else noisy).stacks[0]
     perturbation = manifold.perturbation()
     size = np.float32(PERTURBATION * np.sqrt(np.mean(np.square(sigma))))
     perturbed = large_arrays.copy_of(noisy)

@@ -9,7 +9,6 @@ import dataclasses
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import cast
 
 import numpy as np
@@ -111,23 +110,14 @@ class GridManifold(Manifold):
         del colours
         return Metric(step, self._regularising(step, gaussian))
 
-    def average(
-        self, stacks: list[Stack], metric: Metric, progress: Callable[[int], None] | None = None
-    ) -> Averaged:
-        """Average the channels by eq. (9): in place if there are several row blocks, or in chunks."""
-        chunking = self.resources.chunking
-        if chunking is None:
-            return self._average_rows(stacks, metric, progress)
-        return self._average_chunks(chunking, self._kernel_chunks, stacks, metric.step, progress)
-
     def average_core(self, stacks: list[Stack], step: Step, core: Rectangle) -> tuple[list[Stack], Figures]:
-        done = self._average_rows(stacks, self.measure(stacks[0], step), None)
+        done = self._average_whole(stacks, self.measure(stacks[0], step), None)
         return [stack[core] for stack in done.stacks], (done.samples, 0)
 
-    def _average_rows(
+    def _average_whole(
         self, stacks: list[Stack], metric: Metric, progress: Callable[[int], None] | None
     ) -> Averaged:
-        """Average row block by row block, see `average`."""
+        """Average row block by row block; in place if there are several."""
         atlas, margin = self.geometry.atlas, kernel_margin(self.parameters)
         cells = self.cells_per_thread * max(_MIN_THREADS, self.parameters.thread_count)
         rows, columns = atlas.kind.shape
@@ -170,13 +160,9 @@ class GridManifold(Manifold):
         )
         return planes[:, core], samples
 
-    @cached_property
-    def _kernel_chunks(self) -> list[Chunk]:
-        """The chunks of one iteration."""
-        chunking, margin = self.resources.chunking, kernel_margin(self.parameters)
-        kind = self.geometry.atlas.kind
-        assert chunking is not None
-        return chunks_of_canvas(self._part, kind == OWNED, chunking.count, SWEEP_TILE_ROWS, margin, margin)
+    def _cut_for_kernels(self, count: int) -> list[Chunk]:
+        owned, margin = self.geometry.atlas.kind == OWNED, kernel_margin(self.parameters)
+        return chunks_of_canvas(self._part, owned, count, SWEEP_TILE_ROWS, margin, margin)
 
     def _part(self, around: Rectangle, core: Rectangle) -> tuple[GridManifold, Rectangle]:
         inside = np.zeros_like(self.geometry.atlas.kind[around], bool)

@@ -122,7 +122,6 @@ class Manifold(ABC):
     def measure(self, colours: Stack, step: Step, gaussian: Gaussian | None = None) -> Metric:
         """Induce the metric, eq. (1), from colours; `gaussian` of an earlier metric is used again."""
 
-    @abstractmethod
     def average(
         self, stacks: list[Stack], metric: Metric, progress: Callable[[int], None] | None = None
     ) -> Averaged:
@@ -130,28 +129,39 @@ class Manifold(ABC):
 
         The first stack contains the colours from which the metric was measured.
         """
-
-    @abstractmethod
-    def average_core(self, stacks: list[Stack], step: Step, core: Any) -> tuple[list[Stack], Figures]:
-        """Average stacks of a chunk, possibly in place, at the samples with the index `core`; return only these."""
-
-    def _average_chunks(
-        self,
-        chunking: Chunking,
-        chunks: Sequence[Chunk],
-        stacks: list[Stack],
-        step: Step,
-        progress: Callable[[int], None] | None,
-    ) -> Averaged:
-        """Average stacks chunk by chunk, see `average`."""
+        if self.chunking is None:
+            return self._average_whole(stacks, metric, progress)
         geometry, results = self.geometry, [large_arrays.zeros(stack.shape, np.float32) for stack in stacks]
-        samples, truncated = chunking.apply(
-            chunks, partial(_average_chunk, step=step), stacks, results, progress,
+        samples, truncated = self.chunking.apply(
+            self._kernel_chunks, partial(_average_chunk, step=metric.step), stacks, results, progress,
             size=geometry.size, threads=geometry.threads,
         )  # fmt: skip
         for result in results:
             geometry.refresh(result)
         return Averaged(results, samples, truncated)
+
+    @abstractmethod
+    def _average_whole(
+        self, stacks: list[Stack], metric: Metric, progress: Callable[[int], None] | None
+    ) -> Averaged:
+        """Average stacks in one piece, see `average`."""
+
+    @abstractmethod
+    def average_core(self, stacks: list[Stack], step: Step, core: Any) -> tuple[list[Stack], Figures]:
+        """Average stacks of a chunk, possibly in place, at the samples with the index `core`; return only these."""
+
+    @property
+    def chunking(self) -> Chunking | None:
+        return self.resources.chunking
+
+    @cached_property
+    def _kernel_chunks(self) -> list[Chunk]:
+        assert self.chunking is not None
+        return self._cut_for_kernels(self.chunking.count)
+
+    @abstractmethod
+    def _cut_for_kernels(self, count: int) -> list[Chunk]:
+        """Cut into up to `count` chunks for one iteration."""
 
     def drop_kernels(self) -> None:
         """Free memory that only kernels use; it is computed again if needed."""

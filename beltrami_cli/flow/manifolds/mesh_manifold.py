@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from itertools import islice
 
 import numpy as np
@@ -122,7 +122,7 @@ class MeshManifold(Manifold):
 
     def measure(self, colours: Stack, step: Step, gaussian: Gaussian | None = None) -> Metric:
         """Induce the metric, eq. (1). In chunks, averaging induces the metric of each chunk."""
-        if self._chunking is not None:
+        if self.chunking is not None:
             return Metric(step, None)
         mesh, moving = self.geometry, self.moving
         positions = mesh.positions if moving is None else moving.positions
@@ -130,12 +130,10 @@ class MeshManifold(Manifold):
         gaussian = self._regularising(step, gaussian)
         return MeshMetric(step, gaussian, positions, *self._channels(colours, step, gaussian, features))
 
-    def average(
-        self, stacks: list[Stack], metric: Metric, progress: Callable[[int], None] | None = None
+    def _average_whole(
+        self, stacks: list[Stack], metric: Metric, progress: Callable[[int], None] | None
     ) -> Averaged:
         """Average the channels, and the positions if they move, by eq. (9)."""
-        if self._chunking is not None:
-            return self._average_chunks(self._chunking, self._kernel_chunks, stacks, metric.step, progress)
         everywhere, moving = slice(0, self.geometry.size), self.moving
         if moving is None:
             after, (samples, truncated) = self._apply_kernels(stacks, metric, everywhere, progress)
@@ -176,17 +174,13 @@ class MeshManifold(Manifold):
         return dataclasses.replace(self, resources=IN_ONE_PIECE)
 
     @property
-    def _chunking(self) -> Chunking | None:
+    def chunking(self) -> Chunking | None:
         if self.moving is not None:
             return None
         return self.resources.chunking_of_mesh(self.geometry.size, self.geometry.threads)
 
-    @cached_property
-    def _kernel_chunks(self) -> list[Chunk]:
-        """The chunks of one iteration."""
-        chunking, mesh, parameters = self._chunking, self.geometry, self.parameters
-        assert chunking is not None
-        whole = self
+    def _cut_for_kernels(self, count: int) -> list[Chunk]:
+        mesh, parameters, whole = self.geometry, self.parameters, self
         if parameters.metric_steps and parameters.metric_scale > 0:
             gain = mesh.gaussian(parameters.metric_scale).gain
             whole = dataclasses.replace(self, geometry=dataclasses.replace(mesh, gain=gain))
@@ -196,7 +190,7 @@ class MeshManifold(Manifold):
         # Edges including bridges.
         neighbours = Neighbours(mesh.size, distinct_edges(mesh.faces), mesh.scaled_lengths)
         chunks = []
-        for first, last in runs(mesh.size, chunking.count):
+        for first, last in runs(mesh.size, count):
             near = np.isfinite(neighbours.distances(first, last, reach))
             # Sort samples by index, so that the core groups them as in the whole mesh.
             missing = -int(np.count_nonzero(near[:first])) % PATCH_BLOCK_SIZE
