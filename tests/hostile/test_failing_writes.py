@@ -236,5 +236,7 @@ def test_without_a_folder_for_temporary_files(words, tmp_path, monkeypatch):
     photo = np.random.default_rng(1).integers(0, 256, (300, 300, 3), np.uint8)
     (tmp_path / "photo.png").write_bytes(encode(photo, "png"))
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "gone"))
+    # This process may already have the memory of many tests.
+    monkeypatch.setattr("resource.setrlimit", lambda *_: None)
     said = "temporary files: cannot be written (No such file or directory); "
     refused(tmp_path, *words.split(), code=4, said=said)

@@ -331,9 +331,7 @@ def _collision(output: Output, name: str, other: str) -> OutputError:
 
 
 def _existing(name: str) -> OutputError:
-    return OutputError(
-        name, "exists already", "choose another name, or --overwrite (in Python overwrite=True)"
-    )
+    return OutputError(name, "exists already", "choose another name, or allow overwriting (--overwrite)")
 
 
 def _unwritable(name: str, error: OSError) -> OutputError:
