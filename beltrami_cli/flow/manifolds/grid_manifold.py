@@ -33,6 +33,7 @@ from beltrami_cli.flow.manifolds.iteration import (
     kernel_values,
 )
 from beltrami_cli.flow.manifolds.manifold import Manifold, SampleTrial, StabilisedColours, wanted_probes
+from beltrami_cli.flow.manifolds.metric_channels import gaussian_for, joined_channels
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.manifolds.seams import end_at_seams_in_place
 from beltrami_cli.flow.manifolds.search_range import ON_GRIDS, RULE_ON_GRIDS
@@ -108,7 +109,7 @@ class GridManifold(Manifold):
     def measure(self, colours: Stack, step: Step, gaussian: Gaussian | None = None) -> Metric:
         """Prepare the metric, eq. (1), which averaging then induces row block by row block."""
         del colours
-        return Metric(step, self._regularising(step, gaussian))
+        return Metric(step, gaussian_for(self, step, gaussian))
 
     def average_core(self, stacks: list[Stack], step: Step, core: Rectangle) -> tuple[list[Stack], Figures]:
         done = self._average_whole(stacks, self.measure(stacks[0], step), None)
@@ -178,7 +179,7 @@ class GridManifold(Manifold):
     ) -> tuple[Float32s, int]:
         """Average stacks, colours first, in one pass; return also the number of samples in all kernels."""
         parameters, grid = at_step(self.parameters, metric.step), self.geometry
-        distances, beta = self._channels(stacks[0], metric.step, metric.gaussian)
+        distances, beta = joined_channels(self, stacks[0], metric.step, metric.gaussian)
         planes = [plane for stack in stacks for plane in stack]
         return smooth_grid(
             grid.atlas.kind, grid.atlas.squared_lengths, grid.scale, grid.repeats, distances, planes, beta,
@@ -189,7 +190,7 @@ class GridManifold(Manifold):
     def kernel_at(self, sample: int, step: Step) -> SampledKernel:
         """Return the kernel of an owned cell, in which halo cells count as their nearest owned cells."""
         gaussian = self.measure(self.colours, step).gaussian
-        metric, beta = self._channels(self.colours, step, gaussian)
+        metric, beta = joined_channels(self, self.colours, step, gaussian)
         parameters, atlas = at_step(self.parameters, step), self.geometry.atlas
         columns, reach = atlas.kind.shape[1], parameters.window // 2
         row, column = divmod(int(atlas.owned_cells[sample]), columns)
@@ -273,9 +274,8 @@ class GridManifold(Manifold):
             planes[:, part.geometry.atlas.kind == EMPTY] = 0
             scored = np.flatnonzero(core & (part.geometry.atlas.kind == OWNED))
         drawn = draw_perturbations(wanted_probes(len(scored)), part.geometry.atlas, self.noise)
-        part = dataclasses.replace(
-            part, cells_per_thread=part.geometry.size
-        )  # which leaves stacks as they are
+        # One row block, which leaves stacks as they are.
+        part = dataclasses.replace(part, cells_per_thread=part.geometry.size)
         return SampleTrial(part, planes, np.array(drawn, np.float32), scored)
 
     def cut(self, samples: Cells, inside: Bools) -> GridManifold:

@@ -1,4 +1,4 @@
-"""Image manifolds: channels of the metric, measurement of distances, and averages.
+"""Image manifolds: measurement of distances, averages, and what choices and patches need of them.
 
 A sample has a position X and a colour I, and is embedded as (X, beta I). There are two kinds of manifolds: triangulated
 surfaces and regular grids. A manifold consists of a geometry, which has positions and neighbours, of colours, and of
@@ -219,34 +219,6 @@ class Manifold(ABC):
         samples = outliers.samples if order is None else order[outliers.samples]
         return new.with_kept(samples, outliers.channels, outliers.colours)
 
-    def _regularising(self, step: Step, gaussian: Gaussian | None) -> Gaussian | None:
-        if not step.regularised or (step.beta == 0 and self.moving is None):
-            return None
-        return self.geometry.gaussian(self.parameters.metric_scale) if gaussian is None else gaussian
-
-    def _channels(
-        self,
-        colours: Stack,
-        step: Step,
-        gaussian: Gaussian | None,
-        features: tuple[tuple[Stack, float], ...] = (),
-    ) -> tuple[Stack, float]:
-        """Return the channels of the metric except positions, and their beta."""
-        axis = self.geometry.axis
-        if not isinstance(self.metric_channels, slice):
-            colours = np.ascontiguousarray(np.take(colours, self.metric_channels, axis=axis))
-        if self.noise.relative is not None:  # differences are relative to the local noise
-            colours = np.divide(colours, np.sqrt(self.noise.relative), dtype=np.float32)
-
-        def regularised(stack: Stack, beta: float) -> tuple[Stack, float]:
-            if gaussian is None or not beta:
-                return stack, beta
-            return gaussian.smooth(stack), beta / gaussian.gain
-
-        guides = [(guide.stack, guide.beta) for guide in self.guides]  # guides have no noise
-        smoothed = [regularised(*feature) for feature in features]
-        return _join_channels([regularised(colours, step.beta), *guides, *smoothed], axis)
-
 
 @dataclass(frozen=True)
 class SampleTrial:
@@ -289,15 +261,3 @@ def _average_chunk(
 def wanted_probes(samples: int) -> int:
     """Return the number of stacks of signs that estimate the divergence on this many samples."""
     return min(_MAX_PROBES, -(-_ENOUGH_SAMPLES // max(1, samples)))
-
-
-def _join_channels(parts: Sequence[tuple[Float32s, float]], axis: int) -> tuple[Float32s, float]:
-    """Scale channels of different beta to one beta, colours first, and join them; beta is 0 if all are."""
-    weighted = [(values, beta) for values, beta in parts if beta > 0 and values.shape[axis] > 0]
-    if len(weighted) < 2:
-        return weighted[0] if weighted else (parts[0][0], 0.0)
-    largest = max(beta for _, beta in weighted)
-    # The first part is not scaled, unless the others would exceed the range of float32.
-    common = weighted[0][1] if weighted[0][1] > 1e-9 * largest else largest
-    scaled = [values if beta == common else values * np.float32(beta / common) for values, beta in weighted]
-    return np.concatenate(scaled, axis=axis), common

@@ -31,6 +31,7 @@ from beltrami_cli.flow.manifolds.manifold import Manifold, SampleTrial, Stabilis
 from beltrami_cli.flow.manifolds.mesh_geometry import Core, MeshGeometry, MeshMetric, rank_in
 from beltrami_cli.flow.manifolds.mesh_patches import Clusters, clusters_for, collaborate_on_graph
 from beltrami_cli.flow.manifolds.mesh_trial import choose_patches
+from beltrami_cli.flow.manifolds.metric_channels import gaussian_for, joined_channels
 from beltrami_cli.flow.manifolds.moving_positions import GeometryParameters, MovingPositions
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.manifolds.search_range import ON_MESHES, RULE_ON_MESHES
@@ -127,8 +128,9 @@ class MeshManifold(Manifold):
         mesh, moving = self.geometry, self.moving
         positions = mesh.positions if moving is None else moving.positions
         features = () if moving is None else ((moving.normals, moving.beta),)
-        gaussian = self._regularising(step, gaussian)
-        return MeshMetric(step, gaussian, positions, *self._channels(colours, step, gaussian, features))
+        gaussian = gaussian_for(self, step, gaussian)
+        channels, beta = joined_channels(self, colours, step, gaussian, features=features)
+        return MeshMetric(step, gaussian, positions, channels, beta)
 
     def _average_whole(
         self, stacks: list[Stack], metric: Metric, progress: Callable[[int], None] | None
