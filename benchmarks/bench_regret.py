@@ -16,6 +16,7 @@ must not be training pictures either. For example, four packages of Debian::
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any
@@ -63,6 +64,8 @@ def main():
         if kind.startswith(tuple(options.kinds.split(","))):
             chosen = islice(cases, 2 if options.quick else None)
             judged[kind] = [judge(kind, case, shown=options.readings) for case in chosen]
+    if not judged:
+        sys.exit(f"no kind begins with {options.kinds}")
     losses = {kind: float(np.mean([each.lost for each in found])) for kind, found in judged.items()}
     rows = [(kind, losses[kind], *figures(found)) for kind, found in judged.items()]
     noisy, clean = (

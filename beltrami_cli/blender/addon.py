@@ -1,9 +1,12 @@
-"""Smooths colours and textures of the active object: the operator, the panel and the preferences."""
+"""Smooths colours and textures of the active object: the operator, the panel and the preferences.
+
+The command `blender-extension` packs this file as `__init__.py`.
+"""
 
 import bpy
 
 from . import parameters
-from .errors import ExchangeError
+from .errors import ExtensionError
 from .run import Run
 from .undo import follow_undo, forget
 
@@ -26,7 +29,7 @@ class OBJECT_OT_beltrami_smooth(bpy.types.Operator):
     def invoke(self, context, event):
         try:
             self._run = Run(context)
-        except (ExchangeError, OSError, RuntimeError) as error:
+        except (ExtensionError, OSError, RuntimeError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         manager = context.window_manager
@@ -54,7 +57,7 @@ class OBJECT_OT_beltrami_smooth(bpy.types.Operator):
     def execute(self, context):
         try:
             self._run = Run(context)
-        except (ExchangeError, OSError, RuntimeError) as error:
+        except (ExtensionError, OSError, RuntimeError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         self._run.process.wait()
@@ -69,7 +72,7 @@ class OBJECT_OT_beltrami_smooth(bpy.types.Operator):
     def _finish(self, context):
         try:
             messages = self._run.finish()
-        except (ExchangeError, OSError, RuntimeError) as error:
+        except (ExtensionError, OSError, RuntimeError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         for line in messages:

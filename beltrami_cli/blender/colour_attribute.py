@@ -4,7 +4,7 @@ import bpy
 import numpy as np
 
 from . import meshes
-from .errors import ExchangeError
+from .errors import ExtensionError
 
 _USUAL_SHARE = 0.99  # of the light other than 0: single spikes of a renderer say nothing of the range
 
@@ -15,7 +15,7 @@ class ColourAttribute:
     def __init__(self, item, folder):
         mesh, attribute = item.data, item.data.color_attributes.active_color
         if attribute is None:
-            raise ExchangeError(f"{item.name} has no colour attribute")
+            raise ExtensionError(f"{item.name} has no colour attribute")
         self._mesh, self._name, self.is_data, self.images = mesh.name, attribute.name, False, []
         stored = meshes.numbers(attribute.data, "color_srgb", 4, np.float32)
         self._is_byte = attribute.data_type == "BYTE_COLOR"

@@ -1,5 +1,5 @@
 """The error of the extension."""
 
 
-class ExchangeError(Exception):
+class ExtensionError(Exception):
     """The request cannot be fulfilled, for the reason in the text."""

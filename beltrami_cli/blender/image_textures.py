@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 
 from . import images, meshes
-from .errors import ExchangeError
+from .errors import ExtensionError
 
 _TEXTURE_COMMENT = re.compile(rb"comment TextureFile ([^\r\n]+)")
 _FIRST_TILE, _TILES_A_ROW = 1001, 10
@@ -21,7 +21,7 @@ class ImageTextures:
         shown = [_shown_image(slot.material) for slot in item.material_slots] or [None]
         self.images = list(dict.fromkeys(image for image, _ in filter(None, shown)))
         if not self.images:
-            raise ExchangeError(f"no material of {item.name} has an image texture")
+            raise ExtensionError(f"no material of {item.name} has an image texture")
         self.is_data = all(image.colorspace_settings.name == "Non-Color" for image in self.images)
         if not self.is_data:
             self.images = [i for i in self.images if i.colorspace_settings.name != "Non-Color"]
@@ -87,5 +87,5 @@ def _coordinates(mesh, layer):
     found = mesh.uv_layers.get(layer) if layer else None
     found = found or next((each for each in mesh.uv_layers if each.active_render), None)
     if found is None:
-        raise ExchangeError(f"{mesh.name} has no UV map")
+        raise ExtensionError(f"{mesh.name} has no UV map")
     return meshes.numbers(found.uv, "vector", 2, np.float32)

@@ -5,7 +5,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from .errors import ExchangeError
+from .errors import ExtensionError
 
 
 def pixels_of(image):
@@ -13,7 +13,7 @@ def pixels_of(image):
     width, height = image.size
     values = np.empty(width * height * image.channels, np.float32)
     if not len(values):
-        raise ExchangeError(f"the image {image.name} cannot be read")
+        raise ExtensionError(f"the image {image.name} cannot be read")
     image.pixels.foreach_get(values)
     return values.reshape(height, width, image.channels)
 

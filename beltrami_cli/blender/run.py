@@ -10,7 +10,7 @@ import bpy
 
 from . import images, parameters, undo
 from .colour_attribute import ColourAttribute
-from .errors import ExchangeError
+from .errors import ExtensionError
 from .image_textures import ImageTextures
 
 
@@ -24,7 +24,7 @@ def command(context):
         return made_by
     found = shutil.which("beltrami")
     if found is None:
-        raise ExchangeError("beltrami is not found; name it in the preferences of this extension")
+        raise ExtensionError("beltrami is not found; name it in the preferences of this extension")
     return [found]
 
 
@@ -54,7 +54,7 @@ class Run:
             self._temporary.cleanup()
             if isinstance(error, OSError):
                 cause = f"{start[0]} cannot be started ({error.strerror}); name it in the preferences of this extension"
-                raise ExchangeError(cause) from error
+                raise ExtensionError(cause) from error
             raise
 
     def lines(self):
@@ -70,11 +70,11 @@ class Run:
         return label, int(share.rstrip("%"))
 
     def finish(self):
-        """Take the result; return the messages of the program. ExchangeError if it failed."""
+        """Take the result; return the messages of the program. ExtensionError if it failed."""
         messages = [line for line in self.lines() if line and not line.startswith("progress: ")]
         try:
             if self.process.returncode:
-                raise ExchangeError(messages[-1] if messages else "beltrami failed")
+                raise ExtensionError(messages[-1] if messages else "beltrami failed")
             before = self._taken()
             for name, pixels in (before or {}).items():
                 undo.remember(bpy.data.images[name], pixels)
@@ -93,7 +93,7 @@ class Run:
         try:
             return self._target.take()
         except (KeyError, RuntimeError, TypeError, ValueError) as error:
-            raise ExchangeError(f"{self._name} was changed meanwhile ({error})") from error
+            raise ExtensionError(f"{self._name} was changed meanwhile ({error})") from error
 
     def end(self):
         """Stop the process, if need be, and remove the files."""

@@ -1,4 +1,4 @@
-"""How commands write OUTPUT, with a report and a preview if they are asked for: all files or none."""
+"""How commands write OUTPUT, with a report and a preview if they are asked for, and what they say of it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from beltrami_cli.cli import options
 from beltrami_cli.cli.command import complete_files
 from beltrami_cli.cli.console import Messages
 from beltrami_cli.cli.parameter_options import typed_parameters
-from beltrami_cli.cli.phrases import output_name
+from beltrami_cli.cli.phrases import counted, output_name
 from beltrami_cli.errors import OutputError, UsageError
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
@@ -23,6 +23,7 @@ from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
 if TYPE_CHECKING:
     from beltrami_cli.jobs.file_job import FileReport
     from beltrami_cli.jobs.writing.output import Output
+    from beltrami_cli.layers.reports import LevelReport
     from beltrami_cli.view.before_after import Preview
 
 Report = TypeVar("Report", bound="FileReport")
@@ -59,17 +60,17 @@ def run_and_write(
         job = replace(job, dry_run=values.get("dry_run", False), files=files)
         named = dict.fromkeys([values["report_path"], "-" if values["as_json"] else None])
         report_files = [_open_report(path, ends[1], job) for path in named if path is not None]
-        preview = _open_preview(values.get("preview_path"), ends, settings, job)
-        report = carry_out(job if preview is None else replace(job, check=preview.check))
-        if preview is not None:
-            preview.draw()
+        drawn = _open_preview(values.get("preview_path"), ends, settings, job)
+        result = carry_out(job if drawn is None else replace(job, check=drawn.check))
+        if drawn is not None:
+            drawn.draw()
         for file in report_files:
-            file.write(Written(main=[(json.dumps(asdict(report), indent=2) + "\n").encode()]))
+            file.write(Written(main=[(json.dumps(asdict(result), indent=2) + "\n").encode()]))
         files.commit()
-    if _is_lossless(report.written) and any(each.name == "jpeg_quality" for each in typed_parameters()):
+    if _is_lossless(result.written) and any(each.name == "jpeg_quality" for each in typed_parameters()):
         cause = "--jpeg-quality has no effect, as images are written without loss"
         messages.warn(f"{output_name(ends[1])}: {cause}")
-    return report
+    return result
 
 
 def _is_lossless(paths: Sequence[str]) -> bool:
@@ -108,3 +109,21 @@ def _open_preview(
     assert job.files is not None
     replaced = options.overwrite_at("preview_path", overwrite=job.overwrite)
     return Preview(path, *names, settings, job.access, overwrite=replaced, files=job.files)
+
+
+def show_levelled(messages: Messages, reports: Sequence[LevelReport], name: str) -> None:
+    """Report for each slot what was done about exposure steps, or why nothing was done."""
+    for each in reports:
+        seams = f"{each.what}, {counted(each.charts, 'chart')}, {counted(each.seams, 'seam')} between them"
+        if not each.levelled:
+            step = f", median step {255 * each.before:.1f}/255" if each.seams else ""
+            messages.say(f"{name}{seams}{step}: left as they are; {each.reason}")
+            continue
+        how = "gains that fall off over charts, and offsets" if each.tilted else "gains and offsets"
+        mean = f", mean change {255 * each.change['mean']:.1f}/255" if each.change else ""
+        steps = f"median step {255 * each.before:.1f}/255, now {255 * each.after:.1f}/255"
+        messages.say(f"{name}{seams}, {steps}, by {how}{mean}")
+        messages.detail(
+            f"{each.stepped} of the seams had a step, {each.painted} of all are edges of colour; "
+            f"one exposure per chart explains {100 * each.explained:.0f} % of the steps at seams that were held out"
+        )

@@ -82,7 +82,7 @@ def test_what_is_gone_when_the_result_comes_is_said(scene, extension):
     run = extension.Run(bpy.context)
     item.data.color_attributes.remove(item.data.color_attributes["colour"])
     run.process.wait()
-    with pytest.raises(extension.ExchangeError, match="was changed meanwhile"):
+    with pytest.raises(extension.ExtensionError, match="was changed meanwhile"):
         run.finish()
     assert not Path(run._temporary.name).exists()
     bpy.ops.object.mode_set(mode="EDIT")

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 from beltrami_cli.cli import options, outputs
 from beltrami_cli.cli.command import command
-from beltrami_cli.cli.commands.level import show_levelled
 from beltrami_cli.cli.console import Messages
 from beltrami_cli.cli.phrases import (
     NO_AREA,
@@ -47,7 +46,7 @@ def smooth(source: str, target: str, messages: Messages, **smoothing: Any) -> No
 
     carry_out = partial(smooth_file, source, target, settings, unwrap=unwrap)
     report = outputs.run_and_write(smoothing, (source, target), messages, carry_out, settings)
-    show_levelled(messages, report.levelled, f"{output_name(report.output)}: ")
+    outputs.show_levelled(messages, report.levelled, f"{output_name(report.output)}: ")
     if settings.kernel.iterations:
         _show_result(messages, report, settings.kernel.given_noise, dry_run=dry_run)
     elif not settings.level_seams:
