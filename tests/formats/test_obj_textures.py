@@ -121,11 +121,15 @@ def test_materials_that_share_a_file_share_a_texture(tmp_path):
      ("f 1/-5 2/1 3/1", "'1/-5' refers"), ("vt\nf 1/1 2/1 3/1", "no numbers"),
      ("vt a b\nf 1/1 2/1 3/1", "is not a number")],
 )  # fmt: skip
-def test_damaged_coordinates_are_refused_with_their_line(tmp_path, line, cause):
-    obj = f"mtllib m.mtl\n{SQUARE}{CORNERS}usemtl one\n{line}\n"
-    with pytest.raises(InputError, match=cause) as raised:
-        model(tmp_path, obj=obj).textured("baseColor")
-    assert "line 11" in str(raised.value)
+def test_damaged_coordinates_are_refused_with_their_line_where_textures_are_wanted(tmp_path, line, cause):
+    coloured = SQUARE.replace("\n", " 0.1 0.2 0.3\n")
+    document = model(tmp_path, obj=f"mtllib m.mtl\n{coloured}{CORNERS}usemtl one\n{line}\n")
+    assert document.has_vertex_colours()
+    assert len(document.contents().colours) == 4
+    for _ in range(2):
+        with pytest.raises(InputError, match=cause) as raised:
+            document.textured("baseColor")
+        assert "line 11" in str(raised.value)
 
 
 def test_an_image_in_two_slots_is_replaced_in_one(tmp_path):

@@ -7,7 +7,7 @@ import dataclasses
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -39,6 +39,16 @@ from beltrami_cli.surface.records import MeshContents, Slot
 _STALE_NOTICE = (
     "The vertices moved, but the normals ('vn') are as they were; make them again, or leave them out."
 )
+
+
+class _Read(NamedTuple):
+    """What is read from the text of a file in one go."""
+
+    scan: Scan
+    materials: Materials
+    coordinates: (
+        Coordinates | InputError | None
+    )  # the error concerns only those who need textures; None: not read
 
 
 class ObjDocument(Document):
@@ -175,23 +185,28 @@ class ObjDocument(Document):
         return Statements(self.data, self.name)  # not kept: it takes several times the memory of the text
 
     @cached_property
-    def _read(self) -> tuple[Scan, Materials, Coordinates | None]:
+    def _read(self) -> _Read:
         """All that most runs need of the file; texture coordinates if there are textures."""
         statements = self._tokenised()
         scan = scan_file(statements)
         materials = Materials(self._folder, scan.libraries)
-        coordinates = read_coordinates(statements, materials) if materials.slots() else None
+        coordinates: Coordinates | InputError | None = None
+        if materials.slots():
+            try:
+                coordinates = read_coordinates(statements, materials)
+            except InputError as error:
+                coordinates = error
         self.notices += [*scan.notices, *materials.notices]
         self.obstacles += materials.obstacles
-        return scan, materials, coordinates
+        return _Read(scan, materials, coordinates)
 
     @property
     def _scan(self) -> Scan:
-        return self._read[0]
+        return self._read.scan
 
     @property
     def _materials(self) -> Materials:
-        return self._read[1]
+        return self._read.materials
 
     @cached_property
     def _polygons(self) -> tuple[Int32s, Int64s]:
@@ -219,4 +234,7 @@ class ObjDocument(Document):
 
     @cached_property
     def _coordinates(self) -> Coordinates:
-        return self._read[2] or read_coordinates(self._tokenised(), self._materials)
+        coordinates = self._read.coordinates
+        if isinstance(coordinates, InputError):
+            raise coordinates
+        return coordinates or read_coordinates(self._tokenised(), self._materials)
