@@ -279,6 +279,7 @@ run-noise-model: $(VENV)/.installed-noise | $(NOISE_PICTURES)
 	$(BIN)/python noise_model/train.py $(NOISE_PICTURES) $(NOISE_OPTIONS)
 	$(BIN)/python -m pip install --no-deps --force-reinstall --quiet . # with the weights that the next part reads
 	$(BIN)/python noise_model/train_sizes.py $(NOISE_PICTURES)
+	$(BIN)/python noise_model/stamp.py --trained
 
 $(NOISE_PICTURES):
 	@mkdir -p build/noise-model/packages $@.part

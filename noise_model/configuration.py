@@ -1,7 +1,4 @@
-"""Hash of the code and settings that trained weights depend on.
-
-After a change that alters no value of training, ``python noise_model/configuration.py`` stamps the weights with it.
-"""
+"""Hashes of the weights, and of the code and settings that they depend on."""
 
 from __future__ import annotations
 
@@ -9,12 +6,12 @@ import ast
 import hashlib
 import re
 from pathlib import Path
-
-import numpy as np
+from typing import Any
 
 # The folder of the repository, not of an installed package.
 ROOT = Path(__file__).parents[1]
 WEIGHTS = ROOT / "beltrami_cli/flow/noise"
+FILES = "grid_weights.npz", "grid_sizes.npz", "cluster_weights.npz", "cluster_sizes.npz"
 
 
 def _in(folder: str, *names: str) -> tuple[str, ...]:
@@ -52,13 +49,7 @@ def code_of(text: str, suffix: str) -> str:
     return re.sub(r"\s+|#.*", "", "\n".join(lines))
 
 
-def stamp(path: Path, files: tuple[str, ...]) -> None:
-    with np.load(path) as arrays:
-        stamped = {**arrays, "configuration": np.array(configuration(files))}
-    np.savez_compressed(path, **stamped)
-
-
-if __name__ == "__main__":
-    for kind in ("grid", "cluster"):
-        stamp(WEIGHTS / f"{kind}_weights.npz", NETWORK)
-        stamp(WEIGHTS / f"{kind}_sizes.npz", SIZES)
+def hashes(folder: Path) -> dict[str, Any]:
+    """Return the hashes of the code of the repository, and of the weights in a folder."""
+    weights = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in FILES}
+    return {"network": configuration(NETWORK), "sizes": configuration(SIZES), "weights": weights}

@@ -29,7 +29,7 @@ from backpropagation import Adam, Node, Tape, initial_layer, shuffled
 from batches import Batch
 from beltrami_cli.flow.noise import network
 from beltrami_cli.flow.noise.network import Weights, forward
-from configuration import NETWORK, WEIGHTS, configuration
+from configuration import WEIGHTS
 from crops import Crop, clean_crops, folders_of_packages
 from losses import losses
 from observations import draw_recipe_of_grids, observation_of, random_samples
@@ -99,7 +99,7 @@ def train(kind: str, training: Batch, validation: Batch, epochs: int) -> Weights
     rng = np.random.default_rng(SEED)
     means, scales = training.standard()
     columns = {name: len(mean) for name, mean in means.items()}
-    weights = Weights(initial(rng, columns, network.WIDTHS[kind]), means, scales, configuration(NETWORK))
+    weights = Weights(initial(rng, columns, network.WIDTHS[kind]), means, scales)
     for data in (training, validation):
         data.standardise_in_place(weights)
     adam = Adam(weights.layers, RATE, epochs * (len(training.counts) // BATCH), WARM_UP)
@@ -133,7 +133,7 @@ def save(weights: Weights, path: Path) -> None:
     arrays = {f"layer/{name}": values.astype(np.float16) for name, values in weights.layers.items()}
     for kind, parts in (("mean", weights.means), ("scale", weights.scales)):
         arrays |= {f"{kind}/{name}": values.astype(np.float32) for name, values in parts.items()}
-    np.savez_compressed(path, configuration=np.array(weights.configuration), **arrays)
+    np.savez_compressed(path, **arrays)
 
 
 def parser_of(description: str) -> argparse.ArgumentParser:

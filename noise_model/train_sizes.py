@@ -20,7 +20,6 @@ from backpropagation import Adam, Node, Tape, initial_layer, shuffled
 from beltrami_cli.flow.noise import network
 from beltrami_cli.flow.noise.network import OFFSET, Weights, weights_of
 from beltrami_cli.flow.noise.size import EDGES, LAYERS, WIDTHS, evidence, sizes_of
-from configuration import SIZES, configuration
 from crops import folders_of_packages
 from size_kinds import FAMILIES
 from train import SAMPLES, crops_of, parser_of, save
@@ -71,7 +70,7 @@ def train(rows: np.ndarray, first: np.ndarray, truth: np.ndarray) -> Weights:
     for name, inputs, outputs in zip(LAYERS, sizes, sizes[1:], strict=False):
         layers |= initial_layer(rng, name, inputs, outputs)
     means, scales = {"evidence": rows.mean(axis=0)}, {"evidence": rows.std(axis=0) + np.float32(1e-3)}
-    weights = Weights(layers, means, scales, configuration(SIZES))
+    weights = Weights(layers, means, scales)
     adam = Adam(layers, RATE, EPOCHS * (len(rows) // BATCH), WARM_UP)
     standardised = weights.standardised("evidence", rows)
     for _ in range(EPOCHS):

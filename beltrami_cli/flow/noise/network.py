@@ -166,12 +166,11 @@ def log_of(variance: Array) -> Array:
 
 @dataclass(frozen=True)
 class Weights:
-    """The weights, the standardisation of features, and the hash of the configuration they were trained with."""
+    """The weights, and the standardisation of features."""
 
     layers: dict[str, Float32s]
     means: dict[str, Float32s]
     scales: dict[str, Float32s]
-    configuration: str
 
     def standardised(self, name: str, features: Array) -> Float32s:
         """Standardise features of a kind: "squares", "even", or the "evidence" of `size`."""
@@ -187,7 +186,7 @@ class Weights:
                 kind, _, part = key.partition("/")
                 if part:
                     parts[kind][part] = arrays[key].astype(np.float32)
-            return cls(parts["layer"], parts["mean"], parts["scale"], str(arrays["configuration"]))
+            return cls(parts["layer"], parts["mean"], parts["scale"])
 
 
 @cache
