@@ -16,9 +16,10 @@ from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.decoded_image import DecodedImage, full_scale_one
 from beltrami_cli.formats.image.reading import read_image
-from beltrami_cli.formats.image.sizes import measure_image, require_memory
+from beltrami_cli.formats.image.sizes import measure_image
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
+from beltrami_cli.layers.image_memory import require_memory
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import build_atlas
 from beltrami_cli.surface.records import Texture

@@ -14,8 +14,8 @@ from beltrami_cli.formats.access import Access, read_source
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.decoded_image import DecodedImage, full_scale_one
 from beltrami_cli.formats.image.reading import read_image
-from beltrami_cli.formats.image.sizes import require_memory
 from beltrami_cli.formats.registry import open_document
+from beltrami_cli.layers.image_memory import require_memory
 from beltrami_cli.surface.precision import require_single
 
 _MAX_NUMBERS = 1 << 31  # of an array, before it is known that it fits

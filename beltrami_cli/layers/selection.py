@@ -15,7 +15,8 @@ from beltrami_cli.errors import InputError, NoColoursError, Obstacle, UsageError
 from beltrami_cli.fields import given_parameters, require_effect
 from beltrami_cli.flow.chunks import chunk_memory
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image.sizes import measure_image, require_memory, sizes_of, too_large
+from beltrami_cli.formats.image.sizes import measure_image
+from beltrami_cli.layers.image_memory import require_memory, sizes_of, too_large
 from beltrami_cli.layers.layer import Layer
 from beltrami_cli.layers.settings import SmoothSettings, binding_parameters
 from beltrami_cli.layers.texture_groups import choose_textures, covered_texels, separate_surfaces

@@ -59,8 +59,8 @@ def encoded(pixels: Uint8s, quality: int, source: bytes, *, as_data: bool) -> by
     return buffer.getvalue()
 
 
-def metadata_names(data: bytes) -> list[str]:
-    return [name.upper() for name in _metadata(data) if name != "icc_profile"]
+def metadata_names(data: bytes) -> dict[str, bool]:
+    return {name.upper(): False for name in _metadata(data) if name != "icc_profile"}
 
 
 def _opened(data: bytes, name: str) -> Any:

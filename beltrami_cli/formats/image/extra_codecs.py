@@ -40,8 +40,8 @@ class Codec(Protocol):
     def encoded(self, pixels: Uint8s, quality: int, source: bytes, *, as_data: bool) -> bytes:
         """Encode pixels as decoded ones are; `source` is the file that they came from if it is of the format."""
 
-    def metadata_names(self, data: bytes) -> list[str]:
-        """Return names for the metadata of a file, except its colour profile."""
+    def metadata_names(self, data: bytes) -> dict[str, bool]:
+        """Name the metadata as a module of `containers` does, but for the colour profile."""
 
 
 EXTRA_CODECS: Mapping[str, Codec] = {"ktx2": ktx2, "avif": avif}  # by the formats of `file_formats.FORMATS`

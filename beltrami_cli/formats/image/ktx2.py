@@ -115,7 +115,7 @@ def encoded(pixels: Uint8s, quality: int, source: bytes, *, as_data: bool) -> by
     return found
 
 
-def metadata_names(data: bytes) -> list[str]:
+def metadata_names(data: bytes) -> dict[str, bool]:
     """Return names for the key/value pairs of a file, except that of the program that wrote it."""
     at, size = _HEADER.unpack_from(data)[11:13]
     keys, end = set[str](), min(at + size, len(data) - 4)
@@ -123,4 +123,4 @@ def metadata_names(data: bytes) -> list[str]:
         (length,) = struct.unpack_from("<I", data, at)
         keys.add(data[at + 4 : at + 4 + length].partition(b"\0")[0].decode("utf-8", "replace"))
         at += 4 + length + -length % 4
-    return [f"KTX2 key {name}" for name in keys - {"KTXwriter"}]
+    return {f"KTX2 key {name}": False for name in keys - {"KTXwriter"}}

@@ -9,24 +9,28 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from beltrami_cli.formats.image import extra_codecs
 from beltrami_cli.formats.image.containers import bmp, boxes, exr, jpeg, png, targa, text_headers, tiff, webp
 from beltrami_cli.formats.image.containers.jpeg import EXIF_START
 from beltrami_cli.formats.image.conversion import TECHNICAL
 from beltrami_cli.formats.image.decoded_image import DecodedImage
 from beltrami_cli.formats.image.encoding import one_pixel, reading_back, unwritten
+from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS
 from beltrami_cli.formats.image.file_formats import label_of
 from beltrami_cli.formats.image.opening import opened
 
 
-class _Container(Protocol):
-    """The files of a format: a module of `containers`."""
-
-    def carried_over(self, source: bytes, encoded: bytes) -> bytes:
-        """Return a new file with the metadata of its source, and whatever else that holds besides pixels."""
+class _Described(Protocol):
+    """The files of a format: a module of `containers`, or a codec."""
 
     def metadata_names(self, data: bytes) -> dict[str, bool]:
         """Return names for the pieces of metadata in a file, and whether OpenImageIO reads each."""
+
+
+class _Container(_Described, Protocol):
+    """The files of a format whose metadata are carried over."""
+
+    def carried_over(self, source: bytes, encoded: bytes) -> bytes:
+        """Return a new file with the metadata of its source, and whatever else that holds besides pixels."""
 
 
 class _ExifContainer(Protocol):
@@ -34,13 +38,16 @@ class _ExifContainer(Protocol):
 
     def exif(self, data: bytes) -> bytes: ...
 
-    def with_exif(self, encoded: bytes, exif: bytes) -> bytes:
+    def with_exif(self, encoded: bytes, exif_data: bytes) -> bytes:
         """Return a file with other EXIF data instead of its own."""
 
 
 _CONTAINERS: Mapping[str, _Container] = {
     "png": png, "jpeg": jpeg, "webp": webp, "tiff": tiff, "openexr": exr, "bmp": bmp, "targa": targa,
     **dict.fromkeys(("hdr", "ppm", "pgm", "pfm"), text_headers),
+}  # fmt: skip
+_DESCRIBED: Mapping[str, _Described] = {
+    **_CONTAINERS, **EXTRA_CODECS, **dict.fromkeys(("jpeg2000", "j2k", "jpegxl"), boxes),
 }  # fmt: skip
 _EXIF_CONTAINERS: Mapping[str, _ExifContainer] = {"png": png, "jpeg": jpeg, "webp": webp}
 DAMAGED = (ValueError, LookupError, struct.error)
@@ -96,13 +103,8 @@ def _exif_of(data: bytes, file_format: str) -> bytes:
 
 
 def _metadata_names(data: bytes, file_format: str) -> dict[str, bool]:
-    """Return names for the pieces of metadata in a file, and whether OpenImageIO reads each, for another format."""
-    if file_format in extra_codecs.EXTRA_CODECS:
-        return dict.fromkeys(extra_codecs.EXTRA_CODECS[file_format].metadata_names(data), False)
-    if file_format in ("jpeg2000", "j2k", "jpegxl"):
-        return boxes.metadata_names(data)
-    container = _CONTAINERS.get(file_format)
-    return {} if container is None else container.metadata_names(data)
+    described = _DESCRIBED.get(file_format)
+    return {} if described is None else described.metadata_names(data)
 
 
 def lost_metadata(image: DecodedImage, data: bytes, file_format: str) -> tuple[str, ...]:
@@ -128,7 +130,7 @@ def lost_metadata(image: DecodedImage, data: bytes, file_format: str) -> tuple[s
 def _lost_attributes(image: DecodedImage, data: bytes, file_format: str) -> set[str]:
     """Return the names of the attributes in OpenImageIO's view that the new file lacks."""
     now = set[str]()
-    if file_format not in extra_codecs.EXTRA_CODECS:
+    if file_format not in EXTRA_CODECS:
         with reading_back(), opened(data, name=image.name) as (file, _):
             if file is None:
                 raise unwritten(image.name, file_format, "it is not read back")

@@ -16,7 +16,6 @@ from beltrami_cli.flow.parameters import Weights
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.image.decoded_image import DecodedImage, full_scale_one
 from beltrami_cli.formats.image.reading import read_texture
-from beltrami_cli.formats.image.sizes import require_memory
 from beltrami_cli.jobs.compare.figures import ComparedPart, Pair
 from beltrami_cli.jobs.compare.same_model import (
     Documents,
@@ -26,6 +25,7 @@ from beltrami_cli.jobs.compare.same_model import (
 )
 from beltrami_cli.layers.channels import choose_channels
 from beltrami_cli.layers.image_layer import ImageLayer
+from beltrami_cli.layers.image_memory import require_memory
 from beltrami_cli.layers.pixel_colours import PixelColours
 from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.layers.texture_groups import choose_textures

@@ -5,8 +5,10 @@ from __future__ import annotations
 import struct
 
 _MAX_BITS_OF_A_PALETTE = 8
-# Bytes of headers of BMP: the first by Windows, the first with a mask of alpha, and both by OS/2 2.
-_WINDOWS_HEADER, _ALPHA_HEADER, _LATER_OS2 = 40, 56, (16, 64)
+# Where numbers stand: size of the header, bits of a pixel in the oldest and in all others, packing, masks, profile.
+_HEADER_AT, _OLDEST_BITS_AT, _BITS_AT, _PACKING_AT, _MASKS_AT, _PROFILE_AT = 14, 24, 28, 30, 54, 70
+# Bytes of headers of BMP: by OS/2 1, the first by Windows, the first with a mask of alpha, and both by OS/2 2.
+_OLDEST_HEADER, _WINDOWS_HEADER, _ALPHA_HEADER, _LATER_OS2 = 12, 40, 56, (16, 64)
 # Packings of BMP with masks of the bits of red, green and blue, and in the second of alpha.
 _BIT_FIELDS = (3, 6)
 _PROFILES = (b"KNIL", b"DEBM")  # in another file, or behind the pixels; by the header of version 5
@@ -15,18 +17,17 @@ _PROFILE_HEADER = 124  # bytes of it
 
 def has_palette(data: bytes) -> bool:
     """Whether pixels have so few bits that they are indices; the headers of OS/2 and Windows differ."""
-    at = 24 if data[14:18] == b"\x0c\0\0\0" else 28
-    return 0 < int.from_bytes(data[at : at + 2], "little") <= _MAX_BITS_OF_A_PALETTE
+    at = _OLDEST_BITS_AT if _number(data, _HEADER_AT, 4) == _OLDEST_HEADER else _BITS_AT
+    return 0 < _number(data, at, 2) <= _MAX_BITS_OF_A_PALETTE
 
 
 def has_usual_bits(data: bytes) -> bool:
     """Whether OpenImageIO takes the right bits of a BMP file for its colours, and all for its alpha."""
-    header, bits, packing = (
-        int.from_bytes(data[at : at + n], "little") for at, n in ((14, 4), (28, 2), (30, 4))
-    )
+    header, bits = _number(data, _HEADER_AT, 4), _number(data, _BITS_AT, 2)
+    packing = _number(data, _PACKING_AT, 4)
     if packing not in _BIT_FIELDS or header < _WINDOWS_HEADER:
         return header not in _LATER_OS2
-    *colours, alpha = (int.from_bytes(data[at : at + 4], "little") for at in range(54, 70, 4))
+    *colours, alpha = (_number(data, _MASKS_AT + 4 * channel, 4) for channel in range(4))
     if header < _ALPHA_HEADER and packing != _BIT_FIELDS[1]:
         alpha = 0
     return alpha == 0 if bits == 16 else (colours == [0xFF0000, 0xFF00, 0xFF] and alpha in (0, 0xFF000000))
@@ -34,8 +35,11 @@ def has_usual_bits(data: bytes) -> bool:
 
 def is_plain(data: bytes) -> bool:
     """Whether a BMP file has 24 or 32 bits a pixel and a header of Windows: the kinds that are written."""
-    header, bits = (int.from_bytes(data[at : at + n], "little") for at, n in ((14, 4), (28, 2)))
-    return header >= _WINDOWS_HEADER and bits in (24, 32)
+    return _number(data, _HEADER_AT, 4) >= _WINDOWS_HEADER and _number(data, _BITS_AT, 2) in (24, 32)
+
+
+def _number(data: bytes, at: int, size: int) -> int:
+    return int.from_bytes(data[at : at + size], "little")
 
 
 def carried_over(source: bytes, encoded: bytes) -> bytes:
@@ -49,5 +53,5 @@ def carried_over(source: bytes, encoded: bytes) -> bytes:
 
 
 def metadata_names(data: bytes) -> dict[str, bool]:
-    has_profile = data[70:74] in _PROFILES and data[14] >= _PROFILE_HEADER
+    has_profile = data[_PROFILE_AT : _PROFILE_AT + 4] in _PROFILES and data[_HEADER_AT] >= _PROFILE_HEADER
     return {"colour profile": False} if has_profile else {}

@@ -103,9 +103,9 @@ def exif(data: bytes) -> bytes:
     return next((bytes(segment[4:]) for _, segment in segments(data) if _is_exif(segment)), b"")
 
 
-def with_exif(encoded: bytes, exif: bytes) -> bytes:
+def with_exif(encoded: bytes, exif_data: bytes) -> bytes:
     kept = [segment for _, segment in segments(encoded) if not _is_exif(segment)]
-    return _with_segment(encoded[:2] + b"".join(kept), _APP1, EXIF_START + exif)
+    return _with_segment(encoded[:2] + b"".join(kept), _APP1, EXIF_START + exif_data)
 
 
 def _is_exif(segment: bytes | memoryview) -> bool:

@@ -75,6 +75,6 @@ def exif(data: bytes) -> bytes:
     return next((bytes(chunk[8:-4]) for kind, chunk in chunks(data) if kind == b"eXIf"), b"")
 
 
-def with_exif(encoded: bytes, exif: bytes) -> bytes:
+def with_exif(encoded: bytes, exif_data: bytes) -> bytes:
     header, *others = (chunk for kind, chunk in chunks(encoded) if kind != b"eXIf")
-    return b"".join([_START, header, packed_chunk(b"eXIf", exif), *others])
+    return b"".join([_START, header, packed_chunk(b"eXIf", exif_data), *others])

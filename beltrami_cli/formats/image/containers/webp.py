@@ -87,6 +87,6 @@ def exif(data: bytes) -> bytes:
     return next((payload for kind, payload in _metadata_chunks(data) if kind == b"EXIF"), b"")
 
 
-def with_exif(encoded: bytes, exif: bytes) -> bytes:
+def with_exif(encoded: bytes, exif_data: bytes) -> bytes:
     kept = [chunk for chunk in _metadata_chunks(encoded) if chunk[0] != b"EXIF"]
-    return _with_metadata([*kept, (b"EXIF", exif)], encoded)
+    return _with_metadata([*kept, (b"EXIF", exif_data)], encoded)
