@@ -178,7 +178,7 @@ def test_a_name_that_is_taken_at_the_last_moment_is_left_alone(links, tmp_path, 
         monkeypatch.setattr(os, "link", Mock(side_effect=unsupported))
     output = Output(str(tmp_path / "out.obj"), overwrite=False)
     (tmp_path / "out.obj").write_text("precious")
-    with pytest.raises(OutputError, match=r"out\.obj: exists already.*--overwrite.*overwrite=True"):
+    with pytest.raises(OutputError, match=r"out\.obj: exists already.*allow overwriting"):
         output.write(Written([b"new"], {"a.mtl": b"new", "maps/a.png": b"new"}))
     assert [path.name for path in tmp_path.iterdir()] == ["out.obj"]
     assert (tmp_path / "out.obj").read_text() == "precious"
