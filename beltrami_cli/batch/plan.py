@@ -66,8 +66,7 @@ def plan(inputs: Iterable[str], out_dir: str, suffix: str, extension: str | None
 
 def find_sources(inputs: Iterable[str]) -> list[str]:
     """Return the files of names, folders and globs, each once."""
-    no_results = os.devnull  # no file is below it
-    return list(dict.fromkeys(source for text in inputs for source, _ in _found(text, no_results, _MODELS)))
+    return list(dict.fromkeys(source for text in inputs for source, _ in _found(text, None, _MODELS)))
 
 
 def _result_name(place: PurePath, suffix: str, extension: str | None) -> PurePath:
@@ -78,15 +77,16 @@ def _result_name(place: PurePath, suffix: str, extension: str | None) -> PurePat
     return place.with_name(place.stem + suffix + (f".{extension}" if extension else place.suffix))
 
 
-def _found(text: str, out_dir: str, suffixes: Collection[str]) -> list[tuple[str, PurePath]]:
-    """Return the files of an input, and their paths below the output folder.
+def _found(text: str, out_dir: str | None, suffixes: Collection[str]) -> list[tuple[str, PurePath]]:
+    """Return the files of an input, and their paths below the output folder, if there is one.
 
     A folder stands for its files with some suffixes. Hidden files and results of an earlier run are meant only if
     they are named.
     """
     root, found = find(text)
     if root:
-        inner, outer = PurePath(canonical_name(out_dir)), PurePath(canonical_name(root))
+        outer = PurePath(canonical_name(root))
+        inner = outer if out_dir is None else PurePath(canonical_name(out_dir))
         results = inner if inner != outer and inner.is_relative_to(outer) else None
         found = [
             (source, place)

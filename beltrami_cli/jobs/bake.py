@@ -60,6 +60,7 @@ def bake_file(
     file = begin(os.fspath(source), os.fspath(target), DEFAULTS, job, models_only=True)
     document, kind = file.document, file.format.name
     with file.watch.stage("read"):
+        job.check_document(document)
         stem = file.reserve_new(".png" if to == "texture" else None)
     notices: tuple[str, ...]
     with file.watch.stage("bake"):

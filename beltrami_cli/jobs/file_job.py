@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -67,7 +67,6 @@ class FileJob:
     format: OutputFormat
     output: Output | None  # None on a dry run
     watch: Stopwatch
-    occupied: dict[str, None] = field(default_factory=dict)  # names in OUTPUT's folder that other models use
 
     @property
     def is_moved(self) -> bool:
@@ -76,27 +75,23 @@ class FileJob:
             return self.source != "-"
         return Path(self.source).resolve().parent != Path(os.path.realpath(self.target)).parent
 
-    def reserve(self, sidecars: Callable[[Naming], Iterable[str]]) -> Naming:
-        """Check the document and the names of sidecar files, and return their naming; OutputError if one is refused."""
-        if self.job.check is not None:
-            self.job.check(self.document)
-        in_place = _is_in_place(self.source, self.target)
-        naming = Naming(Path(self.target).stem, in_place, self.is_moved, self._is_taken)
-        names = sidecars(naming)
-        if self.output is not None:
-            self.output.check_sidecars(names)
-        return naming
+    @property
+    def naming(self) -> Naming:
+        """How sidecar files are named, without names that other models use; a dry run looks for none."""
+        naming = Naming(Path(self.target).stem, _is_in_place(self.source, self.target), self.is_moved)
+        return naming if self.output is None else replace(naming, is_taken=self.output.is_taken)
 
-    def _is_taken(self, name: str) -> bool:
-        if self.output is None or not self.output.is_taken(name):
-            return False
-        self.occupied[name] = None
-        return True
+    def reserve(self, sidecars: Iterable[str]) -> None:
+        """Check the names of sidecar files before anything is computed; OutputError if one is refused."""
+        if self.output is not None:
+            self.output.check_sidecars(sidecars)
 
     def reserve_new(self, image_suffix: str | None) -> str:
         """Return an unused stem for the sidecar files of a new mesh with one texture or no texture."""
         names = partial(output_format.sidecar_names, self.format.name, image_suffix=image_suffix)
-        return self.reserve(lambda naming: names(naming.free_stem(names))).free_stem(names)
+        stem = self.naming.free_stem(names)
+        self.reserve(names(stem))
+        return stem
 
     def write(
         self, files: Written, parameters: dict[str, object], notices: Iterable[str],
@@ -119,12 +114,13 @@ class FileJob:
         )  # fmt: skip
 
     def _notices_of_sharing(self, sidecars: Iterable[str]) -> list[str]:
+        if self.output is None:
+            return []
         notices = list[str]()
-        if self.occupied:
-            names = ", ".join(self.occupied)
-            taken = f"another model in OUTPUT's folder has {names}"
+        if self.output.occupied:
+            taken = f"another model in OUTPUT's folder has {', '.join(self.output.occupied)}"
             notices.append(f"{taken}; the new files have a number in their names.")
-        if self.output is not None and self.output.folder is not None and self.output.overwrite:
+        if self.output.folder is not None and self.output.overwrite:
             notices += shared_files(self.output.folder, self.output.path, sidecars)
         return notices
 

@@ -52,6 +52,10 @@ class Job:
     chunking: Chunking | None = None
     chunk_memory: int | None = None
 
+    def check_document(self, document: Document) -> None:
+        if self.check is not None:
+            self.check(document)
+
     def expect(self, phases: Iterable[Expected]) -> None:
         if isinstance(self.progress, Work):
             self.progress.expect(phases)

@@ -9,7 +9,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import chain
 from typing import ClassVar, Generic, TypeVar
 
@@ -83,7 +82,9 @@ def recolour(
         if not colour_filter.changes and kind.suffix is None:
             selection = Selection(document, settings)
         notices = [*colour_filter.check(selection, kind), *selection.notices]
-        naming = file.reserve(partial(sidecar_names, selection, kind))
+        job.check_document(document)
+        naming = file.naming
+        file.reserve(sidecar_names(selection, kind, naming))
     place = None if file.output is None else target
     with selection.within_memory(place, in_files=colour_filter.works_in_files) as chunk_memory:
         with watch.stage("smooth"):
@@ -94,7 +95,7 @@ def recolour(
         with watch.stage("write"):
             new = [each.stored for each in results]
             images, image_notices = all_images(new)
-            written = files_with_new_colours(document, new, images, kind, naming, in_place=not file.is_moved)
+            written = files_with_new_colours(document, new, images, kind, naming)
         notices += [*(notice for each in new for notice in each.notices), *image_notices]
         warnings = [warning for each in results for warning in each.warnings]
         report = file.write(written, parameters, notices, warnings)

@@ -27,13 +27,13 @@ from beltrami_cli.surface.records import ImageFile, MeshContents, MovedVertices,
 
 def files_with_new_colours(
     document: Document, stored: Sequence[StoredColours], images: dict[tuple[Slot, str], ImageFile],
-    kind: OutputFormat, naming: Naming, *, in_place: bool,
+    kind: OutputFormat, naming: Naming,
 ) -> Written:  # fmt: skip
     """Return the files of a document with new colours, images and positions, in the format of the output."""
     colours = next((each.colours for each in stored if each.colours is not None), None)
     places = next((each.positions for each in stored if each.positions is not None), None)
     moved = None if places is None else _moved_vertices(document, places)
-    if in_place:
+    if not naming.copies:  # in the source's folder, the output refers to the unchanged images of the source
         images = {key: image for key, image in images.items() if _is_new(document, *key, image)}
     if kind.is_patched:
         return document.patch(colours, naming, images=images, places=moved, form=kind.name)
@@ -60,7 +60,7 @@ def _with_positions(mesh: MeshContents, moved: MovedVertices | None) -> MeshCont
 
 
 def _is_new(document: Document, slot: Slot, key: str, image: ImageFile) -> bool:
-    """Whether an image changed: in the source's folder, the output refers to the unchanged images of the source."""
+    """Whether an image changed."""
     if slot not in document.slots():
         return True
     return all(image.data != each.data for each in document.textured(slot).textures if each.key == key)

@@ -39,6 +39,7 @@ def smooth_unwrapped(
     with file.watch.stage("read"):
         selection = _selected(file, settings)
         require_effect(file.document.access.typed, [*selection.kinds, "textures"], file.document.name)
+        job.check_document(file.document)
         stem = file.reserve_new(settings.textures.image_suffix or ".png")
     notices = selection.require_scale() if settings.kernel.iterations else []
     _require_possible(selection)

@@ -66,9 +66,9 @@ class Output:
         self.folder = None if self.is_stdout or self.is_device else self.path.parent
         self._sidecars: tuple[str, ...] = ()
         self.references = references
-        self.replaceable: frozenset[str] = (
-            frozenset()
-        )  # the names that `references` returns, once they are needed
+        # The names of its sidecar files that may be replaced: of INPUT, or by `references` once they are needed.
+        self.replaceable = frozenset[str]()
+        self.occupied = dict[str, None]()  # names that `is_taken` found to belong to other models
         self._is_alone = files is None
         self.files = FileSet(reads) if files is None else files
         self.files.add(self)
@@ -89,11 +89,17 @@ class Output:
             yield from ((self._named(self.folder / name), self.folder / name) for name in self._sidecars)
 
     def is_taken(self, name: str) -> bool:
-        """Whether its folder has a file of that name which is not a sidecar file of the existing OUTPUT."""
+        """Whether its folder has a file of that name which is not a sidecar file of the existing OUTPUT.
+
+        Such names are collected in `occupied`.
+        """
         if self.folder is None or not os.path.lexists(self.folder / name):
             return False
         self.replaceable = self.replaceable or self.references()
-        return name not in self.replaceable
+        if name in self.replaceable:
+            return False
+        self.occupied[name] = None
+        return True
 
     def check_sidecars(self, names: Iterable[str]) -> None:
         """Check that sidecar files, by paths relative to the output's folder, may be written; OutputError if not."""
