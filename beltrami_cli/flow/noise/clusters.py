@@ -11,7 +11,7 @@ import numpy as np
 
 from beltrami_cli._native import pilot_of_graph
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
-from beltrami_cli.flow.noise.features import PAIRS, SCALES, FurtherStatistics
+from beltrami_cli.flow.noise.features import EVEN_FEATURES_OF_CLUSTERS, PAIRS, SCALES, KindStatistics
 from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, Samples, Scale, in_components, ranks_within
 from beltrami_cli.flow.vertex_graph import Graph, levels_of
 
@@ -155,12 +155,13 @@ class VertexClusters(Neighbourhoods):
         degree = np.bincount(self.graph.edges.ravel(), minlength=self.graph.size)[self.chosen]
         return [np.log2(self.counts) / 4, self.means(degree[None])[0] / 4]
 
-    def cell_features(self, samples: Samples, number: int) -> tuple[Float32s, Float32s, FurtherStatistics]:
-        residuals = self._residuals(samples, number) if number < _SCALES_OF_RESIDUALS else None
-        return (
-            self._mean_squares(samples, number),
-            self._correlations(self.scales[number], samples.details[number]),
-            FurtherStatistics(self._clipped_around(samples, number), residuals),
+    def statistics(self, samples: Samples, number: int) -> KindStatistics:
+        return KindStatistics(
+            fourth=self._mean_squares(samples, number),
+            others=self._correlations(self.scales[number], samples.details[number]),
+            even=EVEN_FEATURES_OF_CLUSTERS,
+            clipped=self._clipped_around(samples, number),
+            residuals=self._residuals(samples, number) if number < _SCALES_OF_RESIDUALS else None,
         )
 
     def _clipped_around(self, samples: Samples, number: int) -> Float32s:

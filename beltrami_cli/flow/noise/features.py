@@ -10,7 +10,7 @@ features do not depend on the order of the input.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,7 +39,7 @@ _QUANTILES_OF_BLOCKS = (0.0, 0.25)
 EVEN_SHARES = (0.01, 0.05, 0.25)
 
 # Share of the most even cells in which the covariance of the noise is measured.
-_EVEN_SHARE = 0.25
+_SHARE_OF_COVARIANCES = 0.25
 
 # Share of the most even cells whose residuals are also features.
 _SHARE_OF_RESIDUALS = 0.05
@@ -58,12 +58,50 @@ _CONSTANT = 0.01
 
 
 @dataclass(frozen=True)
-class FurtherStatistics:
-    """Statistics of one scale that only the network of clusters reads; the network of grids was trained without."""
+class EvenCells:
+    """The k most even ones of the measured cells of one scale."""
 
-    clipped: Float32s  # share of clipped samples around a cell, shape (P, n)
+    products: Float32s  # as in `Cells`, shape (6, k)
+    freedom: Float32s  # shape (k,)
+    unevenness: Float32s  # shape (k,)
+    residuals: Float32s | None  # as in `KindStatistics`, shape (6, k); None: not a feature
+
+    @classmethod
+    def of(cls, cells: Cells, measured: Bools, share: float) -> EvenCells:
+        """Choose a share of the cells in the mask `measured`."""
+        unevenness = cells.unevenness[measured]
+        residuals = cells.of_kind.residuals if share == _SHARE_OF_RESIDUALS else None
+        # Cells within one coarser cell are equally even, so ties are included.
+        even = unevenness <= np.sort(unevenness)[int(share * (len(unevenness) - 1))]
+        return cls(
+            cells.products[:, measured][:, even],
+            cells.freedom[measured][even],
+            unevenness[even],
+            None if residuals is None else residuals[:, measured][:, even],
+        )
+
+
+@dataclass(frozen=True)
+class EvenFeatures:
+    """The features of even cells that the network of a kind of neighbourhoods reads, in the order of its input."""
+
+    # Of the masks of known and of measured cells, of each share of the most even cells, and of the blocks.
+    of_masks: tuple[Callable[[Bools, Bools], list[Array]], ...]
+    of_shares: tuple[Callable[[EvenCells], list[Array]], ...]
+    of_blocks: tuple[Callable[[Float32s], list[Array]], ...]
+
+
+@dataclass(frozen=True)
+class KindStatistics:
+    """Statistics of one scale that each kind of neighbourhoods measures in its own way."""
+
+    fourth: Float32s  # mean fourth power of the details by component, shape (P, 3)
+    others: Float32s  # features that only this kind of neighbourhood has, shape (P, F)
+    even: EvenFeatures
+    # Share of clipped samples around each cell, shape (P, n); None: not measured.
+    clipped: Float32s | None = None
     # Mean products of residuals, which are free of slopes, in each cell, shape (6, P, n); None: not measured.
-    residuals: Float32s | None
+    residuals: Float32s | None = None
 
 
 @dataclass(frozen=True)
@@ -74,9 +112,7 @@ class Cells:
     freedom: Float32s  # details in each cell, shape (P, n); 0: no cell
     blocks: Float32s  # mean squares by component in blocks of cells, shape (3, P, m); infinite: no block
     unevenness: Float32s  # energy of the next two scales around a cell, shape (P, n); infinite: unknown
-    fourth: Float32s  # mean fourth power of the details by component, shape (P, 3)
-    others: Float32s  # features that only this kind of neighbourhood has, shape (P, F)
-    further: FurtherStatistics | None
+    of_kind: KindStatistics
 
     @property
     def is_valid(self) -> Bools:
@@ -101,12 +137,12 @@ def _describe_scale(cells: Cells) -> list[Float32s]:
         *_quantiles(np.where(valid, energy, np.inf), _QUANTILES),
         *_quantiles(np.moveaxis(cells.blocks, 0, 1), _QUANTILES_OF_BLOCKS),
         log_deviation(mean),
-        np.log2((cells.fourth + 1e-3) / (mean**2 + 1e-3)) / 4,
+        np.log2((cells.of_kind.fourth + 1e-3) / (mean**2 + 1e-3)) / 4,
         np.sum(energy < _CONSTANT, axis=2, where=valid) / count,
-        cells.others,
+        cells.of_kind.others,
     ]
-    if cells.further is not None and cells.further.residuals is not None:
-        energy = np.moveaxis(cells.further.residuals[:3], 0, 1)
+    if cells.of_kind.residuals is not None:
+        energy = np.moveaxis(cells.of_kind.residuals[:3], 0, 1)
         features += _quantiles(np.where(valid, energy, np.inf), _QUANTILES[:-1])
         features.append(log_deviation(energy.sum(axis=2, where=valid) / count))
     return [*features, quiet_deviations(cells), _correlations(_quiet_products(cells))]
@@ -136,35 +172,31 @@ def describe_even_cells(cells: Sequence[Cells]) -> tuple[Float32s, Float32s]:
     """
     features, deviations, by_place = [np.log2([len(cells[0].freedom)])], [], []
     for scale in cells:
-        known, whole = _known_cells(scale)
-        features.append(np.log2([1 + whole.sum()]))
-        if scale.further is not None:
-            features.append(np.array([whole.sum() / max(1, known.sum())]))
-        by_share = [_describe_even(scale, whole, share) for share in EVEN_SHARES]
+        even, (known, measured) = scale.of_kind.even, _known_cells(scale)
+        by_share = [_describe_even(scale, measured, share) for share in EVEN_SHARES]
+        features += [column for feature in even.of_masks for column in feature(known, measured)]
         features += [column for columns in by_share for column in columns]
-        if scale.further is not None:
-            blocks = np.sort(scale.blocks.reshape(3, -1), axis=1)
-            features += [quantile[:, 0] for quantile in _quantiles(blocks[:, None], _SHARES_OF_BLOCKS)]
-        by_place.append(_even_by_neighbourhood(scale, whole))
+        features += [column for feature in even.of_blocks for column in feature(scale.blocks)]
+        by_place.append(_even_by_neighbourhood(scale, measured))
         deviations.append([*(columns[0] for columns in by_share), *by_place[-1]])
     features += [statistics.ravel() for statistics in by_place]
     return np.concatenate(features).astype(np.float32), np.array(deviations, np.float32)
 
 
-def _even_by_neighbourhood(cells: Cells, whole: Bools) -> Float32s:
+def _even_by_neighbourhood(cells: Cells, measured: Bools) -> Float32s:
     """Return features of the even quarter of each neighbourhood, which are unbiased if noise depends on the place.
 
     They are the mean, median and lower quartile of the energy of components over the neighbourhoods, as logarithms of
     deviations, shape (3, 3).
     """
-    has_even = whole.any(axis=1)
+    has_even = measured.any(axis=1)
     if not has_even.any():
         return np.full((3, 3), log_deviation(0))
-    whole = whole[has_even]
-    uneven = np.where(whole, cells.unevenness[has_even], np.inf)
-    last = (_EVEN_SHARE * (whole.sum(axis=1) - 1)).astype(np.intp)
+    measured = measured[has_even]
+    uneven = np.where(measured, cells.unevenness[has_even], np.inf)
+    last = (_SHARE_OF_COVARIANCES * (measured.sum(axis=1) - 1)).astype(np.intp)
     limit = np.take_along_axis(np.sort(uneven, axis=1), last[:, None], axis=1)
-    weights = cells.freedom[has_even] * ((uneven <= limit) & whole)
+    weights = cells.freedom[has_even] * ((uneven <= limit) & measured)
     energies = np.einsum("kpn,pn->kp", cells.products[:3, has_even], weights) / weights.sum(axis=1)
     parts = [energies.mean(axis=1), *np.quantile(energies, (0.5, 0.25), axis=1)]
     return np.stack([log_deviation(own) for own in parts])
@@ -180,14 +212,14 @@ def even_covariances(
     """
     covariances, counts = np.zeros((SCALES, 3, 3)), np.zeros(SCALES)
     for number, cells in enumerate(scales):
-        whole = _known_cells(cells, chosen[:, None])[1]
-        if not whole.any():
+        measured = _known_cells(cells, chosen[:, None])[1]
+        if not measured.any():
             continue
-        unevenness = (cells.unevenness / variances[:, None])[whole]
-        even = unevenness <= np.sort(unevenness)[int(_EVEN_SHARE * (len(unevenness) - 1))]
+        unevenness = (cells.unevenness / variances[:, None])[measured]
+        even = unevenness <= np.sort(unevenness)[int(_SHARE_OF_COVARIANCES * (len(unevenness) - 1))]
         products, freedom = (
-            (cells.products / variances[:, None])[:, whole][:, even],
-            cells.freedom[whole][even],
+            (cells.products / variances[:, None])[:, measured][:, even],
+            cells.freedom[measured][even],
         )
         total = freedom.sum()
         covariances[number] = symmetric(np.einsum("kn,n->k", products, freedom, dtype=np.float64) / total)
@@ -203,36 +235,66 @@ def _known_cells(cells: Cells, chosen: Bools | bool = True) -> tuple[Bools, Bool
     valid = cells.is_valid & chosen
     known = valid & np.isfinite(cells.unevenness)
     known = known if known.any() else valid
-    if cells.further is None:
+    if cells.of_kind.clipped is None:
         return known, known
-    whole = known & (cells.further.clipped <= _MAX_CLIPPED)
-    return known, whole if 4 * whole.sum() > _EVEN_SHARE * known.sum() else known
+    measured = known & (cells.of_kind.clipped <= _MAX_CLIPPED)
+    return known, measured if 4 * measured.sum() > _SHARE_OF_COVARIANCES * known.sum() else known
 
 
-def _describe_even(cells: Cells, whole: Bools, share: float) -> list[Float32s]:
-    """Return features of a share of the cells in the mask `whole`, the most even ones; deviations come first."""
-    further = cells.further
-    residuals = further.residuals if further is not None and share == _SHARE_OF_RESIDUALS else None
-    products, freedom, unevenness = cells.products[:, whole], cells.freedom[whole], cells.unevenness[whole]
-    if not len(unevenness):
-        # As many columns as below: of channels and correlations, of clusters alone, and of residuals.
-        others = 6 + (0 if further is None else 5) + (0 if residuals is None else 9)
-        return [np.full(size, log_deviation(0)) for size in (3, others)]
-    # Cells within one coarser cell are equally even, so ties are included.
-    even = unevenness <= np.sort(unevenness)[int(share * (len(unevenness) - 1))]
-    chosen, weights = products[:, even], freedom[even]
-    features = _deviations_and_correlations(np.einsum("kn,n->k", chosen, weights)[None] / weights.sum())
-    if further is not None:
-        scatter = (np.square(chosen[:3]).mean(axis=1) + 1e-3) / (np.square(chosen[:3].mean(axis=1)) + 1e-3)
-        around = np.minimum(unevenness[even], 1e6).mean()
-        features.append(np.log2(scatter) / 4)
-        features.append(np.array([log_deviation(around), np.mean(chosen[:3].sum(axis=0) < _CONSTANT)]))
-    if residuals is not None:
-        features += _deviations_and_correlations(residuals[:, whole][:, even].mean(axis=1)[None])
-    return [np.asarray(column, np.float32) for column in features]
+def _describe_even(cells: Cells, measured: Bools, share: float) -> list[Float32s]:
+    """Return features of a share of the cells in the mask `measured`, the most even ones; deviations come first."""
+    is_empty = not measured.any()
+    # All features of no cells have the value of no noise, in as many columns as any cells have.
+    even = EvenCells.of(cells, np.ones_like(measured) if is_empty else measured, share)
+    columns = [column for feature in cells.of_kind.even.of_shares for column in feature(even)]
+    return [
+        np.full_like(own, log_deviation(0), np.float32) if is_empty else own.astype(np.float32)
+        for own in columns
+    ]
 
 
-def _deviations_and_correlations(means: Float32s) -> list[Float32s]:
+def _count(known: Bools, measured: Bools) -> list[Array]:
+    return [np.log2([1 + measured.sum()])]
+
+
+def _share_measured(known: Bools, measured: Bools) -> list[Array]:
+    return [np.array([measured.sum() / max(1, known.sum())])]
+
+
+def _noise(even: EvenCells) -> list[Array]:
+    sums = np.einsum("kn,n->k", even.products, even.freedom)
+    return _deviations_and_correlations(sums[None] / np.maximum(even.freedom.sum(), 1))
+
+
+def _scatter(even: EvenCells) -> list[Array]:
+    energies = even.products[:3]
+    scatter = (np.square(energies).mean(axis=1) + 1e-3) / (np.square(energies.mean(axis=1)) + 1e-3)
+    return [np.log2(scatter) / 4]
+
+
+def _surroundings(even: EvenCells) -> list[Array]:
+    around = np.minimum(even.unevenness, 1e6).mean()
+    return [np.array([log_deviation(around), np.mean(even.products[:3].sum(axis=0) < _CONSTANT)])]
+
+
+def _noise_of_residuals(even: EvenCells) -> list[Array]:
+    return [] if even.residuals is None else _deviations_and_correlations(even.residuals.mean(axis=1)[None])
+
+
+def _energies_of_blocks(blocks: Float32s) -> list[Array]:
+    ordered = np.sort(blocks.reshape(3, -1), axis=1)
+    return [quantile[:, 0] for quantile in _quantiles(ordered[:, None], _SHARES_OF_BLOCKS)]
+
+
+EVEN_FEATURES_OF_GRIDS = EvenFeatures(of_masks=(_count,), of_shares=(_noise,), of_blocks=())
+EVEN_FEATURES_OF_CLUSTERS = EvenFeatures(
+    of_masks=(_count, _share_measured),
+    of_shares=(_noise, _scatter, _surroundings, _noise_of_residuals),
+    of_blocks=(_energies_of_blocks,),
+)
+
+
+def _deviations_and_correlations(means: Float32s) -> list[Array]:
     """Return log2 of the deviations of components and channels, and correlations, from mean products, shape (1, 6)."""
     deviations = [log_deviation(part[0]) for part in (means[:, :3], _variances_of_channels(means))]
     return [*deviations, _correlations(means)[0]]

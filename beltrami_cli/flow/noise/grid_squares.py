@@ -10,7 +10,7 @@ import numpy as np
 from beltrami_cli._native import pilot_of_squares
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
 from beltrami_cli.flow.noise import jpeg_traces
-from beltrami_cli.flow.noise.features import SCALES
+from beltrami_cli.flow.noise.features import EVEN_FEATURES_OF_GRIDS, SCALES, KindStatistics
 from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, Samples, Scale
 from beltrami_cli.surface import large_arrays
 
@@ -142,7 +142,7 @@ class Grid(Neighbourhoods):
             *jpeg_traces.coefficients(luma, self.squares),
         ]
 
-    def cell_features(self, samples: Samples, number: int) -> tuple[Float32s, Float32s, None]:
+    def statistics(self, samples: Samples, number: int) -> KindStatistics:
         """Return the mean fourth power of details, and features of their anisotropy and correlation."""
         scale = self.scales[number]
         values = samples.details[number].reshape(3, 3, self.count, scale.side, scale.side)
@@ -160,7 +160,11 @@ class Grid(Neighbourhoods):
             np.abs(right - below),
         ]
         fourth = np.square(squares).sum(axis=(1, 3, 4)) / (3 * count)
-        return fourth.T.astype(np.float32), np.concatenate(others).T.astype(np.float32), None
+        return KindStatistics(
+            fourth=fourth.T.astype(np.float32),
+            others=np.concatenate(others).T.astype(np.float32),
+            even=EVEN_FEATURES_OF_GRIDS,
+        )
 
     def pilot(self, colours: Float32s, variances: Float32s) -> Float32s:
         present = self._present

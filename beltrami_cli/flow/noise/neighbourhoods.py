@@ -23,7 +23,7 @@ from beltrami_cli.flow.noise.features import (
     PAIRS,
     STEPS,
     Cells,
-    FurtherStatistics,
+    KindStatistics,
     log_deviation,
 )
 from beltrami_cli.surface import large_arrays
@@ -88,10 +88,8 @@ class Neighbourhoods(ABC):
         """Return features of each neighbourhood, shape (P,) each, that are specific to its kind."""
 
     @abstractmethod
-    def cell_features(
-        self, samples: Samples, number: int
-    ) -> tuple[Float32s, Float32s, FurtherStatistics | None]:
-        """Return the fields of `Cells` that depend on the kind: `fourth`, `others` and `further`."""
+    def statistics(self, samples: Samples, number: int) -> KindStatistics:
+        """Return the statistics of the cells of a scale that depend on the kind."""
 
     @abstractmethod
     def pilot(self, colours: Float32s, variances: Float32s) -> Float32s:
@@ -221,16 +219,13 @@ class Samples:
         for number, (scale, above) in enumerate(pairwise(self.where.scales)):
             products = self.products[number]
             blocks = above.sums(scale.freedom * products[:3]) / np.maximum(above.sums(scale.freedom), 1)
-            fourth, others, further = self.where.cell_features(self, number)
             cells.append(
                 Cells(
                     products=scale.padded(products),
                     freedom=scale.padded(scale.freedom),
                     blocks=above.padded(np.where(above.is_whole, blocks, np.inf), np.inf),
                     unevenness=scale.padded(self.unevenness(number), np.inf),
-                    fourth=fourth,
-                    others=others,
-                    further=further,
+                    of_kind=self.where.statistics(self, number),
                 )
             )
         return cells
