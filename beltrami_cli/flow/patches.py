@@ -124,7 +124,7 @@ def blend_with_patches_in_place(
     # Chunked kernels do not overwrite the colours.
     before = kernel(large_arrays.copy_of(noisy) if manifold.chunking is None else noisy).stacks[0]
     perturbation = manifold.perturbation()
-    size = np.float32(PERTURBATION * np.sqrt(np.mean(np.square(sigma))))
+    size = np.float32(PERTURBATION * manifold.noise.rms_sigma)
     perturbed = large_arrays.copy_of(noisy)
     _add(axis, perturbed, perturbation.get(), size)
     perturbation.drop()

@@ -16,7 +16,12 @@ from beltrami_cli.flow.beltrami_flow import FlowResult
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Resources
 from beltrami_cli.flow.estimation import estimate_on_mesh
 from beltrami_cli.flow.manifolds.guides import Guide
-from beltrami_cli.flow.manifolds.mesh_manifold import ColouredMesh, MeshManifold, mesh_manifold
+from beltrami_cli.flow.manifolds.mesh_manifold import (
+    ColouredMesh,
+    MeshManifold,
+    mean_samples_per_kernel,
+    mesh_manifold,
+)
 from beltrami_cli.flow.manifolds.moving_positions import GeometryParameters
 from beltrami_cli.flow.plan import Plan, choose_parameters
 from beltrami_cli.layers.layer import SampledVertices
@@ -123,7 +128,7 @@ class MeshLayer(VertexLayer):
         manifold, planned = plan.manifold, self._described_plan(plan)
         if (moved := manifold.moving) is not None:
             planned["smooth"] |= {"normal_noise": float(moved.sigma), "normal_beta": float(moved.beta)}
-        in_kernel = manifold.samples_per_kernel(_PROBED_KERNELS, plan.step(0))
+        in_kernel = mean_samples_per_kernel(manifold, _PROBED_KERNELS, plan.step(0))
         planned["smooth"]["samples_per_kernel"] = round(in_kernel, 1)
         where = {"mean_edge_length": manifold.geometry.spacing, "bounds": bounds(vertices.positions)}
         what = "cloud" if self._is_cloud else "surface"

@@ -14,8 +14,8 @@ from beltrami_cli.flow.choice.risk import PERTURBATION, Risk, RiskEstimate
 from beltrami_cli.flow.choice.search import Candidates, Search
 from beltrami_cli.flow.manifolds.fingerprints import fingerprints, random_signs
 from beltrami_cli.flow.manifolds.iteration import Step
-from beltrami_cli.flow.manifolds.mesh_trial import TRIED_VERTICES, choose_patches
-from beltrami_cli.flow.manifolds.search_range import RULE_ON_GRIDS, RULE_ON_MESHES
+from beltrami_cli.flow.manifolds.mesh_trial import choose_patches
+from beltrami_cli.flow.manifolds.search_range import BUDGET_ON_MESHES, RULE_ON_GRIDS, RULE_ON_MESHES
 from beltrami_cli.flow.noise.model import NoiseModel, Reading
 from beltrami_cli.flow.parameters import STRENGTHS, TUNABLE, KernelParameters
 from cli.commands import SAMPLES, beltrami
@@ -161,7 +161,7 @@ def test_samples_are_enough_on_small_pieces():
     whole = np.concatenate([edges + 3 * count * k for k in range(5)])
     colours = np.concatenate([colours + np.float32(0.01 * k) for k in range(5)])
     chosen = choose_patches(colours, fingerprints(colours, whole), whole)
-    wanted = TRIED_VERTICES["least"]
+    wanted = BUDGET_ON_MESHES.least
     assert 0.7 * wanted < len(chosen.samples) < 1.3 * wanted
     assert np.all(np.bincount(chosen.samples // 3)[chosen.samples // 3] == 3)
 

@@ -15,6 +15,7 @@ from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunking, Resources, in_turn
 from beltrami_cli.flow.decoding import plan_on_canvas
 from beltrami_cli.flow.manifolds.guides import Guide
 from beltrami_cli.flow.manifolds.iteration import Step
+from beltrami_cli.flow.manifolds.mesh_manifold import mean_samples_per_kernel
 from beltrami_cli.flow.manifolds.moving_positions import GeometryParameters
 from beltrami_cli.flow.parameters import KernelParameters, parameters_with
 from beltrami_cli.layers.image_surface import ImageSurface, canvas_of_image
@@ -139,10 +140,10 @@ def test_patches_and_their_coarse_levels_take_part(differs):
 def test_parameters_are_chosen_on_the_whole(cut):
     free = parameters_with({"threads": 1})
     whole = smooth_mesh(SURFACE, free)
-    in_kernel = whole.manifold.samples_per_kernel(9, Step(1.0, 1.0, False))
+    in_kernel = mean_samples_per_kernel(whole.manifold, 9, Step(1.0, 1.0, False))
     assert cut.chunking_of_mesh(len(SURFACE.positions), 1).count > 2
     parts = smooth_mesh(SURFACE, free, resources=cut)
-    assert parts.manifold.samples_per_kernel(9, Step(1.0, 1.0, False)) == in_kernel
+    assert mean_samples_per_kernel(parts.manifold, 9, Step(1.0, 1.0, False)) == in_kernel
     assert parts.choice.chosen == whole.choice.chosen
     assert np.array_equal(parts.colours, whole.colours)
 

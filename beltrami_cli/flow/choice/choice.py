@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,7 +15,6 @@ from beltrami_cli.arrays import Float64s
 from beltrami_cli.flow.choice.prediction import Prediction, predict
 from beltrami_cli.flow.choice.risk import Risk, RiskEstimate
 from beltrami_cli.flow.choice.search import Candidates, Place, Schedule, Search
-from beltrami_cli.flow.manifolds.kernel_work import LOG
 from beltrami_cli.flow.manifolds.manifold import Manifold, SampleTrial
 from beltrami_cli.flow.noise.model import overall_noise
 from beltrami_cli.flow.parameters import KernelParameters
@@ -30,6 +30,8 @@ _MAX_BEFORE_PATCHES = 2.0
 # Weight of smoothness for noise that neighbours share. Low quantiles underestimate such noise, and kernels keep its
 # coarse steps as if they were edges. Enlarged pictures gain 0.9 dB by this weight, and JPEG pictures 0.5 dB.
 _SHARED_NOISE_WEIGHT = 1.5
+
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,7 @@ def tune(
     trial = manifold.trial()
     if not trial.samples:  # all points are isolated
         return unchanged, None
-    LOG.info("parameters are tried on %d of %d samples first", trial.samples, manifold.geometry.kernels)
+    _LOG.info("parameters are tried on %d of %d samples first", trial.samples, manifold.geometry.kernels)
     return _choose_by_risk(manifold, trial, tick)
 
 

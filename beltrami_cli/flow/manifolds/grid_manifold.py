@@ -22,7 +22,7 @@ from beltrami_cli.flow.manifolds.domain import Gaussian, Stack
 from beltrami_cli.flow.manifolds.grid_gaussian import GridGaussian, guide_radius
 from beltrami_cli.flow.manifolds.grid_geometry import Cells, GridGeometry, pick
 from beltrami_cli.flow.manifolds.grid_patches import Squares, collaborate_on_canvas, largest_side
-from beltrami_cli.flow.manifolds.grid_trial import choose_blocks, draw_perturbations, tried_cells, with_halo
+from beltrami_cli.flow.manifolds.grid_trial import choose_blocks, draw_perturbations, with_halo
 from beltrami_cli.flow.manifolds.guides import Guide, GuideStack
 from beltrami_cli.flow.manifolds.iteration import (
     Averaged,
@@ -32,11 +32,11 @@ from beltrami_cli.flow.manifolds.iteration import (
     at_step,
     kernel_values,
 )
-from beltrami_cli.flow.manifolds.manifold import Manifold, SampleTrial, StabilisedColours, wanted_probes
+from beltrami_cli.flow.manifolds.manifold import Manifold, SampleTrial, StabilisedColours
 from beltrami_cli.flow.manifolds.metric_channels import gaussian_for, joined_channels
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.manifolds.seams import end_at_seams_in_place
-from beltrami_cli.flow.manifolds.search_range import ON_GRIDS, RULE_ON_GRIDS
+from beltrami_cli.flow.manifolds.search_range import BUDGET_ON_GRIDS, ON_GRIDS, RULE_ON_GRIDS, wanted_probes
 from beltrami_cli.flow.mixing import Mixing
 from beltrami_cli.flow.parameters import KernelParameters, Space
 from beltrami_cli.surface import large_arrays
@@ -244,7 +244,7 @@ class GridManifold(Manifold):
 
     def perturbation(self) -> large_arrays.Droppable[Array]:
         atlas, noise = self.geometry.atlas, self.noise
-        return large_arrays.Droppable(None, lambda: draw_perturbations(1, atlas, noise)[0])
+        return large_arrays.Droppable(None, lambda: draw_perturbations(atlas, noise, 1)[0])
 
     def levels(self, most: int) -> list[Squares]:
         grid, largest = self.geometry, largest_side(self.geometry.atlas, self.parameters)
@@ -263,7 +263,7 @@ class GridManifold(Manifold):
 
     def trial(self) -> SampleTrial:
         atlas, planes, parameters = self.geometry.atlas, self.colours, self.parameters
-        budget = tried_cells(atlas)
+        budget = BUDGET_ON_GRIDS.of(len(atlas.owned_cells))
         if len(atlas.owned_cells) <= budget:
             part, scored = dataclasses.replace(self, resources=IN_ONE_PIECE), atlas.owned_cells
         else:
@@ -273,7 +273,7 @@ class GridManifold(Manifold):
             planes = pick(planes, cells)
             planes[:, part.geometry.atlas.kind == EMPTY] = 0
             scored = np.flatnonzero(core & (part.geometry.atlas.kind == OWNED))
-        drawn = draw_perturbations(wanted_probes(len(scored)), part.geometry.atlas, self.noise)
+        drawn = draw_perturbations(part.geometry.atlas, self.noise, wanted_probes(len(scored)))
         # One row block, which leaves stacks as they are.
         part = dataclasses.replace(part, cells_per_thread=part.geometry.size)
         return SampleTrial(part, planes, np.array(drawn, np.float32), scored)

@@ -29,8 +29,7 @@ _SMALL_MESH, _IRREGULAR = 1_000, -1 / 4
 # Bound of kernels there, as a multiple of the number of samples on an even surface.
 _MAX_EXCESS = 2
 
-LOG = logging.getLogger(__name__)
-"""Says how much work is ahead, before it starts."""
+_LOG = logging.getLogger(__name__)
 
 
 class KernelWork:
@@ -54,7 +53,7 @@ class KernelWork:
         return self.kernels * min(self._on_even_surface(parameters), parameters.window**2)
 
     def announce(self, parameters: KernelParameters) -> None:
-        LOG.info(
+        _LOG.info(
             "%d samples are averaged in each of %d iterations, with at most some %.2g million neighbours in all",
             self.kernels, parameters.iterations, parameters.iterations * self.samples(parameters) / 1e6,
         )  # fmt: skip

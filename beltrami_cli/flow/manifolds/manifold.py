@@ -37,9 +37,6 @@ from beltrami_cli.surface.large_arrays import Droppable
 # iterations, has its flat optimum here.
 _CONTRAST = 0.8
 
-# Number of samples for which one perturbation suffices, and maximum number of perturbations for fewer samples.
-_ENOUGH_SAMPLES, _MAX_PROBES = 5_000, 4
-
 
 @dataclass(frozen=True)
 class Outliers:
@@ -111,16 +108,17 @@ class Manifold(ABC):
         """The variance of the noise relative to its mean, a stack of one channel."""
         if self.noise.relative is not None:
             return self.noise.relative
-        shape = list(self.colours.shape)
-        shape[self.geometry.axis] = 1
-        return np.broadcast_to(np.float32(1), shape)
+        return np.broadcast_to(np.float32(1), self.geometry.kind.shape)
 
     def with_parameters(self, **values: Any) -> Self:
         return dataclasses.replace(self, parameters=dataclasses.replace(self.parameters, **values))
 
     @abstractmethod
     def measure(self, colours: Stack, step: Step, gaussian: Gaussian | None = None) -> Metric:
-        """Induce the metric, eq. (1), from colours; `gaussian` of an earlier metric is used again."""
+        """Induce the metric, eq. (1), from colours; `gaussian` of an earlier metric is used again.
+
+        On grids and in chunks, `average` induces it part by part from its first stack, and colours are not read here.
+        """
 
     def average(
         self, stacks: list[Stack], metric: Metric, progress: Callable[[int], None] | None = None
@@ -177,7 +175,10 @@ class Manifold(ABC):
         self, noisy: Stack, pilot: Stack, mixing: Mixing, progress: Callable[[int], None] | None, *,
         replaces_pilot: bool = False,
     ) -> Stack:  # fmt: skip
-        """Estimate colours from patches that are similar in the pilot, whose memory they may take."""
+        """Estimate colours from patches that are similar in the pilot.
+
+        `replaces_pilot`: the pilot is not needed any more, and the estimates may take its memory.
+        """
 
     @abstractmethod
     def perturbation(self) -> Droppable[Array]:
@@ -256,8 +257,3 @@ def _average_chunk(
 ) -> tuple[list[Stack], Figures]:
     manifold, core = part
     return manifold.with_parameters(threads=threads).average_core(stacks, step, core)
-
-
-def wanted_probes(samples: int) -> int:
-    """Return the number of stacks of signs that estimate the divergence on this many samples."""
-    return min(_MAX_PROBES, -(-_ENOUGH_SAMPLES // max(1, samples)))

@@ -6,17 +6,15 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import islice
 
 import numpy as np
-from numpy.typing import NDArray
 
 from beltrami_cli._native import PATCH_BLOCK_SIZE
-from beltrami_cli.arrays import Array, Float32s
+from beltrami_cli.arrays import Array, Float32s, Int32s
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunk, Chunking, Figures, Resources
 from beltrami_cli.flow.cuts import runs
 from beltrami_cli.flow.manifolds.domain import Gaussian, Stack
-from beltrami_cli.flow.manifolds.fingerprints import fingerprints, quantised, random_signs
+from beltrami_cli.flow.manifolds.fingerprints import fingerprints, quantised
 from beltrami_cli.flow.manifolds.guides import Guide, GuideStack
 from beltrami_cli.flow.manifolds.iteration import (
     Averaged,
@@ -27,18 +25,17 @@ from beltrami_cli.flow.manifolds.iteration import (
     kernel_values,
 )
 from beltrami_cli.flow.manifolds.kernel_work import without_hubs
-from beltrami_cli.flow.manifolds.manifold import Manifold, SampleTrial, StabilisedColours, wanted_probes
+from beltrami_cli.flow.manifolds.manifold import Manifold, SampleTrial, StabilisedColours
 from beltrami_cli.flow.manifolds.mesh_geometry import Core, MeshGeometry, MeshMetric, rank_in
 from beltrami_cli.flow.manifolds.mesh_patches import Clusters, clusters_for, collaborate_on_graph
-from beltrami_cli.flow.manifolds.mesh_trial import choose_patches
+from beltrami_cli.flow.manifolds.mesh_trial import choose_patches, draw_perturbations
 from beltrami_cli.flow.manifolds.metric_channels import gaussian_for, joined_channels
 from beltrami_cli.flow.manifolds.moving_positions import GeometryParameters, MovingPositions
 from beltrami_cli.flow.manifolds.new_colours import NewColours
-from beltrami_cli.flow.manifolds.search_range import ON_MESHES, RULE_ON_MESHES
+from beltrami_cli.flow.manifolds.search_range import ON_MESHES, RULE_ON_MESHES, wanted_probes
 from beltrami_cli.flow.mixing import Mixing
-from beltrami_cli.flow.noise.drawing import draw_on_clusters
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.vertex_graph import Graph, levels_of
+from beltrami_cli.flow.vertex_graph import Graph
 from beltrami_cli.surface.geometry import distinct_edges
 from beltrami_cli.surface.incidence import Neighbours
 from beltrami_cli.surface.large_arrays import Droppable, kept
@@ -210,24 +207,21 @@ class MeshManifold(Manifold):
     def kernel_at(self, sample: int, step: Step) -> SampledKernel:
         """Return the kernel of a sample, which is numbered in the caller's order."""
         parameters, mesh = at_step(self.parameters, step), self.geometry
-        core = self.core_with(self._whole.measure(self.colours, step))
         (source,) = np.flatnonzero(mesh.order == sample)
-        reached, distances = core.distances(int(source), parameters.radius, parameters.max_samples)
+        reached, distances = self.distances_at(step)(int(source))
         weights = kernel_values(distances, parameters.t)
         if mesh.weights is not None:
             weights = weights * mesh.weights[reached]
         colours = self.noise.to_input(self.colours[reached])
         return SampledKernel(mesh.order[reached].astype(np.int64), distances, weights, colours)
 
-    def samples_per_kernel(self, kernels: int, step: Step) -> float:
-        """Measure the mean number of samples per kernel on evenly spread kernels."""
-        parameters, size = at_step(self.parameters, step), self.geometry.size
-        core = self.core_with(self._whole.measure(self.colours, step))
-        counts = [
-            len(core.distances(int(source), parameters.radius, parameters.max_samples)[0])
-            for source in np.linspace(0, size - 1, min(kernels, size), dtype=int)
-        ]
-        return float(np.mean(counts))
+    def distances_at(self, step: Step) -> Callable[[int], tuple[Int32s, Float32s]]:
+        """Return a function from a sample to the samples in its kernel, nearest first, and their distances."""
+        parameters, core = (
+            at_step(self.parameters, step),
+            self.core_with(self._whole.measure(self.colours, step)),
+        )
+        return lambda source: core.distances(source, parameters.radius, parameters.max_samples)
 
     def collaborate(
         self, noisy: Stack, pilot: Stack, mixing: Mixing, progress: Callable[[int], None] | None, *,
@@ -239,7 +233,10 @@ class MeshManifold(Manifold):
 
     def perturbation(self) -> Droppable[Array]:
         """Draw random signs that depend only on nearby colours."""
-        return Droppable(self._draw_perturbations(quantised(self.colours), self.graph.priorities, 1)[0])
+        graph = self.graph
+        return Droppable(
+            draw_perturbations(graph, self.noise, quantised(self.colours), graph.priorities, 1)[0]
+        )
 
     def levels(self, most: int) -> list[Clusters]:
         return clusters_for(self.graph, most, self.noise.relative)
@@ -253,9 +250,8 @@ class MeshManifold(Manifold):
         around = fingerprints(colours, edges)
         # A patch that reached a hub would contain all vertices around it.
         patches = choose_patches(colours, around, without_hubs(size, edges))
-        signs = self._draw_perturbations(
-            colours, around, wanted_probes(int(np.count_nonzero(patches.scored)))
-        )
+        count = wanted_probes(int(np.count_nonzero(patches.scored)))
+        signs = draw_perturbations(self.graph, self.noise, colours, around, count)
         part, samples = self._whole, patches.samples
         if len(samples) < size:
             part, colours, signs = self.cut(samples), colours[samples], signs[:, samples]
@@ -272,13 +268,9 @@ class MeshManifold(Manifold):
         new = self._with_outliers(NewColours.of(mesh.in_order(self.noise.to_input(self.colours))), mesh.order)
         return new if moving is None else dataclasses.replace(new, positions=mesh.in_order(moving.positions))
 
-    def _draw_perturbations(self, colours: Float32s, around: NDArray[np.uint64], count: int) -> Float32s:
-        """Draw random stacks from nearby colours: signs, or noise that is correlated like that of the colours."""
-        if self.noise.is_independent:
-            return random_signs(colours, around, count)
-        covariances = self.noise.covariances
-        levels = list(islice(levels_of(self.graph), len(covariances) + 1))
-        signs = np.split(random_signs(colours, around, count * len(levels)), count)
-        drawn = np.stack([draw_on_clusters(covariances, levels, of_levels) for of_levels in signs])
-        drawn /= np.float32(np.sqrt(np.mean(np.square(self.noise.sigma))))
-        return drawn
+
+def mean_samples_per_kernel(manifold: MeshManifold, kernels: int, step: Step) -> float:
+    """Measure the mean number of samples per kernel on evenly spread kernels."""
+    distances, size = manifold.distances_at(step), manifold.geometry.size
+    sources = np.linspace(0, size - 1, min(kernels, size), dtype=int)
+    return float(np.mean([len(distances(int(source))[0]) for source in sources]))

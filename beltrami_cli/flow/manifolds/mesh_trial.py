@@ -1,19 +1,19 @@
-"""Patches of a mesh on which parameters are tried, each with a rim."""
+"""Patches of a mesh on which parameters are tried, each with a rim, and random perturbations of their colours."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-from beltrami_cli.flow.vertex_graph import sums_around
-
-# Samples on which parameters are tried, as a share of all, so that trying takes hardly longer than smoothing: some
-# sixty iterations are tried, each two or three times. With fewer than the least the estimate is too uncertain; these
-# take tenths of a second. More than the most do not improve the choice.
-TRIED_VERTICES = {"share": 1 / 20, "least": 6_000, "most": 40_000}
+from beltrami_cli.flow.manifolds.fingerprints import random_signs
+from beltrami_cli.flow.manifolds.search_range import BUDGET_ON_MESHES
+from beltrami_cli.flow.noise.drawing import draw_on_clusters
+from beltrami_cli.flow.noise.model import NoiseModel
+from beltrami_cli.flow.vertex_graph import Graph, levels_of, sums_around
 
 # Below this ratio of all samples to those wanted, patches with their rims would cover nearly the whole surface.
 _WHOLE_SURFACE = 1.2
@@ -41,12 +41,10 @@ def choose_patches(colours: Float32s, around: NDArray[np.uint64], edges: Int32s)
     """Choose random patches by the `fingerprints` of colours, independently of the order of samples."""
     joined = np.bincount(edges.ravel(), minlength=len(around)) > 0
     connected = np.flatnonzero(joined)
-    budget = int(
-        np.clip(len(connected) * TRIED_VERTICES["share"], TRIED_VERTICES["least"], TRIED_VERTICES["most"])
-    )
+    budget = BUDGET_ON_MESHES.of(len(connected))
     if len(connected) <= _WHOLE_SURFACE * budget:
         return TrialSamples(connected, np.ones(len(connected), bool))
-    ranked = _ranked(colours, around, edges, connected) if budget == TRIED_VERTICES["least"] else None
+    ranked = _ranked(colours, around, edges, connected) if budget == BUDGET_ON_MESHES.least else None
     of_patch = 3 * (_SCORED_RINGS + _RIM_RINGS) ** 2  # each ring has six samples more than the last
     count = max(1, budget // of_patch)
     for _ in range(_MAX_EXTENSIONS):
@@ -96,3 +94,17 @@ def _detail_around(colours: Float32s, edges: Int32s) -> Float64s:
     for _ in range(_RINGS_OF_DETAIL):
         detail = (detail + sums_around(detail, edges)) / size
     return detail[:, 0]
+
+
+def draw_perturbations(
+    graph: Graph, noise: NoiseModel, colours: Float32s, around: NDArray[np.uint64], count: int
+) -> Float32s:
+    """Draw random stacks like the noise, from nearby colours: independent signs, or correlated noise."""
+    if noise.is_independent:
+        return random_signs(colours, around, count)
+    covariances = noise.covariances
+    levels = list(islice(levels_of(graph), len(covariances) + 1))
+    signs = np.split(random_signs(colours, around, count * len(levels)), count)
+    drawn = np.stack([draw_on_clusters(covariances, levels, of_levels) for of_levels in signs])
+    drawn /= np.float32(noise.rms_sigma)
+    return drawn

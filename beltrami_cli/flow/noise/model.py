@@ -107,6 +107,11 @@ class NoiseModel:
         return sigma_of_covariances(self.covariances)
 
     @property
+    def rms_sigma(self) -> float:
+        """Standard deviation of all channels together."""
+        return float(np.sqrt(np.mean(np.square(self.sigma))))
+
+    @property
     def largest_sigma(self) -> Float64s:
         """Upper bound of sigma by channel with a certainty of 95 %, shape (N,)."""
         if self.reading is None or not self.overall:
