@@ -23,7 +23,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s
 from beltrami_cli.flow.manifolds.blocks import block_rows, in_blocks
-from beltrami_cli.flow.manifolds.domain import Domain
+from beltrami_cli.flow.manifolds.domain import Regions
 from beltrami_cli.flow.noise.stabiliser import COLOURS
 from beltrami_cli.flow.parameters import Space
 from beltrami_cli.surface.colour_values import from_space, to_space
@@ -68,7 +68,7 @@ class MeanLight:
         manifold.geometry.refresh(manifold.colours)
 
 
-def _give_back(regions: Domain, before: Float32s, after: Float32s, threads: int) -> None:
+def _give_back(regions: Regions, before: Float32s, after: Float32s, threads: int) -> None:
     smoothed = after.copy()
     for band in _bands(smoothed):
 

@@ -6,11 +6,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import ClassVar, Protocol
 
+import numpy as np
+
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Indices, Uint8s
 from beltrami_cli.flow.manifolds.blocks import block_rows, in_parallel
 from beltrami_cli.flow.manifolds.kernel_work import KernelWork
 from beltrami_cli.flow.mixing import Mixing
 from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.surface import large_arrays
 
 Stack = Float32s
 
@@ -28,9 +31,15 @@ class Samples(ABC):
     axis: ClassVar[int]
     """The axis of the channels in a stack."""
 
+    @property
     @abstractmethod
+    def shape(self) -> tuple[int, ...]:
+        """The shape of one plane."""
+
     def planes(self, count: int) -> Float32s:
-        """Zeros, along the first axis."""
+        """Return planes of zeros."""
+        planes: Float32s = large_arrays.zeros((count, *self.shape), np.float32)
+        return planes
 
 
 class Domain(Samples):
@@ -42,9 +51,6 @@ class Domain(Samples):
     noise: float
     """Variance of the noise, relative to that of the averaged samples."""
 
-    side: int
-    """Number of rows of averaged samples in a row of means."""
-
     @abstractmethod
     def total(self, planes: Float32s) -> Float64s:
         """Sum planes over the samples that have a kernel."""
@@ -53,12 +59,23 @@ class Domain(Samples):
     def spread(self, planes: Float32s) -> Float32s:
         """Average planes over the surface, nearly by a Gaussian of standard deviation `width`."""
 
+
+class Regions(Domain):
+    """Samples, or means of squares of them, over which scalars of all samples are gathered, and enlarged again."""
+
+    side: int
+    """Number of rows of samples in a row of means."""
+
+    @abstractmethod
     def means_of_rows(self, planes: Float32s, rows: slice) -> tuple[slice, Float32s]:
         """Average planes of some rows, in whole multiples of `side`; return the rows of the means, and the means."""
-        return rows, planes
+
+    @abstractmethod
+    def enlarged(self, planes: Float32s, rows: slice) -> Float32s:
+        """Interpolate planes of means at some rows of samples."""
 
     def gathered(self, count: int, terms: Callable[[slice], Float32s], like: Array, threads: int) -> Float32s:
-        """Compute `count` terms row by row, and average them to the domain; `like`: a stack of all samples."""
+        """Compute `count` terms row by row, and average them to regions; `like`: a stack of all samples."""
         planes = self.planes(count)
 
         def gather(rows: slice) -> None:
@@ -67,10 +84,6 @@ class Domain(Samples):
 
         in_parallel(gather, threads, ((rows,) for rows in block_rows(like, self.side)))
         return planes
-
-    def enlarged(self, planes: Float32s, rows: slice) -> Float32s:
-        """Interpolate planes of means at some rows of samples."""
-        return planes[:, rows]
 
 
 class Gaussian(Protocol):

@@ -69,6 +69,10 @@ class GridGeometry(Geometry):
         return self.atlas.kind.size
 
     @property
+    def shape(self) -> tuple[int, ...]:
+        return self.atlas.kind.shape
+
+    @property
     def kernels(self) -> int:
         return int(np.count_nonzero(self.atlas.kind == OWNED))
 
@@ -118,10 +122,6 @@ class GridGeometry(Geometry):
 
     def refresh(self, stack: Stack) -> None:
         refresh_halo(stack, self.atlas)
-
-    def planes(self, count: int) -> Float32s:
-        planes: Float32s = large_arrays.zeros((count, *self.atlas.kind.shape), np.float32)
-        return planes
 
 
 def pick(planes: Array, samples: Cells) -> Array:

@@ -21,7 +21,7 @@ from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Uint8s
 from beltrami_cli.flow.chunks import Chunking, Figures
 from beltrami_cli.flow.cuts import Rectangle, chunks_of_canvas, grown
 from beltrami_cli.flow.manifolds.canvas import canvas_margin
-from beltrami_cli.flow.manifolds.domain import CoarseLevel, Stack
+from beltrami_cli.flow.manifolds.domain import CoarseLevel, Regions, Stack
 from beltrami_cli.flow.manifolds.grid_gaussian import gaussian_taps
 from beltrami_cli.flow.mixing import Mixing
 from beltrami_cli.flow.noise.drawing import draw_white
@@ -102,7 +102,7 @@ def _write_estimates(
 
 
 @dataclass(eq=False)
-class Squares(CoarseLevel):
+class Squares(CoarseLevel, Regions):
     """Means over squares of cells of a canvas: of the owned cells in each, else of its halo cells."""
 
     axis: ClassVar[int] = 0
@@ -175,9 +175,9 @@ class Squares(CoarseLevel):
                 plane[rows] += self.enlarged(change, rows)[0]
         refresh_halo(stack, self.atlas)
 
-    def planes(self, count: int) -> Float32s:
-        planes: Float32s = large_arrays.zeros((count, *self.kinds.shape), np.float32)
-        return planes
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return self.kinds.shape
 
     def total(self, planes: Float32s) -> Float64s:
         return np.asarray(

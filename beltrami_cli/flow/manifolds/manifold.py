@@ -20,7 +20,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunk, Chunking, Figures, Resources
-from beltrami_cli.flow.manifolds.domain import CoarseLevel, Domain, Gaussian, Geometry, Stack
+from beltrami_cli.flow.manifolds.domain import CoarseLevel, Gaussian, Geometry, Regions, Stack
 from beltrami_cli.flow.manifolds.guides import GuideStack
 from beltrami_cli.flow.manifolds.iteration import Averaged, Metric, SampledKernel, Step
 from beltrami_cli.flow.manifolds.moving_positions import MovingPositions
@@ -190,7 +190,7 @@ class Manifold(ABC):
 
     @property
     @abstractmethod
-    def regions(self) -> Domain:
+    def regions(self) -> Regions:
         """The samples or means over which regions of the surface are averaged."""
 
     @abstractmethod

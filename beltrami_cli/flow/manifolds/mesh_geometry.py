@@ -13,7 +13,7 @@ import numpy as np
 from beltrami_cli._native import SegmentManifold, TriangulatedManifold, vertex_order
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Indices, Int32s, Uint8s
 from beltrami_cli.flow.chunks import Resources
-from beltrami_cli.flow.manifolds.domain import ENOUGH_STEPS, Domain, Geometry, Stack
+from beltrami_cli.flow.manifolds.domain import ENOUGH_STEPS, Geometry, Regions, Stack
 from beltrami_cli.flow.manifolds.fingerprints import fingerprints, quantised
 from beltrami_cli.flow.manifolds.iteration import Metric
 from beltrami_cli.flow.manifolds.kernel_work import MeshWork
@@ -46,7 +46,7 @@ class MeshMetric(Metric):
 
 
 @dataclass(kw_only=True, eq=False)
-class MeshGeometry(Geometry, Domain):
+class MeshGeometry(Geometry, Regions):
     """Vertices, triangles and edges; stacks have one row per vertex."""
 
     axis: ClassVar[int] = 1
@@ -89,6 +89,10 @@ class MeshGeometry(Geometry, Domain):
     @property
     def size(self) -> int:
         return len(self.positions)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return (self.size,)
 
     @property
     def kernels(self) -> int:
@@ -175,8 +179,11 @@ class MeshGeometry(Geometry, Domain):
     def gaussian(self, scale: float) -> MeshGaussian:
         return MeshGaussian.of(self.size, self.edges, self.lengths, scale, self.gain, self.threads)
 
-    def planes(self, count: int) -> Float32s:
-        return large_arrays.zeros((count, self.size), np.float32)
+    def means_of_rows(self, planes: Float32s, rows: slice) -> tuple[slice, Float32s]:
+        return rows, planes  # each sample is its own mean
+
+    def enlarged(self, planes: Float32s, rows: slice) -> Float32s:
+        return planes[:, rows]
 
     def total(self, planes: Float32s) -> Float64s:
         return np.asarray(planes.sum(axis=1, dtype=np.float64))

@@ -217,10 +217,8 @@ class MeshManifold(Manifold):
 
     def distances_at(self, step: Step) -> Callable[[int], tuple[Int32s, Float32s]]:
         """Return a function from a sample to the samples in its kernel, nearest first, and their distances."""
-        parameters, core = (
-            at_step(self.parameters, step),
-            self.core_with(self._whole.measure(self.colours, step)),
-        )
+        parameters = at_step(self.parameters, step)
+        core = self.core_with(self._whole.measure(self.colours, step))
         return lambda source: core.distances(source, parameters.radius, parameters.max_samples)
 
     def collaborate(
@@ -233,10 +231,8 @@ class MeshManifold(Manifold):
 
     def perturbation(self) -> Droppable[Array]:
         """Draw random signs that depend only on nearby colours."""
-        graph = self.graph
-        return Droppable(
-            draw_perturbations(graph, self.noise, quantised(self.colours), graph.priorities, 1)[0]
-        )
+        graph, colours = self.graph, quantised(self.colours)
+        return Droppable(draw_perturbations(graph, self.noise, colours, graph.priorities, 1)[0])
 
     def levels(self, most: int) -> list[Clusters]:
         return clusters_for(self.graph, most, self.noise.relative)

@@ -85,7 +85,7 @@ class Clusters(CoarseLevel):
     """Means of clusters of samples, as a stack with one row per cluster."""
 
     axis: ClassVar[int] = 1
-    width, side = 3.0, 1
+    width = 3.0
 
     def __init__(self, samples: Graph, level: Level, relative: Float32s) -> None:
         self._samples, self._level, self._graph = samples, level, level.graph
@@ -114,8 +114,9 @@ class Clusters(CoarseLevel):
             rows[block] = changes[self._level.members[block]]
         stack += self._samples.smoothed(rows, variance)
 
-    def planes(self, count: int) -> Float32s:
-        return np.zeros((count, self._graph.size), np.float32)
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return (self._graph.size,)
 
     def total(self, planes: Float32s) -> Float64s:
         return np.asarray(np.sum(planes * self._counts, axis=1, dtype=np.float64))
