@@ -16,7 +16,7 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.formats.registry import open_bytes
 from beltrami_cli.formats.volume import read_colours, read_volume
-from beltrami_cli.formats.volume.nrrd import require_package
+from beltrami_cli.formats.volume.extra import require_package
 from beltrami_cli.layers.settings import Inside, LevelSetSettings
 from beltrami_cli.surface import level_sets
 from beltrami_cli.surface.precision import require_single

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,35 +25,37 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.surface.precision import require_single
 from beltrami_cli.surface.records import MeshContents
 
+Key = TypeVar("Key")  # by which a document finds a table of its points: a name, or numbers of columns
+
 
 @dataclass(frozen=True)
-class Tables:
-    """The names of the tables of a point cloud by their meaning, and the shape of its points."""
+class Layout(Generic[Key]):
+    """The tables of a point cloud by their meaning, and the shape of its points."""
 
-    positions: str
-    colours: str
-    normals: str | None
-    others: tuple[str, ...]  # with a row for each point
+    positions: Key
+    colours: Key
+    normals: Key | None
+    others: Mapping[str, Key]  # by name, with a row for each point
     shape: tuple[int, ...]  # of the cloud, with or without a position
     channels: int  # of the colours, without opacity
     has_alpha: bool = False
     is_intensity: bool = False
-    faces: str | None = None  # table of faces, if it is a mesh
+    faces: Key | None = None  # if it is a mesh
 
     @property
     def count(self) -> int:
         return math.prod(self.shape)
 
 
-class PointsDocument(Document):
-    """Points with colours or intensities; subclasses define the tables and read them."""
+class PointsDocument(Document, Generic[Key]):
+    """Points with colours or intensities; subclasses find the tables and read them."""
 
     @property
     @abstractmethod
-    def _tables(self) -> Tables: ...
+    def _layout(self) -> Layout[Key]: ...
 
     @abstractmethod
-    def _rows(self, table: str) -> Array:
+    def _rows(self, table: Key) -> Array:
         """Return a table of all points, shape (points, columns)."""
 
     @abstractmethod
@@ -70,32 +74,33 @@ class PointsDocument(Document):
 
     @property
     def _channels(self) -> tuple[str, ...]:
-        if self._tables.channels == 3:
+        if self._layout.channels == 3:
             return super()._channels
-        return ("intensity",) if self._tables.is_intensity else ("grey",)
+        return ("intensity",) if self._layout.is_intensity else ("grey",)
 
     def grid(self) -> Int64s | None:
-        tables = self._tables
-        if len(tables.shape) != 2 or min(tables.shape) < 2 or tables.faces:
+        layout = self._layout
+        if len(layout.shape) != 2 or min(layout.shape) < 2 or layout.faces:
             return None
-        places = np.full(tables.count, -1, np.int64)
+        places = np.full(layout.count, -1, np.int64)
         places[self._measured] = np.arange(len(self._measured))
-        return places.reshape(tables.shape)
+        return places.reshape(layout.shape)
 
     def attributes(self) -> tuple[str, ...]:
-        return (*(["normal"] if self._tables.normals else []), *self._tables.others)
+        return (*(["normal"] if self._layout.normals else []), *self._layout.others)
 
     def _attribute(self, name: str) -> Float64s:
-        table = self._tables.normals if name == "normal" and self._tables.normals else name
+        normals = self._layout.normals if name == "normal" else None
+        table = self._layout.others[name] if normals is None else normals
         return np.ascontiguousarray(self._rows(table)[self._measured], np.float64)
 
     def contents(self) -> MeshContents:
-        tables, dropped = self._tables, self._dropped()
-        if len(self._measured) < tables.count:
+        layout, dropped = self._layout, self._dropped()
+        if len(self._measured) < layout.count:
             dropped.append("points without a finite position")
-        alpha = opacity(self._stored[self._measured, -1], self._scale) if tables.has_alpha else None
+        alpha = opacity(self._stored[self._measured, -1], self._scale) if layout.has_alpha else None
         normals = None
-        if tables.normals:
+        if layout.normals:
             stored = self.attribute("normal")
             require_single(stored, self.name, "the normal of point", self._measured, holes=True)
             normals = stored.astype(np.float32)
@@ -112,14 +117,14 @@ class PointsDocument(Document):
 
     @cached_property
     def _positions(self) -> Float64s:
-        return np.ascontiguousarray(self._rows(self._tables.positions), np.float64)
+        return np.ascontiguousarray(self._rows(self._layout.positions), np.float64)
 
     @cached_property
     def _measured(self) -> NDArray[np.intp]:
         """Rows of the points with a finite position; scanners write NaN where nothing was measured."""
         finite = np.asarray(np.isfinite(self._positions).all(axis=1))
         count = int(np.count_nonzero(~finite))
-        if count and (not finite.any() or self._tables.faces):
+        if count and (not finite.any() or self._layout.faces):
             cause = f"{count} of {len(finite)} positions are not finite"
             raise InputError(self.name, cause, "replace or remove them")
         if count:
@@ -133,18 +138,18 @@ class PointsDocument(Document):
     @cached_property
     def _stored(self) -> Array:
         """Colours as stored, with opacity, shape (points, C) or (points, C + 1)."""
-        return self._rows(self._tables.colours)
+        return self._rows(self._layout.colours)
 
     @cached_property
     def _numbers(self) -> Float64s:
-        numbers = self._stored[self._measured, : self._tables.channels].astype(np.float64)
+        numbers = self._stored[self._measured, : self._layout.channels].astype(np.float64)
         require_single(numbers, self.name, "the colour of point", self._measured)
         return numbers
 
     @cached_property
     def _scale(self) -> float:
         numbers, kind = self._numbers, self._stored.dtype
-        if self._tables.is_intensity:
+        if self._layout.is_intensity:
             scale, notice = intensity_scale(numbers)
         elif kind in (np.uint8, np.uint16):
             scale, notice = integer_scale(int(self._stored.max()), kind)  # of opacity, too

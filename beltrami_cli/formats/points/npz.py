@@ -34,7 +34,7 @@ from beltrami_cli.formats.colours import display_colours, quantised
 from beltrami_cli.formats.comparison import Fingerprint
 from beltrami_cli.formats.mesh_contents import not_converted
 from beltrami_cli.formats.numpy_files import POSITION_KEYS, NpzArchive
-from beltrami_cli.formats.points.cloud import PointsDocument, Tables
+from beltrami_cli.formats.points.cloud import Layout, PointsDocument
 from beltrami_cli.surface.polygons import triangulate
 from beltrami_cli.surface.precision import shortest_type
 from beltrami_cli.surface.records import MeshContents
@@ -49,7 +49,7 @@ _COPIES = 3  # of each array at a time: as stored, as doubles, and in working un
 _NAMES = "save them as positions and colours"
 
 
-class NpzPointsDocument(PointsDocument):
+class NpzPointsDocument(PointsDocument[str]):
     """An archive of positions and colours; InputError if it is not an archive of arrays."""
 
     format: ClassVar[str] = "npz"
@@ -58,7 +58,7 @@ class NpzPointsDocument(PointsDocument):
         self._archive = NpzArchive(self.data, self.name)
 
     def _patched(self, new: Changes, naming: Naming) -> Written:
-        stored, key = self._recoloured(new.colours), self._tables.colours
+        stored, key = self._recoloured(new.colours), self._layout.colours
         if stored is None:
             return Written([self.data])
         return Written([self._archive.with_array(key, stored.reshape(self._archive.header(key).shape))])
@@ -68,8 +68,8 @@ class NpzPointsDocument(PointsDocument):
         if not self.has_vertex_colours():
             return Fingerprint(parts)
         numbers = self._stored.copy()
-        numbers[self._measured, : self._tables.channels] = 0
-        key = self._tables.colours
+        numbers[self._measured, : self._layout.channels] = 0
+        key = self._layout.colours
         header = self._archive.header(key)
         parts[f"member {key}.npy"] = header.with_numbers(
             parts[f"member {key}.npy"], numbers.reshape(header.shape)
@@ -79,35 +79,35 @@ class NpzPointsDocument(PointsDocument):
     def facts(self) -> dict[str, object]:
         return {
             "format": self.format,
-            "points": self._tables.count,
-            "organised": list(self._tables.shape),
+            "points": self._layout.count,
+            "organised": list(self._layout.shape),
             "arrays": list(self._archive.names),
         }
 
     @cached_property
-    def _tables(self) -> Tables:
-        tables = _find_tables(self._archive)
-        if not tables.count:
+    def _layout(self) -> Layout[str]:
+        layout = _find_layout(self._archive)
+        if not layout.count:
             raise InputError(self.name, "there are no points", "nothing in it can be smoothed")
-        keys = (tables.positions, tables.colours, *([tables.faces] if tables.faces else []))
+        keys = (layout.positions, layout.colours, *([layout.faces] if layout.faces else []))
         if self.access.memory is not None:
             needed = sum(_COPIES * self._archive.header(key).count * 8 for key in keys)
             if needed > self.access.memory:
                 raise MemoryLimitError(self.name, "its arrays do not fit into memory", "raise --max-memory")
-        self._archive.require_ratio(tables.positions)
-        return tables
+        self._archive.require_ratio(layout.positions)
+        return layout
 
     def _rows(self, table: str) -> Array:
-        return self._archive.array(table).reshape(self._tables.count, -1)
+        return self._archive.array(table).reshape(self._layout.count, -1)
 
     def _dropped(self) -> list[str]:
-        tables = self._tables
-        used = {tables.positions, tables.colours, tables.normals, tables.faces}
+        layout = self._layout
+        used = {layout.positions, layout.colours, layout.normals, layout.faces}
         return [f"the array {name}" for name in self._archive.names if name not in used]
 
     @cached_property
     def _faces(self) -> Int32s:
-        key, count = self._tables.faces, self._tables.count
+        key, count = self._layout.faces, self._layout.count
         if key is None:
             return super()._faces
         shape = self._archive.header(key).shape
@@ -120,7 +120,7 @@ class NpzPointsDocument(PointsDocument):
         return np.ascontiguousarray(faces, np.int32)
 
 
-def _find_tables(archive: NpzArchive) -> Tables:
+def _find_layout(archive: NpzArchive) -> Layout[str]:
     """Find the meaning of arrays by names and shapes; InputError if they do not fit together."""
     positions = _required(archive, POSITION_KEYS, "positions")
     colours = _required(archive, (*_COLOUR_KEYS, *_INTENSITY_KEYS), "colours")
@@ -136,11 +136,11 @@ def _find_tables(archive: NpzArchive) -> Tables:
     if normals is not None and archive.header(normals).shape != shape:
         normals = None
     used = {positions, colours, normals, faces}
-    along = [key for key in archive.names if key not in used and _goes_along(archive, key, points)]
+    along = {key: key for key in archive.names if key not in used and _goes_along(archive, key, points)}
     channels = math.prod(wide)
     has_alpha = channels in (2, 4)
-    return Tables(
-        positions, colours, normals, tuple(along), points, channels - has_alpha, has_alpha,
+    return Layout(
+        positions, colours, normals, along, points, channels - has_alpha, has_alpha,
         is_intensity=colours in _INTENSITY_KEYS, faces=faces,
     )  # fmt: skip
 

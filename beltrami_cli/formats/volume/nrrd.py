@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import bz2
-import importlib
 import io
 import math
 import warnings
@@ -14,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float64s
-from beltrami_cli.errors import InputError, MemoryLimitError, install_hint
+from beltrami_cli.errors import InputError, MemoryLimitError
 from beltrami_cli.formats.model_folder import ModelFolder
+from beltrami_cli.formats.volume.extra import require_package
 from beltrami_cli.formats.volume.lattice import MAX_CHANNELS, MIN_SIDE, checked_lattice
 from beltrami_cli.surface.level_sets import GridColours, Lattice, Volume
 
@@ -203,12 +203,3 @@ def _numbers_along(values: Any, axes: Sequence[int]) -> Float64s:
     if values is None or len(values) <= max(axes):
         return np.full(3, np.nan)
     return np.array([float(values[axis]) for axis in axes])
-
-
-def require_package(module: str, package: str, name: str, purpose: str) -> Any:
-    """Import a module of the extra for volumes; InputError that names the extra if it is not installed."""
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        cause = f"{purpose}, the package {package} is needed"
-        raise InputError(name, cause, install_hint("beltrami-cli[volumes]")) from error
