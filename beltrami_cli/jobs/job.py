@@ -38,8 +38,6 @@ class Job:
         Only for callers that do more with the document: called with it before anything is computed; may raise.
     chunking : Chunking, optional
         Only for batches: into how many chunks surfaces are cut, and who works on them.
-    chunk_memory : int, optional
-        Bytes that a chunk of a mesh may take; larger meshes are cut. Set from the memory of `access`.
     """
 
     access: Access = DEFAULT_ACCESS
@@ -50,7 +48,6 @@ class Job:
     files: FileSet | None = None
     check: Callable[[Document], None] | None = None
     chunking: Chunking | None = None
-    chunk_memory: int | None = None
 
     def check_document(self, document: Document) -> None:
         if self.check is not None:

@@ -9,9 +9,11 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain
 from typing import ClassVar, Generic, TypeVar
 
+from beltrami_cli.flow.chunks import Resources
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.output_format import OutputFormat
 from beltrami_cli.jobs.file_job import FileReport, begin
@@ -88,9 +90,8 @@ def recolour(
     place = None if file.output is None else target
     with selection.within_memory(place, in_files=colour_filter.works_in_files) as chunk_memory:
         with watch.stage("smooth"):
-            results = apply_filter(
-                selection, colour_filter, replace(file.job, chunk_memory=chunk_memory), kind.suffix
-            )
+            resources = Resources(job.chunking, chunk_memory)
+            results = apply_filter(selection, colour_filter, file.job, resources, kind.suffix)
             colour_filter.check_results(source, results)
         with watch.stage("write"):
             new = [each.stored for each in results]
@@ -111,12 +112,16 @@ def recolour_in_memory(
         selection = select(document, settings)
     notices = colour_filter.check(selection, OutputFormat(document.format, is_patched=True))
     with selection.within_memory(in_files=colour_filter.works_in_files) as chunk_memory:
-        results = apply_filter(selection, colour_filter, replace(job, chunk_memory=chunk_memory))
+        results = apply_filter(selection, colour_filter, job, Resources(job.chunking, chunk_memory))
     return with_new_colours(document, [each.stored for each in results]), results, notices
 
 
 def apply_filter(
-    selection: Selection, colour_filter: ColourFilter[AnyResult], job: Job, suffix: str | None = None
+    selection: Selection,
+    colour_filter: ColourFilter[AnyResult],
+    job: Job,
+    resources: Resources,
+    suffix: str | None = None,
 ) -> list[AnyResult]:
     """Recolour the selected parts, layer by layer; `suffix`: of the image format of the output, if it differs."""
     results = []
@@ -125,7 +130,8 @@ def apply_filter(
     job.expect([*chain(*phases), *phases_of(["writing"], sum(counts))])
     job.begin("laying out")
     options = {"colours_only": colour_filter.colours_only, "in_groups": colour_filter.works_in_groups}
-    for layer in selection.layers(suffix, **options):
+    with_resources = partial(replace, resources=resources)
+    for layer in map(with_resources, selection.layers(suffix, **options)):
         layer.require_writable()
         results.append(colour_filter.apply(layer, job))
         job.begin("laying out" if len(results) < len(counts) else "writing")

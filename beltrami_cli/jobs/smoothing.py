@@ -11,7 +11,7 @@ from typing import ClassVar
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import smooth_in_place
 from beltrami_cli.flow.choice.choice import Choice
-from beltrami_cli.flow.chunks import IN_ONE_PIECE, Resources
+from beltrami_cli.flow.chunks import IN_ONE_PIECE
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.plan import should_stay
 from beltrami_cli.formats.output_format import OutputFormat
@@ -38,15 +38,16 @@ class Smoothed(FilterResult):
 
 
 def smooth_layer(
-    layer: Layer, progress: Callable[[int, int], None] | None = None,
-    tick: Callable[[], None] | None = None, resources: Resources = IN_ONE_PIECE,
-) -> Smoothed:  # fmt: skip
+    layer: Layer,
+    progress: Callable[[int, int], None] | None = None,
+    tick: Callable[[], None] | None = None,
+) -> Smoothed:
     """Choose parameters, calling `tick`, run the flow on a layer, and put the colours back.
 
     If all was chosen from the data, and the kernel is estimated to make the colours worse, they stay.
     """
     layer = layer.normalised()
-    plan = layer.plan(tick, resources)
+    plan = layer.plan(tick)
     result = smooth_in_place(plan, progress)
     report, new = layer.report(plan, result), result.manifold.new_colours()
     warnings = report.warnings(plan.parameters.max_samples)
@@ -79,8 +80,7 @@ def smooth_in_job(layer: Layer, job: Job, label: str) -> Smoothed:
 
     tick()
     smoothing = job.progress_of(Label(f"{label}: smoothing", "smoothing"))
-    resources = Resources(job.chunking, job.chunk_memory)
-    return smooth_layer(layer, smoothing, tick, resources)
+    return smooth_layer(layer, smoothing, tick)
 
 
 @dataclass(frozen=True)
@@ -125,4 +125,7 @@ class Smoothing(ColourFilter[Smoothed]):
     def apply(self, layer: Layer, job: Job) -> Smoothed:
         if self.levelling is not None:
             layer = layer.levelled(self.levelling)
-        return smooth_in_job(layer, job, layer.label) if self._has_iterations else smooth_layer(layer)
+        if self._has_iterations:
+            return smooth_in_job(layer, job, layer.label)
+        # Only iterations are done in chunks.
+        return smooth_layer(dataclasses.replace(layer, resources=IN_ONE_PIECE))

@@ -8,6 +8,7 @@ import numpy as np
 
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.fields import require_effect
+from beltrami_cli.flow.chunks import Resources
 from beltrami_cli.formats.image.sizes import measure_image
 from beltrami_cli.formats.output_format import write_mesh
 from beltrami_cli.jobs.file_job import FileJob, begin
@@ -108,7 +109,9 @@ def _new_texture(
             settings, textures=dataclasses.replace(textures, image_suffix=".tif", small=False)
         )
         with file.watch.stage("smooth"):
-            smoothed = apply_filter(dataclasses.replace(selection, settings=exact), Smoothing(exact), job)
+            smoothed = apply_filter(
+                dataclasses.replace(selection, settings=exact), Smoothing(exact), job, Resources(job.chunking)
+            )
     with file.watch.stage("unwrap"):
         if selection.vertices:
             colours = smoothed[0].stored.colours if smoothed else None
@@ -122,6 +125,7 @@ def _new_texture(
         return new, image, smoothed
     with file.watch.stage("smooth"):
         layer = TextureLayer.read(new.surface(), "baseColor", settings)
+        layer = dataclasses.replace(layer, resources=Resources(job.chunking))
         layer.require_writable()
         again = smooth_in_job(layer, job, "the new texture")
     (image,) = again.stored.images.values()

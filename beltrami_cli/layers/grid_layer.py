@@ -11,7 +11,6 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Indices
 from beltrami_cli.flow.beltrami_flow import FlowResult
-from beltrami_cli.flow.chunks import IN_ONE_PIECE, Resources
 from beltrami_cli.flow.decoding import plan_on_canvas
 from beltrami_cli.flow.manifolds.grid_manifold import GridManifold
 from beltrami_cli.flow.plan import Plan
@@ -41,9 +40,7 @@ class GridLayer(VertexLayer):
         """The vertices of the samples, shape (S,)."""
         return self.grid[self._valid]
 
-    def plan(
-        self, tick: Callable[[], None] | None = None, resources: Resources = IN_ONE_PIECE
-    ) -> Plan[GridManifold]:
+    def plan(self, tick: Callable[[], None] | None = None) -> Plan[GridManifold]:
         space, surface, vertex_at = self.settings.space, self.surface, self.grid.reshape(-1)
         if surface is None:
             positions = self._by_pixel(self.vertices.positions).reshape(*self.grid.shape, -1)
@@ -55,7 +52,7 @@ class GridLayer(VertexLayer):
             guides=[dataclasses.replace(each, values=self._by_pixel(each.values)) for each in self.guides],
             deviations=None if self.deviations is None else self._by_pixel(self.deviations),
         )  # fmt: skip
-        return plan_on_canvas(dataclasses.replace(canvas, resources=resources), tick=tick)
+        return plan_on_canvas(dataclasses.replace(canvas, resources=self.resources), tick=tick)
 
     def _by_pixel(self, values: Array) -> Array:
         """Return rows of vertices as rows of pixels; zeros at holes."""

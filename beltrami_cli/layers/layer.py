@@ -52,6 +52,7 @@ class Layer(ABC):
     level_report: LevelReport | None = None  # None: exposure steps were not searched for
     levelled_colours: Float32s | None = None  # (S, N): colours of the samples without exposure steps
     is_normalised: bool = False  # whether plans can be made of it
+    resources: Resources = IN_ONE_PIECE  # of its smoothing
 
     @property
     @abstractmethod
@@ -106,7 +107,7 @@ class Layer(ABC):
         return None if self.noise is None else self.noise / np.float32(self.unit)
 
     @abstractmethod
-    def plan(self, tick: Callable[[], None] | None = None, resources: Resources = IN_ONE_PIECE) -> Plan[Any]:
+    def plan(self, tick: Callable[[], None] | None = None) -> Plan[Any]:
         """Plan the smoothing; `tick` is called meanwhile, and may raise to stop."""
 
     @abstractmethod

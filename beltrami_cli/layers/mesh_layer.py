@@ -13,7 +13,6 @@ import numpy as np
 from beltrami_cli.arrays import Float32s, Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import FlowResult
-from beltrami_cli.flow.chunks import IN_ONE_PIECE, Resources
 from beltrami_cli.flow.estimation import estimate_on_mesh
 from beltrami_cli.flow.manifolds.guides import Guide
 from beltrami_cli.flow.manifolds.mesh_manifold import (
@@ -88,9 +87,7 @@ class MeshLayer(VertexLayer):
         levelled = self.levelled_colours
         return surface if levelled is None else dataclasses.replace(surface, colours=levelled)
 
-    def plan(
-        self, tick: Callable[[], None] | None = None, resources: Resources = IN_ONE_PIECE
-    ) -> Plan[MeshManifold]:
+    def plan(self, tick: Callable[[], None] | None = None) -> Plan[MeshManifold]:
         embedding, sampling, geometry = self.settings.embedding, self.sampling, None
         if embedding.smooth_geometry:
             geometry = GeometryParameters(sampling.place_of, embedding.normal_beta)
@@ -98,7 +95,7 @@ class MeshLayer(VertexLayer):
             self.surface(), self.kernel, metric_channels=self.channels.metric, geometry=geometry,
             guides=[Guide(guide.name, sampling.means(guide.values), guide.beta) for guide in self.guides],
             deviations=None if self.deviations is None else sampling.means(self.deviations), is_light=self._is_light,
-            resources=resources,
+            resources=self.resources,
         )  # fmt: skip
         return choose_parameters(mesh_manifold(mesh, estimate_on_mesh(mesh)), tick, can_stay=True)
 

@@ -11,7 +11,6 @@ from typing import Self
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Indices
-from beltrami_cli.flow.chunks import IN_ONE_PIECE, Resources
 from beltrami_cli.flow.corrections.coded_picture import CodedPicture
 from beltrami_cli.flow.decoding import decodes_again, plan_on_canvas
 from beltrami_cli.flow.manifolds.grid_manifold import ColouredCanvas, GridManifold
@@ -67,10 +66,8 @@ class PixelLayer(Layer):
     def canvas(self) -> ColouredCanvas:
         """Return the canvas of the samples, with parameters in its unit of length."""
 
-    def plan(
-        self, tick: Callable[[], None] | None = None, resources: Resources = IN_ONE_PIECE
-    ) -> Plan[GridManifold]:
-        canvas = dataclasses.replace(self.canvas(), resources=resources)
+    def plan(self, tick: Callable[[], None] | None = None) -> Plan[GridManifold]:
+        canvas = dataclasses.replace(self.canvas(), resources=self.resources)
         is_coded = self.colours.is_stored and decodes_again(canvas.parameters)
         return plan_on_canvas(canvas, self._coded_images(canvas.atlas) if is_coded else (), tick)
 
