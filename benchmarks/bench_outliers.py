@@ -13,8 +13,8 @@ import numpy as np
 from beltrami_cli.flow.corrections import outliers
 from beltrami_cli.flow.manifolds.surroundings import CanvasSurroundings
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.formats.image.decoded_image import full_scale_one
 from beltrami_cli.formats.image.reading import read_image
+from beltrami_cli.formats.image.sample_types import full_scale_one
 from beltrami_cli.surface.grid_atlas import grid_atlas
 from harness import arguments, show
 

@@ -14,8 +14,9 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt, uniform_filter
 
 from beltrami_cli.errors import BeltramiError
-from beltrami_cli.formats.image.decoded_image import full_scale_one, new_image
+from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.image.reading import read_texture
+from beltrami_cli.formats.image.sample_types import full_scale_one
 from beltrami_cli.formats.image.writing import write_image
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.job import Job

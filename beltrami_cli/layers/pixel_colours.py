@@ -13,12 +13,12 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.parameters import Space
 from beltrami_cli.formats.image.decoded_image import (
     DecodedImage,
-    full_scale_one,
     is_associated,
     require_colours,
     supplies_colour,
     without_alpha,
 )
+from beltrami_cli.formats.image.sample_types import full_scale_one
 from beltrami_cli.layers.channels import COLOURS, ChosenChannels, choose_channels, further_channels
 from beltrami_cli.layers.settings import COLOUR_SLOTS, SmoothSettings
 from beltrami_cli.layers.units import unit_of_images

@@ -18,8 +18,9 @@ from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.parameters import Space
 from beltrami_cli.flow.plan import Plan
 from beltrami_cli.formats.image.conversion import upright
-from beltrami_cli.formats.image.decoded_image import DecodedImage, full_scale_one
+from beltrami_cli.formats.image.decoded_image import DecodedImage
 from beltrami_cli.formats.image.jpeg_tables import JpegTables
+from beltrami_cli.formats.image.sample_types import full_scale_one
 from beltrami_cli.formats.image.writing import check_writable, colours_in_file, is_kept
 from beltrami_cli.layers.channels import ChosenChannels
 from beltrami_cli.layers.layer import Layer

@@ -12,8 +12,9 @@ from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import Access, read_source
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image.decoded_image import DecodedImage, full_scale_one
+from beltrami_cli.formats.image.decoded_image import DecodedImage
 from beltrami_cli.formats.image.reading import read_image
+from beltrami_cli.formats.image.sample_types import full_scale_one
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.layers.image_memory import require_memory
 from beltrami_cli.surface.precision import require_single

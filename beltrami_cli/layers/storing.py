@@ -10,7 +10,8 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Indices
 from beltrami_cli.formats.image.conversion import losses
-from beltrami_cli.formats.image.decoded_image import DecodedImage, as_stored, is_unchanged
+from beltrami_cli.formats.image.decoded_image import DecodedImage, is_unchanged
+from beltrami_cli.formats.image.sample_types import as_stored
 from beltrami_cli.formats.image.writing import write_image
 from beltrami_cli.layers.settings import COLOUR_SLOTS, TextureSettings
 from beltrami_cli.surface.colour_values import store_integers

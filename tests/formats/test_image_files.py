@@ -18,8 +18,9 @@ from PIL import Image
 from beltrami_cli import smooth_file
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.image.conversion import losses
-from beltrami_cli.formats.image.decoded_image import full_scale_one, new_image
+from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.image.reading import read_image
+from beltrami_cli.formats.image.sample_types import full_scale_one
 from beltrami_cli.formats.image.sizes import ImageSize, measure_image
 from beltrami_cli.formats.image.writing import check_writable, write_image
 from beltrami_cli.jobs.noise_kinds import jpeg_file

@@ -12,8 +12,8 @@ from beltrami_cli import (
     smooth_image,
 )
 from beltrami_cli.fields import override
-from beltrami_cli.formats.image.decoded_image import full_scale_one
 from beltrami_cli.formats.image.reading import read_image
+from beltrami_cli.formats.image.sample_types import full_scale_one
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.layers.image_surface import ImageSurface
 from formats.image_files import RARER_SUFFIXES, SUFFIXES, encode

@@ -1,4 +1,4 @@
-"""A decoded image, and its samples in other types."""
+"""A decoded image, and its colours without alpha."""
 
 from __future__ import annotations
 
@@ -19,11 +19,10 @@ from beltrami_cli.formats.image.channels import (
     named_colours,
 )
 from beltrami_cli.formats.image.file_formats import suffix_for
+from beltrami_cli.formats.image.sample_types import STORED, TYPES, full_scale_one
 from beltrami_cli.surface.large_arrays import blocks
 from beltrami_cli.surface.records import Encoding
 
-TYPES = {"uint8": "uint8", "uint16": "uint16", "float16": "half", "float32": "float"}  # of OpenImageIO
-STORED = {name: kind for kind, name in TYPES.items()}
 ROWS = 64  # of an image that are looked at together, since copies of the whole are large
 _MIN_OPACITY = 1 / 1024  # that colours are divided by
 _MIN_STEPS = 16  # of opacity, for colours of 4 bits
@@ -167,25 +166,3 @@ def is_unchanged(image: DecodedImage, pixels: Array) -> bool:
     """Whether pixels, shape (H, W, C), are all as in the image."""
     # Some rows at a time: most differ in the first ones, and a whole table of booleans is large.
     return all(np.array_equal(pixels[rows], image.pixels[rows]) for rows in blocks(len(pixels), ROWS))
-
-
-def full_scale_one(pixels: Array) -> Float32s:
-    """Return a copy of pixels in which the largest integer of their type is 1; floats stay as they are."""
-    values = pixels.astype(np.float32)
-    if pixels.dtype.kind != "f":
-        values /= np.float32(np.iinfo(pixels.dtype).max)
-    return values
-
-
-def as_stored(values: Float32s, kind: str) -> Array:
-    """Round values of full scale 1 to a type, clipped to its range; NaN becomes 0 in integers, halves are float32."""
-    if kind == "float32":
-        return values
-    if kind == "float16":
-        largest = np.finfo(np.float16).max
-        return np.clip(values, -largest, largest).astype(np.float16).astype(np.float32)
-    whole = np.clip(values, 0, 1).astype(np.float64)
-    whole *= np.iinfo(kind).max
-    np.rint(whole, out=whole)
-    whole[np.isnan(whole)] = 0
-    return whole.astype(kind)

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.arrays import Float64s
+from beltrami_cli.formats.image.containers.jpeg import START
 
-_START = b"\xff\xd8"
 CODED_TOGETHER = 16  # blocks of all planes begin at rows and columns that are multiples of this
 _RGB = [*b"RGB"]  # identifiers of components that are not luma and chroma
 
@@ -49,7 +49,7 @@ def read_jpeg_tables(data: bytes | memoryview) -> JpegTables | None:
 
 def _header(data: bytes | memoryview) -> Any:
     """Return the header of a JPEG file as Pillow reads it; None if it is none, or damaged."""
-    if data[: len(_START)] != _START:
+    if data[: len(START)] != START:
         return None
     from PIL.JpegImagePlugin import JpegImageFile
 

@@ -12,10 +12,11 @@ import numpy as np
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image.containers import bmp, png, targa, webp
 from beltrami_cli.formats.image.containers.text_headers import has_usual_scale
-from beltrami_cli.formats.image.decoded_image import STORED, DecodedImage, image_from
+from beltrami_cli.formats.image.decoded_image import DecodedImage, image_from
 from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, decoded, measured
 from beltrami_cli.formats.image.file_formats import READABLE, damaged_image, format_of, label_of, plugin_of
 from beltrami_cli.formats.image.opening import error_of, opened, seek_colours
+from beltrami_cli.formats.image.sample_types import STORED
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.records import Texture
 

@@ -14,12 +14,13 @@ from beltrami_cli.errors import InputError, UsageError, install_hint
 from beltrami_cli.formats.image import extra_codecs
 from beltrami_cli.formats.image.containers import bmp, png, tiff, webp
 from beltrami_cli.formats.image.conversion import converted
-from beltrami_cli.formats.image.decoded_image import ROWS, TYPES, DecodedImage, full_scale_one
+from beltrami_cli.formats.image.decoded_image import ROWS, DecodedImage
 from beltrami_cli.formats.image.encoding import LOSSY_EXR, encoded, reading_back, unwritten
 from beltrami_cli.formats.image.file_formats import FORMATS, FORMATS_WITH_EXIF, format_of_suffix, label_of
 from beltrami_cli.formats.image.jpeg_tables import is_progressive
 from beltrami_cli.formats.image.metadata import DAMAGED, carry_over, lost_metadata, with_descriptions
 from beltrami_cli.formats.image.reading import read_image
+from beltrami_cli.formats.image.sample_types import TYPES, full_scale_one
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.records import ImageFile
 

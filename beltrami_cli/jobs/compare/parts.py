@@ -14,8 +14,9 @@ from beltrami_cli.arrays import Bools, Float32s, Float64s, Indices, Int32s, Int6
 from beltrami_cli.errors import InputError
 from beltrami_cli.flow.parameters import Weights
 from beltrami_cli.formats.access import Access
-from beltrami_cli.formats.image.decoded_image import DecodedImage, full_scale_one
+from beltrami_cli.formats.image.decoded_image import DecodedImage
 from beltrami_cli.formats.image.reading import read_texture
+from beltrami_cli.formats.image.sample_types import full_scale_one
 from beltrami_cli.jobs.compare.figures import ComparedPart, Pair
 from beltrami_cli.jobs.compare.same_model import (
     Documents,

@@ -12,7 +12,7 @@ import re
 import struct
 from collections.abc import Iterator
 
-_START = b"\xff\xd8"
+START = b"\xff\xd8"
 _START_OF_SCAN, _END_OF_IMAGE = 0xDA, 0xD9
 _APP0, _APP1, _APP14, _APP15, _COMMENT = 0xE0, 0xE1, 0xEE, 0xEF, 0xFE
 # But Adobe's segment, which says how these very samples are coded.
@@ -135,9 +135,9 @@ def _end(data: bytes) -> int:
 def first_image(data: bytes) -> bytes:
     """Return a JPEG file without what follows its first image: a gain map, previews, a video; others as they are."""
     # With a gain map, OpenImageIO would read the brighter image that HDR displays make of both, in floats.
-    return data[: _end(data)] if data.startswith(_START) else data
+    return data[: _end(data)] if data.startswith(START) else data
 
 
 def further_images(data: bytes) -> bytes:
     """Return what follows the first image of a JPEG file, padding aside; of other files nothing."""
-    return data[_end(data) :].strip(b"\0") if data.startswith(_START) else b""
+    return data[_end(data) :].strip(b"\0") if data.startswith(START) else b""
