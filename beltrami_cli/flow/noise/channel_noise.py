@@ -51,7 +51,7 @@ class ChannelNoise:
     size: Size
     sigma: float  # RMS of the channels; 0: no noise
     components: Float64s  # covariances by scale as read, shape (SCALES, 3, 3)
-    places: Float64s  # log2 of the relative deviations of neighbourhoods, shape (P,)
+    place_logs: Float64s  # log2 of the relative deviations of neighbourhoods, shape (P,)
     full_scale: float
     are_levels: bool
 
@@ -101,13 +101,11 @@ class ChannelNoise:
         nothing = np.zeros((SCALES, len(self.order), len(self.order)))
         if not self.sigma:
             return nothing, 1.0
-        residual, sigma, ratio = self.residual, self.sigma, 1.0
-        if not structure.is_even:
-            residual = Residual.of(self.samples, np.float32(sigma**2) * structure.variances(residual))
-        if structure.curve is not None:
-            stabiliser = structure.curve.stabiliser(self.full_scale)
+        residual, sigma, ratio = structure.residual(self.residual, self.sigma), self.sigma, 1.0
+        stabiliser = structure.stabiliser(self.full_scale)
+        if stabiliser is not None:
             residual, sigma = residual.stabilised(stabiliser, self.step), sigma * stabiliser.scale
-        of_singles = residual.even_covariance(structure.places)
+        of_singles = residual.even_covariance(structure.place_variances)
         is_shared = self._is_shared(residual)
         covariances = self.components if is_shared else np.repeat(of_singles[None], SCALES, axis=0)
         total = float(np.trace(covariance_of_cells(covariances)))
@@ -117,7 +115,9 @@ class ChannelNoise:
         if is_shared:
             is_whole = self.samples.clipped_shares() < MAX_CLIPPED_SHARE
             cells = residual.samples.cells()
-            covariances = _combined(covariances, *even_covariances(cells, is_whole, structure.places))
+            covariances = _combined(
+                covariances, *even_covariances(cells, is_whole, structure.place_variances)
+            )
             ratio = float(np.sqrt(np.trace(covariance_of_cells(covariances)) / COLOURS) / sigma)
         mixing = COMPONENTS.astype(np.float64)[:, self.order] * self.step
         return np.asarray(np.einsum("kc,lkm,md->lcd", mixing, covariances, mixing), np.float64), ratio

@@ -110,10 +110,9 @@ def read_noise(
         noises[:colour_groups] = [noise.with_sigma(sigma) for noise in noises[:colour_groups]]
     colours = noises[:colour_groups]
     structure = _common_structure(colours) if varies else Structure.even(where)
-    without_levels = dataclasses.replace(structure, curve=None)
     covariances, ratios = np.zeros((SCALES, count, count)), []
     for number, (group, noise) in enumerate(zip(groups, noises, strict=True)):
-        of_group = structure if number < colour_groups else without_levels
+        of_group = structure if number < colour_groups else structure.without_levels()
         covariances[:, group, group], ratio = noise.covariances(of_group)
         ratios.append(ratio)
     # Even cells may show no noise where some was read.
@@ -122,8 +121,8 @@ def read_noise(
         return NoiseModel(covariances[:1], reading=Reading(1.0, 0.0, 0.0, 0.0))
     return NoiseModel(
         _simplified(covariances),
-        None if structure.curve is None else structure.curve.stabiliser(colours[0].full_scale),
-        structure.over_samples(colours[0].residual) if structure.is_by_place else None,
+        structure.stabiliser(colours[0].full_scale),
+        structure.over_samples(colours[0].residual),
         _reading_of(colours, ratios[:colour_groups]),
     )
 
@@ -133,7 +132,9 @@ def _common_structure(colours: Sequence[ChannelNoise]) -> Structure:
     first, are_levels = colours[0], all(noise.are_levels for noise in colours)
     if not all(noise.sigma for noise in colours):
         return Structure.even(first.samples.where)
-    return structure_of(first.residual, first.sigma, first.places, len(first.order), are_levels=are_levels)
+    return structure_of(
+        first.residual, first.sigma, first.place_logs, len(first.order), are_levels=are_levels
+    )
 
 
 def _reading_of(colours: Sequence[ChannelNoise], ratios: Sequence[float]) -> Reading:

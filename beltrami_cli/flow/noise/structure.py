@@ -98,31 +98,43 @@ class Structure:
     """Dependence of the noise variance on level and place, on one of them, or on neither."""
 
     curve: LevelCurve | None
-    places: Float64s  # relative variance of each neighbourhood, of mean 1, shape (P,)
+    place_variances: Float64s  # relative variance of each neighbourhood, of mean 1, shape (P,)
 
     @classmethod
     def even(cls, where: Neighbourhoods) -> Structure:
         return cls(None, np.ones(where.count))
 
     @property
-    def is_even(self) -> bool:
-        return self.curve is None and not self.is_by_place
-
-    @property
     def is_by_place(self) -> bool:
-        return bool((self.places != 1).any())
+        return bool((self.place_variances != 1).any())
 
-    def variances(self, residual: Residual) -> Float32s:
-        """Return the relative variance of each sample, averaged over channels, of mean 1."""
-        where = residual.samples.where
-        relative = self.places[where.of_samples].astype(np.float32)
-        if self.curve is not None:
-            relative *= self.curve.at(residual.pilot.colours).mean(axis=0)
-        return np.asarray(relative / max(1e-9, float(relative.mean())), np.float32)
+    def without_levels(self) -> Structure:
+        return dataclasses.replace(self, curve=None)
 
-    def over_samples(self, residual: Residual) -> Float32s:
-        """Return the variance by place at each sample relative to its mean, a stack of one channel."""
-        return residual.samples.where.over_samples(self.places, self._in_parts(residual))
+    def stabiliser(self, full_scale: float) -> VarianceStabiliser | None:
+        """Return the stabiliser of the variance by level, if it depends on the level."""
+        return None if self.curve is None else self.curve.stabiliser(full_scale)
+
+    def at_levels(self, levels: Float32s) -> Float32s:
+        """Return the relative variance at levels in steps of 8 bits, averaged over channels, the first axis."""
+        if self.curve is None:
+            return np.ones(levels.shape[1:], np.float32)
+        return np.asarray(self.curve.at(levels).mean(axis=0))
+
+    def residual(self, even: Residual, sigma: float) -> Residual:
+        """Return the residual of a pilot that follows the structure, given that of one that assumes even noise."""
+        if self.curve is None and not self.is_by_place:
+            return even
+        relative = self.place_variances[even.samples.where.of_samples].astype(np.float32)
+        relative *= self.at_levels(even.pilot.colours)
+        relative = np.asarray(relative / max(1e-9, float(relative.mean())), np.float32)
+        return Residual.of(even.samples, np.float32(sigma**2) * relative)
+
+    def over_samples(self, residual: Residual) -> Float32s | None:
+        """Return the variance by place at each sample relative to its mean, a stack of one channel, if it differs."""
+        if not self.is_by_place:
+            return None
+        return residual.samples.where.over_samples(self.place_variances, self._in_parts(residual))
 
     def _in_parts(self, residual: Residual) -> Float64s:
         """Return the relative variances of the parts of neighbourhoods at which noise ends; NaN for other parts.
@@ -131,14 +143,13 @@ class Structure:
         Texture counts as quiet, and the quiet neighbourhood with the most energy represents all quiet ones.
         """
         where, squares = residual.samples.where, np.square(residual.removed.colours).mean(axis=0)
-        if self.curve is not None:
-            squares /= self.curve.at(residual.pilot.colours).mean(axis=0)
+        squares /= self.at_levels(residual.pilot.colours)
         parts: Array = np.stack([squares, np.ones_like(squares)])
         for scale in where.scales[:-1]:
             parts = scale.means(parts)
         last = where.scales[-1]
         energies, inner = (each[0] / np.maximum(each[1], 1e-9) for each in (last.means(parts), parts))
-        places, energies = self.places[where.around], energies[where.around]
+        places, energies = self.place_variances[where.around], energies[where.around]
         least, most = places.min(axis=1), places.max(axis=1)
         loud = np.take_along_axis(energies, places.argmax(axis=1)[:, None], axis=1)[:, 0]
         quiet = np.where(places <= np.sqrt(least * most)[:, None], energies, 0).max(axis=1)
@@ -172,15 +183,14 @@ def structure_of(
         curve = None
 
     def fit(structure: Structure) -> _Fit:
-        variances = np.float32(sigma**2) * structure.variances(residual)
-        left = Residual.of(residual.samples, variances).blocks()
+        left = structure.residual(residual, sigma).blocks()
         again = None if structure.curve is None else LevelCurve.of(left, channels)
         structure = structure if again is None else dataclasses.replace(structure, curve=again)
         return _Fit(structure, _deviance(left, structure))
 
     best = _Fit(even, _deviance(blocks, even))
     if curve is not None:
-        best = min(best, fit(Structure(curve, even.places)), key=lambda each: each.deviance)
+        best = min(best, fit(Structure(curve, even.place_variances)), key=lambda each: each.deviance)
     by_place = fit(Structure(None, _with_quiet_tiles(residual, 4.0**places, sigma)))
     low, high = np.quantile(np.median(places[where.around], axis=1), (_MIN_SHARE, 1 - _MIN_SHARE))
     is_wide = high - low > np.log2(_MIN_RATIO)
@@ -231,15 +241,15 @@ def _of_mean_1(variances: Float64s) -> Float64s:
 
 def _deviance(blocks: Blocks, structure: Structure) -> float:
     """Return the mean gamma deviance of the energies of even blocks from a structure."""
-    known, curve = blocks.is_known, structure.curve
-    by_level = 1.0 if curve is None else curve.at(np.where(known, blocks.levels, 0)).mean(axis=0)
+    known = blocks.is_known
+    by_level = structure.at_levels(np.where(known, blocks.levels, 0))
     energies = np.where(known, blocks.energies, 0).mean(axis=0) / np.maximum(by_level, 1e-9)
     even = np.zeros_like(known)
     even[known] = blocks.most_even(np.nonzero(known)[0])
     if not even.any():
         return 0.0
     # Without noise, blocks have no energy at all.
-    expected = np.broadcast_to(structure.places[:, None], even.shape)[even] + _RELATIVE_ROUNDING
+    expected = np.broadcast_to(structure.place_variances[:, None], even.shape)[even] + _RELATIVE_ROUNDING
     ratios = (energies[even] / max(1e-9, float(energies[even].mean())) + _RELATIVE_ROUNDING) / expected
     ratios /= ratios.mean()
     return float(np.mean(ratios - np.log(ratios) - 1))
