@@ -4,23 +4,17 @@ from __future__ import annotations
 
 import errno
 import os
-import re
-import stat
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from io import BufferedReader
 from pathlib import Path
 from typing import ClassVar
 
 from beltrami_cli.errors import InputError, MemoryLimitError
 from beltrami_cli.fields import Checked, Parameter, parameter
+from beltrami_cli.formats.paths import NotRegularError, is_url, open_regular
 from beltrami_cli.quantities import names_in, show_size, size_in
 
-# Without O_NONBLOCK, opening a FIFO without a writer would wait for ever.
-_OPEN_FLAGS = (
-    os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOCTTY", 0)
-)
 _BLOCK = 1 << 24  # bytes of standard input read at a time: a larger request is allocated at once
 
 
@@ -92,32 +86,6 @@ class Access(Checked):
 DEFAULT_ACCESS = Access()  # the default: files in the model's folder, of any size
 
 
-class NotRegularError(OSError):
-    """A FIFO, a device, a socket or a folder where a file should be."""
-
-
-def is_file(path: str | os.PathLike[str]) -> bool:
-    """Whether a file exists; False for names that no file can have."""
-    return os.path.isfile(path)  # noqa: PTH113
-
-
-def is_there(path: str | os.PathLike[str]) -> bool:
-    """Whether a file or folder exists; False as for `is_file`."""
-    return os.path.exists(path)  # noqa: PTH110
-
-
-def open_regular(path: Path) -> BufferedReader:
-    """Open a regular file, never waiting for a writer; OSError if it cannot be opened or is not regular."""
-    file = os.fdopen(os.open(path, _OPEN_FLAGS), "rb")
-    try:
-        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-            raise NotRegularError(errno.EINVAL, "it is not a regular file")
-    except OSError:
-        file.close()
-        raise
-    return file
-
-
 def read_regular(path: Path, access: Access, most: int = -1) -> bytes:
     """Return the content of a regular file, or its first `most` bytes; OSError if it cannot be read."""
     with open_regular(access.hooks.found_at(path)) as file:
@@ -147,14 +115,6 @@ def read_source(source: str, access: Access = DEFAULT_ACCESS) -> bytes:
             cause = f"cannot be read ({error.strerror})"
             raise MemoryLimitError(source, cause, "raise --max-memory") from error
         raise unreadable(source, error) from error
-
-
-_URL = re.compile(r"(?!(?:file|local):)[a-z][a-z0-9+.-]+://", re.IGNORECASE)
-
-
-def is_url(name: str) -> bool:
-    """Whether a name is a URL of something other than a local file."""
-    return _URL.match(name) is not None
 
 
 def unreadable(name: str, error: Exception, remedy: str = "check the path and its permissions") -> InputError:
