@@ -190,29 +190,29 @@ def _by_texture(
 ) -> list[ComparedPart]:
     """Split two layers with one atlas into parts by texture."""
     atlas, parts = one.atlas, list[ComparedPart]()
-    areas, near = texel_areas(atlas) if weights == "area" else None, _near_seams(atlas)
+    areas, near_seams = texel_areas(atlas) if weights == "area" else None, _near_seams(atlas)
     (cells, before), (_, after) = (_seam_steps(atlas, each.texel_colours) for each in (one, other))
-    texture_of = atlas.texture_of(atlas.owned_texels[cells])
-    shown = atlas.owned_texels, np.concatenate([atlas.gutter.border_texels, atlas.gutter.lone_texels])
-    owned, around = (
-        {index: (inside, own) for index, inside, own in atlas.by_texture(texels)} for texels in shown
-    )
-    nothing = slice(0), np.zeros(0, np.int64)
-    for index in range(len(names)):
-        (inside, texels), (_, beyond) = owned.get(index, nothing), around.get(index, nothing)
+    texture_of_step = atlas.texture_of(atlas.owned_texels[cells])
+    owned = {index: (inside, texels) for index, inside, texels in atlas.by_texture(atlas.owned_texels)}
+    gutter = np.concatenate([atlas.gutter.border_texels, atlas.gutter.lone_texels])
+    around_charts = {index: texels for index, _, texels in atlas.by_texture(gutter)}
+    no_texels = np.zeros(0, np.int64)
+    for index, name in enumerate(names):
+        inside, texels = owned.get(index, (slice(0), no_texels))
+        around = around_charts.get(index, no_texels)
         old, new, hides = one.images[index], other.images[index], one.surface.textures[index].alpha_hides
-        read = partial(_both_colours, (one.colours, old), (other.colours, new))
         if hides:
-            beyond = beyond[~one.colours.hidden(old, beyond)]
-        here, near_here = texture_of == index, near[inside]
+            around = around[~one.colours.hidden(old, around)]
+        read = partial(_both_colours, (one.colours, old), (other.colours, new))
+        is_near, is_here = near_seams[inside], texture_of_step == index
         parts.append(
             ComparedPart(
-                name=names[index], kind="texture", index=texels, read=read, space=one.colours.space,
+                name=name, kind="texture", index=texels, read=read, space=one.colours.space,
                 weights=None if areas is None else areas[inside],
-                near_seams=near_here if near_here.any() else None,
-                jumps=(before[here], after[here]) if here.any() else None,
+                near_seams=is_near if is_near.any() else None,
+                jumps=(before[is_here], after[is_here]) if is_here.any() else None,
                 size=(old.pixels.shape[0], old.pixels.shape[1]),
-                around=read(beyond), other_opacity=hides and _opacities_differ(_opacity(old), _opacity(new)),
+                around=read(around), other_opacity=hides and _opacities_differ(_opacity(old), _opacity(new)),
             )
         )  # fmt: skip
     return parts
