@@ -103,7 +103,7 @@ class GridManifold(Manifold):
 
     geometry: GridGeometry
     jumps: int = 0  # number of seams over which colours jump, where kernels stop
-    # Of a row block, which takes some 90 bytes per cell. Several row blocks are averaged in place.
+    # Of a row block; each cell takes some 90 bytes. With several row blocks, averages replace the given stacks.
     cells_per_thread: int = 1 << 16
 
     def measure(self, colours: Stack, step: Step, gaussian: Gaussian | None = None) -> Metric:

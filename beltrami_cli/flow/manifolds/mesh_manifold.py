@@ -174,7 +174,7 @@ class MeshManifold(Manifold):
 
     @property
     def chunking(self) -> Chunking | None:
-        if self.moving is not None:
+        if self.moving is not None:  # moves are averaged again, over the whole surface
             return None
         return self.resources.chunking_of_mesh(self.geometry.size, self.geometry.threads)
 

@@ -1,4 +1,4 @@
-"""Candidate parameters for each kind of manifold, the samples to try them on, and rules instead of a search."""
+"""Candidate parameters for each kind of manifold, how many samples they are tried on, and rules without a search."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class SearchRange:
     regularised: tuple[int, ...]  # numbers of regularised iterations
     max_iterations: int
     starts: tuple[tuple[float, float, int], ...]  # beta times the noise, growth, regularised iterations
-    least_gain: float = 0.0  # see `Candidates`
+    least_gain: float = 0.0  # share of the error; an iteration that gains less is the last that is tried
 
 
 @dataclass(frozen=True)
