@@ -5,17 +5,31 @@ from pathlib import Path
 
 import pytest
 
+import stamp
 from beltrami_cli.flow.noise import network
-from configuration import FILES, ROOT, code_of, hashes
+from configuration import FILES, code_of, hashes
 
 INSTALLED = Path(network.__file__).parent
 MOST_BYTES = 400 * 1024  # of all weights
 
 
 def test_weights_belong_to_the_configuration():
-    stamp = json.loads((ROOT / "noise_model/stamp.json").read_text(encoding="utf-8"))
+    stamped = json.loads(stamp.STAMP.read_text(encoding="utf-8"))
     remedy = "run `make noise-model`, or noise_model/stamp.py if no value of training changed"
-    assert {**hashes(INSTALLED), "values": stamp["values"]} == stamp, remedy
+    assert {**hashes(INSTALLED), "values": stamped["values"]} == stamped, remedy
+
+
+def test_changed_values_of_training_are_not_stamped(tmp_path, monkeypatch):
+    before = stamp.STAMP.read_text(encoding="utf-8")
+    values, path = json.loads(before)["values"], tmp_path / "stamp.json"
+    path.write_text(before, encoding="utf-8")
+    values["grid"][0] *= 1.001
+    monkeypatch.setattr(stamp, "STAMP", path)
+    monkeypatch.setattr(stamp, "training_values", lambda: values)
+    monkeypatch.setattr("sys.argv", ["stamp.py"])
+    with pytest.raises(SystemExit, match="values of training changed for grid"):
+        stamp.main()
+    assert path.read_text(encoding="utf-8") == before
 
 
 @pytest.mark.parametrize(
