@@ -135,8 +135,8 @@ class GridManifold(Manifold):
             samples += counted
             # The next block reads the rows of this one before they are replaced, but none above.
             if len(averaged) > 1:
-                self._put(stacks, *averaged.popleft())
-        self._put(stacks, *averaged.popleft())
+                _write_rows(stacks, *averaged.popleft())
+        _write_rows(stacks, *averaged.popleft())
         large_arrays.release_pages()
         for stack in stacks:
             refresh_halo(stack, atlas)
@@ -169,10 +169,6 @@ class GridManifold(Manifold):
         inside = np.zeros_like(self.geometry.atlas.kind[around], bool)
         inside[core] = True
         return self.cut(around, inside), core
-
-    def _put(self, stacks: Sequence[Stack], rows: slice, planes: Float32s) -> None:
-        for stack, new in zip(stacks, _split(planes, stacks), strict=True):
-            stack[:, rows] = new
 
     def _apply_kernel(
         self, stacks: Sequence[Stack], metric: Metric, progress: Callable[[int], None] | None
@@ -315,6 +311,11 @@ def scheme_of(parameters: KernelParameters) -> str:
 
 def _split(planes: Float32s, like: Sequence[Float32s]) -> list[Float32s]:
     return np.split(planes, np.cumsum([len(stack) for stack in like])[:-1])
+
+
+def _write_rows(stacks: Sequence[Stack], rows: slice, planes: Float32s) -> None:
+    for stack, new in zip(stacks, _split(planes, stacks), strict=True):
+        stack[:, rows] = new
 
 
 def _scaled_progress(
