@@ -27,7 +27,7 @@ beltrami = partial(run_beltrami, text=True)
 
 
 class Exposing(ColourFilter):
-    """A colour_filter that gives charts known exposures."""
+    """A filter that gives charts known exposures."""
 
     def apply(self, layer, job):
         _, colours = ExposureScene(layer, stored_colours(layer).astype(float)).exposed(1)
@@ -41,7 +41,7 @@ def exposed(tmp_path_factory):
 
 
 def exposed_as(path, source):
-    recolour(str(source), str(path), DEFAULTS, Exposing(), PLAIN_JOB)
+    recolour(str(source), str(path), DEFAULTS, Exposing(), PLAIN_JOB, {})
     return path
 
 

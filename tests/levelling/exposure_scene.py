@@ -6,13 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from beltrami_cli.flow.beltrami_flow import smooth_in_place
 from beltrami_cli.flow.manifolds.canvas import canvas_colours, on_canvas
 from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.image.writing import write_image
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.jobs.smoothing import unsmoothed
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings, TextureSettings
 from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.levelling.correction import level_canvas_in_place
@@ -25,13 +23,6 @@ LIGHT_GAINS = 0.6, 1.6  # of linear light
 def stored_colours(layer):
     """Return the colours of the owned cells of textures, shape (T, N)."""
     return layer.all_texel_colours()
-
-
-def unchanged(layer):
-    """Return the colours that a layer has, as its `encode` takes them."""
-    kernel = unsmoothed(layer.settings.kernel)
-    still = replace(layer, settings=replace(layer.settings, kernel=kernel))
-    return smooth_in_place(still.normalised().plan()).manifold.new_colours()
 
 
 @dataclass
@@ -67,8 +58,9 @@ class ExposureScene:
         return ExposureScene.on(replace(surface, textures=tuple(textures)))
 
     def levelled_as_file(self):
-        """Return what `beltrami level` makes of the colours of its files."""
-        return unchanged(self.samples.levelled(LevelSettings())).table().astype(float)
+        """Return what `beltrami level` makes of the colours of its files, which it writes if they are not the truth."""
+        levelled = self.samples.levelled(LevelSettings()).levelled_colours
+        return self.truth if levelled is None else levelled.astype(float)
 
     @property
     def charts(self):
