@@ -241,19 +241,21 @@ def _blend_means_in_place(
     with noisy.perturbed(axis):
         perturbed_change = level.collaborate(noisy.colours, pilots.perturbed, mixing)
 
-    def compare(
-        q: Array, q_perturbed: Array, p: Array, p_perturbed: Array,
-        residual: Array, signs: Array, within: Array, relative: Array, terms: Array,
+    def subtract_and_trust(q: Array, p: Array, within: Array) -> None:
+        """Turn an estimate by patches into a change, which is less where many samples are clipped."""
+        q[:] = np.clip((within - least) / (enough - least), 0, 1) * (q - p)
+
+    def write_terms(
+        q: Array, q_perturbed: Array, residual: Array, signs: Array, within: Array, relative: Array, terms: Array
     ) -> None:  # fmt: skip
-        """Turn estimates by patches into changes, and write the terms of their weight."""
-        trusted = np.clip((within - least) / (enough - least), 0, 1)
-        q[:], q_perturbed[:] = trusted * (q - p), trusted * (q_perturbed - p_perturbed)
         terms[:] = noise.terms(
             residual, signs / noisy.divisors, within * q, within * q_perturbed, within * relative
         )
 
+    for stack, pilot in zip((change, perturbed_change), pilots, strict=True):
+        for_blocks(subtract_and_trust, 1, axis, stack, pilot, means.within)
     for_blocks(
-        compare, 1, axis, change, perturbed_change, *pilots, means.residual, noisy.signs, means.within,
+        write_terms, 1, axis, change, perturbed_change, means.residual, noisy.signs, means.within,
         np.expand_dims(level.relative, axis), np.moveaxis(sums, 0, axis),
     )  # fmt: skip
     weights, _, gain = _weigh(level, sums, noise.variance, _PRIOR_OF_MEANS)
