@@ -1,13 +1,42 @@
-"""Records of a scene, which the process with usd-core fills and sends as JSON to the process that asked for it."""
+"""What is exchanged with the process with usd-core, as JSON: requests, and the records of a scene."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, TypedDict
 
 from beltrami_cli.formats.colours import clipped_factor, display_colour
 from beltrami_cli.surface.records import AlphaMode, Material, Slot, Wrap
+
+Count = Literal[
+    "animated", "bare", "flat", "further", "hidden", "instanced", "no mesh", "transparent", "uncoloured", "unfit",
+    "unread",
+]  # fmt: skip
+"""What is counted of a scene: parts that are skipped or special."""
+
+
+class SceneRequest(TypedDict):
+    """A request about the scene whose layers are in the working folder."""
+
+    root: str
+    layers: list[str]
+    refused: Sequence[Sequence[str]]  # pairs of a layer, and a path in it that is left out
+
+
+class TextRequest(SceneRequest):
+    """The attributes whose values the text leaves out."""
+
+    images: list[str]
+    colours: list[str]
+
+
+class EditRequest(SceneRequest):
+    """New values; the colours are in the array of that name."""
+
+    blocks: list[dict[str, Any]]  # each a `ColourBlock`
+    files: dict[str, str]  # new names of images, by attribute
+    suffix: str  # of the form in which the layer is wanted; "": its own
 
 
 class SurfaceInput(NamedTuple):
@@ -103,7 +132,7 @@ class SceneContents:
     materials: tuple[MaterialInputs, ...]
     blocks: tuple[ColourBlock, ...]
     meshes: tuple[str, ...]  # names
-    counts: Mapping[str, int]  # of parts that are skipped or special, as `Geometry` counts them
+    counts: Mapping[Count, int]
     slots: tuple[Slot, ...]
     others: tuple[str, ...]  # types of geometry other than meshes
     up: str

@@ -17,14 +17,14 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.model_folder import IGNORED
 from beltrami_cli.formats.scene import Scene, ShownMap
 from beltrami_cli.formats.scene_mesh import textured_mesh
-from beltrami_cli.formats.usd.contents import SceneContents
+from beltrami_cli.formats.usd.contents import Count, SceneContents
 from beltrami_cli.formats.usd.images import Images
 from beltrami_cli.formats.usd.layers import Layers
 from beltrami_cli.surface.precision import require_finite, require_single
 from beltrami_cli.surface.records import Frame, Material, MeshContents
 from beltrami_cli.surface.slots import SLOTS, Slot
 
-_COUNTS = {
+_COUNTS: dict[Count, str] = {
     "instanced": "{} mesh(es) are instances of others; each is smoothed once, at its first place",
     "hidden": "{} mesh(es) are invisible, or for proxies and guides, and are left as they are",
     "flat": "{} mesh(es) have one colour, or one for each face, which is left as it is",
@@ -34,7 +34,8 @@ _COUNTS = {
     "unread": "{} material(s) are neither a UsdPreviewSurface nor a MaterialX surface whose colour is an image",
     "bare": "{} part(s) have no texture coordinates for a texture",
 }
-_REMEDIES = {"unread": "bake their colours into images, or give the vertices colours"}
+_UNCOLOURED: tuple[Count, ...] = ("uncoloured", "flat", "unfit", "animated")
+_REMEDIES: dict[Count, str] = {"unread": "bake their colours into images, or give the vertices colours"}
 
 _VARIANTS_NOTICE = (
     "Variants of another layer have colours of their own; the new ones hold whichever is selected."
@@ -168,7 +169,7 @@ class UsdDocument(Document):
         mesh, counts, arrays = self._mesh, self._contents.counts, self._arrays
         losses = {
             "materials": self._contents.materials,
-            "uncoloured meshes": any(map(counts.get, ("uncoloured", "flat", "unfit", "animated"))),
+            "uncoloured meshes": any(counts.get(key) for key in _UNCOLOURED),
             "texture coordinates": any(
                 np.isfinite(arrays[name]).any() for name in arrays if name.startswith("uv")
             ),

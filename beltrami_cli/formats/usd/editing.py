@@ -17,7 +17,7 @@ from pxr import Sdf, UsdGeom, Vt
 
 from beltrami_cli.arrays import Array, Float32s, Uint8s
 from beltrami_cli.formats.edits import Spans, exchange_spans
-from beltrami_cli.formats.usd.contents import ColourBlock
+from beltrami_cli.formats.usd.contents import ColourBlock, EditRequest
 from beltrami_cli.formats.usd.stage import opened
 
 _LAYER_NAME = "made"  # name of a layer that is written, without its suffix
@@ -28,19 +28,19 @@ _COLOURS = re.compile(rb"primvars:displayColor\s*=\s*\[([^\]]*)\]")
 _VECTOR = re.compile(rb"\([^()]*\)")
 
 
-def edit(order: dict[str, Any], arrays: dict[str, Array]) -> tuple[dict[str, Any], dict[str, Array]]:
+def edit(request: EditRequest, arrays: dict[str, Array]) -> tuple[dict[str, Any], dict[str, Array]]:
     """Return the root layer with new colours and images, in the form of a suffix, or in its own ("")."""
-    stage = opened(order["root"], order["layers"], order["refused"])
-    blocks = [ColourBlock(**block) for block in order["blocks"]]
-    root, before = stage.GetRootLayer(), _stored(stage, blocks, order["files"])
+    stage = opened(request["root"], request["layers"], request["refused"])
+    blocks = [ColourBlock(**block) for block in request["blocks"]]
+    root, before = stage.GetRootLayer(), _stored(stage, blocks, request["files"])
     hides = [
         *(_recolour(stage, block, arrays["colours"][block.rows]) for block in blocks),
-        *(_set(stage, path, Sdf.AssetPath(name)) for path, name in order["files"].items()),
+        *(_set(stage, path, Sdf.AssetPath(name)) for path, name in request["files"].items()),
     ]
-    made, file = None, Path(order["root"])
-    if not order["suffix"]:
-        made = _patched(file, root, before, _stored(stage, blocks, order["files"]))
-    suffix = order["suffix"] or file.suffix
+    made, file = None, Path(request["root"])
+    if not request["suffix"]:
+        made = _patched(file, root, before, _stored(stage, blocks, request["files"]))
+    suffix = request["suffix"] or file.suffix
     layer = _exported(root, suffix) if made is None else np.frombuffer(made, np.uint8)
     return {"hides": any(hides)}, {"layer": layer}
 

@@ -10,7 +10,7 @@ import numpy as np
 from pxr import Usd, UsdGeom, UsdShade
 
 from beltrami_cli.arrays import Array, Bools, Float64s, Int64s
-from beltrami_cli.formats.usd.contents import INPUTS, ColourBlock, MaterialInputs
+from beltrami_cli.formats.usd.contents import INPUTS, ColourBlock, Count, MaterialInputs
 from beltrami_cli.formats.usd.materials import AS_STORED, ShownImage, UvMapping, read_material
 from beltrami_cli.surface.records import Slot
 
@@ -26,7 +26,7 @@ class Geometry:
     materials: list[MaterialInputs] = field(default_factory=list)
     blocks: list[ColourBlock] = field(default_factory=list)
     meshes: list[str] = field(default_factory=list)
-    counts: Counter[str] = field(default_factory=Counter)
+    counts: Counter[Count] = field(default_factory=Counter)
     slots: set[Slot] = field(default_factory=set)
     _number_of: dict[str, int] = field(default_factory=dict)
     _seen: set[str] = field(default_factory=set)

@@ -7,7 +7,6 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path, PurePosixPath
-from typing import Any
 
 import numpy as np
 
@@ -17,7 +16,13 @@ from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.foreign_library import ForeignLibrary
 from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError, is_outside
 from beltrami_cli.formats.tile_names import found_tiles, has_token
-from beltrami_cli.formats.usd.contents import ColourBlock, SceneContents
+from beltrami_cli.formats.usd.contents import (
+    ColourBlock,
+    EditRequest,
+    SceneContents,
+    SceneRequest,
+    TextRequest,
+)
 from beltrami_cli.formats.usd.package import LAYERS, Package
 from beltrami_cli.surface.temporary_files import temporary_folder, writing_temporary_files
 from beltrami_cli.surface.worker_process import Message
@@ -62,7 +67,7 @@ class Layers:
     def scene(self) -> tuple[SceneContents, dict[str, Array]]:
         """Read the scene, with all layers that it needs."""
         while True:
-            answer, arrays = self.ask({"task": "read"}, {})
+            answer, arrays = self._ask("read", self._request, {})
             if "needs" not in answer:
                 return SceneContents.from_json(answer), arrays
             for layer, path in answer["needs"]:
@@ -74,7 +79,8 @@ class Layers:
         """Return the text of the root layer without colours and names of images, for fingerprints."""
         images = [use.attribute for use in contents.uses]
         colours = [block.attribute for block in contents.blocks]
-        return str(self.ask({"task": "text", "images": images, "colours": colours}, {})[0])
+        request: TextRequest = {**self._request, "images": images, "colours": colours}
+        return str(self._ask("text", request, {})[0])
 
     def edited(
         self, blocks: Sequence[ColourBlock], colours: Float32s | None, files: Mapping[str, str], suffix: str
@@ -84,9 +90,9 @@ class Layers:
         It gets the form of a suffix, or keeps its own ("") with as many bytes as possible. Also return whether the new
         values hide values of variants in other layers.
         """
-        order: dict[str, Any] = {"task": "edit", "files": dict(files), "suffix": suffix}
-        order["blocks"] = [] if colours is None else [asdict(block) for block in blocks]
-        said, made = self.ask(order, {} if colours is None else {"colours": colours})
+        changed = [] if colours is None else [asdict(block) for block in blocks]
+        request: EditRequest = {**self._request, "blocks": changed, "files": dict(files), "suffix": suffix}
+        said, made = self._ask("edit", request, {} if colours is None else {"colours": colours})
         return made["layer"].tobytes(), said["hides"]
 
     def _fetch(self, layer: str, path: str) -> None:
@@ -134,15 +140,18 @@ class Layers:
         """Return the content of a file at a path of `locate`; InputError if it cannot be read."""
         return self.folder.content(file) if self.package is None else self.package.read(file)
 
-    def ask(self, order: dict[str, Any], arrays: dict[str, Array]) -> Message:
-        """Send a request about the layers to usd-core, and return its answer."""
+    @property
+    def _request(self) -> SceneRequest:
+        return {"root": self.root, "layers": list(self.contents), "refused": self.refused}
+
+    def _ask(self, task: str, request: SceneRequest, arrays: dict[str, Array]) -> Message:
+        """Send a request to usd-core, with all layers in a folder, and return its answer."""
         with writing_temporary_files(), temporary_folder() as folder:
             for name, data in self.contents.items():
                 path = folder / name
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_bytes(data)
-            known = {"root": self.root, "layers": list(self.contents), "refused": self.refused}
-            question = known | order | {"folder": str(folder)}, arrays
+            question = {**request, "task": task, "folder": str(folder)}, arrays
             size = sum(map(len, self.contents.values()))
             return _USD_CORE.ask(question, self.name, size, self.access.memory)
 
@@ -150,6 +159,5 @@ class Layers:
 def binary_layer(text: bytes, name: str) -> bytes:
     """Convert a layer from text to USDC."""
     with temporary_folder() as folder:
-        order = {"task": "convert", "folder": str(folder)}
-        question = order, {"text": np.frombuffer(text, np.uint8)}
+        question = {"task": "convert", "folder": str(folder)}, {"text": np.frombuffer(text, np.uint8)}
         return _USD_CORE.ask(question, name, len(text), None)[1]["layer"].tobytes()

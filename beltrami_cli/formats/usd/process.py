@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Callable
 from typing import Any
 
 from beltrami_cli.arrays import Array
@@ -17,20 +18,22 @@ class UsdError(Exception):
     """An error that usd-core reports for a layer."""
 
 
-def carry_out(order: dict[str, Any], arrays: dict[str, Array]) -> Message:
+def carry_out(request: dict[str, Any], arrays: dict[str, Array]) -> Message:
     # Here, so that `serve_files` reports a package that is not installed.
     from pxr import Tf
 
     from beltrami_cli.formats.usd import editing, reading
 
-    os.chdir(order["folder"])
-    tasks = {"read": reading.read, "text": reading.text, "edit": editing.edit, "convert": editing.convert}
+    os.chdir(request["folder"])
+    tasks: dict[str, Callable[[Any, dict[str, Array]], Message]] = {
+        "read": reading.read, "text": reading.text, "edit": editing.edit, "convert": editing.convert,
+    }  # fmt: skip
     try:
-        return tasks[order["task"]](order, arrays)
+        return tasks[request["task"]](request, arrays)
     except Tf.ErrorException as error:
         if _NO_MEMORY in str(error):
             raise MemoryError from error
-        raise UsdError(_first_message(str(error), order["folder"])) from error
+        raise UsdError(_first_message(str(error), request["folder"])) from error
 
 
 def _first_message(error: str, folder: str) -> str:

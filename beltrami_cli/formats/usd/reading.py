@@ -11,19 +11,19 @@ from typing import Any
 from pxr import Sdf, Usd, UsdGeom
 
 from beltrami_cli.arrays import Array
-from beltrami_cli.formats.usd.contents import SceneContents, TextureUse
+from beltrami_cli.formats.usd.contents import SceneContents, SceneRequest, TextRequest, TextureUse
 from beltrami_cli.formats.usd.geometry import Geometry
 from beltrami_cli.formats.usd.stage import NeedsLayersError, files_in_variants, files_of, opened
 
 
-def read(order: dict[str, Any], _: dict[str, Array]) -> tuple[dict[str, Any], dict[str, Array]]:
+def read(request: SceneRequest, _: dict[str, Array]) -> tuple[dict[str, Any], dict[str, Array]]:
     """Return the `SceneContents` and arrays of a scene, or the layers that it needs as well."""
     try:
-        stage = opened(order["root"], order["layers"], order["refused"])
+        stage = opened(request["root"], request["layers"], request["refused"])
     except NeedsLayersError as error:
         return {"needs": error.needs}, {}
     geometry, others = Geometry(), set[str]()
-    images = files_in_variants(stage, order["layers"])
+    images = files_in_variants(stage, request["layers"])
     for prim in Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()):
         if prim.IsA(UsdGeom.Mesh):
             geometry.take(prim)
@@ -67,13 +67,13 @@ def _contents(
     )
 
 
-def text(order: dict[str, Any], _: dict[str, Array]) -> tuple[str, dict[str, Array]]:
+def text(request: TextRequest, _: dict[str, Array]) -> tuple[str, dict[str, Array]]:
     """Return the text of the root layer without the values of some attributes: colours, and names of images."""
-    stage = opened(order["root"], order["layers"], order["refused"])
+    stage = opened(request["root"], request["layers"], request["refused"])
     bare = Sdf.Layer.CreateAnonymous(".usda")
     bare.TransferContent(stage.GetRootLayer())
-    paths = [*order["images"], *order["colours"]]
-    for path in order["colours"]:
+    paths = [*request["images"], *request["colours"]]
+    for path in request["colours"]:
         primvar = UsdGeom.Primvar(stage.GetAttributeAtPath(path))
         paths += [str(primvar.GetIndicesAttr().GetPath())] if primvar.IsIndexed() else []
     for path in dict.fromkeys(paths):

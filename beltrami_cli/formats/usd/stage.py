@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import posixpath
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -20,10 +21,10 @@ class NeedsLayersError(Exception):
         self.needs = needs
 
 
-def opened(root: str, layers: list[str], refused: list[list[str]]) -> Any:
+def opened(root: str, layers: list[str], refused: Sequence[Sequence[str]]) -> Any:
     """Open the stage of a root layer in this folder, without refused layers; NeedsLayersError if others are missing."""
     needs: list[tuple[str, str]] = []
-    here = Path.cwd()
+    here, left_out = Path.cwd(), {tuple(each) for each in refused}
     for name in layers:
         layer = Sdf.Layer.FindOrOpen(str(here / name))
         if layer is None:
@@ -32,7 +33,7 @@ def opened(root: str, layers: list[str], refused: list[list[str]]) -> Any:
         for path in layer.GetCompositionAssetDependencies():
             if not path or placed(name, path) in layers:  # references within the layer have no path
                 continue
-            if [name, path] not in refused:
+            if (name, path) not in left_out:
                 needs.append((name, path))
             layer.UpdateCompositionAssetDependency(path, "")
         _without_clips(layer)
