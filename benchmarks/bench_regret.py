@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
-from itertools import islice
+from itertools import chain, islice
 from typing import Any
 
 import numpy as np
@@ -59,24 +59,30 @@ class Judged:
 
 def main():
     options = arguments(__doc__, "folders", kinds="", quick=False, readings=False)
-    judged = {}
-    for kind, cases in kinds(options.folders).items():
-        if kind.startswith(tuple(options.kinds.split(","))):
-            chosen = islice(cases, 2 if options.quick else None)
-            judged[kind] = [judge(kind, case, shown=options.readings) for case in chosen]
+    judged = {
+        kind: [
+            judge(kind, case, shown=options.readings) for case in islice(cases, 2 if options.quick else None)
+        ]
+        for kind, cases in kinds(options.folders).items()
+        if kind.startswith(tuple(options.kinds.split(",")))
+    }
     if not judged:
         sys.exit(f"no kind begins with {options.kinds}")
-    losses = {kind: float(np.mean([each.lost for each in found])) for kind, found in judged.items()}
-    rows = [(kind, losses[kind], *figures(found)) for kind, found in judged.items()]
-    noisy, clean = (
-        [each for each in judged if each.startswith("clean") == is_clean] for is_clean in (False, True)
-    )
-    means = [float(np.mean([losses[kind] for kind in some])) if some else np.nan for some in (noisy, clean)]
-    means.append(NOISY_SHARE * means[0] + (1 - NOISY_SHARE) * means[1])
-    for name, lost, some in zip(("noisy", "clean", "all"), means, (noisy, clean, judged), strict=True):
-        if not np.isnan(lost):
-            rows.append((name, lost, *figures([each for kind in some for each in judged[kind]])))
+    clean = {kind: cases for kind, cases in judged.items() if kind.startswith("clean")}
+    noisy = {kind: cases for kind, cases in judged.items() if kind not in clean}
+    rows = [(kind, mean_loss({kind: cases}), *figures(cases)) for kind, cases in judged.items()]
+    for name, some in (("noisy", noisy), ("clean", clean)):
+        if some:
+            rows.append((name, mean_loss(some), *figures([*chain.from_iterable(some.values())])))
+    if noisy and clean:
+        loss = NOISY_SHARE * mean_loss(noisy) + (1 - NOISY_SHARE) * mean_loss(clean)
+        rows.append(("all", loss, *figures([*chain.from_iterable(judged.values())])))
     show(rows, options, ("kind", "dB lost", "worst", "not found", "intervals hold"))
+
+
+def mean_loss(judged):
+    """Return the mean loss in dB over kinds, which have the same weight."""
+    return float(np.mean([np.mean([each.lost for each in cases]) for cases in judged.values()]))
 
 
 def judge(kind, case, *, shown):
