@@ -8,18 +8,25 @@ import pytest
 from beltrami_cli import KernelParameters, SmoothSettings
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow import estimation, plan
+from beltrami_cli.flow.beltrami_flow import smooth_in_place
 from beltrami_cli.formats.access import DEFAULT_ACCESS
 from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.inspect import describe_exposure
-from beltrami_cli.jobs.smoothing import smooth_layer
+from beltrami_cli.jobs.smoothing import smooth_layer, unsmoothed
 from beltrami_cli.layers.selection import select
 from beltrami_cli.layers.settings import LevelSettings
 from cli.commands import SAMPLES
 from cli.pictures import encode
-from levelling.exposure_scene import unchanged
 
 GIVEN = SmoothSettings(kernel=KernelParameters(iterations=1, t=1.0, beta=8.0))
 NAMES = ["knot-noisy.ply", "mirrored-noisy.obj", "picture.png", "grid.npz", "points.npz"]
+
+
+def unchanged(layer):
+    """Return the colours that a layer has, as its `encode` takes them."""
+    kernel = unsmoothed(layer.settings.kernel)
+    still = replace(layer, settings=replace(layer.settings, kernel=kernel))
+    return smooth_in_place(still.normalised().plan()).manifold.new_colours()
 
 
 @pytest.fixture
