@@ -23,6 +23,8 @@ NETWORK = (
     *_in("noise_model", "observations.py", "pictures.py", "recipes.py", "surfaces.py", "train.py"),
     *_in("beltrami_cli/flow/noise", "clusters.py", "features.py", "grid_squares.py", "jpeg_traces.py"),
     *_in("beltrami_cli/flow/noise", "neighbourhoods.py", "network.py"),
+    "beltrami_cli/flow/noise/model.py",
+    "beltrami_cli/flow/vertex_graph.py",
 )
 SIZES = (
     *NETWORK,

@@ -51,7 +51,7 @@ def values_of_kind(kind: str, roots: list[Path]) -> list[float]:
     losses, gradients = slopes_of(np.arange(OBSERVATIONS), data, weights)
     parts += [*losses.values(), *gradients.values()]
     for number in range(len(FAMILIES[kind])):
-        parts += make_rows(kind, "training", number, 0, ROWS, roots)
+        parts += make_rows(kind, "training", number, 0, ROWS, roots, network.weights_of(kind))
     # Weights that rise show values in another order too.
     return [float(np.abs(part).ravel() @ np.linspace(1, 2, np.size(part))) for part in parts]
 

@@ -1,12 +1,13 @@
 """Train the network that reads noise, print how well it reads, and write its weights.
 
 ``python noise_model/train.py FOLDER...`` takes clean pictures from folders of unpacked packages; `make noise-model`
-fetches them. Training needs NumPy alone. This command made the weights in the package.
+fetches them. Training needs NumPy, SciPy and Pillow. This command made the weights in the package.
 
 Pictures (`pictures`) are drawn from crops of files (`crops`), and noise is added to them (`noises`) by random recipes
 (`recipes`). They are cut into squares (`observations`) or sampled on flat meshes (`surfaces`). Batches of these
 (`batches`) train the network by its losses (`losses`, `backpropagation`), and `table` judges it by kind of noise.
-`train_sizes` trains the second network, on further kinds (`size_kinds`).
+`train_sizes` trains the second network, on further kinds (`size_kinds`). `configuration` lists the code that training
+runs, with which `stamp` marks the weights.
 """
 
 from __future__ import annotations

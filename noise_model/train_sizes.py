@@ -7,10 +7,13 @@ evidence. It prints the PSNR lost by misreadings, for several limits of the prob
 from __future__ import annotations
 
 import argparse
+import os
 import time
 from collections.abc import Iterable
 from multiprocessing import Pool
 from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 from scipy.special import ndtr
@@ -18,7 +21,7 @@ from scipy.special import ndtr
 import observations
 from backpropagation import Adam, Node, Tape, initial_layer, shuffled
 from beltrami_cli.flow.noise import network
-from beltrami_cli.flow.noise.network import OFFSET, Weights, weights_of
+from beltrami_cli.flow.noise.network import OFFSET, Weights
 from beltrami_cli.flow.noise.size import EDGES, LAYERS, WIDTHS, evidence, sizes_of
 from crops import folders_of_packages
 from size_kinds import FAMILIES
@@ -36,11 +39,11 @@ NONE, SOME = 0.2, 0.8
 
 
 def make_rows(
-    kind: str, part: str, number: int, seed: int, count: int, roots: list[Path]
+    kind: str, part: str, number: int, seed: int, count: int, roots: list[Path], weights: Weights
 ) -> list[np.ndarray]:
-    """Draw samples of a family; return evidence, first readings, and the true RMS noise in 8-bit steps."""
+    """Draw samples of a family; return evidence, readings by weights, and the true RMS noise in 8-bit steps."""
     family = FAMILIES[kind][number]
-    crops, weights = crops_of(tuple(roots), part), weights_of(kind)
+    crops = crops_of(tuple(roots), part)
     rng, rows = np.random.default_rng([SEED, seed, part == "training", number]), []
     while len(rows) < count:
         drawn = SAMPLES[kind](rng, crops, family.draw, family.picture)
@@ -119,8 +122,9 @@ def judge(weights: Weights, rows: np.ndarray, first: np.ndarray, truth: np.ndarr
 
 def train_kind(kind: str, roots: list[Path], options: argparse.Namespace) -> None:
     began, families = time.monotonic(), range(len(FAMILIES[kind]))
+    first = Weights.load(options.weights / f"{kind}_weights.npz")
     jobs = [
-        (kind, part, number, seed, CHUNK, roots)
+        (kind, part, number, seed, CHUNK, roots, first)
         for number in families
         for part, count in (("training", options.rows or FAMILIES[kind][number].rows), ("test", TEST_ROWS))
         for seed in range(count // CHUNK)

@@ -1,11 +1,15 @@
 """Materials of USD scenes: where their images lie, which are replaced, and what other formats lose of them."""
 
+import re
+
 import numpy as np
 import pytest
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.output_format import write_mesh
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.smooth import smooth_file
+from beltrami_cli.surface.records import Material, MeshContents
 
 pytest.importorskip("pxr", reason="usd-core is not installed")
 
@@ -182,3 +186,15 @@ def test_an_image_that_is_shown_twice_is_named_once_in_the_root(tmp_path):
     root = "#usda 1.0\n( subLayers = [@./base.usda@] )\n"
     write(tmp_path, {"a.usda": root, "base.usda": base, "a.png": PICTURE})
     assert smoothed(tmp_path, slots=("baseColor", "emissive")).data.count(b"@./b.png@") == 1
+
+
+@pytest.mark.parametrize("names", [("a b", "a_b", "a_b_1", "a-b"), ("mesh_0", "mesh_0_1", "mesh 0", "m")])
+def test_every_mesh_and_material_that_is_written_is_a_prim_of_its_own(names):
+    contents = MeshContents(
+        positions=np.eye(3), corners=np.tile(np.arange(3, dtype=np.int32), 4), offsets=np.arange(0, 13, 3),
+        colours=np.zeros((3, 0), np.float32), uv=np.zeros((12, 2)),
+        materials=tuple(Material(name=name) for name in names), material_of=np.arange(4, dtype=np.int32),
+    )  # fmt: skip
+    text = b"".join(map(bytes, write_mesh(contents, "usda", "model").main)).decode()
+    prims = re.findall(r'^    def \w+ "(\w+)"', text, re.MULTILINE)
+    assert len(set(prims)) == len(prims) == 1 + len(names)

@@ -87,8 +87,9 @@ def _names_by_values(values: Float64s, name: str, is_pts: bool) -> tuple[str, ..
     if len(starts) != 1:
         shown = " or ".join(f"{start + 1} to {start + 3}" for start in starts)
         unclear = f"its points have {width} numbers each, and it is not clear which are colours"
-        known = "columns 4 to 6 are normals, and no colours"
-        cause = f"the colours can be columns {shown}" if starts else known if normals else unclear
+        if normals:
+            unclear = f"columns {normals[0] + 1} to {normals[0] + 3} are normals, and no colours"
+        cause = f"the colours can be columns {shown}" if starts else unclear
         raise InputError(name, cause, example_of(width))
     found = {starts[0] + channel: RGB[channel] for channel in range(3)}
     for normal in _normals_apart_from(starts[0], normals)[:1]:

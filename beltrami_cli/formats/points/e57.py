@@ -55,7 +55,7 @@ class E57:
         blobs = b"".join(_content(blob).tobytes() for blob in self._blobs(self._file.root))
         found["blobs"] = np.frombuffer(blobs, np.uint8)
         for key, names in (("colours", self._RGB), ("intensity", ("intensity",))):
-            if key not in found and all(columns.keys() >= {*names} for columns in known):
+            if all(columns.keys() >= {*names} for columns in known):
                 found[key] = np.concatenate([np.column_stack([c.pop(name) for name in names]) for c in known])
         for number, columns in enumerate(known):
             found |= {f"{number} {name}": column for name, column in columns.items()}

@@ -9,8 +9,9 @@ References
 
 from __future__ import annotations
 
+import itertools
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 
 import numpy as np
@@ -42,8 +43,9 @@ _TYPES = {"rgb": "float3", "r": "float", "g": "float", "b": "float", "a": "float
 
 
 def _written(suffix: str, mesh: MeshContents, stem: str) -> Written:
-    names = [_identifier(name) for name in material_names(mesh.materials)]
-    names = [f"{name}_{number}" if name in names[:number] else name for number, name in enumerate(names)]
+    names = _prim_names(
+        material_names(mesh.materials), [f"mesh_{number}" for number in range(len(mesh.groups))]
+    )
     file_of = dict(zip(mesh.images, image_names(mesh, stem), strict=True))
     root, notices = _identifier(stem), list[str]()
     shown = _colours(mesh, notices) if mesh.colours.shape[1] else []
@@ -210,6 +212,16 @@ def _array(name: str, rows: Array, width: int = 1, metadata: str = "") -> Iterat
 
 def _row(values: Sequence[float]) -> str:
     return "({})".format(", ".join(f"{value:.6g}" for value in values))
+
+
+def _prim_names(names: Sequence[str], taken: Iterable[str]) -> list[str]:
+    """Return identifiers for some names that differ from each other and from those that are taken."""
+    prims, used = list[str](), set(taken)
+    for number, name in enumerate(map(_identifier, names)):
+        numbered = (f"{name}_{further}" for further in itertools.count(number))
+        prims.append(next(each for each in itertools.chain([name], numbered) if each not in used))
+        used.add(prims[-1])
+    return prims
 
 
 def _identifier(name: str) -> str:
