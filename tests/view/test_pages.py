@@ -290,7 +290,9 @@ def test_the_page_grows_while_it_is_open_and_keeps_what_was_set(browser, tmp_pat
         if not seen:
             seen.append(Page(browser, target.as_uri(), offline=True))
             page = seen[0].page
-            assert page.locator("#views .missing", has_text="pending").count() == 3
+            pending = page.locator("#views .missing", has_text="pending")
+            pending.nth(2).wait_for(timeout=20_000)
+            assert pending.count() == 3
             assert "1 of 4 trials so far" in page.locator("main").inner_text()
             assert seen[0].overflow() <= 0
             page.get_by_label("Sort by").focus()
