@@ -1,4 +1,4 @@
-"""Undo of smoothed images: Blender's undo leaves pixels as they are, so those of each step are kept in files."""
+"""Undo of smoothed images. Blender's undo does not restore pixels, so the pixels of each step are kept in files."""
 
 import tempfile
 from pathlib import Path

@@ -68,7 +68,7 @@ class RiskEstimate:
     trial: SampleTrial
     noisy: Float32s  # the scored colours, shape (S, N)
     variance: Float64s  # of the noise
-    to_input: Float32s | float  # factors from squared errors of stabilised colours to those of the input
+    to_input: Float32s | float  # factors that convert squared errors to the unit of the input
     weights: tuple[Float64s, ...]  # from the response to each stack of signs to the divergence
     size: np.float32  # of the perturbation
 

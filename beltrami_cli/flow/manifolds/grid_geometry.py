@@ -81,7 +81,7 @@ class GridGeometry(Geometry):
         return self.atlas.kind[None]
 
     def cut(self, samples: Cells, inside: Bools) -> GridGeometry:
-        """Cut out cells, shape (R', C'), whose halo is refreshed elsewhere; `inside`: those that have a kernel."""
+        """Cut out cells, shape (R', C'), without refreshing their halo; `inside` marks the cells that have a kernel."""
         whole, kind = self.atlas, pick(self.atlas.kind, samples).copy()
         kind[(kind == OWNED) & ~inside] = HALO
         if not isinstance(samples, tuple):
