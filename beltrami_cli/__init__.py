@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from beltrami_cli.errors import ProcessingError as ProcessingError
     from beltrami_cli.errors import UsageError as UsageError
     from beltrami_cli.flow.parameters import KernelParameters as KernelParameters
-    from beltrami_cli.formats.access import Access as Access
+    from beltrami_cli.formats.files.access import Access as Access
     from beltrami_cli.jobs.arrays.image import ImageResult as ImageResult
     from beltrami_cli.jobs.arrays.image import smooth_image as smooth_image
     from beltrami_cli.jobs.arrays.mesh import SmoothResult as SmoothResult

@@ -25,8 +25,8 @@ from beltrami_cli.batch.storage import canonical_name
 from beltrami_cli.batch.work import do_item
 from beltrami_cli.errors import ProcessingError, install_hint
 from beltrami_cli.fields import with_files
-from beltrami_cli.formats.bounded_text import CONFIGURATION, parse_json, read_bounded
-from beltrami_cli.formats.paths import is_file, is_url
+from beltrami_cli.formats.files.bounded_text import CONFIGURATION, parse_json, read_bounded
+from beltrami_cli.formats.files.paths import is_file, is_url
 from beltrami_cli.jobs.progress import Progress, at_intervals
 
 _LOST = "the connection to the scheduler was lost"

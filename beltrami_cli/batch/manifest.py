@@ -13,8 +13,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.access import unreadable
-from beltrami_cli.formats.bounded_text import MANIFEST, parse_json, parse_toml, read_bounded, require_text
+from beltrami_cli.formats.files.access import unreadable
+from beltrami_cli.formats.files.bounded_text import (
+    MANIFEST,
+    parse_json,
+    parse_toml,
+    read_bounded,
+    require_text,
+)
 
 _WAY_OUT = "see beltrami batch --help for what a manifest looks like"
 

@@ -10,7 +10,7 @@ from pathlib import Path, PurePath
 from beltrami_cli.batch.manifest import is_manifest, read_manifest
 from beltrami_cli.batch.storage import canonical_name, find, is_glob, joined, without_scheme
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.formats.paths import is_file, is_url
+from beltrami_cli.formats.files.paths import is_file, is_url
 from beltrami_cli.formats.registry import KEPT_FORMATS, OUTPUT_FORMATS, READ_ONLY
 from beltrami_cli.layers.settings import IMAGE_FORMATS, IMAGE_SUFFIXES
 

@@ -14,10 +14,10 @@ from typing import get_args
 from beltrami_cli.batch.item import Item, Outcome, Status
 from beltrami_cli.batch.storage import canonical_name, exists, hash_at, require_name
 from beltrami_cli.errors import InputError, OutputError
-from beltrami_cli.formats.access import unreadable
-from beltrami_cli.formats.bounded_text import parse_json
 from beltrami_cli.formats.changes import Written
-from beltrami_cli.formats.paths import is_there, is_url, open_regular
+from beltrami_cli.formats.files.access import unreadable
+from beltrami_cli.formats.files.bounded_text import parse_json
+from beltrami_cli.formats.files.paths import is_there, is_url, open_regular
 from beltrami_cli.jobs.writing.output import Output
 
 _HEAD = re.compile(rb'\{"input": ".*", "output": ".*", "status": "')

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from beltrami_cli.batch.storage import exists, filesystem, hash_at
 from beltrami_cli.errors import InputError, OutputError
-from beltrami_cli.formats.paths import is_url
+from beltrami_cli.formats.files.paths import is_url
 from beltrami_cli.surface.temporary_files import temporary_folder
 
 # Protocols whose files appear only when complete; otherwise files are uploaded under another name and renamed.

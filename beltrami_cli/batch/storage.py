@@ -11,7 +11,7 @@ from typing import Any
 from urllib.parse import unquote
 
 from beltrami_cli.errors import InputError, OutputError, install_hint
-from beltrami_cli.formats.paths import is_file, is_there, is_url, open_regular
+from beltrami_cli.formats.files.paths import is_file, is_there, is_url, open_regular
 
 _LOCAL_URL = re.compile(r"(?:file|local)://", re.IGNORECASE)
 

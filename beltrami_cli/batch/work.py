@@ -13,8 +13,8 @@ from beltrami_cli.batch.item import Attempt, Item, Outcome, failed, outcome_of
 from beltrami_cli.batch.staging import staged
 from beltrami_cli.batch.storage import hash_at
 from beltrami_cli.errors import BeltramiError, MemoryLimitError, NoColoursError
-from beltrami_cli.formats.access import Access, Hooks
-from beltrami_cli.formats.paths import is_url
+from beltrami_cli.formats.files.access import Access, Hooks
+from beltrami_cli.formats.files.paths import is_url
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.progress import Progress, Share
 from beltrami_cli.jobs.writing.output import FileSet

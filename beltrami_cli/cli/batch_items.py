@@ -15,8 +15,8 @@ from beltrami_cli.cli.option_names import options_by_name, values_for
 from beltrami_cli.cli.parameter_options import record_from
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import parameters
-from beltrami_cli.formats.access import Access
-from beltrami_cli.formats.paths import is_file
+from beltrami_cli.formats.files.access import Access
+from beltrami_cli.formats.files.paths import is_file
 from beltrami_cli.layers.settings import SmoothSettings
 
 if TYPE_CHECKING:

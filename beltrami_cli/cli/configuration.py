@@ -28,8 +28,8 @@ from beltrami_cli.cli.option_names import (
 from beltrami_cli.cli.parameter_options import ParameterOption
 from beltrami_cli.cli.registry import COMMANDS, command_named, inherited_from_smooth
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.formats.access import unreadable
-from beltrami_cli.formats.bounded_text import CONFIGURATION, parse_toml, read_bounded, text_in
+from beltrami_cli.formats.files.access import unreadable
+from beltrami_cli.formats.files.bounded_text import CONFIGURATION, parse_toml, read_bounded, text_in
 
 OWN_NAME, SHARED_NAME = "beltrami.toml", "pyproject.toml"
 # The options that are not parameters of a record, but of the method or of encoding. Whatever is not here is refused.

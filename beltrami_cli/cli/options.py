@@ -24,7 +24,7 @@ from beltrami_cli.cli.parameter_options import (
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import parameters
 from beltrami_cli.flow.parameters import PRESETS, KernelParameters, parameters_with
-from beltrami_cli.formats.access import Access
+from beltrami_cli.formats.files.access import Access
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.settings import BakeSettings

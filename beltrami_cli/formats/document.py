@@ -7,8 +7,8 @@ A format is a subclass of `Document`, in a folder of its own, and a line of `for
   held against the length of the data before anything is allocated.
 - `_mesh` (or `_coloured_vertices` and `contents`), `_patched` and `facts` are required; the others have defaults for a
   format without textures, sidecar files, range images, further attributes or movable vertices. With textures, `slots`,
-  `textured_mesh` and `_scene` are required, too: `formats/scene_surface.py` and `formats/scene_mesh.py` make surfaces
-  and meshes of a `Scene`.
+  `textured_mesh` and `_scene` are required, too: `scene_surface.py` and `scene_mesh.py` in `formats/meshes/` make
+  surfaces and meshes of a `Scene`.
 - `patch` with equal colours returns equal bytes. What changes is rounded once; every other byte stays.
 - Whatever is wrong with the file is an `InputError` with its name, the cause and a remedy.
 """
@@ -28,14 +28,14 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError, NoColoursError, Obstacle
-from beltrami_cli.formats.access import DEFAULT_ACCESS, Access
 from beltrami_cli.formats.changes import NO_IMAGES, Changes, Naming, NewImages, PlannedImages, Written
 from beltrami_cli.formats.colours import BYTE, holds_bytes
 from beltrami_cli.formats.comparison import Fingerprint
+from beltrami_cli.formats.files.access import DEFAULT_ACCESS, Access
 from beltrami_cli.formats.image.decoded_image import DecodedImage
 from beltrami_cli.formats.image.reading import KeptImage
-from beltrami_cli.formats.scene import Scene
-from beltrami_cli.formats.scene_surface import textured_surface
+from beltrami_cli.formats.meshes.scene import Scene
+from beltrami_cli.formats.meshes.scene_surface import textured_surface
 from beltrami_cli.surface import records
 from beltrami_cli.surface.polygons import triangulate
 from beltrami_cli.surface.records import ColouredVertices

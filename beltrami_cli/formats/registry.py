@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.access import DEFAULT_ACCESS, Access, read_source
+from beltrami_cli.formats.files.access import DEFAULT_ACCESS, Access, read_source
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
@@ -152,7 +152,7 @@ FORMATS = (
             ("las", _by_start(rb"LASF")), ("laz", None), ("e57", _by_start(rb"ASTM-E57")), ("pcd", _by_start(_PCD))
         )
     ),
-    Format("npz", _by_function("numpy_files.is_npz", _ZIP), "points.npz", "NpzPointsDocument", "write_npz"),
+    Format("npz", _by_function("files.numpy_files.is_npz", _ZIP), "points.npz", "NpzPointsDocument", "write_npz"),
     Format("foreign", _is_foreign, "read_only", "document.ReadOnlyDocument", aliases=READ_ONLY),
 )  # fmt: skip
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Bools
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
+from beltrami_cli.formats.files.access import Access
 from beltrami_cli.formats.image.decoded_image import DecodedImage
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.image.sample_types import full_scale_one

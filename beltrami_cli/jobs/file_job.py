@@ -13,9 +13,9 @@ from pathlib import Path
 from beltrami_cli.errors import BeltramiError, UsageError
 from beltrami_cli.fields import given_parameters
 from beltrami_cli.formats import output_format, registry
-from beltrami_cli.formats.access import Access, read_source
 from beltrami_cli.formats.changes import Naming, Written
 from beltrami_cli.formats.document import Document
+from beltrami_cli.formats.files.access import Access, read_source
 from beltrami_cli.formats.output_format import OutputFormat, choose_format
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.writing.output import Output

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
-from beltrami_cli.formats.access import DEFAULT_ACCESS, Access
+from beltrami_cli.formats.files.access import DEFAULT_ACCESS, Access
 from beltrami_cli.jobs.progress import Expected, Progress, Work
 
 if TYPE_CHECKING:

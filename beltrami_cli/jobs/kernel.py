@@ -17,9 +17,9 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import smooth_in_place
 from beltrami_cli.flow.manifolds.grid_manifold import GridManifold
 from beltrami_cli.flow.manifolds.iteration import SampledKernel
-from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.document import Document
+from beltrami_cli.formats.files.access import Access
 from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.image.writing import write_image
 from beltrami_cli.formats.ply.writer import write_scalars_as_ply

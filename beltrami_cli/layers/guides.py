@@ -10,11 +10,11 @@ import numpy as np
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.manifolds.guides import Guide, centred
-from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
+from beltrami_cli.formats.files.access import Access
+from beltrami_cli.formats.files.paths import is_there
 from beltrami_cli.formats.image.decoded_image import DecodedImage
 from beltrami_cli.formats.image.reading import read_texture
-from beltrami_cli.formats.paths import is_there
 from beltrami_cli.layers.pixel_colours import PixelColours
 from beltrami_cli.layers.sample_files import read_map, read_table
 from beltrami_cli.layers.settings import SmoothSettings

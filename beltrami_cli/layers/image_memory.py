@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 from beltrami_cli.errors import InputError, MemoryLimitError
-from beltrami_cli.formats.access import Access
+from beltrami_cli.formats.files.access import Access
 from beltrami_cli.formats.image.sizes import ImageSize, measure_image
 
 # Bytes per pixel and per sample that a job on images needs at least, besides the decoded images: to recolour one

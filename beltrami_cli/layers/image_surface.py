@@ -16,7 +16,7 @@ from beltrami_cli.flow.manifolds.canvas import canvas_margin
 from beltrami_cli.flow.manifolds.grid_manifold import ColouredCanvas
 from beltrami_cli.flow.manifolds.guides import Guide
 from beltrami_cli.flow.parameters import KernelParameters, Space
-from beltrami_cli.formats.access import Access
+from beltrami_cli.formats.files.access import Access
 from beltrami_cli.formats.image.decoded_image import DecodedImage
 from beltrami_cli.formats.image.sample_types import full_scale_one
 from beltrami_cli.layers.sample_files import read_of_size

@@ -10,8 +10,8 @@ import numpy as np
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.formats.access import Access, read_source
 from beltrami_cli.formats.document import Document
+from beltrami_cli.formats.files.access import Access, read_source
 from beltrami_cli.formats.image.decoded_image import DecodedImage
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.image.sample_types import full_scale_one
@@ -27,7 +27,7 @@ _FRAME_WINDOW = 17
 
 def read_table(path: str, document: Document) -> Float64s:
     """Read numbers for the vertices of a document, shape (V, G): an array, an archive of one, or vertex colours."""
-    from beltrami_cli.formats.numpy_files import NPY_MAGIC, NpzArchive, is_npz, read_npy
+    from beltrami_cli.formats.files.numpy_files import NPY_MAGIC, NpzArchive, is_npz, read_npy
 
     access, rows = document.access, len(document.coloured_vertices().positions)
     data = read_source(path, access)

@@ -23,7 +23,7 @@ from beltrami_cli.fields import (
     parts,
 )
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters, Space
-from beltrami_cli.formats.paths import is_file
+from beltrami_cli.formats.files.paths import is_file
 from beltrami_cli.quantities import names_in, share_in
 from beltrami_cli.surface.slots import SLOTS
 

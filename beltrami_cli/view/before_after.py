@@ -7,9 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.formats.access import Access, read_regular
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.document import Document
+from beltrami_cli.formats.files.access import Access, read_regular
 from beltrami_cli.formats.image.containers.png import packed_chunk
 from beltrami_cli.formats.image.file_formats import is_image
 from beltrami_cli.jobs.writing.output import FileSet, Output, Overwrite

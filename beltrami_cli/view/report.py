@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.formats.access import Access, read_source
-from beltrami_cli.formats.bounded_text import REPORT, parse_json, text_in
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.document import Document
+from beltrami_cli.formats.files.access import Access, read_source
+from beltrami_cli.formats.files.bounded_text import REPORT, parse_json, text_in
 from beltrami_cli.jobs.compare.documents import ALL_SLOTS, ComparedDocuments, compare_documents, open_both
 from beltrami_cli.jobs.compare.figures import Measured, figures
 from beltrami_cli.jobs.job import PLAIN_JOB, Job

@@ -7,7 +7,7 @@ from batch.batches import without_workers
 from beltrami_cli.cli.parameter_options import ParameterOption
 from beltrami_cli.cli.registry import COMMANDS
 from beltrami_cli.errors import UsageError
-from beltrami_cli.formats.access import DEFAULT_ACCESS, Access
+from beltrami_cli.formats.files.access import DEFAULT_ACCESS, Access
 from beltrami_cli.jobs.file_job import open_any
 from beltrami_cli.layers.selection import select
 from beltrami_cli.layers.settings import SmoothSettings

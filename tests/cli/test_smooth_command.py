@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from beltrami_cli.formats.access import Access
+from beltrami_cli.formats.files.access import Access
 from beltrami_cli.formats.registry import open_document
 from cli.commands import SAMPLES, beltrami, colours_in
 from formats.image_files import encode

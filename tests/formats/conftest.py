@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from beltrami_cli.formats.foreign_library import ForeignLibrary
+from beltrami_cli.formats.files.foreign_library import ForeignLibrary
 from beltrami_cli.formats.usd.process import carry_out
 
 

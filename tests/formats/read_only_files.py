@@ -8,7 +8,7 @@ import zipfile
 
 import numpy as np
 
-from beltrami_cli.formats.access import Access
+from beltrami_cli.formats.files.access import Access
 from beltrami_cli.formats.read_only.document import ReadOnlyDocument
 from beltrami_cli.formats.registry import open_bytes
 

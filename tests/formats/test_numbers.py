@@ -8,10 +8,10 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from beltrami_cli.formats.colours import full_scale, intensity_scale
-from beltrami_cli.formats.edits import exchange_tokens
+from beltrami_cli.formats.files.edits import exchange_tokens
+from beltrami_cli.formats.files.tokens import find_tokens, read_numbers
 from beltrami_cli.formats.ply.document import PlyDocument
 from beltrami_cli.formats.registry import open_bytes
-from beltrami_cli.formats.tokens import find_tokens, read_numbers
 from cli.commands import beltrami
 from formats.gltf_files import patched
 from small_models import ply

@@ -8,8 +8,8 @@ import pytest
 from trimesh.exchange.ply import load_ply
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.changes import Naming
+from beltrami_cli.formats.files.access import Access
 from beltrami_cli.formats.ply.document import PlyDocument
 from beltrami_cli.formats.registry import open_bytes, open_document
 from beltrami_cli.surface.polygons import dual

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from beltrami_cli.errors import InputError, NoColoursError
-from beltrami_cli.formats.access import Access
-from beltrami_cli.formats.numpy_files import NpzArchive
+from beltrami_cli.formats.files.access import Access
+from beltrami_cli.formats.files.numpy_files import NpzArchive
 from beltrami_cli.formats.points.npz import NpzPointsDocument
 from beltrami_cli.formats.registry import open_document
 from cli.commands import beltrami, refused

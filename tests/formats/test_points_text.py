@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli.errors import InputError, NoColoursError
-from beltrami_cli.formats.access import Access
+from beltrami_cli.formats.files.access import Access
 from beltrami_cli.formats.points.text_document import TextPointsDocument
 from beltrami_cli.formats.registry import open_bytes
 from beltrami_cli.jobs.check import check_files

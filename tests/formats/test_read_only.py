@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError, NoColoursError, UsageError
 from beltrami_cli.formats.changes import Naming
-from beltrami_cli.formats.coloured_polygons import ColouredPolygons, colours_of_vertices
+from beltrami_cli.formats.meshes.coloured_polygons import ColouredPolygons, colours_of_vertices
 from beltrami_cli.formats.registry import open_bytes
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.surface.colour_values import linear_to_srgb

@@ -11,7 +11,7 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.flow.parameters import parameters_with
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.formats.tile_names import found_tiles, tile_name
+from beltrami_cli.formats.sidecars.tile_names import found_tiles, tile_name
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.inspect import inspect_file
 from beltrami_cli.jobs.job import Job

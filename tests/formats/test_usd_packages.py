@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.changes import Naming
+from beltrami_cli.formats.files.access import Access
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.formats.usd.layers import binary_layer

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.access import Access, Hooks
-from beltrami_cli.formats.model_folder import ModelFolder
+from beltrami_cli.formats.files.access import Access, Hooks
+from beltrami_cli.formats.sidecars.model_folder import ModelFolder
 from beltrami_cli.formats.volume import is_volume, read_colours, read_volume
 from beltrami_cli.surface.level_sets import GridColours, NearColours
 from formats.volume_files import header_only, lattice_fields, npz, npz_of_members, nrrd_file

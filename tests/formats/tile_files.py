@@ -3,7 +3,7 @@
 import numpy as np
 
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.formats.tile_names import tile_name
+from beltrami_cli.formats.sidecars.tile_names import tile_name
 from beltrami_cli.layers.settings import SmoothSettings
 from formats.image_files import encode
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.formats.tile_names import tile_name
+from beltrami_cli.formats.sidecars.tile_names import tile_name
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.settings import SmoothSettings

@@ -33,7 +33,7 @@ import numpy as np
 
 from beltrami_cli.errors import BeltramiError, InputError, NoColoursError
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.formats.access import Access
+from beltrami_cli.formats.files.access import Access
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.job import Job

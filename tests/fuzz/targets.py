@@ -19,13 +19,13 @@ from beltrami_cli.cli.batch_items import item_with
 from beltrami_cli.cli.commands.batch import batch
 from beltrami_cli.cli.configuration import configured_values, load
 from beltrami_cli.errors import BeltramiError, InputError, UsageError
-from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.changes import Naming
+from beltrami_cli.formats.files.access import Access
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.image.writing import write_image
-from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.formats.output_format import image_suffixes, sidecars_of, write_mesh
 from beltrami_cli.formats.registry import FORMATS, open_bytes
+from beltrami_cli.formats.sidecars.model_folder import ModelFolder
 from beltrami_cli.formats.usd.package import Package
 from beltrami_cli.formats.volume import is_volume, read_volume
 from beltrami_cli.layers.settings import DEFAULTS

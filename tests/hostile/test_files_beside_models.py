@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from beltrami_cli.errors import InputError, OutputError
-from beltrami_cli.formats import access
-from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.changes import Written
-from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError
+from beltrami_cli.formats.files import access
+from beltrami_cli.formats.files.access import Access
 from beltrami_cli.formats.registry import open_document
+from beltrami_cli.formats.sidecars.model_folder import ModelFolder, UnfitReferenceError
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.jobs.writing.output import Output

@@ -6,8 +6,8 @@ from contextlib import contextmanager
 
 import pytest
 
+from beltrami_cli.formats.files.tokens import Lines
 from beltrami_cli.formats.obj.renaming import Renaming
-from beltrami_cli.formats.tokens import Lines
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.selection import Selection
 from beltrami_cli.layers.texture_groups import choose_textures

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli import InputError, SmoothSettings, smooth
-from beltrami_cli.formats.access import DEFAULT_ACCESS, Access
+from beltrami_cli.formats.files.access import DEFAULT_ACCESS, Access
 from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.layers.settings import LevelSetSettings
 from cli.commands import beltrami

@@ -16,7 +16,7 @@ from beltrami_cli.flow.decoding import plan_on_canvas
 from beltrami_cli.flow.noise.grid_squares import Grid
 from beltrami_cli.flow.noise.reading import read_noise
 from beltrami_cli.flow.parameters import KernelParameters, parameters_with
-from beltrami_cli.formats.access import Access
+from beltrami_cli.formats.files.access import Access
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.image_surface import ImageSurface, canvas_of_image

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from beltrami_cli.formats.access import DEFAULT_ACCESS
+from beltrami_cli.formats.files.access import DEFAULT_ACCESS
 from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.layers.settings import DEFAULTS

@@ -12,7 +12,7 @@ from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import smooth, view
 from beltrami_cli.fields import override
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.formats.access import DEFAULT_ACCESS
+from beltrami_cli.formats.files.access import DEFAULT_ACCESS
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.job import PLAIN_JOB

@@ -18,8 +18,8 @@ from beltrami_cli.cli.parameter_options import record_from, typed_parameters
 from beltrami_cli.errors import OutputError, ProcessingError, UsageError
 from beltrami_cli.fields import without_effect
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.formats.access import Access
-from beltrami_cli.formats.paths import is_url
+from beltrami_cli.formats.files.access import Access
+from beltrami_cli.formats.files.paths import is_url
 from beltrami_cli.jobs.progress import Label, Work
 from beltrami_cli.quantities import show_amount
 from beltrami_cli.surface.memory import default_memory

@@ -16,7 +16,7 @@ from beltrami_cli.cli.console import Messages
 from beltrami_cli.cli.parameter_options import record_from
 from beltrami_cli.fields import Parameter, parameters, parts
 from beltrami_cli.flow.parameters import PRESETS
-from beltrami_cli.formats.access import Access
+from beltrami_cli.formats.files.access import Access
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.layers.settings import SmoothSettings, given_values
 

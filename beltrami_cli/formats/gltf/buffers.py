@@ -15,7 +15,7 @@ from beltrami_cli.formats.gltf.container import TRUNCATED, Container
 from beltrami_cli.formats.gltf.entries import Entry
 from beltrami_cli.formats.gltf.meshopt import Packed, read_packed, unpacked
 from beltrami_cli.formats.gltf.uris import file_key, is_data, quoted_uri, read_uri
-from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError
+from beltrami_cli.formats.sidecars.model_folder import ModelFolder, UnfitReferenceError
 
 VERTEX_DATA, INDEX_DATA = 34962, 34963  # targets of views (ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER)
 

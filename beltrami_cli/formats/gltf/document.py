@@ -31,7 +31,7 @@ from beltrami_cli.formats.gltf.textured_mesh import read_textured_mesh
 from beltrami_cli.formats.gltf.textured_surface import read_textured_surface
 from beltrami_cli.formats.gltf.uris import SidecarFiles
 from beltrami_cli.formats.gltf.vertex_colours import ColouredBlocks
-from beltrami_cli.formats.model_folder import ModelFolder
+from beltrami_cli.formats.sidecars.model_folder import ModelFolder
 from beltrami_cli.surface.records import ColouredVertices, MeshContents, Slot, TexturedSurface
 
 # Of `_omitted`, the losses of conversions with textures.

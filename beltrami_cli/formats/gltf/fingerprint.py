@@ -19,7 +19,7 @@ from beltrami_cli.formats.gltf.references import (
     texture_infos,
     view_references,
 )
-from beltrami_cli.formats.model_folder import UnfitReferenceError
+from beltrami_cli.formats.sidecars.model_folder import UnfitReferenceError
 from beltrami_cli.surface.records import Texture
 
 _PLACE_OF_BUFFER, _PLACE_OF_IMAGE = ("uri", "byteLength"), ("uri", "bufferView", "mimeType")

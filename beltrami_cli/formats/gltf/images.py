@@ -11,7 +11,7 @@ from beltrami_cli.formats.gltf.entries import Entry
 from beltrami_cli.formats.gltf.uris import file_key, is_data, locate_uri, read_uri
 from beltrami_cli.formats.image.extra_codecs import EXTRA, EXTRA_CODECS, missing_package
 from beltrami_cli.formats.image.file_formats import FORMATS, format_of, label_of
-from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError
+from beltrami_cli.formats.sidecars.model_folder import ModelFolder, UnfitReferenceError
 from beltrami_cli.surface.records import Wrap
 
 WEBP = "EXT_texture_webp"

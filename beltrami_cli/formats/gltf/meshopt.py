@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Array
 from beltrami_cli.errors import install_hint
-from beltrami_cli.formats.archives import is_too_dense
 from beltrami_cli.formats.changes import Bytes
+from beltrami_cli.formats.files.archives import is_too_dense
 from beltrami_cli.formats.gltf.entries import Entry
 
 MESHOPT = ("KHR_meshopt_compression", "EXT_meshopt_compression")

@@ -33,8 +33,8 @@ from beltrami_cli.formats.gltf.uris import data_uri, is_data
 from beltrami_cli.formats.image.file_formats import suffix_for
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.image.writing import write_image
-from beltrami_cli.formats.model_folder import UnfitReferenceError
-from beltrami_cli.formats.new_files import stale_use_notice
+from beltrami_cli.formats.sidecars.model_folder import UnfitReferenceError
+from beltrami_cli.formats.sidecars.new_files import stale_use_notice
 from beltrami_cli.surface.records import ImageFile, PlannedImage, Slot
 
 # Members of extensions, of any vendor, that name colours, as KHR_materials_sheen and VRMC_materials_mtoon do.

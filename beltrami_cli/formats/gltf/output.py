@@ -18,8 +18,8 @@ from beltrami_cli.formats.gltf.json_text import revised
 from beltrami_cli.formats.gltf.meshopt import MESHOPT
 from beltrami_cli.formats.gltf.references import objects
 from beltrami_cli.formats.gltf.uris import SidecarFiles, data_uri, is_data, locate_uri, quoted_uri, read_uri
-from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError, is_outside
-from beltrami_cli.formats.new_files import NewFiles
+from beltrami_cli.formats.sidecars.model_folder import ModelFolder, UnfitReferenceError, is_outside
+from beltrami_cli.formats.sidecars.new_files import NewFiles
 from beltrami_cli.surface.records import ImageFile
 
 _ALIGNMENT = 8  # of merged buffers: enough for all component types, and required by KHR extensions

@@ -15,8 +15,8 @@ from beltrami_cli.formats.gltf.images import Images, image_key
 from beltrami_cli.formats.gltf.materials import TextureUse
 from beltrami_cli.formats.gltf.nodes import Placement
 from beltrami_cli.formats.gltf.primitives import TRIANGLES, Primitive
-from beltrami_cli.formats.model_folder import UnfitReferenceError
-from beltrami_cli.formats.scene import Scene, ShownMap
+from beltrami_cli.formats.meshes.scene import Scene, ShownMap
+from beltrami_cli.formats.sidecars.model_folder import UnfitReferenceError
 from beltrami_cli.surface import records
 from beltrami_cli.surface.records import Slot
 

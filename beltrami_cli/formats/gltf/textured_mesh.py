@@ -25,7 +25,7 @@ from beltrami_cli.formats.gltf.parts import (
     used_positions,
 )
 from beltrami_cli.formats.gltf.primitives import OWN_COLOURS, TRIANGLES, Meshes, Primitive
-from beltrami_cli.formats.scene_mesh import textured_mesh
+from beltrami_cli.formats.meshes.scene_mesh import textured_mesh
 from beltrami_cli.surface import records
 
 # Colours of the vertices of a primitive by mesh and number, shape (n, 3) or with opacity (n, 4), linear.

@@ -20,7 +20,7 @@ from beltrami_cli.formats.gltf.parts import (
     used_positions,
 )
 from beltrami_cli.formats.gltf.primitives import Meshes, Primitive
-from beltrami_cli.formats.scene_surface import no_texture, textured_surface
+from beltrami_cli.formats.meshes.scene_surface import no_texture, textured_surface
 from beltrami_cli.surface import records
 from beltrami_cli.surface.records import Slot
 

@@ -12,7 +12,12 @@ from urllib.parse import unquote, unquote_to_bytes
 from beltrami_cli.errors import Obstacle
 from beltrami_cli.formats.changes import Bytes
 from beltrami_cli.formats.gltf.entries import Entry
-from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError, checked_path, is_outside
+from beltrami_cli.formats.sidecars.model_folder import (
+    ModelFolder,
+    UnfitReferenceError,
+    checked_path,
+    is_outside,
+)
 
 
 def is_data(uri: str) -> bool:

@@ -23,7 +23,7 @@ from beltrami_cli.formats.gltf.entries import Tree
 from beltrami_cli.formats.gltf.images import MEDIA, WRAPS
 from beltrami_cli.formats.gltf.materials import SLOT_PATHS
 from beltrami_cli.formats.gltf.primitives import OWN_COLOURS
-from beltrami_cli.formats.mesh_contents import (
+from beltrami_cli.formats.meshes.mesh_contents import (
     bare_polygons,
     image_names,
     normals_of_corners,

@@ -17,7 +17,7 @@ from beltrami_cli.formats.changes import Changes, Naming, PlannedImages, Written
 from beltrami_cli.formats.colours import full_scale, opacity
 from beltrami_cli.formats.comparison import Fingerprint, labelled
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.edits import (
+from beltrami_cli.formats.files.edits import (
     PLACEHOLDER,
     Spans,
     exchange_spans,
@@ -26,14 +26,14 @@ from beltrami_cli.formats.edits import (
     shifted,
     without_tokens,
 )
-from beltrami_cli.formats.model_folder import ModelFolder
+from beltrami_cli.formats.meshes.scene import Scene
 from beltrami_cli.formats.obj.materials import Materials
 from beltrami_cli.formats.obj.polypaint import with_entries, without_entries
 from beltrami_cli.formats.obj.renaming import renaming
 from beltrami_cli.formats.obj.scene import Coordinates, convert, read_coordinates, read_normals, read_scene
 from beltrami_cli.formats.obj.statements import Statements
 from beltrami_cli.formats.obj.vertices import Scan, among, new_positions, scan_file
-from beltrami_cli.formats.scene import Scene
+from beltrami_cli.formats.sidecars.model_folder import ModelFolder
 from beltrami_cli.surface.records import MeshContents, Slot
 
 _STALE_NOTICE = (

@@ -16,7 +16,7 @@ from pathlib import PurePosixPath
 
 from beltrami_cli.errors import Obstacle
 from beltrami_cli.formats.colours import clipped_factor
-from beltrami_cli.formats.model_folder import IGNORED, ModelFolder, UnfitReferenceError, is_outside
+from beltrami_cli.formats.sidecars.model_folder import IGNORED, ModelFolder, UnfitReferenceError, is_outside
 from beltrami_cli.surface.records import Material, Slot
 
 SLOTS: dict[str, Slot] = {

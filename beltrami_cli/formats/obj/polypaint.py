@@ -14,7 +14,7 @@ import numpy as np
 from beltrami_cli.arrays import Bools, Float32s, Int64s, Uint8s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.colours import quantised
-from beltrami_cli.formats.edits import zeroed
+from beltrami_cli.formats.files.edits import zeroed
 
 MARK = b"#MRGB"
 _LINE = re.compile(rb"^[ \t]*#MRGB[ \t]+(\S*)", re.MULTILINE)

@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
 
 from beltrami_cli.formats.changes import Naming, NewImages, Written
-from beltrami_cli.formats.edits import Spans, exchange_spans
-from beltrami_cli.formats.model_folder import is_outside
-from beltrami_cli.formats.new_files import (
+from beltrami_cli.formats.files.edits import Spans, exchange_spans
+from beltrami_cli.formats.obj.materials import SLOTS, Library, Map, Materials
+from beltrami_cli.formats.sidecars.model_folder import is_outside
+from beltrami_cli.formats.sidecars.new_files import (
     NewFiles,
     common_suffix,
     new_paths,
@@ -19,7 +20,6 @@ from beltrami_cli.formats.new_files import (
     path_inside,
     slots_by_path,
 )
-from beltrami_cli.formats.obj.materials import SLOTS, Library, Map, Materials
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,11 @@ import numpy as np
 
 from beltrami_cli.arrays import Float64s, Int32s, Int64s
 from beltrami_cli.formats.image.reading import read_image
+from beltrami_cli.formats.meshes.scene import Maps, Scene, ShownMap
+from beltrami_cli.formats.meshes.scene_mesh import textured_mesh
 from beltrami_cli.formats.obj.materials import BASE_COLOUR_ALIASES, SLOTS, Map, Materials
 from beltrami_cli.formats.obj.statements import Statements
 from beltrami_cli.formats.obj.vertices import Scan
-from beltrami_cli.formats.scene import Maps, Scene, ShownMap
-from beltrami_cli.formats.scene_mesh import textured_mesh
 from beltrami_cli.surface.geometry import unit_vectors
 from beltrami_cli.surface.records import MeshContents, Slot, Wrap
 

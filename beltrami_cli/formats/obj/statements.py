@@ -12,7 +12,7 @@ import re
 import numpy as np
 
 from beltrami_cli.arrays import Bools, Float64s, Int64s
-from beltrami_cli.formats.tokens import Lines, without_comments
+from beltrami_cli.formats.files.tokens import Lines, without_comments
 from beltrami_cli.surface.large_arrays import blocks
 from beltrami_cli.surface.precision import fits_single
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Bools, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.edits import NewNumbers, most_decimals
+from beltrami_cli.formats.files.edits import NewNumbers, most_decimals
 from beltrami_cli.formats.obj.polypaint import MARK, Polypaint, read_polypaint
 from beltrami_cli.formats.obj.statements import Statements
 from beltrami_cli.surface.polygons import polygons_of, polygons_with

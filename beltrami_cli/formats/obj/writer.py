@@ -13,14 +13,14 @@ import numpy as np
 from beltrami_cli.arrays import Array, Int64s
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.colours import display_colours
-from beltrami_cli.formats.mesh_contents import (
+from beltrami_cli.formats.files.tokens import number_lines
+from beltrami_cli.formats.meshes.mesh_contents import (
     image_names,
     lost_repetition,
     material_names,
     not_converted,
     plain_name,
 )
-from beltrami_cli.formats.tokens import number_lines
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.large_arrays import blocks
 from beltrami_cli.surface.polygons import polygons_with

@@ -12,13 +12,14 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, Obstacle
-from beltrami_cli.formats import edits
 from beltrami_cli.formats.changes import Changes, Naming, PlannedImages, Written
-from beltrami_cli.formats.coloured_polygons import ColouredPolygons, colours_of_vertices
 from beltrami_cli.formats.colours import quantised
 from beltrami_cli.formats.comparison import Fingerprint, labelled
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.model_folder import ModelFolder, is_outside
+from beltrami_cli.formats.files import edits
+from beltrami_cli.formats.meshes.coloured_polygons import ColouredPolygons, colours_of_vertices
+from beltrami_cli.formats.meshes.scene import Scene
+from beltrami_cli.formats.meshes.scene_mesh import textured_mesh
 from beltrami_cli.formats.ply import texturing
 from beltrami_cli.formats.ply.colours import (
     ColourProperties,
@@ -30,8 +31,7 @@ from beltrami_cli.formats.ply.colours import (
 from beltrami_cli.formats.ply.header import NORMAL, POSITION, Header, read_header
 from beltrami_cli.formats.ply.polygons import POLYGONS, VERTEX_LISTS, read_grid, read_polygons
 from beltrami_cli.formats.ply.tables import Body, NewValues, Table, indices, read_body, read_tables
-from beltrami_cli.formats.scene import Scene
-from beltrami_cli.formats.scene_mesh import textured_mesh
+from beltrami_cli.formats.sidecars.model_folder import ModelFolder, is_outside
 from beltrami_cli.surface.geometry import unit_vectors
 from beltrami_cli.surface.polygons import dual, polygons_of
 from beltrami_cli.surface.precision import require_single

@@ -18,10 +18,10 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float64s, Int64s
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats import edits
 from beltrami_cli.formats.changes import Bytes
+from beltrami_cli.formats.files import edits
+from beltrami_cli.formats.files.tokens import find_tokens, read_numbers
 from beltrami_cli.formats.ply.header import Element, Header, Property
-from beltrami_cli.formats.tokens import find_tokens, read_numbers
 from beltrami_cli.surface.precision import require_finite
 
 

@@ -17,11 +17,11 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, Obstacle
-from beltrami_cli.formats import model_folder, new_files
 from beltrami_cli.formats.changes import Naming, NewImages, Written
-from beltrami_cli.formats.edits import Spans
+from beltrami_cli.formats.files.edits import Spans
+from beltrami_cli.formats.meshes.scene import Maps, Scene, ShownMap
 from beltrami_cli.formats.ply.tables import Table
-from beltrami_cli.formats.scene import Maps, Scene, ShownMap
+from beltrami_cli.formats.sidecars import model_folder, new_files
 from beltrami_cli.surface import records
 
 _COMMENT = re.compile(rb"(?:\n|\r)comment[ \t]+TextureFile[ \t:]++([^\r\n]*[^\s])", re.IGNORECASE)

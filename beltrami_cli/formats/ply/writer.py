@@ -15,7 +15,12 @@ from numpy.typing import NDArray
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Uint8s
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.colours import display_colours, quantised
-from beltrami_cli.formats.mesh_contents import bare_polygons, image_names, lost_repetition, not_converted
+from beltrami_cli.formats.meshes.mesh_contents import (
+    bare_polygons,
+    image_names,
+    lost_repetition,
+    not_converted,
+)
 from beltrami_cli.formats.ply.header import NORMAL, POSITION, TYPES
 from beltrami_cli.formats.ply.tables import values_in_bytes
 from beltrami_cli.surface.polygons import polygons_of

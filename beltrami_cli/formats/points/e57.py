@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.arrays import Array
-from beltrami_cli.formats.archives import most_unpacked
+from beltrami_cli.formats.files.archives import most_unpacked
 from beltrami_cli.formats.points.scan import Arrays, replaced, require_room
 
 _PAGE, _CHECKSUM = 1024, 4  # bytes, see [1]_

@@ -13,7 +13,7 @@ import struct
 import numpy as np
 
 from beltrami_cli.arrays import Array
-from beltrami_cli.formats.archives import most_unpacked
+from beltrami_cli.formats.files.archives import most_unpacked
 from beltrami_cli.formats.points.scan import Arrays, replaced, require_room, with_colours
 
 # Bytes in the header of LAS: its size, the place of the points, the number of records; the format of points; the places

@@ -32,8 +32,8 @@ from beltrami_cli.errors import InputError, MemoryLimitError, NoColoursError
 from beltrami_cli.formats.changes import Changes, Naming, Written
 from beltrami_cli.formats.colours import display_colours, quantised
 from beltrami_cli.formats.comparison import Fingerprint
-from beltrami_cli.formats.mesh_contents import not_converted
-from beltrami_cli.formats.numpy_files import POSITION_KEYS, NpzArchive
+from beltrami_cli.formats.files.numpy_files import POSITION_KEYS, NpzArchive
+from beltrami_cli.formats.meshes.mesh_contents import not_converted
 from beltrami_cli.formats.points.cloud import Layout, PointsDocument
 from beltrami_cli.surface.polygons import triangulate
 from beltrami_cli.surface.precision import shortest_type

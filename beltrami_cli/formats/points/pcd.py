@@ -13,9 +13,9 @@ import struct
 import numpy as np
 
 from beltrami_cli.arrays import Array
-from beltrami_cli.formats.edits import NewNumbers, renumbered
+from beltrami_cli.formats.files.edits import NewNumbers, renumbered
+from beltrami_cli.formats.files.tokens import find_tokens
 from beltrami_cli.formats.points.scan import Arrays, replaced, require_room, with_colours
-from beltrami_cli.formats.tokens import find_tokens
 
 _LITERALS = 32  # bytes that one run of LZF holds at most
 

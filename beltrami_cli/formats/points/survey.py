@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.formats.changes import Changes, Naming, Written
-from beltrami_cli.formats.foreign_library import ForeignLibrary, serve_files
-from beltrami_cli.formats.numpy_files import NpzArchive
+from beltrami_cli.formats.files.foreign_library import ForeignLibrary, serve_files
+from beltrami_cli.formats.files.numpy_files import NpzArchive
 from beltrami_cli.formats.points.e57 import E57
 from beltrami_cli.formats.points.las import Las, has_index, is_laz
 from beltrami_cli.formats.points.npz import NpzPointsDocument

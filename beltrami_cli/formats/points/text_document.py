@@ -10,16 +10,16 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Int64s
 from beltrami_cli.errors import InputError, NoColoursError
-from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.changes import Changes, Naming, Written
 from beltrami_cli.formats.colours import display_colours, quantised
 from beltrami_cli.formats.comparison import Fingerprint
-from beltrami_cli.formats.edits import new_colours, renumbered, without_tokens
-from beltrami_cli.formats.mesh_contents import not_converted
+from beltrami_cli.formats.files.access import Access
+from beltrami_cli.formats.files.edits import new_colours, renumbered, without_tokens
+from beltrami_cli.formats.files.tokens import number_lines
+from beltrami_cli.formats.meshes.mesh_contents import not_converted
 from beltrami_cli.formats.points.cloud import Layout, PointsDocument
 from beltrami_cli.formats.points.columns import NORMAL, RGB, Columns, find_columns
 from beltrami_cli.formats.points.text_table import TextTable, read_table
-from beltrami_cli.formats.tokens import number_lines
 from beltrami_cli.surface.precision import shortest_type
 from beltrami_cli.surface.records import MeshContents
 

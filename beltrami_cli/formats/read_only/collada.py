@@ -17,10 +17,10 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.access import Access
-from beltrami_cli.formats.archives import Archive
-from beltrami_cli.formats.coloured_polygons import ColouredPolygons
-from beltrami_cli.formats.foreign_library import ForeignLibrary, serve_files
+from beltrami_cli.formats.files.access import Access
+from beltrami_cli.formats.files.archives import Archive
+from beltrami_cli.formats.files.foreign_library import ForeignLibrary, serve_files
+from beltrami_cli.formats.meshes.coloured_polygons import ColouredPolygons
 from beltrami_cli.formats.read_only.xml import MEMORY_PER_BYTE, safe_parser
 from beltrami_cli.surface.records import Frame
 from beltrami_cli.surface.worker_process import Message

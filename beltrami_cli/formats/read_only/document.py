@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.changes import Changes, Naming, Written
-from beltrami_cli.formats.coloured_polygons import (
+from beltrami_cli.formats.document import Document
+from beltrami_cli.formats.files.access import Access
+from beltrami_cli.formats.meshes.coloured_polygons import (
     ColouredPolygons,
     check_polygons,
     colours_of_vertices,
     joined,
 )
-from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.read_only.collada import is_collada, read_collada
 from beltrami_cli.formats.read_only.off import is_off, read_off
 from beltrami_cli.formats.read_only.stl import is_stl, read_stl

@@ -17,7 +17,7 @@ import io
 import numpy as np
 
 from beltrami_cli.errors import InputError, NoColoursError
-from beltrami_cli.formats.coloured_polygons import ColouredPolygons
+from beltrami_cli.formats.meshes.coloured_polygons import ColouredPolygons
 
 _HEADER, _TRIANGLE = 80, 50  # bytes
 _MAGICS = b"COLOR="

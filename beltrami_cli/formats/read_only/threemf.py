@@ -21,9 +21,9 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError, MemoryLimitError
-from beltrami_cli.formats.access import Access
-from beltrami_cli.formats.archives import Archive
-from beltrami_cli.formats.coloured_polygons import ColouredPolygons
+from beltrami_cli.formats.files.access import Access
+from beltrami_cli.formats.files.archives import Archive
+from beltrami_cli.formats.meshes.coloured_polygons import ColouredPolygons
 from beltrami_cli.formats.read_only.xml import MEMORY_PER_BYTE, safe_parser
 from beltrami_cli.surface.records import Frame
 

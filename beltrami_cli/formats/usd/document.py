@@ -14,9 +14,9 @@ from beltrami_cli.errors import InputError, NoColoursError, Obstacle
 from beltrami_cli.formats.changes import Changes, Naming, PlannedImages, Written
 from beltrami_cli.formats.comparison import Fingerprint, labelled
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.model_folder import IGNORED
-from beltrami_cli.formats.scene import Scene, ShownMap
-from beltrami_cli.formats.scene_mesh import textured_mesh
+from beltrami_cli.formats.meshes.scene import Scene, ShownMap
+from beltrami_cli.formats.meshes.scene_mesh import textured_mesh
+from beltrami_cli.formats.sidecars.model_folder import IGNORED
 from beltrami_cli.formats.usd.contents import Count, SceneContents
 from beltrami_cli.formats.usd.images import Images
 from beltrami_cli.formats.usd.layers import Layers

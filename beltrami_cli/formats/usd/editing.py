@@ -16,7 +16,7 @@ import numpy as np
 from pxr import Sdf, UsdGeom, Vt
 
 from beltrami_cli.arrays import Array, Float32s, Uint8s
-from beltrami_cli.formats.edits import Spans, exchange_spans
+from beltrami_cli.formats.files.edits import Spans, exchange_spans
 from beltrami_cli.formats.usd.contents import ColourBlock, EditRequest
 from beltrami_cli.formats.usd.stage import opened
 

@@ -9,8 +9,14 @@ from collections.abc import Mapping, Sequence
 from beltrami_cli.errors import InputError, Obstacle, UsageError
 from beltrami_cli.formats.changes import Naming, NewImages, Written
 from beltrami_cli.formats.image.file_formats import format_of, format_of_suffix
-from beltrami_cli.formats.model_folder import UnfitReferenceError
-from beltrami_cli.formats.new_files import NewFiles, SlotsByPath, common_suffix, new_paths, slots_by_path
+from beltrami_cli.formats.sidecars.model_folder import UnfitReferenceError
+from beltrami_cli.formats.sidecars.new_files import (
+    NewFiles,
+    SlotsByPath,
+    common_suffix,
+    new_paths,
+    slots_by_path,
+)
 from beltrami_cli.formats.usd.contents import SceneContents
 from beltrami_cli.formats.usd.layers import Layers
 from beltrami_cli.formats.usd.package import IMAGES

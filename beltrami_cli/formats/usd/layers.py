@@ -12,10 +12,10 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s
 from beltrami_cli.errors import InputError, MemoryLimitError, Obstacle
-from beltrami_cli.formats.access import Access
-from beltrami_cli.formats.foreign_library import ForeignLibrary
-from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError, is_outside
-from beltrami_cli.formats.tile_names import found_tiles, has_token
+from beltrami_cli.formats.files.access import Access
+from beltrami_cli.formats.files.foreign_library import ForeignLibrary
+from beltrami_cli.formats.sidecars.model_folder import ModelFolder, UnfitReferenceError, is_outside
+from beltrami_cli.formats.sidecars.tile_names import found_tiles, has_token
 from beltrami_cli.formats.usd.contents import (
     ColourBlock,
     EditRequest,

@@ -14,9 +14,9 @@ import zipfile
 from collections.abc import Mapping
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.access import Access
-from beltrami_cli.formats.archives import Archive, require_ratio
 from beltrami_cli.formats.changes import Bytes
+from beltrami_cli.formats.files.access import Access
+from beltrami_cli.formats.files.archives import Archive, require_ratio
 
 LAYERS = (".usd", ".usda", ".usdc")  # suffixes of files that usd-core reads
 IMAGES = (".png", ".jpg", ".jpeg", ".exr", ".avif")  # suffixes of images that a package may hold [1]_

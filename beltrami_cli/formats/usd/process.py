@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 from beltrami_cli.arrays import Array
-from beltrami_cli.formats.foreign_library import serve_files
+from beltrami_cli.formats.files.foreign_library import serve_files
 from beltrami_cli.surface.worker_process import Message
 
 _NO_MEMORY = "std::bad_alloc"  # in messages of usd-core

@@ -19,7 +19,7 @@ import numpy as np
 from beltrami_cli.arrays import Array, Int32s
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.colours import linear_colour, linear_colours
-from beltrami_cli.formats.mesh_contents import (
+from beltrami_cli.formats.meshes.mesh_contents import (
     image_names,
     material_names,
     normals_of_corners,

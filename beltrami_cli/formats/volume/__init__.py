@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.model_folder import ModelFolder
-from beltrami_cli.formats.numpy_files import NpzArchive, is_npz
+from beltrami_cli.formats.files.numpy_files import NpzArchive, is_npz
+from beltrami_cli.formats.sidecars.model_folder import ModelFolder
 from beltrami_cli.formats.volume.npz import npz_colours, read_npz
 from beltrami_cli.formats.volume.nrrd import read_nrrd, read_nrrd_colours
 from beltrami_cli.surface.level_sets import GridColours, NearColours, Volume

@@ -25,7 +25,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Float64s
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.numpy_files import LEVEL_SET_KEYS, NpzArchive
+from beltrami_cli.formats.files.numpy_files import LEVEL_SET_KEYS, NpzArchive
 from beltrami_cli.formats.volume.lattice import MAX_CHANNELS, MIN_SIDE, checked_lattice
 from beltrami_cli.surface.level_sets import GridColours, Lattice, NearColours, Volume
 

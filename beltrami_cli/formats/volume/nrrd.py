@@ -14,7 +14,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Float64s
 from beltrami_cli.errors import InputError, MemoryLimitError
-from beltrami_cli.formats.model_folder import ModelFolder
+from beltrami_cli.formats.sidecars.model_folder import ModelFolder
 from beltrami_cli.formats.volume.extra import require_package
 from beltrami_cli.formats.volume.lattice import MAX_CHANNELS, MIN_SIDE, checked_lattice
 from beltrami_cli.surface.level_sets import GridColours, Lattice, Volume

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Indices, Int32s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.flow.parameters import Weights
-from beltrami_cli.formats.access import Access
+from beltrami_cli.formats.files.access import Access
 from beltrami_cli.formats.image.decoded_image import DecodedImage
 from beltrami_cli.formats.image.reading import read_texture
 from beltrami_cli.formats.image.sample_types import full_scale_one

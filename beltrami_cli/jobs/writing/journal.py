@@ -24,7 +24,7 @@ from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
-from beltrami_cli.formats.bounded_text import parse_json
+from beltrami_cli.formats.files.bounded_text import parse_json
 from beltrami_cli.jobs.writing.file_rights import PRIVATE, take_over
 from beltrami_cli.jobs.writing.locks import close_descriptor, folders_locked, try_lock
 from beltrami_cli.jobs.writing.placing import TemporaryFile, identity_of, put, undo

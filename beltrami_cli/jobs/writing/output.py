@@ -17,8 +17,8 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Literal
 
 from beltrami_cli.errors import OutputError
-from beltrami_cli.formats.access import Access
-from beltrami_cli.formats.paths import is_url
+from beltrami_cli.formats.files.access import Access
+from beltrami_cli.formats.files.paths import is_url
 from beltrami_cli.jobs.writing.journal import Journal, recover
 from beltrami_cli.jobs.writing.locks import folders_locked
 from beltrami_cli.signals import signals_deferred

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from urllib.parse import quote
 
-from beltrami_cli.formats.access import DEFAULT_ACCESS, read_regular
+from beltrami_cli.formats.files.access import DEFAULT_ACCESS, read_regular
 from beltrami_cli.formats.registry import OUTPUT_FORMATS, READ_ONLY
 
 # Number of files of a folder that are searched.

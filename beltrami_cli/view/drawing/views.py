@@ -7,8 +7,8 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from beltrami_cli.errors import InputError, MemoryLimitError
-from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
+from beltrami_cli.formats.files.access import Access
 from beltrami_cli.formats.image.reading import read_texture
 from beltrami_cli.formats.image.sizes import measure_image
 from beltrami_cli.jobs.file_job import open_input

@@ -20,7 +20,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
 from beltrami_cli.errors import BeltramiError
-from beltrami_cli.formats.bounded_text import parse_json
+from beltrami_cli.formats.files.bounded_text import parse_json
 
 # The page has its own content security policy.
 _HEADERS = {

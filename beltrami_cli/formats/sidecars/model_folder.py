@@ -13,8 +13,8 @@ from itertools import product
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from beltrami_cli.errors import InputError, Obstacle
-from beltrami_cli.formats.access import DEFAULT_ACCESS, Access, read_regular
-from beltrami_cli.formats.tile_names import found_tiles, has_token, tile_name
+from beltrami_cli.formats.files.access import DEFAULT_ACCESS, Access, read_regular
+from beltrami_cli.formats.sidecars.tile_names import found_tiles, has_token, tile_name
 from beltrami_cli.surface.tiling import COLUMNS, Tile
 
 _SCHEME = re.compile(r"[a-z][a-z0-9+.-]*:", re.IGNORECASE)  # of a URL, or a drive letter

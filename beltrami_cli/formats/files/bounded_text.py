@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from beltrami_cli.formats.paths import open_regular
+from beltrami_cli.formats.files.paths import open_regular
 
 CONFIGURATION, MANIFEST, REPORT = 1 << 20, 1 << 24, 1 << 24  # bytes that such a file has at most
 _MAX_NESTING = 50  # levels of tables and lists

@@ -10,7 +10,7 @@ from typing import Any
 
 from beltrami_cli.arrays import Array
 from beltrami_cli.errors import InputError, MemoryLimitError, install_hint
-from beltrami_cli.formats.archives import most_unpacked
+from beltrami_cli.formats.files.archives import most_unpacked
 from beltrami_cli.surface.worker_process import Message, WorkerError, ask, serve
 
 _TIMEOUT = 60  # seconds

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Bools, Float32s, Int32s
 from beltrami_cli.formats.changes import Naming, NewImages
-from beltrami_cli.formats.new_files import NewFiles
+from beltrami_cli.formats.sidecars.new_files import NewFiles
 from beltrami_cli.surface.polygons import polygons_with, triangulate_corners
 from beltrami_cli.surface.records import (
     Material,

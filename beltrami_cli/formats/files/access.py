@@ -12,7 +12,7 @@ from typing import ClassVar
 
 from beltrami_cli.errors import InputError, MemoryLimitError
 from beltrami_cli.fields import Checked, Parameter, parameter
-from beltrami_cli.formats.paths import NotRegularError, is_url, open_regular
+from beltrami_cli.formats.files.paths import NotRegularError, is_url, open_regular
 from beltrami_cli.quantities import names_in, show_size, size_in
 
 _BLOCK = 1 << 24  # bytes of standard input read at a time: a larger request is allocated at once

@@ -9,7 +9,7 @@ import zlib
 from collections.abc import Iterator
 
 from beltrami_cli.errors import InputError, MemoryLimitError
-from beltrami_cli.formats.access import DEFAULT_ACCESS, Access
+from beltrami_cli.formats.files.access import DEFAULT_ACCESS, Access
 
 # Bytes up to which any compression ratio is accepted, and the largest ratio beyond.
 _MIN_UNPACKED, _MAX_RATIO = 1 << 26, 100

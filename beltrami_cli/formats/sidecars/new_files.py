@@ -10,8 +10,8 @@ from pathlib import PurePath, PurePosixPath
 
 from beltrami_cli.formats.changes import Bytes, Naming, NewImages, Written
 from beltrami_cli.formats.image.file_formats import format_of_suffix
-from beltrami_cli.formats.model_folder import is_outside
-from beltrami_cli.formats.tile_names import has_token, tile_name, token_in
+from beltrami_cli.formats.sidecars.model_folder import is_outside
+from beltrami_cli.formats.sidecars.tile_names import has_token, tile_name, token_in
 from beltrami_cli.surface.records import ImageFile, Slot
 from beltrami_cli.surface.tiling import Tile
 

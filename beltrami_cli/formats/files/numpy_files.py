@@ -20,7 +20,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Array
 from beltrami_cli.errors import InputError, MemoryLimitError
-from beltrami_cli.formats.archives import Archive, refusing_damage, require_ratio
+from beltrami_cli.formats.files.archives import Archive, refusing_damage, require_ratio
 
 _MAGIC = b"PK\x03\x04"
 NPY_MAGIC = b"\x93NUMPY"

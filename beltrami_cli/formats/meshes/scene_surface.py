@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from beltrami_cli.errors import InputError, NoColoursError, Obstacle
-from beltrami_cli.formats.scene import Scene, ShownMap
+from beltrami_cli.formats.meshes.scene import Scene, ShownMap
 from beltrami_cli.surface import tiling
 from beltrami_cli.surface.polygons import triangulate_corners
 from beltrami_cli.surface.records import Slot, Texture, TexturedSurface, Wrap

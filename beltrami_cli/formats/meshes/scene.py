@@ -9,7 +9,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Bools, Float64s, Int32s, Int64s
 from beltrami_cli.errors import Obstacle
-from beltrami_cli.formats.new_files import TileSets
+from beltrami_cli.formats.sidecars.new_files import TileSets
 from beltrami_cli.surface.polygons import polygons_with
 from beltrami_cli.surface.records import Material, Slot, Wrap
 

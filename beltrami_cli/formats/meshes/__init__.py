@@ -1,0 +1,1 @@
+"""Meshes between formats: scenes with materials, coloured polygons, and what writers take of both."""

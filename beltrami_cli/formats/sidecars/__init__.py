@@ -1,0 +1,1 @@
+"""Files that a model names: which are read, and how those of an output are called."""
