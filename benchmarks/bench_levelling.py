@@ -15,7 +15,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from beltrami_cli.flow.manifolds.canvas import on_canvas
+from beltrami_cli.flow.manifolds.grid.canvas import on_canvas
 from beltrami_cli.levelling.steps import ChartPlaces, steps_over_seams
 from harness import SAMPLES, arguments, show
 from levelling.exposure_scene import ExposureScene, fall

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from beltrami_cli.flow.corrections import outliers
-from beltrami_cli.flow.manifolds.surroundings import CanvasSurroundings
+from beltrami_cli.flow.manifolds.grid.surroundings import CanvasSurroundings
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.image.sample_types import full_scale_one

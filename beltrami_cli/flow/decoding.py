@@ -14,7 +14,7 @@ from beltrami_cli.flow.beltrami_flow import smooth_in_place
 from beltrami_cli.flow.corrections.coded_picture import CodedPicture, decode_in_place
 from beltrami_cli.flow.corrections.jpeg_noise import is_changed, noise_after, sigma_before
 from beltrami_cli.flow.estimation import estimate_on_canvas, with_known_noise
-from beltrami_cli.flow.manifolds.grid_manifold import (
+from beltrami_cli.flow.manifolds.grid.manifold import (
     CanvasColours,
     ColouredCanvas,
     GridManifold,

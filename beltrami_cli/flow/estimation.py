@@ -6,13 +6,14 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s
 from beltrami_cli.flow.corrections.outliers import fill_outliers
-from beltrami_cli.flow.manifolds.canvas import fill_canvas, on_canvas
-from beltrami_cli.flow.manifolds.grid_gaussian import SUMMED_ROWS
-from beltrami_cli.flow.manifolds.grid_manifold import CanvasColours, ColouredCanvas
+from beltrami_cli.flow.manifolds.grid.canvas import fill_canvas, on_canvas
+from beltrami_cli.flow.manifolds.grid.gaussian import SUMMED_ROWS
+from beltrami_cli.flow.manifolds.grid.manifold import CanvasColours, ColouredCanvas
+from beltrami_cli.flow.manifolds.grid.seams import find_colour_jumps, halo_beyond
+from beltrami_cli.flow.manifolds.grid.surroundings import CanvasSurroundings
 from beltrami_cli.flow.manifolds.manifold import Outliers
-from beltrami_cli.flow.manifolds.mesh_manifold import ColouredMesh, MeshColours
-from beltrami_cli.flow.manifolds.seams import find_colour_jumps, halo_beyond
-from beltrami_cli.flow.manifolds.surroundings import CanvasSurroundings, MeshSurroundings
+from beltrami_cli.flow.manifolds.mesh.manifold import ColouredMesh, MeshColours
+from beltrami_cli.flow.manifolds.mesh.surroundings import MeshSurroundings
 from beltrami_cli.flow.noise.clusters import VertexClusters
 from beltrami_cli.flow.noise.grid_squares import Grid
 from beltrami_cli.flow.noise.model import NoiseModel, relative_to_mean

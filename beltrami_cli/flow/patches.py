@@ -35,7 +35,8 @@ from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.flow.corrections.clipping import ClippedChannels
 from beltrami_cli.flow.corrections.normal_tables import normal_tables
 from beltrami_cli.flow.manifolds.blocks import block_rows, for_blocks, in_blocks, in_parallel
-from beltrami_cli.flow.manifolds.domain import CoarseLevel, Domain, Stack
+from beltrami_cli.flow.manifolds.domain import CoarseLevel, Domain
+from beltrami_cli.flow.manifolds.geometry import Stack
 from beltrami_cli.flow.manifolds.iteration import Averaged
 from beltrami_cli.flow.manifolds.manifold import Manifold
 from beltrami_cli.flow.mixing import NOISELESS, PERTURBATION, Mixing
@@ -235,7 +236,8 @@ def _blend_means_in_place(
     """Blend the means of results with their estimates by patches; return the estimated gain."""
     # The means of the blend are used as the pilot directly: a first estimate without a pilot would bring back noise.
     mixing = dataclasses.replace(mixing, variances=mixing.variances * level.noise)
-    noisy, axis, sums, (least, enough) = means.probed, level.axis, level.planes(2), _TRUSTED_WITHIN
+    noisy, axis, (least, enough) = means.probed, level.axis, _TRUSTED_WITHIN
+    sums = np.empty((2, *level.shape), np.float32)
     pilots = _Pair(*(level.means(stack) for stack in results))
     change = level.collaborate(noisy.colours, pilots.plain, mixing)
     with noisy.perturbed(axis):

@@ -15,7 +15,7 @@ import numpy as np
 from beltrami_cli.arrays import Array, Float32s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import smooth_in_place
-from beltrami_cli.flow.manifolds.grid_manifold import GridManifold
+from beltrami_cli.flow.manifolds.grid.manifold import GridManifold
 from beltrami_cli.flow.manifolds.iteration import SampledKernel
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.document import Document

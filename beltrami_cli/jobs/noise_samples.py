@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Float32s, Float64s, Int32s
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.manifolds.canvas import on_canvas
+from beltrami_cli.flow.manifolds.grid.canvas import on_canvas
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.formats.image.writing import noise_losses
 from beltrami_cli.jobs.noise_kinds import NumberedSamples, as_jpeg

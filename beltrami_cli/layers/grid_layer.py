@@ -12,7 +12,7 @@ import numpy as np
 from beltrami_cli.arrays import Array, Bools, Float32s, Indices
 from beltrami_cli.flow.beltrami_flow import FlowResult
 from beltrami_cli.flow.decoding import plan_on_canvas
-from beltrami_cli.flow.manifolds.grid_manifold import GridManifold
+from beltrami_cli.flow.manifolds.grid.manifold import GridManifold
 from beltrami_cli.flow.plan import Plan
 from beltrami_cli.layers.image_surface import ImageSurface, canvas_of_image
 from beltrami_cli.layers.layer import SampledVertices

@@ -14,7 +14,7 @@ import numpy as np
 from beltrami_cli.arrays import Bools
 from beltrami_cli.fields import require_effect
 from beltrami_cli.flow.beltrami_flow import FlowResult
-from beltrami_cli.flow.manifolds.grid_manifold import ColouredCanvas, GridManifold
+from beltrami_cli.flow.manifolds.grid.manifold import ColouredCanvas, GridManifold
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.plan import Plan
 from beltrami_cli.formats.document import Document

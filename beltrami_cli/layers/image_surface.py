@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Indices, Int32s
 from beltrami_cli.errors import InputError
-from beltrami_cli.flow.manifolds.canvas import canvas_margin
-from beltrami_cli.flow.manifolds.grid_manifold import ColouredCanvas
+from beltrami_cli.flow.manifolds.grid.manifold import ColouredCanvas
+from beltrami_cli.flow.manifolds.grid.margins import canvas_margin
 from beltrami_cli.flow.manifolds.guides import Guide
 from beltrami_cli.flow.parameters import KernelParameters, Space
 from beltrami_cli.formats.files.access import Access

@@ -15,7 +15,7 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import FlowResult
 from beltrami_cli.flow.estimation import estimate_on_mesh
 from beltrami_cli.flow.manifolds.guides import Guide
-from beltrami_cli.flow.manifolds.mesh_manifold import (
+from beltrami_cli.flow.manifolds.mesh.manifold import (
     ColouredMesh,
     MeshManifold,
     mean_samples_per_kernel,

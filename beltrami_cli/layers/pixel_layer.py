@@ -13,7 +13,7 @@ import numpy as np
 from beltrami_cli.arrays import Array, Bools, Float32s, Indices
 from beltrami_cli.flow.corrections.coded_picture import CodedPicture
 from beltrami_cli.flow.decoding import decodes_again, plan_on_canvas
-from beltrami_cli.flow.manifolds.grid_manifold import ColouredCanvas, GridManifold
+from beltrami_cli.flow.manifolds.grid.manifold import ColouredCanvas, GridManifold
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.parameters import Space
 from beltrami_cli.flow.plan import Plan

@@ -14,9 +14,10 @@ from beltrami_cli.arrays import Array, Bools, Float32s, Indices, Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import FlowResult
 from beltrami_cli.flow.estimation import estimate_on_canvas
-from beltrami_cli.flow.manifolds.canvas import canvas_margin, fill_canvas
-from beltrami_cli.flow.manifolds.grid_geometry import colours_at
-from beltrami_cli.flow.manifolds.grid_manifold import ColouredCanvas, GridManifold, grid_manifold
+from beltrami_cli.flow.manifolds.grid.canvas import fill_canvas
+from beltrami_cli.flow.manifolds.grid.geometry import colours_at
+from beltrami_cli.flow.manifolds.grid.manifold import ColouredCanvas, GridManifold, grid_manifold
+from beltrami_cli.flow.manifolds.grid.margins import canvas_margin
 from beltrami_cli.flow.manifolds.guides import Guide
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.parameters import KernelParameters

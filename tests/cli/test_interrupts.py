@@ -37,8 +37,8 @@ main()
 FLOW = ("--beta", "0", "-t", "8", "-n", "9999")
 PATCHES = ("--patches", "on", "-n", "1", "-t", "0.5", "--threads", "1")
 MESH, GRID = (
-    ("flow.manifolds.mesh_manifold", "MeshManifold"),
-    ("flow.manifolds.grid_manifold", "GridManifold"),
+    ("flow.manifolds.mesh.manifold", "MeshManifold"),
+    ("flow.manifolds.grid.manifold", "GridManifold"),
 )
 STEPS = {
     "iterations on vertices": (("smooth", "in.ply", "out.ply", *FLOW), (*MESH, "average"), 0),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import beltrami_cli
-from beltrami_cli.flow.manifolds.canvas import canvas_colours, on_canvas
+from beltrami_cli.flow.manifolds.grid.canvas import canvas_colours, on_canvas
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.job import PLAIN_JOB

@@ -3,7 +3,7 @@
 import numpy as np
 
 from beltrami_cli.flow.estimation import estimate_on_mesh
-from beltrami_cli.flow.manifolds.mesh_manifold import ColouredMesh, mesh_manifold
+from beltrami_cli.flow.manifolds.mesh.manifold import ColouredMesh, mesh_manifold
 from beltrami_cli.flow.noise.grid_squares import Grid
 from beltrami_cli.flow.noise.reading import read_noise
 from beltrami_cli.flow.parameters import parameters_with

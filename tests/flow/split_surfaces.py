@@ -11,7 +11,7 @@ from beltrami_cli.flow.corrections.clipping import clipped_on
 from beltrami_cli.flow.decoding import plan_on_canvas
 from beltrami_cli.flow.estimation import estimate_on_mesh
 from beltrami_cli.flow.manifolds.guides import Guide
-from beltrami_cli.flow.manifolds.mesh_manifold import ColouredMesh, mesh_manifold
+from beltrami_cli.flow.manifolds.mesh.manifold import ColouredMesh, mesh_manifold
 from beltrami_cli.flow.plan import choose_parameters
 from beltrami_cli.layers.image_surface import ImageSurface, canvas_of_image
 from beltrami_cli.surface.atlas import build_atlas

@@ -5,8 +5,8 @@ import dataclasses
 import pytest
 
 from beltrami_cli.flow.beltrami_flow import smooth_in_place
-from beltrami_cli.flow.manifolds.canvas import kernel_margin
-from beltrami_cli.flow.manifolds.grid_manifold import row_blocks
+from beltrami_cli.flow.manifolds.grid.manifold import row_blocks
+from beltrami_cli.flow.manifolds.grid.margins import kernel_margin
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
 from flow.split_surfaces import (
     FIXED,

@@ -12,9 +12,9 @@ from beltrami_cli.flow.choice.choice import Choice
 from beltrami_cli.flow.choice.prediction import predict
 from beltrami_cli.flow.choice.risk import PERTURBATION, Risk, RiskEstimate
 from beltrami_cli.flow.choice.search import Candidates, Search
-from beltrami_cli.flow.manifolds.fingerprints import fingerprints, random_signs
 from beltrami_cli.flow.manifolds.iteration import Step
-from beltrami_cli.flow.manifolds.mesh_trial import choose_patches
+from beltrami_cli.flow.manifolds.mesh.fingerprints import fingerprints, random_signs
+from beltrami_cli.flow.manifolds.mesh.trial import choose_patches
 from beltrami_cli.flow.manifolds.search_range import BUDGET_ON_MESHES, RULE_ON_GRIDS, RULE_ON_MESHES
 from beltrami_cli.flow.noise.model import NoiseModel, Reading
 from beltrami_cli.flow.parameters import STRENGTHS, TUNABLE, KernelParameters

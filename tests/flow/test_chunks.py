@@ -15,7 +15,7 @@ from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunking, Resources, in_turn
 from beltrami_cli.flow.decoding import plan_on_canvas
 from beltrami_cli.flow.manifolds.guides import Guide
 from beltrami_cli.flow.manifolds.iteration import Step
-from beltrami_cli.flow.manifolds.mesh_manifold import mean_samples_per_kernel
+from beltrami_cli.flow.manifolds.mesh.manifold import mean_samples_per_kernel
 from beltrami_cli.flow.manifolds.moving_positions import GeometryParameters
 from beltrami_cli.flow.parameters import KernelParameters, parameters_with
 from beltrami_cli.layers.image_surface import ImageSurface, canvas_of_image

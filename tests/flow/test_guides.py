@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import beltrami_cli
-from beltrami_cli.flow.manifolds.grid_gaussian import guide_radius
+from beltrami_cli.flow.manifolds.grid.gaussian import guide_radius
 from beltrami_cli.flow.manifolds.guides import Guide, choose_guide_beta
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface.atlas import build_atlas

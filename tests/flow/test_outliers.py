@@ -9,7 +9,7 @@ import beltrami_cli
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunking, Resources, in_turn
 from beltrami_cli.flow.corrections.outliers import fill_outliers
 from beltrami_cli.flow.decoding import plan_on_canvas
-from beltrami_cli.flow.manifolds.surroundings import CanvasSurroundings
+from beltrami_cli.flow.manifolds.grid.surroundings import CanvasSurroundings
 from beltrami_cli.flow.parameters import KernelParameters, parameters_with
 from beltrami_cli.layers.image_surface import ImageSurface, canvas_of_image
 from beltrami_cli.surface.grid_atlas import grid_atlas

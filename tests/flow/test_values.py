@@ -7,9 +7,9 @@ import pytest
 
 from beltrami_cli.flow.corrections.coarse_levels import without_shared_noise
 from beltrami_cli.flow.estimation import estimate_on_canvas, estimate_on_mesh
-from beltrami_cli.flow.manifolds.grid_manifold import ColouredCanvas, grid_manifold
+from beltrami_cli.flow.manifolds.grid.manifold import ColouredCanvas, grid_manifold
 from beltrami_cli.flow.manifolds.iteration import Step
-from beltrami_cli.flow.manifolds.mesh_manifold import ColouredMesh, mesh_manifold
+from beltrami_cli.flow.manifolds.mesh.manifold import ColouredMesh, mesh_manifold
 from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.flow.noise.stabiliser import COLOURS, VarianceStabiliser
 from beltrami_cli.flow.parameters import parameters_with

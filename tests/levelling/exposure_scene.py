@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from beltrami_cli.flow.manifolds.canvas import canvas_colours, on_canvas
+from beltrami_cli.flow.manifolds.grid.canvas import canvas_colours, on_canvas
 from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.image.writing import write_image

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from beltrami_cli.flow.manifolds.canvas import on_canvas
+from beltrami_cli.flow.manifolds.grid.canvas import on_canvas
 from beltrami_cli.levelling import judgement
 from beltrami_cli.levelling.correction import Correction
 from beltrami_cli.levelling.exposures import SPREADS, Exposures, fit_exposures, known_steps

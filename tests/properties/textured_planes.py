@@ -10,8 +10,8 @@ import numpy as np
 import oracles.textured
 from beltrami_cli.flow.beltrami_flow import smooth_in_place
 from beltrami_cli.flow.decoding import plan_on_canvas
-from beltrami_cli.flow.manifolds.grid_gaussian import guide_radius
-from beltrami_cli.flow.manifolds.grid_manifold import ColouredCanvas
+from beltrami_cli.flow.manifolds.grid.gaussian import guide_radius
+from beltrami_cli.flow.manifolds.grid.manifold import ColouredCanvas
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface.atlas import build_atlas
 from oracles import surfaces

@@ -27,7 +27,7 @@ from beltrami_cli._native import impute_cut_off, restore_cut_off
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s
 from beltrami_cli.flow.corrections.normal_tables import censored_normal, normal_tables
 from beltrami_cli.flow.manifolds.blocks import block_rows, for_blocks
-from beltrami_cli.flow.manifolds.domain import Stack
+from beltrami_cli.flow.manifolds.geometry import Stack
 from beltrami_cli.flow.manifolds.manifold import Manifold
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY
@@ -139,7 +139,7 @@ def clipped_on(manifold: Manifold) -> ClippedChannels | None:
 def mark_clipped(manifold: Manifold, clipped: ClippedChannels) -> Stack:
     """Return the marks of samples at a limit as a stack, to be averaged like colours."""
     geometry = manifold.geometry
-    planes = geometry.planes(len(clipped.clipped))
+    planes = large_arrays.zeros((len(clipped.clipped), *geometry.shape), np.float32)
     marks = np.ascontiguousarray(np.moveaxis(planes, 0, geometry.axis))
 
     def mark(channels: Array, block: Array, kind: Array) -> None:

@@ -12,8 +12,10 @@ import numpy as np
 from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.flow.corrections.clipping import MIN_SHARE
 from beltrami_cli.flow.manifolds.blocks import in_blocks
-from beltrami_cli.flow.manifolds.domain import CoarseLevel, Geometry
+from beltrami_cli.flow.manifolds.domain import CoarseLevel
+from beltrami_cli.flow.manifolds.geometry import Geometry
 from beltrami_cli.flow.manifolds.manifold import Manifold
+from beltrami_cli.surface import large_arrays
 
 # Standard deviations below the local mean from which on samples are outliers: 3 in 100,000 samples of normal noise.
 _OUTLIER = 4.0
@@ -32,7 +34,7 @@ def fill_dark_outliers_in_place(manifold: Manifold, level: CoarseLevel, sigma: F
         np.moveaxis(each, geometry.axis, 0) for each in (manifold.colours, manifold.relative_variance)
     )
     are_far = np.zeros(colours.shape[1:], bool)
-    shares = np.maximum(level.spread(level.planes(1) + np.float32(1)), np.float32(MIN_SHARE))
+    shares = np.maximum(level.spread(np.ones((1, *level.shape), np.float32)), np.float32(MIN_SHARE))
     for _ in range(_ROUNDS):
         for channel, deviation in zip(colours, sigma, strict=True):
             planes = _local_moments(geometry, level, channel, shares)
@@ -52,7 +54,7 @@ def _local_moments(geometry: Geometry, level: CoarseLevel, channel: Float32s, sh
     `shares`: the result of spreading ones over the level.
     """
     axis = geometry.axis
-    both = geometry.planes(2)
+    both = large_arrays.empty((2, *geometry.shape), np.float32)
     for colour, (value, square) in in_blocks(0, channel[None], both):
         value[:], square[:] = colour[0], np.square(colour[0])
     means = np.ascontiguousarray(np.moveaxis(level.means(np.moveaxis(both, 0, axis)), axis, 0))

@@ -17,19 +17,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s
 from beltrami_cli.flow.manifolds.blocks import block_rows, in_blocks
 from beltrami_cli.flow.manifolds.domain import Regions
+from beltrami_cli.flow.manifolds.manifold import Manifold
 from beltrami_cli.flow.noise.stabiliser import COLOURS
 from beltrami_cli.flow.parameters import Space
+from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.colour_values import from_space, to_space
-
-if TYPE_CHECKING:
-    from beltrami_cli.flow.manifolds.manifold import Manifold
 
 # Ratio of light between successive bands. Where only the noise on the dark side of an edge of 1 to 50 has heavy tails
 # (a gamma distribution of four samples), the mean of the 32 cells at the edge is off by 2.3 % without bands and by 0.2
@@ -87,7 +85,8 @@ def _give_back(regions: Regions, before: Float32s, after: Float32s, threads: int
 
 def _light_of(manifold: Manifold, space: Space) -> Float32s:
     axis, stabiliser = manifold.geometry.axis, manifold.noise.stabiliser
-    planes = manifold.geometry.planes(manifold.colours.shape[axis])
+    channels = manifold.colours.shape[axis]
+    planes: Float32s = large_arrays.empty((channels, *manifold.geometry.shape), np.float32)
     for block, light in zip(in_blocks(axis, manifold.colours), in_blocks(0, planes), strict=True):
         colours = block[0].copy()
         if stabiliser is not None:

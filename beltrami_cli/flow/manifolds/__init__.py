@@ -1,4 +1,14 @@
-"""Image manifolds: what smoothing needs of a surface, and both kinds of surfaces.
+"""Image manifolds: surfaces with colours, on which distances are measured and colours are averaged.
 
-`grid_*`, `canvas` and `seams` are about the canvases of textures and images, `mesh_*` about triangulated surfaces.
+Everything outside of this package that smooths works with any `Manifold`. There are two kinds, in a folder each:
+`mesh.manifold` for triangulated surfaces and point clouds, `grid.manifold` for the canvases of textures and images.
+Both folders have the same files: `geometry`, `patches` with the coarse levels, `trial` with the parts on which
+parameters are tried, and `surroundings`, among which outliers are found.
+
+What both kinds share:
+
+- `manifold`, `geometry`, `domain`: the interfaces of a manifold, of its samples, and of sums and means over them.
+- `iteration`, `metric_channels`, `guides`, `moving_positions`: one iteration, and what its metric consists of.
+- `kernel_work`, `search_range`: the workload of kernels, and the parameters that are tried.
+- `blocks`, `new_colours`: passes over stacks, and the colours that are written back.
 """

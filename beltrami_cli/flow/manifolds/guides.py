@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s
-from beltrami_cli.flow.manifolds.domain import Geometry, Stack
+from beltrami_cli.flow.manifolds.geometry import Geometry, Stack
 
 # Length, in sample spacings, of a step of one standard deviation of the guide. It is nearly the radius of the kernel at
 # the default time step, so that the kernel stops there.

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from beltrami_cli.arrays import Float32s, Int64s
-from beltrami_cli.flow.manifolds.domain import Gaussian, Stack
+from beltrami_cli.flow.manifolds.geometry import Gaussian, Stack
 from beltrami_cli.flow.manifolds.moving_positions import MovingPositions
 from beltrami_cli.flow.parameters import KernelParameters
 

@@ -20,7 +20,8 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunk, Chunking, Figures, Resources
-from beltrami_cli.flow.manifolds.domain import CoarseLevel, Gaussian, Geometry, Regions, Stack
+from beltrami_cli.flow.manifolds.domain import CoarseLevel, Regions
+from beltrami_cli.flow.manifolds.geometry import Gaussian, Geometry, Stack
 from beltrami_cli.flow.manifolds.guides import GuideStack
 from beltrami_cli.flow.manifolds.iteration import Averaged, Metric, SampledKernel, Step
 from beltrami_cli.flow.manifolds.moving_positions import MovingPositions

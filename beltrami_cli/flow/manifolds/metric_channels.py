@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from beltrami_cli.arrays import Float32s
-from beltrami_cli.flow.manifolds.domain import Gaussian, Stack
+from beltrami_cli.flow.manifolds.geometry import Gaussian, Stack
 from beltrami_cli.flow.manifolds.iteration import Step
 from beltrami_cli.flow.manifolds.manifold import Manifold
 

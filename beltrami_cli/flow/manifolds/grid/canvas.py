@@ -1,4 +1,4 @@
-"""The canvas of an atlas: its planes, and how far around a cell smoothing reads."""
+"""The canvas of an atlas: colours to planes and back."""
 
 from __future__ import annotations
 
@@ -6,12 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from beltrami_cli._native import FURTHEST_SUPPORT, PATCH_REACH
 from beltrami_cli.arrays import Float32s
-from beltrami_cli.flow.manifolds.grid_gaussian import guide_radius
-from beltrami_cli.flow.manifolds.grid_geometry import colours_at
+from beltrami_cli.flow.manifolds.grid.geometry import colours_at
 from beltrami_cli.flow.manifolds.new_colours import NewColours
-from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas, refresh_halo
 
@@ -44,20 +41,3 @@ def canvas_colours(atlas: Atlas, planes: Float32s) -> NewColours:
         atlas.gutter.texels,
         beyond,
     )
-
-
-def canvas_margin(parameters: KernelParameters) -> int:
-    """Return the number of cells beyond a chart that kernels and patches read."""
-    of_kernel = parameters.window // 2 + _metric_reach(parameters)
-    return max(of_kernel, PATCH_REACH if parameters.takes_patches else 0)
-
-
-def kernel_margin(parameters: KernelParameters) -> int:
-    """Return the number of cells to each side of a cell that influence its average in one iteration."""
-    support = FURTHEST_SUPPORT if parameters.scheme == "metric" else 0
-    return parameters.window // 2 + 1 + support + _metric_reach(parameters)
-
-
-def _metric_reach(parameters: KernelParameters) -> int:
-    """Reach of the Gaussian of the regularised metric."""
-    return guide_radius(parameters.metric_scale) if parameters.metric_steps else 0

@@ -13,8 +13,7 @@ from beltrami_cli._native import PATCH_BLOCK_SIZE
 from beltrami_cli.arrays import Array, Float32s, Int32s
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunk, Chunking, Figures, Resources
 from beltrami_cli.flow.cuts import runs
-from beltrami_cli.flow.manifolds.domain import Gaussian, Stack
-from beltrami_cli.flow.manifolds.fingerprints import fingerprints, quantised
+from beltrami_cli.flow.manifolds.geometry import Gaussian, Stack
 from beltrami_cli.flow.manifolds.guides import Guide, GuideStack
 from beltrami_cli.flow.manifolds.iteration import (
     Averaged,
@@ -24,11 +23,12 @@ from beltrami_cli.flow.manifolds.iteration import (
     at_step,
     kernel_values,
 )
-from beltrami_cli.flow.manifolds.kernel_work import without_hubs
 from beltrami_cli.flow.manifolds.manifold import Manifold, SampleTrial, StabilisedColours
-from beltrami_cli.flow.manifolds.mesh_geometry import Core, MeshGeometry, MeshMetric, rank_in
-from beltrami_cli.flow.manifolds.mesh_patches import Clusters, clusters_for, collaborate_on_graph
-from beltrami_cli.flow.manifolds.mesh_trial import choose_patches, draw_perturbations
+from beltrami_cli.flow.manifolds.mesh.fingerprints import fingerprints, quantised
+from beltrami_cli.flow.manifolds.mesh.geometry import Core, MeshGeometry, MeshMetric, rank_in
+from beltrami_cli.flow.manifolds.mesh.kernel_work import without_hubs
+from beltrami_cli.flow.manifolds.mesh.patches import Clusters, clusters_for, collaborate_on_graph
+from beltrami_cli.flow.manifolds.mesh.trial import choose_patches, draw_perturbations
 from beltrami_cli.flow.manifolds.metric_channels import gaussian_for, joined_channels
 from beltrami_cli.flow.manifolds.moving_positions import GeometryParameters, MovingPositions
 from beltrami_cli.flow.manifolds.new_colours import NewColours

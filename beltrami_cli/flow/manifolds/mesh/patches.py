@@ -12,8 +12,9 @@ import numpy as np
 from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.flow.chunks import Figures
 from beltrami_cli.flow.manifolds.blocks import in_blocks
-from beltrami_cli.flow.manifolds.domain import CoarseLevel, Stack
-from beltrami_cli.flow.manifolds.fingerprints import random_signs
+from beltrami_cli.flow.manifolds.domain import CoarseLevel
+from beltrami_cli.flow.manifolds.geometry import Stack
+from beltrami_cli.flow.manifolds.mesh.fingerprints import random_signs
 from beltrami_cli.flow.mixing import Mixing
 from beltrami_cli.flow.noise.drawing import root_of
 from beltrami_cli.flow.vertex_graph import Graph, Level, levels_of

@@ -20,9 +20,10 @@ from beltrami_cli._native import (
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Uint8s
 from beltrami_cli.flow.chunks import Chunking, Figures
 from beltrami_cli.flow.cuts import Rectangle, chunks_of_canvas, grown
-from beltrami_cli.flow.manifolds.canvas import canvas_margin
-from beltrami_cli.flow.manifolds.domain import CoarseLevel, Regions, Stack
-from beltrami_cli.flow.manifolds.grid_gaussian import gaussian_taps
+from beltrami_cli.flow.manifolds.domain import CoarseLevel, Regions
+from beltrami_cli.flow.manifolds.geometry import Stack
+from beltrami_cli.flow.manifolds.grid.gaussian import gaussian_taps
+from beltrami_cli.flow.manifolds.grid.margins import canvas_margin
 from beltrami_cli.flow.mixing import Mixing
 from beltrami_cli.flow.noise.drawing import draw_white
 from beltrami_cli.flow.parameters import KernelParameters

@@ -13,10 +13,11 @@ import numpy as np
 from beltrami_cli._native import SegmentManifold, TriangulatedManifold, vertex_order
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Indices, Int32s, Uint8s
 from beltrami_cli.flow.chunks import Resources
-from beltrami_cli.flow.manifolds.domain import ENOUGH_STEPS, Geometry, Regions, Stack
-from beltrami_cli.flow.manifolds.fingerprints import fingerprints, quantised
+from beltrami_cli.flow.manifolds.domain import Regions
+from beltrami_cli.flow.manifolds.geometry import ENOUGH_STEPS, Geometry, Stack
 from beltrami_cli.flow.manifolds.iteration import Metric
-from beltrami_cli.flow.manifolds.kernel_work import MeshWork
+from beltrami_cli.flow.manifolds.mesh.fingerprints import fingerprints, quantised
+from beltrami_cli.flow.manifolds.mesh.kernel_work import MeshWork
 from beltrami_cli.flow.mesh_gaussian import PASS_SCALE, PASS_VARIANCE, MeshGaussian
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.vertex_graph import Graph
@@ -111,8 +112,14 @@ class MeshGeometry(Geometry, Regions):
             self._core = core, metric
         return core
 
+    def refresh(self, stack: Stack) -> None:
+        """No sample of a mesh repeats another."""
+
     def drop_distances(self) -> None:
         self._core = None
+
+    def drop_samples(self) -> None:
+        """Their order is not computed again."""
 
     def __getstate__(self) -> dict[str, object]:
         fields = {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}

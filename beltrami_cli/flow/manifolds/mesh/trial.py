@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-from beltrami_cli.flow.manifolds.fingerprints import random_signs
+from beltrami_cli.flow.manifolds.mesh.fingerprints import random_signs
 from beltrami_cli.flow.manifolds.search_range import BUDGET_ON_MESHES
 from beltrami_cli.flow.noise.drawing import draw_on_clusters
 from beltrami_cli.flow.noise.model import NoiseModel

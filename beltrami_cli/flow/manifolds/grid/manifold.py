@@ -17,12 +17,14 @@ from beltrami_cli._native import FURTHEST_SUPPORT, SWEEP_TILE_ROWS, grid_distanc
 from beltrami_cli.arrays import Array, Bools, Float32s, Int64s
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunk, Figures, Resources
 from beltrami_cli.flow.cuts import Rectangle, chunks_of_canvas
-from beltrami_cli.flow.manifolds.canvas import canvas_colours, kernel_margin, on_canvas
-from beltrami_cli.flow.manifolds.domain import Gaussian, Stack
-from beltrami_cli.flow.manifolds.grid_gaussian import GridGaussian, guide_radius
-from beltrami_cli.flow.manifolds.grid_geometry import Cells, GridGeometry, pick
-from beltrami_cli.flow.manifolds.grid_patches import Squares, collaborate_on_canvas, largest_side
-from beltrami_cli.flow.manifolds.grid_trial import choose_blocks, draw_perturbations, with_halo
+from beltrami_cli.flow.manifolds.geometry import Gaussian, Stack
+from beltrami_cli.flow.manifolds.grid.canvas import canvas_colours, on_canvas
+from beltrami_cli.flow.manifolds.grid.gaussian import GridGaussian, guide_radius
+from beltrami_cli.flow.manifolds.grid.geometry import Cells, GridGeometry, pick
+from beltrami_cli.flow.manifolds.grid.margins import kernel_margin
+from beltrami_cli.flow.manifolds.grid.patches import Squares, collaborate_on_canvas, largest_side
+from beltrami_cli.flow.manifolds.grid.seams import end_at_seams_in_place
+from beltrami_cli.flow.manifolds.grid.trial import choose_blocks, draw_perturbations, with_halo
 from beltrami_cli.flow.manifolds.guides import Guide, GuideStack
 from beltrami_cli.flow.manifolds.iteration import (
     Averaged,
@@ -35,7 +37,6 @@ from beltrami_cli.flow.manifolds.iteration import (
 from beltrami_cli.flow.manifolds.manifold import Manifold, SampleTrial, StabilisedColours
 from beltrami_cli.flow.manifolds.metric_channels import gaussian_for, joined_channels
 from beltrami_cli.flow.manifolds.new_colours import NewColours
-from beltrami_cli.flow.manifolds.seams import end_at_seams_in_place
 from beltrami_cli.flow.manifolds.search_range import BUDGET_ON_GRIDS, ON_GRIDS, RULE_ON_GRIDS, wanted_probes
 from beltrami_cli.flow.mixing import Mixing
 from beltrami_cli.flow.parameters import KernelParameters, Space
