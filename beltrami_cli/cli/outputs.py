@@ -32,20 +32,26 @@ Report = TypeVar("Report", bound="FileReport")
 _REPORT_HEAD = re.compile(rb'\{\n  "input": ".*",\n  "output": ".*",\n  "format": "\w+",\n  "parameters": \{')
 _LOSSY = {"jpeg", "webp", "avif", "ktx2"}  # which --jpeg-quality is for
 
-dry_run = click.option("--dry-run", is_flag=True, help="Compute and report, but write no OUTPUT.")
+_dry_run = click.option("--dry-run", is_flag=True, help="Compute and report, but write no OUTPUT.")
 _report = click.option(
     "--report", "report_path", metavar="FILE.json", shell_complete=complete_files,
     help="Write parameters, counts and changes; - prints them.",
 )  # fmt: skip
-preview = click.option(
+_preview = click.option(
     "--preview", "preview_path", metavar="FILE.png", shell_complete=complete_files,
     help="Draw INPUT and OUTPUT side by side, with a detail; `beltrami render` draws others.",
 )  # fmt: skip
 
 
-def report(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add --json and --report."""
-    return options.as_json(_report(command))
+def result(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options of a command that reads INPUT and writes OUTPUT and a report, for `run_and_write`."""
+    return options.output_format(options.as_json(_report(options.writing(command))))
+
+
+def previewed_result(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options of `result`, --dry-run and --preview."""
+    further = _dry_run(options.as_json(_report(_preview(options.messages(command)))))
+    return options.output_format(options.reading(options.overwrite(further)))
 
 
 def run_and_write(

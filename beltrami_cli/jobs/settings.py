@@ -54,7 +54,7 @@ class NoiseSettings(Checked):
         low=1, high=64, unit="distances of samples", metavar="N", is_daily=True,
     )  # fmt: skip
     quality: int = parameter(
-        85, "Of jpeg: the quality at which each picture is coded, with colour at half the resolution (4:2:0).",
+        85, "Of jpeg: the quality at which each image is coded, with colour at half the resolution (4:2:0).",
         low=1, high=100, metavar="Q", is_daily=True,
     )  # fmt: skip
 

@@ -92,6 +92,7 @@ def test_a_file_is_smoothed_in_place_and_a_link_stays(overwritten, tmp_path):
     [
         ("terrain-noisy.ply", ()),
         ("mirrored-noisy.obj", ()),
+        ("mirrored-noisy.obj", ("--level",)),
         ("nonmanifold-noisy.obj", ("--unwrap", "--texture-size", "64")),
     ],
 )
@@ -100,6 +101,9 @@ def test_a_dry_run_reports_and_writes_nothing(name, options, tmp_path):
     words = ("--dry-run", "-n", 1, "--fast", *options, "--report", report)
     run = beltrami("smooth", SAMPLES / name, out, *words)
     assert re.search(rb"peak memory: [1-9][0-9.]*M\n", run.stderr)
+    results = [line for line in run.stderr.decode().splitlines() if line.startswith(f"{out}: ")]
+    assert results
+    assert all("not written (dry run)" in line for line in results)
     assert [path.name for path in tmp_path.iterdir()] == ["report.json"]
     assert json.loads(report.read_text())["written"] == []
 

@@ -7,7 +7,7 @@ from typing import Any, get_args
 
 import click
 
-from beltrami_cli.cli import options, outputs
+from beltrami_cli.cli import outputs
 from beltrami_cli.cli.command import command
 from beltrami_cli.cli.console import Messages
 from beltrami_cli.cli.parameter_options import options_of, record_from, refuse_typed
@@ -18,9 +18,7 @@ from beltrami_cli.jobs.settings import BakeSettings, BakeTo
 @command("bake", source="INPUT", target="OUTPUT")
 @click.option("--to", type=click.Choice(get_args(BakeTo)), required=True, help="Where the colours go.")
 @options_of(BakeSettings)
-@options.output_format
-@outputs.report
-@options.writing
+@outputs.result
 def bake(source: str, target: str, to: BakeTo, messages: Messages, **values: Any) -> None:
     """Move the colours of INPUT from its vertices to a texture, or from its textures to the vertices."""
     settings = record_from(BakeSettings, values)

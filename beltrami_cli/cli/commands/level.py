@@ -18,13 +18,7 @@ from beltrami_cli.layers.settings import LevelSettings, SmoothSettings
 @options_of(
     SmoothSettings, only=(*options.TEXTURES, *options.ENCODING, "alpha"), changed=options.SPACE_WITHOUT_OKLAB
 )
-@options.output_format
-@options.reading
-@options.overwrite
-@outputs.dry_run
-@outputs.report
-@outputs.preview
-@options.messages
+@outputs.previewed_result
 def level(source: str, target: str, messages: Messages, **values: Any) -> None:
     """Remove the exposure steps between the charts of the textures of INPUT, and write OUTPUT."""
     levelling = record_from(LevelSettings, values)

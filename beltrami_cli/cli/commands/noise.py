@@ -17,9 +17,7 @@ from beltrami_cli.layers.settings import SmoothSettings
 @command("noise", source="INPUT", target="OUTPUT")
 @options_of(NoiseSettings)
 @options_of(SmoothSettings, only=(*options.COLOURS, *options.ENCODING), changed=options.SPACE_WITHOUT_OKLAB)
-@options.output_format
-@outputs.report
-@options.writing
+@outputs.result
 def noise(source: str, target: str, messages: Messages, **values: Any) -> None:
     """Add noise to the colours of INPUT, and write OUTPUT with nothing else changed: for tests and demonstrations."""
     settings = record_from(SmoothSettings, values)

@@ -31,13 +31,7 @@ if TYPE_CHECKING:
 @command("smooth", source="INPUT", target="OUTPUT")
 @options.smoothing
 @options.unwrapping
-@options.output_format
-@options.reading
-@options.overwrite
-@outputs.dry_run
-@outputs.report
-@outputs.preview
-@options.messages
+@outputs.previewed_result
 def smooth(source: str, target: str, messages: Messages, **smoothing: Any) -> None:
     """Smooth the colours of INPUT, in its vertices, textures or pixels, and write OUTPUT with nothing else changed."""
     settings, dry_run = options.settings_from(smoothing), smoothing["dry_run"]
@@ -46,7 +40,7 @@ def smooth(source: str, target: str, messages: Messages, **smoothing: Any) -> No
 
     carry_out = partial(smooth_file, source, target, settings, unwrap=unwrap)
     report = outputs.run_and_write(smoothing, (source, target), messages, carry_out, settings)
-    outputs.show_levelled(messages, report.levelled, f"{output_name(report.output)}: ")
+    outputs.show_levelled(messages, report.levelled, head_of_result(report.output, dry_run=dry_run))
     if settings.kernel.iterations:
         _show_result(messages, report, settings.kernel.given_noise, dry_run=dry_run)
     elif not settings.level_seams:

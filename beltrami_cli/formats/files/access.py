@@ -51,7 +51,7 @@ class Access(Checked):
     channels : tuple of str
         Channels of PLY vertices to smooth, which may include one scalar.
     typed : tuple of Parameter
-        Parameters that the user typed for a single input, each of which must have an effect on it.
+        Parameters given on the command line, where there is a single input; each must apply to it.
     hooks : Hooks
         Callables for files as they are read, and replacements of files.
     """
