@@ -27,7 +27,7 @@ NOISELESS = 0.01
 # Size of the perturbation in units of the noise. Groups of patches change with the colours in steps. A smaller
 # perturbation misses these steps, so that patches are trusted too much where noise is underestimated; a larger one
 # counts too many.
-PERTURBATION = 0.2
+PATCH_PERTURBATION = 0.2
 
 
 @dataclass(frozen=True)

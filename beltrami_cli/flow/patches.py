@@ -39,7 +39,7 @@ from beltrami_cli.flow.manifolds.domain import CoarseLevel, Domain
 from beltrami_cli.flow.manifolds.geometry import Stack
 from beltrami_cli.flow.manifolds.iteration import Averaged
 from beltrami_cli.flow.manifolds.manifold import Manifold
-from beltrami_cli.flow.mixing import NOISELESS, PERTURBATION, Mixing
+from beltrami_cli.flow.mixing import NOISELESS, PATCH_PERTURBATION, Mixing
 from beltrami_cli.surface import large_arrays
 
 
@@ -125,7 +125,7 @@ def blend_with_patches_in_place(
     # Chunked kernels do not overwrite the colours.
     before = kernel(large_arrays.copy_of(noisy) if manifold.chunking is None else noisy).stacks[0]
     perturbation = manifold.perturbation()
-    size = np.float32(PERTURBATION * manifold.noise.rms_sigma)
+    size = np.float32(PATCH_PERTURBATION * manifold.noise.rms_sigma)
     perturbed = large_arrays.copy_of(noisy)
     _add(axis, perturbed, perturbation.get(), size)
     perturbation.drop()

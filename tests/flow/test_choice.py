@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter
 import beltrami_cli
 from beltrami_cli.flow.choice.choice import Choice
 from beltrami_cli.flow.choice.prediction import predict
-from beltrami_cli.flow.choice.risk import PERTURBATION, Risk, RiskEstimate
+from beltrami_cli.flow.choice.risk import KERNEL_PERTURBATION, Risk, RiskEstimate
 from beltrami_cli.flow.choice.search import Candidates, Search
 from beltrami_cli.flow.manifolds.iteration import Step
 from beltrami_cli.flow.manifolds.mesh.fingerprints import fingerprints, random_signs
@@ -57,14 +57,14 @@ class Blur:
         return state.reshape(-1, state.shape[-1])
 
 
-@pytest.mark.parametrize(("epsilon", "bias", "probes"), [(0.05, 0.0, 1), (PERTURBATION, 0.03, 3)])
+@pytest.mark.parametrize(("epsilon", "bias", "probes"), [(0.05, 0.0, 1), (KERNEL_PERTURBATION, 0.03, 3)])
 def test_the_estimated_error_and_its_own_standard_error_are_the_true_ones(monkeypatch, epsilon, bias, probes):
     """Over many draws of noise and signs, the mean difference is within four of its standard errors.
 
     A perturbation as large as is used, which makes estimates steady, may add 3 per cent of the noise's variance. The
     reported standard error comes of 16 parts only, and is that of repeated draws within a factor of two.
     """
-    monkeypatch.setattr("beltrami_cli.flow.choice.risk.PERTURBATION", epsilon)
+    monkeypatch.setattr("beltrami_cli.flow.choice.risk.KERNEL_PERTURBATION", epsilon)
     clean = shapes(48)
     step = Step(beta=1.4 / SIGMA, t=2.4, regularised=False)
     differences, reported = [], []

@@ -31,7 +31,7 @@ from beltrami_cli.surface.colour_values import limits_of
 # Size of the perturbation in units of the noise, far above the rounding of float32. Distances on meshes have kinks
 # where their paths change: the derivative of a smaller perturbation varies from sample to sample, and a larger one
 # changes the kernels. On hand-painted and photographed samples, half or twice this size chooses worse.
-PERTURBATION = 0.3
+KERNEL_PERTURBATION = 0.3
 
 # Time steps of the Gaussian on the surface that averages the share of samples at a limit.
 _MARK_TIMES = (2.4, 2.4)
@@ -77,7 +77,7 @@ class RiskEstimate:
         cls, trial: SampleTrial, sigma: Float64s, stabiliser: VarianceStabiliser | None = None
     ) -> RiskEstimate:
         """Prepare the estimate for noise of standard deviation `sigma` by channel, shape (N,)."""
-        noisy, size = trial.scored(trial.start), PERTURBATION * float(np.sqrt(np.square(sigma).mean()))
+        noisy, size = trial.scored(trial.start), KERNEL_PERTURBATION * float(np.sqrt(np.square(sigma).mean()))
         variance = np.square(sigma) * _unclipped_variance(trial, noisy) * trial.relative
         to_input = 1.0 if stabiliser is None else np.square(stabiliser.slopes(noisy.T)).T
         signs = [trial.scored(drawn) for drawn in trial.signs]

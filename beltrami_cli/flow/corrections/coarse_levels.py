@@ -24,7 +24,7 @@ from beltrami_cli.flow.corrections.clipping import impute_clipped_in_place
 from beltrami_cli.flow.corrections.dark_outliers import fill_dark_outliers_in_place
 from beltrami_cli.flow.manifolds.domain import CoarseLevel
 from beltrami_cli.flow.manifolds.manifold import Manifold
-from beltrami_cli.flow.mixing import PERTURBATION, Mixing
+from beltrami_cli.flow.mixing import PATCH_PERTURBATION, Mixing
 from beltrami_cli.flow.noise.model import sigma_of_covariances
 from beltrami_cli.surface import large_arrays
 
@@ -83,7 +83,7 @@ def _estimate_in_place(
 
     after = estimate(means)
     probe = level.probe(means, noise)
-    size = np.float32(PERTURBATION)
+    size = np.float32(PATCH_PERTURBATION)
     response = estimate(means + size * probe)
     response -= after
     response *= probe / size
