@@ -1,6 +1,6 @@
-"""Plans for canvases, with a second decoding of pictures in which JPEG compressed white noise.
+"""Plans for canvases, with a second decoding of images in which JPEG compressed white noise.
 
-Such pictures are decoded around a pilot, the result of the kernel alone, before the parameters are chosen.
+Such images are decoded around a pilot, the result of the kernel alone, before the parameters are chosen.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.flow.beltrami_flow import smooth_in_place
-from beltrami_cli.flow.corrections.coded_picture import CodedPicture, decode_in_place
+from beltrami_cli.flow.corrections.jpeg_image import JpegImage, decode_in_place
 from beltrami_cli.flow.corrections.jpeg_noise import is_changed, noise_after, sigma_before
 from beltrami_cli.flow.estimation import estimate_on_canvas, with_known_noise
 from beltrami_cli.flow.manifolds.grid.manifold import (
@@ -34,14 +34,14 @@ _PILOTS = 2
 
 
 def plan_on_canvas(
-    canvas: ColouredCanvas, pictures: Sequence[CodedPicture] = (), tick: Tick | None = None
+    canvas: ColouredCanvas, images: Sequence[JpegImage] = (), tick: Tick | None = None
 ) -> Plan[GridManifold]:
-    """Estimate the noise, decode JPEG pictures again if all have compressed white noise, and choose parameters."""
+    """Estimate the noise, decode JPEG images again if all have compressed white noise, and choose parameters."""
     colours = estimate_on_canvas(canvas)
-    sigma = _sigma_before(pictures, colours, canvas.parameters)
+    sigma = _sigma_before(images, colours, canvas.parameters)
     if sigma is not None:
         reading = colours.noise.reading
-        colours, stored_noise = _decode_in_place(canvas, colours, pictures, sigma, tick)
+        colours, stored_noise = _decode_in_place(canvas, colours, images, sigma, tick)
         plan = choose_parameters(grid_manifold(canvas, colours), tick).with_noise(stored_noise, reading)
         if plan.parameters.iterations and not should_stay(plan.choice, canvas.parameters):
             return plan
@@ -50,26 +50,26 @@ def plan_on_canvas(
 
 
 def decodes_again(parameters: KernelParameters) -> bool:
-    """Whether JPEG pictures may be decoded again."""
+    """Whether JPEG images may be decoded again."""
     return parameters.stabilises_noise and not parameters.fast
 
 
 def _sigma_before(
-    pictures: Sequence[CodedPicture], colours: CanvasColours, parameters: KernelParameters
+    images: Sequence[JpegImage], colours: CanvasColours, parameters: KernelParameters
 ) -> float | None:
-    """Estimate sigma of the white noise before compression; None if pictures are not decoded again."""
+    """Estimate sigma of the white noise before compression; None if images are not decoded again."""
     # Decoding from the coefficients of the files would bring back outliers.
-    if not pictures or colours.outliers is not None:
+    if not images or colours.outliers is not None:
         return None
     given = parameters.given_noise
-    sigma = sigma_before(pictures, colours.noise) if given is None else given.sigma
-    return sigma if sigma and is_changed(pictures, sigma) else None
+    sigma = sigma_before(images, colours.noise) if given is None else given.sigma
+    return sigma if sigma and is_changed(images, sigma) else None
 
 
 def _decode_in_place(
-    canvas: ColouredCanvas, colours: CanvasColours, pictures: Sequence[CodedPicture], sigma: float, tick: Tick | None
+    canvas: ColouredCanvas, colours: CanvasColours, images: Sequence[JpegImage], sigma: float, tick: Tick | None
 ) -> tuple[CanvasColours, Float64s]:  # fmt: skip
-    """Decode pictures again around a pilot, which overwrites their colours; return also sigma of the stored noise."""
+    """Decode images again around a pilot, which overwrites their colours; return also sigma of the stored noise."""
     before = None
     for _ in range(_PILOTS if canvas.parameters.takes_patches else 1):
         rows = _pilot_in_place(grid_manifold(canvas, colours), tick)
@@ -77,7 +77,7 @@ def _decode_in_place(
             for block in large_arrays.blocks(len(rows)):
                 rows[block] = (rows[block] + before[block]) / 2
         before = large_arrays.copy_of(rows)
-        noise, stored = _decode_rows_in_place(canvas.atlas, pictures, rows, sigma)
+        noise, stored = _decode_rows_in_place(canvas.atlas, images, rows, sigma)
         colours = with_known_noise(canvas, rows, noise)
     return colours, stored
 
@@ -90,22 +90,22 @@ def _pilot_in_place(manifold: GridManifold, tick: Tick | None) -> Float32s:
 
 
 def _decode_rows_in_place(
-    atlas: Atlas, pictures: Sequence[CodedPicture], rows: Float32s, sigma: float
+    atlas: Atlas, images: Sequence[JpegImage], rows: Float32s, sigma: float
 ) -> tuple[NoiseModel, Float64s]:
     """Replace a pilot at the owned cells by decoded colours; return sigma of their noise and of the stored noise."""
     rasters = []
-    for picture in pictures:
-        raster = large_arrays.empty(picture.pixels.shape, np.float32)
-        for band in picture.bands:
-            raster[band] = picture.pixels[band] / np.float32(255)
+    for image in images:
+        raster = large_arrays.empty(image.pixels.shape, np.float32)
+        for band in image.bands:
+            raster[band] = image.pixels[band] / np.float32(255)
         rasters.append(raster)
     blocks = list(large_arrays.blocks(len(atlas.owned_texels)))
     for block in blocks:
         for index, inside, texels in atlas.by_texture(atlas.owned_texels[block]):
             rasters[index].reshape(-1, rows.shape[1])[texels] = rows[block][inside]
-    noise, stored = noise_after(pictures, rasters, sigma)
-    for picture, raster in zip(pictures, rasters, strict=True):
-        decode_in_place(picture, raster, sigma)
+    noise, stored = noise_after(images, rasters, sigma)
+    for image, raster in zip(images, rasters, strict=True):
+        decode_in_place(image, raster, sigma)
     for block in blocks:
         for index, inside, texels in atlas.by_texture(atlas.owned_texels[block]):
             rows[block][inside] = rasters[index].reshape(-1, rows.shape[1])[texels]

@@ -11,7 +11,7 @@ from typing import Self
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Indices
-from beltrami_cli.flow.corrections.coded_picture import CodedPicture
+from beltrami_cli.flow.corrections.jpeg_image import JpegImage
 from beltrami_cli.flow.decoding import decodes_again, plan_on_canvas
 from beltrami_cli.flow.manifolds.grid.manifold import ColouredCanvas, GridManifold
 from beltrami_cli.flow.manifolds.new_colours import NewColours
@@ -72,7 +72,7 @@ class PixelLayer(Layer):
         is_coded = self.colours.is_stored and decodes_again(canvas.parameters)
         return plan_on_canvas(canvas, self._coded_images(canvas.atlas) if is_coded else (), tick)
 
-    def _coded_images(self, atlas: Atlas) -> list[CodedPicture]:
+    def _coded_images(self, atlas: Atlas) -> list[JpegImage]:
         """Return the images with the tables of their files; empty unless all are JPEG, and all grey or all coloured."""
         pairs = zip(self.images, self.jpeg_tables, strict=True)
         coded = [
@@ -85,7 +85,7 @@ class PixelLayer(Layer):
             for index, _, texels in atlas.by_texture(atlas.owned_texels[block]):
                 used[index].reshape(-1)[texels] = True
         return [
-            CodedPicture(pixels, mask, tables.steps, tables.span)
+            JpegImage(pixels, mask, tables.steps, tables.span)
             for (pixels, tables), mask in zip(coded, used, strict=True)
         ]
 

@@ -1,4 +1,4 @@
-"""Pictures that JPEG coded are decoded with the noise before known, which brings them closer to the truth."""
+"""Images that JPEG coded are decoded with the noise before known, which brings them closer to the truth."""
 
 import json
 
@@ -8,8 +8,8 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from scipy.stats import truncnorm
 
-from beltrami_cli.flow.corrections.coded_picture import (
-    CodedPicture,
+from beltrami_cli.flow.corrections.jpeg_image import (
+    JpegImage,
     _truncated_normal_mean,
     coefficients_of,
     decode_in_place,
@@ -37,33 +37,33 @@ def decoded(data, path):
     return np.rint(255 * OpenImageIO.ImageBuf(str(path)).get_pixels("float")).astype(np.uint8)
 
 
-def picture(pixels, quality, subsampling, tmp_path):
-    """Return what JPEG makes of pixels."""
+def coded(pixels, quality, subsampling, tmp_path):
+    """Return pixels as JPEG stores them."""
     data = jpeg_file(pixels, quality, subsampling)
     pixels, tables = decoded(data, tmp_path / "coded.jpg"), read_jpeg_tables(data)
-    return CodedPicture(pixels, np.ones(pixels.shape[:2], bool), tables.steps, tables.span)
+    return JpegImage(pixels, np.ones(pixels.shape[:2], bool), tables.steps, tables.span)
 
 
-def test_noise_that_jpeg_left_as_it_was_is_told_from_other(tmp_path):
-    pictures = [picture(stored(CLEAN, 20), 98, "4:4:4", tmp_path)]
-    assert not is_changed(pictures, 20 / 255)
-    assert is_changed(pictures, 1 / 255)
+def test_noise_that_jpeg_left_as_it_was_is_recognised(tmp_path):
+    images = [coded(stored(CLEAN, 20), 98, "4:4:4", tmp_path)]
+    assert not is_changed(images, 20 / 255)
+    assert is_changed(images, 1 / 255)
 
 
 @pytest.mark.parametrize(
     ("sigma", "quality", "colour"), [(5, 95, "4:2:0"), (10, 90, "4:2:0"), (20, 75, "4:4:4")]
 )
 def test_white_noise_is_read_as_it_was_before(sigma, quality, colour, tmp_path):
-    own = picture(stored(CLEAN, sigma), quality, colour, tmp_path)
-    found = sigma_before([own], noise_of_image(own.pixels / 255))
+    image = coded(stored(CLEAN, sigma), quality, colour, tmp_path)
+    found = sigma_before([image], noise_of_image(image.pixels / 255))
     assert found is not None
     assert 255 * found == pytest.approx(sigma, rel=0.3)
 
 
 def test_noise_that_neighbours_shared_is_not_white_before(tmp_path):
     grain = gaussian_filter(np.random.default_rng(2).standard_normal(CLEAN.shape), (2, 2, 0))
-    own = picture(stored(CLEAN + 10 / 255 * grain / grain.std(), 0), 92, "4:2:0", tmp_path)
-    assert sigma_before([own], noise_of_image(own.pixels / 255)) is None
+    image = coded(stored(CLEAN + 10 / 255 * grain / grain.std(), 0), 92, "4:2:0", tmp_path)
+    assert sigma_before([image], noise_of_image(image.pixels / 255)) is None
 
 
 def test_the_mean_between_limits_is_that_of_a_truncated_normal_distribution():
@@ -80,31 +80,31 @@ def test_the_mean_between_limits_is_that_of_a_truncated_normal_distribution():
 
 
 def test_decoding_with_the_noise_known_comes_closer_to_the_truth(tmp_path):
-    own = picture(stored(CLEAN, 10), 80, "4:2:0", tmp_path)
-    result = gaussian_filter(own.pixels / 255, (1, 1, 0)).astype(np.float32)
-    decode_in_place(own, result, 10 / 255)
+    image = coded(stored(CLEAN, 10), 80, "4:2:0", tmp_path)
+    result = gaussian_filter(image.pixels / 255, (1, 1, 0)).astype(np.float32)
+    decode_in_place(image, result, 10 / 255)
     # With coefficients of noise that are 0 or a whole step, the nearer end of the interval is half as far off.
-    assert psnr(result, CLEAN) > psnr(own.pixels / 255, CLEAN) + 1.5
+    assert psnr(result, CLEAN) > psnr(image.pixels / 255, CLEAN) + 1.5
 
 
 @pytest.mark.parametrize("limit", [0.0, 1.0])
 def test_decoding_keeps_colours_near_limits_where_the_pilot_has_them(limit, tmp_path):
     # Noise can only make white darker: its stored mean is 0.4 standard deviations below.
     flat = np.full((64, 64, 3), abs(limit - 0.004), np.float32)
-    own = picture(stored(flat, 20), 92, "4:4:4", tmp_path)
+    image = coded(stored(flat, 20), 92, "4:4:4", tmp_path)
     result = flat.copy()
-    decode_in_place(own, result, 20 / 255)
+    decode_in_place(image, result, 20 / 255)
     # Noise that was cut off is weaker than its sigma, so that coefficients count too much: by a third at most.
-    lost = abs(own.pixels.mean() / 255 - flat.mean())
+    lost = abs(image.pixels.mean() / 255 - flat.mean())
     assert 255 * lost > 5
     assert abs(result.mean(axis=(0, 1)) - flat[0, 0]).max() < lost / 3
 
 
 def test_decoding_keeps_every_coefficient_in_its_interval(tmp_path):
-    own = picture(stored(CLEAN, 10), 80, "4:4:4", tmp_path)
-    result = np.full(own.pixels.shape, 0.5, np.float32)
-    decode_in_place(own, result, 10 / 255)
-    planes = own.planes(own.pixels), own.planes(255 * result), own.tables
+    image = coded(stored(CLEAN, 10), 80, "4:4:4", tmp_path)
+    result = np.full(image.pixels.shape, 0.5, np.float32)
+    decode_in_place(image, result, 10 / 255)
+    planes = image.planes(image.pixels), image.planes(255 * result), image.tables
     for before, after, steps in zip(*planes, strict=True):
         middle = np.rint(coefficients_of(before) / steps) * steps
         # The other planes move a pixel's rounding only, and single precision has seven digits.
@@ -113,10 +113,10 @@ def test_decoding_keeps_every_coefficient_in_its_interval(tmp_path):
 
 @pytest.mark.parametrize("subsampling", ["4:2:0", "4:2:2"])
 def test_chroma_is_known_although_decoders_interpolate_it(subsampling, tmp_path):
-    own = picture(stored(CLEAN, 10), 98, subsampling, tmp_path)
-    bands = [own.stored_planes(rows) for rows in own.bands]
-    whole = own.decoded_planes(own.pixels)
-    for number, (plane, steps) in enumerate(zip(whole, own.tables, strict=True)):
+    image = coded(stored(CLEAN, 10), 98, subsampling, tmp_path)
+    bands = [image.stored_planes(rows) for rows in image.bands]
+    whole = image.decoded_planes(image.pixels)
+    for number, (plane, steps) in enumerate(zip(whole, image.tables, strict=True)):
         # Four samples beyond a band of rows are seen, by 0.17 less each, of at most 128.
         np.testing.assert_allclose(np.concatenate([band[number] for band in bands]), plane, atol=0.1)
         found = coefficients_of(plane) / steps
@@ -124,14 +124,14 @@ def test_chroma_is_known_although_decoders_interpolate_it(subsampling, tmp_path)
         assert np.sqrt(np.mean((found - np.rint(found)) ** 2)) < 0.22
 
 
-def test_the_noise_that_decoding_leaves_is_foretold(tmp_path):
-    own = picture(stored(CLEAN, 10), 80, "4:2:0", tmp_path)
+def test_the_noise_that_decoding_leaves_is_estimated(tmp_path):
+    image = coded(stored(CLEAN, 10), 80, "4:2:0", tmp_path)
     result = CLEAN.astype(np.float32)
-    decode_in_place(own, result, 10 / 255)
-    left, before = noise_after([own], [CLEAN.astype(np.float32)], 10 / 255)
-    for expected, image in ((left.sigma / PILOT_ERROR, result), (before, own.pixels / 255)):
-        true = np.sqrt(np.mean((image - CLEAN) ** 2, axis=(0, 1)))
-        np.testing.assert_allclose(expected, true, rtol=0.05)  # of 65,536 pixels, and ringing of paint
+    decode_in_place(image, result, 10 / 255)
+    left, before = noise_after([image], [CLEAN.astype(np.float32)], 10 / 255)
+    for estimated, colours in ((left.sigma / PILOT_ERROR, result), (before, image.pixels / 255)):
+        true = np.sqrt(np.mean((colours - CLEAN) ** 2, axis=(0, 1)))
+        np.testing.assert_allclose(estimated, true, rtol=0.05)  # of 65,536 pixels, and ringing of paint
 
 
 @pytest.mark.slow
@@ -153,7 +153,7 @@ def test_a_jpeg_file_is_smoothed_better_than_its_pixels_alone(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_paper_kernel_and_a_fixed_rule_leave_pictures_as_they_are_decoded(tmp_path):
+def test_the_paper_kernel_and_a_fixed_rule_leave_images_as_they_are_decoded(tmp_path):
     data = jpeg_file(stored(SMALL, 10), 80, "4:4:4")
     (tmp_path / "in.png").write_bytes(encode(decoded(data, tmp_path / "in.jpg"), "png"))
     for options in (["--preset", "paper"], ["--fast"]):

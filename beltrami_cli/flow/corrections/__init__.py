@@ -2,5 +2,5 @@
 
 - `outliers` are filled before anything else, and `dark_outliers` of shared noise before `coarse_levels` remove it.
 - `clipping` restores colours whose noise was clipped (by `normal_tables`), and `mean_light` the mean radiance.
-- `coded_picture` decodes JPEG again, by the noise before compression (`jpeg_noise`).
+- `jpeg_image` decodes JPEG again, by the noise before compression (`jpeg_noise`).
 """

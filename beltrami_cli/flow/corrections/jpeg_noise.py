@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s
-from beltrami_cli.flow.corrections.coded_picture import YCC, CodedPicture, coded, expected
+from beltrami_cli.flow.corrections.jpeg_image import YCC, JpegImage, compressed, expected_pixels
 from beltrami_cli.flow.noise.features import COMPONENTS, SCALES, STEPS, symmetric
 from beltrami_cli.flow.noise.grid_squares import Grid
 from beltrami_cli.flow.noise.model import NoiseModel, Reading, sigma_of_covariances
@@ -19,7 +19,7 @@ _SHARED_GROWTH = 1.6
 _LOSS_OF_ORIGINAL = 3.0
 
 # Standard deviation after decoding, relative to decoding around the true colours. It is 1.2 to 1.5 on photographs with
-# noise of 10 of 255. By this factor, hand-painted pictures gain 1 to 2 dB, and photographs lose 0.1.
+# noise of 10 of 255. By this factor, hand-painted images gain 1 to 2 dB, and photographs lose 0.1.
 PILOT_ERROR = 1.2
 
 # Minimum standard deviation of noise that is worth decoding again.
@@ -37,12 +37,12 @@ _ENOUGH_PIXELS = 400_000
 _SEED = 80
 
 
-def sigma_before(pictures: Sequence[CodedPicture], noise: NoiseModel) -> float | None:
+def sigma_before(images: Sequence[JpegImage], noise: NoiseModel) -> float | None:
     """Estimate sigma of white noise before compression from the decoded noise; None if it cannot be estimated."""
     if noise.relative is not None:
         return None
     noise = noise.as_read()
-    channels = pictures[0].pixels.shape[2]
+    channels = images[0].pixels.shape[2]
     luma = YCC[0] if channels > 1 else np.ones(1)
     variances = np.einsum("i,lij,j->l", luma, noise.covariances[:, :channels, :channels], luma)
     # JPEG preserves most of the luma noise in means of 2 x 2 pixels, where its steps are small.
@@ -52,53 +52,64 @@ def sigma_before(pictures: Sequence[CodedPicture], noise: NoiseModel) -> float |
     return sigma if is_white and sigma >= _MIN_SIGMA else None
 
 
-def is_changed(pictures: Sequence[CodedPicture], sigma: float) -> bool:
+def is_changed(images: Sequence[JpegImage], sigma: float) -> bool:
     """Whether JPEG changes noise of this standard deviation."""
     return any(
         max(each.span) > 1 or np.median(each.steps[0]) > _COARSE * each.sigma_of_planes(255 * sigma)[0]
-        for each in pictures
+        for each in images
     )
 
 
 def noise_after(
-    pictures: Sequence[CodedPicture], pilots: Sequence[Float32s], sigma: float
+    images: Sequence[JpegImage], pilots: Sequence[Float32s], sigma: float
 ) -> tuple[NoiseModel, Float64s]:
     """Estimate the noise left by decoding, and the RMS error of stored pixels, per channel.
 
     Both are measured on the pilots, with noise added and compressed.
     """
-    random = np.random.default_rng(_SEED)
-    channels = pictures[0].pixels.shape[2]
+    channels = images[0].pixels.shape[2]
     after, lost = (_Covariances(channels) for _ in range(2))
-    squares, used = np.zeros(channels), 0
-    for picture, pilot, bands in zip(pictures, pilots, _choose_bands(pictures), strict=True):
+    squares, count = np.zeros(channels), 0
+    for image, used, truth, stored in _simulated(images, pilots, sigma):
+        lost.add(compressed(image, truth) - truth, used)
+        decoded = expected_pixels(image, stored, image.decoded_planes(stored), truth, sigma)
+        after.add(decoded - truth, used)
+        errors = (np.clip(stored, 0, 255) - truth)[used] / 255
+        squares += np.square(errors).sum(axis=0, dtype=np.float64)
+        count += len(errors)
+    return _model_of(PILOT_ERROR**2 * after.mean(), lost.mean()), np.sqrt(squares / max(1, count))
+
+
+def _simulated(
+    images: Sequence[JpegImage], pilots: Sequence[Float32s], sigma: float
+) -> Iterator[tuple[JpegImage, Bools, Float32s, Float32s]]:
+    """Compress pilots with added noise, in bands of rows; yield the image, its samples, the pilot and the result."""
+    random = np.random.default_rng(_SEED)
+    for image, pilot, bands in zip(images, pilots, _choose_bands(images), strict=True):
         for rows in bands:
             truth = 255 * pilot[rows]
             noisy = truth + np.float32(255 * sigma) * random.standard_normal(truth.shape, np.float32)
-            stored = coded(picture, np.rint(np.clip(noisy, 0, 255)))
-            lost.add(coded(picture, truth) - truth, picture.used[rows])
-            error = (np.clip(stored, 0, 255) - truth)[picture.used[rows]] / 255
-            squares += np.square(error).sum(axis=0, dtype=np.float64)
-            used += len(error)
-            decoded = expected(picture, stored, picture.decoded_planes(stored), truth, sigma)
-            after.add(decoded - truth, picture.used[rows])
-    covariances, stored_error = PILOT_ERROR**2 * after.mean(), np.sqrt(squares / max(1, used))
+            yield image, image.used[rows], truth, compressed(image, np.rint(np.clip(noisy, 0, 255)))
+
+
+def _model_of(covariances: Float64s, lost: Float64s) -> NoiseModel:
+    """Model the noise left by decoding, by its covariances and those of the loss of pilots by compression."""
     # The loss of detail of the original is estimated by that of the pilot.
-    doubt = _LOSS_OF_ORIGINAL * float(np.mean(np.square(sigma_of_covariances(lost.mean()))))
+    doubt = _LOSS_OF_ORIGINAL * float(np.mean(np.square(sigma_of_covariances(lost))))
     fine, coarse = (np.linalg.eigvalsh(covariances[scale]) for scale in (0, 2))
     sigma_after = sigma_of_covariances(covariances)
     if np.all(coarse < _SHARED_GROWTH**2 * np.maximum(fine, 1e-12)):
         covariances = np.diag(np.square(sigma_after))[None]
     overall = float(np.sqrt(np.mean(np.square(sigma_after))))
     reading = Reading(0.0, overall, overall, float(np.hypot(overall, np.sqrt(doubt))))
-    return NoiseModel(covariances, reading=reading), stored_error
+    return NoiseModel(covariances, reading=reading)
 
 
-def _choose_bands(pictures: Sequence[CodedPicture]) -> list[list[slice]]:
-    """Choose evenly spread bands of rows of each picture, with enough pixels together to measure noise."""
-    share, chosen = _ENOUGH_PIXELS / max(1, sum(each.used.size for each in pictures)), []
-    for picture in pictures:
-        bands = list(picture.bands)
+def _choose_bands(images: Sequence[JpegImage]) -> list[list[slice]]:
+    """Choose evenly spread bands of rows of each image, with enough pixels together to measure noise."""
+    share, chosen = _ENOUGH_PIXELS / max(1, sum(each.used.size for each in images)), []
+    for image in images:
+        bands = list(image.bands)
         wanted = max(1, min(len(bands), round(share * len(bands))))
         chosen.append([bands[number] for number in np.linspace(0, len(bands) - 1, wanted).astype(int)])
     return chosen

@@ -22,7 +22,7 @@ from beltrami_cli.flow.noise.stabiliser import COLOURS
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface import large_arrays
 
-# By benchmarks/bench_outliers.py: at most 1 of 194 pictures of games and scikit-image is changed with any of the values
+# By benchmarks/bench_outliers.py: at most 1 of 194 images of games and scikit-image is changed with any of the values
 # in brackets. "Missed" and "false": shares of pixels set to black, white or red, with and without noise of 10 of 255.
 #
 # A sample stands out by so many deviations of its neighbours plus a share of the range of all colours. Missed with
@@ -283,7 +283,7 @@ class _Search:
         """Mark the samples of isolated clumps that are no larger than clumps that form by chance."""
         small = np.zeros(len(sizes), bool)
         for _ in range(5):  # the share converges
-            # Four samples, since pictures may have been enlarged by two. On a lattice with eight neighbours the mean
+            # Four samples, since images may have been enlarged by two. On a lattice with eight neighbours the mean
             # size of random clumps is 1 / (1 - 8 share) for small shares, and the largest clumps grow faster.
             share = np.count_nonzero(small) / self.surface.count
             small = is_isolated & (sizes <= 4 / max(1 - 8 * share, 0.1) ** 2)

@@ -1,4 +1,4 @@
-"""Decoding of JPEG pictures given the noise before compression.
+"""Decoding of JPEG images given the noise before compression.
 
 JPEG rounds the DCT coefficients of blocks to multiples of a step. Noise that is small compared with a step vanishes,
 except in a few coefficients, which then stand out as whole waves. The estimation and removal of noise do not expect
@@ -45,8 +45,8 @@ _NEAREST_SHARE, _NEXT_SHARE = 0.75, 0.25
 
 
 @dataclass(frozen=True)
-class CodedPicture:
-    """A picture decoded from a JPEG file."""
+class JpegImage:
+    """A image decoded from a JPEG file."""
 
     pixels: Array  # shape (H, W, 1 or 3), uint8
     used: Bools  # pixels that are samples of the surface, shape (H, W)
@@ -109,35 +109,35 @@ class CodedPicture:
         return [luma, *(each / np.sqrt(self.span[0] * self.span[1]) for each in chroma)]
 
 
-def decode_in_place(picture: CodedPicture, pilot: Float32s, sigma: float) -> None:
+def decode_in_place(image: JpegImage, pilot: Float32s, sigma: float) -> None:
     """Replace a pilot, shape (H, W, 1 or 3), full scale 1, by the expected pixels before compression."""
-    for rows in picture.bands:
-        stored = picture.pixels[rows].astype(np.float32)
-        decoded = expected(picture, stored, picture.stored_planes(rows), 255 * pilot[rows], sigma)
+    for rows in image.bands:
+        stored = image.pixels[rows].astype(np.float32)
+        decoded = expected_pixels(image, stored, image.stored_planes(rows), 255 * pilot[rows], sigma)
         pilot[rows] = decoded / np.float32(255)
 
 
-def expected(
-    picture: CodedPicture, stored: Float32s, planes: Sequence[Float32s], pilot: Float32s, sigma: float
+def expected_pixels(
+    image: JpegImage, stored: Float32s, planes: Sequence[Float32s], pilot: Float32s, sigma: float
 ) -> Float32s:
     """Return what stored pixels were before on average, by the planes that they were decoded from and a pilot.
 
     All are of full scale 255.
     """
-    of_planes = picture.tables, picture.sigma_of_planes(255 * sigma)
+    of_planes = image.tables, image.sigma_of_planes(255 * sigma)
     darker = normal_tables().clipping_bias(pilot / np.float32(255), sigma) * np.float32(255)
     differences = []
-    for plane, near, steps, noise in zip(planes, picture.planes(pilot - darker), *of_planes, strict=True):
+    for plane, near, steps, noise in zip(planes, image.planes(pilot - darker), *of_planes, strict=True):
         changes, means = coefficients_of(near), coefficients_of(plane)
         for mean, row in zip(changes, means, strict=True):  # one by one, as this takes many arrays
             mean[:] = _truncated_normal_mean(mean, noise, np.rint(row / steps) * steps, steps / 2) - mean
         differences.append(_from_coefficients(changes))
     # The loss of chroma by subsampling is taken from the pilot alone. Beyond whole blocks nothing is known.
     whole = tuple(
-        slice(0, size - size % (SIDE * span)) for size, span in zip(stored.shape, picture.span, strict=False)
+        slice(0, size - size % (SIDE * span)) for size, span in zip(stored.shape, image.span, strict=False)
     )
     pixels = stored + darker
-    pixels[whole] = (pilot + picture.pixels_of(differences, stored.shape))[whole]
+    pixels[whole] = (pilot + image.pixels_of(differences, stored.shape))[whole]
     return pixels
 
 
@@ -156,14 +156,14 @@ def _truncated_normal_mean(mean: Float32s, sigma: float, middle: Float64s, reach
     return np.asarray(mean + sign * sigma * inside, np.float32)
 
 
-def coded(picture: CodedPicture, pixels: Float32s) -> Float32s:
+def compressed(image: JpegImage, pixels: Float32s) -> Float32s:
     """Simulate JPEG compression of pixels; beyond whole blocks only chroma is averaged."""
-    planes = picture.planes(pixels)
-    for plane, steps in zip(planes, picture.tables, strict=True):
+    planes = image.planes(pixels)
+    for plane, steps in zip(planes, image.tables, strict=True):
         rounded = _from_coefficients(np.rint(coefficients_of(plane) / steps) * steps)
         plane[: len(rounded), : rounded.shape[1]] = rounded
     planes[0] += 128
-    return picture.pixels_of(planes, pixels.shape)
+    return image.pixels_of(planes, pixels.shape)
 
 
 def _interpolated(plane: Float32s, span: tuple[int, int]) -> Float32s:
@@ -197,7 +197,7 @@ def _uninterpolated(means: Float32s, span: tuple[int, int]) -> Float32s:
 
 
 def _means_over(plane: Float32s, span: tuple[int, int]) -> Float32s:
-    rows, columns = (size // own for size, own in zip(plane.shape, span, strict=True))
+    rows, columns = (size // step for size, step in zip(plane.shape, span, strict=True))
     whole = plane[: rows * span[0], : columns * span[1]]
     return np.asarray(whole.reshape(rows, span[0], columns, span[1]).mean(axis=(1, 3)), np.float32)
 
