@@ -142,7 +142,13 @@ def display_colours(contents: MeshContents) -> tuple[Float32s, list[str]]:
 
 def display_colour(linear: Sequence[float]) -> tuple[float, ...]:
     """Convert the colour of a material from linear light to display values of full scale 1."""
-    return tuple(linear_to_srgb(np.clip(np.array(linear, np.float64), 0, 1)).tolist())
+    return tuple(linear_to_srgb(np.array(linear, np.float64)).tolist())
+
+
+def emission_and_strength(light: Sequence[float]) -> tuple[list[float], float]:
+    """Return emitted light as a colour whose channels are at most 1, and its strength, which is at least 1."""
+    strength = max(1.0, *light)
+    return [channel / strength for channel in light], strength
 
 
 def linear_colour(display: Sequence[float]) -> list[float]:

@@ -175,6 +175,7 @@ class Material:
     maps: Mapping[Slot, MaterialMap] = field(default_factory=dict)
     colour: tuple[float, ...] = (1.0, 1.0, 1.0)
     emission: tuple[float, ...] = (0.0, 0.0, 0.0)
+    emission_strength: float = 1.0  # at least 1, multiplies the emission in linear light
     opacity: float = 1.0  # 1 if opaque
     metalness: float = 0.0
     roughness: float = 1.0

@@ -257,6 +257,52 @@ def test_numbers_of_materials_are_kept_or_reported(form, lost, tmp_path, usd_cor
             np.testing.assert_allclose(new, old, atol=1e-5)
 
 
+@pytest.mark.slow  # six conversions
+def test_emission_brighter_than_white_is_kept(tmp_path, usd_core_here):
+    model, strength = Textured(), "KHR_materials_emissive_strength"
+    model.texture(model.image(IMAGES["skin"]))
+    for factor in (0.5, 1.0):  # alone, and of an image
+        shown = {"emissive": 0} if factor == 1 else {}
+        material = model.tree["materials"][model.material(f"lamp {factor}", baseColor=0, **shown)]
+        material |= {"emissiveFactor": [factor, 1, 1], "extensions": {strength: {"emissiveStrength": 6.5}}}
+        model.triangles(2 * np.eye(3, dtype="f4"), 2 * np.eye(3, 2, dtype="f4"), len(model.tree["meshes"]))
+    model.tree |= {"extensionsUsed": [strength], "scenes": [{"nodes": [0, 1]}]}
+    before, source = model.document().textured_mesh(), model.written_to(tmp_path)
+    assert [each.emission_strength for each in before.materials] == [6.5, 6.5]
+    for number, form in enumerate(("obj", "usda", "glb", "usda", "obj", "gltf")):
+        target = tmp_path / str(number) / f"out.{form}"
+        after, said = converted(source, target)
+        assert "emi" not in str(said)
+        for old, new in zip(before.materials, after.materials, strict=True):
+            np.testing.assert_allclose(new.emission, old.emission, atol=1e-5)
+            assert new.emission_strength == pytest.approx(6.5, abs=1e-5)
+        source = target
+
+
+FACTORS = ("colour", "emission", "opacity", "metalness", "roughness")
+
+
+@pytest.mark.parametrize("form", ["gltf", "obj"])
+def test_factors_that_no_format_has_are_clipped_and_said_to_be_lost(form, tmp_path):
+    if form == "obj":
+        numbers = "newmtl outer skin\nKd 0.5 2 0\nKe 0 -1 0\nPm -1\nPr 3\nd 2\nnorm bumps.png\n"
+        source = write(tmp_path, {**FILES, "m.mtl": numbers}) / "model.obj"
+    else:
+        model = Textured()
+        model.texture(model.image(IMAGES["skin"]))
+        material = model.tree["materials"][model.material("odd", baseColor=0)]
+        base = material["pbrMetallicRoughness"]
+        base |= {"baseColorFactor": [0.5, 2, 0, 2], "metallicFactor": -1, "roughnessFactor": 3}
+        material |= {"alphaMode": "BLEND", "emissiveFactor": [0, -1, 0]}
+        model.triangles(2 * np.eye(3, dtype="f4"), 2 * np.eye(3, 2, dtype="f4"), 0)
+        source = model.written_to(tmp_path)
+    mesh = open_document(str(source)).textured_mesh()
+    assert {f"{name} of materials outside 0 to 1" for name in FACTORS} <= {*mesh.left_out}
+    odd = mesh.materials[-1]
+    assert odd.colour[1:] == (1, 0)
+    assert (odd.emission, odd.opacity, odd.metalness, odd.roughness) == ((0, 0, 0), 1, 0, 1)
+
+
 def test_ply_with_several_images_keeps_which_face_shows_which(tmp_path):
     places = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
     properties = [("vertex_indices", "uchar int"), ("texcoord", "uchar float"), ("texnumber", "int")]

@@ -166,19 +166,50 @@ def test_a_map_that_lies_otherwise_than_the_base_colour_is_not_converted(tmp_pat
 
 
 @pytest.mark.parametrize(
-    "line",
+    ("line", "lost"),
     [
-        "float4 inputs:scale = (4, 1, 1, 1)", "float4 inputs:scale = (nan, 1, 1, 1)", "float inputs:scale = 0.5",
-        "float4 inputs:scale.timeSamples = { 0: (1, 0.5, 1, 1) }", "float4 inputs:bias = (0.1, 0, 0, 0)",
+        ("float4 inputs:scale = (4, 1, 1, 1)", "colour of materials outside 0 to 1"),
+        *((line, "the scale or bias of baseColor maps") for line in (
+            "float4 inputs:scale = (nan, 1, 1, 1)", "float inputs:scale = 0.5",
+            "float4 inputs:scale.timeSamples = { 0: (1, 0.5, 1, 1) }", "float4 inputs:bias = (0.1, 0, 0, 0)",
+        )),
     ],
 )  # fmt: skip
-def test_factors_of_images_that_gltf_does_not_have_are_said_to_be_lost(line, tmp_path):
+def test_factors_of_images_that_gltf_does_not_have_are_said_to_be_lost(line, lost, tmp_path):
     file = "asset inputs:file = @a.png@"
     text = scene(mesh_text(BOUND), material_text("a.png").replace(file, f"{file}\n            {line}"))
     write(tmp_path, {"a.usda": text, "a.png": PICTURE})
     mesh = open_document(str(tmp_path / "a.usda")).textured_mesh()
-    assert "the scale or bias of baseColor maps" in mesh.left_out
+    assert mesh.left_out.count(lost) == 1
     assert mesh.materials[0].colour == pytest.approx((1, 1, 1))
+
+
+def test_factors_that_no_format_has_are_said_to_be_lost(tmp_path):
+    plain = "float inputs:roughness = 1"
+    odd = {"roughness": "3", "metallic": "-1", "opacity": "2"}
+    lines = "\n".join(f"float inputs:{name} = {value}" for name, value in odd.items())
+    lines += "\ncolor3f inputs:emissiveColor = (0, -1, 0)"
+    text = scene(mesh_text(BOUND), material_text("a.png").replace(plain, lines))
+    write(tmp_path, {"a.usda": text, "a.png": PICTURE})
+    mesh = open_document(str(tmp_path / "a.usda")).textured_mesh()
+    names = ("roughness", "metalness", "opacity", "emission")
+    assert all(f"{name} of materials outside 0 to 1" in mesh.left_out for name in names)
+    assert [getattr(mesh.materials[0], name) for name in names] == [1, 0, 1, (0, 0, 0)]
+
+
+INPUTS = ("int inputs:useSpecularWorkflow = 1", "float inputs:clearcoat = 0.5", "float inputs:ior = 1.2",
+          "float inputs:displacement.connect = </scan/skin/diffuse.outputs:rgb>")  # fmt: skip
+
+
+def test_inputs_of_surfaces_that_other_formats_lack_are_said_to_be_lost_unless_they_have_no_effect(tmp_path):
+    plain = "float inputs:roughness = 1"
+    neutral = "\n".join([plain, "float inputs:clearcoat = 0", "float inputs:ior = 1.5"])
+    text = scene(mesh_text(BOUND), material_text("a.png"))
+    names = [re.split(r"[:. ]", line)[2] for line in INPUTS]
+    for lines, lost in ((neutral, []), ("\n".join([plain, *INPUTS]), names)):
+        write(tmp_path, {"a.usda": text.replace(plain, lines), "a.png": PICTURE})
+        left_out = open_document(str(tmp_path / "a.usda")).textured_mesh().left_out
+        assert [name for name in names if name in left_out] == lost
 
 
 def test_an_image_that_is_shown_twice_is_named_once_in_the_root(tmp_path):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from beltrami_cli.arrays import Float64s
-from beltrami_cli.formats.colours import clipped_factor, display_colour
+from beltrami_cli.formats.colours import display_colour, emission_and_strength
 from beltrami_cli.formats.gltf.entries import Entry
 from beltrami_cli.surface.records import AlphaMode, Material, Slot
 
@@ -24,6 +24,7 @@ SLOT_PATHS: dict[Slot, tuple[tuple[str, ...], ...]] = {
 }
 """Where a material holds the textureInfos of a slot; where there are several, a viewer shows one or the other."""
 
+EMISSIVE_STRENGTH = "KHR_materials_emissive_strength"
 _TRANSFORM = "KHR_texture_transform"
 _VARIANTS = "KHR_materials_variants"
 _MAX_VARIANTS = 1 << 16  # variants need only be distinct, and no file has as many
@@ -122,13 +123,17 @@ def read_material(entry: Entry) -> Material:
     if alpha == "mask":
         given = entry.number("alphaCutoff", default=cutoff)
         alpha, cutoff = ("mask", given) if given > 0 else ("opaque", cutoff)  # at 0 all is seen
+    factors = entry.numbers("emissiveFactor", 3) or [0.0] * 3
+    times = entry.entry("extensions").entry(EMISSIVE_STRENGTH).number("emissiveStrength", default=1.0)
+    emission, strength = emission_and_strength([times * each for each in factors])
     return Material(
         name=entry.text("name") or "",
         colour=display_colour(factor[:3]),
-        emission=display_colour(entry.numbers("emissiveFactor", 3) or [0.0] * 3),
-        opacity=1.0 if alpha == "opaque" else clipped_factor(factor[3]),
-        metalness=clipped_factor(base.number("metallicFactor", default=1.0)),
-        roughness=clipped_factor(base.number("roughnessFactor", default=1.0)),
+        emission=display_colour(emission),
+        emission_strength=strength,
+        opacity=1.0 if alpha == "opaque" else factor[3],
+        metalness=base.number("metallicFactor", default=1.0),
+        roughness=base.number("roughnessFactor", default=1.0),
         alpha=alpha,
         cutoff=cutoff,
     )

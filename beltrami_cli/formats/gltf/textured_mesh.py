@@ -13,7 +13,7 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.gltf.accessors import fractions
 from beltrami_cli.formats.gltf.entries import Entry
 from beltrami_cli.formats.gltf.images import Images
-from beltrami_cli.formats.gltf.materials import SLOT_PATHS, read_material, texture_uses
+from beltrami_cli.formats.gltf.materials import EMISSIVE_STRENGTH, SLOT_PATHS, read_material, texture_uses
 from beltrami_cli.formats.gltf.nodes import Placement, instances
 from beltrami_cli.formats.gltf.parts import (
     Part,
@@ -91,7 +91,8 @@ class _MeshParts:
         if index in self.materials.by_key:
             return self.materials.by_key[index]
         uses = {slot: found[index][0] for slot, found in self._by_slot.items() if found[index]}
-        self.left_out += self._entries[index].entry("extensions").value
+        extensions = self._entries[index].entry("extensions").value
+        self.left_out += [name for name in extensions if name != EMISSIVE_STRENGTH]
         for slot, use in uses.items():
             factors = [key for key in ("scale", "strength") if use.info.number(key, default=1.0) != 1]
             self.left_out += [f"the {key} of {slot} maps" for key in factors]

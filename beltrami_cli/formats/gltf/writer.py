@@ -21,7 +21,7 @@ from beltrami_cli.formats.gltf.buffers import INDEX_DATA, VERTEX_DATA
 from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, glb_pieces
 from beltrami_cli.formats.gltf.entries import Tree
 from beltrami_cli.formats.gltf.images import MEDIA, WRAPS
-from beltrami_cli.formats.gltf.materials import SLOT_PATHS
+from beltrami_cli.formats.gltf.materials import EMISSIVE_STRENGTH, SLOT_PATHS
 from beltrami_cli.formats.gltf.primitives import OWN_COLOURS
 from beltrami_cli.formats.meshes.mesh_contents import (
     bare_polygons,
@@ -204,7 +204,9 @@ def _textured(mesh: MeshContents, stem: str, arrays: Arrays) -> Model:
             for material in np.unique(material_of).tolist()
         ]
         meshes.append({"primitives": primitives, "name": plain_name(mesh.groups[number]) or stem})
-    look: Tree = {"materials": [], "textures": [], "samplers": []}
+    is_bright = any(each.emission_strength != 1 for each in mesh.materials)
+    look: Tree = {"extensionsUsed": [EMISSIVE_STRENGTH] if is_bright else []}
+    look |= {"materials": [], "textures": [], "samplers": []}
     for each in mesh.materials:
         look["materials"].append(_material(each, look, mesh.images, stem))
     images = {name: image.file for name, image in zip(image_names(mesh, stem), mesh.images, strict=True)}
@@ -273,6 +275,8 @@ def _material(material: Material, look: Tree, images: Sequence[MeshImage], stem:
     base["roughnessFactor"] = _plain(material.roughness)
     if any(material.emission):
         tree["emissiveFactor"] = _linear(material.emission)
+    if material.emission_strength != 1:
+        tree["extensions"] = {EMISSIVE_STRENGTH: {"emissiveStrength": material.emission_strength}}
     if material.alpha != "opaque":
         tree["alphaMode"] = material.alpha.upper()
     if material.alpha == "mask" and material.cutoff != Material.cutoff:

@@ -11,6 +11,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Float64s, Int64s
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.colours import clipped_factor
 from beltrami_cli.formats.image.file_formats import suffix_for
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.image.sizes import measure_image
@@ -46,7 +47,8 @@ def textured_mesh(
                 lost.append(f"{slot} maps that are placed otherwise than the base colour")
             else:
                 maps[slot] = MaterialMap(_image(scene, found.path, images), found.wrap)
-        materials[number] = _with_maps(scene, materials[number], maps)
+        materials[number], clipped = _within_range(_with_maps(scene, materials[number], maps))
+        lost += clipped
     corner_normals = None if normals is None or np.isnan(normals).all() else normals.astype(np.float32)
     mesh = MeshContents(
         positions=scene.positions,
@@ -115,6 +117,23 @@ def _with_maps(scene: Scene, material: Material, maps: MaterialMaps) -> Material
         if material.alpha == "opaque" and base is not None:
             new["alpha"] = _alpha_mode(base.image.file.data, base.image.name)
     return dataclasses.replace(material, **new)
+
+
+def _within_range(material: Material) -> tuple[Material, list[str]]:
+    """Clip the factors of a material to the range that all formats give them; return also what that loses."""
+    clipped: dict[str, Any] = {
+        "colour": tuple(map(clipped_factor, material.colour)),
+        "emission": tuple(map(clipped_factor, material.emission)),
+        "opacity": clipped_factor(material.opacity),
+        "metalness": clipped_factor(material.metalness),
+        "roughness": clipped_factor(material.roughness),
+    }
+    lost = [
+        f"{name} of materials outside 0 to 1"
+        for name, value in clipped.items()
+        if not np.allclose(value, getattr(material, name))
+    ]
+    return dataclasses.replace(material, **clipped), lost
 
 
 def _common_coordinates(scene: Scene) -> tuple[Float64s, set[tuple[int, Slot]]]:

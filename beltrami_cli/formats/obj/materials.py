@@ -15,7 +15,7 @@ from math import isfinite
 from pathlib import PurePosixPath
 
 from beltrami_cli.errors import Obstacle
-from beltrami_cli.formats.colours import clipped_factor
+from beltrami_cli.formats.colours import emission_and_strength
 from beltrami_cli.formats.sidecars.model_folder import IGNORED, ModelFolder, UnfitReferenceError, is_outside
 from beltrami_cli.surface.records import Material, Slot
 
@@ -171,14 +171,17 @@ class Materials:
         factors = self._factors.get(name, {})
         transparency = factors.get("tr", [0.0])[0]
         # Some exporters write "Tr 1" for opaque materials; fully transparent ones are not exported.
-        opacity = clipped_factor(factors.get("d", [1 - transparency])[0]) or 1.0
+        given = factors.get("d", [1 - transparency])[0]
+        opacity = given if given > 0 else 1.0
+        emission, strength = emission_and_strength(_colour(factors.get("ke", [0.0])))
         return Material(
             name=name,
             colour=_colour(factors.get("kd", [1.0])),
-            emission=_colour(factors.get("ke", [0.0])),
+            emission=tuple(emission),
+            emission_strength=strength,
             opacity=opacity,
-            metalness=clipped_factor(factors.get("pm", [0.0])[0]),
-            roughness=clipped_factor(factors.get("pr", [1.0])[0]),
+            metalness=factors.get("pm", [0.0])[0],
+            roughness=factors.get("pr", [1.0])[0],
             alpha="blend" if opacity < 1 else "opaque",
         )
 
@@ -263,7 +266,7 @@ class Materials:
 
 def _colour(numbers: list[float]) -> tuple[float, ...]:
     whole = numbers if len(numbers) >= 3 else [numbers[0]] * 3  # one number stands for three
-    return tuple(map(clipped_factor, whole[:3]))
+    return tuple(whole[:3])
 
 
 def _split(names: str) -> Iterator[tuple[int, int]]:

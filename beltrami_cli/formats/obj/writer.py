@@ -108,7 +108,8 @@ def _polygons(mesh: MeshContents, names: list[str], indices: Int64s) -> Iterator
 def _library_entry(name: str, material: Material, file_of: dict[MeshImage, str]) -> str:
     """Return a material as lines of MTL, with the usual extension for metalness and roughness."""
     lines = [f"newmtl {name}", f"Kd {_numbers(material.colour)}"]
-    lines += [f"Ke {_numbers(material.emission)}"] if any(material.emission) else []
+    emission = tuple(material.emission_strength * channel for channel in material.emission)
+    lines += [f"Ke {_numbers(emission)}"] if any(emission) else []
     lines += [f"d {material.opacity:.6g}"] if material.opacity < 1 else []
     if "metallicRoughness" in material.maps or (material.metalness, material.roughness) != (0, 1):
         lines += [f"Pm {material.metalness:.6g}", f"Pr {material.roughness:.6g}"]

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple, TypedDict
 
-from beltrami_cli.formats.colours import clipped_factor, display_colour
+from beltrami_cli.formats.colours import display_colour, emission_and_strength
 from beltrami_cli.surface.records import AlphaMode, Material, Slot, Wrap
 
 Count = Literal[
@@ -97,13 +97,15 @@ class MaterialInputs:
         opacity, cutoff = values.get("opacity", 1.0), values.get("opacityThreshold", 0.0)
         seen_through = self.has_alpha or opacity < 1
         alpha: AlphaMode = "mask" if seen_through and cutoff > 0 else "blend" if seen_through else "opaque"
+        emission, strength = emission_and_strength(values.get("emissiveColor", [0.0] * 3))
         return Material(
             name=self.name,
             colour=display_colour(values.get("diffuseColor", [0.18] * 3)),
-            emission=display_colour(values.get("emissiveColor", [0.0] * 3)),
-            opacity=clipped_factor(opacity),
-            metalness=clipped_factor(values.get("metallic", 0.0)),
-            roughness=clipped_factor(values.get("roughness", 0.5)),
+            emission=display_colour(emission),
+            emission_strength=strength,
+            opacity=opacity,
+            metalness=values.get("metallic", 0.0),
+            roughness=values.get("roughness", 0.5),
             alpha=alpha,
             cutoff=cutoff if alpha == "mask" else Material.cutoff,
         )

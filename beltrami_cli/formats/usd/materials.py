@@ -33,9 +33,10 @@ _MTLX_WRAPS = {"periodic": "repeat", "mirror": "mirror"}
 _WRAPS = {"repeat": "repeat", "mirror": "mirror"}  # other modes show nothing beyond the image, or its border
 _NUMBERS = ("metallic", "roughness", "opacity", "opacityThreshold")
 _COLOURS = ("diffuseColor", "emissiveColor")
-# By slot, the least and greatest scale and the bias of an image that glTF can express.
-_SCALES: dict[Slot, tuple[int, int, int]] = {"normal": (2, 2, -1), "occlusion": (1, 1, 0)}
-_USUAL_SCALE = (0, 1, 0)  # of the other slots
+# The scale and bias of an image by slot. In other slots the scale becomes a factor of the material, and the bias is 0.
+_SCALES: dict[Slot, tuple[int, int]] = {"normal": (2, -1), "occlusion": (1, 0)}
+# Further inputs of a UsdPreviewSurface, and the values by which they have no effect [1]_.
+_NEUTRAL = {"useSpecularWorkflow": 0.0, "clearcoat": 0.0, "ior": 1.5, "displacement": 0.0}
 _UNFIT = " laid out otherwise than in glTF"
 _MAX_TRANSFORMS = 8  # of texture coordinates in a chain, which may be a cycle
 
@@ -66,8 +67,12 @@ class ShownImage:
     output: str  # "rgb", or one channel
     wrap: tuple[Wrap, Wrap]
     mapping: UvMapping
-    scale: tuple[float, ...]  # (4,); infinite where it is not known
-    bias: tuple[float, ...]
+    scale: tuple[float, ...] | None  # (4,); None: not known
+    bias: tuple[float, ...] | None
+
+    @property
+    def factors(self) -> tuple[float, ...]:
+        return self.scale or (1.0,) * 4
 
 
 def read_material(material: Any) -> tuple[MaterialInputs, dict[Slot, ShownImage]]:
@@ -94,30 +99,36 @@ def read_material(material: Any) -> tuple[MaterialInputs, dict[Slot, ShownImage]
     if opacity is not None:
         is_of_base = base is not None and (opacity.file, opacity.mapping) == (base.file, base.mapping)
         if opacity.output == "a" and is_of_base:
-            inputs.has_alpha, inputs.values["opacity"] = True, opacity.scale[3]
+            inputs.has_alpha, inputs.values["opacity"] = True, opacity.factors[3]
         else:
             inputs.lost.append(f"opacity maps{_UNFIT}")
-    unusual = [slot for slot, shown in images.items() if not _has_usual_scale(slot, shown)]
+    unusual = [slot for slot, shown in images.items() if not _is_scale_expressible(slot, shown)]
     inputs.lost += [f"the scale or bias of {slot} maps" for slot in unusual]
+    inputs.lost += [name for name, neutral in _NEUTRAL.items() if _has_effect(surface, name, neutral)]
     inputs.values |= _factors(images)
     return inputs, images
 
 
-def _has_usual_scale(slot: Slot, shown: ShownImage) -> bool:
-    """Whether glTF materials can express the scale and bias of an image."""
-    least, most, bias = _SCALES.get(slot, _USUAL_SCALE)
-    is_scale_fit = all(least <= part <= most for part in shown.scale[:3])
-    return is_scale_fit and all(part == bias for part in shown.bias[:3])
+def _is_scale_expressible(slot: Slot, shown: ShownImage) -> bool:
+    """Whether a `Material` can express the scale and bias of an image."""
+    if shown.scale is None or shown.bias is None:
+        return False
+    scale, bias = _SCALES.get(slot, (None, 0))
+    return {*shown.bias[:3]} == {bias} and (scale is None or {*shown.scale[:3]} == {scale})
+
+
+def _has_effect(surface: Any, name: str, neutral: float) -> bool:
+    return bool(_sources(surface, name)) and _floats(surface, name) != [neutral]
 
 
 def _factors(images: Mapping[Slot, ShownImage]) -> dict[str, Any]:
     """Return the scales of images as values of the inputs that the images replace."""
     colours: tuple[Slot, ...] = ("baseColor", "emissive")
     factors: dict[str, Any] = {
-        INPUTS[slot][0].name: [*images[slot].scale[:3]] for slot in colours if slot in images
+        INPUTS[slot][0].name: [*images[slot].factors[:3]] for slot in colours if slot in images
     }
     if "metallicRoughness" in images:
-        data = images["metallicRoughness"].scale[1:3]
+        data = images["metallicRoughness"].factors[1:3]
         factors |= zip(("roughness", "metallic"), data, strict=True)
     return factors
 
@@ -146,12 +157,12 @@ def _floats(shader: Any, name: str) -> list[float]:
     return numbers.tolist() if np.isfinite(numbers).all() else []
 
 
-def _four(shader: Any, name: str, usual: float) -> tuple[float, ...]:
-    """Return an input of four numbers, infinite if they are unknown."""
+def _four(shader: Any, name: str, usual: float) -> tuple[float, ...] | None:
+    """Return an input of four numbers, None if they are unknown."""
     if not _sources(shader, name):
         return (usual,) * 4
     numbers = _floats(shader, name)
-    return tuple(numbers) if len(numbers) == 4 else (np.inf,) * 4
+    return tuple(numbers) if len(numbers) == 4 else None
 
 
 def _image_at(surface: Any, name: str) -> ShownImage | None:

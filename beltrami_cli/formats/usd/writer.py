@@ -132,7 +132,8 @@ def _subsets(material_of: Int32s, names: list[str], root: str) -> Iterator[bytes
 
 def _material(name: str, material: Material, file_of: dict[MeshImage, str], path: str) -> str:
     """Return the lines of a material with a UsdPreviewSurface, whose colours are linear light."""
-    colour, emission = linear_colour(material.colour), linear_colour(material.emission)
+    colour = linear_colour(material.colour)
+    emission = [material.emission_strength * channel for channel in linear_colour(material.emission)]
     inputs = {
         "diffuseColor": f"color3f inputs:diffuseColor = {_row(colour)}",
         "emissiveColor": f"color3f inputs:emissiveColor = {_row(emission)}",
