@@ -73,18 +73,20 @@ def _run_kernel_in_place(
     manifold = plan.manifold
     steps = [plan.step(iteration) for iteration in range(plan.parameters.iterations)]
     stacks = [colours] if clipped is None else [colours, mark_clipped(manifold, clipped)]
-    done = _iterate(manifold, stacks, steps, stages)
+    done = _iterate_in_place(manifold, stacks, steps, stages)
     if clipped is not None:
         restore_clipped_in_place(manifold, clipped, *done.stacks)
     return dataclasses.replace(done, stacks=done.stacks[:1])
 
 
-def _iterate(manifold: Manifold, stacks: list[Float32s], steps: Sequence[Step], stages: _Stages) -> Averaged:
+def _iterate_in_place(
+    manifold: Manifold, stacks: list[Float32s], steps: Sequence[Step], stages: _Stages
+) -> Averaged:
     samples, truncated, gaussian = 0.0, 0, None
     for step in steps:
         metric = manifold.measure(stacks[0], step, gaussian)  # eq. (1)
         gaussian = metric.gaussian  # None after the last regularised iteration
-        done = manifold.average(stacks, metric, stages.of(1))  # eq. (9)
+        done = manifold.average_in_place(stacks, metric, stages.of(1))  # eq. (9)
         stacks, samples, truncated = done.stacks, samples + done.samples, truncated + done.truncated
         if done.moving is not None:
             manifold = dataclasses.replace(manifold, moving=done.moving)

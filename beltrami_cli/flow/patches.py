@@ -263,7 +263,7 @@ def _blend_means_in_place(
     weights, _, gain = _weigh(level, sums, noise.variance, _PRIOR_OF_MEANS)
     for stack, changes in zip(results, (change, perturbed_change), strict=True):
         changes *= np.moveaxis(weights, 0, axis)
-        level.add_enlarged(stack, changes)
+        level.add_enlarged_in_place(stack, changes)
     return gain
 
 

@@ -1,11 +1,11 @@
 """A canvas that is smoothed row block by row block in place has the bits of one that is smoothed at once."""
 
-import dataclasses
+from functools import partial
 
 import pytest
 
 from beltrami_cli.flow.beltrami_flow import smooth_in_place
-from beltrami_cli.flow.manifolds.grid.manifold import row_blocks
+from beltrami_cli.flow.manifolds.grid import manifold as grid_manifold
 from beltrami_cli.flow.manifolds.grid.margins import kernel_margin
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
 from flow.split_surfaces import (
@@ -21,15 +21,16 @@ from flow.split_surfaces import (
 )
 
 
-def in_low_blocks(plan):
-    """Let row blocks be as low as their margins and tiles allow."""
-    return dataclasses.replace(plan, manifold=dataclasses.replace(plan.manifold, cells_per_thread=1))
+@pytest.fixture
+def low_blocks(monkeypatch):
+    """Return a function that lets row blocks be as low as their margins and tiles allow."""
+    return partial(monkeypatch.setattr, grid_manifold, "_CELLS_PER_THREAD", 1)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("make", [textured_plan, image_plan])
 @pytest.mark.parametrize("name", [*ON_GRIDS, "patches", "chosen"])
-def test_row_blocks_have_the_bits_of_the_whole(make, name):
+def test_row_blocks_have_the_bits_of_the_whole(make, name, low_blocks):
     given = {**FIXED, "iterations": 3, "metric_steps": 2, **ON_GRIDS.get(name, {"patches": "on"})}
     parameters = KernelParameters(**given)
     if name == "chosen":
@@ -37,19 +38,24 @@ def test_row_blocks_have_the_bits_of_the_whole(make, name):
     plan = make(parameters)
     assert name == "world" or is_clipped(plan)
     whole = outcome(plan)
-    plan = in_low_blocks(make(parameters))
-    assert len(row_blocks(*plan.manifold.geometry.atlas.kind.shape, kernel_margin(parameters), 1)) >= 3
+    plan = make(parameters)
+    assert (
+        len(grid_manifold.row_blocks(plan.manifold.geometry.atlas.kind.shape, kernel_margin(parameters), 1))
+        >= 3
+    )
+    low_blocks()
     assert same_bits(outcome(plan), whole)
 
 
 @pytest.mark.parametrize("make", ["pixels", "pixels with patches", "mesh with patches"])
-def test_progress_goes_up_to_the_work_there_is(make):
+def test_progress_goes_up_to_the_work_there_is(make, low_blocks):
     parameters = KernelParameters(**FIXED, patches="on" if "patches" in make else "off")
     calls = []
     if "mesh" in make:
         smooth_mesh(wavy_surface(40), parameters, progress=lambda *call: calls.append(call))
     else:
-        smooth_in_place(in_low_blocks(image_plan(parameters)), lambda *call: calls.append(call))
+        low_blocks()
+        smooth_in_place(image_plan(parameters), lambda *call: calls.append(call))
     assert len({total for _, total in calls}) == 1
     done = [before for before, _ in calls]
     assert done == sorted(done)

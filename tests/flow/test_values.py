@@ -12,11 +12,14 @@ from beltrami_cli.flow.manifolds.iteration import Step
 from beltrami_cli.flow.manifolds.mesh.manifold import ColouredMesh, mesh_manifold
 from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.flow.noise.stabiliser import COLOURS, VarianceStabiliser
-from beltrami_cli.flow.parameters import parameters_with
+from beltrami_cli.flow.parameters import KernelParameters, parameters_with
 from beltrami_cli.flow.plan import choose_parameters
+from beltrami_cli.surface.atlas import build_atlas
 from beltrami_cli.surface.grid_atlas import grid_atlas
 from flow.split_surfaces import SURFACE
 from flow.test_correlated_noise import phantom
+from oracles.textured import strips
+from properties.textured_planes import texel_plan
 
 CAMERA = "shot:0.01,read:0.005"  # whose colours are stabilised
 
@@ -85,6 +88,19 @@ def test_a_metric_stays_valid_after_the_next_is_measured(solver):
     (again,) = manifold.average([manifold.colours], first).stacks
     assert np.array_equal(again, expected)
     assert not np.array_equal(plain, expected)
+
+
+def test_reading_new_colours_leaves_those_of_the_manifold():
+    """The gutter shows interpolated colours, while halo cells repeat their nearest ones."""
+    shifted = strips([((0, 8), (4, 12)), ((8, 16), (20.5, 28.5))], (32, 16))
+    atlas = build_atlas(shifted, [(32, 16)], 4, 1)
+    colours = np.random.default_rng(3).random((len(atlas.owned_cells), 3)).astype(np.float32)
+    manifold = texel_plan(atlas, colours, KernelParameters(threads=1, beta=0.0)).manifold
+    before = manifold.colours.copy()
+    new = manifold.new_colours()
+    flat, gutter = before.reshape(len(before), -1), manifold.geometry.atlas.gutter.cells
+    assert not np.array_equal(new.beyond, manifold.noise.to_input(flat[:, gutter].T))
+    assert np.array_equal(manifold.colours, before)
 
 
 def test_what_is_measured_in_stabilised_colours_is_converted_to_the_input_s():

@@ -60,7 +60,7 @@ def test_a_change_of_all_clusters_is_that_of_all_samples(sphere):
         # The mean over clusters, each by its samples, is that over samples.
         np.testing.assert_allclose(level.total(np.ascontiguousarray(means.T)), whole, rtol=1e-5)
         changed = stack.copy()
-        level.add_enlarged(changed, np.full_like(means, 0.25))
+        level.add_enlarged_in_place(changed, np.full_like(means, 0.25))
         np.testing.assert_allclose(changed, stack + 0.25, atol=1e-5)
 
 

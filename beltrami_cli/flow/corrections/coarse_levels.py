@@ -88,7 +88,7 @@ def _estimate_in_place(
     response -= after
     response *= probe / size
     after -= means
-    level.add_enlarged(manifold.colours, after)
+    level.add_enlarged_in_place(manifold.colours, after)
     squares = np.square(after) + 2 * response
 
     def mean(planes: Array) -> Float64s:

@@ -63,5 +63,5 @@ def _local_moments(geometry: Geometry, level: CoarseLevel, channel: Float32s, sh
     means[1] -= np.square(means[0])
     both[:] = 0
     enlarged = np.ascontiguousarray(np.moveaxis(both, 0, axis))
-    level.add_enlarged(enlarged, np.ascontiguousarray(np.moveaxis(means, 0, axis)))
+    level.add_enlarged_in_place(enlarged, np.ascontiguousarray(np.moveaxis(means, 0, axis)))
     return np.moveaxis(enlarged, axis, 0)

@@ -88,5 +88,5 @@ class CoarseLevel(Domain):
         """Draw random means, shaped like `means`, with a covariance of the channels."""
 
     @abstractmethod
-    def add_enlarged(self, stack: Stack, changes: Stack) -> None:
-        """Add interpolated changes of means to a stack, in place."""
+    def add_enlarged_in_place(self, stack: Stack, changes: Stack) -> None:
+        """Add interpolated changes of means to a stack."""

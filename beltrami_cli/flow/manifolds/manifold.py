@@ -118,21 +118,27 @@ class Manifold(ABC):
     def measure(self, colours: Stack, step: Step, gaussian: Gaussian | None = None) -> Metric:
         """Induce the metric, eq. (1), from colours; `gaussian` of an earlier metric is used again.
 
-        On grids and in chunks, `average` induces it part by part from its first stack, and colours are not read here.
+        On grids and in chunks, averaging induces it part by part from its first stack, and colours are not read here.
         """
 
+    @abstractmethod
     def average(
         self, stacks: list[Stack], metric: Metric, progress: Callable[[int], None] | None = None
     ) -> Averaged:
-        """Average stacks by the kernels of the metric, eqs. (8) and (9), possibly in place.
+        """Average stacks by the kernels of the metric, eqs. (8) and (9), in one piece.
 
         The first stack contains the colours from which the metric was measured.
         """
+
+    def average_in_place(
+        self, stacks: list[Stack], metric: Metric, progress: Callable[[int], None] | None = None
+    ) -> Averaged:
+        """Average stacks in chunks, if the surface is cut; the averages may take the memory of the stacks."""
         if self.chunking is None:
-            return self._average_whole(stacks, metric, progress)
+            return self.average(stacks, metric, progress)
         geometry, results = self.geometry, [large_arrays.zeros(stack.shape, np.float32) for stack in stacks]
         samples, truncated = self.chunking.apply(
-            self._kernel_chunks, partial(_average_chunk, step=metric.step), stacks, results, progress,
+            self._kernel_chunks, partial(_average_chunk_in_place, step=metric.step), stacks, results, progress,
             size=geometry.size, threads=geometry.threads,
         )  # fmt: skip
         for result in results:
@@ -140,14 +146,10 @@ class Manifold(ABC):
         return Averaged(results, samples, truncated)
 
     @abstractmethod
-    def _average_whole(
-        self, stacks: list[Stack], metric: Metric, progress: Callable[[int], None] | None
-    ) -> Averaged:
-        """Average stacks in one piece, see `average`."""
-
-    @abstractmethod
-    def average_core(self, stacks: list[Stack], step: Step, core: Any) -> tuple[list[Stack], Figures]:
-        """Average stacks of a chunk, possibly in place, at the samples with the index `core`; return only these."""
+    def average_core_in_place(
+        self, stacks: list[Stack], step: Step, core: Any
+    ) -> tuple[list[Stack], Figures]:
+        """Average stacks of a chunk at the samples with the index `core`; return only these."""
 
     @property
     def chunking(self) -> Chunking | None:
@@ -253,8 +255,8 @@ class SampleTrial:
         return state if self.scored_samples is None else self.part.geometry.take(state, self.scored_samples)
 
 
-def _average_chunk(
+def _average_chunk_in_place(
     part: tuple[Manifold, Any], stacks: list[Stack], threads: int, step: Step
 ) -> tuple[list[Stack], Figures]:
     manifold, core = part
-    return manifold.with_parameters(threads=threads).average_core(stacks, step, core)
+    return manifold.with_parameters(threads=threads).average_core_in_place(stacks, step, core)

@@ -29,15 +29,17 @@ def fill_canvas(atlas: Atlas, channels: int, colours_of: Callable[[slice], Float
 
 
 def canvas_colours(atlas: Atlas, planes: Float32s) -> NewColours:
-    """Return the colours of owned cells, which are read from the planes on demand, and of the gutter."""
-    refresh_halo(planes, atlas, interpolated=True)
-    flat, cells, gutter = planes.reshape(len(planes), -1), atlas.owned_cells, atlas.gutter.cells
-    beyond = np.zeros((len(gutter), len(flat)), np.float32)
-    for block in large_arrays.blocks(len(gutter), large_arrays.SCATTERED):
-        beyond[block] = flat[:, gutter[block]].T
+    """Return the colours of owned cells, which are read from the planes on demand, and those of the gutter."""
+    gutter, halo = atlas.gutter, atlas.halo
+    beyond = np.zeros((len(gutter.cells), len(planes)), np.float32)
+    for block in large_arrays.blocks(len(beyond), large_arrays.SCATTERED):
+        rank = np.searchsorted(halo.cells, gutter.cells[block])
+        taps, weights = halo.taps[rank], halo.weights[rank]
+        for channel, plane in enumerate(planes.reshape(len(planes), -1)):
+            beyond[block, channel] = np.einsum("ht,ht->h", plane[taps], weights)
     return NewColours(
-        lambda block, inside: colours_at(planes, cells[block][inside]),
+        lambda block, inside: colours_at(planes, atlas.owned_cells[block][inside]),
         atlas.owned_texels,
-        atlas.gutter.texels,
+        gutter.texels,
         beyond,
     )

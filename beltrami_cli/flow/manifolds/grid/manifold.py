@@ -43,8 +43,9 @@ from beltrami_cli.flow.parameters import KernelParameters, Space
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, OWNED, Atlas, refresh_halo
 
-# Number of threads for which a row block has cells at least.
-_MIN_THREADS = 4
+# Cells of a row block for each thread, and the number of threads for which it has cells at least. A cell takes some 90
+# bytes.
+_CELLS_PER_THREAD, _MIN_THREADS = 1 << 16, 4
 
 # Widest window that the sweeps support; wider windows use fast marching with a heap.
 _WIDEST_SWEEP = 15
@@ -104,30 +105,34 @@ class GridManifold(Manifold):
 
     geometry: GridGeometry
     jumps: int = 0  # number of seams over which colours jump, where kernels stop
-    # Of a row block; each cell takes some 90 bytes. With several row blocks, averages replace the given stacks.
-    cells_per_thread: int = 1 << 16
 
     def measure(self, colours: Stack, step: Step, gaussian: Gaussian | None = None) -> Metric:
         """Prepare the metric, eq. (1), which averaging then induces row block by row block."""
         del colours
         return Metric(step, gaussian_for(self, step, gaussian))
 
-    def average_core(self, stacks: list[Stack], step: Step, core: Rectangle) -> tuple[list[Stack], Figures]:
-        done = self._average_whole(stacks, self.measure(stacks[0], step), None)
+    def average_core_in_place(
+        self, stacks: list[Stack], step: Step, core: Rectangle
+    ) -> tuple[list[Stack], Figures]:
+        done = self.average_in_place(stacks, self.measure(stacks[0], step))
         return [stack[core] for stack in done.stacks], (done.samples, 0)
 
-    def _average_whole(
-        self, stacks: list[Stack], metric: Metric, progress: Callable[[int], None] | None
+    def average(
+        self, stacks: list[Stack], metric: Metric, progress: Callable[[int], None] | None = None
     ) -> Averaged:
-        """Average row block by row block; in place if there are several."""
+        planes, samples = self._apply_kernel(stacks, metric, progress)
+        refresh_halo(planes, self.geometry.atlas)
+        return Averaged(_split(planes, stacks), samples)
+
+    def average_in_place(
+        self, stacks: list[Stack], metric: Metric, progress: Callable[[int], None] | None = None
+    ) -> Averaged:
+        """Average stacks in chunks or row block by row block, which replace the rows of the stacks."""
         atlas, margin = self.geometry.atlas, kernel_margin(self.parameters)
-        cells = self.cells_per_thread * max(_MIN_THREADS, self.parameters.thread_count)
-        rows, columns = atlas.kind.shape
-        blocks = row_blocks(rows, columns, margin, cells)
-        if len(blocks) < 2:
-            planes, samples = self._apply_kernel(stacks, metric, progress)
-            refresh_halo(planes, atlas)
-            return Averaged(_split(planes, stacks), samples)
+        cells = _CELLS_PER_THREAD * max(_MIN_THREADS, self.parameters.thread_count)
+        blocks = row_blocks(atlas.kind.shape, margin, cells)
+        if self.chunking is not None or len(blocks) < 2:
+            return super().average_in_place(stacks, metric, progress)
         samples, averaged = 0, deque[tuple[slice, Float32s]]()
         for block in blocks:
             large_arrays.release_pages()
@@ -271,8 +276,6 @@ class GridManifold(Manifold):
             planes[:, part.geometry.atlas.kind == EMPTY] = 0
             scored = np.flatnonzero(core & (part.geometry.atlas.kind == OWNED))
         drawn = draw_perturbations(part.geometry.atlas, self.noise, wanted_probes(len(scored)))
-        # One row block, which leaves stacks as they are.
-        part = dataclasses.replace(part, cells_per_thread=part.geometry.size)
         return SampleTrial(part, planes, np.array(drawn, np.float32), scored)
 
     def cut(self, samples: Cells, inside: Bools) -> GridManifold:
@@ -295,11 +298,12 @@ def cut_blocks(whole: GridManifold, cells: Int64s, core: Bools, reach: int) -> G
     return dataclasses.replace(part, geometry=dataclasses.replace(part.geometry, atlas=atlas))
 
 
-def row_blocks(rows: int, columns: int, margin: int, cells: int) -> list[slice]:
+def row_blocks(shape: tuple[int, ...], margin: int, cells: int) -> list[slice]:
     """Return the rows averaged at a time, whole tiles of at least so many cells.
 
     Each block depends only on adjacent blocks.
     """
+    rows, columns = shape
     height = -(-max(cells // max(1, columns), margin, 1) // SWEEP_TILE_ROWS) * SWEEP_TILE_ROWS
     return [slice(top, min(rows, top + height)) for top in range(0, rows, height)]
 

@@ -170,7 +170,7 @@ class Squares(CoarseLevel, Regions):
         first = around.start * self.side
         return cells[:, rows.start - first : rows.stop - first]
 
-    def add_enlarged(self, stack: Stack, changes: Stack) -> None:
+    def add_enlarged_in_place(self, stack: Stack, changes: Stack) -> None:
         for rows in self._blocks():
             for plane, change in zip(stack, changes[:, None], strict=True):
                 plane[rows] += self.enlarged(change, rows)[0]

@@ -129,8 +129,8 @@ class MeshManifold(Manifold):
         channels, beta = joined_channels(self, colours, step, gaussian, features=features)
         return MeshMetric(step, gaussian, positions, channels, beta)
 
-    def _average_whole(
-        self, stacks: list[Stack], metric: Metric, progress: Callable[[int], None] | None
+    def average(
+        self, stacks: list[Stack], metric: Metric, progress: Callable[[int], None] | None = None
     ) -> Averaged:
         """Average the channels, and the positions if they move, by eq. (9)."""
         everywhere, moving = slice(0, self.geometry.size), self.moving
@@ -147,7 +147,9 @@ class MeshManifold(Manifold):
 
         return Averaged(after, samples, truncated, moving.moved(before, moved, average_moves))
 
-    def average_core(self, stacks: list[Stack], step: Step, core: slice) -> tuple[list[Stack], Figures]:
+    def average_core_in_place(
+        self, stacks: list[Stack], step: Step, core: slice
+    ) -> tuple[list[Stack], Figures]:
         return self._apply_kernels(stacks, self.measure(stacks[0], step), core)
 
     def _apply_kernels(

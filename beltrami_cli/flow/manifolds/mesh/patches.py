@@ -107,7 +107,7 @@ class Clusters(CoarseLevel):
         relative = self.relative if shared else self.relative / (self._counts * np.float32(self.noise))
         return collaborate_on_graph(self._graph, noisy, pilot, mixing, relative, progress, is_whole=shared)
 
-    def add_enlarged(self, stack: Stack, changes: Stack) -> None:
+    def add_enlarged_in_place(self, stack: Stack, changes: Stack) -> None:
         """Add changes of clusters to their samples, smoothed like bilinear interpolation of squares."""
         variance = 1 / (12 * self.noise)
         rows = large_arrays.empty(stack.shape, np.float32)
