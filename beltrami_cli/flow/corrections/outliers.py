@@ -12,11 +12,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Indices, Int64s
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
+from beltrami_cli.flow.corrections.comparison import ColouredSamples, Compared, Surroundings, medians_of
 from beltrami_cli.flow.manifolds.manifold import Outliers
 from beltrami_cli.flow.noise.stabiliser import COLOURS
 from beltrami_cli.flow.parameters import KernelParameters
@@ -47,113 +47,69 @@ _MAJORITY = 2 / 3
 _MAX_FIREFLIES = 0.02
 
 
-class Surroundings(Protocol):
-    """The samples of a surface, by their indices in a stack, and their neighbours."""
+@dataclass(frozen=True)
+class _Candidates:
+    """Samples that stand out by their contrasts: all of them brighter than the samples around, or all darker."""
+
+    compared: Compared
+    contrasts: Float32s  # magnitudes in units of the threshold, above 1
+    sign: int  # 1: brighter, -1: darker
+    clumps: Int64s  # the small isolated clump that each sample belongs to; -1: none
+
+    def __getitem__(self, rows: Array) -> _Candidates:
+        return _Candidates(self.compared[rows], self.contrasts[rows], self.sign, self.clumps[rows])
+
+    def __len__(self) -> int:
+        return len(self.contrasts)
 
     @property
-    def samples(self) -> Indices:
-        """Indices of all samples in a stack, ascending, shape (S,)."""
-
-    def around(self, samples: Indices, reach: int) -> Int64s:
-        """Return the samples within `reach` (one or two) steps of each sample, shape (B, W), padded by -1."""
-
-    def standing_out(self, planes: Float32s, least: Float32s) -> Indices:
-        """Return the samples that differ from most neighbours by more than `least`, shape (N,), in a channel."""
-
-
-@dataclass(frozen=True)
-class _Compared:
-    """Samples with their colours, and the median and deviation of the colours around them, shape (N, C)."""
-
-    samples: Int64s
-    colours: Float32s
-    medians: Float32s
-    deviations: Float32s
-
-    def __getitem__(self, rows: Array) -> _Compared:
-        return _Compared(
-            self.samples[rows], *(each[:, rows] for each in (self.colours, self.medians, self.deviations))
-        )
-
-    def of_channels(self, channels: slice) -> _Compared:
-        return _Compared(
-            self.samples, self.colours[channels], self.medians[channels], self.deviations[channels]
-        )
-
-    def contrasts(self, size: float, value: Float32s | None = None) -> Float32s:
-        """Return the signed differences of colours, or of a value, to the medians by the threshold, shape (C,).
-
-        `size` is the range of all colours.
-        """
-        away = (self.colours if value is None else value) - self.medians
-        away /= np.float32(_MIN_DEVIATIONS) * self.deviations + np.float32(_MIN_SHARE_OF_RANGE * size)
-        return np.asarray(np.take_along_axis(away, np.abs(away).argmax(axis=0)[None], axis=0)[0], np.float32)
-
-
-@dataclass(frozen=True)
-class _Surface:
-    """Colours, shape (N, ...), and the neighbours of their samples."""
-
-    planes: Float32s
-    surroundings: Surroundings
+    def isolated(self) -> _Candidates:
+        """The samples in small isolated clumps."""
+        return self[self.clumps >= 0]
 
     @property
-    def count(self) -> int:
-        return len(self.surroundings.samples)
+    def strongest(self) -> _Candidates:
+        """The sample of the highest contrast in each small isolated clump."""
+        order = np.lexsort((-self.contrasts, self.clumps))
+        return self[order[np.diff(self.clumps[order], prepend=-1) > 0]]
 
-    def at(self, samples: Indices) -> Float32s:
-        return self.planes.reshape(len(self.planes), -1)[:, samples]
-
-    def around(self, samples: Indices, reach: int) -> Float32s:
-        """Return the colours of the samples around each sample, shape (N, B, W), padded by NaN."""
-        table = self.surroundings.around(samples, reach)
-        return np.where(table >= 0, self.at(table), np.float32(np.nan))
-
-    def compared(self, samples: Indices) -> _Compared:
-        """Compare samples with those within two steps. With fewer than four neighbours, the contrast is 0."""
-        parts = [(samples[:0], *np.zeros((3, len(self.planes), 0), np.float32))]
-        for block in large_arrays.blocks(len(samples), large_arrays.SCATTERED):
-            values, centres = self.around(samples[block], 2), self.at(samples[block])
-            medians, count = _medians(values)
-            deviations, _ = _medians(np.abs(values - medians[..., None]))
-            # Factor from the median absolute deviation to the standard deviation of a normal variable.
-            parts.append(
-                (samples[block], centres, np.where(count < 4, centres, medians), 1.4826 * deviations)
-            )
-        return _Compared(*(np.concatenate(each, axis=-1) for each in zip(*parts, strict=True)))
+    def is_near(self, value: Float32s, tolerance: float) -> Bools:
+        return np.asarray(_distances(self.compared.colours, value) <= tolerance)
 
 
 def fill_outliers(
-    planes: Float32s, where: Surroundings, parameters: KernelParameters, *, is_light: bool
+    planes: Float32s, surroundings: Surroundings, parameters: KernelParameters, *, is_light: bool
 ) -> tuple[Float32s, Outliers | None]:
     """Find the outliers of colours, shape (N, ...), and fill them; without outliers the same array is returned."""
-    outliers = _find_outliers(planes, where, parameters, is_light=is_light)
+    outliers = _find_outliers(planes, surroundings, parameters, is_light=is_light)
     if outliers is None:
         return planes, None
-    filled = _Surface(large_arrays.copy_of(planes), where)
-    _fill_in_place(filled, np.asarray(where.samples)[outliers.samples], outliers.channels.T)
+    filled = ColouredSamples(large_arrays.copy_of(planes), surroundings)
+    _fill_in_place(filled, np.asarray(surroundings.samples)[outliers.samples], outliers.channels.T)
     return filled.planes, outliers
 
 
 def _find_outliers(
-    planes: Float32s, where: Surroundings, parameters: KernelParameters, *, is_light: bool
+    planes: Float32s, surroundings: Surroundings, parameters: KernelParameters, *, is_light: bool
 ) -> Outliers | None:
-    surface, takes_all = _Surface(planes, where), parameters.outliers == "replace"
+    surface, takes_all = ColouredSamples(planes, surroundings), parameters.outliers == "replace"
     if surface.count < _MIN_CLUMPS or not parameters.looks_for_outliers:
         return None
     some = np.linspace(0, surface.count - 1, min(surface.count, 256 * _MIN_CLUMPS)).astype(int)
-    sampled = surface.compared(where.samples[some])
+    sampled = surface.compared(surroundings.samples[some])
     ranges = _ranges(sampled.colours)
     # Noise alone seldom makes a sample differ that much from most neighbours.
     least = _MIN_SHARE_OF_RANGE * ranges + _MIN_DEVIATIONS / 2 * np.median(sampled.deviations, axis=1)
-    standing_out = where.standing_out(planes, np.where(ranges > 0, least, np.inf).astype(np.float32))
+    standing_out = surroundings.standing_out(planes, np.where(ranges > 0, least, np.inf).astype(np.float32))
     if len(standing_out) < (1 if takes_all else _MIN_CLUMPS):
         return None
     rows = surface.compared(standing_out)
 
     def outliers_of(channels: slice) -> Int64s:
-        parts = _Surface(planes[channels], where), sampled.of_channels(channels)
-        search = _Search(*parts, float(ranges[channels][0]), takes_all=takes_all, is_light=is_light)
+        search = _Search(
+            surface.of_channels(channels), sampled.of_channels(channels), float(ranges[channels][0]),
+            takes_all=takes_all, is_light=is_light,
+        )  # fmt: skip
         return search.outliers_in(rows.of_channels(channels))
 
     # Search all colour channels together first, then each channel.
@@ -165,7 +121,7 @@ def _find_outliers(
     return _outliers_by_channel(surface, found)
 
 
-def _outliers_by_channel(surface: _Surface, found: Sequence[tuple[slice, Int64s]]) -> Outliers | None:
+def _outliers_by_channel(surface: ColouredSamples, found: Sequence[tuple[slice, Int64s]]) -> Outliers | None:
     """Combine the samples that are outliers of some channels; None if there are none."""
     samples = np.unique(np.concatenate([wrong for _, wrong in found]))
     if not len(samples):
@@ -190,94 +146,86 @@ def _ranges(colours: Float32s) -> Float64s:
 class _Search:
     """Search for outliers in colours; the `sampled` rows represent all samples."""
 
-    surface: _Surface
-    sampled: _Compared
+    surface: ColouredSamples
+    sampled: Compared
     range: float  # of the colours
     takes_all: bool  # isolated samples that stand out, however they are distributed
     is_light: bool
 
-    def outliers_in(self, rows: _Compared) -> Int64s:
+    def outliers_in(self, rows: Compared) -> Int64s:
         """Return the outliers among rows that stand out."""
         if not self.range > 0:
             return rows.samples[:0]
-        contrasts, outliers = rows.contrasts(self.range), [rows.samples[:0]]
-        for sign in (-1, 1):
-            # Bright light needs twice the contrast, since its noise has a longer tail.
-            is_bright_light = self.is_light and sign > 0
-            contrast = sign * contrasts / np.float32(2 if is_bright_light else 1)
-            outlying, contrast = rows[contrast > 1], contrast[contrast > 1]
-            limits = np.abs(outlying.colours - outlying.medians).max(axis=0) / 2
-            small, strongest = self._small_clumps(outlying.samples, limits, contrast)
-            # With few light paths, nearly all light is in single samples, which are not outliers.
-            is_rare = _MAJORITY * len(small) <= np.count_nonzero(small) < _MAX_FIREFLIES * self.surface.count
-            everywhere = np.ones(len(self.sampled.samples), bool)
-            if self.takes_all or (
-                is_bright_light and is_rare and self._is_random(outlying, contrast, strongest, everywhere)
-            ):
-                outliers.append(outlying.samples[small])
-            elif len(strongest) >= _MIN_CLUMPS:
-                outliers.append(self._with_common_value(outlying, sign * contrast, small, strongest))
-        return np.unique(np.concatenate(outliers))
+        contrasts = _contrasts(rows.colours, rows, self.range)
+        dark, bright = (self._outliers_among(self._candidates(rows, contrasts, sign)) for sign in (-1, 1))
+        return np.union1d(dark, bright)
 
-    def _with_common_value(
-        self, rows: _Compared, contrast: Float32s, small: Bools, strongest: Int64s
-    ) -> Int64s:
+    def _candidates(self, rows: Compared, contrasts: Float32s, sign: int) -> _Candidates:
+        # Bright light needs twice the contrast, since its noise has a longer tail.
+        contrasts = sign * contrasts / np.float32(2 if self.is_light and sign > 0 else 1)
+        rows, contrasts = rows[contrasts > 1], contrasts[contrasts > 1]
+        clumps = self._small_clumps(rows.samples, _distances(rows.colours, rows.medians) / 2)
+        return _Candidates(rows, contrasts, sign, clumps)
+
+    def _outliers_among(self, candidates: _Candidates) -> Int64s:
+        if self.takes_all or self._are_fireflies(candidates):
+            return candidates.isolated.compared.samples
+        return self._with_common_value(candidates)
+
+    def _are_fireflies(self, candidates: _Candidates) -> bool:
+        if not (self.is_light and candidates.sign > 0):
+            return False
+        # With few light paths, nearly all light is in single samples, which are not outliers.
+        count = len(candidates.isolated)
+        is_rare = _MAJORITY * len(candidates) <= count < _MAX_FIREFLIES * self.surface.count
+        return is_rare and self._are_random(candidates.strongest, np.ones(len(self.sampled.samples), bool))
+
+    def _with_common_value(self, candidates: _Candidates) -> Int64s:
         """Return the outliers that have the most frequent value, if they are spread at random."""
-        colours, tolerance = rows.colours[:, strongest], _SAME_VALUE * self.range
-        value = np.median(colours, axis=1)
-        for _ in range(2):  # the second time without other values
-            is_near = np.abs(colours - value[:, None]).max(axis=0) <= tolerance
-            value = np.median(colours[:, is_near], axis=1) if is_near.any() else value
-        near = np.abs(rows.colours - value[:, None]).max(axis=0)
-        chosen = strongest[near[strongest] <= tolerance]
-        if (
-            len(chosen) < max(_MIN_CLUMPS, _MAJORITY * len(strongest))
-            or small[near <= tolerance].mean() < _MAJORITY
-        ):
-            return rows.samples[:0]
-        # On a plain ground they may be a pattern.
-        away = np.abs(rows.colours - rows.medians)[:, chosen].max(axis=0)
-        is_plain = rows.medians[:, chosen].std(axis=1).max() < _SAME_VALUE * np.median(away)
-        is_visible = np.sign(contrast[0]) * self.sampled.contrasts(self.range, value[:, None]) > 1
-        if is_plain or not self._is_random(rows, np.abs(contrast), chosen, np.asarray(is_visible)):
-            return rows.samples[:0]
+        strongest, tolerance, none = candidates.strongest, _SAME_VALUE * self.range, np.zeros(0, np.int64)
+        if len(strongest) < _MIN_CLUMPS:
+            return none
+        value = _frequent_value(strongest.compared.colours, tolerance)
+        chosen = strongest[strongest.is_near(value, tolerance)]
+        if len(chosen) < max(_MIN_CLUMPS, _MAJORITY * len(strongest)):
+            return none
+        of_value = candidates[candidates.is_near(value, tolerance)]
+        if len(of_value.isolated) < _MAJORITY * len(of_value) or _is_on_plain_ground(chosen.compared):
+            return none
+        is_visible = candidates.sign * _contrasts(value, self.sampled, self.range) > 1
+        if not self._are_random(chosen, np.asarray(is_visible)):
+            return none
         # Noise added after the outliers spreads their value.
-        return self._samples_of_value(value, float(np.quantile(near[chosen], 0.95)))
+        spread = np.quantile(_distances(chosen.compared.colours, value), 0.95)
+        return self._samples_of_value(value, float(spread))
 
     def _samples_of_value(self, value: Float32s, spread: float) -> Int64s:
         """Return isolated samples of a value, with a lower threshold of contrast."""
         surface, parts = self.surface, [np.zeros(0, np.int64)]
         for block in large_arrays.blocks(surface.count, large_arrays.CACHED):
             samples = np.asarray(surface.surroundings.samples[block], np.int64)
-            rows = surface.compared(
-                samples[np.abs(surface.at(samples) - value[:, None]).max(axis=0) <= spread]
-            )
-            parts.append(rows.samples[np.abs(rows.contrasts(self.range)) > _WEAK_LIMIT])
+            rows = surface.compared(samples[_distances(surface.at(samples), value) <= spread])
+            contrasts = _contrasts(rows.colours, rows, self.range)
+            parts.append(rows.samples[np.abs(contrasts) > _WEAK_LIMIT])
         samples = np.concatenate(parts)
-        small, _ = self._small_clumps(
-            samples, np.full(len(samples), spread), np.zeros(len(samples), np.float32)
-        )
-        return samples[small]
+        return samples[self._small_clumps(samples, np.full(len(samples), spread)) >= 0]
 
-    def _small_clumps(self, samples: Int64s, limits: Float32s, contrast: Float32s) -> tuple[Bools, Int64s]:
-        """Find isolated clumps of samples that are no larger than clumps that form by chance.
+    def _small_clumps(self, samples: Int64s, limits: Array) -> Int64s:
+        """Return the small isolated clump that each sample belongs to; -1: none.
 
-        A clump is isolated if no sample around it has a similar colour, within `limits`. Return which samples are in
-        small isolated clumps, and the sample of the highest contrast in each of these clumps.
+        A clump is isolated if no sample around it has a similar colour, within `limits`. It is small if it is no larger
+        than clumps that form by chance.
         """
         if not len(samples):
-            return np.zeros(0, bool), samples
+            return samples
         around = self.surface.surroundings.around(samples, 1)
         index = np.searchsorted(samples, around).clip(0, len(samples) - 1)
         stands_out = (around >= 0) & (samples[index] == around)
         away = np.abs(self.surface.at(around) - self.surface.at(samples)[..., None]).max(axis=0)
         has_similar = ((away <= limits[:, None]) & (around >= 0) & ~stands_out).any(axis=1)
-        clump = _connected(np.where(stands_out, index, np.arange(len(samples))[:, None]))
-        is_isolated = np.bincount(clump, has_similar)[clump] == 0
-        small = self._are_chance_clumps(np.bincount(clump)[clump], is_isolated)
-        order = np.lexsort((-contrast, clump))
-        strongest = order[np.diff(clump[order], prepend=-1) > 0]
-        return small, strongest[small[strongest]]
+        clumps = _connected(np.where(stands_out, index, np.arange(len(samples))[:, None]))
+        is_isolated = np.bincount(clumps, has_similar)[clumps] == 0
+        return np.where(self._are_chance_clumps(np.bincount(clumps)[clumps], is_isolated), clumps, -1)
 
     def _are_chance_clumps(self, sizes: Int64s, is_isolated: Bools) -> Bools:
         """Mark the samples of isolated clumps that are no larger than clumps that form by chance."""
@@ -289,16 +237,16 @@ class _Search:
             small = is_isolated & (sizes <= 4 / max(1 - 8 * share, 0.1) ** 2)
         return small
 
-    def _is_random(self, rows: _Compared, contrast: Float32s, chosen: Int64s, is_visible: Bools) -> bool:
-        """Whether chosen rows are spread at random over the samples on which they would be visible, `is_visible`."""
+    def _are_random(self, chosen: _Candidates, is_visible: Bools) -> bool:
+        """Whether candidates are spread at random over the samples on which they would be visible, `is_visible`."""
         # If most contrasts are near the threshold, these are the tails of texture or noise.
-        if len(chosen) < _MIN_CLUMPS or np.mean(contrast[chosen] < 2) > _MAJORITY or not is_visible.any():
+        if len(chosen) < _MIN_CLUMPS or np.mean(chosen.contrasts < 2) > _MAJORITY or not is_visible.any():
             return False
-        samples = np.sort(rows.samples[chosen])
+        samples = np.sort(chosen.compared.samples)
         return (
             self._have_chance_neighbours(samples, is_visible)
             and self._are_evenly_spread(samples, is_visible)
-            and _are_alike(self.sampled.medians[:, is_visible], rows.medians[:, chosen])
+            and _are_alike(self.sampled.medians[:, is_visible], chosen.compared.medians)
         )
 
     def _have_chance_neighbours(self, samples: Int64s, is_visible: Bools) -> bool:
@@ -321,6 +269,35 @@ class _Search:
         return bool(excess <= 3 * np.sqrt(2 * runs) + 0.1 * len(samples))
 
 
+def _contrasts(colours: Float32s, compared: Compared, size: float) -> Float32s:
+    """Return the largest signed difference of colours to medians, shape (C,), in units of the threshold.
+
+    `size` is the range of all colours. A single colour, shape (N,), is compared with all medians.
+    """
+    away = colours.reshape(len(colours), -1) - compared.medians
+    away /= np.float32(_MIN_DEVIATIONS) * compared.deviations + np.float32(_MIN_SHARE_OF_RANGE * size)
+    return np.asarray(np.take_along_axis(away, np.abs(away).argmax(axis=0)[None], axis=0)[0], np.float32)
+
+
+def _distances(colours: Float32s, others: Float32s) -> Float32s:
+    """Return the largest difference over channels, shape (C,), of colours to others, or to a single one."""
+    return np.asarray(np.abs(colours - others.reshape(len(colours), -1)).max(axis=0))
+
+
+def _frequent_value(colours: Float32s, tolerance: float) -> Float32s:
+    value = np.median(colours, axis=1)
+    for _ in range(2):  # the second time without other values
+        is_near = _distances(colours, value) <= tolerance
+        value = np.median(colours[:, is_near], axis=1) if is_near.any() else value
+    return np.asarray(value, np.float32)
+
+
+def _is_on_plain_ground(rows: Compared) -> bool:
+    """Whether the colours around samples are almost equal. There, samples of one value may be a pattern."""
+    contrast = np.median(_distances(rows.colours, rows.medians))
+    return bool(rows.medians.std(axis=1).max() < _SAME_VALUE * contrast)
+
+
 def _connected(neighbours: Int64s) -> Int64s:
     """Return the least index in the clump of each sample, given the indices of its neighbours, shape (n, W)."""
     # SciPy has this, but importing it takes longer.
@@ -339,25 +316,14 @@ def _are_alike(all_colours: Float32s, some: Float32s) -> bool:
     return bool(np.abs(ranks[0] - ranks[1]).max() <= 0.1 + 1.2 / np.sqrt(len(levels[1])))
 
 
-def _medians(values: Float32s) -> tuple[Float32s, Int64s]:
-    """Return the medians along the last axis and the number of finite values; NaN is ignored."""
-    ordered = np.sort(values, axis=-1)
-    # Three times as fast as `sum` along the short axis.
-    count = (np.isfinite(ordered).astype(np.float32) @ np.ones(ordered.shape[-1], np.float32)).astype(
-        np.int64
-    )
-    middle = np.maximum(count - 1, 0)[..., None] // 2
-    return np.take_along_axis(ordered, middle, axis=-1)[..., 0], count
-
-
-def _fill_in_place(surface: _Surface, samples: Int64s, wrong: Bools) -> None:
+def _fill_in_place(surface: ColouredSamples, samples: Int64s, wrong: Bools) -> None:
     """Fill wrong samples with the median of the others within one step, or two if there are too few."""
     flat, filled = surface.planes.reshape(len(surface.planes), -1), surface.at(samples)
     for channel, is_wrong in zip(flat, wrong, strict=True):
         channel[samples[is_wrong]] = np.nan
     for block in large_arrays.blocks(len(samples), large_arrays.SCATTERED):
         for reach, fewest in ((2, 1), (1, 3)):
-            medians, count = _medians(surface.around(samples[block], reach))
+            medians, count = medians_of(surface.around(samples[block], reach))
             np.copyto(filled[:, block], medians, where=wrong[:, block] & (count >= fewest))
     for channel, is_wrong, values in zip(flat, wrong, filled, strict=True):
         channel[samples[is_wrong]] = values[is_wrong]
