@@ -57,7 +57,7 @@ if TYPE_CHECKING:
 _NAMES_IN = {
     "errors": "BeltramiError InputError OutputError ProcessingError UsageError",
     "flow.parameters": "KernelParameters",
-    "formats.access": "Access",
+    "formats.files.access": "Access",
     "jobs.arrays.image": "ImageResult smooth_image",
     "jobs.arrays.mesh": "SmoothResult smooth",
     "jobs.arrays.mesh_arrays": "MeshArrays",
