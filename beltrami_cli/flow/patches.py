@@ -276,7 +276,7 @@ class _NoiseTerms:
         channels = np.zeros((len(sigma), 4), np.float32)
         channels[:, 0] = self._variances
         if clipped is not None:
-            channels[:, 1:] = np.column_stack([clipped.sigma, clipped.low, clipped.high])
+            channels[:, 1:] = clipped.channels
         tables = normal_tables()
         self.for_core = channels, tables.furthest, tables.lost, tables.share
 

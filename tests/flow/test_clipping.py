@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from beltrami_cli import smooth, smooth_image
-from beltrami_cli.flow.corrections.clipping import ClippedChannels, find_clipped
+from beltrami_cli.flow.corrections.clipping import ClippedChannel, ClippedChannels, find_clipped
 from beltrami_cli.flow.corrections.normal_tables import variance_of_clipped
 from oracles import surfaces
 
@@ -55,7 +55,7 @@ def test_the_true_value_follows_from_mean_and_share_of_a_censored_normal():
 @pytest.mark.parametrize("in_rows", [False, True])
 def test_what_was_cut_off_is_told_by_the_formulas_in_any_layout_on_any_number_of_threads(in_rows):
     random = np.random.default_rng(4)
-    found = ClippedChannels((True, False), (True, True), np.array([0.1, 0.05]))
+    found = ClippedChannels((ClippedChannel(0.1, True, True), ClippedChannel(0.05, False, True)))
     shape = (20_000, 2) if in_rows else (2, 20_000)
     noisy, means, estimate, share = random.uniform(-0.2, 1.2, (4, *shape)).astype(np.float32).clip(0, 1)
     relative = random.uniform(0.3, 3, 20_000).astype(np.float32)
@@ -71,8 +71,8 @@ def test_what_was_cut_off_is_told_by_the_formulas_in_any_layout_on_any_number_of
         np.testing.assert_array_equal(one, other)
     for k, (marks, imputed, restored) in enumerate(zip(*results[0], strict=True)):
         colour, mean, around, part = (own[k].astype(float) for own in channels)
-        sigma = found.sigma[k] * np.sqrt(relative)
-        high, low = colour >= 1, (colour <= 0) & found.low[k]
+        sigma = found.channels[k].sigma * np.sqrt(relative)
+        high, low = colour >= 1, (colour <= 0) & found.channels[k].low
         np.testing.assert_array_equal(marks, high * 1.0 - low)
         side = np.where(high, 1, -1)
         alpha = np.minimum(np.where(high, 1 - around, around) / sigma, 8)  # where the table ends
@@ -93,7 +93,7 @@ def test_one_row_is_restored_as_it_is_among_others():
     colours = random.uniform(0, 0.1, (1, 7, 40)).astype(np.float32)
     marks = random.random((1, 7, 40), np.float32)
     relative = random.uniform(0.5, 2, (7, 40)).astype(np.float32)
-    clipped = ClippedChannels((True,), (False,), np.array([0.05]))
+    clipped = ClippedChannels((ClippedChannel(0.05, True, False),))
     whole, row = colours.copy(), colours[:, 6:].copy()
     clipped.restore_in_place(whole, marks, relative)
     clipped.restore_in_place(row, marks[:, 6:], relative[6:])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli import _native, smooth, smooth_image
-from beltrami_cli.flow.corrections.clipping import ClippedChannels
+from beltrami_cli.flow.corrections.clipping import ClippedChannel, ClippedChannels
 from beltrami_cli.flow.corrections.normal_tables import normal_tables
 from beltrami_cli.flow.parameters import PRESETS
 from oracles import surfaces
@@ -16,7 +16,7 @@ SIGMA = 0.08
 # Noise that is the same everywhere.
 ONE = np.float32(1)
 
-BOTH = ClippedChannels((True,), (True,), np.array([SIGMA]))
+BOTH = ClippedChannels((ClippedChannel(SIGMA, True, True),))
 LEVELS = [0.0, 0.02, 0.1, 0.5, 0.93, 1.0]
 RANDOM = np.random.default_rng(7)
 
@@ -27,9 +27,9 @@ def cut_off_samples(level, count=200_000):
 
 def noise_of_blend(clipped, relative):
     """Return what the core takes: (variance, sigma, low, high) of the channels, tables, and relative variances."""
-    rows = np.column_stack([np.square(clipped.sigma), clipped.sigma, clipped.low, clipped.high])
+    rows = np.array([(sigma**2, sigma, low, high) for sigma, low, high in clipped.channels], np.float32)
     tables = normal_tables()
-    return rows.astype(np.float32), tables.furthest, tables.lost, tables.share, relative
+    return rows, tables.furthest, tables.lost, tables.share, relative
 
 
 def residual(noisy, estimate, clipped):
@@ -52,7 +52,7 @@ def clipped_mean_and_share(true, sigma, clipped):
     density = np.vectorize(NormalDist().pdf)
     beyond = np.vectorize(lambda a: 1 - NormalDist().cdf(a))
     for k in range(len(true)):
-        for at_limit, limit, sign in ((clipped.high[k], 1, -1), (clipped.low[k], 0, 1)):
+        for at_limit, limit, sign in ((clipped.channels[k].high, 1, -1), (clipped.channels[k].low, 0, 1)):
             a = sign * (true[k] - limit) / sigma[k]
             if at_limit:
                 mean[k] += sign * sigma[k] * (density(a) - a * beyond(a))
@@ -63,10 +63,11 @@ def clipped_mean_and_share(true, sigma, clipped):
 @pytest.mark.parametrize("in_rows", [False, True])
 def test_terms_of_the_blend_are_those_of_the_closed_form(in_rows):
     count = 5000  # more than one run, and no multiple of it
-    clipped = ClippedChannels((True, False, True), (True, True, False), np.array([0.1, 0.05, 0.2]))
+    sides = (0.1, True, True), (0.05, False, True), (0.2, True, False)
+    clipped = ClippedChannels(tuple(ClippedChannel(*each) for each in sides))
     noisy, probe, *estimates = RANDOM.uniform(-0.2, 1.2, (6, 3, count)).astype(np.float32)
     relative = RANDOM.uniform(0.3, 3, (1, count)).astype(np.float32)
-    sigma = clipped.sigma[:, None] * np.sqrt(relative.astype(np.float64))
+    sigma = np.array(sides)[:, :1] * np.sqrt(relative.astype(np.float64))
     estimates64 = [own.astype(np.float64) for own in estimates]
     p, q, near_p, near_q = (clipped_mean_and_share(own, sigma, clipped)[0] for own in estimates64)
     within = clipped_mean_and_share((estimates[0] + estimates[1]) / 2.0, sigma, clipped)[1]

@@ -18,8 +18,9 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import starmap
+from typing import NamedTuple
 
 import numpy as np
 
@@ -47,64 +48,76 @@ _NOISE_EXTENT = 3.0
 MIN_SHARE = 1e-6
 
 
+class ClippedChannel(NamedTuple):
+    """The noise of a channel, and whether it is clipped at 0 (`low`) and at 1 (`high`), as the core takes them.
+
+    Arrays have the shape (1, ...), `relative` is the variance of the noise relative to `sigma` squared.
+    """
+
+    sigma: float
+    low: bool
+    high: bool
+
+    @property
+    def sides(self) -> list[ClippedChannel]:
+        """The clipping at each limit alone."""
+        sides = self._replace(high=False), self._replace(low=False)
+        return [side for side in sides if side.low or side.high]
+
+    def near_limit(self, colours: Float32s, relative: Float32s) -> Bools:
+        """Mark samples that noise may have moved to a limit."""
+        reach = np.float32(_NOISE_EXTENT) * (np.float32(self.sigma) * np.sqrt(relative))
+        return np.asarray((self.low & (colours < reach)) | (self.high & (colours > 1 - reach)))
+
+    def marks_of(self, colours: Float32s) -> Float32s:
+        """Mark samples at a limit by 1 or -1, to be averaged like colours."""
+        # Both limits share one plane, because an average seldom contains many samples of both.
+        return np.subtract(self.high & (colours >= 1), self.low & (colours <= 0), dtype=np.float32)
+
+    def restore_in_place(
+        self, means: Float32s, marks: Float32s, relative: Float32s, threads: int = 1
+    ) -> None:
+        """Turn averages of clipped colours into estimates of the noise-free colours."""
+        table = censored_normal()
+        tables = table.share, table.alpha, table.gap
+        restore_cut_off(means, marks, self, _MAX_LOCAL_NOISE, *tables, relative, threads)
+
+    def impute_in_place(
+        self, colours: Float32s, pilot: Float32s, relative: Float32s, threads: int = 1
+    ) -> None:
+        """Replace samples at a limit by the mean of noise beyond it, given the pilot."""
+        tables = normal_tables()
+        impute_cut_off(colours, pilot, self, tables.limits, tables.beyond, relative, threads)
+
+
 @dataclass(frozen=True)
 class ClippedChannels:
-    """The clipping of N channels at 0 (`low`) and at 1 (`high`), and their noise (`sigma`, shape (N,))."""
+    """The clipping of N channels; arrays have the shape (N, ...), marks have a plane for each clipped channel."""
 
-    low: tuple[bool, ...]
-    high: tuple[bool, ...]
-    sigma: Float64s
+    channels: tuple[ClippedChannel, ...]
 
     @property
     def clipped(self) -> list[int]:
         """The channels that are clipped at either limit."""
-        return [k for k, (low, high) in enumerate(zip(self.low, self.high, strict=True)) if low or high]
+        return [k for k, channel in enumerate(self.channels) if channel.low or channel.high]
 
-    def sides(self) -> Iterator[tuple[int, ClippedChannels]]:
-        """Yield the number of each channel, and its clipping at each of its limits alone."""
-        for k, sides in enumerate(zip(self.low, self.high, strict=True)):
-            for low, high in ((sides[0], False), (False, sides[1])):
-                if low or high:
-                    yield k, ClippedChannels((low,), (high,), self.sigma[k : k + 1])
-
-    def near_limit(self, channels: Float32s, relative: Float32s) -> Bools:
-        """Mark samples that noise may have moved to a limit."""
-        low, high, sigma = (
-            np.reshape(each, (-1, *[1] * (channels.ndim - 1))) for each in (self.low, self.high, self.sigma)
-        )
-        reach = np.float32(_NOISE_EXTENT) * (sigma.astype(np.float32) * np.sqrt(relative))
-        return np.asarray((low & (channels < reach)) | (high & (channels > 1 - reach)))
-
-    def marks_of(self, channels: Float32s) -> Float32s:
-        """Mark samples at a limit by 1 or -1, to be averaged like colours; shape (clipped channels, ...)."""
-        # Both limits share one plane, because an average seldom contains many samples of both.
-        marks = [
-            np.subtract(self.high[k] & (channels[k] >= 1), self.low[k] & (channels[k] <= 0), dtype=np.float32)
-            for k in self.clipped
-        ]
-        return np.stack(marks)
+    def marks_of(self, colours: Float32s) -> Float32s:
+        return np.stack([self.channels[k].marks_of(colours[k]) for k in self.clipped])
 
     def restore_in_place(
-        self, channels: Float32s, marks: Float32s, relative: Float32s, threads: int = 1
+        self, means: Float32s, marks: Float32s, relative: Float32s, threads: int = 1
     ) -> None:
-        """Turn averages of clipped colours into estimates of the noise-free colours."""
-        table, relative = censored_normal(), np.broadcast_to(relative, (1, *channels.shape[1:]))
-        tables = table.share, table.alpha, table.gap
-        for mark, k in enumerate(self.clipped):
-            channel, share = channels[k : k + 1], marks[mark : mark + 1]
-            restore_cut_off(channel, share, self._cut_off(k), _MAX_LOCAL_NOISE, *tables, relative, threads)
+        relative = np.broadcast_to(relative, (1, *means.shape[1:]))
+        for plane, k in enumerate(self.clipped):
+            of_channel = means[k : k + 1], marks[plane : plane + 1]
+            self.channels[k].restore_in_place(*of_channel, relative, threads)
 
     def impute_in_place(
-        self, channels: Float32s, pilot: Float32s, relative: Float32s, threads: int = 1
+        self, colours: Float32s, pilot: Float32s, relative: Float32s, threads: int = 1
     ) -> None:
-        """Replace samples at a limit by the mean of noise beyond it, given the pilot."""
-        tables, relative = normal_tables(), np.broadcast_to(relative, (1, *channels.shape[1:]))
+        relative = np.broadcast_to(relative, (1, *colours.shape[1:]))
         for k in self.clipped:
-            channel, around = channels[k : k + 1], pilot[k : k + 1]
-            impute_cut_off(channel, around, self._cut_off(k), tables.limits, tables.beyond, relative, threads)
-
-    def _cut_off(self, k: int) -> tuple[float, bool, bool]:
-        return float(self.sigma[k]), self.low[k], self.high[k]
+            self.channels[k].impute_in_place(colours[k : k + 1], pilot[k : k + 1], relative, threads)
 
 
 def find_clipped(channels: Float32s, sigma: Float64s, empty: int = 0) -> ClippedChannels | None:
@@ -123,11 +136,12 @@ def find_clipped(channels: Float32s, sigma: Float64s, empty: int = 0) -> Clipped
             at_1[k] += np.count_nonzero(channel[block] == 1)
     floor, ceiling = np.transpose([limits_of(channel) for channel in channels])
     worth, noisy = _WORTH_RESTORING * count, np.asarray(sigma) > 0
-    low = (noisy & (floor == 0) & (at_0 - empty >= worth)).tolist()
-    high = (noisy & (ceiling == 1) & (at_1 >= worth)).tolist()
-    if not (any(low) or any(high)):
-        return None
-    return ClippedChannels(tuple(low), tuple(high), np.asarray(sigma, np.float64))
+    low = noisy & (floor == 0) & (at_0 - empty >= worth)
+    high = noisy & (ceiling == 1) & (at_1 >= worth)
+    found = ClippedChannels(
+        tuple(starmap(ClippedChannel, zip(sigma.tolist(), low.tolist(), high.tolist(), strict=True)))
+    )
+    return found if found.clipped else None
 
 
 def clipped_on(manifold: Manifold) -> ClippedChannels | None:
@@ -167,13 +181,14 @@ def impute_clipped_in_place(manifold: Manifold) -> None:
     colours, relative = (
         np.moveaxis(each, geometry.axis, 0) for each in (manifold.colours, manifold.relative_variance)
     )
-    for k, side in clipped.sides():
-        _impute_side_in_place(manifold, side, colours[k : k + 1], relative)
+    for k, channel in enumerate(clipped.channels):
+        for side in channel.sides:
+            _impute_side_in_place(manifold, side, colours[k : k + 1], relative)
     geometry.refresh(manifold.colours)
 
 
 def _impute_side_in_place(
-    manifold: Manifold, side: ClippedChannels, channel: Float32s, relative: Float32s
+    manifold: Manifold, side: ClippedChannel, channel: Float32s, relative: Float32s
 ) -> None:
     regions, threads = manifold.regions, manifold.geometry.threads
 
@@ -185,7 +200,7 @@ def _impute_side_in_place(
 
     sums = regions.spread(regions.gathered(3, terms, channel, threads))
     for rows in block_rows(channel, regions.side):
-        means, variance = regions.enlarged(sums, rows), relative[0, rows]
+        means, variance = regions.enlarged(sums, rows), relative[:, rows]
         means[1:] /= np.maximum(means[:1], MIN_SHARE)
         side.restore_in_place(means[1:2], means[2:], variance, threads)
         side.impute_in_place(channel[:, rows], means[1:2], variance, threads)
