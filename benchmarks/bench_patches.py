@@ -21,7 +21,7 @@ from scipy.ndimage import uniform_filter, zoom
 import beltrami_cli
 import peers
 import textures
-from beltrami_cli.flow.parameters import parameters_with
+from beltrami_cli.flow.parameters import parameters_from
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.noise import noise_file
@@ -102,7 +102,7 @@ def smoothed(scene, noisy, patches):
 
 def smooth(source, target, patches):
     """Smooth a file on one thread by default parameters, except for `patches`."""
-    settings = beltrami_cli.SmoothSettings(parameters_with({"patches": patches, "threads": 1}))
+    settings = beltrami_cli.SmoothSettings(parameters_from({"patches": patches, "threads": 1}))
     beltrami_cli.smooth_file(source, target, settings, job=Job(overwrite=True))
 
 

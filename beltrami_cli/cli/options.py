@@ -23,7 +23,7 @@ from beltrami_cli.cli.parameter_options import (
 )
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import parameters
-from beltrami_cli.flow.parameters import PRESETS, KernelParameters, parameters_with
+from beltrami_cli.flow.parameters import PRESETS, KernelParameters, parameters_from
 from beltrami_cli.formats.files.access import Access
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
 from beltrami_cli.jobs.job import Job
@@ -63,7 +63,7 @@ def _kernel_from(values: Mapping[str, Any]) -> KernelParameters:
     if given["units"] == "world" and not is_given("t"):
         raise UsageError("--units world needs -t, in squared units of the file")
     fast = given.pop("fast", True)  # where nothing is written, trying would take longer than the rest
-    return parameters_with(given, choose=not values["preset"], fast=fast)
+    return parameters_from(given, choose=not values["preset"], fast=fast)
 
 
 def is_given(name: str) -> bool:

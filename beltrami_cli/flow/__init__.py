@@ -1,4 +1,14 @@
-"""The Beltrami flow: estimation of the noise, a plan of parameters, iterations of the kernel, and patches.
+"""The method: estimate the noise, choose parameters, smooth.
 
-`estimation`, `plan` and `beltrami_flow` are the three steps, in this order; `manifolds` is their subject.
+1. `estimation` estimates the noise (`noise/`), and stabilises its variance. `decoding` does so for textures and images,
+   and may decode JPEG again.
+2. `plan` chooses `parameters` (`choice/`), after it has removed the noise that neighbours share (`corrections/`).
+3. `beltrami_flow` iterates the kernel on a manifold (`manifolds/`), and `patches` blends the result with an estimate by
+   similar patches, whose channels `mixing` decorrelates.
+
+The steps share:
+
+- `given_noise`, `noise_amount`: noise that the user gives, and how much noise counts.
+- `chunks`, `cuts`: parts of a surface that are processed one after another, and how it is cut into them.
+- `vertex_graph`, `mesh_gaussian`: clusters of vertices, and means over their neighbours.
 """

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Literal, get_args
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import Checked, described, parameter
-from beltrami_cli.flow.given_noise import GivenNoise, file_of_noise, given_noise
+from beltrami_cli.flow.given_noise import GivenNoise, file_of_noise
 
 Weights = Literal["uniform", "area"]
 Units = Literal["spacing", "world"]
@@ -73,9 +73,9 @@ class KernelParameters(Checked):
     )  # fmt: skip
     noise: str | None = parameter(
         None,
-        "The noise if it is known: 12 (of 255), 4.7%, or a FILE with that of each sample. For JPEG files it "
-        "is that before coding, and messages state what is left of it. That of a camera is "
-        "shot:A,read:B (variance A L + B^2 of light L); frame:FILE and attribute:NAME see beltrami docs tuning.",
+        "The noise if it is known: 12 (of 255), 4.7%, a FILE with a value for each sample, or shot:A,read:B of a "
+        "camera (variance A L + B^2 at light L). Of a JPEG file, give the noise before compression; messages state "
+        "how much of it is left. For frame:FILE and attribute:NAME see beltrami docs tuning.",
         kind=str, unset="estimated", metavar="S|FILE", is_daily=True, file_in=file_of_noise,
     )  # fmt: skip
     fast: bool = parameter(
@@ -218,7 +218,7 @@ class KernelParameters(Checked):
         if self.noise is None:
             return None
         try:
-            return given_noise(self.noise)
+            return GivenNoise.parse(self.noise)
         except ValueError as error:
             raise UsageError(f"noise {error}") from None
 
@@ -236,10 +236,6 @@ class KernelParameters(Checked):
     def is_regularised(self, iteration: int) -> bool:
         """Whether an iteration, counted from 0, measures distances on smoothed colours."""
         return self.metric_scale > 0 and iteration < self.metric_steps
-
-    def growth(self, iteration: int) -> float:
-        """Return the ratio of beta in an iteration, counted from 0, to beta in the first."""
-        return growth_at(iteration, self.beta_growth)
 
     @property
     def stabilises_noise(self) -> bool:
@@ -277,11 +273,11 @@ class KernelParameters(Checked):
 
 
 def growth_at(iteration: int, factor: float) -> float:
-    """Return the growth by a factor from each iteration to the next, as far as numbers do not overflow."""
+    """Return the ratio of beta in an iteration, counted from 0, to beta in the first, without overflow."""
     return math.exp(min(iteration * math.log(factor), _MAX_GROWTH))
 
 
-def parameters_with(
+def parameters_from(
     values: Mapping[str, Any], *, choose: bool = True, fast: bool = False
 ) -> KernelParameters:
     """Return parameters with the given values (None: not given). The others are chosen, or have defaults."""

@@ -18,7 +18,7 @@ from beltrami_cli.flow.corrections.mean_light import MeanLight
 from beltrami_cli.flow.manifolds.iteration import Step
 from beltrami_cli.flow.manifolds.manifold import Manifold
 from beltrami_cli.flow.noise.model import Reading
-from beltrami_cli.flow.parameters import KernelParameters, Space
+from beltrami_cli.flow.parameters import KernelParameters, Space, growth_at
 
 AnyManifold = TypeVar("AnyManifold", bound=Manifold)
 
@@ -58,7 +58,7 @@ class Plan(Generic[AnyManifold]):
 
     def step(self, iteration: int) -> Step:
         """Return an iteration, counted from 0."""
-        beta = self.manifold.beta * self.parameters.growth(iteration)
+        beta = self.manifold.beta * growth_at(iteration, self.parameters.beta_growth)
         return Step(beta, self.parameters.t, self.parameters.is_regularised(iteration))
 
     def with_noise(self, sigma: Float64s, reading: Reading | None) -> Plan[AnyManifold]:

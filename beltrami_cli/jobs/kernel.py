@@ -17,6 +17,7 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import smooth_in_place
 from beltrami_cli.flow.manifolds.grid.manifold import GridManifold
 from beltrami_cli.flow.manifolds.iteration import SampledKernel
+from beltrami_cli.flow.parameters import growth_at
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.files.access import Access
@@ -92,7 +93,7 @@ def kernel_file(
     else:
         written = _image(manifold, place.sample, kernel, nearness, layer, suffix)
     output.write(written)
-    beta = plan.beta / layer.unit * parameters.growth(iteration - 1)
+    beta = plan.beta / layer.unit * growth_at(iteration - 1, parameters.beta_growth)
     cut_short = on_mesh and len(kernel.samples) == parameters.max_samples
     return ShownKernel(place.name, parameters.iterations, beta, parameters.radius, cut_short, table)
 

@@ -6,7 +6,7 @@ from beltrami_cli.flow.estimation import estimate_on_mesh
 from beltrami_cli.flow.manifolds.mesh.manifold import ColouredMesh, mesh_manifold
 from beltrami_cli.flow.noise.grid_squares import Grid
 from beltrami_cli.flow.noise.reading import read_noise
-from beltrami_cli.flow.parameters import parameters_with
+from beltrami_cli.flow.parameters import parameters_from
 from beltrami_cli.jobs.noise_kinds import NumberedSamples, add_grain, seen_by_camera
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.surface.records import Cells, SampledSurface
@@ -22,7 +22,7 @@ def manifold_of(positions, faces, colours, parameters=None):
     """Return the manifold of a mesh, on which parameters are chosen unless some are given."""
     walls = np.zeros((0, 3), np.int32)
     surface = SampledSurface(positions, faces.astype(np.int32), walls, colours.astype(np.float32))
-    mesh = ColouredMesh.of(surface, parameters or parameters_with({"threads": 1}))
+    mesh = ColouredMesh.of(surface, parameters or parameters_from({"threads": 1}))
     return mesh_manifold(mesh, estimate_on_mesh(mesh))
 
 

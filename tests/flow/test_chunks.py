@@ -17,7 +17,7 @@ from beltrami_cli.flow.manifolds.guides import Guide
 from beltrami_cli.flow.manifolds.iteration import Step
 from beltrami_cli.flow.manifolds.mesh.manifold import mean_samples_per_kernel
 from beltrami_cli.flow.manifolds.moving_positions import GeometryParameters
-from beltrami_cli.flow.parameters import KernelParameters, parameters_with
+from beltrami_cli.flow.parameters import KernelParameters, parameters_from
 from beltrami_cli.layers.image_surface import ImageSurface, canvas_of_image
 from flow.split_surfaces import (
     FIXED,
@@ -138,7 +138,7 @@ def test_patches_and_their_coarse_levels_take_part(differs):
 @pytest.mark.slow
 @pytest.mark.parametrize("cut", [Resources(Chunking(3, in_turn)), Resources(chunk_memory=1 << 20)])
 def test_parameters_are_chosen_on_the_whole(cut):
-    free = parameters_with({"threads": 1})
+    free = parameters_from({"threads": 1})
     whole = smooth_mesh(SURFACE, free)
     in_kernel = mean_samples_per_kernel(whole.manifold, 9, Step(1.0, 1.0, False))
     assert cut.chunking_of_mesh(len(SURFACE.positions), 1).count > 2

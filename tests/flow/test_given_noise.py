@@ -7,7 +7,7 @@ import pytest
 import beltrami_cli
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.fields import override
-from beltrami_cli.flow.given_noise import GivenNoise, file_of_noise, given_noise
+from beltrami_cli.flow.given_noise import GivenNoise, file_of_noise
 from beltrami_cli.flow.noise.model import relative_to_mean
 from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.layers.sample_files import deviation_in_frame
@@ -49,7 +49,7 @@ def grey(seed=0):
     ],
 )
 def test_a_file_is_known_by_its_extension(text, found, file):
-    assert given_noise(text) == found
+    assert GivenNoise.parse(text) == found
     assert file_of_noise(text) == file
 
 

@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter
 import beltrami_cli
 from beltrami_cli._native import add_enlarged, means_of_squares
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.given_noise import given_noise
+from beltrami_cli.flow.given_noise import GivenNoise
 from beltrami_cli.flow.manifolds.grid.patches import sort_squares
 from beltrami_cli.flow.noise.model import VarianceStabiliser
 from beltrami_cli.jobs.inspect import inspect_file
@@ -81,7 +81,7 @@ AMOUNTS = {"12": 12 / 255, "12/255": 12 / 255, "0.047/1": 0.047, "4.7%": 0.047, 
 
 @pytest.mark.parametrize(("text", "sigma"), AMOUNTS.items())
 def test_given_noise_is_of_255_or_of_full_scale(text, sigma):
-    assert given_noise(text).sigma == pytest.approx(sigma)
+    assert GivenNoise.parse(text).sigma == pytest.approx(sigma)
 
 
 NO_AMOUNTS = ["", "much", "-3", "300", "nan", "1/0", "shot:1", "shot:x,read:1", "shot:2,read:0", "0.9"]

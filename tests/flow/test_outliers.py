@@ -10,7 +10,7 @@ from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunking, Resources, in_turn
 from beltrami_cli.flow.corrections.outliers import fill_outliers
 from beltrami_cli.flow.decoding import plan_on_canvas
 from beltrami_cli.flow.manifolds.grid.surroundings import CanvasSurroundings
-from beltrami_cli.flow.parameters import KernelParameters, parameters_with
+from beltrami_cli.flow.parameters import KernelParameters, parameters_from
 from beltrami_cli.layers.image_surface import ImageSurface, canvas_of_image
 from beltrami_cli.surface.grid_atlas import grid_atlas
 from oracles import surfaces
@@ -263,7 +263,7 @@ def test_the_result_does_not_depend_on_threads_and_chunks():
     canvas = canvas_of_image(
         ImageSurface(valid=np.ones((SIDE, SIDE), bool)),
         (image.reshape(-1, 3) / np.float32(255)).__getitem__,
-        parameters_with({"threads": 1}),
+        parameters_from({"threads": 1}),
     )
     whole, parts = (
         smoothed(plan_on_canvas(dataclasses.replace(canvas, resources=resources)))

@@ -12,7 +12,7 @@ from beltrami_cli.flow.manifolds.iteration import Step
 from beltrami_cli.flow.manifolds.mesh.manifold import ColouredMesh, mesh_manifold
 from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.flow.noise.stabiliser import COLOURS, VarianceStabiliser
-from beltrami_cli.flow.parameters import KernelParameters, parameters_with
+from beltrami_cli.flow.parameters import KernelParameters, parameters_from
 from beltrami_cli.flow.plan import choose_parameters
 from beltrami_cli.surface.atlas import build_atlas
 from beltrami_cli.surface.grid_atlas import grid_atlas
@@ -41,7 +41,7 @@ def canvas_of(image, parameters):
 @pytest.mark.slow
 @pytest.mark.parametrize("noise", [None, CAMERA])
 def test_estimating_and_choosing_leave_the_colours_of_a_canvas(shared, noise):
-    parameters, before = parameters_with({"threads": 1, "noise": noise}), shared.copy()
+    parameters, before = parameters_from({"threads": 1, "noise": noise}), shared.copy()
     canvas = canvas_of(shared, parameters)
     colours = estimate_on_canvas(canvas)
     stack = colours.stack.copy()
@@ -54,7 +54,7 @@ def test_estimating_and_choosing_leave_the_colours_of_a_canvas(shared, noise):
 @pytest.mark.slow
 def test_the_error_of_means_is_that_of_the_input_s_colours(shared):
     """The same stabilised colours, which stand for themselves or for others, in which they differ more."""
-    canvas = canvas_of(shared, parameters_with({"threads": 1, "noise": CAMERA}))
+    canvas = canvas_of(shared, parameters_from({"threads": 1, "noise": CAMERA}))
     manifold = grid_manifold(canvas, estimate_on_canvas(canvas))
     plain = dataclasses.replace(manifold, noise=dataclasses.replace(manifold.noise, stabiliser=None))
     (_, error), (_, expected) = (without_shared_noise(each) for each in (manifold, plain))
@@ -66,7 +66,7 @@ def test_the_error_of_means_is_that_of_the_input_s_colours(shared):
 @pytest.mark.slow
 @pytest.mark.parametrize("noise", [None, CAMERA])
 def test_estimating_and_choosing_leave_the_colours_of_a_mesh(noise):
-    parameters = parameters_with({"threads": 1, "noise": noise})
+    parameters = parameters_from({"threads": 1, "noise": noise})
     mesh = ColouredMesh.of(SURFACE, parameters)
     before = mesh.colours.copy()
     colours = estimate_on_mesh(mesh)
@@ -78,7 +78,7 @@ def test_estimating_and_choosing_leave_the_colours_of_a_mesh(noise):
 
 @pytest.mark.parametrize("solver", ["segments", "fast-marching"])
 def test_a_metric_stays_valid_after_the_next_is_measured(solver):
-    parameters = parameters_with({"threads": 1, "solver": solver, "iterations": 2, "t": 1.0, "beta": 4.0})
+    parameters = parameters_from({"threads": 1, "solver": solver, "iterations": 2, "t": 1.0, "beta": 4.0})
     mesh = ColouredMesh.of(SURFACE, parameters)
     manifold = mesh_manifold(mesh, estimate_on_mesh(mesh))
     first = manifold.measure(manifold.colours, Step(4.0, 1.0, regularised=False))

@@ -8,7 +8,7 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.flow.parameters import parameters_with
+from beltrami_cli.flow.parameters import parameters_from
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.formats.sidecars.tile_names import found_tiles, tile_name
@@ -176,7 +176,7 @@ def test_tiles_that_are_jpeg_pictures_hang_together(tmp_path):
     text = obj_text(corners, np.column_stack([corners, np.zeros(6)]), np.array([[0, 1, 4, 3], [1, 2, 5, 4]]))
     (tmp_path / "model.obj").write_text(text)
     (tmp_path / "model.mtl").write_text("newmtl skin\nmap_Kd skin.<UDIM>.jpg\n")
-    fast = SmoothSettings(parameters_with({}, fast=True))
+    fast = SmoothSettings(parameters_from({}, fast=True))
     report = smooth_file(str(tmp_path / "model.obj"), str(tmp_path / "clean.obj"), fast)
     counts = report.textures[0].counts
     assert (counts["seams"], counts["jumps"]) == (1, 0)

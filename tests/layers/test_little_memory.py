@@ -15,7 +15,7 @@ from beltrami_cli.flow.beltrami_flow import smooth_in_place
 from beltrami_cli.flow.decoding import plan_on_canvas
 from beltrami_cli.flow.noise.grid_squares import Grid
 from beltrami_cli.flow.noise.reading import read_noise
-from beltrami_cli.flow.parameters import KernelParameters, parameters_with
+from beltrami_cli.flow.parameters import KernelParameters, parameters_from
 from beltrami_cli.formats.files.access import Access
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
@@ -104,8 +104,8 @@ SIDE = 4  # tiles
     ("kernel", "noise"),
     [
         (GIVEN.kernel, "12"),
-        (parameters_with({}, fast=True), None),
-        (parameters_with({}, fast=True), "shot:0.002,read:0.03"),
+        (parameters_from({}, fast=True), None),
+        (parameters_from({}, fast=True), "shot:0.002,read:0.03"),
     ],
 )
 def test_many_tiles_have_the_same_result(tmp_path, monkeypatch, on_disk, kernel, noise):

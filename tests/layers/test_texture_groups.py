@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from beltrami_cli.flow.parameters import KernelParameters, parameters_with
+from beltrami_cli.flow.parameters import KernelParameters, parameters_from
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.jobs.inspect import inspect_file
 from beltrami_cli.jobs.job import Job
@@ -17,7 +17,7 @@ from small_models import textured_squares
 
 SIDE = 96  # texels of an image
 SIGMA = 20 / 255
-SETTINGS = SmoothSettings(parameters_with({"threads": 1, "patches": "off"}))
+SETTINGS = SmoothSettings(parameters_from({"threads": 1, "patches": "off"}))
 GIVEN = SmoothSettings(KernelParameters(iterations=2, beta=20))
 
 
