@@ -23,14 +23,16 @@ class Batch:
     @classmethod
     def of(cls, observations: list[Observation]) -> Batch:
         parts = {
-            "squares": np.concatenate([each.squares for each in observations]).astype(np.float16),
-            "quiet": np.concatenate([each.quiet for each in observations]).astype(np.float16),
+            "squares": np.concatenate([each.features.squares for each in observations]).astype(np.float16),
+            "quiet": np.concatenate([each.features.quiet for each in observations]).astype(np.float16),
             "places": np.concatenate([each.by_square for each in observations]).astype(np.float32)[:, None],
         }
-        for name in ("even", "even_deviations", "total", "deviations", "correlations"):
+        for name in ("even", "even_deviations"):
+            parts[name] = np.stack([getattr(each.features, name) for each in observations])
+        for name in ("total", "deviations", "correlations"):
             parts[name] = np.stack([getattr(each, name) for each in observations]).astype(np.float32)
         parts["total"] = parts["total"][:, None]
-        return cls(np.array([len(each.squares) for each in observations]), parts)
+        return cls(np.array([len(each.features.squares) for each in observations]), parts)
 
     @classmethod
     def joined(cls, batches: list[Batch]) -> Batch:

@@ -21,9 +21,10 @@ def _in(folder: str, *names: str) -> tuple[str, ...]:
 NETWORK = (
     *_in("noise_model", "backpropagation.py", "batches.py", "crops.py", "losses.py", "noises.py"),
     *_in("noise_model", "observations.py", "pictures.py", "recipes.py", "surfaces.py", "train.py"),
-    *_in("beltrami_cli/flow/noise", "clusters.py", "features.py", "grid_squares.py", "jpeg_traces.py"),
-    *_in("beltrami_cli/flow/noise", "neighbourhoods.py", "network.py"),
-    "beltrami_cli/flow/noise/model.py",
+    *_in(
+        "beltrami_cli/flow/noise", "cells.py", "clusters.py", "components.py", "even_cells.py", "features.py"
+    ),
+    *_in("beltrami_cli/flow/noise", "grid_squares.py", "jpeg_traces.py", "neighbourhoods.py", "network.py"),
     "beltrami_cli/flow/vertex_graph.py",
 )
 SIZES = (

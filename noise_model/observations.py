@@ -9,10 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from beltrami_cli.flow.noise import features
-from beltrami_cli.flow.noise.features import Cells
+from beltrami_cli.flow.noise.cells import CellStatistics
+from beltrami_cli.flow.noise.components import symmetric
+from beltrami_cli.flow.noise.features import Features
 from beltrami_cli.flow.noise.grid_squares import SIDE, Grid
-from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, Samples
+from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, ThreeChannels
 from beltrami_cli.flow.noise.network import log_of
 from crops import Crop
 from noises import Sample, degrade, of_one_channel
@@ -33,22 +34,19 @@ FEWEST_DETAILS = 3 * SIDE**2 / 16  # minimum number of details of the finest cel
 CORRELATED, MIN_DEVIATION = 1.0, 0.05
 
 
-class NoisySamples(NamedTuple):
+class NoisyChannels(NamedTuple):
     """Noisy colours in neighbourhoods, their noise, and the error of compression alone; None: there is none."""
 
-    noisy: Samples
-    noise: Samples | None
-    loss: Samples | None
+    noisy: ThreeChannels
+    noise: ThreeChannels | None
+    loss: ThreeChannels | None
 
 
 @dataclass(frozen=True)
 class Observation:
     """The features of a picture, and the true noise; unknown values are NaN."""
 
-    squares: np.ndarray  # (P, F)
-    quiet: np.ndarray  # (P, 3)
-    even: np.ndarray  # (F,)
-    even_deviations: np.ndarray  # (SCALES, 6, 3)
+    features: Features
     total: float
     deviations: np.ndarray  # (SCALES * 3,)
     correlations: np.ndarray  # (SCALES * 3,)
@@ -61,7 +59,7 @@ def draw_recipe_of_grids(rng: np.random.Generator) -> Recipe:
 
 def random_samples(
     rng: np.random.Generator, crops: list[Crop], draw: Draw, picture: Picture = random_picture
-) -> NoisySamples | None:
+) -> NoisyChannels | None:
     """Draw noisy colours on a grid."""
     crop = crops[rng.integers(len(crops))]
     recipe, side = draw(rng), int(rng.choice(SIDES, p=SHARES))
@@ -86,14 +84,14 @@ def _part_of(rng: np.random.Generator, pixels: np.ndarray, side: int) -> np.ndar
     return pixels[top : top + side, left : left + side]
 
 
-def in_squares(sample: Sample, filled: np.ndarray) -> NoisySamples | None:
+def in_squares(sample: Sample, filled: np.ndarray) -> NoisyChannels | None:
     """Cut noisy colours into squares; None if no square is filled."""
     rows, columns = sample.noisy.shape[:2]
     filled = filled[:rows, :columns]
     return cut_into(Grid.of(filled, MAX_SQUARES), sample) if filled.any() else None
 
 
-def cut_into(neighbourhoods: Neighbourhoods, sample: Sample) -> NoisySamples | None:
+def cut_into(neighbourhoods: Neighbourhoods, sample: Sample) -> NoisyChannels | None:
     """Cut noisy colours into neighbourhoods; None if there are none."""
     if not neighbourhoods.count:
         return None
@@ -102,13 +100,13 @@ def cut_into(neighbourhoods: Neighbourhoods, sample: Sample) -> NoisySamples | N
     noise, loss = (
         neighbourhoods.cut(part, seen.order) if part.any() else None for part in (planes.noise, planes.loss)
     )
-    return NoisySamples(seen, noise, loss)
+    return NoisyChannels(seen, noise, loss)
 
 
-def observation_of(samples: NoisySamples) -> Observation | None:
+def observation_of(channels: NoisyChannels) -> Observation | None:
     """Describe noisy colours and their noise; None if there are too few details."""
-    seen, noise, loss = samples
-    cells = seen.cells()
+    seen, noise, loss = channels
+    cells = seen.cells
     products = [0.0 * own.products for own in cells]
     for part, sign in ((noise, 1), (loss, -1)):
         if part is not None:
@@ -122,9 +120,8 @@ def observation_of(samples: NoisySamples) -> Observation | None:
     total = max(0.0, float(np.einsum("l,lkk->", OF_SCALES, known)) / 3)
     variances = np.einsum("lkk->lk", covariances).clip(0, None)
     return Observation(
-        features.describe(seen.features(), cells), features.quiet_deviations(cells[0]),
-        *features.describe_even_cells(cells),
-        log_of(total), log_of(variances).ravel(), _correlations(covariances).ravel(), _by_square(truths),
+        Features.of(seen), log_of(total), log_of(variances).ravel(), _correlations(covariances).ravel(),
+        _by_square(truths),
     )  # fmt: skip
 
 
@@ -139,15 +136,15 @@ def _correlations(covariances: np.ndarray) -> np.ndarray:
     return np.where(is_known[:, None], np.stack(pairs, axis=1).clip(-1, 1), np.nan)
 
 
-def covariance_of(cells: Cells) -> np.ndarray:
+def covariance_of(cells: CellStatistics) -> np.ndarray:
     """Return the covariance of the components, shape (3, 3); NaN where there are no cells."""
     total = cells.freedom.sum(dtype=np.float64)
     if not total:
         return np.full((3, 3), np.nan)
-    return features.symmetric(np.einsum("kpn,pn->k", cells.products, cells.freedom, dtype=np.float64) / total)
+    return symmetric(np.einsum("kpn,pn->k", cells.products, cells.freedom, dtype=np.float64) / total)
 
 
-def _by_square(noise: list[Cells]) -> np.ndarray:
+def _by_square(noise: list[CellStatistics]) -> np.ndarray:
     """Return the noise of each neighbourhood in the finest two scales, as log2(deviation + OFFSET)."""
     total = sum(np.einsum("kpn,pn->p", own.products[:3], own.freedom) for own in noise[:2])
     count = 3 * sum(own.freedom.sum(axis=1) for own in noise[:2])

@@ -13,7 +13,7 @@ from beltrami_cli.flow.noise.clusters import VertexClusters
 from beltrami_cli.flow.vertex_graph import Graph
 from crops import Crop
 from noises import Sample, degrade, of_one_channel
-from observations import ONE_CHANNEL, Draw, NoisySamples, cut_into
+from observations import ONE_CHANNEL, Draw, NoisyChannels, cut_into
 from pictures import Picture, random_picture
 from recipes import Recipe
 
@@ -63,7 +63,7 @@ def _places(rng: np.random.Generator, kind: str, side: int) -> np.ndarray:
 
 def random_samples(
     rng: np.random.Generator, crops: list[Crop], draw: Draw, picture: Picture = random_picture
-) -> NoisySamples | None:
+) -> NoisyChannels | None:
     """Draw noisy colours at vertices."""
     clusters, places = surface(int(rng.integers(SURFACES)))
     density = np.exp(rng.uniform(*np.log(DENSITIES)))

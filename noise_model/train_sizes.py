@@ -20,8 +20,7 @@ from scipy.special import ndtr
 
 import observations
 from backpropagation import Adam, Node, Tape, initial_layer, shuffled
-from beltrami_cli.flow.noise import network
-from beltrami_cli.flow.noise.network import OFFSET, Weights
+from beltrami_cli.flow.noise.network import OFFSET, NetworkReading, Weights
 from beltrami_cli.flow.noise.size import EDGES, LAYERS, WIDTHS, evidence, sizes_of
 from crops import folders_of_packages
 from size_kinds import FAMILIES
@@ -53,9 +52,9 @@ def make_rows(
             0.0 if part is None else float(np.mean(np.square(part.colours, dtype=np.float64)))
             for part in (drawn.noise, drawn.loss)
         )
-        truth = np.sqrt([max(0.0, noise - loss)])
-        rows.append((*evidence(drawn.noisy, *network.read(drawn.noisy, weights)), truth))
-    return [np.concatenate(column) for column in zip(*rows, strict=True)]
+        truth = np.sqrt(max(0.0, noise - loss))
+        rows.append((*evidence(drawn.noisy, NetworkReading.of(drawn.noisy, weights)), truth))
+    return [np.stack(column) for column in zip(*rows, strict=True)]
 
 
 def labels_of(truth: np.ndarray, first: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s
-from beltrami_cli.flow.noise.features import COMPONENTS
+from beltrami_cli.flow.noise.components import COMPONENTS
 
 # Weight of channel differences when patches are compared: they hold little detail and as much noise.
 _COMPARED = np.array([1, 0.5, 0.5])

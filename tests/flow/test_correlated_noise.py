@@ -10,8 +10,8 @@ from scipy.ndimage import gaussian_filter
 import beltrami_cli
 from beltrami_cli.flow.choice.risk import RiskEstimate
 from beltrami_cli.flow.manifolds.iteration import Step
+from beltrami_cli.flow.noise.components import sigma_of_covariances
 from beltrami_cli.flow.noise.drawing import draw_on_grid
-from beltrami_cli.flow.noise.model import sigma_of_covariances
 from flow.noisy_surfaces import by_camera, in_8_bits, noise_of_image
 from flow.test_choice import Blur
 from formats.image_files import encode

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from beltrami_cli import smooth
+from beltrami_cli.flow.noise.components import sigma_of_covariances
 from beltrami_cli.flow.noise.drawing import draw_on_clusters
-from beltrami_cli.flow.noise.model import sigma_of_covariances
 from beltrami_cli.flow.vertex_graph import levels_of
 from flow.noisy_surfaces import manifold_of, with_grain
 from oracles import surfaces

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from beltrami_cli.flow.noise.clusters import VertexClusters
-from beltrami_cli.flow.noise.features import SCALES, describe, describe_even_cells
+from beltrami_cli.flow.noise.components import SCALES
+from beltrami_cli.flow.noise.features import Features
 from beltrami_cli.flow.noise.reading import read_noise
 from beltrami_cli.flow.vertex_graph import Graph
 from observations import covariance_of
@@ -39,7 +40,7 @@ def read(graph, colours):
 
 def test_independent_noise_has_the_same_variance_at_all_scales():
     clusters = VertexClusters.of(lattice(160, 120))
-    cells = clusters.cut(white(clusters.graph.size)).cells()
+    cells = clusters.cut(white(clusters.graph.size)).cells
     assert len(cells) == SCALES
     for own in cells:
         count = float(own.freedom.sum())  # of three components each; four standard errors of a variance
@@ -54,8 +55,7 @@ def test_the_order_of_vertices_does_not_matter():
     other = Graph(graph.positions[order], rank[graph.edges], graph.priorities[order])
     found = []
     for own, values in ((graph, colours), (other, colours[:, order])):
-        samples = VertexClusters.of(own).cut(values)
-        described = describe(samples.features(), samples.cells())
+        described = Features.of(VertexClusters.of(own).cut(values)).squares
         found.append(described[np.lexsort(described.T[:3])])
     np.testing.assert_allclose(*found, rtol=1e-3, atol=1e-3)
 
@@ -63,11 +63,10 @@ def test_the_order_of_vertices_does_not_matter():
 @pytest.mark.parametrize("rows", [17, 25])
 def test_small_surfaces_have_finite_features(rows):
     clusters = VertexClusters.of(lattice(rows, rows))
-    samples = clusters.cut(white(rows**2))
-    cells = samples.cells()
-    assert len(describe(samples.features(), cells)) == clusters.count
-    for features in (describe(samples.features(), cells), *describe_even_cells(cells)):
-        assert np.isfinite(features).all()
+    features = Features.of(clusters.cut(white(rows**2)))
+    assert len(features.squares) == clusters.count
+    for own in (features.squares, features.quiet, features.even, features.even_deviations):
+        assert np.isfinite(own).all()
 
 
 @pytest.mark.parametrize("size", [0, 3, 100])

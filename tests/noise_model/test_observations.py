@@ -48,5 +48,5 @@ def test_all_recipes_make_finite_observations(draw):
     rng, picture = np.random.default_rng(2), clean()
     for _ in range(20):
         made = observe(degrade(rng, picture, draw(rng)))
-        assert all(np.isfinite(own).all() for own in (made.squares, made.even))
+        assert all(np.isfinite(own).all() for own in (made.features.squares, made.features.even))
         assert np.isfinite(made.total)

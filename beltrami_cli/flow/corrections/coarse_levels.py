@@ -25,7 +25,7 @@ from beltrami_cli.flow.corrections.dark_outliers import fill_dark_outliers_in_pl
 from beltrami_cli.flow.manifolds.domain import CoarseLevel
 from beltrami_cli.flow.manifolds.manifold import Manifold
 from beltrami_cli.flow.mixing import PATCH_PERTURBATION, Mixing
-from beltrami_cli.flow.noise.model import sigma_of_covariances
+from beltrami_cli.flow.noise.components import sigma_of_covariances
 from beltrami_cli.surface import large_arrays
 
 AnyManifold = TypeVar("AnyManifold", bound=Manifold)

@@ -8,9 +8,9 @@ import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s
 from beltrami_cli.flow.corrections.jpeg_image import YCC, JpegImage, compressed, expected_pixels
-from beltrami_cli.flow.noise.features import COMPONENTS, SCALES, STEPS, symmetric
+from beltrami_cli.flow.noise.components import COMPONENTS, SCALES, STEPS, sigma_of_covariances, symmetric
 from beltrami_cli.flow.noise.grid_squares import Grid
-from beltrami_cli.flow.noise.model import NoiseModel, Reading, sigma_of_covariances
+from beltrami_cli.flow.noise.model import NoiseModel, Reading
 
 # Neighbours share noise if its standard deviation grows by this factor up to the third scale.
 _SHARED_GROWTH = 1.6

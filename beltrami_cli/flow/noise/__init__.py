@@ -1,9 +1,14 @@
 """The noise of colours: its size and its structure.
 
-- `reading` estimates a noise model (`model`), from the noise of groups of channels (`channel_noise`).
-- Colours are cut into squares of a grid or clusters of vertices (`neighbourhoods`, `grid_squares`, `clusters`).
-- Two networks read the noise (`network`, `size`) from features of these (`features`, `jpeg_traces`).
-- Covariances, and the dependence on level and place (`structure`), are measured on the residual of a quick estimate of
-  the clean colours, the pilot (`residual`).
-- `stabiliser` makes noise the same at all levels, and `drawing` draws it.
+`reading.estimate_noise` makes a noise model (`model`) of a surface in these steps:
+
+1. `neighbourhoods` cuts the colours into squares of a grid (`grid_squares`, `jpeg_traces`) or clusters of vertices
+   (`clusters`): `ThreeChannels`, in units of `components`. They have statistics for each scale (`cells`).
+2. `features` describes each neighbourhood, and the most even cells of all of them (`even_cells`).
+3. Two networks read the noise from these features (`network`) and from what pilots remove (`size`). A pilot is a quick
+   estimate of the clean colours.
+4. Covariances (`channel_noise`) and the dependence on level and place (`structure`) are measured on the residual of a
+   pilot that removes this noise (`residual`).
+
+`stabiliser` makes noise the same at all levels, and `drawing` draws it.
 """

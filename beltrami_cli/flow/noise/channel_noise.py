@@ -9,11 +9,11 @@ from functools import cached_property
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
-from beltrami_cli.flow.noise import network
-from beltrami_cli.flow.noise.features import COMPONENTS, SCALES, STEPS, even_covariances
-from beltrami_cli.flow.noise.model import MAX_NO_NOISE_PROBABILITY, covariance_of_cells
-from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, Samples
-from beltrami_cli.flow.noise.network import OFFSET, QUANTILES, Weights, weights_of
+from beltrami_cli.flow.noise.components import COMPONENTS, PAIRS, SCALES, STEPS, covariance_of_cells
+from beltrami_cli.flow.noise.even_cells import even_covariances
+from beltrami_cli.flow.noise.model import MAX_NO_NOISE_PROBABILITY
+from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, ThreeChannels
+from beltrami_cli.flow.noise.network import OFFSET, QUANTILES, NetworkReading, Weights, weights_of
 from beltrami_cli.flow.noise.residual import Residual
 from beltrami_cli.flow.noise.size import Size, evidence, sizes_of
 from beltrami_cli.flow.noise.stabiliser import COLOURS
@@ -46,7 +46,7 @@ _FULL_SCALE_QUANTILE = 0.99
 class ChannelNoise:
     """Noise of K channels, one or three, in steps of 8 bits of their full scale."""
 
-    samples: Samples
+    channels: ThreeChannels
     order: Int64s  # of the channels, shape (K,)
     size: Size
     sigma: float  # RMS of the channels; 0: no noise
@@ -58,15 +58,16 @@ class ChannelNoise:
     @classmethod
     def read(cls, planes: Float32s, where: Neighbourhoods, weights: Weights) -> ChannelNoise:
         """Read the noise of three channels, or of one channel, which is repeated three times."""
-        samples = where.cut(np.broadcast_to(planes, (COLOURS, *planes.shape[1:])))
-        samples, full_scale, are_levels = _in_full_scale(samples)
-        outputs, candidates = network.read(samples, weights)
-        (size,) = sizes_of(weights_of(where.kind, "sizes"), *evidence(samples, outputs, candidates))
+        channels = where.cut(np.broadcast_to(planes, (COLOURS, *planes.shape[1:])))
+        channels, full_scale, are_levels = _in_full_scale(channels)
+        reading = NetworkReading.of(channels, weights)
+        inputs, first = evidence(channels, reading)
+        (size,) = sizes_of(weights_of(where.kind, "sizes"), inputs[None], np.array([first]))
         if len(where.of_samples) < _MIN_SAMPLES:
             size = dataclasses.replace(size, none=1.0)
         sigma = size.quantile(0.5) if size.none <= MAX_NO_NOISE_PROBABILITY else 0.0
-        order, places = np.argsort(samples.order)[: len(planes)], _medians(outputs["places"])
-        return cls(samples, order, size, sigma, _components(outputs), places, full_scale, are_levels)
+        order, places = np.argsort(channels.order)[: len(planes)], _medians(reading.places)
+        return cls(channels, order, size, sigma, _components(reading), places, full_scale, are_levels)
 
     @property
     def step(self) -> float:
@@ -81,7 +82,7 @@ class ChannelNoise:
 
     @property
     def is_constant(self) -> bool:
-        return not np.ptp(self.samples.colours, axis=1).any()
+        return not np.ptp(self.channels.colours, axis=1).any()
 
     def with_sigma(self, sigma: float) -> ChannelNoise:
         """Return the noise with a known RMS, of full scale 1."""
@@ -90,7 +91,7 @@ class ChannelNoise:
     @cached_property
     def residual(self) -> Residual:
         """The residual of a pilot that assumes even noise."""
-        return Residual.of(self.samples, np.full(1, self.sigma**2, np.float32))
+        return Residual.of(self.channels, np.full(1, self.sigma**2, np.float32))
 
     def covariances(self, structure: Structure) -> tuple[Float64s, float]:
         """Return the covariances of stabilised channels by scale, and the ratio of the noise to `sigma`.
@@ -113,8 +114,8 @@ class ChannelNoise:
             return nothing, 1.0
         covariances = covariances * (COLOURS * sigma**2 / total)
         if is_shared:
-            is_whole = self.samples.clipped_shares() < MAX_CLIPPED_SHARE
-            cells = residual.samples.cells()
+            is_whole = self.channels.clipped_shares() < MAX_CLIPPED_SHARE
+            cells = residual.channels.cells
             covariances = _combined(
                 covariances, *even_covariances(cells, is_whole, structure.place_variances)
             )
@@ -131,19 +132,19 @@ class ChannelNoise:
         return shares and difference > MIN_DIFFERENCE_OF_SCALES
 
 
-def _combined(components: Float64s, measured: Float64s, counts: Float64s) -> Float64s:
-    """Return the weighted mean of the covariance of components as read, and as measured in even cells.
+def _combined(components: Float64s, of_even: Float64s, counts: Float64s) -> Float64s:
+    """Return the weighted mean of the covariance of components as read, and of that of even cells.
 
     Plain colours show the noise more exactly than the network reads it. The weight of even cells grows with their
     number of details, and decreases if their energy exceeds the reading, since the excess is texture.
     """
-    shares = shares_of_noise(*(np.einsum("lkk->lk", own) for own in (components, measured)))
+    shares = shares_of_noise(*(np.einsum("lkk->lk", own) for own in (components, of_even)))
     shares *= (counts / (counts + _DETAILS_OF_READING))[:, None]
 
     def part(covariances: Float64s, share: Float64s) -> Float64s:
         return covariances * np.sqrt(share[:, :, None] * share[:, None])
 
-    return part(measured, shares) + part(components, 1 - shares)
+    return part(of_even, shares) + part(components, 1 - shares)
 
 
 def difference_of_scales(covariances: Float64s) -> float:
@@ -154,13 +155,12 @@ def difference_of_scales(covariances: Float64s) -> float:
     return float(np.linalg.norm(coarse - fine)) / max(1e-12, least)
 
 
-def _components(outputs: dict[str, Array]) -> Float64s:
-    """Return the covariances of components by scale, as read by the network."""
-    medians = _medians(outputs["deviations"].reshape(SCALES, COLOURS, len(QUANTILES)))
-    deviations = np.maximum(2.0**medians - OFFSET, 1e-3)
-    correlations = np.tanh(outputs["correlations"].reshape(SCALES, COLOURS).astype(np.float64))
+def _components(reading: NetworkReading) -> Float64s:
+    """Return the covariances of components by scale, shape (SCALES, 3, 3)."""
+    deviations = np.maximum(2.0 ** _medians(reading.deviations) - OFFSET, 1e-3)
+    correlations = np.tanh(reading.correlations.astype(np.float64))
     mixed = np.stack([np.eye(COLOURS)] * SCALES)
-    for number, (one, other) in enumerate(((0, 1), (0, 2), (1, 2))):
+    for number, (one, other) in enumerate(PAIRS[3:]):
         mixed[:, one, other] = mixed[:, other, one] = correlations[:, number]
     values, vectors = np.linalg.eigh(mixed * deviations[:, :, None] * deviations[:, None])
     roots = vectors * np.sqrt(np.maximum(values, 0))[:, None]
@@ -172,14 +172,14 @@ def _medians(quantiles: Array) -> Float64s:
     return np.sort(quantiles, axis=-1)[..., QUANTILES.index(0.5)].astype(np.float64)
 
 
-def _in_full_scale(samples: Samples) -> tuple[Samples, float, bool]:
+def _in_full_scale(channels: ThreeChannels) -> tuple[ThreeChannels, float, bool]:
     """Scale colours to [0, 1]; return them, the full scale, and whether they are levels, which start in [0, 1]."""
-    values = samples.colours / STEPS
+    values = channels.colours / STEPS
     low, high = np.quantile(values, (1 - _FULL_SCALE_QUANTILE, _FULL_SCALE_QUANTILE))
     shift = 0.0 if 0 <= low <= 1 else float(low)
     scale = max(1.0, float(high) - shift) if values.max(initial=0) > 1 + shift else 1.0
     if shift == 0 and scale == 1:
-        return samples, scale, True
+        return channels, scale, True
     values = (values - np.float32(shift)) * (STEPS / np.float32(scale))
     # Values beyond full scale are rarely noise. Without clipping, single samples would hide the noise of all others.
-    return dataclasses.replace(samples, colours=values.clip(0, STEPS)), scale, shift == 0
+    return dataclasses.replace(channels, colours=values.clip(0, STEPS)), scale, shift == 0

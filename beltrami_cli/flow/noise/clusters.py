@@ -11,8 +11,10 @@ import numpy as np
 
 from beltrami_cli._native import pilot_of_graph
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
-from beltrami_cli.flow.noise.features import EVEN_FEATURES_OF_CLUSTERS, PAIRS, SCALES, KindStatistics
-from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, Samples, Scale, in_components, ranks_within
+from beltrami_cli.flow.noise.cells import KindStatistics
+from beltrami_cli.flow.noise.components import PAIRS, SCALES, in_components
+from beltrami_cli.flow.noise.even_cells import EvenCells, EvenScale
+from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, Scale, ThreeChannels, ranks_within
 from beltrami_cli.flow.vertex_graph import Graph, levels_of
 
 # Maximum number of blocks of consecutive samples that are read from a large surface, and samples per block.
@@ -145,36 +147,41 @@ class VertexClusters(Neighbourhoods):
     def sampled(self, planes: Float32s) -> Float32s:
         return planes[:, self.chosen]
 
-    def channel_energies(self, samples: Samples) -> Float32s:
+    def channel_energies(self, channels: ThreeChannels) -> Float32s:
         finest = self.scales[0]
-        means = np.stack([finest.means(own)[finest.parents] for own in samples.colours])
-        return np.asarray(np.abs(samples.colours - means).sum(axis=1), np.float32)
+        means = np.stack([finest.means(own)[finest.parents] for own in channels.colours])
+        return np.asarray(np.abs(channels.colours - means).sum(axis=1), np.float32)
 
-    def features(self, samples: Samples) -> list[Array]:
+    def features(self, channels: ThreeChannels) -> list[Array]:
         """Return features of the number of samples, and of the number of neighbours per sample."""
         degree = np.bincount(self.graph.edges.ravel(), minlength=self.graph.size)[self.chosen]
         return [np.log2(self.counts) / 4, self.means(degree[None])[0] / 4]
 
-    def statistics(self, samples: Samples, number: int) -> KindStatistics:
+    def even_features(self, even: EvenScale) -> list[Array]:
+        def of_cells(cells: EvenCells) -> list[Array]:
+            return [*cells.noise, cells.scatter, cells.surroundings, *cells.noise_of_residuals]
+
+        return [even.count, even.unclipped_share, *even.by_share(of_cells), *even.energies_of_blocks]
+
+    def statistics(self, channels: ThreeChannels, number: int) -> KindStatistics:
         return KindStatistics(
-            fourth=self._mean_squares(samples, number),
-            others=self._correlations(self.scales[number], samples.details[number]),
-            even=EVEN_FEATURES_OF_CLUSTERS,
-            clipped=self._clipped_around(samples, number),
-            residuals=self._residuals(samples, number) if number < _SCALES_OF_RESIDUALS else None,
+            fourth=self._mean_squares(channels, number),
+            others=self._correlations(self.scales[number], channels.details[number]),
+            clipped=self._clipped_around(channels, number),
+            residuals=self._residuals(channels, number) if number < _SCALES_OF_RESIDUALS else None,
         )
 
-    def _clipped_around(self, samples: Samples, number: int) -> Float32s:
+    def _clipped_around(self, channels: ThreeChannels, number: int) -> Float32s:
         """Return the share of clipped samples in the cell of the next scale around each cell."""
         *below, scale, above = self.scales[: number + 2]
-        clipped = samples.is_clipped.mean(axis=0, dtype=np.float64)
+        clipped = channels.is_clipped.mean(axis=0, dtype=np.float64)
         for each in (*below, scale, above):
             clipped = each.means(clipped)
         return scale.padded(above.spread(clipped))
 
-    def _mean_squares(self, samples: Samples, number: int) -> Float32s:
+    def _mean_squares(self, channels: ThreeChannels, number: int) -> Float32s:
         """Return the mean squares of the energies of cells in each neighbourhood, by component, shape (P, 3)."""
-        scale, energies = self.scales[number], samples.products[number][:3]
+        scale, energies = self.scales[number], channels.products[number][:3]
         used = scale.freedom > 0
         sums = [np.bincount(scale.of_cells[used], own[used] ** 2, self.count) for own in energies]
         cells = np.maximum(np.bincount(scale.of_cells[used], minlength=self.count), 1)
@@ -190,16 +197,16 @@ class VertexClusters(Neighbourhoods):
             columns.append(both / np.maximum(energy, 1e-9))
         return np.stack(columns, axis=1).astype(np.float32)
 
-    def _residuals(self, samples: Samples, number: int) -> Float32s:
+    def _residuals(self, channels: ThreeChannels, number: int) -> Float32s:
         """Return the mean products of the residuals in each cell, or of the details where there are no residuals."""
-        scale, values = self.scales[number], in_components(samples.means[number].astype(np.float64))
+        scale, values = self.scales[number], in_components(channels.means[number].astype(np.float64))
         inside = scale.degree >= _NEIGHBOURS
         differences = [own - scale.sums_around(own) / np.maximum(scale.degree, 1) for own in values]
         residuals = np.stack(differences)[:, inside] / scale.deviations_of_residuals[inside]
         parents, cells = scale.parents[inside], len(scale.of_cells)
         sums = np.stack([np.bincount(parents, residuals[k] * residuals[m], cells) for k, m in PAIRS])
         count = np.bincount(parents, minlength=cells)
-        products = samples.products[number]
+        products = channels.products[number]
         return scale.padded(np.where(count > 0, sums / np.maximum(count, 1), products))
 
     def pilot(self, colours: Float32s, variances: Float32s) -> Float32s:

@@ -10,8 +10,10 @@ import numpy as np
 from beltrami_cli._native import pilot_of_squares
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
 from beltrami_cli.flow.noise import jpeg_traces
-from beltrami_cli.flow.noise.features import EVEN_FEATURES_OF_GRIDS, SCALES, KindStatistics
-from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, Samples, Scale
+from beltrami_cli.flow.noise.cells import KindStatistics
+from beltrami_cli.flow.noise.components import SCALES
+from beltrami_cli.flow.noise.even_cells import EvenScale
+from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, Scale, ThreeChannels
 from beltrami_cli.surface import large_arrays
 
 # Maximum number of squares that are read from a grid. Training pictures have at most half as many.
@@ -122,19 +124,19 @@ class Grid(Neighbourhoods):
     def sampled(self, planes: Float32s) -> Float32s:
         return np.stack([_cut_out(plane, self.corners)[self.squares] for plane in planes])
 
-    def channel_energies(self, samples: Samples) -> Float32s:
+    def channel_energies(self, channels: ThreeChannels) -> Float32s:
         finest = self.scales[0]
-        a, b, c, d = finest.quarters(samples.colours)
+        a, b, c, d = finest.quarters(channels.colours)
         is_whole = finest.is_whole.reshape(a.shape[1:])
         return np.asarray(np.abs(a - b - c + d).sum(axis=(1, 2, 3), where=is_whole), np.float32)
 
-    def features(self, samples: Samples) -> list[Array]:
+    def features(self, channels: ThreeChannels) -> list[Array]:
         """Return features of the number of values, of filling, and of JPEG."""
-        squares = laid_out(samples.colours, self._present, SIDE)
+        squares = laid_out(channels.colours, self._present, SIDE)
         shown = squares if self._present is None else np.where(self.squares, squares, np.float32(-1))
         ordered = np.sort(shown.reshape(3, self.count, -1), axis=2)
         values = np.log2(1 + np.count_nonzero(np.diff(ordered, axis=2) > 1 / 16, axis=2)).mean(axis=0)
-        luma = np.einsum("c,cpij->pij", jpeg_traces.LUMA[samples.order], squares)
+        luma = np.einsum("c,cpij->pij", jpeg_traces.LUMA[channels.order], squares)
         return [
             values / 4,
             self.counts / SIDE**2,
@@ -142,10 +144,13 @@ class Grid(Neighbourhoods):
             *jpeg_traces.coefficients(luma, self.squares),
         ]
 
-    def statistics(self, samples: Samples, number: int) -> KindStatistics:
+    def even_features(self, even: EvenScale) -> list[Array]:
+        return [even.count, *even.by_share(lambda cells: cells.noise)]
+
+    def statistics(self, channels: ThreeChannels, number: int) -> KindStatistics:
         """Return the mean fourth power of details, and features of their anisotropy and correlation."""
         scale = self.scales[number]
-        values = samples.details[number].reshape(3, 3, self.count, scale.side, scale.side)
+        values = channels.details[number].reshape(3, 3, self.count, scale.side, scale.side)
         is_whole = scale.is_whole.reshape(values.shape[2:])
         count = np.maximum(is_whole.sum(axis=(1, 2)), 1)
         squares = np.square(values)
@@ -163,7 +168,6 @@ class Grid(Neighbourhoods):
         return KindStatistics(
             fourth=fourth.T.astype(np.float32),
             others=np.concatenate(others).T.astype(np.float32),
-            even=EVEN_FEATURES_OF_GRIDS,
         )
 
     def pilot(self, colours: Float32s, variances: Float32s) -> Float32s:
@@ -173,7 +177,7 @@ class Grid(Neighbourhoods):
         squares = pilot_of_squares(laid_out(colours, present, SIDE), present, variances.ravel())
         return squares.reshape(len(colours), -1) if present is None else squares[:, present]
 
-    def quiet_energies(self, samples: Samples, variances: Float64s) -> Float64s | None:
+    def quiet_energies(self, channels: ThreeChannels, variances: Float64s) -> Float64s | None:
         """Return the energies of quiet tiles in the quietest component, which has the least texture.
 
         They are unknown if only one component has noise, which then cannot be distinguished from texture.
@@ -182,7 +186,7 @@ class Grid(Neighbourhoods):
         if len(noisy) < 2:
             return None
         finest = self.scales[0]
-        energies = finest.padded(samples.products[0][noisy] / variances[noisy, None])
+        energies = finest.padded(channels.products[0][noisy] / variances[noisy, None])
         in_tiles = energies.reshape(len(noisy), -1, *2 * (SIDE // _TILE, _TILE // 2))
         tiles = in_tiles.mean(axis=(3, 5)).min(axis=0)
         ordered = np.sort(tiles.reshape(len(tiles), -1), axis=1).astype(np.float64)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Int64s
-from beltrami_cli.flow.noise.features import log_deviation
+from beltrami_cli.flow.noise.components import log_deviation
 
 # Cells per side of a block, its cosine basis, and the band of each coefficient, by the sum of both frequencies.
 _BLOCK = 8

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s
+from beltrami_cli.flow.noise.components import covariance_of_cells, sigma_of_covariances
 from beltrami_cli.flow.noise.stabiliser import COLOURS, VarianceStabiliser
 from beltrami_cli.flow.noise_amount import NEGLIGIBLE, VISIBLE
 from beltrami_cli.flow.parameters import STRENGTHS
@@ -241,17 +242,3 @@ def overall_noise(sigma: Float64s) -> float:
     """Return the RMS noise of the channels that have any; others may be constant alpha."""
     noisy = sigma[sigma > 0.1 * sigma.max()] if len(sigma) else sigma
     return float(np.sqrt(np.mean(np.square(noisy)))) if len(noisy) else 0.0
-
-
-def covariance_of_cells(covariances: Float64s) -> Float64s:
-    """Return the covariance of single cells' noise, shape (N, N), from that of each scale, shape (L, N, N)."""
-    # Three quarters of independent noise are in details, and one quarter in the means of 2 x 2 cells.
-    shares = 3 / 4.0 ** np.arange(1, len(covariances) + 1)
-    shares[-1] += 1 / 4.0 ** len(covariances)
-    total: Float64s = np.einsum("l,lij->ij", shares, covariances)
-    return total
-
-
-def sigma_of_covariances(covariances: Float64s) -> Float64s:
-    """Return sigma of single cells' noise, per channel, from covariances of shape (L, N, N)."""
-    return np.sqrt(np.maximum(np.diag(covariance_of_cells(covariances)), 0))

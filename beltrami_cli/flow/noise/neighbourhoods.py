@@ -18,14 +18,9 @@ from typing import ClassVar
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
-from beltrami_cli.flow.noise.features import (
-    COMPONENTS,
-    PAIRS,
-    STEPS,
-    Cells,
-    KindStatistics,
-    log_deviation,
-)
+from beltrami_cli.flow.noise.cells import CellStatistics, KindStatistics
+from beltrami_cli.flow.noise.components import PAIRS, STEPS, in_components
+from beltrami_cli.flow.noise.even_cells import EvenScale
 from beltrami_cli.surface import large_arrays
 
 # Number of neighbourhoods that are compared at one place: 3 x 3 squares on a grid.
@@ -80,15 +75,19 @@ class Neighbourhoods(ABC):
         """Return the values of planes at the samples that are read, shape (N, n)."""
 
     @abstractmethod
-    def channel_energies(self, samples: Samples) -> Float32s:
+    def channel_energies(self, channels: ThreeChannels) -> Float32s:
         """Return the energy of the finest details of each channel, by which channels are sorted."""
 
     @abstractmethod
-    def features(self, samples: Samples) -> list[Array]:
+    def features(self, channels: ThreeChannels) -> list[Array]:
         """Return features of each neighbourhood, shape (P,) each, that are specific to its kind."""
 
     @abstractmethod
-    def statistics(self, samples: Samples, number: int) -> KindStatistics:
+    def even_features(self, even: EvenScale) -> list[Array]:
+        """Return the features of the even cells of a scale that the network of the kind reads, in its order."""
+
+    @abstractmethod
+    def statistics(self, channels: ThreeChannels, number: int) -> KindStatistics:
         """Return the statistics of the cells of a scale that depend on the kind."""
 
     @abstractmethod
@@ -101,7 +100,7 @@ class Neighbourhoods(ABC):
         Colours have the shape (3, n). Variances of the noise are means over the channels, shape (n,), or (1,) for all.
         """
 
-    def quiet_energies(self, samples: Samples, variances: Float64s) -> Float64s | None:
+    def quiet_energies(self, channels: ThreeChannels, variances: Float64s) -> Float64s | None:
         """Return the energy of quiet parts of each neighbourhood, relative to the noise of components, shape (P,).
 
         NaN marks neighbourhoods that lack samples. The result is None if such parts cannot be distinguished.
@@ -150,17 +149,20 @@ class Neighbourhoods(ABC):
         """Return the means of rows of samples over each neighbourhood."""
         return np.stack([np.bincount(self.of_samples, own) / self.counts for own in rows]).astype(np.float32)
 
-    def cut(self, planes: Float32s, order: Int64s | None = None) -> Samples:
+    def cut(self, planes: Float32s, order: Int64s | None = None) -> ThreeChannels:
         """Return the samples that are read from three channels; by default `order` sorts these by energy."""
-        samples = Samples(self, self.sampled(planes) * STEPS, np.arange(3))
+        channels = ThreeChannels(self, self.sampled(planes) * STEPS, np.arange(len(planes)))
         if order is None:
-            order = np.argsort(self.channel_energies(samples), kind="stable")
-        return Samples(self, samples.colours[order], order)
+            order = np.argsort(self.channel_energies(channels), kind="stable")
+        return ThreeChannels(self, channels.colours[order], order)
 
 
 @dataclass(frozen=True)
-class Samples:
-    """Three channels in P neighbourhoods, in the order of the energy of their finest details."""
+class ThreeChannels:
+    """Three channels of the samples of P neighbourhoods.
+
+    They are sorted by the energy of their finest details, so that features do not depend on the order of the input.
+    """
 
     where: Neighbourhoods
     colours: Float32s  # shape (3, n), in steps of 8 bits
@@ -175,18 +177,6 @@ class Samples:
         """Return the share of clipped samples in each neighbourhood, in the worst channel, shape (P,)."""
         shares: Float32s = self.where.means(self.is_clipped).max(axis=0)
         return shares
-
-    @cached_property
-    def levels(self) -> Float32s:
-        """The mean levels of each neighbourhood, in steps of 8 bits, shape (3, P)."""
-        return self.where.means(self.colours)
-
-    def features(self) -> Float32s:
-        """Return features of each neighbourhood that do not depend on the scale, shape (P, F)."""
-        variance = self.where.means(np.square(self.colours - self.levels[:, self.where.of_samples]))
-        low, high = self.where.means(self.colours <= 0), self.where.means(self.colours >= STEPS)
-        rows = [*self.levels / 64, *low, *high, *log_deviation(variance), *self.where.features(self)]
-        return np.stack(rows, axis=1).astype(np.float32)
 
     @cached_property
     def means(self) -> list[Array]:
@@ -214,13 +204,15 @@ class Samples:
             found.append(sums / np.maximum(scale.freedom, 1))
         return found
 
-    def cells(self) -> list[Cells]:
+    @cached_property
+    def cells(self) -> list[CellStatistics]:
+        """The statistics of the cells of each scale but the coarsest."""
         cells = []
         for number, (scale, above) in enumerate(pairwise(self.where.scales)):
             products = self.products[number]
             blocks = above.sums(scale.freedom * products[:3]) / np.maximum(above.sums(scale.freedom), 1)
             cells.append(
-                Cells(
+                CellStatistics(
                     products=scale.padded(products),
                     freedom=scale.padded(scale.freedom),
                     blocks=above.padded(np.where(above.is_whole, blocks, np.inf), np.inf),
@@ -237,11 +229,6 @@ class Samples:
         if further:
             totals[0] = totals[0] + further[0].spread(totals[1])
         return above.spread(np.where(above.is_whole, totals[0], np.inf))
-
-
-def in_components(channels: Array) -> Array:
-    """Transform channels, the first axis, to components."""
-    return np.asarray(np.einsum("kc,c...->k...", COMPONENTS.astype(channels.dtype), channels))
 
 
 def ranks_within(groups: Int64s, order: Int64s) -> Int64s:

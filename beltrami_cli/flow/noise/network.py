@@ -1,9 +1,10 @@
-"""The network that reads noise from features of squares, and its weights.
+"""The network that reads noise from features, and its weights.
 
-Each square goes through two layers; the mean, maximum and minimum of its outputs over all squares describe the picture,
-together with its most even cells. From this context the network reads the noise of the picture and of each square, both
-as quantiles of the logarithm of the deviation. The noise of the picture is a weighted mean of candidates, which are
-measured in its even cells, and of the network's own reading. The network chooses the weights.
+Neighbourhoods are called squares here, whatever their kind. Each square goes through two layers; the mean, maximum and
+minimum of its outputs over all squares describe the surface, together with its most even cells. From this context the
+network reads the noise of the surface and of each square, both as quantiles of the logarithm of the deviation. The
+noise of the surface is a weighted mean of candidates, which are measured in its even cells, and of the network's own
+reading. The network chooses the weights.
 """
 
 from __future__ import annotations
@@ -17,21 +18,15 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Int64s
-from beltrami_cli.flow.noise.features import (
-    EVEN_SHARES,
-    FLOOR,
-    SCALES,
-    describe,
-    describe_even_cells,
-    quiet_deviations,
-)
-from beltrami_cli.flow.noise.model import covariance_of_cells
-from beltrami_cli.flow.noise.neighbourhoods import Samples
+from beltrami_cli.flow.noise.components import FLOOR, SCALES, covariance_of_cells
+from beltrami_cli.flow.noise.even_cells import EVEN_SHARES
+from beltrami_cli.flow.noise.features import Features
+from beltrami_cli.flow.noise.neighbourhoods import ThreeChannels
 
 # The network reads log2(deviation + OFFSET), in 8-bit steps. Rounding to 8 bits has a deviation of 0.29.
 OFFSET = 0.3
 
-# Quantiles of the noise of the picture, and of all other readings.
+# Quantiles of the noise of the surface, and of all other readings.
 TOTAL_QUANTILES = (0.05, 0.3, 0.5, 0.95)
 QUANTILES = (0.05, 0.5, 0.95)
 
@@ -72,7 +67,7 @@ class Layers:
         return np.einsum("ni,io->no", rows, matrix)
 
     def pool(self, rows: Any, counts: Int64s) -> Any:
-        """Return the mean, maximum and minimum of the rows of each picture."""
+        """Return the mean, maximum and minimum of the rows of each surface."""
         starts = starts_of(counts)
         least, most = np.minimum.reduceat(rows, starts), np.maximum.reduceat(rows, starts)
         return np.concatenate([np.add.reduceat(rows, starts) / counts[:, None], most, least], axis=1)
@@ -87,15 +82,15 @@ class Layers:
 
 
 def starts_of(counts: Int64s) -> Int64s:
-    """Return the first row of each picture, given the numbers of their rows."""
+    """Return the first row of each surface, given the numbers of their rows."""
     return np.append(0, np.cumsum(counts)[:-1])
 
 
 def forward(layers: Layers, squares: Any, counts: Int64s, even: Any) -> dict[str, Any]:
-    """Return the outputs of the network for N pictures.
+    """Return the outputs of the network for N surfaces.
 
-    `squares` are the standardised features of the squares of all pictures, `counts` the numbers of squares of each.
-    `even` are the features of pictures, shape (N, F).
+    `squares` are the standardised features of the squares of all surfaces, `counts` the numbers of squares of each.
+    `even` are the standardised features of even cells, shape (N, G).
     """
     inner = layers.dense(layers.dense(squares, "square 1"), "square 2")
     whole = layers.join([layers.pool(inner, counts), even])
@@ -132,7 +127,7 @@ def candidates_of(even: Float32s, quiet: Float32s, counts: Int64s) -> dict[str, 
 
     "total", shape (N, 1, M), and "deviations" by scale and component, shape (N, 12, M), are made from the deviations in
     even cells, shape (N, SCALES, 6, 3); "places", shape (P, 1, M), from the deviations of quiet cells, shape (P, 3),
-    relative to the mean of their picture.
+    relative to the mean of their surface.
     """
     of_squares = log_of(4.0**quiet - FLOOR).mean(axis=1)
     of_squares -= np.repeat(np.add.reduceat(of_squares, starts_of(counts)) / counts, counts)
@@ -195,14 +190,33 @@ def weights_of(kind: str, name: str = "weights") -> Weights:
     return Weights.load(Path(__file__).with_name(f"{kind}_{name}.npz"))
 
 
-def read(samples: Samples, weights: Weights) -> tuple[dict[str, Array], Array]:
-    """Return the readings and the context of samples, and the candidates of the total, shape (1, 1, M)."""
-    cells, counts = samples.cells(), np.array([samples.where.count])
-    of_even, deviations = describe_even_cells(cells)
-    squares = weights.standardised("squares", describe(samples.features(), cells))
-    even = weights.standardised("even", of_even[None])
-    outputs = forward(Layers(weights.layers), squares, counts, even)
-    candidates = candidates_of(deviations[None], quiet_deviations(cells[0]), counts)
-    for name, given in candidates.items():
-        outputs[name] = mixed(outputs[name].reshape(*given.shape[:-1], -1), given).reshape(len(given), -1)
-    return outputs, candidates["total"]
+@dataclass(frozen=True)
+class NetworkReading:
+    """What the network reads of one surface; sizes of noise as log2(deviation + OFFSET), in 8-bit steps."""
+
+    total: Array  # size of all noise by `TOTAL_QUANTILES`, shape (Q,)
+    deviations: Array  # size by scale, component and `QUANTILES`, shape (SCALES, 3, 3)
+    correlations: Array  # of components, as their inverse hyperbolic tangents, shape (SCALES, 3)
+    places: Array  # size in each square relative to the surface, by `QUANTILES`, shape (P, 3)
+    candidates: Array  # sizes that the total is combined from, shape (M,)
+    context: Array  # outputs of the last layer that describes the surface, shape (C,)
+
+    @classmethod
+    def of(cls, channels: ThreeChannels, weights: Weights) -> NetworkReading:
+        features, counts = Features.of(channels), np.array([channels.where.count])
+        squares = weights.standardised("squares", features.squares)
+        even = weights.standardised("even", features.even[None])
+        outputs = forward(Layers(weights.layers), squares, counts, even)
+        candidates = candidates_of(features.even_deviations[None], features.quiet, counts)
+        read = {
+            name: mixed(outputs[name].reshape(*given.shape[:-1], -1), given)
+            for name, given in candidates.items()
+        }
+        return cls(
+            total=read["total"][0, 0],
+            deviations=read["deviations"][0].reshape(SCALES, 3, -1),
+            correlations=outputs["correlations"][0].reshape(SCALES, 3),
+            places=read["places"][:, 0],
+            candidates=candidates["total"][0, 0],
+            context=outputs["context"][0],
+        )

@@ -19,8 +19,8 @@ from beltrami_cli.flow.noise.channel_noise import (
     ChannelNoise,
     difference_of_scales,
 )
-from beltrami_cli.flow.noise.features import SCALES
-from beltrami_cli.flow.noise.model import NoiseModel, Reading, covariance_of_cells, sigma_of_covariances
+from beltrami_cli.flow.noise.components import SCALES, covariance_of_cells, sigma_of_covariances
+from beltrami_cli.flow.noise.model import NoiseModel, Reading
 from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods
 from beltrami_cli.flow.noise.network import Weights, weights_of
 from beltrami_cli.flow.noise.stabiliser import COLOURS, VarianceStabiliser
@@ -131,7 +131,7 @@ def _common_structure(colours: Sequence[ChannelNoise]) -> Structure:
     """Find the structure of the noise of the colours; of two channels, which are read separately, that of the first."""
     first, are_levels = colours[0], all(noise.are_levels for noise in colours)
     if not all(noise.sigma for noise in colours):
-        return Structure.even(first.samples.where)
+        return Structure.even(first.channels.where)
     return structure_of(
         first.residual, first.sigma, first.place_logs, len(first.order), are_levels=are_levels
     )

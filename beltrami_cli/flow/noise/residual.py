@@ -13,8 +13,8 @@ from functools import cached_property
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
-from beltrami_cli.flow.noise.features import symmetric
-from beltrami_cli.flow.noise.neighbourhoods import Samples, ranks_within
+from beltrami_cli.flow.noise.components import symmetric
+from beltrami_cli.flow.noise.neighbourhoods import ThreeChannels, ranks_within
 from beltrami_cli.flow.noise.stabiliser import VarianceStabiliser
 
 # Ratio of the noise that the pilot assumes to the noise. From 1.5 on it removes nine tenths of white noise.
@@ -51,45 +51,45 @@ class Blocks:
 
 @dataclass(frozen=True, eq=False)
 class Residual:
-    """The difference between samples and their pilot."""
+    """The difference between channels and their pilot."""
 
-    samples: Samples
-    pilot: Samples
+    channels: ThreeChannels
+    pilot: ThreeChannels
 
     @classmethod
-    def of(cls, samples: Samples, variances: Float32s) -> Residual:
+    def of(cls, channels: ThreeChannels, variances: Float32s) -> Residual:
         """Compute the pilot that removes noise of some variances, in squared steps of 8 bits."""
-        colours = samples.where.pilot(samples.colours, np.float32(_ASSUMED_NOISE**2) * variances)
-        return cls(samples, dataclasses.replace(samples, colours=colours))
+        colours = channels.where.pilot(channels.colours, np.float32(_ASSUMED_NOISE**2) * variances)
+        return cls(channels, dataclasses.replace(channels, colours=colours))
 
     @cached_property
-    def removed(self) -> Samples:
-        return dataclasses.replace(self.samples, colours=self.samples.colours - self.pilot.colours)
+    def removed(self) -> ThreeChannels:
+        return dataclasses.replace(self.channels, colours=self.channels.colours - self.pilot.colours)
 
     @property
     def correlation_of_neighbours(self) -> float:
         """Correlation of the residual between neighbouring samples; near 0 for white noise."""
         removed = self.removed.colours
         variance = float(np.mean(np.square(removed, dtype=np.float64)))
-        return self.samples.where.product_of_neighbours(removed) / max(1e-9, variance)
+        return self.channels.where.product_of_neighbours(removed) / max(1e-9, variance)
 
     def stabilised(self, stabiliser: VarianceStabiliser, step: float) -> Residual:
         """Return the residual of stabilised colours; `step`: a step of 8 bits, of the stabiliser's full scale."""
         parts = []
-        for part in (self.samples, self.pilot):
+        for part in (self.channels, self.pilot):
             colours = part.colours * np.float32(step)
             stabiliser.stabilise_in_place(colours)
             parts.append(dataclasses.replace(part, colours=colours / np.float32(step)))
         return Residual(*parts)
 
     def blocks(self) -> Blocks:
-        fine, coarse, *above = self.samples.where.scales[:4]
+        fine, coarse, *above = self.channels.where.scales[:4]
         freedom = coarse.freedom + coarse.sums(fine.freedom)
         energies = coarse.sums(fine.sums(_squares_in_blocks(self.removed))) / np.maximum(freedom, 1)
         within = coarse.sums(fine.sums(_squares_in_blocks(self.pilot).sum(axis=0))) / np.maximum(freedom, 1)
         around = _energies(self.pilot, 2) + above[1].spread(_energies(self.pilot, 3))
         uneven = within + above[0].spread(around) / 2
-        clipped = coarse.means(fine.means(self.samples.is_clipped.max(axis=0).astype(np.float64)))
+        clipped = coarse.means(fine.means(self.channels.is_clipped.max(axis=0).astype(np.float64)))
         used = coarse.is_whole & (freedom > 2) & (clipped <= _MAX_CLIPPED_IN_BLOCK)
         return Blocks(
             coarse.padded(self.pilot.means[2], np.inf),
@@ -102,11 +102,11 @@ class Residual:
 
         It is divided by the relative variance of each neighbourhood, shape (P,). Quiet neighbourhoods are ignored.
         """
-        finest = self.samples.where.scales[0]
+        finest = self.channels.where.scales[0]
         unevenness = self.pilot.unevenness(0) + self.pilot.products[0][:3].sum(axis=0)
         uneven = finest.padded(np.where(finest.is_whole & (finest.freedom > 0), unevenness, np.inf), np.inf)
         known = np.isfinite(uneven) & (variances > _MAX_QUIET_VARIANCE)[:, None]
-        energies = finest.padded(self.samples.products[0][:3].sum(axis=0))
+        energies = finest.padded(self.channels.products[0][:3].sum(axis=0))
         if not known.any() or np.median(energies[known]) == 0:  # most cells are constant: no noise
             return np.zeros((3, 3))
         relative = uneven / variances[:, None]
@@ -117,17 +117,17 @@ class Residual:
         return symmetric(np.einsum("kpn,pn->k", products, weights, dtype=np.float64) / total)
 
 
-def _squares_in_blocks(samples: Samples) -> Array:
+def _squares_in_blocks(channels: ThreeChannels) -> Array:
     """Return the squared differences of samples from the means of their blocks, shape (3, n).
 
     In each block they have the same sum as the squared details of the finest two scales.
     """
-    fine, coarse = samples.where.scales[:2]
-    return np.asarray(np.square(samples.means[0] - fine.spread(coarse.spread(samples.means[2]))))
+    fine, coarse = channels.where.scales[:2]
+    return np.asarray(np.square(channels.means[0] - fine.spread(coarse.spread(channels.means[2]))))
 
 
-def _energies(samples: Samples, number: int) -> Array:
+def _energies(channels: ThreeChannels, number: int) -> Array:
     """Return the mean squared detail in each cell of a scale, summed over the channels."""
-    scale = samples.where.scales[number]
-    squares = np.square(scale.details(*samples.means[number : number + 2])).sum(axis=0)
+    scale = channels.where.scales[number]
+    squares = np.square(scale.details(*channels.means[number : number + 2])).sum(axis=0)
     return np.asarray(scale.sums_of_details(squares) / np.maximum(scale.freedom, 1))

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s
-from beltrami_cli.flow.noise.features import COMPONENTS, FLOOR
-from beltrami_cli.flow.noise.neighbourhoods import Samples
-from beltrami_cli.flow.noise.network import OFFSET, Layers, Weights
+from beltrami_cli.flow.noise.components import FLOOR, in_components
+from beltrami_cli.flow.noise.neighbourhoods import ThreeChannels
+from beltrami_cli.flow.noise.network import OFFSET, Layers, NetworkReading, Weights
 
 # Noise that pilots assume, in 8-bit steps; and the positions at which the curve is sampled, as log2 of the ratio to the
 # first reading.
@@ -34,16 +34,16 @@ LAYERS = ("size 1", "size 2", "size 3")
 WIDTHS = (96, 48)
 
 
-def _removal_curve(samples: Samples) -> Float32s:
+def _removal_curve(channels: ThreeChannels) -> Float32s:
     """Return statistics of what pilots remove, by the noise that they assume, shape (len(LADDER), 8).
 
     These are log2 of deviations relative to the assumed noise, for components and for quiet, usual and loud cells; the
     correlation of neighbours; and a measure of heavy tails.
     """
-    where, rows = samples.where, []
+    where, rows = channels.where, []
     for assumed in LADDER:
-        removed = samples.colours - where.pilot(samples.colours, np.full(1, assumed**2, np.float32))
-        components = np.square(np.einsum("kc,cn->kn", COMPONENTS, removed)).mean(axis=1)
+        removed = channels.colours - where.pilot(channels.colours, np.full(1, assumed**2, np.float32))
+        components = np.square(in_components(removed)).mean(axis=1)
         squares = np.square(removed).mean(axis=0)
         total, cells = squares.mean(), squares
         for scale in where.scales[:3]:
@@ -57,27 +57,25 @@ def _removal_curve(samples: Samples) -> Float32s:
     return np.array(rows, np.float32)
 
 
-def evidence(samples: Samples, outputs: dict[str, Array], candidates: Array) -> tuple[Float32s, Float64s]:
-    """Return the input of the second network, shape (1, F), and the first reading, shape (1,), in 8-bit steps.
+def evidence(channels: ThreeChannels, reading: NetworkReading) -> tuple[Float32s, float]:
+    """Return the input of the second network, shape (F,), and the first reading, in 8-bit steps.
 
-    `outputs` and `candidates` are those of the first network, see `network.read`. The first reading is its median. If
-    it exceeds the noise of rounding, it is raised to the smallest candidate: even cells show noise that the network was
-    not trained on, such as noise of opposite sign in two channels.
+    The first reading is the median of the first network. If it exceeds the noise of rounding, it is raised to the
+    smallest candidate: even cells show noise that the network was not trained on, such as noise of opposite sign in two
+    channels.
     """
-    quantiles, candidates = np.sort(outputs["total"]), candidates[:, 0]
-    read, least = (
-        np.maximum(2.0 ** logs.astype(np.float64) - OFFSET, 0)
-        for logs in (quantiles[:, quantiles.shape[1] // 2], candidates.min(axis=1))
-    )
-    first = np.where(read > OFFSET, np.maximum(read, least), read)
-    logs = np.log2(first + OFFSET)[:, None]
-    place = np.clip(np.log2(np.maximum(first, OFFSET))[:, None] + PLACES, 0, np.log2(LADDER[-1]))
+    quantiles, candidates = np.sort(reading.total), reading.candidates
+    logs = np.array([quantiles[len(quantiles) // 2], candidates.min()], np.float64)
+    median, least = np.maximum(2.0**logs - OFFSET, 0)
+    first = float(max(median, least) if median > OFFSET else median)
+    log = np.log2(first + OFFSET)
+    place = np.clip(np.log2(max(first, OFFSET)) + PLACES, 0, np.log2(LADDER[-1]))
     place *= (len(LADDER) - 1) / np.log2(LADDER[-1])
-    below = np.minimum(place[0].astype(np.intp), len(LADDER) - 2)
-    share, curve = (place[0] - below)[:, None], _removal_curve(samples)
+    below = np.minimum(place.astype(np.intp), len(LADDER) - 2)
+    share, curve = (place - below)[:, None], _removal_curve(channels)
     described = (1 - share) * curve[below] + share * curve[below + 1]
-    columns = [outputs["context"], quantiles - logs, candidates - logs, logs, described.reshape(1, -1)]
-    return np.concatenate([*columns, [[np.log2(samples.where.count)]]], axis=1).astype(np.float32), first
+    columns = [reading.context, quantiles - log, candidates - log, [log], described.ravel()]
+    return np.concatenate([*columns, [np.log2(channels.where.count)]]).astype(np.float32), first
 
 
 @dataclass(frozen=True)

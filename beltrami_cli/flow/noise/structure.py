@@ -9,7 +9,7 @@ import numpy as np
 
 from beltrami_cli._native import interpolate
 from beltrami_cli.arrays import Array, Float32s, Float64s
-from beltrami_cli.flow.noise.features import STEPS
+from beltrami_cli.flow.noise.components import STEPS
 from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods
 from beltrami_cli.flow.noise.residual import Blocks, Residual
 from beltrami_cli.flow.noise.stabiliser import VarianceStabiliser
@@ -61,10 +61,10 @@ class LevelCurve:
     counts: Float64s
 
     @classmethod
-    def of(cls, blocks: Blocks, channels: int) -> LevelCurve | None:
-        """Measure even blocks of a number of channels; None if fewer than two levels have enough blocks."""
+    def of(cls, blocks: Blocks, count: int) -> LevelCurve | None:
+        """Measure even blocks of the first `count` channels; None if fewer than two levels have enough blocks."""
         sums, counts, known = np.zeros(_LEVEL_BINS), np.zeros(_LEVEL_BINS), blocks.is_known
-        for levels, energies in zip(blocks.levels[:channels], blocks.energies[:channels], strict=True):
+        for levels, energies in zip(blocks.levels[:count], blocks.energies[:count], strict=True):
             bins = np.clip(levels[known] / STEPS * _LEVEL_BINS, 0, _LEVEL_BINS - 1).astype(np.intp)
             chosen = blocks.most_even(bins)
             of_channel = np.mean(energies[known][chosen]) if chosen.any() else 0.0
@@ -125,16 +125,16 @@ class Structure:
         """Return the residual of a pilot that follows the structure, given that of one that assumes even noise."""
         if self.curve is None and not self.is_by_place:
             return even
-        relative = self.place_variances[even.samples.where.of_samples].astype(np.float32)
+        relative = self.place_variances[even.channels.where.of_samples].astype(np.float32)
         relative *= self.at_levels(even.pilot.colours)
         relative = np.asarray(relative / max(1e-9, float(relative.mean())), np.float32)
-        return Residual.of(even.samples, np.float32(sigma**2) * relative)
+        return Residual.of(even.channels, np.float32(sigma**2) * relative)
 
     def over_samples(self, residual: Residual) -> Float32s | None:
         """Return the variance by place at each sample relative to its mean, a stack of one channel, if it differs."""
         if not self.is_by_place:
             return None
-        return residual.samples.where.over_samples(self.place_variances, self._in_parts(residual))
+        return residual.channels.where.over_samples(self.place_variances, self._in_parts(residual))
 
     def _in_parts(self, residual: Residual) -> Float64s:
         """Return the relative variances of the parts of neighbourhoods at which noise ends; NaN for other parts.
@@ -142,7 +142,7 @@ class Structure:
         If the energy of a part is between the energies of adjacent neighbourhoods, its variance is interpolated.
         Texture counts as quiet, and the quiet neighbourhood with the most energy represents all quiet ones.
         """
-        where, squares = residual.samples.where, np.square(residual.removed.colours).mean(axis=0)
+        where, squares = residual.channels.where, np.square(residual.removed.colours).mean(axis=0)
         squares /= self.at_levels(residual.pilot.colours)
         parts: Array = np.stack([squares, np.ones_like(squares)])
         for scale in where.scales[:-1]:
@@ -168,23 +168,23 @@ class _Fit:
 
 
 def structure_of(
-    residual: Residual, sigma: float, places: Float64s, channels: int, *, are_levels: bool
+    residual: Residual, sigma: float, places: Float64s, count: int, *, are_levels: bool
 ) -> Structure:
-    """Find the dependence of the noise of some channels on level and place.
+    """Find the dependence of the noise of the first `count` channels on level and place.
 
     The structure is chosen that best explains the energies left by its own pilot; one with more freedom must explain
     them better by a margin. `residual` is that of a pilot that assumes even noise; `places` are log2 of the deviations
     of neighbourhoods as read by the network; `sigma` is the RMS noise, in steps of 8 bits.
     """
-    where = residual.samples.where
+    where = residual.channels.where
     even, blocks = Structure.even(where), residual.blocks()
-    curve = LevelCurve.of(blocks, channels) if are_levels else None
+    curve = LevelCurve.of(blocks, count) if are_levels else None
     if curve is not None and not curve.differs:
         curve = None
 
     def fit(structure: Structure) -> _Fit:
         left = structure.residual(residual, sigma).blocks()
-        again = None if structure.curve is None else LevelCurve.of(left, channels)
+        again = None if structure.curve is None else LevelCurve.of(left, count)
         structure = structure if again is None else dataclasses.replace(structure, curve=again)
         return _Fit(structure, _deviance(left, structure))
 
@@ -214,15 +214,15 @@ def _logs_of_level(blocks: Blocks, curve: LevelCurve) -> Float64s:
 
 def _with_quiet_tiles(residual: Residual, variances: Float64s, sigma: float) -> Float64s:
     """Reduce relative variances of neighbourhoods towards the variances of their quieter tiles."""
-    variances, samples = _of_mean_1(variances), residual.samples
+    variances, channels = _of_mean_1(variances), residual.channels
     shape = np.diag(residual.even_covariance(variances))
     if not shape.any():
         return variances
-    energies = samples.where.quiet_energies(samples, shape * (sigma**2 / shape.mean()))
+    energies = channels.where.quiet_energies(channels, shape * (sigma**2 / shape.mean()))
     if energies is None:
         return variances
     # Clipped squares show less noise than there is.
-    is_known = np.isfinite(energies) & (samples.clipped_shares() < MAX_CLIPPED_SHARE)
+    is_known = np.isfinite(energies) & (channels.clipped_shares() < MAX_CLIPPED_SHARE)
     energies = np.where(is_known, energies, variances)
     shares = shares_of_noise(variances, energies)
     return _of_mean_1(shares * energies + (1 - shares) * variances)
