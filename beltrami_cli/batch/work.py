@@ -17,7 +17,7 @@ from beltrami_cli.formats.files.access import Access, Hooks
 from beltrami_cli.formats.files.paths import is_url
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.progress import Progress, Share
-from beltrami_cli.jobs.writing.output import FileSet
+from beltrami_cli.jobs.writing.file_set import FileSet
 from beltrami_cli.surface.memory import limited_memory
 
 if TYPE_CHECKING:

@@ -60,7 +60,7 @@ def run_and_write(
 ) -> Report:  # fmt: skip
     """Carry out a job from INPUT to OUTPUT, and put all that it writes in place together; `settings`: for a preview."""
     from beltrami_cli.formats.changes import Written
-    from beltrami_cli.jobs.writing.output import FileSet
+    from beltrami_cli.jobs.writing.file_set import FileSet
 
     with options.job_from(values, ends[0], messages) as job, FileSet(ends) as files:
         job = replace(job, dry_run=values.get("dry_run", False), files=files)

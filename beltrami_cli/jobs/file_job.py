@@ -10,16 +10,17 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
-from beltrami_cli.errors import BeltramiError, UsageError
-from beltrami_cli.fields import given_parameters
+from beltrami_cli.errors import BeltramiError
 from beltrami_cli.formats import output_format, registry
 from beltrami_cli.formats.changes import Naming, Written
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.files.access import Access, read_source
 from beltrami_cli.formats.output_format import OutputFormat, choose_format
 from beltrami_cli.jobs.job import Job
+from beltrami_cli.jobs.opening import open_input
 from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.jobs.writing.shared_files import shared_files
+from beltrami_cli.jobs.writing.sidecars import SidecarNames
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.memory import peak_memory
 
@@ -66,6 +67,7 @@ class FileJob:
     document: Document
     format: OutputFormat
     output: Output | None  # None on a dry run
+    sidecars: SidecarNames
     watch: Stopwatch
 
     @property
@@ -78,8 +80,8 @@ class FileJob:
     @property
     def naming(self) -> Naming:
         """How sidecar files are named, without names that other models use; a dry run looks for none."""
-        naming = Naming(Path(self.target).stem, _is_in_place(self.source, self.target), self.is_moved)
-        return naming if self.output is None else replace(naming, is_taken=self.output.is_taken)
+        in_place = _is_in_place(self.source, self.target)
+        return Naming(Path(self.target).stem, in_place, self.is_moved, self.sidecars.note_if_taken)
 
     def reserve(self, sidecars: Iterable[str]) -> None:
         """Check the names of sidecar files before anything is computed; OutputError if one is refused."""
@@ -104,7 +106,7 @@ class FileJob:
             files = replace(files, sidecars={**files.sidecars, **copied})
             shared, names = self._notices_of_sharing(files.sidecars), list[str]()
             if self.output is not None:
-                self.output.write(files)
+                self.output.write(files, self.sidecars)
                 names = [self.target, *files.sidecars]
         # Several slots repeat the warnings about their surface.
         notices = dict.fromkeys([*self.document.notices, *notices, *shared, *files.notices])
@@ -117,8 +119,8 @@ class FileJob:
         if self.output is None:
             return []
         notices = list[str]()
-        if self.output.occupied:
-            taken = f"another model in OUTPUT's folder has {', '.join(self.output.occupied)}"
+        if self.sidecars.taken:
+            taken = f"another model in OUTPUT's folder has {', '.join(self.sidecars.taken)}"
             notices.append(f"{taken}; the new files have a number in their names.")
         if self.output.folder is not None and self.output.overwrite:
             notices += shared_files(self.output.folder, self.output.path, sidecars)
@@ -131,8 +133,7 @@ def begin(
     """Open a source, and choose where the output goes in which format; UsageError or OutputError if it cannot."""
     watch, output, access = Stopwatch(), None, job.access
     if not job.dry_run:
-        references = partial(_references, target, access)
-        output = Output(target, overwrite=job.overwrite, files=job.files, references=references)
+        output = Output(target, overwrite=job.overwrite, files=job.files)
         output.files.guard(settings.input_files(source))
         access = output.files.watching(access)
     job.begin("reading")
@@ -141,43 +142,24 @@ def begin(
         if models_only and document.kind == "image":
             document.coloured_vertices()  # raises an error: it is not a model
         kind = choose_format(document, target, job.format)
-    if output is not None and _is_in_place(source, target):
-        output.replaceable = frozenset(document.references())
-    return FileJob(source, target, replace(job, access=access), document, kind, output, watch)
-
-
-def open_input(source: str, settings: SmoothSettings, access: Access) -> Document:
-    """Read a file, or standard input for "-", as a document; errors if it is unsupported, or no level set."""
-    document = open_any(source, settings, access)
-    require_level_set(settings, document)
-    return document
-
-
-def require_level_set(settings: SmoothSettings, *documents: Document) -> None:
-    """Raise UsageError if options of level sets are given, and none of the documents is one."""
-    wrong = [each.flag for each in given_parameters(settings.level_set)]
-    if wrong and all(document.kind != "volume" for document in documents):
-        raise UsageError(f"{', '.join(wrong)} need a level set, and {documents[0].name} is not one")
-
-
-def open_any(source: str, settings: SmoothSettings, access: Access) -> Document:
-    """Open a file as `open_input`, and allow options of level sets for any file."""
-    data, access = read_source(source, access), replace(access, channels=settings.channels or ())
-    name, folder = registry.name_and_folder(source)
-    line = registry.recognised(data, name)
-    if line is not None and line.kind == "volume":
-        from beltrami_cli.layers.level_set_document import read_level_set
-
-        return read_level_set(data, name, folder, settings.level_set, access, settings.kernel.thread_count)
-    return registry.open_as(line, data, name, folder, access)
+    sidecars = SidecarNames(
+        folder=None if output is None else output.folder,
+        read=partial(_references, target, access),
+        read_first=partial(_references_of, document) if _is_in_place(source, target) else None,
+    )
+    return FileJob(source, target, replace(job, access=access), document, kind, output, sidecars, watch)
 
 
 def _references(name: str, access: Access) -> frozenset[str]:
     """Read the names of the sidecar files of an existing output; none if it cannot be read."""
     unwatched = replace(access, hooks=replace(access.hooks, on_read=None))
     with suppress(BeltramiError):
-        return frozenset(registry.open_document(name, unwatched).references())
+        return _references_of(registry.open_document(name, unwatched))
     return frozenset()
+
+
+def _references_of(document: Document) -> frozenset[str]:
+    return frozenset(document.references())
 
 
 def _is_in_place(source: str, target: str) -> bool:

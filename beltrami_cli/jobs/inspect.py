@@ -7,8 +7,8 @@ import os
 from itertools import chain
 
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
+from beltrami_cli.jobs.opening import open_input
 from beltrami_cli.jobs.progress import Label, phases_of
 from beltrami_cli.layers.layer import Layer, Part
 from beltrami_cli.layers.selection import Selection, layer_of_vertices, select

@@ -13,7 +13,7 @@ from beltrami_cli.jobs.progress import Expected, Progress, Work
 if TYPE_CHECKING:
     from beltrami_cli.flow.chunks import Chunking
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.jobs.writing.output import FileSet
+    from beltrami_cli.jobs.writing.file_set import FileSet
 
 
 @dataclass(frozen=True)

@@ -24,8 +24,8 @@ from beltrami_cli.formats.files.access import Access
 from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.image.writing import write_image
 from beltrami_cli.formats.ply.writer import write_scalars_as_ply
-from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
+from beltrami_cli.jobs.opening import open_input
 from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.layers.layer import Layer, SampledVertices
 from beltrami_cli.layers.selection import select

@@ -12,7 +12,8 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.files.access import Access, read_regular
 from beltrami_cli.formats.image.containers.png import packed_chunk
 from beltrami_cli.formats.image.file_formats import is_image
-from beltrami_cli.jobs.writing.output import FileSet, Output, Overwrite
+from beltrami_cli.jobs.writing.file_set import FileSet
+from beltrami_cli.jobs.writing.output import Output, Overwrite
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.view.drawing.image_view import ImageView
 from beltrami_cli.view.drawing.panels import draw_views

@@ -12,8 +12,8 @@ from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.document import Document
 from beltrami_cli.jobs.compare.documents import compare_documents, open_both, require_samples
-from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
+from beltrami_cli.jobs.opening import open_input
 from beltrami_cli.jobs.progress import each_with_progress
 from beltrami_cli.jobs.recolour import recolour_in_memory
 from beltrami_cli.jobs.smoothing import Smoothed, Smoothing

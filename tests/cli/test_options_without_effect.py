@@ -8,7 +8,7 @@ from beltrami_cli.cli.parameter_options import ParameterOption
 from beltrami_cli.cli.registry import COMMANDS
 from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.files.access import DEFAULT_ACCESS, Access
-from beltrami_cli.jobs.file_job import open_any
+from beltrami_cli.jobs.opening import open_any
 from beltrami_cli.layers.selection import select
 from beltrami_cli.layers.settings import SmoothSettings
 from cli.commands import SAMPLES, beltrami, command, refused

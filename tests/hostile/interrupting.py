@@ -50,12 +50,14 @@ def child(target, at, number, arguments, loaded):
     from beltrami_cli.cli import main as command
     from beltrami_cli.formats.changes import Written
     from beltrami_cli.jobs.writing.output import Output
+    from beltrami_cli.jobs.writing.sidecars import SidecarNames
 
     def job(**_):
         output = Output(target, overwrite=True)
         sidecars = {"maps.mtl": b"new", "maps/skin.png": b"new"}
-        output.replaceable = frozenset(sidecars)
-        output.write(Written([b"new ", b"model"], sidecars))
+        output.write(
+            Written([b"new ", b"model"], sidecars), SidecarNames(output.folder, lambda: frozenset(sidecars))
+        )
         return 0
 
     if "NO_LINKS" in os.environ:  # as on FAT

@@ -14,6 +14,7 @@ from beltrami_cli.errors import OutputError
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.jobs.writing.journal import recover
 from beltrami_cli.jobs.writing.output import Output
+from beltrami_cli.jobs.writing.sidecars import SidecarNames
 from cli.commands import COMMAND, SAMPLES, refused, run_command
 from formats.image_files import encode
 from hostile.folders import snapshot
@@ -28,8 +29,7 @@ MAX_CALLS = 100
 
 def write_set(folder, *, overwrite):
     output = Output(str(folder / "out.obj"), overwrite=overwrite)
-    output.replaceable = frozenset(SIDECARS)
-    output.write(Written([b"new ", b"model"], SIDECARS))
+    output.write(Written([b"new ", b"model"], SIDECARS), SidecarNames(folder, lambda: frozenset(SIDECARS)))
 
 
 def fresh(folder, *, has_old):

@@ -228,7 +228,8 @@ from beltrami_cli.batch.worker import Channel, Order
 from beltrami_cli.batch.worker import serve
 from beltrami_cli.formats.image.opening import scratch_file
 from beltrami_cli.formats.changes import Written
-from beltrami_cli.jobs.writing.output import FileSet, Output
+from beltrami_cli.jobs.writing.file_set import FileSet
+from beltrami_cli.jobs.writing.output import Output
 
 def work(progress):
     with FileSet() as files:

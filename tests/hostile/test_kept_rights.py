@@ -11,6 +11,7 @@ import pytest
 from beltrami_cli.errors import OutputError
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.jobs.writing.output import Output
+from beltrami_cli.jobs.writing.sidecars import SidecarNames
 from hostile.users import acting_as, let_others_pass
 
 pytestmark = pytest.mark.skipif(
@@ -59,8 +60,7 @@ def rights(path):
 
 def write(folder, sidecars):
     output = Output(str(folder / "out.obj"), overwrite=True)
-    output.replaceable = frozenset(sidecars)
-    output.write(Written([b"new"], sidecars))
+    output.write(Written([b"new"], sidecars), SidecarNames(folder, lambda: frozenset(sidecars)))
 
 
 def shared_folder(tmp_path, *, mode=0o640, entries=None, inherited=None):

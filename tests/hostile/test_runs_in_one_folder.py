@@ -18,8 +18,10 @@ from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.noise import noise_file
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.jobs.writing import locks
+from beltrami_cli.jobs.writing.file_set import FileSet
 from beltrami_cli.jobs.writing.journal import recover
-from beltrami_cli.jobs.writing.output import FileSet, Output
+from beltrami_cli.jobs.writing.output import Output
+from beltrami_cli.jobs.writing.sidecars import SidecarNames
 from cli.commands import COMMAND, SAMPLES
 from hostile.folders import snapshot
 from hostile.textured_models import KINDS, PICTURE, write_model
@@ -30,6 +32,7 @@ import sys
 from beltrami_cli.errors import OutputError
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.jobs.writing.output import Output
+from beltrami_cli.jobs.writing.sidecars import SidecarNames
 
 if sys.argv[3] == "no links":
     import errno, os
@@ -51,13 +54,12 @@ if overwrite:  # so slowly that each would meet the other
 
     journal.put = put_slowly
 output = Output(sys.argv[1], overwrite=overwrite)
-if overwrite:
-    output.replaceable = frozenset(["a.mtl", "maps/a.png"])
 content = sys.argv[2].encode() * 100_000
 print("ready", flush=True)
 sys.stdin.readline()
 try:
-    output.write(Written([content], {"a.mtl": content, "maps/a.png": content}))
+    sidecars = {"a.mtl": content, "maps/a.png": content}
+    output.write(Written([content], sidecars), SidecarNames(output.folder, lambda: frozenset(sidecars)))
 except OutputError as error:
     assert "exists already" in str(error)
     sys.exit(error.exit_code)
@@ -189,7 +191,8 @@ FILES = Written([b"new"], {"a.mtl": b"new", "maps/a.png": b"new"})
 STAGING = """
 import sys
 from beltrami_cli.formats.changes import Written
-from beltrami_cli.jobs.writing.output import FileSet, Output
+from beltrami_cli.jobs.writing.file_set import FileSet
+from beltrami_cli.jobs.writing.output import Output
 with FileSet() as files:
     Output(sys.argv[1], overwrite=True, files=files).write(
         Written([b"new"], {"a.mtl": b"new", "maps/a.png": b"new"}))
@@ -211,8 +214,7 @@ def test_the_next_run_removes_what_a_killed_one_left_and_not_what_a_live_one_use
         used = leftovers(tmp_path)
         assert len(used) == 4  # a journal, and a file for each of three
         output = Output(str(target), overwrite=True)
-        output.replaceable = frozenset(FILES.sidecars)
-        output.write(FILES)
+        output.write(FILES, SidecarNames(tmp_path, lambda: frozenset(FILES.sidecars)))
         assert leftovers(tmp_path) == used
         process.send_signal(signal.SIGKILL)
     Output(str(tmp_path / "other.obj"), overwrite=True)

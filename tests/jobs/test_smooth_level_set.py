@@ -8,7 +8,7 @@ import pytest
 
 from beltrami_cli import InputError, SmoothSettings, smooth
 from beltrami_cli.formats.files.access import DEFAULT_ACCESS, Access
-from beltrami_cli.jobs.file_job import open_input
+from beltrami_cli.jobs.opening import open_input
 from beltrami_cli.layers.settings import LevelSetSettings
 from cli.commands import beltrami
 from formats.volume_files import lattice_fields, npz, nrrd_file, sphere_file, write

@@ -10,8 +10,8 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.flow import estimation, plan
 from beltrami_cli.flow.beltrami_flow import smooth_in_place
 from beltrami_cli.formats.files.access import DEFAULT_ACCESS
-from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.inspect import describe_exposure
+from beltrami_cli.jobs.opening import open_input
 from beltrami_cli.jobs.smoothing import smooth_layer, unsmoothed
 from beltrami_cli.layers.selection import select
 from beltrami_cli.layers.settings import LevelSettings

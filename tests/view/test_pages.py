@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from beltrami_cli.formats.files.access import DEFAULT_ACCESS
-from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.job import Job
+from beltrami_cli.jobs.opening import open_input
 from beltrami_cli.layers.settings import DEFAULTS
 from beltrami_cli.surface.records import ColouredVertices
 from beltrami_cli.view.pages.models import ModelWriter

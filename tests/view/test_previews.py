@@ -14,8 +14,8 @@ from beltrami_cli.fields import override
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.files.access import DEFAULT_ACCESS
 from beltrami_cli.formats.image.reading import read_image
-from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.job import PLAIN_JOB
+from beltrami_cli.jobs.opening import open_input
 from beltrami_cli.jobs.recolour import recolour_in_memory
 from beltrami_cli.jobs.smoothing import Smoothing
 from beltrami_cli.layers.selection import select

@@ -14,8 +14,8 @@ from beltrami_cli.jobs.compare.figures import ComparedPart, Measured, figures, m
 from beltrami_cli.jobs.compare.parts import compare_images, compare_textures, compare_vertices
 from beltrami_cli.jobs.compare.same_model import Documents, Moves, moves_between
 from beltrami_cli.jobs.compare.selection import choose_parts
-from beltrami_cli.jobs.file_job import open_any, require_level_set
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
+from beltrami_cli.jobs.opening import open_any, require_level_set
 from beltrami_cli.jobs.progress import phases_of, tracked
 from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.surface.records import Slot

@@ -11,7 +11,7 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.files.access import Access
 from beltrami_cli.formats.image.reading import read_texture
 from beltrami_cli.formats.image.sizes import measure_image
-from beltrami_cli.jobs.file_job import open_input
+from beltrami_cli.jobs.opening import open_input
 from beltrami_cli.jobs.progress import Progress, tracked
 from beltrami_cli.layers.settings import COLOUR_SLOTS, DEFAULTS, SmoothSettings
 from beltrami_cli.surface.geometry import triangle_areas

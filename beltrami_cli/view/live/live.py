@@ -22,8 +22,9 @@ from beltrami_cli.flow.parameters import TUNABLE
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.file_formats import WRITABLE
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
-from beltrami_cli.jobs.file_job import FileReport, open_input
+from beltrami_cli.jobs.file_job import FileReport
 from beltrami_cli.jobs.job import Job
+from beltrami_cli.jobs.opening import open_input
 from beltrami_cli.jobs.progress import Share, at_intervals
 from beltrami_cli.jobs.recolour import recolour_in_memory
 from beltrami_cli.jobs.smooth import smooth_file
