@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from beltrami_cli.arrays import Float32s
@@ -16,8 +18,8 @@ from beltrami_cli.flow.manifolds.mesh.manifold import ColouredMesh, MeshColours
 from beltrami_cli.flow.manifolds.mesh.surroundings import MeshSurroundings
 from beltrami_cli.flow.noise.clusters import VertexClusters
 from beltrami_cli.flow.noise.grid_squares import Grid
-from beltrami_cli.flow.noise.model import NoiseModel, relative_to_mean
-from beltrami_cli.flow.noise.reading import estimate_noise
+from beltrami_cli.flow.noise.model import NoiseModel
+from beltrami_cli.flow.noise.reading import NoiseOfSamples, estimate_noise
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, refresh_halo, without_halo
 
@@ -32,7 +34,7 @@ def estimate_on_mesh(mesh: ColouredMesh) -> MeshColours:
     noise = estimate_noise(
         channels, VertexClusters.of(graph), parameters.given_noise,
         varies=parameters.stabilises_noise and mesh.moving is None, strength=parameters.strength,
-        measured=None if mesh.deviations is None else relative_to_mean(mesh.deviations),
+        of_samples=None if mesh.deviations is None else NoiseOfSamples.of(mesh.deviations),
     )  # fmt: skip
     if noise.stabiliser is not None:
         channels = noise.stabiliser.stabilised(channels)
@@ -46,15 +48,15 @@ def estimate_on_canvas(canvas: ColouredCanvas) -> CanvasColours:
     planes, outliers = fill_outliers(planes, CanvasSurroundings(atlas), parameters, is_light=is_light)
     if outliers is not None:
         refresh_halo(planes, atlas)
-    measured = None
+    of_samples = None
     if canvas.deviations is not None:
-        of_samples, sigma = relative_to_mean(canvas.deviations)
-        relative = on_canvas(atlas, of_samples)
+        of_samples = NoiseOfSamples.of(canvas.deviations)
+        relative = on_canvas(atlas, of_samples.relative)
         relative[relative == 0] = 1  # empty cells
-        measured = relative, sigma
+        of_samples = dataclasses.replace(of_samples, relative=relative)
     noise = estimate_noise(
         planes, Grid.of(atlas.is_owned), parameters.given_noise, varies=parameters.stabilises_noise,
-        strength=parameters.strength, measured=measured,
+        strength=parameters.strength, of_samples=of_samples,
     )  # fmt: skip
     if noise.stabiliser is not None:
         # These planes are not shared, and a copy would double the memory.

@@ -14,7 +14,8 @@ NEGLIGIBLE = 0.1
 # Visible noise, of full scale: with less, most samples are within a step of 8 bits of their value.
 VISIBLE = 2 * BYTE_STEP
 
-_CHANNELS_OF_COLOUR = 3
+# Number of channels of a colour. Further channels, such as alpha, follow them.
+COLOURS = 3
 
 
 def noise_size(part: Mapping[str, Any]) -> float:
@@ -30,5 +31,5 @@ def noise_size(part: Mapping[str, Any]) -> float:
 
 def root_mean_square(noise: Mapping[str, float]) -> float:
     """Return the root mean square of noise by channel, without that of alpha."""
-    colours = [*noise.values()][:_CHANNELS_OF_COLOUR]
+    colours = [*noise.values()][:COLOURS]
     return math.sqrt(sum(sigma**2 for sigma in colours) / max(1, len(colours)))

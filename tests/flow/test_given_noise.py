@@ -8,7 +8,7 @@ import beltrami_cli
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.fields import override
 from beltrami_cli.flow.given_noise import GivenNoise, file_of_noise
-from beltrami_cli.flow.noise.model import relative_to_mean
+from beltrami_cli.flow.noise.reading import NoiseOfSamples
 from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.layers.sample_files import deviation_in_frame
 from hostile.textured_models import ONCE, PICTURE, write_model
@@ -54,11 +54,11 @@ def test_a_file_is_known_by_its_extension(text, found, file):
 
 
 def test_variances_are_relative_to_their_mean_and_never_nothing():
-    relative, sigma = relative_to_mean(np.array([[0.0, 0.0], [0.3, 0.1]], np.float32))
-    assert sigma == pytest.approx([0.3 / np.sqrt(2), 0.1 / np.sqrt(2)])
-    assert relative[1, 0] == pytest.approx(2)
-    assert 0 < relative[0, 0] < 0.01
-    assert (relative_to_mean(np.zeros((3, 1), np.float32))[0] == 1).all()
+    noise = NoiseOfSamples.of(np.array([[0.0, 0.0], [0.3, 0.1]], np.float32))
+    assert noise.sigma == pytest.approx([0.3 / np.sqrt(2), 0.1 / np.sqrt(2)])
+    assert noise.relative[1, 0] == pytest.approx(2)
+    assert 0 < noise.relative[0, 0] < 0.01
+    assert (NoiseOfSamples.of(np.zeros((3, 1), np.float32)).relative == 1).all()
 
 
 @pytest.mark.slow

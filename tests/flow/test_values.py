@@ -11,7 +11,8 @@ from beltrami_cli.flow.manifolds.grid.manifold import ColouredCanvas, grid_manif
 from beltrami_cli.flow.manifolds.iteration import Step
 from beltrami_cli.flow.manifolds.mesh.manifold import ColouredMesh, mesh_manifold
 from beltrami_cli.flow.noise.model import NoiseModel
-from beltrami_cli.flow.noise.stabiliser import COLOURS, VarianceStabiliser
+from beltrami_cli.flow.noise.stabiliser import VarianceStabiliser
+from beltrami_cli.flow.noise_amount import COLOURS
 from beltrami_cli.flow.parameters import KernelParameters, parameters_from
 from beltrami_cli.flow.plan import choose_parameters
 from beltrami_cli.surface.atlas import build_atlas

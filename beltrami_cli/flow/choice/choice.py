@@ -15,8 +15,8 @@ from beltrami_cli.arrays import Float64s
 from beltrami_cli.flow.choice.prediction import Prediction, predict
 from beltrami_cli.flow.choice.risk import Risk, RiskEstimate
 from beltrami_cli.flow.choice.search import Candidates, Place, Schedule, Search
+from beltrami_cli.flow.manifolds.beta import overall_noise
 from beltrami_cli.flow.manifolds.manifold import Manifold, SampleTrial
-from beltrami_cli.flow.noise.model import overall_noise
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.quantities import BYTE_STEP
 

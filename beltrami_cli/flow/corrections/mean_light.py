@@ -24,7 +24,7 @@ from beltrami_cli.arrays import Array, Float32s
 from beltrami_cli.flow.manifolds.blocks import block_rows, in_blocks
 from beltrami_cli.flow.manifolds.domain import Regions
 from beltrami_cli.flow.manifolds.manifold import Manifold
-from beltrami_cli.flow.noise.stabiliser import COLOURS
+from beltrami_cli.flow.noise_amount import COLOURS
 from beltrami_cli.flow.parameters import Space
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.colour_values import from_space, to_space

@@ -8,7 +8,7 @@ parameters are tried, and `surroundings`, among which outliers are found.
 What both kinds share:
 
 - `manifold`, `geometry`, `domain`: the interfaces of a manifold, of its samples, and of sums and means over them.
-- `iteration`, `metric_channels`, `guides`, `moving_positions`: one iteration, and what its metric consists of.
+- `iteration`, `metric_channels`, `guides`, `moving_positions`, `beta`: one iteration, and what its metric consists of.
 - `kernel_work`, `search_range`: the workload of kernels, and the parameters that are tried.
 - `blocks`, `new_colours`: passes over stacks, and the colours that are written back.
 """

@@ -20,6 +20,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunk, Chunking, Figures, Resources
+from beltrami_cli.flow.manifolds.beta import choose_beta
 from beltrami_cli.flow.manifolds.domain import CoarseLevel, Regions
 from beltrami_cli.flow.manifolds.geometry import Gaussian, Geometry, Stack
 from beltrami_cli.flow.manifolds.guides import GuideStack
@@ -28,7 +29,7 @@ from beltrami_cli.flow.manifolds.moving_positions import MovingPositions
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.manifolds.search_range import Rule, SearchRange
 from beltrami_cli.flow.mixing import Mixing
-from beltrami_cli.flow.noise.model import NoiseModel, choose_beta
+from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.large_arrays import Droppable

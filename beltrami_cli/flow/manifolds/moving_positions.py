@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s
-from beltrami_cli.flow.noise.model import choose_beta
+from beltrami_cli.flow.manifolds.beta import choose_beta
 from beltrami_cli.flow.vertex_graph import sums_around
 from beltrami_cli.surface.geometry import normal_tensors, on_boundary, vertex_normals
 

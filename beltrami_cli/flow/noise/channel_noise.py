@@ -16,8 +16,8 @@ from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, ThreeChannels
 from beltrami_cli.flow.noise.network import OFFSET, QUANTILES, NetworkReading, Weights, weights_of
 from beltrami_cli.flow.noise.residual import Residual
 from beltrami_cli.flow.noise.size import Size, evidence, sizes_of
-from beltrami_cli.flow.noise.stabiliser import COLOURS
 from beltrami_cli.flow.noise.structure import MAX_CLIPPED_SHARE, Structure, shares_of_noise
+from beltrami_cli.flow.noise_amount import COLOURS
 
 # Relative difference of the covariances of the finest two scales above which neighbours share noise. It is at most 0.29
 # for readings of white noise, and at least 1 for filtered noise other than mosaics.

@@ -23,10 +23,9 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.flow.noise.components import covariance_of_cells, sigma_of_covariances
-from beltrami_cli.flow.noise.stabiliser import COLOURS, VarianceStabiliser
-from beltrami_cli.flow.noise_amount import NEGLIGIBLE, VISIBLE
+from beltrami_cli.flow.noise.stabiliser import VarianceStabiliser
+from beltrami_cli.flow.noise_amount import COLOURS, NEGLIGIBLE, VISIBLE
 from beltrami_cli.flow.parameters import STRENGTHS
-from beltrami_cli.quantities import BYTE_STEP
 
 # Probability of no noise above which colours are not changed, and from which on there is certainly no noise. By
 # `noise_model/train_sizes.py`, 0.3 instead of 0.2 gains 0.06 dB on noisy grids of the usual kinds and 0.13 dB on those
@@ -42,9 +41,6 @@ _DESCRIBED_LEVELS = {"dark": 0.1, "middle": 0.5, "bright": 0.9}
 
 # Quantiles of the relative variance at which quiet and loud places are described.
 _QUIET_QUANTILE, _LOUD_QUANTILE = 0.05, 0.95
-
-# Minimum relative standard deviation of samples, as a divisor of colours.
-_MIN_RELATIVE_SIGMA = 0.05
 
 
 @dataclass(frozen=True)
@@ -218,27 +214,3 @@ class NoiseModel:
                 "loud": self.overall * float(np.sqrt(loud)),
             }
         return {**facts, "grain": self.grain}
-
-
-def relative_to_mean(deviations: Float32s) -> tuple[Float32s, Float64s]:
-    """Split deviations, shape (S, K), into variances relative to their mean, shape (S, 1), and sigma by channel."""
-    variances = np.square(deviations, dtype=np.float64)
-    sigma = np.sqrt(variances.mean(axis=0))
-    mean = np.mean(np.square(sigma))
-    if not mean > 0:
-        return np.ones((len(deviations), 1), np.float32), sigma
-    relative = np.maximum(variances.mean(axis=1, keepdims=True) / mean, _MIN_RELATIVE_SIGMA**2)
-    return relative.astype(np.float32), sigma
-
-
-def choose_beta(sigma: Float64s, contrast: float) -> float:
-    """Choose beta, in spacings per unit of colour, so that noise has a length of `contrast` spacings."""
-    # Standard deviation of rounding to 8 bits; less noise cannot be measured.
-    rounding = BYTE_STEP / math.sqrt(12)
-    return contrast / max(overall_noise(sigma), rounding)
-
-
-def overall_noise(sigma: Float64s) -> float:
-    """Return the RMS noise of the channels that have any; others may be constant alpha."""
-    noisy = sigma[sigma > 0.1 * sigma.max()] if len(sigma) else sigma
-    return float(np.sqrt(np.mean(np.square(noisy)))) if len(noisy) else 0.0

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,12 +24,35 @@ from beltrami_cli.flow.noise.components import SCALES, covariance_of_cells, sigm
 from beltrami_cli.flow.noise.model import NoiseModel, Reading
 from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods
 from beltrami_cli.flow.noise.network import Weights, weights_of
-from beltrami_cli.flow.noise.stabiliser import COLOURS, VarianceStabiliser
+from beltrami_cli.flow.noise.stabiliser import VarianceStabiliser
 from beltrami_cli.flow.noise.structure import Structure, structure_of
+from beltrami_cli.flow.noise_amount import COLOURS
 
 # Correlation of channels above which they share noise. It is up to 0.1 for readings of independent noise, or 0.2 where
 # they are uncertain.
 MIN_CORRELATION = 0.2
+
+# Minimum relative standard deviation of samples, as a divisor of colours.
+_MIN_RELATIVE_SIGMA = 0.05
+
+
+@dataclass(frozen=True)
+class NoiseOfSamples:
+    """Noise whose standard deviation is given for each sample."""
+
+    relative: Float32s  # variance of each sample by the mean, a stack of one channel
+    sigma: Float64s  # by channel
+
+    @classmethod
+    def of(cls, deviations: Float32s) -> NoiseOfSamples:
+        """Split deviations of K channels, shape (S, K)."""
+        variances = np.square(deviations, dtype=np.float64)
+        sigma = np.sqrt(variances.mean(axis=0))
+        mean = np.mean(np.square(sigma))
+        if not mean > 0:
+            return cls(np.ones((len(deviations), 1), np.float32), sigma)
+        relative = np.maximum(variances.mean(axis=1, keepdims=True) / mean, _MIN_RELATIVE_SIGMA**2)
+        return cls(relative.astype(np.float32), sigma)
 
 
 def estimate_noise(
@@ -38,15 +62,14 @@ def estimate_noise(
     *,
     varies: bool,
     strength: float = 1.0,
-    measured: tuple[Float32s, Float64s] | None = None,
+    of_samples: NoiseOfSamples | None = None,
 ) -> NoiseModel:
     """Estimate the noise of channels, as far as it is not given.
 
-    With `varies`, its dependence on level and place is estimated too. A higher strength assumes more noise. `measured`
-    is noise that is given for each sample: relative variances, and sigma by channel.
+    With `varies`, its dependence on level and place is estimated too. A higher strength assumes more noise.
     """
-    if measured is not None:
-        return _measured(read_noise(channels, where, varies=False), *measured)
+    if of_samples is not None:
+        return _with_given_colours(read_noise(channels, where, varies=False), of_samples)
     if given is None:
         return _assumed(channels, where, strength, varies=varies)
     if given.is_by_level:
@@ -62,15 +85,15 @@ def estimate_noise(
     return dataclasses.replace(noise.scaled_to(given.sigma), reading=None)
 
 
-def _measured(noise: NoiseModel, relative: Float32s, sigma: Float64s) -> NoiseModel:
-    """Return a noise model with given standard deviations of the colours, and other channels as estimated."""
-    channels = min(COLOURS, len(noise.sigma))
-    if len(sigma) not in (1, channels):
-        cause = f"noise has {len(sigma)} channels, but must have one, or one for each colour"
+def _with_given_colours(noise: NoiseModel, given: NoiseOfSamples) -> NoiseModel:
+    """Return a noise model with the given noise of the colours, and other channels as estimated."""
+    sigma = noise.sigma
+    colours = sigma[:COLOURS]
+    if len(given.sigma) not in (1, len(colours)):
+        cause = f"noise has {len(given.sigma)} channels, but must have one, or one for each colour"
         raise UsageError(cause)
-    sigmas = noise.sigma
-    sigmas[:channels] = sigma
-    return dataclasses.replace(NoiseModel.independent(sigmas), relative=relative)
+    colours[:] = given.sigma
+    return dataclasses.replace(NoiseModel.independent(sigma), relative=given.relative)
 
 
 def _assumed(channels: Float32s, where: Neighbourhoods, strength: float, *, varies: bool) -> NoiseModel:

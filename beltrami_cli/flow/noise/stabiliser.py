@@ -17,11 +17,9 @@ from functools import cached_property
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s
+from beltrami_cli.flow.noise_amount import COLOURS
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.colour_values import srgb_to_linear
-
-# Red, green and blue share a curve by level; other channels are not levels.
-COLOURS = 3
 
 # Number of steps of a transformation table.
 _TABLE_STEPS = 1024
@@ -31,7 +29,10 @@ _CAMERA_LEVELS = 65
 
 
 class VarianceStabiliser:
-    """Stabilising transformation for noise of a relative sigma at ascending levels, each of some samples."""
+    """Stabilising transformation for noise of a relative sigma at ascending levels, each of some samples.
+
+    Red, green and blue share it; other channels, which are not levels, are left as they are.
+    """
 
     def __init__(
         self, levels: Float64s, relative: Float64s, samples: Float64s, full_scale: float = 1.0
