@@ -90,13 +90,15 @@ def serve(answer: Callable[[Any, dict[str, Array]], Message], seconds: int) -> N
 
 
 def _packed(message: Message) -> bytes:
-    everything: dict[str, Any] = {"json": np.array(json.dumps(message[0])), **message[1]}
+    data, arrays = message
     file = io.BytesIO()
-    np.savez(file, **everything)
+    # Without names, which could be those of parameters of `numpy.savez`.
+    np.savez(file, np.array(json.dumps([data, [*arrays]])), *arrays.values())
     return file.getvalue()
 
 
 def _unpacked(data: bytes) -> Message:
     with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-        arrays = {name: archive[name] for name in archive.files if name != "json"}
-        return json.loads(str(archive["json"])), arrays
+        head, *arrays = (archive[name] for name in archive.files)
+    content, names = json.loads(str(head))
+    return content, dict(zip(names, arrays, strict=True))

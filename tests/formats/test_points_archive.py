@@ -334,7 +334,98 @@ def test_colours_or_intensities_alone_change(tmp_path, write, suffix, form, colo
     np.testing.assert_allclose(old.colours, expected, atol=1e-6)
     assert (new.colours.std(axis=0) < 0.5 * expected.std(axis=0)).all()
     if suffix == "e57":
-        assert after.parts["member blobs.npy"].endswith(b"p" * 100)
+        assert after.parts["blobs"].endswith(b"p" * 100)
+
+
+# Names of parameters of NumPy's functions, of tables of beltrami, and of what the file holds otherwise.
+NAMES = ("file", "allow_pickle", "args", "json", "self", "positions", "colours", "faces", "header", "opacity")
+
+
+def text_pcd(fields):
+    """Return a PCD file of numbers as text, with these fields."""
+    names, columns = zip(*fields.items(), strict=True)
+    kinds = ["F" if column.dtype.kind == "f" else "U" for column in map(np.asarray, columns)]
+    head = f"VERSION 0.7\nFIELDS {' '.join(names)}\nSIZE {'4 ' * len(names)}\nTYPE {' '.join(kinds)}\n"
+    head += f"COUNT {'1 ' * len(names)}\nWIDTH {COUNT}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {COUNT}\n"
+    rows = zip(*(np.asarray(column).tolist() for column in columns), strict=True)
+    return (head + "DATA ascii\n" + "".join(" ".join(map(str, row)) + "\n" for row in rows)).encode()
+
+
+def named_las(path, shift=0):
+    import laspy
+
+    header = laspy.LasHeader(point_format=3, version="1.4")
+    header.scales = [0.001] * 3
+    for name in NAMES:
+        header.add_extra_dim(laspy.ExtraBytesParams(name, np.float32))
+    points = laspy.ScaleAwarePointRecord.zeros(COUNT, header=header)  # `LasData` has no fields of some names
+    columns = dict(zip(("red", "green", "blue"), SHADES.T.astype(np.uint16) * 257, strict=True))
+    columns |= zip("XYZ", np.rint(XYZ * 1000).astype(np.int32).T, strict=True)
+    columns |= {name: LABELS + number + shift for number, name in enumerate(NAMES)}
+    for name, column in columns.items():
+        points.array[name] = column
+    with laspy.open(path, "w", header=header) as file:
+        file.write_points(points)
+
+
+def named_pcd(path, shift=0):
+    columns = dict(zip("xyz", XYZ.T, strict=True)) | dict(zip("rgb", SHADES.T.astype(np.uint32), strict=True))
+    path.write_bytes(text_pcd(columns | {name: LABELS + n + shift for n, name in enumerate(NAMES)}))
+
+
+@pytest.mark.slow  # twice a library in a process of its own
+@pytest.mark.parametrize(
+    "write",
+    [pytest.param(named_las, marks=needs("laspy")), pytest.param(named_pcd, marks=needs("pypcd4"))],
+)
+def test_fields_may_have_any_name(write, tmp_path):
+    documents = []
+    for shift in (0, 1):
+        path = tmp_path / f"{shift}.{write.__name__[-3:]}"
+        write(path, shift)
+        documents.append(open_document(str(path)))
+    one = documents[0]
+    np.testing.assert_allclose(one.coloured_vertices().colours, SHADES / 255, atol=1e-6)
+    assert {*NAMES} <= {*one.attributes()}
+    for number, name in enumerate(NAMES):
+        assert np.array_equal(one.attribute(name)[:, 0], LABELS + number)
+    old, new = (document.fingerprint().parts for document in documents)
+    differing = {name for name in old if old[name] != new[name]}
+    assert differing - {"header"} == {f"field {name}" for name in NAMES}  # which has the extents of LAS
+    assert {f"the field {name}" for name in NAMES} <= {*one.contents().left_out}
+
+
+@pytest.mark.slow  # five times a library in a process of its own
+@needs("pypcd4")
+def test_the_names_of_fields_may_be_in_capital_letters(tmp_path):
+    axes, shades = dict(zip("XYZ", XYZ.T, strict=True)), SHADES.T.astype(np.uint32)
+    normals = dict(
+        zip(("Normal_X", "Normal_Y", "Normal_Z"), np.outer([1.0, 0, 0], np.ones(COUNT)), strict=True)
+    )
+    packed = {
+        "RGB": (SHADES.astype(np.uint32) << np.array([16, 8, 0], np.uint32)).sum(axis=1, dtype=np.uint32)
+    }
+    apart = dict(zip(("Red", "Green", "Blue"), shades, strict=True))
+    for colours, expected in (
+        (packed, SHADES / 255), (apart, SHADES / 255), ({"Intensity": INTENSITY}, INTENSITY[:, None] / 4095),
+    ):  # fmt: skip
+        path = tmp_path / "a.pcd"
+        path.write_bytes(text_pcd(axes | colours | normals))
+        document = open_document(str(path))
+        np.testing.assert_allclose(document.coloured_vertices().colours, expected, atol=1e-6)
+        assert document.attribute("normal")[0].tolist() == [1, 0, 0]
+    new = document.coloured_vertices().colours.copy()
+    new[:] = 1
+    path.write_bytes(patched(document, new))
+    assert (open_document(str(path)).coloured_vertices().colours == 1).all()
+
+
+@pytest.mark.slow  # a library in a process of its own
+@needs("pypcd4")
+def test_points_without_colours_are_refused_by_the_names_of_their_fields(tmp_path):
+    (tmp_path / "a.pcd").write_bytes(text_pcd(dict(zip("xyz", XYZ.T, strict=True)) | {"label": LABELS}))
+    with pytest.raises(NoColoursError, match="no colours and no intensity, but label"):
+        open_document(str(tmp_path / "a.pcd")).coloured_vertices()
 
 
 @pytest.mark.slow  # five times a library in a process of its own

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
-from beltrami_cli.errors import InputError
+from beltrami_cli.errors import InputError, MemoryLimitError
 from beltrami_cli.formats.colours import (
     integer_scale,
     intensity_scale,
@@ -25,6 +25,8 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.surface.precision import require_single
 from beltrami_cli.surface.records import MeshContents
 
+# Bytes of each number at a time, three times as a double: as stored, in double precision, and in working units.
+_NUMBER_BYTES = 3 * 8
 Key = TypeVar("Key")  # by which a document finds a table of its points: a name, or numbers of columns
 
 
@@ -105,6 +107,19 @@ class PointsDocument(Document, Generic[Key]):
             require_single(stored, self.name, "the normal of point", self._measured, holes=True)
             normals = stored.astype(np.float32)
         return replace(self._mesh, alpha=alpha, normals=normals, left_out=tuple(dropped))
+
+    def _stored_without_colours(self) -> Array:
+        """Return the table of colours with zeros where colours can be replaced, for fingerprints."""
+        stored = self._stored.copy()
+        stored[self._measured, : self._layout.channels] = 0
+        return stored
+
+    def _require_points(self, layout: Layout[Key], numbers: int) -> None:
+        """Raise InputError if there are no points, or if so many numbers of them do not fit into memory."""
+        if not layout.count:
+            raise InputError(self.name, "there are no points", "nothing in it can be smoothed")
+        if self.access.memory is not None and numbers * _NUMBER_BYTES > self.access.memory:
+            raise MemoryLimitError(self.name, "its points do not fit into memory", "raise --max-memory")
 
     def _recoloured(self, colours: Float32s | None) -> Array | None:
         """Return the table of colours with new ones, rows as in `patch`; None if all are the present ones."""

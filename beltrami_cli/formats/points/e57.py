@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -18,7 +18,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Array
 from beltrami_cli.formats.files.archives import most_unpacked
-from beltrami_cli.formats.points.scan import Arrays, replaced, require_room
+from beltrami_cli.formats.points.scan import Arrays, ScanContents, joined, require_room
 
 _PAGE, _CHECKSUM = 1024, 4  # bytes, see [1]_
 _AT_XML = 24  # bytes: where the place and the length of the description stand in the header
@@ -28,6 +28,16 @@ def _content(blob: Any) -> Array:
     content = np.empty(blob.byteCount(), np.uint8)
     blob.read(content, 0, len(content))
     return content
+
+
+def _common_fields(scans: Sequence[Arrays]) -> tuple[Arrays, dict[tuple[int, str], Array]]:
+    """Return the fields that all scans have, joined, and the others by the number of the scan."""
+    names = [name for name in scans[0] if all(name in scan for scan in scans)]
+    joint = {name: np.concatenate([scan[name] for scan in scans]) for name in names}
+    apart = {
+        (number, name): scan[name] for number, scan in enumerate(scans) for name in scan if name not in joint
+    }
+    return joint, apart
 
 
 class E57:
@@ -45,21 +55,26 @@ class E57:
         path.write_bytes(data)
         self._file = pye57.E57(str(path))
         self._scans = [self._file.get_header(number) for number in range(self._file.scan_count)]
+        names = [{child.elementName() for child in self._children(scan.points)} for scan in self._scans]
+        choices = (self._RGB, ("intensity",))
+        common = set.intersection(*names)
+        self._colour_fields = next((each for each in choices if common >= {*each}), ())
 
-    def arrays(self) -> Arrays:
+    def contents(self) -> ScanContents:
         size = sum(scan.point_count * (len(self._children(scan.points)) + 3) for scan in self._scans)
         require_room(size, 8, most_unpacked(len(self._data)))  # numbers of 8 bytes, and three of a place
-        known = [self._raw(scan.points) for scan in self._scans]
-        places = [self._positions_of(*each) for each in zip(self._scans, known, strict=True)]
-        found = {"positions": np.concatenate(places), "xml": np.frombuffer(self._xml(), np.uint8)}
+        scans = [self._raw(scan.points) for scan in self._scans]
+        places = [self._positions_of(*each) for each in zip(self._scans, scans, strict=True)]
         blobs = b"".join(_content(blob).tobytes() for blob in self._blobs(self._file.root))
-        found["blobs"] = np.frombuffer(blobs, np.uint8)
-        for key, names in (("colours", self._RGB), ("intensity", ("intensity",))):
-            if all(columns.keys() >= {*names} for columns in known):
-                found[key] = np.concatenate([np.column_stack([c.pop(name) for name in names]) for c in known])
-        for number, columns in enumerate(known):
-            found |= {f"{number} {name}": column for name, column in columns.items()}
-        return found
+        rest = {"xml": np.frombuffer(self._xml(), np.uint8), "blobs": np.frombuffer(blobs, np.uint8)}
+        fields, apart = _common_fields(scans)
+        rest |= {f"{name} of scan {number}": each for (number, name), each in apart.items()}
+        return ScanContents(
+            positions=np.concatenate(places),
+            colours=joined(fields, self._colour_fields),
+            fields={name: each for name, each in fields.items() if name not in self._colour_fields},
+            rest=rest,
+        )
 
     def _raw(self, node: Any) -> Arrays:
         """Read the numbers of points as they are stored, before they are scaled."""
@@ -150,7 +165,7 @@ class E57:
         for pair in vectors:
             columns = self._raw(pair["in"])
             if (part := fresh.get(pair["in"].pathName())) is not None:
-                columns |= replaced(part, self._RGB)
+                columns |= zip(self._colour_fields, part.T, strict=True)
             buffers, _kept = self._buffers(made, pair["in"], columns)  # which point into these arrays
             writer = pair["out"].writer(buffers)
             writer.write(pair["in"].childCount())

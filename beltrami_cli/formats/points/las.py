@@ -14,7 +14,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Array
 from beltrami_cli.formats.files.archives import most_unpacked
-from beltrami_cli.formats.points.scan import Arrays, replaced, require_room, with_colours
+from beltrami_cli.formats.points.scan import ScanContents, colour_fields, joined, require_room
 
 # Bytes in the header of LAS: its size, the place of the points, the number of records; the format of points; the places
 # of waveforms and of extended records, whose number follows.
@@ -40,37 +40,42 @@ def has_index(data: bytes) -> bool:
 class Las:
     """LAS and LAZ: points are records of the specification; all other bytes are kept, so that nothing is lost."""
 
-    _RGB = ("red", "green", "blue")
-
     def __init__(self, data: bytes) -> None:
         import laspy
 
         with laspy.open(io.BytesIO(data)) as reader:
-            header = reader.header
+            self._header = header = reader.header
             room = most_unpacked(len(data)) if is_laz(data) else len(data) - header.offset_to_point_data
             require_room(header.point_count, header.point_format.size, room)
-            self._data, self._las = data, reader.read()
-        self._points = self._las.points.array
+            # Not as `LasData`, which has no place for fields with the names of its members, such as "header".
+            self._points = reader.read_points(-1).array
+        self._data = data
+        self._fields = {name: self._points[name] for name in self._points.dtype.names}
+        self._colour_fields = colour_fields(self._fields, ("red", "green", "blue"), "intensity")
         # Fields with the addresses of data behind the points: waveforms and extended records.
-        self._address_fields = (_AT_WAVEFORMS, _AT_RECORDS)[: max(0, self._las.header.version.minor - 2)]
-        start = self._las.header.offset_to_point_data
+        self._address_fields = (_AT_WAVEFORMS, _AT_RECORDS)[: max(0, header.version.minor - 2)]
+        start = header.offset_to_point_data
         self._end = start + self._points.nbytes
         if is_laz(data):
             behind = (int.from_bytes(data[at : at + 8], "little") for at in self._address_fields)
             self._end = min((place for place in behind if place > start), default=len(data))
 
-    def arrays(self) -> Arrays:
+    def contents(self) -> ScanContents:
         head, tail = self._head_and_tail(b"")
         for at in self._address_fields:  # compressed points may differ in length
             head[at : at + 8] = bytes(8)
-        names = [name for name in self._points.dtype.names if name not in "XYZ"]  # which become the positions
-        columns = {name: np.ascontiguousarray(self._points[name]) for name in names}
-        places = {"positions": np.array(self._las.xyz), "header": np.frombuffer(head + tail, np.uint8)}
-        return places | with_colours(columns, self._RGB)
+        stored = np.column_stack([self._fields[axis] for axis in "XYZ"])
+        used = {"X", "Y", "Z", *self._colour_fields}
+        return ScanContents(
+            positions=stored * self._header.scales + self._header.offsets,
+            colours=joined(self._fields, self._colour_fields),
+            fields={name: each for name, each in self._fields.items() if name not in used},
+            rest={"header": np.frombuffer(head + tail, np.uint8)},
+        )
 
     def _head_and_tail(self, packing: bytes) -> tuple[bytearray, bytes]:
         """Return the bytes before and behind the points, with a record that describes how LAZ packs them."""
-        data, header = self._data, self._las.header
+        data, header = self._data, self._header
         size, start, count = struct.unpack_from("<HII", data, _AT_SIZES)
         records, gap = _records(data[size:start], count, 2)
         kept = [record for record in records if not record.startswith((_LASZIP, _COPC), 2)]
@@ -89,13 +94,14 @@ class Las:
         return head, tail
 
     def written(self, new: Array | None, form: str) -> bytes:
-        for name, column in ({} if new is None else replaced(new, self._RGB)).items():
-            self._points[name] = column
+        if new is not None:
+            for name, column in zip(self._colour_fields, new.T, strict=True):
+                self._fields[name][:] = column
         made, points = io.BytesIO(), np.frombuffer(self._points, np.uint8)
         if form == "laz":
             import lazrs
 
-            known = self._las.point_format
+            known = self._header.point_format
             packing = lazrs.LazVlr.new_for_compression(known.id, known.num_extra_bytes)
             head, tail = self._head_and_tail(packing.record_data())
             made.write(head)

@@ -28,7 +28,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from beltrami_cli.arrays import Array, Int32s
-from beltrami_cli.errors import InputError, MemoryLimitError, NoColoursError
+from beltrami_cli.errors import InputError, NoColoursError
 from beltrami_cli.formats.changes import Changes, Naming, Written
 from beltrami_cli.formats.colours import display_colours, quantised
 from beltrami_cli.formats.comparison import Fingerprint
@@ -45,7 +45,6 @@ _NORMAL_KEYS = ("normals", "normal")
 _FACE_KEYS = ("faces", "triangles")
 
 _CHANNELS = 4
-_COPIES = 3  # of each array at a time: as stored, as doubles, and in working units
 _NAMES = "save them as positions and colours"
 
 
@@ -67,9 +66,7 @@ class NpzPointsDocument(PointsDocument[str]):
         parts = {f"member {name}": content for name, content in self._archive.contents().items()}
         if not self.has_vertex_colours():
             return Fingerprint(parts)
-        numbers = self._stored.copy()
-        numbers[self._measured, : self._layout.channels] = 0
-        key = self._layout.colours
+        numbers, key = self._stored_without_colours(), self._layout.colours
         header = self._archive.header(key)
         parts[f"member {key}.npy"] = header.with_numbers(
             parts[f"member {key}.npy"], numbers.reshape(header.shape)
@@ -87,13 +84,8 @@ class NpzPointsDocument(PointsDocument[str]):
     @cached_property
     def _layout(self) -> Layout[str]:
         layout = _find_layout(self._archive)
-        if not layout.count:
-            raise InputError(self.name, "there are no points", "nothing in it can be smoothed")
         keys = (layout.positions, layout.colours, *([layout.faces] if layout.faces else []))
-        if self.access.memory is not None:
-            needed = sum(_COPIES * self._archive.header(key).count * 8 for key in keys)
-            if needed > self.access.memory:
-                raise MemoryLimitError(self.name, "its arrays do not fit into memory", "raise --max-memory")
+        self._require_points(layout, sum(self._archive.header(key).count for key in keys))
         self._archive.require_ratio(layout.positions)
         return layout
 

@@ -15,7 +15,7 @@ import numpy as np
 from beltrami_cli.arrays import Array
 from beltrami_cli.formats.files.edits import NewNumbers, renumbered
 from beltrami_cli.formats.files.tokens import find_tokens
-from beltrami_cli.formats.points.scan import Arrays, replaced, require_room, with_colours
+from beltrami_cli.formats.points.scan import ScanContents, colour_fields, joined, require_room
 
 _LITERALS = 32  # bytes that one run of LZF holds at most
 
@@ -24,6 +24,7 @@ class Pcd:
     """PCD; names of fields are case-insensitive, since PDAL writes capital letters."""
 
     _RGB = ("r", "g", "b"), ("red", "green", "blue")
+    _NORMAL = ("normal_x", "normal_y", "normal_z")
     _PADDING = "#$%&~~"  # how pypcd4 starts the random names of fields that are called "_"
 
     def __init__(self, data: bytes) -> None:
@@ -37,26 +38,37 @@ class Pcd:
         self._points, self._about = np.atleast_1d(cloud.pc_data), cloud.metadata
         require_room(self._about.points, 1, self._points.size)
         self._names = self._points.dtype.names or ()
-        known = {name.lower(): name for name in self._names}
+        # A name in lower case goes before another spelling of it.
+        known = {name.lower(): name for name in self._names} | {name: name for name in self._names}
         self._axes = [known[axis] for axis in "xyz"]
+        self._normal = [known[name] for name in self._NORMAL] if known.keys() >= {*self._NORMAL} else []
         self._packed = known.get("rgb", known.get("rgba", ""))
-        named = (names for names in self._RGB if known.keys() >= {*names})
-        self._rgb = tuple(known[name] for name in next(named, ()))
+        rgb = next((names for names in self._RGB if known.keys() >= {*names}), self._RGB[0])
+        fields = {name: self._points[known[name]] for name in known}
+        chosen = () if self._packed else colour_fields(fields, rgb, "intensity")
+        self._colour_fields = [known[name] for name in chosen]
 
-    def arrays(self) -> Arrays:
-        columns = {name: np.ascontiguousarray(self._points[name]) for name in self._names}
-        for number, name in enumerate(self._names):
-            if name.startswith(self._PADDING):
-                columns[f"padding {number}"] = columns.pop(name)
-        columns = {"positions": np.column_stack([columns.pop(axis) for axis in self._axes])} | columns
+    def contents(self) -> ScanContents:
+        points = {name: np.ascontiguousarray(self._points[name]) for name in self._names}
+        padding = {name for name in self._names if name.startswith(self._PADDING)}
+        rest = {
+            f"padding {number}": points[name] for number, name in enumerate(self._names) if name in padding
+        }
+        rest["header"] = np.frombuffer(self._data[: self._body], np.uint8)
+        colours = joined(points, self._colour_fields)
         if self._packed:
-            octets = columns.pop(self._packed).view(np.uint8).reshape(-1, 4)
-            columns |= {"colours": octets[:, 2::-1], "opacity": octets[:, 3]}
-        columns = with_colours(columns, self._rgb) if self._rgb else columns
+            octets = points[self._packed].view(np.uint8).reshape(-1, 4)
+            colours, rest["opacity"] = octets[:, 2::-1], octets[:, 3]
+        used = {*self._axes, *self._normal, *self._colour_fields, self._packed, *padding}
         rows, width = self._about.height, self._about.width
-        if rows > 1 and rows * width == len(self._points):
-            columns = {name: each.reshape(rows, width, *each.shape[1:]) for name, each in columns.items()}
-        return columns | {"header": np.frombuffer(self._data[: self._body], np.uint8)}
+        return ScanContents(
+            positions=np.column_stack([points[axis] for axis in self._axes]),
+            normals=joined(points, self._normal),
+            colours=colours,
+            fields={name: each for name, each in points.items() if name not in used},
+            rest=rest,
+            shape=(rows, width) if rows > 1 and rows * width == len(self._points) else (),
+        )
 
     def written(self, new: Array | None, form: str) -> bytes:
         old, points = self._points, self._points.copy()
@@ -65,7 +77,7 @@ class Pcd:
             packed.view(np.uint8).reshape(-1, 4)[:, 2::-1] = new
             points[self._packed] = packed
         elif new is not None:
-            for name, column in replaced(new, self._rgb).items():
+            for name, column in zip(self._colour_fields, new.T, strict=True):
                 points[name] = column
         head, body = self._data[: self._body], self._data[self._body :]
         if self._about.data == "binary":

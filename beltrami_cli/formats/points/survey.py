@@ -1,37 +1,41 @@
 """Point clouds of scanners: LAS, LAZ, E57 and PCD, each read by its library in a process of its own.
 
-The process returns the points as an archive of arrays: positions, colours or intensities, and whatever else the file
-holds. Written back are the colours or intensities alone.
+The process returns the tables of the points, and whatever else the file holds. Written back are the colours or
+intensities alone.
 """
 
 from __future__ import annotations
 
-import io
+from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from beltrami_cli.arrays import Array
+from beltrami_cli.errors import NoColoursError
 from beltrami_cli.formats.changes import Changes, Naming, Written
+from beltrami_cli.formats.comparison import Fingerprint
 from beltrami_cli.formats.files.foreign_library import ForeignLibrary, serve_files
-from beltrami_cli.formats.files.numpy_files import NpzArchive
+from beltrami_cli.formats.points.cloud import Layout, PointsDocument
 from beltrami_cli.formats.points.e57 import E57
 from beltrami_cli.formats.points.las import Las, has_index, is_laz
-from beltrami_cli.formats.points.npz import NpzPointsDocument
 from beltrami_cli.formats.points.pcd import Pcd
-from beltrami_cli.formats.points.scan import Arrays, Scan
+from beltrami_cli.formats.points.scan import Arrays, Scan, ScanContents
+from beltrami_cli.surface.worker_process import Message
 
 _SECONDS_PER_MEBIBYTE = 5  # LAZ: a million points of 3 MiB take a second
 _REMEDY = "convert it to PLY, for example with PDAL or CloudCompare"
 _LIBRARY = ForeignLibrary("beltrami_cli.formats.points.survey", "scans", _SECONDS_PER_MEBIBYTE, _REMEDY)
 _SCANS: dict[str, type[Scan]] = {"las": Las, "laz": Las, "e57": E57, "pcd": Pcd}
+_FIELD = "field "  # before the names of fields, so that these differ from the names of other tables
 
 
-class SurveyDocument(NpzPointsDocument):
-    """A file that its library reads and writes; its points are taken as arrays, like an NPZ archive."""
+class SurveyDocument(PointsDocument[str]):
+    """A file that its library reads and writes."""
 
     def _open(self, folder: Path | None) -> None:
-        self._archive = NpzArchive(self._ask(None, {}), self.name)
+        (shape, self._tables) = self._ask(None, {})
+        self._shape = tuple(shape)
 
     @property
     def format(self) -> str:  # type: ignore[override]
@@ -41,18 +45,59 @@ class SurveyDocument(NpzPointsDocument):
     def forms(self) -> tuple[str, ...]:  # type: ignore[override]
         return ("las", "laz") if _SCANS[self.format] is Las else (self.format,)
 
+    @cached_property
+    def _layout(self) -> Layout[str]:
+        fields = {key.removeprefix(_FIELD): key for key in self._tables if key.startswith(_FIELD)}
+        if "colours" not in self._tables:
+            cause = f"its points have no colours and no intensity, but {', '.join(fields)[:200] or 'nothing else'}"
+            raise NoColoursError(self.name, cause, "export them with colours")
+        channels = self._tables["colours"].shape[1]
+        normals = "normals" if "normals" in self._tables else None
+        layout = Layout(
+            "positions", "colours", normals, fields, self._shape, channels, is_intensity=channels == 1
+        )
+        self._require_points(layout, self._tables["positions"].size + self._tables["colours"].size)
+        return layout
+
+    def _rows(self, table: str) -> Array:
+        return self._tables[table].reshape(len(self._tables["positions"]), -1)
+
+    def _dropped(self) -> list[str]:
+        return [f"the {key}" for key in self._tables if key not in ("positions", "colours", "normals")]
+
     def _patched(self, new: Changes, naming: Naming) -> Written:
         stored, form = self._recoloured(new.colours), new.form or self.format
         if stored is None and form == self.format:
             return Written([self.data])
         left_out = "The index of COPC is left out: the file becomes plain LAS or LAZ."
         notices = (left_out,) if has_index(self.data) else ()
-        return Written([self._ask(form, {} if stored is None else {"new": stored})], notices=notices)
+        made = self._ask(form, {} if stored is None else {"new": stored})[1]["made"]
+        return Written([made.tobytes()], notices=notices)
 
-    def _ask(self, form: str | None, arrays: Arrays) -> bytes:
-        """Return the file in a form with new colours, or, for None, the archive of its arrays."""
+    def fingerprint(self) -> Fingerprint:
+        tables = dict(self._tables)
+        if not self.has_vertex_colours():
+            return Fingerprint({name: _described(table) for name, table in tables.items()})
+        tables["colours"] = self._stored_without_colours()
+        parts = {name: _described(table) for name, table in tables.items()}
+        return Fingerprint(parts, {"point colours": self._colours})
+
+    def facts(self) -> dict[str, object]:
+        return {
+            "format": self.format,
+            "points": self._layout.count,
+            "organised": list(self._layout.shape),
+            "fields": list(self._layout.others),
+        }
+
+    def _ask(self, form: str | None, arrays: Arrays) -> Message:
+        """Ask for the file in a form, with new colours, or, for None, for its shape and tables."""
         question = form, {"data": np.frombuffer(self.data, np.uint8), **arrays}
-        return _LIBRARY.ask(question, self.name, len(self.data), self.access.memory)[1]["made"].tobytes()
+        return _LIBRARY.ask(question, self.name, len(self.data), self.access.memory)
+
+
+def _described(table: Array) -> bytes:
+    return f"{table.dtype.str} {table.shape}\n".encode() + table.tobytes()
 
 
 def _format_of(data: bytes) -> str:
@@ -61,17 +106,19 @@ def _format_of(data: bytes) -> str:
     return "e57" if data.startswith(b"ASTM") else "pcd"
 
 
-def _answer(form: str | None, arrays: Arrays) -> tuple[None, Arrays]:
+def _answer(form: str | None, arrays: Arrays) -> Message:
     data = arrays["data"].tobytes()
     scan = _SCANS[_format_of(data)](data)
     if form is not None:
-        made = scan.written(arrays.get("new"), form)
-    else:
-        buffer = io.BytesIO()
-        named: dict[str, Any] = {name.replace("/", " "): each for name, each in scan.arrays().items()}
-        np.savez(buffer, **named)
-        made = buffer.getvalue()
-    return None, {"made": np.frombuffer(made, np.uint8)}
+        return None, {"made": np.frombuffer(scan.written(arrays.get("new"), form), np.uint8)}
+    contents = scan.contents()
+    return contents.shape or contents.positions.shape[:1], _tables(contents)
+
+
+def _tables(contents: ScanContents) -> Arrays:
+    tables = {"positions": contents.positions, "colours": contents.colours, "normals": contents.normals}
+    present = {name: table for name, table in tables.items() if table is not None}
+    return present | {_FIELD + name: table for name, table in contents.fields.items()} | dict(contents.rest)
 
 
 if __name__ == "__main__":
