@@ -3,8 +3,8 @@
 1. `estimation` estimates the noise (`noise/`), and stabilises its variance. `decoding` does so for textures and images,
    and may decode JPEG again.
 2. `plan` chooses `parameters` (`choice/`), after it has removed the noise that neighbours share (`corrections/`).
-3. `beltrami_flow` iterates the kernel on a manifold (`manifolds/`), and `patches` blends the result with an estimate by
-   similar patches, whose channels `mixing` decorrelates.
+3. `beltrami_flow` iterates the kernel on a manifold (`manifolds/`). `patches` adds an estimate by similar patches,
+   whose channels `mixing` decorrelates, and `blending` weighs both results.
 
 The steps share:
 

@@ -1,4 +1,4 @@
-// Sums over channels for Stein's unbiased estimate of the error of a blend of two estimates, see flow/patches.py, for
+// Sums over channels for Stein's unbiased estimate of the error of a blend of two estimates, see flow/blending.py, for
 // noise that may be clipped at 0 and full scale.
 #pragma once
 
