@@ -59,13 +59,21 @@ class Document(ABC):
         self.data, self.access = data, access
         self.name = name  # of the file as the user named it, for messages
         self._textured: dict[records.Slot, records.TexturedSurface] = {}
-        self.notices: list[str] = []  # for the user, one sentence each, without the file's name
-        self.obstacles: list[Obstacle] = []  # why colours are not used; `notices` has them, too
         self._open(folder)
 
     def _open(self, folder: Path | None) -> None:
         """Read what must be sound in every file of the format."""
         del folder  # for formats with sidecar files
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """What users should know of the file, whichever part they use: one sentence each, without its name."""
+        return ()
+
+    @property
+    def obstacles(self) -> tuple[Obstacle, ...]:
+        """Why colours are not used; `notices` has them, too."""
+        return ()
 
     def coloured_vertices(self) -> ColouredVertices:
         """Return the vertex colours and their surface, always the same record; InputError without usable ones."""
@@ -83,7 +91,7 @@ class Document(ABC):
         faces = triangulate(mesh.positions, mesh.corners, mesh.offsets)
         return ColouredVertices(
             mesh.positions, faces, mesh.colours, self._channels, mesh.encoding, mesh.stored,
-            assumed_scale=self._scale,
+            assumed_scale=self._scale, notices=mesh.notices,
         )  # fmt: skip
 
     @property
@@ -178,9 +186,7 @@ class Document(ABC):
         return tuple(found) if found or self.has_vertex_colours() else slots
 
     def _gathered(self, slot: records.Slot) -> records.TexturedSurface:
-        surface, notices = textured_surface(self._scene, slot, self._undefined())
-        self.notices += notices
-        return surface
+        return textured_surface(self._scene, slot, self._undefined())
 
     @property
     def _scene(self) -> Scene:
@@ -250,6 +256,7 @@ class Document(ABC):
         if not self.has_vertex_colours():
             return mesh
         shown = self.vertex_mesh(colours)
+        mesh = replace(mesh, notices=(*mesh.notices, *shown.notices))
         if not np.array_equal(shown.positions, mesh.positions):
             lost = "vertex colours, which are not one for each vertex"
             return replace(mesh, left_out=(*mesh.left_out, lost))
@@ -262,7 +269,7 @@ class Document(ABC):
     ) -> Self:
         """Return a copy to look at, but not to patch, with other vertex colours (None: the same) and image files."""
         made = copy(self)
-        made.notices, made.obstacles, made._textured = [], [], {**self._textured}
+        made._textured = {**self._textured}
         if vertices is not None:
             made._coloured_vertices = vertices  # in place of what the property would cache
         for slot in dict.fromkeys(slot for slot, _ in images):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from beltrami_cli.errors import UsageError
@@ -86,7 +86,7 @@ def write_mesh(mesh: MeshContents, name: str, stem: str) -> Written:
     for image in mesh.images:
         require_textures(name, image.file.suffix)
     written: Written = line.load(line.writer)(mesh, stem)
-    return written
+    return replace(written, notices=(*mesh.notices, *written.notices))
 
 
 def sidecars_of(mesh: MeshContents, name: str, stem: str) -> list[str]:

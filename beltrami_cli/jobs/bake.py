@@ -93,6 +93,7 @@ def _colours_from_textures(document: Document) -> tuple[MeshContents, tuple[str,
     split = (_spread(values, place, textured) > _INVISIBLE_STEP + _SIGMAS * noise).any(axis=1)[place]
     vertex_of, first = group_equal_rows(place, np.where(split, side, -1))
     colours = _mean(values, vertex_of, textured, len(first))
+    left_out, mesh_notices = _left_out(document)
     contents = MeshContents(
         positions=surface.positions[corners[first]],
         corners=vertex_of,
@@ -101,8 +102,9 @@ def _colours_from_textures(document: Document) -> tuple[MeshContents, tuple[str,
         encoding=_encoding(images),
         stored=max((image.stored for image in images), key=_FINENESS.index),
         alpha=colours[:, 3] if any(image.alpha is not None for image in images) else None,
-        left_out=_left_out(document),
+        left_out=left_out,
         frame=document.frame,
+        notices=(*surface.notices, *mesh_notices),
     )
     notices, untextured = [], int((~textured).sum()) // 3
     if split.any():
@@ -112,13 +114,13 @@ def _colours_from_textures(document: Document) -> tuple[MeshContents, tuple[str,
     return contents, tuple(notices)
 
 
-def _left_out(document: Document) -> tuple[str, ...]:
-    """Name the contents of a textured model other than triangles and the base colour."""
+def _left_out(document: Document) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Name the contents of a textured model other than triangles and the base colour; return also its notices."""
     mesh = document.textured_mesh()
     has_normals = mesh.corner_normals is not None or mesh.normals is not None
     found = ["texture coordinates", "textures", "materials", *(["normals"] if has_normals else [])]
     found += ["vertex colours"] if mesh.colours.size else []
-    return (*found, *mesh.left_out, *document.hidden_places())
+    return (*found, *mesh.left_out, *document.hidden_places()), mesh.notices
 
 
 def _encoding(images: Sequence[DecodedImage]) -> Encoding:

@@ -60,7 +60,7 @@ def inspect_file(
     surface = dict[str, object]()
     if selection.slots and not selection.vertices:
         surface = _describe_under_textures(selection)
-    notices = [*document.notices, *coarse, *selection.notices]
+    notices = [*document.notices, *selection.notices, *coarse]
     described, layer_notices = _describe_layers(selection, job)
     notices += layer_notices
     # The facts of an image are known once there is enough memory to decode it.

@@ -117,7 +117,7 @@ def texture_from_vertices(
         return _rounded(_as_srgb(interpolated(corners, owners, weights), contents.encoding), dtype)
 
     pixels = bake(uv, size, shade, values.shape[1], dtype)
-    notices = _notices_on_vertices(contents)
+    notices = (*contents.notices, *_notices_on_vertices(contents))
     return NewTexture(
         positions=contents.positions, faces=faces, uv=uv, space_of=space_of, pixels=pixels,
         charts=charts, notices=notices, frame=contents.frame,

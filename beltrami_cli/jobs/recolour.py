@@ -83,7 +83,7 @@ def recolour(
         selection = select(document, settings)
         if not colour_filter.changes and kind.suffix is None:
             selection = Selection(document, settings)
-        notices = [*colour_filter.check(selection, kind), *selection.notices]
+        notices = [*colour_filter.check(selection, kind)]
         job.check_document(document)
         naming = file.naming
         file.reserve(sidecar_names(selection, kind, naming))
@@ -99,7 +99,7 @@ def recolour(
             written = files_with_new_colours(document, new, images, kind, naming)
         notices += [*(notice for each in new for notice in each.notices), *image_notices]
         warnings = [warning for each in results for warning in each.warnings]
-        report = file.write(written, parameters, notices, warnings)
+        report = file.write(written, parameters, [*selection.notices, *notices], warnings)
     return report, results
 
 
@@ -113,7 +113,11 @@ def recolour_in_memory(
     notices = colour_filter.check(selection, OutputFormat(document.format, is_patched=True))
     with selection.within_memory(in_files=colour_filter.works_in_files) as chunk_memory:
         results = apply_filter(selection, colour_filter, job, Resources(job.chunking, chunk_memory))
-    return with_new_colours(document, [each.stored for each in results]), results, notices
+    return (
+        with_new_colours(document, [each.stored for each in results]),
+        results,
+        [*selection.notices, *notices],
+    )
 
 
 def apply_filter(

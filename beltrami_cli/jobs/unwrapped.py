@@ -52,7 +52,7 @@ def smooth_unwrapped(
     with file.watch.stage("write"):
         written = write_mesh(new.mesh(image), file.format.name, stem)
     warnings = [warning for each in smoothed for warning in each.warnings]
-    report = file.write(written, describe_settings(settings), notices, warnings)
+    report = file.write(written, describe_settings(settings), [*selection.notices, *notices], warnings)
     return dataclasses.replace(smooth_report(report, smoothed), new_texture=texture_description(image))
 
 

@@ -90,16 +90,16 @@ def read_level_set(
     # Triangles whose corners have colours.
     whole = np.ascontiguousarray(faces[is_coloured[faces].all(axis=1)])
     offsets = np.arange(0, faces.size + 1, 3, dtype=np.int64)
-    document = LevelSetDocument(
+    return LevelSetDocument(
         name,
         folder,
         access,
-        vertices=ColouredVertices(positions, whole, colours, names, encoding, stored, needs_triangles=True),
+        vertices=ColouredVertices(
+            positions, whole, colours, names, encoding, stored, needs_triangles=True, notices=tuple(notices)
+        ),
         contents=MeshContents(positions, faces.ravel(), offsets, colours, encoding, stored, alpha),
         facts=facts,
     )
-    document.notices += notices
-    return document
 
 
 def _triangulated(

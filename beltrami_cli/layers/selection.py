@@ -50,7 +50,17 @@ class Selection:
     vertices: bool = False
     slots: tuple[Slot, ...] = ()
     image: bool = False
-    notices: tuple[str, ...] = ()
+    left_out: tuple[
+        str, ...
+    ] = ()  # notices of what was asked for and is not there, or is there and not selected
+
+    @property
+    def notices(self) -> list[str]:
+        """What users should know of the selected parts, besides `Document.notices`."""
+        found = [*self.document.coloured_vertices().notices] if self.vertices else []
+        for slot in self.slots:
+            found += self.document.textured(slot).notices
+        return [*dict.fromkeys([*found, *self.left_out])]
 
     @cached_property
     def surfaces(self) -> tuple[TexturedSurface, ...]:
@@ -202,7 +212,7 @@ def _select(document: Document, settings: SmoothSettings) -> Selection:
     absent, both = absent_slots(document, settings), settings.on == "both"
     if coloured and not both:
         absent.append("its vertex colours stay as they are; --on both smooths them too")
-    return _without_empty_slots(Selection(document, settings, both, slots, notices=tuple(absent)))
+    return _without_empty_slots(Selection(document, settings, both, slots, left_out=tuple(absent)))
 
 
 def absent_slots(document: Document, settings: SmoothSettings) -> list[str]:

@@ -37,6 +37,7 @@ class ColouredVertices:
     # Number in the file that becomes full scale; None: given by the type.
     assumed_scale: float | None = None
     needs_triangles: bool = False  # whether vertices in no triangle have no colour
+    notices: tuple[str, ...] = ()  # for the user, one sentence each: how they were read, what was skipped
 
     @property
     def full_scale(self) -> float:
@@ -126,6 +127,7 @@ class TexturedSurface:
     texture_of: Int32s  # (F,): index into `textures`; -1: none
     textures: tuple[Texture, ...]  # each image once
     space_of: Int32s | None = None  # (V,): as in `ColouredVertices`
+    notices: tuple[str, ...] = ()  # as in `ColouredVertices`
 
 
 @dataclass(frozen=True)
@@ -207,6 +209,7 @@ class MeshContents:
     group_of: Int32s | None = None  # (P,): index into `groups`; None: the first for all
     corner_normals: Float32s | None = None  # (K, 3): corner normals, instead of `normals`; NaN: none
     source: str = ""  # stem of the source file, which that of the output replaces in names
+    notices: tuple[str, ...] = ()  # as in `ColouredVertices`
 
     @property
     def sizes(self) -> Int64s:

@@ -154,8 +154,9 @@ def test_without_its_package_a_texture_is_left_as_it_is_and_the_package_is_named
     for module in ("beltrami_cli.formats.gltf.images", extra_codecs.__name__):
         monkeypatch.setattr(f"{module}.missing_package", lambda known: "a package")
     document = open_document(str(source))
-    assert len(document.textured("baseColor").textures) == 1
-    assert any("needs the package a package; install it with: " in each for each in document.notices)
+    surface = document.textured("baseColor")
+    assert len(surface.textures) == 1
+    assert any("needs the package a package; install it with: " in each for each in surface.notices)
     with pytest.raises(InputError, match=r"need the package a package; install it with: .*pip install"):
         read_image(image, f"x.{known}")
     with pytest.raises(UsageError, match=r"the package a package is needed; install it with: .*pip install"):

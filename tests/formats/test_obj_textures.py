@@ -78,7 +78,7 @@ def test_faces_without_coordinates_material_or_map_have_no_texture(tmp_path):
     surface = document.textured("baseColor")
     names = [surface.textures[i].name if i >= 0 else "" for i in surface.texture_of]
     assert names == ["", "a.png", "", "", "", "", "", "b.png", "", "a.png"]
-    said = " ".join(document.notices)
+    said = " ".join([*document.notices, *surface.notices])
     assert "'c.png'" in said
     assert "3 triangles" in said
 

@@ -141,10 +141,10 @@ def test_float_colours_of_0_to_255_keep_their_scale_with_a_notice():
     document = PlyDocument(build(coloured(colour="float", value=51.0), "binary_little_endian").data, "x.ply")
     colours = document.coloured_vertices().colours
     np.testing.assert_allclose(colours, 0.2)
-    assert "0..255" in document.notices[0]
+    assert "0..255" in document.coloured_vertices().notices[0]
     again = PlyDocument(patched(document, colours * 2), "y.ply")
     np.testing.assert_allclose(again.coloured_vertices().colours, 0.4)
-    assert "0..255" in again.notices[0]
+    assert "0..255" in again.coloured_vertices().notices[0]
 
 
 XYZ = [("x", "float"), ("y", "float"), ("z", "float")]
@@ -210,7 +210,7 @@ def test_coordinates_of_faces_go_before_those_of_vertices(tmp_path):
 def test_several_images_are_one_if_they_are_the_same_and_shown_as_far_as_they_are_there(tmp_path):
     document = opened(tmp_path, wedges([[0, 1, 2]]), "ascii", "\n", "b.png", "a b.png")
     assert document.textured("baseColor").texture_of.tolist() == [0]
-    assert any("2 textures" in notice for notice in document.notices)
+    assert any("2 textures" in notice for notice in document.textured("baseColor").notices)
     two = wedges([[0, 1, 2], [0, 2, 4]], [0, 1])
     surface = opened(tmp_path, two, "ascii", "\n", "b.png", "./b.png").textured("baseColor")
     assert (len(surface.textures), surface.texture_of.tolist()) == (1, [0, 0])
@@ -246,8 +246,9 @@ def test_faces_whose_coordinates_are_not_finite_are_left_out_with_a_notice(tmp_p
     tables = wedges([[0, 1, 2], [0, 1, 2]], [0, 0])
     tables[1].rows[1][1][2] = float("inf")
     document = opened(tmp_path, tables, encoding)
-    assert document.textured("baseColor").texture_of.tolist() == [0, -1]
-    assert any(notice.startswith("1 triangles of textured materials") for notice in document.notices)
+    surface = document.textured("baseColor")
+    assert surface.texture_of.tolist() == [0, -1]
+    assert any(notice.startswith("1 triangles of textured materials") for notice in surface.notices)
 
 
 @given(st.sampled_from(ENCODINGS), st.sampled_from(["\n", "\r\n"]), st.booleans(), st.booleans(), st.data())

@@ -61,7 +61,7 @@ def test_points_of_two_dimensions_are_a_range_image():
     document = opened(npz(positions=positions, colours=colours))
     assert document.grid().tolist() == [[0, -1], [1, 2]]
     assert len(document.coloured_vertices().positions) == 3
-    assert "1 of 4 points have no finite position" in document.notices[0]
+    assert "1 of 4 points have no finite position" in document.coloured_vertices().notices[0]
     assert opened(npz(positions=POSITIONS, colours=COLOURS)).grid() is None
     new = unnpz(patched(document, np.zeros((3, 3))))["colours"]
     assert new.tolist() == [[[0, 0, 0], [10, 20, 30]], [[0, 0, 0], [0, 0, 0]]]

@@ -44,11 +44,9 @@ def test_numbers_are_read_whatever_their_range_separators_and_line_ends(text, ch
 
 def test_what_is_not_obvious_is_said():
     document = opened(b"1 2 3 977 0 51 255")
-    document.coloured_vertices()
-    assert document.notices == ["Its 7 columns are taken for x y z intensity red green blue."]
+    assert document.notices == ("Its 7 columns are taken for x y z intensity red green blue.",)
     document = opened(b"1 2 3 -1024.5")
-    document.coloured_vertices()
-    assert "1024.5" in document.notices[-1]
+    assert "1024.5" in document.coloured_vertices().notices[0]
 
 
 @pytest.mark.parametrize(
@@ -265,7 +263,7 @@ def test_points_without_a_place_take_no_part_and_keep_their_bytes():
     text = b"0 0 0 10 20 30\nnan nan nan 0 0 0\n1 0 inf 9 9 9\n1 0 0 40 50 60\n"
     document = opened(text)
     assert len(document.coloured_vertices().positions) == 2
-    assert "2 of 4 points have no finite position" in document.notices[0]
+    assert "2 of 4 points have no finite position" in document.coloured_vertices().notices[0]
     result = patched(document, np.array([[1, 0, 0], [0, 0, 1]]))
     assert result == b"0 0 0 255 0 0\nnan nan nan 0 0 0\n1 0 inf 9 9 9\n1 0 0 0 0 255\n"
 

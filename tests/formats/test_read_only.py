@@ -45,7 +45,7 @@ def test_off_with_colours_of_faces_gives_vertices_their_mean(alpha):
     expected = [[0.5, 0.5, 0], [1, 0, 0], [0.25, 0.25, 0.5], [0, 1 / 3, 2 / 3], [0, 0, 1]]
     np.testing.assert_allclose(colours, expected, atol=1e-5)
     np.testing.assert_array_equal(colours[[1, 4]], [[1, 0, 0], [0, 0, 1]])
-    assert any("3 of 5" in notice for notice in document.notices)
+    assert any("3 of 5" in notice for notice in document.coloured_vertices().notices)
 
 
 @pytest.mark.parametrize(

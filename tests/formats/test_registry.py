@@ -43,6 +43,23 @@ def test_formats_of_output_are_those_with_a_writer():
     assert OUTPUT_FORMATS["xyzrgb"] == "xyz"
 
 
+OBJ_WITH_BOTH = (
+    b"mtllib m.mtl\nv 0 0 0 0 90 140\nv 1 0 0 0 90 140\nv 0 1 0 0 90 140\nvt 0 0\n"
+    b"usemtl shown\nf 1/1 2/1 3/1\nusemtl lost\nf 1/1 2/1 3/1\n"
+)
+
+
+def test_notices_of_the_file_do_not_depend_on_which_parts_are_read(tmp_path):
+    library = b"newmtl shown\nmap_Kd skin.png\nnewmtl lost\nmap_Kd lost.png\n"
+    write(tmp_path, {"m.mtl": library, "skin.png": PICTURE})
+    document = open_bytes(OBJ_WITH_BOTH, "x.obj", tmp_path)
+    before = document.notices
+    assert "0..255" in document.coloured_vertices().notices[0]
+    assert "'lost.png' is missing" in document.textured("baseColor").notices[0]
+    assert document.notices == before
+    assert not any("0..255" in each for each in document.textured("baseColor").notices)
+
+
 @pytest.mark.parametrize(
     ("data", "name", "format_name"),
     [

@@ -227,9 +227,10 @@ def test_an_image_that_is_damaged_is_left_alone_next_to_sound_ones(tmp_path):
     data = source.read_bytes()
     source.write_bytes(data.replace(other, other[:-1] + b"?"))
     document = open_document(str(source))
-    (texture,) = document.textured("baseColor").textures
+    surface = document.textured("baseColor")
+    (texture,) = surface.textures
     assert texture.data == PICTURE
-    assert any("'b.png' b.png in the archive is damaged" in notice for notice in document.notices)
+    assert any("'b.png' b.png in the archive is damaged" in notice for notice in surface.notices)
 
 
 @pytest.mark.usefixtures("usd_core_here")

@@ -78,7 +78,7 @@ def _use_vertices(document, folder):
         with contextlib.suppress(InputError):
             document.attribute(name)
     # What numbers mean that can mean two things may look otherwise in the result; the user sees a notice.
-    doubtful = any("taken for" in notice for notice in document.notices)
+    doubtful = any("taken for" in notice for notice in vertices.notices)
     if any(document.format == line.name for line in TEXTURED) and not doubtful:
         colours = np.clip(vertices.colours * np.float32(0.5), 0, 1)
         _compare(document, document.patch(colours, Naming("out", in_place=True)), folder)

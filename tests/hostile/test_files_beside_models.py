@@ -168,7 +168,7 @@ def test_a_library_from_outside_comes_inside_with_all_its_images(moved, world):
     after = snapshot(world)
     assert {path: after[path] for path in before} == before
     document = open_document(str(target))
-    assert document.notices == []
+    assert document.notices == ()
     assert document.textured("normal").textures[0].data == OTHER
     assert (target.parent / "result.mtl").is_file()
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s
+from beltrami_cli.errors import Obstacle
 from beltrami_cli.formats.changes import Changes, Naming, PlannedImages, Written
 from beltrami_cli.formats.comparison import Fingerprint
 from beltrami_cli.formats.document import Document
@@ -36,6 +37,7 @@ from beltrami_cli.surface.records import ColouredVertices, MeshContents, Slot, T
 
 # Of `_omitted`, the losses of conversions with textures.
 _NOT_TEXTURED = ("skins", "animations", "cameras", "morph targets")
+_MARK_NOTICE = "The JSON starts with a byte order mark, which glTF does not allow; it is kept."
 
 
 class GltfDocument(Document):
@@ -54,10 +56,15 @@ class GltfDocument(Document):
         self._places = placements(self._root)
         self._images = Images(self._root, self._accessors, files)
         self._files = SidecarFiles(self._root, files)
-        if self._container.has_bom:
-            self.notices = ["The JSON starts with a byte order mark, which glTF does not allow; it is kept."]
-        self.obstacles += self._files.obstacles
-        self.notices += [f"{each.cause}." for each in self._files.obstacles]
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        mark = [_MARK_NOTICE] if self._container.has_bom else []
+        return (*mark, *(f"{each.cause}." for each in self.obstacles))
+
+    @property
+    def obstacles(self) -> tuple[Obstacle, ...]:
+        return tuple(self._files.obstacles)
 
     @cached_property
     def _meshes(self) -> Meshes:
@@ -65,9 +72,7 @@ class GltfDocument(Document):
 
     @cached_property
     def _blocks(self) -> ColouredBlocks:
-        blocks = ColouredBlocks(self.name, self._meshes, self._places)
-        self.notices += blocks.notices()
-        return blocks
+        return ColouredBlocks(self.name, self._meshes, self._places)
 
     @cached_property
     def _coloured_vertices(self) -> ColouredVertices:
@@ -81,9 +86,7 @@ class GltfDocument(Document):
         return present_slots(self._root)
 
     def _gathered(self, slot: Slot) -> TexturedSurface:
-        surface, notices = read_textured_surface(self._root, self._meshes, self._places, self._images, slot)
-        self.notices += [notice for notice in notices if notice not in self.notices]
-        return surface
+        return read_textured_surface(self._root, self._meshes, self._places, self._images, slot)
 
     def hidden_places(self) -> tuple[str, ...]:
         shown = [str(node["mesh"]) for node in objects(self._container.tree.get("nodes")) if "mesh" in node]
@@ -137,20 +140,21 @@ class GltfDocument(Document):
             alpha=self._blocks.opacity(),
             normals=self._blocks.normals(),
             left_out=(*_omitted(self._container.tree), *self._extensions(), *self.hidden_places()),
+            notices=shown.notices,
         )
 
     def textured_mesh(self, colours: Float32s | None = None) -> MeshContents:
-        stored, by_primitive = "float32", dict[tuple[int, int], Float32s]()
+        stored, by_primitive, notices = "float32", dict[tuple[int, int], Float32s](), tuple[str, ...]()
         if self.has_vertex_colours():
             shown = self.coloured_vertices()
-            stored = shown.stored
+            stored, notices = shown.stored, shown.notices
             by_primitive = self._blocks.by_primitive(shown.colours if colours is None else colours)
         mesh = read_textured_mesh(self._root, self._meshes, self._images, by_primitive, stored)
         losses = [what for what in _omitted(self._container.tree) if what in _NOT_TEXTURED]
         losses += self._extensions()
         if any(node.get("children") for node in objects(self._container.tree.get("nodes"))):
             losses.append("node hierarchy")
-        return dataclasses.replace(mesh, left_out=(*mesh.left_out, *losses))
+        return dataclasses.replace(mesh, left_out=(*mesh.left_out, *losses), notices=notices)
 
     def _extensions(self) -> list[str]:
         """Return the extensions of the file and of its nodes, such as avatars and instances."""

@@ -27,8 +27,8 @@ from beltrami_cli.surface.records import Slot
 
 def read_textured_surface(
     root: Entry, meshes: Meshes, places: Sequence[Placement], images: Images, slot: Slot
-) -> tuple[records.TexturedSurface, list[str]]:
-    """Return all triangles of a file and the images that one slot shows on them, with notices for the user."""
+) -> records.TexturedSurface:
+    """Return all triangles of a file and the images that one slot shows on them."""
     collected = _SurfaceParts(root, images, slot)
     for mesh, placement in zip(meshes, places, strict=True):
         for primitive in mesh:
@@ -36,7 +36,7 @@ def read_textured_surface(
     groups = collected.groups.values()
     if not any(part.material.maps for group in groups for part in group):
         raise no_texture(slot, root.name, (), is_bare=collected.counts["bare"] > 0)
-    surface, notices = textured_surface(make_scene(root.name, groups, collected.materials), slot)
+    surface = textured_surface(make_scene(root.name, groups, collected.materials), slot)
     # Triangles of different spaces or looks do not meet.
     spaces = [(space, look) for _, _, space, look in collected.groups]
     number_of = {space: number for number, space in enumerate(dict.fromkeys(spaces))}
@@ -49,7 +49,7 @@ def read_textured_surface(
         "bare": f"{{}} primitive(s) have no texture coordinates for their {slot} texture.",
     }
     counted = [sentence.format(n) for key, sentence in sentences.items() if (n := collected.counts[key])]
-    return surface, [*notices, *collected.missing, *counted]
+    return dataclasses.replace(surface, notices=(*surface.notices, *collected.missing, *counted))
 
 
 class _SurfaceParts:

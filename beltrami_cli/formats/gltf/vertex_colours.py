@@ -112,8 +112,7 @@ class ColouredBlocks:
         self._counts["plain"] += accessor.component.kind == "u" and not accessor.normalised
         return accessor
 
-    def notices(self) -> list[str]:
-        """Return notices about omitted primitives."""
+    def _notices(self) -> tuple[str, ...]:
         sentences = {
             "uncoloured": "{} primitive(s) without COLOR_0 are left as they are.",
             "elsewhere": "{} primitive(s) reuse colours with other positions; the colours are smoothed where "
@@ -123,7 +122,7 @@ class ColouredBlocks:
             "plain": "{} primitive(s) store integer colours that are not marked as normalised; they are read as if "
             "they were.",
         }
-        return [sentence.format(n) for key, sentence in sentences.items() if (n := self._counts[key])]
+        return tuple(sentence.format(n) for key, sentence in sentences.items() if (n := self._counts[key]))
 
     @cached_property
     def stored_colours(self) -> list[Stored]:
@@ -143,6 +142,7 @@ class ColouredBlocks:
             encoding="linear",
             stored=next(kind for kind in _COLOUR_TYPES if kind in types),
             space_of=spaces if np.any(spaces != spaces[0]) else None,
+            notices=self._notices(),
         )
 
     def opacity(self) -> Float32s | None:

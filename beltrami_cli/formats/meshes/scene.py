@@ -50,6 +50,7 @@ class Scene:
     has_factors: bool = False
     names: Mapping[str, str] = field(default_factory=dict)  # of images that are not files, by path
     is_v_up: bool = True
+    notices: tuple[str, ...] = ()  # as in `ColouredVertices`
 
     def name_of(self, path: str) -> str:
         """Return the name of an image for messages."""

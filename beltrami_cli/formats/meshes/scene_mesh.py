@@ -63,6 +63,7 @@ def textured_mesh(
         group_of=np.broadcast_to(groups[1], len(scene.offsets) - 1).astype(np.int32),
         corner_normals=corner_normals,
         source=PurePath(scene.name).stem,
+        notices=scene.notices,
     )
     return _with_material_per_tile(mesh.polygons(kept))
 

@@ -17,6 +17,7 @@ from beltrami_cli.surface.tiling import Tile
 
 # Bytes from which on an image is read each time it is needed, since all images of a model may not fit into memory.
 _LARGE = 1 << 20
+_BARE_NOTICE = "{} triangles of textured materials have no texture coordinates."
 
 
 def no_texture(
@@ -34,10 +35,8 @@ def no_texture(
     return NoColoursError(name, f"{cause}, because {why.cause}", why.remedy)
 
 
-def textured_surface(
-    scene: Scene, slot: Slot, undefined: Obstacle | None = None
-) -> tuple[TexturedSurface, list[str]]:
-    """Return all triangles with the images of one slot, and notices; `undefined`: why a material is unknown."""
+def textured_surface(scene: Scene, slot: Slot, undefined: Obstacle | None = None) -> TexturedSurface:
+    """Return all triangles with the images of one slot; `undefined`: why a material is unknown."""
     cut, polygon = triangulate_corners(scene.positions, scene.corners, scene.offsets)
     is_whole = scene.is_whole[polygon]
     if not is_whole.all():
@@ -51,12 +50,15 @@ def textured_surface(
         raise no_texture(slot, scene.name, shown.missing, is_bare=is_bare, why=undefined)
     texture_of[bare] = set_of[bare] = -1
     uv[bare | ~is_textured] = 0
-    textures = tuple(shown.textures.values())
-    surface = TexturedSurface(scene.positions, scene.corners[cut], uv, texture_of, textures)
-    if shown.sets:
-        surface = tiling.on_tiles(surface, set_of, shown.sets, scene.name)
-    bare_notice = f"{lost} triangles of textured materials have no texture coordinates."
-    return surface, shown.notices() + ([bare_notice] if lost else [])
+    surface = TexturedSurface(
+        positions=scene.positions,
+        faces=scene.corners[cut],
+        uv=uv,
+        texture_of=texture_of,
+        textures=tuple(shown.textures.values()),
+        notices=(*scene.notices, *shown.notices(), *([_BARE_NOTICE.format(lost)] if lost else [])),
+    )
+    return tiling.on_tiles(surface, set_of, shown.sets, scene.name) if shown.sets else surface
 
 
 class _SlotImages:

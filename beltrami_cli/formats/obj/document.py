@@ -14,7 +14,7 @@ import numpy as np
 from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, NoColoursError, Obstacle
 from beltrami_cli.formats.changes import Changes, Naming, PlannedImages, Written
-from beltrami_cli.formats.colours import full_scale, opacity
+from beltrami_cli.formats.colours import BYTE, full_scale, opacity
 from beltrami_cli.formats.comparison import Fingerprint, labelled
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.files.edits import (
@@ -61,11 +61,22 @@ class ObjDocument(Document):
             raise InputError(self.name, "it is text in UTF-16", "save it as UTF-8")
         self._folder = ModelFolder(folder, self.access)
 
+    @property
+    def notices(self) -> tuple[str, ...]:
+        return (*self._scan.notices, *self._materials.notices)
+
+    @property
+    def obstacles(self) -> tuple[Obstacle, ...]:
+        return tuple(self._materials.obstacles)
+
     @cached_property
     def _mesh(self) -> MeshContents:
         colours, vertices = self._colours, self._scan.vertices
-        positions = vertices.positions[vertices.coloured]
-        return MeshContents(positions, *self._polygons, colours, "srgb", self._stored)
+        notices = () if self._scan.polypaint is not None else (vertices.notice, self._full_scale[1])
+        return MeshContents(
+            vertices.positions[vertices.coloured], *self._polygons, colours, "srgb", self._stored,
+            notices=tuple(filter(None, notices)),
+        )  # fmt: skip
 
     @property
     def _stored(self) -> str:
@@ -196,8 +207,6 @@ class ObjDocument(Document):
                 coordinates = read_coordinates(statements, materials)
             except InputError as error:
                 coordinates = error
-        self.notices += [*scan.notices, *materials.notices]
-        self.obstacles += materials.obstacles
         return _Read(scan, materials, coordinates)
 
     @property
@@ -219,18 +228,19 @@ class ObjDocument(Document):
     def _colours(self) -> Float32s:
         return (self._scan.vertices.colours / self._scale).astype(np.float32)
 
-    @cached_property
+    @property
     def _scale(self) -> float:
+        return self._full_scale[0]
+
+    @cached_property
+    def _full_scale(self) -> tuple[float, str]:
+        """The number that is full scale, and a notice if it is a guess, or ""."""
         vertices = self._scan.vertices
         if not vertices.coloured.size:
             cause = "there are no vertex colours on its 'v' lines"
             cause += ", only materials" if self._scan.libraries else ""
             raise NoColoursError(self.name, cause, "export the mesh with vertex colours (v x y z r g b)")
-        if self._scan.polypaint is not None:
-            return 255.0
-        scale, notice = full_scale(vertices.colours, self.name)
-        self.notices += [sentence for sentence in (vertices.notice, notice) if sentence]
-        return scale
+        return (BYTE, "") if self._scan.polypaint is not None else full_scale(vertices.colours, self.name)
 
     @cached_property
     def _coordinates(self) -> Coordinates:

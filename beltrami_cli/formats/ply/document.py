@@ -37,6 +37,7 @@ from beltrami_cli.surface.polygons import dual, polygons_of
 from beltrami_cli.surface.precision import require_single
 from beltrami_cli.surface.records import MeshContents, MovedVertices, Slot
 
+_CENTRES = "Its faces have the colours; each is a sample at the centre of its face."
 _MEANS = "Vertices get the mean of the colours of their faces."
 
 
@@ -50,15 +51,26 @@ class PlyDocument(Document):
         self._header = read_header(self.data, self.name)
         require_no_splats(self._header, self.name)
 
+    @property
+    def notices(self) -> tuple[str, ...]:
+        return tuple(comment.notice for comment in self._images if comment.notice)
+
+    @property
+    def obstacles(self) -> tuple[Obstacle, ...]:
+        return tuple(comment.obstacle for comment in self._images if comment.obstacle)
+
     @cached_property
     def _mesh(self) -> MeshContents:
         corners, offsets = self._polygons
-        positions = self._positions if len(corners) else self._measured
+        positions, notices = self._positions if len(corners) else self._measured, list[str]()
         if self._has_face_colours:
             positions, corners = dual(positions, *self._coloured_faces)
             offsets, corners = 3 * np.arange(len(corners) + 1), corners.ravel()
-            self.notices.append("Its faces have the colours; each is a sample at the centre of its face.")
-        return MeshContents(positions, corners, offsets, self._colours.values, "srgb", self._stored)
+            notices.append(_CENTRES)
+        notices += [self._colours.notice] if self._colours.notice else []
+        return MeshContents(
+            positions, corners, offsets, self._colours.values, "srgb", self._stored, notices=tuple(notices)
+        )
 
     @property
     def _stored(self) -> str:
@@ -86,14 +98,12 @@ class PlyDocument(Document):
         return ("baseColor",) if has_textures else ()
 
     def _undefined(self) -> Obstacle:
-        return next((each.obstacle for each in self._images if each.obstacle), Obstacle("no face shows one"))
+        return next(iter(self.obstacles), Obstacle("no face shows one"))
 
     @cached_property
     def _scene(self) -> Scene:
         mesh = self._positions, *self._polygons
-        scene, notices = texturing.read_scene(mesh, self._tables, self._images, self._folder, self.name)
-        self.notices += notices
-        return scene
+        return texturing.read_scene(mesh, self._tables, self._images, self._folder, self.name)
 
     def _patched(self, new: Changes, naming: Naming) -> Written:
         sidecars, spans = texturing.renamed_images(self._images, new.images, self.name, naming)
@@ -169,12 +179,12 @@ class PlyDocument(Document):
             alpha=self._alpha(),
             normals=self._normals(),
             left_out=_omitted(self._header, self._converted, of_faces),
+            notices=(*self._mesh.notices, *([_MEANS] if self._has_face_colours else [])),
         )
 
     def colours_at_vertices(self, colours: Float32s) -> Float32s:
         if not self._has_face_colours:
             return colours
-        self.notices += [_MEANS] if _MEANS not in self.notices else []
         corners, offsets = self._coloured_faces
         shown = colours[polygons_of(offsets)]
         polygons = ColouredPolygons(self._positions, corners.astype(np.int64), offsets, shown, self._stored)
@@ -227,10 +237,7 @@ class PlyDocument(Document):
 
     @cached_property
     def _images(self) -> list[texturing.TextureComment]:
-        comments = texturing.read_comments(self.data[: self._header.end], self._folder)
-        self.notices += [comment.notice for comment in comments if comment.notice]
-        self.obstacles += [comment.obstacle for comment in comments if comment.obstacle]
-        return comments
+        return texturing.read_comments(self.data[: self._header.end], self._folder)
 
     @cached_property
     def _vertices(self) -> Table:
@@ -267,9 +274,7 @@ class PlyDocument(Document):
 
     @cached_property
     def _colours(self) -> Colours:
-        colours = read_colours(self._coloured, self._properties)
-        self.notices += [colours.notice] if colours.notice else []
-        return colours
+        return read_colours(self._coloured, self._properties)
 
     @cached_property
     def _positions(self) -> Float64s:

@@ -92,8 +92,8 @@ def read_scene(
     comments: Sequence[TextureComment],
     folder: model_folder.ModelFolder,
     name: str,
-) -> tuple[Scene, list[str]]:
-    """Return the polygons with a material for each image, named after it, and one without; and notices."""
+) -> Scene:
+    """Return the polygons with a material for each image, named after it, and one without."""
     positions, corners, offsets = mesh
     properties = find_coordinates(tables)
     if not comments or not properties:
@@ -110,7 +110,7 @@ def read_scene(
         {"baseColor": ShownMap(each.name, each.path)} if each.path else {} for each in comments
     ]
     names = [*(PurePosixPath(each.path or "").stem for each in comments), "untextured"]
-    scene = Scene(
+    return Scene(
         name=name,
         positions=positions,
         corners=corners,
@@ -121,8 +121,8 @@ def read_scene(
         uv=lambda _: uv,
         tiles={},
         read=folder.content,
+        notices=(*notices,),
     )
-    return scene, notices
 
 
 def _numbers(

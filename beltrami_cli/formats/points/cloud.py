@@ -27,6 +27,9 @@ from beltrami_cli.surface.records import MeshContents
 
 # Bytes of each number at a time, three times as a double: as stored, in double precision, and in working units.
 _NUMBER_BYTES = 3 * 8
+
+_IGNORED = "{} of {} points have no finite position and are ignored."
+
 Key = TypeVar("Key")  # by which a document finds a table of its points: a name, or numbers of columns
 
 
@@ -68,7 +71,17 @@ class PointsDocument(Document, Generic[Key]):
     def _mesh(self) -> MeshContents:
         positions, faces = self._positions[self._measured], self._faces
         corners, offsets = faces.ravel(), 3 * np.arange(len(faces) + 1)
-        return MeshContents(positions, corners, offsets, self._colours, "srgb", self._type)
+        ignored = self._layout.count - len(positions)
+        notices = (_IGNORED.format(ignored, self._layout.count) if ignored else "", self._full_scale[1])
+        return MeshContents(
+            positions,
+            corners,
+            offsets,
+            self._colours,
+            "srgb",
+            self._type,
+            notices=tuple(filter(None, notices)),
+        )
 
     @property
     def _type(self) -> str:
@@ -142,8 +155,6 @@ class PointsDocument(Document, Generic[Key]):
         if count and (not finite.any() or self._layout.faces):
             cause = f"{count} of {len(finite)} positions are not finite"
             raise InputError(self.name, cause, "replace or remove them")
-        if count:
-            self.notices.append(f"{count} of {len(finite)} points have no finite position and are ignored.")
         return np.flatnonzero(finite)
 
     @property
@@ -161,17 +172,19 @@ class PointsDocument(Document, Generic[Key]):
         require_single(numbers, self.name, "the colour of point", self._measured)
         return numbers
 
-    @cached_property
+    @property
     def _scale(self) -> float:
+        return self._full_scale[0]
+
+    @cached_property
+    def _full_scale(self) -> tuple[float, str]:
+        """The number that is full scale, and a notice if it is a guess, or ""."""
         numbers, kind = self._numbers, self._stored.dtype
         if self._layout.is_intensity:
-            scale, notice = intensity_scale(numbers)
-        elif kind in (np.uint8, np.uint16):
-            scale, notice = integer_scale(int(self._stored.max()), kind)  # of opacity, too
-        else:
-            scale, notice = point_colour_scale(numbers, self.name)
-        self.notices += [notice] if notice else []
-        return scale
+            return intensity_scale(numbers)
+        if kind in (np.uint8, np.uint16):
+            return integer_scale(int(self._stored.max()), kind)  # of opacity, too
+        return point_colour_scale(numbers, self.name)
 
     @cached_property
     def _colours(self) -> Float32s:

@@ -83,9 +83,11 @@ class TextPointsDocument(PointsDocument[tuple[int, ...]]):
     @cached_property
     def _columns(self) -> Columns:
         table = self._table
-        columns = find_columns(table.names, table.values, self.name, is_pts=bool(table.counts))
-        self.notices += [columns.notice] if columns.notice else []
-        return columns
+        return find_columns(table.names, table.values, self.name, is_pts=bool(table.counts))
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        return (self._columns.notice,) if self._columns.notice else ()
 
     @cached_property
     def _layout(self) -> Layout[tuple[int, ...]]:

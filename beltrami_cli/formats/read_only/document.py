@@ -55,15 +55,17 @@ class ReadOnlyDocument(Document):
         assert kind is not None
         self.format = kind
 
+    @property
+    def notices(self) -> tuple[str, ...]:
+        return (_READ_ONLY.format(self.format.upper()),)
+
     @cached_property
     def _mesh(self) -> MeshContents:
         found = _READERS[self.format](self.data, self.name, self.access)
         check_polygons(found, self.name)
-        self.notices.append(_READ_ONLY.format(self.format.upper()))
         if len(found.positions) == len(found.corners):  # every polygon has vertices of its own
             found = joined(found)
         colours, notices = colours_of_vertices(found)
-        self.notices += notices
         opacity = colours[:, 3] if colours.shape[1] == 4 else None
         if opacity is not None and (np.isnan(opacity).any() or (opacity == 1).all()):
             opacity = None
@@ -77,6 +79,7 @@ class ReadOnlyDocument(Document):
             alpha=None if opacity is None else np.clip(opacity, 0, 1),
             left_out=found.left_out,
             frame=found.frame,
+            notices=tuple(notices),
         )
 
     def _patched(self, new: Changes, naming: Naming) -> Written:

@@ -54,16 +54,30 @@ class UsdDocument(Document):
         self.forms = ("usdz",) if is_package else ("usd", "usda", "usdc")
 
     @cached_property
-    def _read(self) -> tuple[SceneContents, dict[str, Array]]:
+    def _read(self) -> tuple[SceneContents, dict[str, Array], list[Obstacle]]:
+        """The scene, and layers that it lacks."""
         contents, arrays = self._layers.scene()
-        for path, (cause, remedy) in self._layers.obstacles.items():
-            self.obstacles.append(Obstacle(f"'{path}' {cause}", remedy))
-            self.notices.append(f"'{path}' {cause}{IGNORED}")
-        for key, cause in _COUNTS.items():
-            if number := contents.counts.get(key):
-                self.obstacles.append(Obstacle(cause.format(number), _REMEDIES.get(key, "")))
-                self.notices.append(f"{cause.format(number)}.")
-        return contents, arrays
+        unread = [
+            Obstacle(f"'{path}' {cause}", remedy) for path, (cause, remedy) in self._layers.obstacles.items()
+        ]
+        return contents, arrays, unread
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        unread = (f"{each.cause}{IGNORED}" for each in self._read[2])
+        return (*unread, *(f"{each.cause}." for each in self._uncoloured_parts()))
+
+    @property
+    def obstacles(self) -> tuple[Obstacle, ...]:
+        return (*self._read[2], *self._uncoloured_parts())
+
+    def _uncoloured_parts(self) -> list[Obstacle]:
+        counts = self._contents.counts
+        return [
+            Obstacle(cause.format(number), _REMEDIES.get(key, ""))
+            for key, cause in _COUNTS.items()
+            if (number := counts.get(key))
+        ]
 
     @property
     def _contents(self) -> SceneContents:
