@@ -326,24 +326,6 @@ def test_ply_with_several_images_keeps_which_face_shows_which(tmp_path):
         assert not any("comments" in line for line in said)
 
 
-@pytest.mark.parametrize("form", ["obj", "glb"])
-def test_factors_of_materials_beyond_their_range_are_clipped(form, tmp_path):
-    files = FILES | {"m.mtl": MTL.replace("d 0.5", "d 0.5\nPm 5\nPr -1")}
-    source = write(tmp_path / "in", files) / "model.obj"
-    if form == "glb":
-        model = Textured()
-        material = model.material(baseColor=model.texture(model.image(IMAGES["skin"])))
-        numbers = {"metallicFactor": 5, "roughnessFactor": -1}
-        model.tree["materials"][material]["pbrMetallicRoughness"] |= numbers
-        model.triangles(np.eye(3, dtype="f4"), np.eye(3, 2, dtype="f4"), material)
-        source = model.written_to(tmp_path)
-    found = [
-        (each.metalness, each.roughness) for each in open_document(str(source)).textured_mesh().materials
-    ]
-    assert (1.0, 0.0) in found
-    assert all(0 <= factor <= 1 for factors in found for factor in factors)
-
-
 def test_every_place_where_a_gltf_mesh_is_shown_is_in_the_obj(tmp_path):
     model = Textured()
     place = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "f4")

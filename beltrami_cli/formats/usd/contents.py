@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple, TypedDict
+from dataclasses import dataclass
+from typing import Any, Literal, TypedDict
 
-from beltrami_cli.formats.colours import display_colour, emission_and_strength
-from beltrami_cli.surface.records import AlphaMode, Material, Slot, Wrap
+from beltrami_cli.formats.usd.preview_surface import MaterialInputs
+from beltrami_cli.surface.records import Slot, Wrap
 
 Count = Literal[
     "animated", "bare", "flat", "further", "hidden", "instanced", "no mesh", "transparent", "uncoloured", "unfit",
@@ -39,23 +39,6 @@ class EditRequest(SceneRequest):
     suffix: str  # of the form in which the layer is wanted; "": its own
 
 
-class SurfaceInput(NamedTuple):
-    """An input of a UsdPreviewSurface that images have values for."""
-
-    name: str
-    type: str
-    channel: str  # of the image
-
-
-INPUTS: dict[Slot, tuple[SurfaceInput, ...]] = {
-    "baseColor": (SurfaceInput("diffuseColor", "color3f", "rgb"),),
-    "emissive": (SurfaceInput("emissiveColor", "color3f", "rgb"),),
-    "normal": (SurfaceInput("normal", "normal3f", "rgb"),),
-    "occlusion": (SurfaceInput("occlusion", "float", "r"),),
-    "metallicRoughness": (SurfaceInput("roughness", "float", "g"), SurfaceInput("metallic", "float", "b")),
-}
-
-
 @dataclass(frozen=True)
 class TextureUse:
     """An image that a material shows in a slot."""
@@ -79,36 +62,6 @@ class ColourBlock:
     @property
     def rows(self) -> slice:
         return slice(self.first, self.first + self.count)
-
-
-@dataclass
-class MaterialInputs:
-    """A material without its images."""
-
-    name: str
-    values: dict[str, Any] = field(default_factory=dict)  # by input of a UsdPreviewSurface
-    has_alpha: bool = False  # whether the base colour image is the opacity, too
-    lost: list[str] = field(default_factory=list)  # what other formats cannot hold
-    is_unread: bool = False  # neither a UsdPreviewSurface nor a MaterialX surface with an image
-
-    def material(self) -> Material:
-        """Return the material of other formats; USD stores colours as linear light."""
-        values = self.values
-        opacity, cutoff = values.get("opacity", 1.0), values.get("opacityThreshold", 0.0)
-        seen_through = self.has_alpha or opacity < 1
-        alpha: AlphaMode = "mask" if seen_through and cutoff > 0 else "blend" if seen_through else "opaque"
-        emission, strength = emission_and_strength(values.get("emissiveColor", [0.0] * 3))
-        return Material(
-            name=self.name,
-            colour=display_colour(values.get("diffuseColor", [0.18] * 3)),
-            emission=display_colour(emission),
-            emission_strength=strength,
-            opacity=opacity,
-            metalness=values.get("metallic", 0.0),
-            roughness=values.get("roughness", 0.5),
-            alpha=alpha,
-            cutoff=cutoff if alpha == "mask" else Material.cutoff,
-        )
 
 
 @dataclass(frozen=True)

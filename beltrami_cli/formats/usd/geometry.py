@@ -10,8 +10,10 @@ import numpy as np
 from pxr import Usd, UsdGeom, UsdShade
 
 from beltrami_cli.arrays import Array, Bools, Float64s, Int64s
-from beltrami_cli.formats.usd.contents import INPUTS, ColourBlock, Count, MaterialInputs
-from beltrami_cli.formats.usd.materials import AS_STORED, ShownImage, UvMapping, read_material
+from beltrami_cli.formats.usd.contents import ColourBlock, Count
+from beltrami_cli.formats.usd.materials import read_material
+from beltrami_cli.formats.usd.preview_surface import SURFACE_SLOTS, MaterialInputs
+from beltrami_cli.formats.usd.shown_images import AS_STORED, ShownImage, UvMapping
 from beltrami_cli.surface.records import Slot
 
 _SMOOTH = ("vertex", "varying")
@@ -98,7 +100,7 @@ class Geometry:
         """Return the texture coordinates of corners in every slot, and the usual ones."""
         plain, bare = _coordinates(prim, AS_STORED, polygons), np.full((len(polygons.vertex), 2), np.nan)
         arrays: dict[str, Array] = {"uv": bare if plain is None else plain}
-        for slot in INPUTS:
+        for slot in SURFACE_SLOTS:
             uv = arrays[f"uv {slot}"] = bare.copy()
             for number in np.unique(materials[materials >= 0]).tolist():
                 shown = self.images[number].get(slot)

@@ -1,10 +1,6 @@
 """Write a mesh as a new USD layer or package, with vertex colours or with materials and their textures.
 
 The layer is written as text, and turned into the binary form by usd-core.
-
-References
-----------
-.. [1] "UsdPreviewSurface specification", version 2.6. https://openusd.org/release/spec_usdpreviewsurface.html
 """
 
 from __future__ import annotations
@@ -18,7 +14,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Int32s
 from beltrami_cli.formats.changes import Written
-from beltrami_cli.formats.colours import linear_colour, linear_colours
+from beltrami_cli.formats.colours import linear_colours
 from beltrami_cli.formats.meshes.mesh_contents import (
     image_names,
     material_names,
@@ -26,13 +22,13 @@ from beltrami_cli.formats.meshes.mesh_contents import (
     not_converted,
     plain_name,
 )
-from beltrami_cli.formats.usd.contents import INPUTS
 from beltrami_cli.formats.usd.layers import binary_layer
 from beltrami_cli.formats.usd.package import packed
+from beltrami_cli.formats.usd.preview_surface import SURFACE_SLOTS, SurfaceSlot, values_of
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.large_arrays import blocks
 from beltrami_cli.surface.precision import shortest_type
-from beltrami_cli.surface.records import Frame, Material, MeshContents, MeshImage, Slot
+from beltrami_cli.surface.records import Frame, Material, MeshContents, MeshImage
 
 _BLOCK = 1 << 16  # rows written at a time
 _UNFIT = re.compile(r"\W", re.ASCII)
@@ -131,35 +127,30 @@ def _subsets(material_of: Int32s, names: list[str], root: str) -> Iterator[bytes
 
 
 def _material(name: str, material: Material, file_of: dict[MeshImage, str], path: str) -> str:
-    """Return the lines of a material with a UsdPreviewSurface, whose colours are linear light."""
-    colour = linear_colour(material.colour)
-    emission = [material.emission_strength * channel for channel in linear_colour(material.emission)]
+    """Return the lines of a material with a UsdPreviewSurface."""
+    values = values_of(material)
     inputs = {
-        "diffuseColor": f"color3f inputs:diffuseColor = {_row(colour)}",
-        "emissiveColor": f"color3f inputs:emissiveColor = {_row(emission)}",
-        "roughness": f"float inputs:roughness = {material.roughness:.6g}",
-        "metallic": f"float inputs:metallic = {material.metalness:.6g}",
-        "opacity": f"float inputs:opacity = {material.opacity:.6g}",
-    }
-    if material.alpha == "mask":
-        inputs["opacityThreshold"] = f"float inputs:opacityThreshold = {material.cutoff:.6g}"
-    # By slot: factors of the channels of its image.
-    scales: dict[Slot, tuple[float, ...]] = {
-        "baseColor": (*colour, material.opacity),
-        "emissive": (*emission, 1),
-        "normal": (2, 2, 2, 1),
-        "metallicRoughness": (1, material.roughness, material.metalness, 1),
-    }
+        target: f"color3f inputs:{target} = {_row(value)}" if isinstance(value, list)
+        else f"float inputs:{target} = {value:.6g}"
+        for target, value in values.items()
+    }  # fmt: skip
     shaders = []
     for slot, shown in material.maps.items():
-        outputs = {each.channel for each in INPUTS[slot]}
-        for target, kind, channel in INPUTS[slot]:
+        described, alpha = SURFACE_SLOTS[slot], 1.0
+        outputs = {each.channel for each in described.inputs}
+        for target, kind, channel in described.inputs:
             inputs[target] = f"{kind} inputs:{target}.connect = <{path}/{slot}.outputs:{channel}>"
-        if slot == "baseColor" and material.alpha != "opaque":
-            outputs.add("a")
-            inputs["opacity"] = f"float inputs:opacity.connect = <{path}/baseColor.outputs:a>"
-        scale = scales.get(slot, _UNSCALED)
-        shaders.append(_texture(slot, file_of[shown.image], shown.wrap, scale, sorted(outputs), path))
+        if slot == "baseColor":
+            alpha = material.opacity
+            if material.alpha != "opaque":
+                outputs.add("a")
+                inputs["opacity"] = f"float inputs:opacity.connect = <{path}/baseColor.outputs:a>"
+        lines = [
+            *_texture(file_of[shown.image], shown.wrap, described, path),
+            *_scale_and_bias((*described.scale(values), alpha), described.bias),
+            *(f"{_TYPES[output]} outputs:{output}" for output in sorted(outputs)),
+        ]
+        shaders.append(_shader(slot, lines))
     lines = ['uniform token info:id = "UsdPreviewSurface"', *inputs.values(), "token outputs:surface"]
     reader = ['uniform token info:id = "UsdPrimvarReader_float2"', 'string inputs:varname = "st"']
     shaders = [_shader("surface", lines), _shader("st", [*reader, "float2 outputs:result"]), *shaders]
@@ -167,22 +158,20 @@ def _material(name: str, material: Material, file_of: dict[MeshImage, str], path
     return f'    def Material "{name}"\n    {{\n{surface}{"".join(shaders)}    }}\n'
 
 
-def _texture(
-    slot: Slot, file: str, wrap: tuple[str, str], scale: tuple[float, ...], outputs: list[str], path: str
-) -> str:
-    space = "sRGB" if slot in ("baseColor", "emissive") else "raw"
-    lines = [
+def _texture(file: str, wrap: tuple[str, str], slot: SurfaceSlot, path: str) -> list[str]:
+    return [
         'uniform token info:id = "UsdUVTexture"',
         f"asset inputs:file = @./{file}@",
         f"float2 inputs:st.connect = <{path}/st.outputs:result>",
         f'token inputs:wrapS = "{wrap[0]}"',
         f'token inputs:wrapT = "{wrap[1]}"',
-        f'token inputs:sourceColorSpace = "{space}"',
+        f'token inputs:sourceColorSpace = "{"sRGB" if slot.is_colour else "raw"}"',
     ]
-    lines += [f"float4 inputs:scale = {_row(scale)}"] if scale != _UNSCALED else []
-    lines += ["float4 inputs:bias = (-1, -1, -1, 0)"] if slot == "normal" else []
-    lines += [f"{_TYPES[output]} outputs:{output}" for output in outputs]
-    return _shader(slot, lines)
+
+
+def _scale_and_bias(scale: tuple[float, ...], bias: int) -> list[str]:
+    lines = [f"float4 inputs:scale = {_row(scale)}"] if scale != _UNSCALED else []
+    return lines + ([f"float4 inputs:bias = {_row((bias,) * 3 + (0,))}"] if bias else [])
 
 
 def _shader(name: str, lines: Sequence[str]) -> str:
