@@ -4,26 +4,30 @@ Shapes have edges of about one unit. Errors are distances from the true surface,
 "plain" is the kernel without normals in the metric (``--normal-beta 0``).
 """
 
+from collections.abc import Iterator
+from typing import Any
+
 import numpy as np
 
 import beltrami_cli
-from harness import arguments, rms, show
+from beltrami_cli.arrays import Array
+from harness import Row, arguments, rms, show
 from oracles import surfaces
 
 SIGMAS = (0.1, 0.2, 0.3)  # edge lengths
 SIDE = 40  # edge lengths of the cube
 
 
-def results(positions, faces, sigma):
+def results(positions: Array, faces: Array, sigma: float) -> Iterator[tuple[str, Any]]:
     """Yield names and positions: noisy ones, and those after smoothing with and without normals in the metric."""
     noisy = positions + np.random.default_rng(3).normal(0, sigma, positions.shape)
-    parameters = {"colours": np.full((len(noisy), 1), 0.5), "smooth_geometry": True}
+    parameters: dict[str, Any] = {"colours": np.full((len(noisy), 1), 0.5), "smooth_geometry": True}
     yield "noisy", noisy
     yield "smoothed", beltrami_cli.smooth(noisy, faces, **parameters).positions
     yield "plain", beltrami_cli.smooth(noisy, faces, **parameters, normal_beta=0).positions
 
 
-def cube_rows(sigma):
+def cube_rows(sigma: float) -> Iterator[Row]:
     cube, faces = surfaces.cube(SIDE)
     from_crease = np.sort(np.minimum(cube, SIDE - cube), axis=1)[:, 1]
     for name, positions in results(cube, faces, sigma):
@@ -32,7 +36,7 @@ def cube_rows(sigma):
         yield f"cube, noise {sigma}", name, f"{flat:.3f}", f"{crease:.3f}", ""
 
 
-def sphere_rows(sigma):
+def sphere_rows(sigma: float) -> Iterator[Row]:
     positions, faces = surfaces.icosphere(5)
     positions = positions / surfaces.mean_edge_length(positions, faces)
     radius = np.linalg.norm(positions[0])
@@ -42,7 +46,7 @@ def sphere_rows(sigma):
         yield f"sphere of radius {radius:.0f}, noise {sigma}", name, f"{rms(radii - radius):.3f}", "", change
 
 
-def main():
+def main() -> None:
     options = arguments(__doc__)
     rows = [row for judge in (cube_rows, sphere_rows) for sigma in SIGMAS for row in judge(sigma)]
     show(rows, options, ("shape", "", "error in smooth parts", "at creases", "change of radius"))

@@ -7,17 +7,16 @@ since other charts have no common exposure. The last columns are the change of t
 processor time of the fit in seconds.
 """
 
-from __future__ import annotations
-
 import time
 
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from beltrami_cli.arrays import Array
 from beltrami_cli.flow.manifolds.grid.canvas import on_canvas
 from beltrami_cli.levelling.steps import ChartPlaces, steps_over_seams
-from harness import SAMPLES, arguments, show
+from harness import SAMPLES, Row, arguments, show
 from levelling.exposure_scene import ExposureScene, fall
 
 NAMES = ("head-tex-clean.glb", "head-tex-noisy.glb", "torus-two-clean.gltf", "sphere-exr-clean.obj", "scan-clean.glb",
@@ -28,14 +27,14 @@ SEEDS = 1, 2
 MAX_STEP, MIN_SAMPLES = 6 / 255, 16
 
 
-def main():
+def main() -> None:
     options = arguments(__doc__, "models")
     models = options.models or [SAMPLES / name for name in NAMES]
     rows = [(path.name, *judge(ExposureScene.of(path))) for path in models]
     show(rows, options, ("model", *KINDS, "as it is", "seconds"))
 
 
-def judge(scene):
+def judge(scene: ExposureScene) -> Row:
     """Return the decrease of the error for each kind of exposures, the change without any, and the time."""
     groups, cells, spent = joined(scene), [], []
     for kind in KINDS.values():
@@ -51,7 +50,7 @@ def judge(scene):
     return *cells, 255 * float(np.abs(same - scene.truth.astype(np.float32)).mean()), max(spent)
 
 
-def joined(scene):
+def joined(scene: ExposureScene) -> Array:
     """Return the group of each texel; charts that are joined by seams without steps form a group."""
     atlas = scene.samples.atlas
     colours = on_canvas(atlas, scene.truth.astype(np.float32))

@@ -2,14 +2,15 @@
 
 The PNG and JPEG files of the folders must not have outliers. For several values of the constants, the table has the
 number of files in which outliers are found. It also has the shares of missed outliers and of wrongly replaced pixels if
-0.5, 2 and 10 % of the pixels of the four most colourful pictures are made black and white, or red, with and without
+0.5, 2 and 10 % of the pixels of the four most colourful images are made black and white, or red, with and without
 noise of 10/255.
 """
 
-from __future__ import annotations
+import sys
 
 import numpy as np
 
+from beltrami_cli.arrays import Array
 from beltrami_cli.flow.corrections import outliers
 from beltrami_cli.flow.manifolds.grid.surroundings import CanvasSurroundings
 from beltrami_cli.flow.parameters import KernelParameters
@@ -20,13 +21,13 @@ from harness import arguments, show
 
 LARGEST = 512  # pixels per side that are judged
 PHOTOGRAPHS = 4  # the most colourful ones take impulses
-TRIED = {
+TRIED: dict[str, list[float]] = {
     "_MIN_DEVIATIONS": [2.5, 4, 5], "_MIN_SHARE_OF_RANGE": [0.07, 0.15], "_WEAK_LIMIT": [0.2, 0.5],
     "_SAME_VALUE": [0.03, 0.12], "_MIN_CLUMPS": [10, 30], "_MAJORITY": [0.5, 0.8],
 }  # fmt: skip
 
 
-def found_in(image: np.ndarray) -> np.ndarray:
+def found_in(image: Array) -> Array:
     """Return the mask of outliers that are found in an image, shape (H, W, N)."""
     atlas = grid_atlas(image.shape[:2], 2, None, np.ones(image.shape[:2], bool))
     planes = np.zeros((image.shape[2], *atlas.kind.shape), np.float32)
@@ -38,8 +39,7 @@ def found_in(image: np.ndarray) -> np.ndarray:
     return wrong.reshape(image.shape[:2])
 
 
-def with_impulses(clean: list[np.ndarray]) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return pictures with impulses, and the masks of these."""
+def with_impulses(clean: list[Array]) -> list[tuple[Array, Array]]:
     rng, made = np.random.default_rng(0), []
     for image in clean:
         for share in (0.005, 0.02, 0.1):
@@ -53,8 +53,8 @@ def with_impulses(clean: list[np.ndarray]) -> list[tuple[np.ndarray, np.ndarray]
     return made
 
 
-def judge(clean: list[np.ndarray], spoiled: list[tuple[np.ndarray, np.ndarray]]) -> tuple[str, str, str]:
-    """Return the number of clean pictures that change, and the missed and wrongly replaced pixels per impulse."""
+def judge(clean: list[Array], spoiled: list[tuple[Array, Array]]) -> tuple[str, str, str]:
+    """Return the number of clean images that change, and the missed and wrongly replaced pixels per impulse."""
     harmed = sum(bool(found_in(image).any()) for image in clean)
     missed = false = every = 0
     for image, where in spoiled:
@@ -66,11 +66,13 @@ def judge(clean: list[np.ndarray], spoiled: list[tuple[np.ndarray, np.ndarray]])
 
 
 def main() -> None:
-    options = arguments(__doc__, "folders")
+    options = arguments(__doc__, "folders", required=True)
     paths = sorted(path for folder in options.folders for path in folder.rglob("*.[jp][pn]g"))
-    pictures = [read_image(path.read_bytes(), path.name) for path in paths]
-    clean = [full_scale_one(each.pixels[:LARGEST, :LARGEST, list(each.colour)]) for each in pictures]
+    images = [read_image(path.read_bytes(), path.name) for path in paths]
+    clean = [full_scale_one(each.pixels[:LARGEST, :LARGEST, list(each.colour)]) for each in images]
     coloured = sorted((each for each in clean if each.shape[2] == 3), key=lambda each: -len(np.unique(each)))
+    if not coloured:
+        sys.exit("no PNG or JPEG file with colours in the folders")
     spoiled = with_impulses(coloured[:PHOTOGRAPHS])
     rows = [("as they are", *judge(clean, spoiled))]
     for name, values in TRIED.items():
@@ -79,7 +81,7 @@ def main() -> None:
             setattr(outliers, name, value)
             rows.append((f"{name} = {value}", *judge(clean, spoiled)))
         setattr(outliers, name, kept)
-    show(rows, options, ("constants", "pictures changed", "missed", "wrongly replaced"))
+    show(rows, options, ("constants", "images changed", "missed", "wrongly replaced"))
 
 
 if __name__ == "__main__":

@@ -5,12 +5,11 @@ and the models of a folder. Cells have the PSNR over covered texels, within 4 te
 The program works on whole surfaces. Peers get a part of larger images, and all methods are judged on this part.
 """
 
-from __future__ import annotations
-
 import itertools
 import os
 import sys
 import tempfile
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -21,13 +20,15 @@ from scipy.ndimage import uniform_filter, zoom
 import beltrami_cli
 import peers
 import textures
+from beltrami_cli.arrays import Array, Bools
 from beltrami_cli.flow.parameters import parameters_from
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.noise import noise_file
 from beltrami_cli.jobs.settings import NoiseSettings
-from harness import SAMPLES, arguments, extra_models, psnr, show
-from pictures import PHOTOGRAPHS, SIDE, on_sphere, photograph
+from harness import SAMPLES, Row, arguments, extra_models, psnr, show
+from images import PHOTOGRAPHS, SIDE, on_sphere, photograph
+from textures import TexturedScene
 from vertices import Scene, icosphere, write_ply
 
 SUBDIVISIONS = 6  # of the icosphere: 40,962 vertices
@@ -37,8 +38,11 @@ ROUNDING = float(10 * np.log10(12 * 255**2))  # dB: PSNR of colours that are rou
 PEERS = {"bilateral": peers.bilateral, "non-local means": peers.nonlocal_means, "BM3D": peers.bm3d}
 OURS = {"`--patches off`": "off", "default": "auto"}
 
+Figures = tuple[float, float, float]  # PSNR, PSNR near seams, CIEDE2000
+Judged = tuple[str, dict[str, Figures]]  # the name of an input, and figures by method
 
-def main():
+
+def main() -> None:
     options = arguments(
         __doc__, sigma=20, only="", jobs=os.cpu_count() or 1, no_textures=False, no_vertices=False
     )
@@ -50,11 +54,11 @@ def main():
             show(rows_of(judged, ("input", *PEERS, *OURS)), options, ("model", "input", *PEERS, *OURS))
         if not options.no_vertices:
             paths = [path for path in write_vertices(Path(folder)) if options.only in path.name]
-            judged = pool.map(partial(judge_vertices, options.sigma), paths)
-            show(rows_of(judged, ("input", *OURS)), options, ("vertices", "input", *OURS))
+            on_vertices = pool.map(partial(judge_vertices, options.sigma), paths)
+            show(rows_of(on_vertices, ("input", *OURS)), options, ("vertices", "input", *OURS))
 
 
-def rows_of(judged, methods):
+def rows_of(judged: Iterable[Judged], methods: Sequence[str]) -> list[Row]:
     """Return rows of figures and their means; each row is printed to stderr as soon as it is known."""
     found = []
     for name, figures in judged:
@@ -65,17 +69,17 @@ def rows_of(judged, methods):
     return [(name, *map(as_cell, values)) for name, values in found]
 
 
-def as_cell(figures):
+def as_cell(figures: Array) -> str:
     return " / ".join("-" if np.isnan(value) else f"{value:.2f}" for value in figures)
 
 
-def judge_textures(sigma, name):
+def judge_textures(sigma: float, name: str) -> list[Judged]:
     """Judge the images of a scene with noise of `sigma` of 255; return names and figures by method."""
     scene = textures.scene_of(name)
     if scene is None:
         return []
     noisy = textures.noisy_images(scene, sigma / 255)
-    ours = {method: smoothed(scene, noisy, patches) for method, patches in OURS.items()}
+    ours = {method: smoothed_images(scene, noisy, patches) for method, patches in OURS.items()}
     judged = []
     for number in textures.judged_images(scene):
         where = textures.part(scene, number, SIDE)
@@ -91,7 +95,7 @@ def judge_textures(sigma, name):
     return judged
 
 
-def smoothed(scene, noisy, patches):
+def smoothed_images(scene: TexturedScene, noisy: list[Array], patches: str) -> list[Array]:
     """Return the 8-bit images of a scene after ``beltrami smooth IN OUT``."""
     with tempfile.TemporaryDirectory() as folder:
         source, target = Path(folder) / "noisy.obj", Path(folder) / "smooth.obj"
@@ -100,21 +104,22 @@ def smoothed(scene, noisy, patches):
         return [to_8_bit(image) for image in textures.read_images(target)]
 
 
-def smooth(source, target, patches):
+def smooth(source: Path, target: Path, patches: str) -> None:
     """Smooth a file on one thread by default parameters, except for `patches`."""
     settings = beltrami_cli.SmoothSettings(parameters_from({"patches": patches, "threads": 1}))
     beltrami_cli.smooth_file(source, target, settings, job=Job(overwrite=True))
 
 
-def peer_results(noisy, where, clean, covered, sigma):
-    """Return the results of the installed peers on a part of an image."""
+def peer_results(
+    noisy: Array, where: tuple[slice, slice], clean: Array, covered: Bools, sigma: float
+) -> dict[str, Array]:
     around = tuple(slice(max(0, each.start - MARGIN), each.stop + MARGIN) for each in where)
     inner = tuple(slice(w.start - a.start, w.stop - a.start) for w, a in zip(where, around, strict=True))
     results = {}
     for name, run in PEERS.items():
-        tried = []
+        tried: list[Array] = []
 
-        def score(image, tried=tried):
+        def score(image: Array, tried: list[Array] = tried) -> tuple[float, int]:
             tried.append(to_8_bit(image)[inner])
             return psnr_within(covered, tried[-1], clean), len(tried) - 1
 
@@ -127,17 +132,17 @@ def peer_results(noisy, where, clean, covered, sigma):
     return results
 
 
-def to_8_bit(image):
+def to_8_bit(image: Array) -> Array:
     """Return an image as it is stored: clipped and rounded for all methods."""
     return np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)
 
 
-def psnr_within(mask, image, clean):
+def psnr_within(mask: Bools, image: Array, clean: Array) -> float:
     """Return the PSNR over a mask, at most that of rounding to 8 bit."""
     return min(psnr(image / 255, clean, mask), ROUNDING) if mask.any() else np.nan
 
 
-def judge(image, clean, masks):
+def judge(image: Array, clean: Array, masks: tuple[Bools, Bools]) -> Figures:
     """Return the PSNR over covered texels, near seams, and the mean CIEDE2000 over evenly chosen texels."""
     color = peers.needed("skimage.color")
     chosen = slice(None, None, max(1, int(masks[0].sum()) // MAX_COMPARED))
@@ -145,8 +150,7 @@ def judge(image, clean, masks):
     return *(psnr_within(mask, image, clean) for mask in masks), float(color.deltaE_ciede2000(*shown).mean())
 
 
-def judge_vertices(sigma, path):
-    """Judge a file with coloured vertices and noise of `sigma` of 255."""
+def judge_vertices(sigma: float, path: Path) -> Judged:
     figures = {}
     with tempfile.TemporaryDirectory() as folder:
         noisy, target = Path(folder) / "noisy.ply", Path(folder) / "smooth.ply"
@@ -160,11 +164,11 @@ def judge_vertices(sigma, path):
     return path.name.split("-clean")[0], figures
 
 
-def vertex_colours(path):
+def vertex_colours(path: Path) -> Array:
     return np.asarray(open_document(str(path)).coloured_vertices().colours)[:, :3]
 
 
-def write_vertices(folder):
+def write_vertices(folder: Path) -> Iterator[Path]:
     """Yield PLY files with coloured vertices: photographs on an icosphere, samples, and models of the extra folder."""
     for name in PHOTOGRAPHS:
         image, sphere = photograph(name), icosphere(SUBDIVISIONS)

@@ -1,7 +1,5 @@
 """Measure the processor time of each phase of progress on two textures: `_SECONDS` of jobs/progress.py."""
 
-from __future__ import annotations
-
 import tempfile
 import time
 from pathlib import Path
@@ -27,7 +25,7 @@ class Times:
         self.seconds: dict[str, float] = {}
         self._label, self._last = "", time.process_time()
 
-    def __call__(self, label: str, done: int, total: int) -> None:
+    def __call__(self, label: str, done: float, total: float) -> None:
         now = time.process_time()
         if self._label:
             self.seconds[self._label] = self.seconds.get(self._label, 0.0) + now - self._last
@@ -35,7 +33,6 @@ class Times:
 
 
 def write(path: Path, side: int, noise: float) -> Path:
-    """Write a square with one texture of stripes."""
     at = np.arange(side) / side
     plain = 0.5 + 0.3 * np.sin(40 * at)[:, None] * np.sin(30 * at)[None, :]
     noisy = plain[..., None] + np.random.default_rng(1).normal(0, noise, (side, side, 3))
@@ -45,7 +42,6 @@ def write(path: Path, side: int, noise: float) -> Path:
 
 
 def measured(side: int) -> dict[str, dict[str, float]]:
-    """Return the seconds of each phase, by command."""
     with tempfile.TemporaryDirectory() as name:
         folder, found = Path(name), {}
         clean, noisy = write(folder / "clean.obj", side, 0.0), write(folder / "noisy.obj", side, 0.04)

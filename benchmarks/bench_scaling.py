@@ -5,8 +5,6 @@ puts vertices and faces in random order. ``--chosen`` lets the program choose pa
 run. All runs use one thread.
 """
 
-from __future__ import annotations
-
 import math
 import tempfile
 from dataclasses import replace
@@ -23,7 +21,7 @@ COUNTS = [10_000, 31_623, 100_000, 316_228, 1_000_000, 3_162_278, 10_000_000]
 GIVEN = ["-n", "5", "-t", "2.4", "--beta", "17", "--beta-growth", "1.5", "--metric-steps", "1"]
 
 
-def main():
+def main() -> None:
     options = arguments(__doc__, most=COUNTS[-1], least=COUNTS[0], plot="", shuffled=False, chosen=False)
     counts = [count for count in COUNTS if options.least <= count <= options.most]
     costs = []
@@ -41,8 +39,7 @@ def main():
         draw(costs, options.plot)
 
 
-def write_vertices(folder, count, *, shuffle):
-    """Write a torus with noisy vertex colours."""
+def write_vertices(folder: Path, count: int, *, shuffle: bool) -> Path:
     rings = math.isqrt(int(2.56 * count))
     scene = vertices.torus(rings, count // rings)
     if shuffle:
@@ -55,15 +52,14 @@ def write_vertices(folder, count, *, shuffle):
     return folder / "noisy.ply"
 
 
-def write_texture(folder, count, *, shuffle):
-    """Write a torus with a noisy texture."""
+def write_texture(folder: Path, count: int, *, shuffle: bool) -> Path:
     del shuffle
     scene = textures.torus(math.isqrt(count))
     textures.write_obj(folder / "noisy.obj", scene, scene.noisy)
     return folder / "noisy.obj"
 
 
-def cost(source, settings):
+def cost(source: Path, settings: list[str]) -> tuple[int, float, int]:
     """Return the number of samples of a file, and CPU seconds and peak memory of the whole command."""
     target = source.with_stem("smooth")
     report, seconds = smooth_apart(source, target, *settings, "--threads", "1")
@@ -73,7 +69,7 @@ def cost(source, settings):
     return samples, seconds, report["peak_memory"]
 
 
-def draw(costs, path):
+def draw(costs: list[tuple[str, int, float, int]], path: str) -> None:
     """Plot time and memory against the number of samples, with lines of proportional growth."""
     import matplotlib as mpl
 

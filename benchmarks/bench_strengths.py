@@ -5,25 +5,27 @@ named images, in windows of 224 x 224: the RMS change, which must grow with the 
 against the truth, which may be lower than that of normal by 1.5 dB for gentle and 1 dB for strong on average.
 """
 
+from collections.abc import Iterator
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 import beltrami_cli
+from beltrami_cli.arrays import Array, Float32s
 from beltrami_cli.jobs.noise_kinds import as_jpeg
 from harness import arguments, psnr, rms, show
-from pictures import images, stored, with_noise
+from images import stored, windows, with_noise
 
 BEST = 60.0  # dB, above which differences are invisible
 STRENGTHS = ("gentle", "normal", "strong")
 
 
-def main():
-    """Print a row for each image and kind of noise, and their means."""
+def main() -> None:
     options = arguments(__doc__, "images")
-    rows = []
-    for name, clean in images(options.images):
-        for kind, noisy, truth in kinds(stored(clean)):
+    rows: list[tuple[Any, ...]] = []
+    for name, clean in windows(options.images):
+        for kind, noisy, truth in cases(stored(clean)):
             smoothed = [beltrami_cli.smooth_image(noisy, strength=each).colours for each in STRENGTHS]
             changes = [255 * rms(each - noisy) for each in smoothed]
             gentle, normal, strong = (min(BEST, psnr(each, truth)) for each in smoothed)
@@ -32,16 +34,12 @@ def main():
             rows.append((f"{name}, {kind}", *changes, normal, *costs, int(is_wrong)))
     means = np.mean([row[1:] for row in rows], axis=0).tolist()
     head = (
-        "image, noise",
-        *(f"change: {each}" for each in STRENGTHS),
-        "PSNR: normal",
-        "cost of gentle",
-        "of strong",
-    )
+        "image, noise", *(f"change: {each}" for each in STRENGTHS), "PSNR: normal", "cost of gentle", "of strong",
+    )  # fmt: skip
     show([*rows, ("mean", *means)], options, (*head, "not in order"))
 
 
-def kinds(clean):
+def cases(clean: Float32s) -> Iterator[tuple[str, Array, Array]]:
     """Yield the name of each kind of noise, the noisy image and the truth."""
     random = np.random.default_rng(3)
     yield "clean", clean, clean
@@ -57,7 +55,7 @@ def kinds(clean):
         yield f"grain of {size}, {sigma}", stored(grain), clean
     for quality in (80, 92):
         white = clean + 10 / 255 * random.standard_normal(clean.shape)
-        yield f"white 10, JPEG {quality}", as_jpeg(white, quality), clean
+        yield f"white 10, JPEG {quality}", as_jpeg(np.asarray(white, np.float32), quality), clean
 
 
 if __name__ == "__main__":

@@ -3,10 +3,9 @@
 All iterations start from the noisy colours. They alternate with the peer, so that a busy machine slows both.
 """
 
-from __future__ import annotations
-
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -17,28 +16,26 @@ from beltrami_cli.flow.beltrami_flow import smooth_in_place
 from beltrami_cli.formats.image.reading import read_texture
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.layers.texture_layer import TextureLayer
-from harness import SIGMA, arguments, show, smooth_apart
+from harness import SIGMA, Row, arguments, show, smooth_apart
 from peers import PeerError, bilateral_seconds
 
 CONTRAST = 1.4  # beta times the noise
 SMALL = 128  # texels per side of the texture whose memory is subtracted
 
 
-def main():
+def main() -> None:
     options = arguments(__doc__, texels=1024, repeats=5)
     with tempfile.TemporaryDirectory() as folder:
-        rows = [
-            *time_rows(Path(folder), options.texels, options.repeats),
-            memory_row(Path(folder), options.texels),
-        ]
+        times = time_rows(Path(folder), options.texels, options.repeats)
+        rows = [*times, memory_row(Path(folder), options.texels)]
     show(rows, options)
 
 
-def time_rows(folder, texels, repeats):
+def time_rows(folder: Path, texels: int, repeats: int) -> Iterator[Row]:
     """Measure an iteration and the set-up, in CPU time of one thread, on a torus in 16 charts."""
     scene, source = textures.torus(texels), folder / "noisy.obj"
     textures.write_obj(source, scene, scene.noisy)
-    times = {"bilateral": [], "set-up": [], "plain": [], "regularised": []}
+    times: dict[str, list[float]] = {"bilateral": [], "set-up": [], "plain": [], "regularised": []}
     for _ in range(repeats):
         try:
             times["bilateral"].append(bilateral_seconds(scene.noisy[0]))
@@ -60,18 +57,12 @@ def time_rows(folder, texels, repeats):
     yield "set-up", f"{seconds['set-up']:.3f} s, {seconds['set-up'] / seconds['plain']:.2f} plain iterations"
 
 
-def stage_seconds(source, *, guided):
+def stage_seconds(source: Path, *, guided: bool) -> tuple[float, float]:
     """Return the CPU seconds of making the manifold, without decoding images, and of an iteration."""
     # Averages of clipped noise are not restored, since the peer does not either.
     kernel = beltrami_cli.KernelParameters(
-        iterations=1,
-        t=2.4,
-        beta=CONTRAST / SIGMA,
-        window=7,
-        threads=1,
-        clipping="keep",
-        metric_steps=int(guided),
-    )
+        iterations=1, t=2.4, beta=CONTRAST / SIGMA, window=7, threads=1, clipping="keep", metric_steps=int(guided),
+    )  # fmt: skip
     settings = beltrami_cli.SmoothSettings(kernel=kernel)
     surface = open_document(str(source)).textured("baseColor")
     marks = [time.process_time()]
@@ -85,8 +76,7 @@ def stage_seconds(source, *, guided):
     return setup - decoding, iteration
 
 
-def memory_row(folder, texels):
-    """Measure the growth of a process's peak memory per texel that a surface covers."""
+def memory_row(folder: Path, texels: int) -> Row:
     runs = []
     for size in (SMALL, texels):
         source, scene = folder / f"{size}.obj", textures.torus(size)

@@ -4,12 +4,12 @@ Times are CPU time of one thread per vertex and iteration, medians of pairs of r
 for a quick check that everything runs.
 """
 
-from __future__ import annotations
-
 import math
 import statistics
 import time
+from collections.abc import Callable, Iterator
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -17,32 +17,35 @@ import beltrami_cli
 import peers
 import vertices
 from beltrami_cli import _native
-from harness import arguments, psnr, show
+from beltrami_cli.arrays import Array
+from harness import Row, arguments, psnr, show
+from oracles.surfaces import mean_edge_length
+from vertices import Scene
 
 BETA = 5.0  # of the runs that are timed
 SAMPLES = (20, 50)  # per kernel
 MAX_ITERATIONS = 30  # of other programs; the best one counts
-COLOUR_SMOOTHING = {
+COLOUR_SMOOTHING: dict[str, Callable[[Scene, int], tuple[float, int]]] = {
     "PyMeshLab Laplacian": peers.pymeshlab_smoothing,
     "Open3D Laplacian": partial(peers.open3d_smoothing, "laplacian"),
     "Open3D simple": partial(peers.open3d_smoothing, "simple"),
 }
-OURS = {
+OURS: dict[str, dict[str, Any]] = {
     "beltrami, beta 13, t 1.3, 10 iterations": {"beta": 13.0, "t": 1.3, "iterations": 10, "metric_steps": 0},
     "beltrami, defaults": {},
 }
 
 
-def main():
+def main() -> None:
     options = arguments(__doc__, level=7, repeats=5)
     sphere = vertices.icosphere(options.level)
     rows = [row for samples in SAMPLES for row in time_rows(sphere, samples, options.repeats)]
-    for name in ("chequer", "patches"):
-        rows += quality_rows(vertices.icosphere(options.level, getattr(vertices, name)), name)
+    for pattern in (vertices.chequer, vertices.mosaic):
+        rows += quality_rows(vertices.icosphere(options.level, pattern), pattern.__name__)
     show(rows, options)
 
 
-def time_rows(sphere, samples, repeats):
+def time_rows(sphere: Scene, samples: int, repeats: int) -> Iterator[Row]:
     """Measure an iteration of the defaults, with two threads, and of each solver with the update of the metric."""
     count, t = len(sphere.positions), time_step_for(samples, sphere)
     what = f"{count:,} vertices, {samples} samples a kernel"
@@ -52,7 +55,7 @@ def time_rows(sphere, samples, repeats):
     yield f"{what}: two threads against one, wall", f"{each[1] / each[2]:.2f} x"
     order = _native.morton_order(sphere.positions)
     faces = np.argsort(order).astype(np.int32)[sphere.faces]
-    positions = sphere.positions[order] / vertices.surfaces.mean_edge_length(sphere.positions, sphere.faces)
+    positions = sphere.positions[order] / mean_edge_length(sphere.positions, sphere.faces)
     marching, segments = (
         1e6 * solver_seconds(solver(faces, count), positions, sphere.noisy[order], t, repeats) / count
         for solver in (_native.TriangulatedManifold, _native.SegmentManifold)
@@ -60,12 +63,12 @@ def time_rows(sphere, samples, repeats):
     yield f"{what}: heap march; segments", f"{marching:.2f} us; {segments:.2f} us"
 
 
-def smooth(scene, **options):
+def smooth(scene: Scene, **options: Any) -> beltrami_cli.SmoothResult:
     """Run `beltrami_cli.smooth` on the noisy scene; colours are taken as plain numbers."""
     return beltrami_cli.smooth(scene.positions, scene.faces, scene.noisy, space="data", **options)
 
 
-def time_step_for(samples, scene):
+def time_step_for(samples: int, scene: Scene) -> float:
     """Return the t for which kernels have about this many samples, which are almost proportional to t."""
     t = samples / 34
     for _ in range(4):
@@ -73,7 +76,9 @@ def time_step_for(samples, scene):
     return t
 
 
-def iteration_seconds(scene, t, threads, clock, repeats):
+def iteration_seconds(
+    scene: Scene, t: float, threads: int, clock: Callable[[], float], repeats: int
+) -> float:
     """Return the median difference of the times of alternating runs with one iteration and with none."""
     differences = []
     for _ in range(repeats):
@@ -86,7 +91,7 @@ def iteration_seconds(scene, t, threads, clock, repeats):
     return statistics.median(differences)
 
 
-def solver_seconds(manifold, positions, colours, t, repeats):
+def solver_seconds(manifold: Any, positions: Array, colours: Array, t: float, repeats: int) -> float:
     """Return the shortest CPU time of an iteration of a solver, without its work once per mesh."""
     shortest, radius = math.inf, math.sqrt(-4 * t * math.log(0.01))
     for _ in range(repeats + 1):  # regions are found in the first
@@ -97,7 +102,7 @@ def solver_seconds(manifold, positions, colours, t, repeats):
     return shortest
 
 
-def quality_rows(sphere, pattern):
+def quality_rows(sphere: Scene, pattern: str) -> Iterator[Row]:
     """Compare the PSNR with the best of other colour smoothing, which is tuned on the truth."""
     where = f"PSNR, {len(sphere.positions):,} vertices, {pattern}"
     yield f"{where}: noisy", f"{psnr(sphere.noisy, sphere.clean):.1f} dB"

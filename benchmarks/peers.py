@@ -3,10 +3,16 @@
 import importlib
 import itertools
 import time
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
+from beltrami_cli.arrays import Array
 from harness import SIGMA, psnr
+from vertices import Scene
+
+Score = Callable[[Array], Any]  # the PSNR of an image, or a tuple that begins with it
 
 MAX_ITERATIONS = 8  # of the bilateral filter
 
@@ -15,7 +21,7 @@ class PeerError(Exception):
     """The peer cannot be used here; the message says why."""
 
 
-def needed(name):
+def needed(name: str) -> Any:
     """Import a module that may be missing."""
     try:
         return importlib.import_module(name)
@@ -24,7 +30,7 @@ def needed(name):
         raise PeerError(f"{name}: {why}".splitlines()[0]) from error
 
 
-def pymeshlab_smoothing(scene, most):
+def pymeshlab_smoothing(scene: Scene, most: int) -> tuple[float, int]:
     """Return the best PSNR of PyMeshLab's Laplacian colour smoothing over 1 to `most` iterations, and their number."""
     pymeshlab = needed("pymeshlab")
     opaque = np.column_stack([np.clip(scene.noisy, 0, 1), np.ones(len(scene.noisy))]).astype(np.float64)
@@ -36,7 +42,7 @@ def pymeshlab_smoothing(scene, most):
     return max(found), int(np.argmax(found)) + 1
 
 
-def open3d_smoothing(kind, scene, most):
+def open3d_smoothing(kind: str, scene: Scene, most: int) -> tuple[float, int]:
     """Return the best PSNR of an Open3D filter over 1 to `most` iterations on the colours, and their number."""
     open3d = needed("open3d")
     vectors = open3d.utility.Vector3dVector
@@ -49,7 +55,7 @@ def open3d_smoothing(kind, scene, most):
     return max(found), int(np.argmax(found)) + 1
 
 
-def bilateral(noisy, score, *, window=7, sigma=SIGMA):
+def bilateral(noisy: Array, score: Score, *, window: int = 7, sigma: float = SIGMA) -> Any:
     """Return the best scores of OpenCV's bilateral filter, iterated.
 
     `noisy` is uint8, shape (H, W, 3); `score` returns a tuple for an image in [0, 1], whose first number is maximised.
@@ -64,7 +70,7 @@ def bilateral(noisy, score, *, window=7, sigma=SIGMA):
     return max(found, key=lambda scores: scores[0])
 
 
-def nonlocal_means(noisy, score, *, sigma=SIGMA):
+def nonlocal_means(noisy: Array, score: Score, *, sigma: float = SIGMA) -> Any:
     """Return the best scores of scikit-image's fast non-local means, as `bilateral` does."""
     run = needed("skimage.restoration").denoise_nl_means
     image = noisy.astype(np.float32) / 255
@@ -74,7 +80,7 @@ def nonlocal_means(noisy, score, *, sigma=SIGMA):
     return max(found, key=lambda scores: scores[0])
 
 
-def bm3d(noisy, score, *, sigma=SIGMA):
+def bm3d(noisy: Array, score: Score, *, sigma: float = SIGMA) -> Any:
     """Return the scores of BM3D with its own settings, given the true sigma."""
     module = needed("bm3d")
     settings = module.BM3DProfile()
@@ -82,7 +88,7 @@ def bm3d(noisy, score, *, sigma=SIGMA):
     return score(module.bm3d_rgb(noisy / 255, sigma, settings))
 
 
-def bilateral_seconds(noisy):
+def bilateral_seconds(noisy: Array) -> float:
     """Return the CPU seconds of one pass of OpenCV's bilateral filter (d = 7, float32, one thread)."""
     cv2 = opencv()
     image = noisy.astype(np.float32) / 255
@@ -91,7 +97,7 @@ def bilateral_seconds(noisy):
     return time.process_time() - start
 
 
-def opencv():
+def opencv() -> Any:
     """Return OpenCV's module, set to use one thread."""
     cv2 = needed("cv2")
     cv2.setNumThreads(1)

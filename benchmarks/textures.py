@@ -3,18 +3,19 @@
 Triangles are rasterised and seams found in NumPy, so that results do not depend on the atlas of the package.
 """
 
-from __future__ import annotations
-
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt, uniform_filter
 
+from beltrami_cli.arrays import Array, Bools
 from beltrami_cli.errors import BeltramiError
-from beltrami_cli.formats.image.decoded_image import new_image
+from beltrami_cli.formats.image.decoded_image import DecodedImage, new_image
 from beltrami_cli.formats.image.reading import read_texture
 from beltrami_cli.formats.image.sample_types import full_scale_one
 from beltrami_cli.formats.image.writing import write_image
@@ -24,7 +25,7 @@ from beltrami_cli.jobs.noise import noise_file
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from harness import SAMPLES, SIGMA, extra_models
-from pictures import PHOTOGRAPHS, on_sphere, photograph
+from images import PHOTOGRAPHS, on_sphere, photograph
 from vertices import chequer
 
 NEAR = 4  # maximum distance in texels of a texel near a seam
@@ -42,14 +43,20 @@ class TexturedScene:
     """A textured surface without noise; images are display values in [0, 1], v of coordinates is down."""
 
     name: str
-    corners: np.ndarray  # positions of the triangles' corners, shape (F, 3, 3)
-    uv: np.ndarray  # shape (F, 3, 2); they may leave [0, 1], where images repeat
-    texture_of: np.ndarray  # index into `clean`, shape (F,)
-    clean: list  # of float32, shape (H, W, 3)
-    visible: list  # of bool, shape (H, W): where alpha is not 0
+    corners: Array  # positions of the triangles' corners, shape (F, 3, 3)
+    uv: Array  # shape (F, 3, 2); they may leave [0, 1], where images repeat
+    texture_of: Array  # index into `clean`, shape (F,)
+    clean: list[Array]  # float32, shape (H, W, 3)
+    visible: list[Bools]  # shape (H, W): where alpha is not 0
+
+    @classmethod
+    def of_charts(cls, name: str, corners: Sequence[Array], uv: Sequence[Array], clean: Array) -> Self:
+        """Join charts that are on one image."""
+        joined, visible = np.concatenate(corners), np.ones(clean.shape[:2], bool)
+        return cls(name, joined, np.concatenate(uv), np.zeros(len(joined), np.int64), [clean], [visible])
 
     @cached_property
-    def covered(self):
+    def covered(self) -> list[Bools]:
         """Per image, the visible texels whose centre lies in a triangle."""
         found = []
         for number, image in enumerate(self.clean):
@@ -59,7 +66,7 @@ class TexturedScene:
         return found
 
     @cached_property
-    def near_seams(self):
+    def near_seams(self) -> list[Bools]:
         """Per image, the covered texels within `NEAR` texels of a seam."""
         faces, ends = seams(self.corners, self.uv, self.texture_of)
         found = []
@@ -69,7 +76,7 @@ class TexturedScene:
         return found
 
     @cached_property
-    def noisy(self):
+    def noisy(self) -> list[Array]:
         """Per image, 8-bit pixels with noise on all texels, covered or gutter.
 
         A filter on the flat image reaches far into the gutter, and must not find the truth there.
@@ -80,16 +87,14 @@ class TexturedScene:
         return [np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8) for image in noisy]
 
 
-def torus(size, charts=4, cuts=16):
+def torus(size: int, charts: int = 4, cuts: int = 16) -> TexturedScene:
     """Return a torus in charts * charts square charts, shuffled and turned by right angles, on one image."""
     random = np.random.default_rng(5)
     cell = size // charts
-    flat = np.stack(np.mgrid[: cuts + 1, : cuts + 1], axis=-1) / cuts
-    a, b, c, d = (flat[i, j].reshape(-1, 2) for i, j in cells())
-    local = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    local = triangles_of_square(cuts)
     gutter = NEAR / cell
     corners, uv, clean = [], [], np.zeros((size, size, 3), np.float32)
-    centre = (np.stack(np.mgrid[:cell, :cell], axis=-1)[:, :, ::-1] + 0.5) / cell
+    centre = (np.moveaxis(np.mgrid[:cell, :cell], 0, -1)[:, :, ::-1] + 0.5) / cell
     for number, place in enumerate(random.permutation(charts**2).tolist()):
         at, where = np.array(divmod(number, charts)), np.array(divmod(place, charts))
         turn = int(random.integers(4))
@@ -102,32 +107,33 @@ def torus(size, charts=4, cuts=16):
         shades = chequer(on_torus((back + at) / charts).reshape(-1, 3) * 1.6 + (0.13, 0.09, 0.06))
         x, y = where * cell
         clean[y : y + cell, x : x + cell] = shades.reshape(cell, cell, 3)
-    corners, uv = np.concatenate(corners), np.concatenate(uv)
-    everywhere = [np.ones((size, size), bool)]
-    return TexturedScene("torus", corners, uv, np.zeros(len(uv), np.int64), [clean], everywhere)
+    return TexturedScene.of_charts("torus", corners, uv, clean)
 
 
-def cells():
-    """Return the slices of a grid of points that are the four corners of its cells."""
-    near, far = slice(None, -1), slice(1, None)
-    return (near, near), (far, near), (far, far), (near, far)
+def triangles_of_square(cuts: int) -> Array:
+    """Return the corners of the triangles of the unit square, cut into cuts * cuts cells, shape (F, 3, 2)."""
+    places = np.moveaxis(np.mgrid[: cuts + 1, : cuts + 1], 0, -1) / cuts
+    a, b, c, d = (
+        each.reshape(-1, 2) for each in (places[:-1, :-1], places[1:, :-1], places[1:, 1:], places[:-1, 1:])
+    )
+    return np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
 
 
-def rotated(uv, quarters):
+def rotated(uv: Array, quarters: int) -> Array:
     """Return coordinates of the unit square turned by right angles about its centre."""
     for _ in range(quarters % 4):
         uv = np.stack([1 - uv[..., 1], uv[..., 0]], axis=-1)
     return uv
 
 
-def on_torus(uv):
+def on_torus(uv: Array) -> Array:
     """Return positions on a torus, rounded so that a position has the same coordinates in every chart."""
     u, v = 2 * np.pi * uv[..., 0], 2 * np.pi * uv[..., 1]
     reach = 0.7 + 0.3 * np.cos(v)
     return np.round(np.stack([reach * np.cos(u), reach * np.sin(u), 0.3 * np.sin(v)], axis=-1), 6) + 0.0
 
 
-def rasterised(triangles, size):
+def rasterised(triangles: Array, size: Sequence[int]) -> Bools:
     """Return which texels have their centre in one of the triangles (in texels), shape (H, W)."""
     width, height = size
     seen = np.zeros((height, width), bool)
@@ -148,7 +154,7 @@ def rasterised(triangles, size):
     return seen
 
 
-def seams(corners, uv, texture_of):
+def seams(corners: Array, uv: Array, texture_of: Array) -> tuple[Array, Array]:
     """Return the faces at seams and the ends of the seam edges in their texture, shapes (S,) and (S, 2, 2)."""
     _, place = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
     place = place.reshape(-1, 3)
@@ -170,7 +176,7 @@ def seams(corners, uv, texture_of):
     return face[at_seam], sides[at_seam]
 
 
-def close_to(lines, size):
+def close_to(lines: Array, size: Sequence[int]) -> Bools:
     """Return the texels whose centre is within `NEAR` texels of one of the lines, shape (L, 2, 2), in texels."""
     width, height = size
     if not len(lines):
@@ -183,36 +189,34 @@ def close_to(lines, size):
     return distance_transform_edt(~drawn) <= NEAR
 
 
-def from_file(path):
-    """Return the textured surface of a file; images that are not pictures are left out."""
+def from_file(path: Path) -> TexturedScene:
+    """Return the textured surface of a file; small images, such as palettes, are left out."""
     surface = open_document(str(path)).textured("baseColor")
     decoded = [read_texture(texture) for texture in surface.textures]
-    large = [min(picture.pixels.shape[:2]) >= SMALLEST for picture in decoded]
+    large = [min(image.pixels.shape[:2]) >= SMALLEST for image in decoded]
     index = np.append(np.where(large, np.cumsum(large) - 1, -1), -1)
     texture_of = index[surface.texture_of]
     kept = texture_of >= 0
-    clean = [displayed(picture) for picture, keep in zip(decoded, large, strict=True) if keep]
-    visible = [seen(picture) for picture, keep in zip(decoded, large, strict=True) if keep]
+    clean = [displayed(image) for image, keep in zip(decoded, large, strict=True) if keep]
+    visible = [seen(image) for image, keep in zip(decoded, large, strict=True) if keep]
     corners = surface.positions[surface.faces[kept]]
     return TexturedScene(path.name, corners, surface.uv[kept], texture_of[kept], clean, visible)
 
 
-def displayed(picture):
-    """Return display values, shape (H, W, 3)."""
-    colour = picture.colour if len(picture.colour) == 3 else picture.colour * 3
-    values = full_scale_one(picture.pixels)[..., colour]
-    shown = linear_to_srgb(values) if picture.encoding == "linear" else values
+def displayed(image: DecodedImage) -> Array:
+    colour = image.colour if len(image.colour) == 3 else image.colour * 3
+    values = full_scale_one(image.pixels)[..., colour]
+    shown = linear_to_srgb(values) if image.encoding == "linear" else values
     return np.clip(shown, 0, 1).astype(np.float32)
 
 
-def seen(picture):
-    """Return where alpha is not 0."""
-    if picture.alpha is None:
-        return np.ones(picture.pixels.shape[:2], bool)
-    return picture.pixels[..., picture.alpha] > 0
+def seen(image: DecodedImage) -> Bools:
+    if image.alpha is None:
+        return np.ones(image.pixels.shape[:2], bool)
+    return image.pixels[..., image.alpha] > 0
 
 
-def write_obj(path, scene, pixels):
+def write_obj(path: Path, scene: TexturedScene, pixels: Sequence[Array]) -> None:
     """Write the scene with other images, 8-bit PNG next to it."""
     places, corner = np.unique(scene.corners.reshape(-1, 3), axis=0, return_inverse=True)
     lines = [f"mtllib {path.stem}.mtl", *(f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in places)]
@@ -231,20 +235,19 @@ def write_obj(path, scene, pixels):
     path.with_suffix(".mtl").write_text("".join(materials))
 
 
-def read_images(path):
+def read_images(path: Path) -> list[Array]:
     """Return the images of a model that `write_obj` wrote, as display values."""
     surface = open_document(str(path)).textured("baseColor")
     firsts = [int(np.argmax(surface.texture_of == k)) for k in range(len(surface.textures))]
     return [displayed(read_texture(surface.textures[k])) for k in np.argsort(firsts)]
 
 
-def scene_names():
-    """Return the names of all scenes: photographs, and paths of samples and of the extra folder."""
+def scene_names() -> list[str]:
     samples = [min(SAMPLES.glob(f"{name}-clean.[gop][lb]*")) for name in NAMES]
     return [*PHOTOGRAPHS, *MATERIALS, *map(str, samples), *map(str, extra_models(MODELS))]
 
 
-def scene_of(name):
+def scene_of(name: str) -> TexturedScene | None:
     """Return a textured scene; None if it has no texture that can be judged."""
     if name in PHOTOGRAPHS + MATERIALS:
         return photograph_in_charts(name)
@@ -255,12 +258,11 @@ def scene_of(name):
     return scene if judged_images(scene) else None
 
 
-def judged_images(scene):
-    """Return the numbers of the images that are covered sufficiently."""
+def judged_images(scene: TexturedScene) -> list[int]:
     return [k for k, covered in enumerate(scene.covered) if covered.sum() >= FEWEST]
 
 
-def halved(scene):
+def halved(scene: TexturedScene) -> TexturedScene:
     """Return the scene with images of at most `LARGEST` texels a side, by means of squares of texels."""
     clean, visible = [], []
     for image, seen in zip(scene.clean, scene.visible, strict=True):
@@ -274,7 +276,7 @@ def halved(scene):
     return replace(scene, clean=clean, visible=visible)
 
 
-def part(scene, number, side):
+def part(scene: TexturedScene, number: int, side: int) -> tuple[slice, slice]:
     """Return the slices of the part of an image, `side` texels a side, that has most covered texels and seams."""
     height, width = scene.covered[number].shape
     counted = scene.covered[number] + float(SEAMS_COUNT) * scene.near_seams[number]
@@ -285,7 +287,7 @@ def part(scene, number, side):
     return slice(int(top), int(top) + rows), slice(int(left), int(left) + columns)
 
 
-def noisy_images(scene, sigma):
+def noisy_images(scene: TexturedScene, sigma: float) -> list[Array]:
     """Return 8-bit images with noise as ``beltrami noise`` adds it: the same on both sides of seams.
 
     Texels that the surface does not cover get noise, too: a filter on the flat image reaches far into the gutter, and
@@ -305,15 +307,13 @@ def noisy_images(scene, sigma):
     return found
 
 
-def photograph_in_charts(name):
+def photograph_in_charts(name: str) -> TexturedScene:
     """Return a sphere in six charts, on one image, that shows a photograph with about one texel a pixel."""
     image = photograph(name)
     inner = round(np.sqrt(np.pi / 3) * min(image.shape[:2]) / 2)
     cell = inner + 2 * NEAR
-    corner = np.stack(np.mgrid[: QUADS + 1, : QUADS + 1], axis=-1) / QUADS
-    a, b, c, d = (corner[i, j].reshape(-1, 2) for i, j in cells())
-    local = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
-    centre = (np.stack(np.mgrid[:cell, :cell], axis=-1)[:, :, ::-1] + 0.5 - NEAR) / inner
+    local = triangles_of_square(QUADS)
+    centre = (np.moveaxis(np.mgrid[:cell, :cell], 0, -1)[:, :, ::-1] + 0.5 - NEAR) / inner
     size, corners, uv = np.array([3 * cell, 2 * cell]), [], []
     clean = np.zeros((2 * cell, 3 * cell, 3), np.float32)
     for side, place in enumerate(np.random.default_rng(5).permutation(6).tolist()):
@@ -323,12 +323,10 @@ def photograph_in_charts(name):
         # The gutter continues the pattern.
         shades = np.rint(255 * on_sphere(image, on_cube(centre, side))) / 255
         clean[where[1] : where[1] + cell, where[0] : where[0] + cell] = shades
-    corners, uv = np.concatenate(corners), np.concatenate(uv)
-    everywhere = [np.ones(clean.shape[:2], bool)]
-    return TexturedScene(name, corners, uv, np.zeros(len(uv), np.int64), [clean], everywhere)
+    return TexturedScene.of_charts(name, corners, uv, clean)
 
 
-def on_cube(uv, side):
+def on_cube(uv: Array, side: int) -> Array:
     """Return places on the unit sphere by coordinates on a side of a cube, rounded so that edges of sides coincide."""
     axis, sign = side // 2, 1 - 2 * (side % 2)
     flat = np.tan((2 * uv - 1) * np.pi / 4)

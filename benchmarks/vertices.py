@@ -1,32 +1,35 @@
 """Coloured vertices: closed surfaces under a piecewise smooth pattern with Gaussian noise."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from beltrami_cli.arrays import Array
 from harness import SIGMA
 from oracles import surfaces
+
+Pattern = Callable[[Array], Array]  # colours of positions
 
 
 @dataclass(frozen=True)
 class Scene:
     """A coloured surface: positions (V, 3) float64, faces (F, 3) int32, colours (V, 3) float32 in [0, 1]."""
 
-    positions: np.ndarray
-    faces: np.ndarray
-    clean: np.ndarray
-    noisy: np.ndarray
+    positions: Array
+    faces: Array
+    clean: Array
+    noisy: Array
 
 
-def icosphere(subdivisions, pattern=None):
+def icosphere(subdivisions: int, pattern: Pattern | None = None) -> Scene:
     """Return a sphere of 10 * 4^n + 2 vertices in the order of subdivision, which caches badly, as in real files."""
     positions, faces = surfaces.icosphere(subdivisions)
     return coloured(positions, faces, pattern or chequer)
 
 
-def torus(rings, sides):
+def torus(rings: int, sides: int) -> Scene:
     """Return a torus of rings * sides vertices and twice as many triangles."""
     ring, side = (part.ravel() for part in np.mgrid[:rings, :sides])
     u, v = 2 * np.pi * ring / rings, 2 * np.pi * side / sides
@@ -38,20 +41,20 @@ def torus(rings, sides):
     return coloured(positions, faces, chequer)
 
 
-def coloured(positions, faces, pattern):
+def coloured(positions: Array, faces: Array, pattern: Pattern) -> Scene:
     """Return the surface with a pattern and noise; values are in a range in which noise is rarely clipped."""
     clean = pattern(positions)
     noise = SIGMA * np.random.default_rng(7).standard_normal(clean.shape)
     return Scene(positions, faces, clean.astype(np.float32), (clean + noise).astype(np.float32))
 
 
-def chequer(positions):
+def chequer(positions: Array) -> Array:
     """Return light and dark regions with gradients; all borders have the same strong contrast of 0.4."""
     odd = np.sin(8 * positions).prod(axis=1) > 0
     return np.where(odd, 0.7, 0.3)[:, None] + 0.12 * shading(positions)
 
 
-def patches(positions):
+def mosaic(positions: Array) -> Array:
     """Return 200 cells of random colours: borders of any contrast, many too weak to be distinguished from noise."""
     random = np.random.default_rng(3)
     centres = random.standard_normal((200, 3))
@@ -59,14 +62,13 @@ def patches(positions):
     return random.uniform(0.15, 0.85, (200, 3))[cell] + 0.06 * shading(positions)
 
 
-def shading(positions):
+def shading(positions: Array) -> Array:
     """Return slow gradients in [-1, 1], different in each channel."""
     x, y, z = positions.T
     return np.column_stack([np.sin(2 * x + 0.5), np.cos(2.5 * y), np.sin(2.2 * z + 1)])
 
 
-def write_ply(path, scene):
-    """Write the noisy scene as a binary PLY file with 8-bit colours."""
+def write_ply(path: Path, scene: Scene) -> None:
     vertices = np.empty(len(scene.positions), [("xyz", "<f4", 3), ("rgb", "u1", 3)])
     vertices["xyz"], vertices["rgb"] = scene.positions, np.rint(np.clip(scene.noisy, 0, 1) * 255)
     faces = np.empty(len(scene.faces), [("count", "u1"), ("corners", "<i4", 3)])

@@ -33,3 +33,12 @@ def test_all_scenarios_load():
     """Other programs are imported where they are used, so that a scenario says which one is missing."""
     loaded = f"import {', '.join(SCENARIOS)}"
     subprocess.run([sys.executable, "-c", loaded], cwd=BENCHMARKS, check=True)
+
+
+@pytest.mark.slow  # about a second each
+@pytest.mark.parametrize("name", ["clean", "outliers", "regret"])
+def test_folders_without_images_are_refused_in_one_line(name, tmp_path):
+    command = [sys.executable, f"bench_{name}.py", tmp_path]
+    run = subprocess.run(command, cwd=BENCHMARKS, capture_output=True, text=True, check=False)
+    assert run.returncode == 1
+    assert len(run.stderr.splitlines()) == 1

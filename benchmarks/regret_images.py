@@ -1,33 +1,34 @@
-"""Clean pictures of `bench_regret`: crops of photographs and of files, and generated pictures."""
+"""Clean images of `bench_regret`: crops of photographs and of files, and generated images."""
 
-from __future__ import annotations
+from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 from scipy.ndimage import gaussian_filter
 
-from pictures import pictures
-from vertices import patches
+from beltrami_cli.arrays import Array, Float32s
+from images import images_of
+from vertices import mosaic
 
 SIDE, MIN_SIDE = 192, 128  # texels per side of crops
 
 
-def halved(image):
-    """Return the middle of a picture downsampled to half the size, which removes the noise of a photograph."""
+def halved(image: Array) -> Array:
+    """Return the middle of an image downsampled to half the size, which removes the noise of a photograph."""
     rows, columns = (size // 2 * 2 for size in image.shape[:2])
     return cropped(image[:rows, :columns].reshape(rows // 2, 2, columns // 2, 2, -1).mean(axis=(1, 3)))
 
 
-def cropped(image):
-    """Return the middle of a picture."""
+def cropped(image: Array) -> Array:
     top, left = (max(0, (size - SIDE) // 2) for size in image.shape[:2])
     return image[top : top + SIDE, left : left + SIDE]
 
 
-def textures(folder, count):
-    """Yield names and crops of opaque pictures of a folder that are not of one colour."""
+def crops_of(folder: Path, count: int) -> Iterator[tuple[str, Array]]:
+    """Yield names and crops of opaque images of a folder that are not of one colour."""
     found = 0
-    for path, pixels in pictures(folder):
+    for path, pixels in images_of(folder):
         image = cropped(pixels / 255)
         opaque = image.shape[2] % 2 or (image[..., -1] == 1).all()
         colours = np.repeat(image[..., :1], 3, axis=2) if image.shape[2] < 3 else image[..., :3]
@@ -38,14 +39,14 @@ def textures(folder, count):
             return
 
 
-def paint():
+def paint() -> Array:
     """Return cells of flat colours with slow gradients."""
     side = np.linspace(-0.8, 0.8, SIDE)
     directions = np.stack([*np.meshgrid(side, side), np.ones((SIDE, SIDE))], axis=2).reshape(-1, 3)
-    return patches(directions / np.linalg.norm(directions, axis=1, keepdims=True)).reshape(SIDE, SIDE, 3)
+    return mosaic(directions / np.linalg.norm(directions, axis=1, keepdims=True)).reshape(SIDE, SIDE, 3)
 
 
-def label(seed):
+def label(seed: int) -> Array:
     """Return words and bars in a few colours."""
     random = np.random.default_rng(seed)
     colours = [tuple(map(int, random.integers(0, 256, 3))) for _ in range(5)]
@@ -58,7 +59,7 @@ def label(seed):
     return np.asarray(image) / 255
 
 
-def pixel_art(seed):
+def pixel_art(seed: int) -> Array:
     """Return sprites of eight colours, symmetric, on a dithered ground, with texels of 4 x 4 pixels."""
     random = np.random.default_rng(seed)
     palette, side = random.integers(0, 256, (8, 3)) / 255, SIDE // 4
@@ -69,7 +70,7 @@ def pixel_art(seed):
     return np.kron(palette[np.where(sprite > 0, 2 + sprite % 6, ground)], np.ones((4, 4, 1)))
 
 
-def weave():
+def weave() -> Array:
     """Return threads that pass over and under each other."""
     random = np.random.default_rng(1)
     tones = random.uniform(0.5, 1, (2, SIDE // 6))
@@ -81,7 +82,7 @@ def weave():
     return np.where(over, across, along)[..., None] * np.array([0.8, 0.6, 0.4])
 
 
-def plaster():
+def plaster() -> Array:
     """Return smooth bumps of several sizes."""
     random, found = np.random.default_rng(2), np.zeros((SIDE, SIDE))
     for width in (2, 4, 8, 16):
@@ -90,7 +91,7 @@ def plaster():
     return 0.6 + 0.03 * found[..., None] * np.array([1, 0.95, 0.9])
 
 
-def rendered(seed):
+def rendered(seed: int) -> Float32s:
     """Return linear light of three lamps with penumbrae on a wall of several materials."""
     random = np.random.default_rng(seed)
     place = np.stack(np.mgrid[:SIDE, :SIDE], axis=2) / SIDE

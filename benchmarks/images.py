@@ -1,16 +1,17 @@
 """Images: photographs of scikit-image and files of folders, and functions that add noise and smooth."""
 
-from __future__ import annotations
-
+import sys
 import tempfile
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy.ndimage import map_coordinates
 
 import beltrami_cli
+from beltrami_cli.arrays import Array, Float32s
 from beltrami_cli.errors import BeltramiError
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.jobs.noise_kinds import NumberedSamples, add_grain, seen_by_camera
@@ -21,24 +22,23 @@ from peers import needed
 SIDE = 224  # pixels per side of windows of images
 # Top and left of the window of a photograph.
 CORNERS = {
-    "astronaut": (20, 130),
-    "coffee": (100, 150),
-    "chelsea": (40, 110),
-    "immunohistochemistry": (150, 150),
-}
+    "astronaut": (20, 130), "coffee": (100, 150), "chelsea": (40, 110), "immunohistochemistry": (150, 150),
+}  # fmt: skip
 PHOTOGRAPHS = tuple(CORNERS)
 SUFFIXES = ".png", ".jpg", ".jpeg", ".tga", ".bmp", ".webp"
-SIDES = 64, 1024  # range of pixels per side of a picture
-COUNT = 130  # maximum number of pictures of a folder
+SIDES = 64, 1024  # range of pixels per side of an image
+COUNT = 130  # maximum number of images of a folder
+
+Interval = tuple[float, float]
 
 
-def photograph(name):
+def photograph(name: str) -> Array:
     """Return a photograph that comes with scikit-image, in [0, 1]."""
     image = getattr(needed("skimage.data"), name)() / 255.0
     return np.repeat(image[..., None], 3, axis=2) if image.ndim == 2 else image[..., :3]
 
 
-def on_sphere(image, directions):
+def on_sphere(image: Array, directions: Array) -> Array:
     """Return the colours of directions: each hemisphere shows the disc in the middle of the image, by equal areas."""
     shape = np.array(image.shape[:2])
     flat = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
@@ -51,10 +51,10 @@ def on_sphere(image, directions):
     return np.clip(np.stack(seen, axis=-1), 0, 1)
 
 
-def pictures(folder):
-    """Yield up to `COUNT` 8-bit pictures that are spread evenly over a folder, with their paths."""
+def images_of(folder: Path) -> Iterator[tuple[Path, Array]]:
+    """Yield up to `COUNT` 8-bit images that are spread evenly over a folder, with their paths; exit without any."""
     paths = sorted(path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES)
-    every, wanted = np.arange(len(paths)) * 0.5698402909980532 % 1, COUNT  # spread evenly (M. Roberts, 2018)
+    every, found = np.arange(len(paths)) * 0.5698402909980532 % 1, 0  # spread evenly (M. Roberts, 2018)
     for number in np.argsort(every):
         try:
             pixels = read_image(paths[number].read_bytes(), paths[number].name).pixels
@@ -63,12 +63,14 @@ def pictures(folder):
         sides = pixels.shape[:2]
         if pixels.dtype == np.uint8 and SIDES[0] <= min(sides) and max(sides) <= SIDES[1]:
             yield paths[number], pixels
-            wanted -= 1
-        if not wanted:
+            found += 1
+        if found == COUNT:
             return
+    if not found:
+        sys.exit(f"{folder}: no 8-bit images with sides of {SIDES[0]} to {SIDES[1]} pixels")
 
 
-def images(paths):
+def windows(paths: Sequence[Path]) -> Iterator[tuple[str, Float32s]]:
     """Yield names and windows of images, float32, shape (R, C, 3), in [0, 1]."""
     for name, (top, left) in CORNERS.items():
         whole = getattr(needed("skimage.data"), name)()[..., :3] / np.float32(255)
@@ -79,7 +81,7 @@ def images(paths):
         yield path.stem, whole[top : top + SIDE, left : left + SIDE]
 
 
-def with_noise(image, kind, **wanted):
+def with_noise(image: Array, kind: Literal["camera", "grain"], **wanted: Any) -> Array:
     """Return an image with noise as `beltrami noise` adds it, before rounding."""
     settings, shape = NoiseSettings(kind=kind, **wanted), image.shape[:2]
     row, column = np.indices(shape).reshape(2, -1)
@@ -93,36 +95,32 @@ def with_noise(image, kind, **wanted):
     return noisy.reshape(image.shape)
 
 
-def stored(image):
-    """Round to 8 bit."""
+def stored(image: Array) -> Float32s:
+    """Clip and round as 8-bit files do."""
     return (np.rint(255 * np.clip(image, 0, 1)) / 255).astype(np.float32)
 
 
 @dataclass(frozen=True)
 class Smoothed:
-    """A smoothed image, the estimated noise, and the predicted interval of the PSNR."""
-
-    colours: Any
-    noise: Any
-    interval: Any  # None: not smoothed; []: no prediction
+    colours: Array
+    noise: Array  # estimated sigma of each channel
+    interval: Interval | None  # of the PSNR in dB, with a certainty of 90 %; None: not predicted
 
 
-def smoothed(noisy, **parameters):
-    """Smooth an image, or a JPEG file."""
+def smoothed(noisy: Array | bytes, **parameters: Any) -> Smoothed:
+    """Smooth an image, or a JPEG file given by its bytes."""
     if not isinstance(noisy, bytes):
         result = beltrami_cli.smooth_image(noisy, **parameters)
-        choice = result.choice
-        return Smoothed(result.colours, result.noise, None if choice is None else choice.interval or [])
+        return Smoothed(result.colours, result.noise, result.choice.interval if result.choice else None)
     with tempfile.TemporaryDirectory() as folder:
         source, target = Path(folder) / "in.jpg", Path(folder) / "out.png"
         source.write_bytes(noisy)
         report = beltrami_cli.smooth_file(source, target, **parameters).image
-        choice, noise = report.choice, np.array(list(report.noise.values()))
-        return Smoothed(
-            colours_of(target.read_bytes()), noise, None if choice is None else choice["interval"] or []
-        )
+        assert report is not None
+        interval: Any = report.choice["interval"] if report.choice else None
+        return Smoothed(colours_of(target.read_bytes()), np.array([*report.noise.values()]), interval)
 
 
-def colours_of(image):
+def colours_of(image: Array | bytes) -> Array:
     """Return an image in [0, 1], decoded if it is the bytes of a file."""
     return read_image(image, "an image").pixels / np.float32(255) if isinstance(image, bytes) else image
