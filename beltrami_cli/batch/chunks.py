@@ -16,7 +16,7 @@ from beltrami_cli.batch.pool import Lost, Pool, Task
 from beltrami_cli.batch.run import Workers
 from beltrami_cli.batch.work import do_item
 from beltrami_cli.errors import ProcessingError
-from beltrami_cli.flow.chunks import Answers, Chunk, Chunking, Figures, Operation
+from beltrami_cli.flow.chunks import Answers, Chunk, Chunking, KernelCounts, Operation
 from beltrami_cli.jobs.progress import Progress, at_intervals
 
 # Attempts at a chunk before its file fails: a machine that restarts loses a few workers, and a chunk that is too large
@@ -107,11 +107,11 @@ class ChunkRunner:
 
 def do_chunk(
     part: Any, operation: Operation, stacks: list[Float32s], progress: object
-) -> tuple[Sequence[Float32s], Figures] | Exception:
+) -> tuple[Sequence[Float32s], KernelCounts] | Exception:
     """Compute a chunk in a worker."""
     del progress
     try:
-        values, figures = operation(part, stacks, 1)
-        return [np.ascontiguousarray(each) for each in values], figures
+        values, counts = operation(part, stacks, 1)
+        return [np.ascontiguousarray(each) for each in values], counts
     except Exception as error:  # unlike the death of a worker, it would recur elsewhere
         return error

@@ -15,16 +15,21 @@ import math
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from beltrami_cli.arrays import Float32s
 
-Figures = tuple[float, int]
-"""The number of samples in all kernels of a chunk, and the number of kernels that were truncated."""
 
-Operation = Callable[[Any, list[Float32s], int], tuple[Sequence[Float32s], Figures]]
+class KernelCounts(NamedTuple):
+    """The number of samples in all kernels of a chunk, and the number of truncated kernels."""
+
+    samples: float = 0.0
+    truncated: int = 0
+
+
+Operation = Callable[[Any, list[Float32s], int], tuple[Sequence[Float32s], KernelCounts]]
 """Takes a part, a list of its stacks, which it may change, and the number of threads.
 
 Returns stacks of the samples of the chunk.
@@ -41,7 +46,7 @@ class Chunk:
     place: Any  # index of the chunk's own samples in such a stack
 
 
-Answers = Generator[tuple[int, Sequence[Float32s], Figures], None, None]
+Answers = Generator[tuple[int, Sequence[Float32s], KernelCounts], None, None]
 """The number of each chunk and its results, in any order. Results are valid until the next ones are requested."""
 
 Runner = Callable[[Sequence[Chunk], Operation, Sequence[Float32s]], Answers]
@@ -68,32 +73,35 @@ class Chunking:
         self, chunks: Sequence[Chunk], operation: Operation, stacks: Sequence[Float32s],
         results: Sequence[Float32s], progress: Callable[[int], None] | None, *,
         size: int, threads: int, adds: bool = False,
-    ) -> Figures:  # fmt: skip
+    ) -> KernelCounts:  # fmt: skip
         """Write the results of all chunks to stacks of the whole, or add them; `stacks` are not changed.
 
         `size`: number of samples of the whole, for its progress; `threads`: for a single chunk, which is processed
         here.
         """
-        samples, truncated, added = 0.0, 0, 0
-        # Results are added in the order of the chunks, since rounding depends on it.
-        waiting: dict[int, Sequence[Float32s]] = {}
+        samples, truncated = 0.0, 0
         run = self.runner if len(chunks) > 1 else partial(in_turn, threads=threads)
         # Closing the generator stops the workers at once when an exception is raised here.
         with contextlib.closing(run(chunks, operation, stacks)) as answers:
-            for done, (number, values, figures) in enumerate(answers, 1):
-                if adds:
-                    waiting[number] = [part.copy() for part in values]
-                else:
-                    for result, part in zip(results, values, strict=True):
-                        result[chunks[number].place] = part
-                while added in waiting:
-                    for result, part in zip(results, waiting.pop(added), strict=True):
-                        result[chunks[added].place] += part
-                    added += 1
-                samples, truncated = samples + figures[0], truncated + figures[1]
+            for done, (number, values, counts) in enumerate(_in_order(answers) if adds else answers, 1):
+                place = chunks[number].place
+                for result, part in zip(results, values, strict=True):
+                    result[place] = result[place] + part if adds else part
+                samples, truncated = samples + counts.samples, truncated + counts.truncated
                 if progress is not None:
                     progress(size * done // len(chunks))
-        return samples, truncated
+        return KernelCounts(samples, truncated)
+
+
+def _in_order(answers: Answers) -> Answers:
+    """Yield answers in the order of the chunks, for sums, whose rounding depends on it."""
+    waiting: dict[int, tuple[Sequence[Float32s], KernelCounts]] = {}
+    first = 0
+    for number, values, counts in answers:
+        waiting[number] = [part.copy() for part in values], counts
+        while first in waiting:
+            yield first, *waiting.pop(first)
+            first += 1
 
 
 # Peak memory of a mesh in one piece, in bytes per sample: `smooth` of a million points, see docs/performance.md.

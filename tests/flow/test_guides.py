@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import beltrami_cli
-from beltrami_cli.flow.manifolds.grid.gaussian import guide_radius
+from beltrami_cli.flow.manifolds.grid.gaussian import gaussian_reach
 from beltrami_cli.flow.manifolds.guides import Guide, choose_guide_beta
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface.atlas import build_atlas
@@ -107,7 +107,7 @@ def test_only_the_metric_channels_make_distances(smooth):
 def with_guide(surface, image, guide, beta=5.0, in_chart_frame=False):
     """Smooth an image over a surface, guided by another of the same size."""
     kernel = KernelParameters(threads=1, metric_steps=0, beta=3.0)
-    margin = kernel.window // 2 + guide_radius(kernel.metric_scale)
+    margin = kernel.window // 2 + gaussian_reach(kernel.metric_scale)
     atlas = build_atlas(surface, [(image.shape[1], image.shape[0])], margin, 1)
     table, values = (part.reshape(-1, part.shape[2]).astype(np.float32) for part in (image, guide))
     guides = [Guide("guide", values[atlas.owned_texels], beta, in_chart_frame)]

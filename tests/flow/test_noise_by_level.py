@@ -11,7 +11,7 @@ import beltrami_cli
 from beltrami_cli._native import add_enlarged, means_of_squares
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.given_noise import GivenNoise
-from beltrami_cli.flow.manifolds.grid.patches import sort_squares
+from beltrami_cli.flow.manifolds.grid.levels import sort_squares
 from beltrami_cli.flow.noise.model import VarianceStabiliser
 from beltrami_cli.jobs.inspect import inspect_file
 from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED

@@ -5,7 +5,7 @@ import pickle
 import numpy as np
 import pytest
 
-from beltrami_cli.flow.manifolds.mesh.patches import clusters_for
+from beltrami_cli.flow.manifolds.mesh.levels import clusters_for
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.vertex_graph import Graph
 from flow.noisy_surfaces import manifold_of

@@ -10,7 +10,7 @@ import numpy as np
 import oracles.textured
 from beltrami_cli.flow.beltrami_flow import smooth_in_place
 from beltrami_cli.flow.decoding import plan_on_canvas
-from beltrami_cli.flow.manifolds.grid.gaussian import guide_radius
+from beltrami_cli.flow.manifolds.grid.gaussian import gaussian_reach
 from beltrami_cli.flow.manifolds.grid.manifold import ColouredCanvas
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface.atlas import build_atlas
@@ -104,7 +104,7 @@ def smoothed(plan):
 def smooth_image(surface, image, **parameters):
     """Smooth one image over a surface; texels that nothing covers stay."""
     kernel = KernelParameters(**{"threads": 1, **parameters})
-    margin = kernel.window // 2 + (guide_radius(kernel.metric_scale) if kernel.metric_steps else 0)
+    margin = kernel.window // 2 + (gaussian_reach(kernel.metric_scale) if kernel.metric_steps else 0)
     atlas = build_atlas(surface, [(image.shape[1], image.shape[0])], margin, 1)
     table = image.reshape(-1, image.shape[2]).astype(np.float32)
     plan = texel_plan(atlas, table[atlas.owned_texels], kernel)

@@ -2,7 +2,7 @@
 
 Everything outside of this package that smooths works with any `Manifold`. There are two kinds, in a folder each:
 `mesh.manifold` for triangulated surfaces and point clouds, `grid.manifold` for the canvases of textures and images.
-Both folders have the same files: `geometry`, `patches` with the coarse levels, `trial` with the parts on which
+Both folders have the same files: `geometry`, similar `patches`, coarse `levels`, `trial` with the parts on which
 parameters are tried, and `surroundings`, among which outliers are found.
 
 What both kinds share:

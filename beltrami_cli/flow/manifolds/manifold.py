@@ -19,7 +19,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
-from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunk, Chunking, Figures, Resources
+from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunk, Chunking, KernelCounts, Resources
 from beltrami_cli.flow.manifolds.beta import choose_beta
 from beltrami_cli.flow.manifolds.domain import CoarseLevel, Regions
 from beltrami_cli.flow.manifolds.geometry import Gaussian, Geometry, Stack
@@ -149,7 +149,7 @@ class Manifold(ABC):
     @abstractmethod
     def average_core_in_place(
         self, stacks: list[Stack], step: Step, core: Any
-    ) -> tuple[list[Stack], Figures]:
+    ) -> tuple[list[Stack], KernelCounts]:
         """Average stacks of a chunk at the samples with the index `core`; return only these."""
 
     @property
@@ -258,6 +258,6 @@ class SampleTrial:
 
 def _average_chunk_in_place(
     part: tuple[Manifold, Any], stacks: list[Stack], threads: int, step: Step
-) -> tuple[list[Stack], Figures]:
+) -> tuple[list[Stack], KernelCounts]:
     manifold, core = part
     return manifold.with_parameters(threads=threads).average_core_in_place(stacks, step, core)

@@ -27,7 +27,7 @@ def gaussian_taps(scale: float) -> Float32s:
     return np.asarray(taps / taps.sum(), np.float32)
 
 
-def guide_radius(scale: float) -> int:
+def gaussian_reach(scale: float) -> int:
     """Reach of a `GridGaussian` to each side in cells."""
     return len(gaussian_taps(scale)) // 2 if scale > 0 else 0
 

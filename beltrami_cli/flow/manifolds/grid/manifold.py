@@ -15,14 +15,15 @@ import numpy as np
 
 from beltrami_cli._native import FURTHEST_SUPPORT, SWEEP_TILE_ROWS, grid_distances, smooth_grid
 from beltrami_cli.arrays import Array, Bools, Float32s, Int64s
-from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunk, Figures, Resources
+from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunk, KernelCounts, Resources
 from beltrami_cli.flow.cuts import Rectangle, chunks_of_canvas
 from beltrami_cli.flow.manifolds.geometry import Gaussian, Stack
 from beltrami_cli.flow.manifolds.grid.canvas import canvas_colours, on_canvas
-from beltrami_cli.flow.manifolds.grid.gaussian import GridGaussian, guide_radius
+from beltrami_cli.flow.manifolds.grid.gaussian import GridGaussian, gaussian_reach
 from beltrami_cli.flow.manifolds.grid.geometry import Cells, GridGeometry, pick
+from beltrami_cli.flow.manifolds.grid.levels import Squares, largest_side
 from beltrami_cli.flow.manifolds.grid.margins import kernel_margin
-from beltrami_cli.flow.manifolds.grid.patches import Squares, collaborate_on_canvas, largest_side
+from beltrami_cli.flow.manifolds.grid.patches import collaborate_on_canvas
 from beltrami_cli.flow.manifolds.grid.seams import end_at_seams_in_place
 from beltrami_cli.flow.manifolds.grid.trial import choose_blocks, draw_perturbations, with_halo
 from beltrami_cli.flow.manifolds.guides import Guide, GuideStack
@@ -113,9 +114,9 @@ class GridManifold(Manifold):
 
     def average_core_in_place(
         self, stacks: list[Stack], step: Step, core: Rectangle
-    ) -> tuple[list[Stack], Figures]:
+    ) -> tuple[list[Stack], KernelCounts]:
         done = self.average_in_place(stacks, self.measure(stacks[0], step))
-        return [stack[core] for stack in done.stacks], (done.samples, 0)
+        return [stack[core] for stack in done.stacks], KernelCounts(done.samples)
 
     def average(
         self, stacks: list[Stack], metric: Metric, progress: Callable[[int], None] | None = None
@@ -252,7 +253,13 @@ class GridManifold(Manifold):
         grid, largest = self.geometry, largest_side(self.geometry.atlas, self.parameters)
         sides = (2**level for level in range(1, most + 1))
         return [
-            Squares(grid.atlas, side, grid.threads, self.noise.relative, self.resources.chunking)
+            Squares(
+                grid.atlas,
+                side,
+                grid.threads,
+                cell_variances=self.noise.relative,
+                chunking=self.resources.chunking,
+            )
             for side in sides
             if side <= largest
         ]
@@ -269,7 +276,7 @@ class GridManifold(Manifold):
         if len(atlas.owned_cells) <= budget:
             part, scored = dataclasses.replace(self, resources=IN_ONE_PIECE), atlas.owned_cells
         else:
-            reach = parameters.window // 2 + guide_radius(parameters.metric_scale)
+            reach = parameters.window // 2 + gaussian_reach(parameters.metric_scale)
             cells, core = choose_blocks(atlas, budget, reach)
             part = cut_blocks(self, cells, core, reach)
             planes = pick(planes, cells)

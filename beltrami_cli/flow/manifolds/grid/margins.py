@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from beltrami_cli._native import FURTHEST_SUPPORT, PATCH_REACH
-from beltrami_cli.flow.manifolds.grid.gaussian import guide_radius
+from beltrami_cli.flow.manifolds.grid.gaussian import gaussian_reach
 from beltrami_cli.flow.parameters import KernelParameters
 
 
@@ -21,4 +21,4 @@ def kernel_margin(parameters: KernelParameters) -> int:
 
 def _metric_reach(parameters: KernelParameters) -> int:
     """Reach of the Gaussian of the regularised metric."""
-    return guide_radius(parameters.metric_scale) if parameters.metric_steps else 0
+    return gaussian_reach(parameters.metric_scale) if parameters.metric_steps else 0

@@ -11,7 +11,7 @@ import numpy as np
 
 from beltrami_cli._native import PATCH_BLOCK_SIZE
 from beltrami_cli.arrays import Array, Float32s, Int32s
-from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunk, Chunking, Figures, Resources
+from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunk, Chunking, KernelCounts, Resources
 from beltrami_cli.flow.cuts import runs
 from beltrami_cli.flow.manifolds.geometry import Gaussian, Stack
 from beltrami_cli.flow.manifolds.guides import Guide, GuideStack
@@ -27,7 +27,8 @@ from beltrami_cli.flow.manifolds.manifold import Manifold, SampleTrial, Stabilis
 from beltrami_cli.flow.manifolds.mesh.fingerprints import fingerprints, quantised
 from beltrami_cli.flow.manifolds.mesh.geometry import Core, MeshGeometry, MeshMetric, rank_in
 from beltrami_cli.flow.manifolds.mesh.kernel_work import without_hubs
-from beltrami_cli.flow.manifolds.mesh.patches import Clusters, clusters_for, collaborate_on_graph
+from beltrami_cli.flow.manifolds.mesh.levels import Clusters, clusters_for
+from beltrami_cli.flow.manifolds.mesh.patches import collaborate_on_graph
 from beltrami_cli.flow.manifolds.mesh.trial import choose_patches, draw_perturbations
 from beltrami_cli.flow.manifolds.metric_channels import gaussian_for, joined_channels
 from beltrami_cli.flow.manifolds.moving_positions import GeometryParameters, MovingPositions
@@ -149,12 +150,12 @@ class MeshManifold(Manifold):
 
     def average_core_in_place(
         self, stacks: list[Stack], step: Step, core: slice
-    ) -> tuple[list[Stack], Figures]:
+    ) -> tuple[list[Stack], KernelCounts]:
         return self._apply_kernels(stacks, self.measure(stacks[0], step), core)
 
     def _apply_kernels(
         self, stacks: list[Stack], metric: Metric, rows: slice, progress: Callable[[int], None] | None = None
-    ) -> tuple[list[Stack], Figures]:
+    ) -> tuple[list[Stack], KernelCounts]:
         """Average some rows of stacks, in one pass; return also the numbers of samples and of truncated kernels."""
         parameters, widths = at_step(self.parameters, metric.step), [stack.shape[1] for stack in stacks]
         channels = stacks[0] if len(stacks) == 1 else np.concatenate(stacks, axis=1)
@@ -163,7 +164,7 @@ class MeshManifold(Manifold):
             parameters.thread_count, progress, rows.start, rows.stop,
         )  # fmt: skip
         parts = np.split(smoothed[rows], np.cumsum(widths)[:-1], axis=1)
-        return [np.ascontiguousarray(part) for part in parts], (samples, truncated)
+        return [np.ascontiguousarray(part) for part in parts], KernelCounts(samples, truncated)
 
     def core_with(self, metric: Metric) -> Core:
         assert isinstance(metric, MeshMetric)
