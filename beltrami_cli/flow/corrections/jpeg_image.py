@@ -46,7 +46,7 @@ _NEAREST_SHARE, _NEXT_SHARE = 0.75, 0.25
 
 @dataclass(frozen=True)
 class JpegImage:
-    """A image decoded from a JPEG file."""
+    """An image decoded from a JPEG file."""
 
     pixels: Array  # shape (H, W, 1 or 3), uint8
     used: Bools  # pixels that are samples of the surface, shape (H, W)
@@ -110,7 +110,7 @@ class JpegImage:
 
 
 def decode_in_place(image: JpegImage, pilot: Float32s, sigma: float) -> None:
-    """Replace a pilot, shape (H, W, 1 or 3), full scale 1, by the expected pixels before compression."""
+    """Replace a pilot, shape (H, W, 1 or 3), by the expected pixels before compression, both of full scale 1."""
     for rows in image.bands:
         stored = image.pixels[rows].astype(np.float32)
         decoded = expected_pixels(image, stored, image.stored_planes(rows), 255 * pilot[rows], sigma)
@@ -120,9 +120,9 @@ def decode_in_place(image: JpegImage, pilot: Float32s, sigma: float) -> None:
 def expected_pixels(
     image: JpegImage, stored: Float32s, planes: Sequence[Float32s], pilot: Float32s, sigma: float
 ) -> Float32s:
-    """Return what stored pixels were before on average, by the planes that they were decoded from and a pilot.
+    """Return the expected pixels before compression, by the planes that stored pixels were decoded from and a pilot.
 
-    All are of full scale 255.
+    Pixels have full scale 255, `sigma` full scale 1.
     """
     of_planes = image.tables, image.sigma_of_planes(255 * sigma)
     darker = normal_tables().clipping_bias(pilot / np.float32(255), sigma) * np.float32(255)

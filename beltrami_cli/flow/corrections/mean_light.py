@@ -55,9 +55,9 @@ class MeanLight:
         stabiliser, space = manifold.noise.stabiliser, self.space
         manifold.geometry.refresh(manifold.colours)
         light = _light_of(manifold, space)
-        for channel in range(len(light)):
-            before, after = self.planes[channel : channel + 1], light[channel : channel + 1]
-            _give_back(manifold.regions, before, after, manifold.geometry.threads)
+        for k, channel in enumerate(light):
+            before, smoothed = self.planes[k : k + 1], light[k : k + 1]
+            channel[:] = _restored(manifold.regions, before, smoothed, manifold.geometry.threads)[0]
         axis = manifold.geometry.axis
         for block, new in zip(in_blocks(axis, manifold.colours), in_blocks(0, light), strict=True):
             block[0][:] = _converted(new[0], lambda rows: to_space(rows, "linear", space))
@@ -66,8 +66,9 @@ class MeanLight:
         manifold.geometry.refresh(manifold.colours)
 
 
-def _give_back(regions: Regions, before: Float32s, after: Float32s, threads: int) -> None:
-    smoothed = after.copy()
+def _restored(regions: Regions, before: Float32s, smoothed: Float32s, threads: int) -> Float32s:
+    """Return u' of a channel, shape (1, ...), from z and u."""
+    restored = smoothed.copy()
     for band in _bands(smoothed):
 
         def lost_and_size(rows: slice, band: int = band) -> Float32s:
@@ -75,12 +76,12 @@ def _give_back(regions: Regions, before: Float32s, after: Float32s, threads: int
             weighted = _weights(u, band)
             return np.stack([weighted * (z - u), weighted * np.abs(u)])
 
-        sums = regions.spread(regions.gathered(2, lost_and_size, after, threads))
-        for rows in block_rows(after, regions.side):
+        sums = regions.spread(regions.gathered(2, lost_and_size, smoothed, threads))
+        for rows in block_rows(smoothed, regions.side):
             u, (lost, size) = smoothed[0, rows], regions.enlarged(sums, rows)
-            after[0, rows] += (
-                _weights(u, band) * np.abs(u) * lost / np.maximum(size, np.finfo(np.float32).tiny)
-            )
+            size = np.maximum(size, np.finfo(np.float32).tiny)
+            restored[0, rows] += _weights(u, band) * np.abs(u) * lost / size
+    return restored
 
 
 def _light_of(manifold: Manifold, space: Space) -> Float32s:
