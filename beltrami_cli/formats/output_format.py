@@ -9,6 +9,7 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.file_formats import FORMATS, WRITABLE, format_of, format_of_suffix
+from beltrami_cli.formats.loading import mesh_writer
 from beltrami_cli.formats.meshes.mesh_contents import image_names, with_slots
 from beltrami_cli.formats.registry import KEPT_FORMATS, OUTPUT_FORMATS, READ_ONLY, WRITERS, Format
 from beltrami_cli.surface.records import MeshContents
@@ -85,7 +86,8 @@ def write_mesh(mesh: MeshContents, name: str, stem: str) -> Written:
     mesh = _fitted(mesh, line)
     for image in mesh.images:
         require_textures(name, image.file.suffix)
-    written: Written = line.load(line.writer)(mesh, stem)
+    assert line.writer is not None  # or else `_writer` had refused it
+    written = mesh_writer(line.writer)(mesh, stem)
     return replace(written, notices=(*mesh.notices, *written.notices))
 
 

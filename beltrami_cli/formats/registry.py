@@ -1,20 +1,21 @@
-"""The known formats: how each is recognised, and which module reads and writes it.
+"""The known formats: how each is recognised, and what a new file of it holds.
 
-A new mesh format is a folder in this package and a line of `FORMATS`. The module of a format is imported on demand, so
-that the command line starts fast.
+A new mesh format is a folder in this package, a line of `FORMATS`, and its reader and writer in `loading.py`.
 """
 
 from __future__ import annotations
 
-import importlib
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.files.access import DEFAULT_ACCESS, Access, read_source
+from beltrami_cli.formats.image.file_formats import is_image
+from beltrami_cli.formats.loading import Reader, Writer, document_class
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
@@ -53,20 +54,18 @@ _HEAD = 512  # bytes in which the mark of a format is looked for
 _JSON = rb"(?:\xef\xbb\xbf)?[ \t\r\n]*\{"
 _PCD = rb"# \.PCD|VERSION 0?\.7"
 _COMMON_IMAGES = (".png", ".jpg", ".jpeg")
-_TEXTS = ("xyzrgb", "asc", "txt")
 READ_ONLY = ("off", "stl", "3mf", "dae", "zae")
 
 
 @dataclass(frozen=True)
 class Format:
-    """A line of the registry. Classes and functions are found in `module`, relative to this package."""
+    """A line of the registry."""
 
-    name: str  # `Document.format`; with a writer also the value of --format and the suffix of OUTPUT
+    name: str  # `Document.format`; if it is written also the value of --format and the suffix of OUTPUT
     # Recognises the bytes and, if need be, the name of a file; None: the files have no mark, or that of another line.
     mark: Recogniser | None
-    module: str
-    reader: str  # a `Document`; for volumes a function that returns a `Volume`
-    writer: str = ""  # (MeshContents, stem) -> Written; empty: none
+    reader: Reader | None  # for `document_class`; None: a volume, which becomes a document with settings
+    writer: Writer | None = None  # for `mesh_writer`; None: meshes are not written in it
     has_textures: bool = False  # whether the writer writes textures
     sidecars: str = ""  # suffixes of the sidecar files that the writer makes without textures
     textured_sidecars: str = ""  # and with textures; ".*" is the suffix of the texture
@@ -81,23 +80,27 @@ class Format:
     def suffixes(self) -> tuple[str, ...]:
         return tuple(f".{name}" for name in (self.name, *self.aliases))
 
-    def load(self, name: str) -> Any:
-        return _loaded(f"{self.module}.{name}")
-
 
 def _by_start(pattern: bytes) -> Recogniser:
     compiled = re.compile(pattern)
     return lambda data, name: compiled.match(data) is not None
 
 
-def _by_function(function: str, *starts: bytes) -> Recogniser:
-    """Recognise by a function of this package, imported only for files with one of the `starts` (none: all files)."""
-    return lambda data, name: data.startswith(starts or b"") and bool(_loaded(function)(data, name))
+def _is_volume(data: bytes, name: str) -> bool:
+    if not data.startswith(_VOLUMES):
+        return False
+    from beltrami_cli.formats.volume import is_volume
+
+    return is_volume(data, name)
 
 
-def _loaded(name: str) -> Any:
-    module, _, attribute = f"beltrami_cli.formats.{name}".rpartition(".")
-    return getattr(importlib.import_module(module), attribute)
+def _is_npz(data: bytes, name: str) -> bool:
+    del name
+    if not data.startswith(_ZIP):
+        return False
+    from beltrami_cli.formats.files.numpy_files import is_npz
+
+    return is_npz(data)
 
 
 def _is_usdz(data: bytes, name: str) -> bool:
@@ -109,60 +112,52 @@ def _is_usdz(data: bytes, name: str) -> bool:
 
 
 def _is_foreign(data: bytes, name: str) -> bool:
+    from beltrami_cli.formats.read_only.document import kind_of
+
     # OBJ files are recognised by their names alone, and may start with comments, as OFF files do.
-    return not name.lower().endswith(".obj") and _loaded("read_only.document.kind_of")(data, name) is not None
+    return not name.lower().endswith(".obj") and kind_of(data, name) is not None
 
 
-def _textured(name: str, mark: Recogniser | None, reader: str, form: str = "", **more: Any) -> Format:
-    """Return a line of a textured format; the writer is named after the format, or after `form`."""
-    module, _, document = reader.partition(".")
-    writer = f"writer.write_{form or name}"
-    return Format(name, mark, module, f"document.{document}", writer, has_textures=True, **more)
-
+_textured = partial(Format, has_textures=True)
 
 # The first line whose mark matches is taken. Names are considered only if no mark matches.
 FORMATS = (
-    Format("image", _by_function("image.file_formats.is_image"), "image_document", "ImageDocument", kind="image"),
-    Format("volume", _by_function("volume.is_volume", *_VOLUMES), "volume", "read_volume", kind="volume"),
-    _textured("ply", _by_start(rb"ply[\n\r \t]"), "ply.PlyDocument", textured_sidecars=".*", slots=("baseColor",)),
+    Format("image", is_image, "image", kind="image"),
+    Format("volume", _is_volume, None, kind="volume"),
+    _textured("ply", _by_start(rb"ply[\n\r \t]"), "ply", "ply", textured_sidecars=".*", slots=("baseColor",)),
     _textured(
-        "obj", None, "obj.ObjDocument", by_name=True, textured_sidecars=".mtl .*",
+        "obj", None, "obj", "obj", by_name=True, textured_sidecars=".mtl .*",
         slots=("baseColor", "emissive", "normal", "metallicRoughness"),
     ),
-    _textured("glb", _by_start(rb"glTF"), "gltf.GltfDocument", images=_COMMON_IMAGES),
-    Format("vrm", None, "gltf", "document.GltfDocument", keeps_form=True),  # a GLB with an avatar
+    _textured("glb", _by_start(rb"glTF"), "gltf", "glb", images=_COMMON_IMAGES),
+    Format("vrm", None, "gltf", keeps_form=True),  # a GLB with an avatar
     _textured(
-        "gltf", _by_start(_JSON), "gltf.GltfDocument", sidecars=".bin", textured_sidecars=".bin .*",
+        "gltf", _by_start(_JSON), "gltf", "gltf", sidecars=".bin", textured_sidecars=".bin .*",
         images=_COMMON_IMAGES,
     ),
-    _textured("usdz", _is_usdz, "usd.UsdDocument", images=_COMMON_IMAGES),
-    _textured("usda", _by_start(rb"#usda"), "usd.UsdDocument", textured_sidecars=".*"),
-    _textured("usdc", _by_start(rb"PXR-USDC"), "usd.UsdDocument", textured_sidecars=".*"),
-    # A .usd file has one of the two forms above.
-    _textured("usd", None, "usd.UsdDocument", form="usdc", textured_sidecars=".*"),
-    *(
-        Format(
-            name, None, "points.text_document", "TextPointsDocument", f"write_{name}", aliases=aliases, by_name=True
-        )
-        for name, aliases in (("xyz", _TEXTS), ("pts", ()), ("csv", ()))
-    ),
-    *(
-        Format(name, mark, "points.survey", "SurveyDocument", keeps_form=True)
-        for name, mark in (
-            ("las", _by_start(rb"LASF")), ("laz", None), ("e57", _by_start(rb"ASTM-E57")), ("pcd", _by_start(_PCD))
-        )
-    ),
-    Format("npz", _by_function("files.numpy_files.is_npz", _ZIP), "points.npz", "NpzPointsDocument", "write_npz"),
-    Format("foreign", _is_foreign, "read_only", "document.ReadOnlyDocument", aliases=READ_ONLY),
+    _textured("usdz", _is_usdz, "usd", "usdz", images=_COMMON_IMAGES),
+    _textured("usda", _by_start(rb"#usda"), "usd", "usda", textured_sidecars=".*"),
+    _textured("usdc", _by_start(rb"PXR-USDC"), "usd", "usdc", textured_sidecars=".*"),
+    _textured("usd", None, "usd", "usdc", textured_sidecars=".*"),  # in one of the two forms above
+    Format("xyz", None, "text points", "xyz", aliases=("xyzrgb", "asc", "txt"), by_name=True),
+    Format("pts", None, "text points", "pts", by_name=True),
+    Format("csv", None, "text points", "csv", by_name=True),
+    Format("las", _by_start(rb"LASF"), "survey", keeps_form=True),
+    Format("laz", None, "survey", keeps_form=True),
+    Format("e57", _by_start(rb"ASTM-E57"), "survey", keeps_form=True),
+    Format("pcd", _by_start(_PCD), "survey", keeps_form=True),
+    Format("npz", _is_npz, "npz points", "npz"),
+    Format("foreign", _is_foreign, "read only", aliases=READ_ONLY),
 )  # fmt: skip
 
 
-def _extensions(*packages: str) -> str:
-    return ", ".join(s for line in FORMATS if line.module.split(".")[0] in packages for s in line.suffixes)
+def _extensions(*readers: Reader) -> str:
+    return ", ".join(s for line in FORMATS if line.reader in readers for s in line.suffixes)
 
 
 _READABLE = (
-    f"beltrami reads {_extensions('ply', 'obj', 'gltf', 'usd')}; points in {_extensions('points')}; "
+    f"beltrami reads {_extensions('ply', 'obj', 'gltf', 'usd')}; "
+    f"points in {_extensions('text points', 'survey', 'npz points')}; "
     "images such as .png, .jpg, .tif and .exr; level sets in .nrrd and .npz; and the colours of "
     f".{', .'.join(READ_ONLY)}"
 )
@@ -204,8 +199,8 @@ def open_as(line: Format | None, data: bytes, name: str, folder: Path | None, ac
     """Open the bytes of a model or image in a recognised format; InputError if it was not recognised."""
     if line is None:
         raise _refusal(data, name)
-    document: Document = line.load(line.reader)(data, name, folder, access)
-    return document
+    assert line.reader is not None
+    return document_class(line.reader)(data, name, folder, access)
 
 
 def recognised(data: bytes, name: str) -> Format | None:

@@ -15,7 +15,7 @@ from beltrami_cli.surface.records import MeshContents
 from formats.gltf_files import joined, numbers, unpacked
 
 # tests/formats/test_usd.py writes USD.
-WRITABLE = [line for line in FORMATS if line.writer and line.module != "usd"]
+WRITABLE = [line for line in FORMATS if line.writer and line.reader != "usd"]
 FORMS = [line.name for line in WRITABLE]
 MESHES = [line.name for line in WRITABLE if line.has_textures]
 OF_SINGLE_PRECISION = ("glb", "gltf")

@@ -90,7 +90,7 @@ def _convert(document):
         document.patch(None, Naming("out"), form="glb")
     if document.slots():
         mesh = document.textured_mesh()
-        for form in (line.name for line in TEXTURED if line.module != "usd"):  # which is slow to write
+        for form in (line.name for line in TEXTURED if line.reader != "usd"):  # which is slow to write
             held, names = image_suffixes(form), sidecars_of(mesh, form, "out")
             assert held is not None
             assert len({*names}) == len(names)

@@ -60,12 +60,12 @@ def test_names_that_developers_read_of_exist(page):
 
 
 def families():
-    """Names that pages list together: the slots, and the extensions of formats that share a module."""
+    """Names that pages list together: the slots, and the extensions of formats that one class reads."""
     extensions = {}
     for line in FORMATS:
         if line.kind == "model":
-            extensions.setdefault(line.module, set()).update((line.name, *line.aliases))
-    extensions["read_only"] -= {"foreign", "zae"}  # a .zae file is a compressed .dae file
+            extensions.setdefault(line.reader, set()).update((line.name, *line.aliases))
+    extensions["read only"] -= {"foreign", "zae"}  # a .zae file is a compressed .dae file
     return [{*SLOTS}, *(names for names in extensions.values() if len(names) > 2)]
 
 
@@ -116,14 +116,10 @@ def imported_by(path):
 def test_the_road_is_that_of_the_imports():
     road = figures(DEVELOPERS[0])[0]
     paths = {name: PACKAGE / path for name, path in re.findall(r'(\w+)\["([\w/.]+)<br>', road)}
-    arrows = re.findall(r"^ *(\w+)(?:\[.*?\])? (-->|-\.->) (\w+)", road, re.MULTILINE)
+    arrows = re.findall(r"^ *(\w+)(?:\[.*?\])? --> (\w+)", road, re.MULTILINE)
     assert len(arrows) == len(road.strip().splitlines()) - 1
-    for source, kind, target in arrows:
-        if kind == "-->":
-            assert paths[target] in imported_by(paths[source]), (source, target)
-        else:
-            readers = (Path(line.module) / line.reader.split(".")[0] for line in FORMATS)
-            assert paths[target] in {PACKAGE / "formats" / f"{reader}.py" for reader in readers}
+    for source, target in arrows:
+        assert paths[target] in imported_by(paths[source]), (source, target)
 
 
 def test_the_floors_are_those_of_the_contract():

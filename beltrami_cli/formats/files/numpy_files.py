@@ -61,7 +61,7 @@ class Header:
         return member[: self.offset] + numbers + member[self.offset + len(numbers) :]
 
 
-def is_npz(data: bytes, _: str = "") -> bool:
+def is_npz(data: bytes) -> bool:
     """Whether a file is an archive that starts with an array."""
     if data[:4] != _MAGIC or len(data) < 30:
         return False
