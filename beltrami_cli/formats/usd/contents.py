@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal, TypedDict
 
+from beltrami_cli.arrays import Array
+from beltrami_cli.errors import Obstacle
 from beltrami_cli.formats.usd.preview_surface import MaterialInputs
 from beltrami_cli.surface.records import Slot, Wrap
+from beltrami_cli.surface.worker_process import Message
 
 Count = Literal[
     "animated", "bare", "flat", "further", "hidden", "instanced", "no mesh", "transparent", "uncoloured", "unfit",
@@ -66,9 +69,9 @@ class ColourBlock:
 
 @dataclass(frozen=True)
 class SceneContents:
-    """A scene without its arrays, which are sent with it by name.
+    """A scene.
 
-    Of the V points, P polygons, K corners and C vertex colours of all meshes:
+    `arrays` has, of the V points, P polygons, K corners and C vertex colours of all meshes:
 
     - positions (V, 3): in world space
     - sizes (P,): corners of each polygon
@@ -93,11 +96,22 @@ class SceneContents:
     up: str
     unit: float  # metres
     variants: tuple[str, ...]
+    arrays: Mapping[str, Array]
+    unread: Mapping[str, Obstacle] = field(
+        default_factory=dict
+    )  # layers by their paths, known where they are read
+
+    def to_message(self) -> Message:
+        return asdict(replace(self, arrays={})), dict(self.arrays)
 
     @classmethod
-    def from_json(cls, answer: Mapping[str, Any]) -> SceneContents:
-        """Make the record from what `dataclasses.asdict` made of it and JSON left of that."""
+    def from_message(
+        cls, answer: Mapping[str, Any], arrays: Mapping[str, Array], unread: Mapping[str, Obstacle]
+    ) -> SceneContents:
+        """Make the record from what JSON left of `to_message`."""
         records = {
+            "arrays": arrays,
+            "unread": unread,
             "uses": tuple(TextureUse(**{**each, "wrap": tuple(each["wrap"])}) for each in answer["uses"]),
             "materials": tuple(MaterialInputs(**each) for each in answer["materials"]),
             "blocks": tuple(ColourBlock(**each) for each in answer["blocks"]),

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Float32s, Int32s, Int64s
+from beltrami_cli.arrays import Float32s, Int32s, Int64s
 from beltrami_cli.errors import InputError, NoColoursError, Obstacle
 from beltrami_cli.formats.changes import Changes, Naming, PlannedImages, Written
 from beltrami_cli.formats.comparison import Fingerprint, labelled
@@ -54,22 +54,21 @@ class UsdDocument(Document):
         self.forms = ("usdz",) if is_package else ("usd", "usda", "usdc")
 
     @cached_property
-    def _read(self) -> tuple[SceneContents, dict[str, Array], list[Obstacle]]:
-        """The scene, and layers that it lacks."""
-        contents, arrays = self._layers.scene()
-        unread = [
-            Obstacle(f"'{path}' {cause}", remedy) for path, (cause, remedy) in self._layers.obstacles.items()
-        ]
-        return contents, arrays, unread
+    def _contents(self) -> SceneContents:
+        return self._layers.scene()
 
     @property
     def notices(self) -> tuple[str, ...]:
-        unread = (f"{each.cause}{IGNORED}" for each in self._read[2])
+        unread = (f"{each.cause}{IGNORED}" for each in self._unread_layers())
         return (*unread, *(f"{each.cause}." for each in self._uncoloured_parts()))
 
     @property
     def obstacles(self) -> tuple[Obstacle, ...]:
-        return (*self._read[2], *self._uncoloured_parts())
+        return (*self._unread_layers(), *self._uncoloured_parts())
+
+    def _unread_layers(self) -> list[Obstacle]:
+        unread = self._contents.unread.items()
+        return [Obstacle(f"'{path}' {cause}", remedy) for path, (cause, remedy) in unread]
 
     def _uncoloured_parts(self) -> list[Obstacle]:
         counts = self._contents.counts
@@ -78,14 +77,6 @@ class UsdDocument(Document):
             for key, cause in _COUNTS.items()
             if (number := counts.get(key))
         ]
-
-    @property
-    def _contents(self) -> SceneContents:
-        return self._read[0]
-
-    @property
-    def _arrays(self) -> dict[str, Array]:
-        return self._read[1]
 
     @cached_property
     def _images(self) -> Images:
@@ -99,8 +90,8 @@ class UsdDocument(Document):
         if not self.has_vertex_colours():
             cause = "its meshes have no colours of vertices (displayColor)"
             raise NoColoursError(self.name, cause, "give them colours first")
-        positions = self._arrays["positions"][self._arrays["colour_vertex"]]
-        colours = self._arrays["colours"]
+        arrays = self._contents.arrays
+        positions, colours = arrays["positions"][arrays["colour_vertex"]], arrays["colours"]
         require_finite(positions, self.name, "the place of vertex")
         require_single(colours, self.name, "the colour of vertex")
         kinds = {block.type for block in self._contents.blocks}
@@ -112,7 +103,7 @@ class UsdDocument(Document):
 
     @cached_property
     def _coloured_polygons(self) -> tuple[Int32s, Int64s]:
-        sizes, rows = self._arrays["sizes"], self._arrays["rows"]
+        sizes, rows = self._contents.arrays["sizes"], self._contents.arrays["rows"]
         is_coloured = rows[np.cumsum(sizes) - sizes] >= 0
         kept = rows[np.repeat(is_coloured, sizes)].astype(np.int32)
         return kept, np.concatenate([[0], np.cumsum(sizes[is_coloured])])
@@ -127,7 +118,7 @@ class UsdDocument(Document):
 
     @property
     def _scene(self) -> Scene:
-        contents, arrays = self._contents, self._arrays
+        contents, arrays = self._contents, self._contents.arrays
         if not len(arrays.get("sizes", ())):
             raise InputError(self.name, "it has no polygons, so there is nothing to show a texture")
         require_finite(arrays["positions"], self.name, "the place of vertex")
@@ -180,7 +171,7 @@ class UsdDocument(Document):
         return written.sidecar_names if self._layers.package is None else []
 
     def contents(self) -> MeshContents:
-        mesh, counts, arrays = self._mesh, self._contents.counts, self._arrays
+        mesh, counts, arrays = self._mesh, self._contents.counts, self._contents.arrays
         losses = {
             "materials": self._contents.materials,
             "uncoloured meshes": any(counts.get(key) for key in _UNCOLOURED),
@@ -194,8 +185,9 @@ class UsdDocument(Document):
         return dataclasses.replace(mesh, alpha=alpha, left_out=left_out)
 
     def textured_mesh(self, colours: Float32s | None = None) -> MeshContents:
-        groups, normals = (self._contents.meshes, self._arrays["mesh_of"]), self._arrays["normals"]
-        mesh = textured_mesh(self._scene, self._omitted(), groups, normals)
+        contents, arrays = self._contents, self._contents.arrays
+        groups = contents.meshes, arrays["mesh_of"]
+        mesh = textured_mesh(self._scene, self._omitted(), groups, arrays["normals"])
         return self._with_vertex_colours(dataclasses.replace(mesh, frame=self.frame), colours)
 
     def _omitted(self) -> list[str]:
@@ -225,7 +217,7 @@ class UsdDocument(Document):
         return {
             "layers": list(self._layers.contents),
             "meshes": len(contents.meshes),
-            "polygons": len(self._arrays.get("sizes", ())),
+            "polygons": len(self._contents.arrays.get("sizes", ())),
             "coloured meshes": len(contents.blocks),
             "materials": [material.name for material in contents.materials],
             "slots": list(self.slots()),

@@ -44,8 +44,8 @@ class Layers:
     folder: ModelFolder
     root: str
     contents: dict[str, bytes]  # by path relative to the folder of the root layer, which comes first
-    refused: list[tuple[str, str]] = field(default_factory=list)
-    obstacles: dict[str, Obstacle] = field(default_factory=dict)  # why files are not read, by path
+    # Why paths of layers are left out, by the layer that has the path.
+    refused: dict[tuple[str, str], Obstacle] = field(default_factory=dict)
 
     @classmethod
     def of(cls, data: bytes, name: str, folder: Path | None, access: Access) -> Layers:
@@ -64,12 +64,13 @@ class Layers:
         """The paths of all layers but the root."""
         return [layer for layer in self.contents if layer != self.root]
 
-    def scene(self) -> tuple[SceneContents, dict[str, Array]]:
+    def scene(self) -> SceneContents:
         """Read the scene, with all layers that it needs."""
         while True:
             answer, arrays = self._ask("read", self._request, {})
             if "needs" not in answer:
-                return SceneContents.from_json(answer), arrays
+                unread = {path: why for (_, path), why in self.refused.items()}
+                return SceneContents.from_message(answer, arrays, unread)
             for layer, path in answer["needs"]:
                 if (layer, path) in self.refused:  # usd-core asks for it again, so it is needed
                     raise InputError(self.name, f"its layer {path[:80]!r} cannot be left out", _EXPORT)
@@ -108,16 +109,12 @@ class Layers:
             if self.package is None and file not in self.contents:
                 self.contents[file] = self.folder.read(file)
         except UnfitReferenceError as error:
-            self._refuse(layer, path, error.obstacle)
+            self.refused[layer, path] = error.obstacle
         except OSError as error:
-            self._refuse(layer, path, Obstacle(f"cannot be read ({error.strerror})"))
+            self.refused[layer, path] = Obstacle(f"cannot be read ({error.strerror})")
         most, size = self.access.memory, sum(map(len, self.contents.values()))
         if len(self.contents) > _MAX_LAYERS or (most is not None and size > most):
             raise MemoryLimitError(self.name, "it has more layers than fit into memory", "raise --max-memory")
-
-    def _refuse(self, layer: str, path: str, why: Obstacle) -> None:
-        self.refused.append((layer, path))
-        self.obstacles[path] = why
 
     def locate(self, path: str) -> str:
         """Return the path of a file or tile set that the scene refers to; UnfitReferenceError if it cannot be used."""
@@ -142,7 +139,7 @@ class Layers:
 
     @property
     def _request(self) -> SceneRequest:
-        return {"root": self.root, "layers": list(self.contents), "refused": self.refused}
+        return {"root": self.root, "layers": list(self.contents), "refused": list(self.refused)}
 
     def _ask(self, task: str, request: SceneRequest, arrays: dict[str, Array]) -> Message:
         """Send a request to usd-core, with all layers in a folder, and return its answer."""

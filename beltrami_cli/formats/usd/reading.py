@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import tempfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -11,12 +10,13 @@ from typing import Any
 from pxr import Sdf, Usd, UsdGeom
 
 from beltrami_cli.arrays import Array
-from beltrami_cli.formats.usd.contents import SceneContents, SceneRequest, TextRequest, TextureUse
+from beltrami_cli.formats.usd.contents import Count, SceneContents, SceneRequest, TextRequest, TextureUse
 from beltrami_cli.formats.usd.geometry import Geometry
 from beltrami_cli.formats.usd.stage import NeedsLayersError, files_in_variants, files_of, opened
+from beltrami_cli.surface.worker_process import Message
 
 
-def read(request: SceneRequest, _: dict[str, Array]) -> tuple[dict[str, Any], dict[str, Array]]:
+def read(request: SceneRequest, _: dict[str, Array]) -> Message:
     """Return the `SceneContents` and arrays of a scene, or the layers that it needs as well."""
     try:
         stage = opened(request["root"], request["layers"], request["refused"])
@@ -33,8 +33,7 @@ def read(request: SceneRequest, _: dict[str, Array]) -> tuple[dict[str, Any], di
             others.add(str(prim.GetTypeName()))
             colours = UsdGeom.Gprim(prim).GetDisplayColorAttr().Get(Usd.TimeCode.EarliestTime())
             geometry.counts["no mesh"] += int(colours is not None and len(colours) > 1)
-    contents = _contents(stage, geometry, images, others)
-    return dataclasses.asdict(contents), geometry.joined()
+    return _contents(stage, geometry, images, others).to_message()
 
 
 def _contents(
@@ -43,16 +42,18 @@ def _contents(
     """Return the contents of a scene; `images`: files that no mesh shows, by attribute."""
     uses = tuple(
         TextureUse(material, slot, shown.attribute, shown.file, shown.wrap)
-        for material, by_slot in enumerate(geometry.images)
+        for material, by_slot in enumerate(geometry.materials.images)
         for slot, shown in by_slot.items()
     )
+    materials = tuple(geometry.materials.inputs)
+    counts: dict[Count, int] = {**geometry.counts, "unread": sum(each.is_unread for each in materials)}
     return SceneContents(
         uses=uses,
         images={use.attribute: use.file for use in uses} | dict(images),
-        materials=tuple(geometry.materials),
+        materials=materials,
         blocks=tuple(geometry.blocks),
         meshes=tuple(geometry.meshes),
-        counts=dict(geometry.counts),
+        counts=counts,
         slots=tuple(sorted(geometry.slots)),
         others=tuple(sorted(others)),
         up=str(UsdGeom.GetStageUpAxis(stage)),
@@ -64,10 +65,11 @@ def _contents(
             for sets in [prim.GetVariantSets()]
             for name in sets.GetNames()
         ),
+        arrays=geometry.joined(),
     )
 
 
-def text(request: TextRequest, _: dict[str, Array]) -> tuple[str, dict[str, Array]]:
+def text(request: TextRequest, _: dict[str, Array]) -> Message:
     """Return the text of the root layer without the values of some attributes: colours, and names of images."""
     stage = opened(request["root"], request["layers"], request["refused"])
     bare = Sdf.Layer.CreateAnonymous(".usda")
