@@ -16,7 +16,8 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.files.access import Access, read_source
 from beltrami_cli.formats.files.bounded_text import REPORT, parse_json, text_in
 from beltrami_cli.jobs.compare.documents import ALL_SLOTS, ComparedDocuments, compare_documents, open_both
-from beltrami_cli.jobs.compare.figures import Measured, figures
+from beltrami_cli.jobs.compare.figures import figures
+from beltrami_cli.jobs.compare.measured import Measured
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.progress import Progress, tracked
 from beltrami_cli.jobs.writing.output import Output

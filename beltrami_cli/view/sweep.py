@@ -116,10 +116,11 @@ def _figures(truth: Document, result: Document, settings: SmoothSettings, job: J
     compared = compare_documents((truth, result), chosen, "uniform", Job(job.access))
     require_samples(compared.parts, truth.name)
     overall = compared.overall()
+    near_seams, delta_e = overall["near_seams"], overall["delta_e"]
     found = {
         "psnr": overall["psnr"],
-        "psnr_near_seams": (overall["near_seams"] or {}).get("psnr"),
+        "psnr_near_seams": None if near_seams is None else near_seams["psnr"],
         "ssim": overall["ssim"],
-        "delta_e": (overall["delta_e"] or {}).get("mean"),
+        "delta_e": None if delta_e is None else delta_e["mean"],
     }
     return {key: value for key, value in found.items() if value is not None}

@@ -151,7 +151,13 @@ def test_where_no_seam_is_nothing_jumps_and_a_seam_that_cannot_be_measured_is_no
     compared = compare_files(one, one, Limits(max_seam_jump=0.0))
     assert compared.passed
     assert "--max-seam-jump is kept" in compared.notices[0]
-    part = {"name": "narrow", "samples": 4, "near_seams": {"samples": 4}, "seam_jump": None}
+    part = {
+        "name": "narrow",
+        "samples": 4,
+        "identical": False,
+        "near_seams": {"samples": 4},
+        "seam_jump": None,
+    }
     with pytest.raises(InputError, match="--max-seam-jump cannot be tested"):
         check_limits([part], Limits(max_seam_jump=1.0), "t.obj")
 

@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from beltrami_cli.jobs.compare.figures import ComparedPart, measure
+from beltrami_cli.jobs.compare.measured import ComparedPart, measure
 from beltrami_cli.view import report
 from beltrami_cli.view.parameter_tables import used_parameters
 from beltrami_cli.view.report import histogram

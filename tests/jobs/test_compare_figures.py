@@ -5,7 +5,8 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from beltrami_cli.jobs.compare.figures import _BLOCK, ComparedPart, figures, measure
+from beltrami_cli.jobs.compare.figures import figures
+from beltrami_cli.jobs.compare.measured import _BLOCK, ComparedPart, measure
 from beltrami_cli.jobs.compare.similarity import cie_lab, delta_e_2000, structural_similarity
 from beltrami_cli.surface.atlas import build_atlas, texel_areas
 from beltrami_cli.surface.geometry import triangle_areas

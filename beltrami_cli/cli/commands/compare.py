@@ -17,6 +17,7 @@ from beltrami_cli.jobs.settings import Limits
 from beltrami_cli.layers.settings import SmoothSettings
 
 if TYPE_CHECKING:
+    from beltrami_cli.jobs.compare.figures import Figures
     from beltrami_cli.jobs.compare.files import Comparison
     from beltrami_cli.jobs.compare.limits import Verdict
     from beltrami_cli.jobs.writing.output import Output
@@ -120,7 +121,7 @@ def _junit(comparison: Comparison) -> bytes:
 
 
 def _show(comparison: Comparison) -> None:
-    rows = [_row(part["name"], part) for part in comparison.parts]
+    rows = [_row(part["name"], part, is_identical=part["identical"]) for part in comparison.parts]
     if len(rows) > 1:
         rows.append(_row("all", comparison.overall))
     show_table(_COLUMNS, rows)
@@ -144,17 +145,18 @@ def _describe(verdict: Verdict) -> str:
     return f"{verdict.part}: {name} {measured}, allowed {word} {scale * verdict.allowed:.4g}{unit}"
 
 
-def _row(name: str, part: dict[str, Any]) -> list[str]:
-    looks, near, jump = part["delta_e"], part["near_seams"], part["seam_jump"]
-    if part.get("identical"):
+def _row(name: str, part: Figures, *, is_identical: bool = False) -> list[str]:
+    delta_e, near, jump = part["delta_e"], part["near_seams"], part["seam_jump"]
+    if is_identical:
         return [name, str(part["samples"] or "-"), "identical", *["-"] * (len(_COLUMNS) - 3)]
+    looks = [None] * 3 if delta_e is None else [delta_e["mean"], delta_e["p95"], delta_e["worst"]]
     psnrs = [
         "-" if each is None or not each["samples"] else _number(each["psnr"], "{:.2f}", "equal")
         for each in (part, near)
     ]
     return [
         name, str(part["samples"]), psnrs[0], _number(part["ssim"], "{:.4f}"),
-        *(_number(None if looks is None else looks[key], "{:.2f}") for key in ("mean", "p95", "worst")),
+        *(_number(each, "{:.2f}") for each in looks),
         psnrs[1], _number(None if near is None else near["delta_e"], "{:.2f}"),
         _number(None if jump is None else 255 * jump["change"], "{:+.2f}"),
     ]  # fmt: skip

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.flow.parameters import Weights
 from beltrami_cli.formats.document import Document
-from beltrami_cli.jobs.compare.figures import ComparedPart, Measured, figures, measure
-from beltrami_cli.jobs.compare.parts import compare_images, compare_textures, compare_vertices
+from beltrami_cli.jobs.compare.figures import Figures, figures
+from beltrami_cli.jobs.compare.measured import ComparedPart, Measured, measure
+from beltrami_cli.jobs.compare.pixel_parts import compare_images, compare_textures
 from beltrami_cli.jobs.compare.same_model import Documents, Moves, moves_between
 from beltrami_cli.jobs.compare.selection import choose_parts
+from beltrami_cli.jobs.compare.vertex_parts import compare_vertices
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.opening import open_any, require_level_set
 from beltrami_cli.jobs.progress import phases_of, tracked
@@ -41,7 +43,7 @@ class ComparedDocuments:
         """Return the parts that have figures."""
         return [measured for measured in self.measured if not measured.part.is_identical]
 
-    def overall(self) -> dict[str, Any]:
+    def overall(self) -> Figures:
         return figures(self.differing())
 
     def notices(self) -> list[str]:
@@ -75,17 +77,18 @@ def compare_documents(
     job.expect(phases_of(["comparing", "measuring", *further], samples))
     for document in documents:
         dataclasses.replace(selection, document=document).require_memory()
-    parts = list[ComparedPart]()
-    without_slot = [None] * (selection.image or selection.vertices)
-    for slot in tracked([*without_slot, *selection.slots], "comparing", job.progress):
-        if slot is not None:
-            is_extra = slot != selection.slots[0]
-            parts += compare_textures(documents, slot, settings, weights, job.access, is_extra=is_extra)
-        elif selection.image:
-            parts.append(compare_images(documents, settings, job.access))
-        else:
-            is_extra = bool(selection.slots)
-            parts.append(compare_vertices(documents, settings, weights, is_extra=is_extra))
+    comparisons = list[Callable[[], list[ComparedPart]]]()
+    if selection.image:
+        comparisons.append(partial(compare_images, documents, settings, job.access))
+    if selection.vertices:
+        is_extra = bool(selection.slots)
+        comparisons.append(partial(compare_vertices, documents, settings, weights, is_extra=is_extra))
+    for slot in selection.slots:
+        is_extra = slot != selection.slots[0]
+        comparisons.append(
+            partial(compare_textures, documents, slot, settings, weights, job.access, is_extra=is_extra)
+        )
+    parts = [part for compare in tracked(comparisons, "comparing", job.progress) for part in compare()]
     moves = None if selection.image else moves_between(documents, selection)
     return ComparedDocuments(_measure_all(parts, job), moves, selection.slots, tuple(notices))
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import dataclasses
 import os
 from dataclasses import dataclass
-from typing import Any
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.parameters import Weights
 from beltrami_cli.jobs.compare.documents import ALL_SLOTS, compare_documents, open_both, require_samples
+from beltrami_cli.jobs.compare.figures import Figures, PartFigures, figures_of
 from beltrami_cli.jobs.compare.limits import Verdict, check_limits, check_moves
 from beltrami_cli.jobs.compare.maps import draw_map, open_map
 from beltrami_cli.jobs.compare.same_model import Moves
@@ -44,8 +44,8 @@ class Comparison:
     test: str
     weights: str
     space: str
-    parts: list[dict[str, Any]]
-    overall: dict[str, Any]
+    parts: list[PartFigures]
+    overall: Figures
     geometry: Moves | None
     limits: list[Verdict]
     passed: bool
@@ -75,8 +75,8 @@ def compare_files(
     documents = open_both(names, settings, job)
     compared = compare_documents(documents, settings, weights, job)
     require_samples(compared.parts, documents[0].name)
-    described = [measured.described() for measured in compared.measured]
-    verdicts, untested = check_limits(described, limits, documents[1].name)
+    parts = [figures_of(measured) for measured in compared.measured]
+    verdicts, untested = check_limits(parts, limits, documents[1].name)
     moves = compared.moves
     verdicts += [] if moves is None else check_moves(moves, limits)
     scale = None
@@ -84,7 +84,7 @@ def compare_files(
         written, scale = draw_map(compared.measured, documents[0], output.target)
         output.write(written)
     return Comparison(
-        reference=names[0], test=names[1], weights=weights, space=settings.space, parts=described,
+        reference=names[0], test=names[1], weights=weights, space=settings.space, parts=parts,
         overall=compared.overall(), geometry=moves, limits=verdicts, passed=all(each.kept for each in verdicts),
         map_scale=scale, notices=[*compared.notices(), *untested],
     )  # fmt: skip

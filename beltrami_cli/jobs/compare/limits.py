@@ -2,29 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.jobs.compare.figures import Figures, PartFigures
 from beltrami_cli.jobs.compare.same_model import ROUNDED_MOVE, Moves
 from beltrami_cli.jobs.settings import Limits
 
 
-class _Figure(NamedTuple):
-    key: str
-    inner: str | None = None  # key within the figure; None: it is a number
-    missing: str = ""  # where it is missing; empty: it is then infinite
+@dataclass(frozen=True)
+class _LimitedFigure:
+    """A figure that a limit is for."""
+
+    read: Callable[[Figures], float | None]
+    missing: str | None = None  # where there is no such figure; None: it is infinite there
+    only_with_seams: bool = False
+
+
+def _mean_delta_e(figures: Figures) -> float | None:
+    return None if figures["delta_e"] is None else figures["delta_e"]["mean"]
+
+
+def _seam_jump_change(figures: Figures) -> float | None:
+    return None if figures["seam_jump"] is None else figures["seam_jump"]["change"]
 
 
 _FIGURES = {
-    "min_psnr": _Figure("psnr"),
-    "min_ssim": _Figure("ssim", None, "without a picture in which a window of 11 x 11 pixels counts"),
-    "max_delta_e": _Figure(
-        "delta_e", "mean", "where the numbers are not grey, or red, green and blue, in sRGB or linear light"
+    "min_psnr": _LimitedFigure(lambda figures: figures["psnr"]),
+    "min_ssim": _LimitedFigure(
+        lambda figures: figures["ssim"], "without an image in which a window of 11 x 11 pixels counts"
     ),
-    "max_seam_jump": _Figure(
-        "seam_jump", "change", "where no chart has three texels in a row on either side of a seam"
+    "max_delta_e": _LimitedFigure(
+        _mean_delta_e, "where the numbers are not grey, or red, green and blue, in sRGB or linear light"
+    ),
+    "max_seam_jump": _LimitedFigure(
+        _seam_jump_change, "where no chart has three texels in a row on either side of a seam", True
     ),
 }
 _REMEDY = "leave that limit out, or choose what has it with --on, --slots, --texture, --channels or --space"
@@ -41,30 +54,29 @@ class Verdict:
     kept: bool
 
 
-def check_limits(
-    parts: Iterable[Mapping[str, Any]], limits: Limits, test: str
-) -> tuple[list[Verdict], list[str]]:
+def check_limits(parts: Sequence[PartFigures], limits: Limits, test: str) -> tuple[list[Verdict], list[str]]:
     """Hold the figures of each part that has samples to the limits; return notices of what nothing can break."""
-    # A limit that cannot be measured raises InputError: an unchecked limit must not pass.
-    compared = [part for part in parts if part["samples"] and not part.get("identical")]
-    verdicts: list[Verdict] = []
-    for limit, (key, inner, missing) in _FIGURES.items():
-        allowed = getattr(limits, limit)
-        if allowed is None:
-            continue
-        for part in compared:
-            if limit == "max_seam_jump" and part["near_seams"] is None:
-                continue  # nothing can jump
-            figure = part[key]
-            if figure is None and missing:
-                option = f"--{limit.replace('_', '-')}"
-                raise InputError(test, f"{part['name']}: {option} cannot be tested {missing}", _REMEDY)
-            measured = figure if inner is None else float(figure[inner])
-            sign = 1 if limit.startswith("min") else -1
-            kept = measured is None or sign * measured >= sign * allowed
-            verdicts.append(Verdict(limit, part["name"], allowed, measured, kept))
-    seamless = limits.max_seam_jump is not None and all(part["near_seams"] is None for part in compared)
-    return verdicts, ["--max-seam-jump is kept, because there is no seam"] if seamless else []
+    compared = [part for part in parts if part["samples"] and not part["identical"]]
+    with_seams = [part for part in compared if part["near_seams"] is not None]
+    verdicts = list[Verdict]()
+    for limit, figure in _FIGURES.items():
+        allowed: float | None = getattr(limits, limit)
+        if allowed is not None:
+            limited = with_seams if figure.only_with_seams else compared
+            verdicts += [_verdict(limit, figure, part, allowed, test) for part in limited]
+    is_seamless = limits.max_seam_jump is not None and not with_seams
+    return verdicts, ["--max-seam-jump is kept, because there is no seam"] if is_seamless else []
+
+
+def _verdict(limit: str, figure: _LimitedFigure, part: PartFigures, allowed: float, test: str) -> Verdict:
+    """Hold a figure to its limit; InputError if there is no such figure, since an unchecked limit must not pass."""
+    measured = figure.read(part)
+    if measured is None and figure.missing is not None:
+        option = f"--{limit.replace('_', '-')}"
+        raise InputError(test, f"{part['name']}: {option} cannot be tested {figure.missing}", _REMEDY)
+    sign = 1 if limit.startswith("min") else -1
+    kept = measured is None or sign * measured >= sign * allowed
+    return Verdict(limit, part["name"], allowed, measured, kept)
 
 
 def check_moves(moves: Moves, limits: Limits) -> list[Verdict]:

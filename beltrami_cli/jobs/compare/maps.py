@@ -14,7 +14,7 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.image.writing import write_image
 from beltrami_cli.formats.ply.writer import write_scalars_as_ply
-from beltrami_cli.jobs.compare.figures import ComparedPart, Measured
+from beltrami_cli.jobs.compare.measured import ComparedPart, Measured
 from beltrami_cli.jobs.writing.output import Output, Overwrite
 from beltrami_cli.layers.settings import IMAGE_SUFFIXES, SmoothSettings
 from beltrami_cli.surface import large_arrays
