@@ -217,7 +217,7 @@ def _changes_by_patches(
 ) -> Pair:
     """Estimate the means of results by patches; return the changes, which are less where many samples are clipped."""
     # The means of the results are used as the pilot directly: a first estimate without a pilot would bring back noise.
-    mixing = dataclasses.replace(mixing, variances=mixing.variances * level.noise)
+    mixing = dataclasses.replace(mixing, variances=mixing.variances * level.noise_ratio)
     pilots, (least, enough) = Pair(*map(level.means, results)), _TRUSTED_WITHIN
     plain = level.collaborate(noisy.colours, pilots.plain, mixing)
     with noisy.perturbed_in_place():
@@ -238,7 +238,7 @@ def _weigh(
     slope, square = domain.total(sums)
     overall = min(1.0, max(0.0, slope / square)) ** expected.power if square > 0 else 0.0
     # The variance of w is sigma^2 over the sum of squares; a mean by a Gaussian stands for this many samples.
-    prior = np.float32(variance * domain.noise / (4 * np.pi * domain.width**2) / expected.variance)
+    prior = np.float32(variance * domain.noise_ratio / (4 * np.pi * domain.width**2) / expected.variance)
     means = domain.spread(sums)
     for mean, terms in in_blocks(0, means, sums):
         weight = np.clip((mean[0] + prior * overall) / (mean[1] + prior), 0, 1)

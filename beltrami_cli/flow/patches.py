@@ -59,7 +59,7 @@ def blend_with_patches_in_place(
         for_blocks(
             clipped.impute_in_place, threads, axis, probed.colours, results.plain, manifold.relative_variance
         )
-    mixing = Mixing.of(geometry.steps(results.plain), noise.covariance)
+    mixing = Mixing.of(geometry.differences(results.plain), noise.covariance)
     with_pilot = mixing.with_pilot(strength, is_shared=noise.is_shared)
 
     def estimate(pilot: Stack) -> Stack:

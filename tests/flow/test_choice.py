@@ -14,7 +14,7 @@ from beltrami_cli.flow.choice.risk import KERNEL_PERTURBATION, Risk, RiskEstimat
 from beltrami_cli.flow.choice.search import Candidates, Search
 from beltrami_cli.flow.manifolds.iteration import Step
 from beltrami_cli.flow.manifolds.mesh.fingerprints import fingerprints, random_signs
-from beltrami_cli.flow.manifolds.mesh.trial import choose_patches
+from beltrami_cli.flow.manifolds.mesh.trial import choose_discs
 from beltrami_cli.flow.manifolds.search_range import BUDGET_ON_MESHES, RULE_ON_GRIDS, RULE_ON_MESHES
 from beltrami_cli.flow.noise.model import NoiseModel, Reading
 from beltrami_cli.flow.parameters import STRENGTHS, TUNABLE, KernelParameters
@@ -153,21 +153,21 @@ def test_the_search_finds_the_deeper_of_two_valleys(deeper, beta):
 
 
 def test_samples_are_enough_on_small_pieces():
-    """Patches end at the borders of pieces; then there are more of them."""
+    """Discs end at the borders of pieces; then there are more of them."""
     count = 2000
     pairs = np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
     edges = np.concatenate([pairs[:, :2], pairs[:, 1:], pairs[:, ::2]])
     colours = np.random.default_rng(1).random((3 * count, 3)).astype(np.float32)
     whole = np.concatenate([edges + 3 * count * k for k in range(5)])
     colours = np.concatenate([colours + np.float32(0.01 * k) for k in range(5)])
-    chosen = choose_patches(colours, fingerprints(colours, whole), whole)
+    chosen = choose_discs(colours, fingerprints(colours, whole), whole)
     wanted = BUDGET_ON_MESHES.least
     assert 0.7 * wanted < len(chosen.samples) < 1.3 * wanted
     assert np.all(np.bincount(chosen.samples // 3)[chosen.samples // 3] == 3)
 
 
 def test_samples_hold_their_share_of_rare_detail():
-    """One patch in a dozen is where a twentieth of a surface has all the detail; at random often none is."""
+    """One disc in a dozen is where a twentieth of a surface has all the detail; at random often none is."""
     positions, faces = surfaces.icosphere(5)
     rare = positions[:, 2] > 0.9
     edges = edges_of(faces)
@@ -175,7 +175,7 @@ def test_samples_hold_their_share_of_rare_detail():
         colours = np.full((len(positions), 3), 0.5)
         colours[rare] += 0.3 * np.sign(np.sin(40 * positions[rare]))
         colours = with_noise(colours, 0.02, seed, cut_off=False)
-        chosen = choose_patches(colours, fingerprints(colours, edges), edges)
+        chosen = choose_discs(colours, fingerprints(colours, edges), edges)
         assert 0.4 * rare.mean() < rare[chosen.samples[chosen.scored]].mean() < 1.8 * rare.mean()
 
 

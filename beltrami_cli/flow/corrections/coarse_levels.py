@@ -57,7 +57,7 @@ def without_shared_noise(
         return manifold, 0.0
     fill_dark_outliers_in_place(manifold, levels[0], sigma_of_covariances(covariances))
     for number, level in reversed(list(enumerate(levels, 1))):
-        noise = level.noise * _noise_of_level(covariances, number, is_coarsest=number == len(levels))
+        noise = level.noise_ratio * _noise_of_level(covariances, number, is_coarsest=number == len(levels))
         error += max(0.0, _estimate_in_place(level, manifold, noise, tick))
     left = dataclasses.replace(manifold.noise, covariances=_residual_covariances(covariances))
     return dataclasses.replace(manifold, noise=left), manifold.noise.square_to_input(error)
@@ -73,7 +73,10 @@ def _estimate_in_place(
     level: CoarseLevel, manifold: Manifold, noise: Float64s, tick: Callable[[], None] | None
 ) -> float:
     """Estimate means; return their mean square error by SURE, see `risk`."""
-    first, means = Mixing.of(manifold.geometry.steps(manifold.colours), noise), level.means(manifold.colours)
+    first, means = (
+        Mixing.of(manifold.geometry.differences(manifold.colours), noise),
+        level.means(manifold.colours),
+    )
     second = first.with_pilot(manifold.parameters.strength, is_shared=manifold.noise.is_shared)
     progress = None if tick is None else lambda _: tick()
     collaborate = partial(level.collaborate, progress=progress, shared=True)

@@ -24,7 +24,7 @@ class Domain(ABC):
     width: float
     """Standard deviation of `spread`, in sample spacings."""
 
-    noise: float
+    noise_ratio: float
     """Variance of the noise, relative to that of the averaged samples."""
 
     @property
@@ -71,7 +71,7 @@ class CoarseLevel(Domain):
     """Means of groups of neighbouring samples, which are the samples of a coarser surface."""
 
     relative: Float32s
-    """Variance of the noise of each mean, relative to `noise`."""
+    """Variance of the noise of each mean, relative to `noise_ratio`."""
 
     @abstractmethod
     def means(self, stack: Stack) -> Stack: ...

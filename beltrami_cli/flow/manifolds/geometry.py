@@ -77,7 +77,7 @@ class Geometry(ABC):
         """Return the channels of some samples, one row per sample."""
 
     @abstractmethod
-    def steps(self, stack: Stack) -> Float32s:
+    def differences(self, stack: Stack) -> Float32s:
         """Differences of a stack between neighbouring samples, shape (K, G)."""
 
     @abstractmethod

@@ -52,7 +52,7 @@ class GuideStack:
         """Convert a guide to a stack; without a given beta, choose it from the usual steps."""
         beta = guide.beta
         if beta is None:
-            beta = choose_guide_beta(guide.values, geometry.steps(stack)) * unit
+            beta = choose_guide_beta(guide.values, geometry.differences(stack)) * unit
         return cls(guide.name, stack, beta)
 
 

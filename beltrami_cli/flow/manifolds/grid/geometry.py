@@ -24,7 +24,7 @@ from beltrami_cli.surface.atlas import EMPTY, HALO, NO_GUTTER, NO_HALO, OWNED, A
 # times as fine as the chart beyond the seam.
 _REPEATS_REACH = 3
 
-Cells: TypeAlias = Rectangle | Int64s
+CellIndex: TypeAlias = Rectangle | Int64s
 """Some cells of a canvas: a rectangle, or flat indices, shape (R', C')."""
 
 
@@ -80,7 +80,7 @@ class GridGeometry(Geometry):
     def kind(self) -> Uint8s:
         return self.atlas.kind[None]
 
-    def cut(self, samples: Cells, inside: Bools) -> GridGeometry:
+    def cut(self, samples: CellIndex, inside: Bools) -> GridGeometry:
         """Cut out cells, shape (R', C'), without refreshing their halo; `inside` marks the cells that have a kernel."""
         whole, kind = self.atlas, pick(self.atlas.kind, samples).copy()
         kind[(kind == OWNED) & ~inside] = HALO
@@ -101,7 +101,7 @@ class GridGeometry(Geometry):
     def take(self, stack: Stack, samples: Indices) -> Float32s:
         return colours_at(stack, samples)
 
-    def steps(self, stack: Stack) -> Float32s:
+    def differences(self, stack: Stack) -> Float32s:
         """Differences between neighbours along rows, in evenly spread rows, shape (K, G)."""
         owned = self.atlas.kind == OWNED
         rows = np.arange(0, len(owned), max(1, int(np.count_nonzero(owned)) // ENOUGH_STEPS))
@@ -124,7 +124,7 @@ class GridGeometry(Geometry):
         refresh_halo(stack, self.atlas)
 
 
-def pick(planes: Array, samples: Cells) -> Array:
+def pick(planes: Array, samples: CellIndex) -> Array:
     """Cells of planes; rectangles are views, not copies."""
     if isinstance(samples, tuple):
         part: Array = planes[samples]
@@ -145,7 +145,7 @@ def colours_at(planes: Float32s, cells: Indices) -> Float32s:
     return colours
 
 
-def _cut_cells_among(atlas: Atlas, samples: Cells) -> Int64s:
+def _cut_cells_among(atlas: Atlas, samples: CellIndex) -> Int64s:
     """Return the cells at cuts among some cells, as flat indices of these."""
     if isinstance(samples, tuple):
         _, rows, columns = samples

@@ -35,7 +35,7 @@ class Squares(CoarseLevel, Regions):
         cell_variances: Float32s | None = None, chunking: Chunking | None = None, width: float = 3.0,
     ) -> None:  # fmt: skip
         """Sort squares of `side` cells; `cell_variances`: of the noise, relative to the mean, None: the same."""
-        self.side, self.width, self.noise = side, width, 1 / side**2
+        self.side, self.width, self.noise_ratio = side, width, 1 / side**2
         self._atlas, self._threads, self._chunking = atlas, threads, chunking
         kinds, counts = sort_squares(atlas.kind, side)
         self._kinds, self._counts = large_arrays.kept(kinds), large_arrays.kept(counts)
@@ -70,7 +70,7 @@ class Squares(CoarseLevel, Regions):
         """Estimate means from patches; `shared` noise does not fall with the number of cells in a square."""
         stacks = [noisy, pilot]
         if not shared:
-            fewer = np.maximum(self._counts, 1) * np.float32(self.noise)
+            fewer = np.maximum(self._counts, 1) * np.float32(self.noise_ratio)
             stacks.append((self.relative / fewer)[None])
         elif self._varies:
             stacks.append(self.relative[None])

@@ -20,7 +20,7 @@ from beltrami_cli.flow.cuts import Rectangle, chunks_of_canvas
 from beltrami_cli.flow.manifolds.geometry import Gaussian, Stack
 from beltrami_cli.flow.manifolds.grid.canvas import canvas_colours, on_canvas
 from beltrami_cli.flow.manifolds.grid.gaussian import GridGaussian, gaussian_reach
-from beltrami_cli.flow.manifolds.grid.geometry import Cells, GridGeometry, pick
+from beltrami_cli.flow.manifolds.grid.geometry import CellIndex, GridGeometry, pick
 from beltrami_cli.flow.manifolds.grid.levels import Squares, largest_side
 from beltrami_cli.flow.manifolds.grid.margins import kernel_margin
 from beltrami_cli.flow.manifolds.grid.patches import collaborate_on_canvas
@@ -285,7 +285,7 @@ class GridManifold(Manifold):
         drawn = draw_perturbations(part.geometry.atlas, self.noise, wanted_probes(len(scored)))
         return SampleTrial(part, planes, np.array(drawn, np.float32), scored)
 
-    def cut(self, samples: Cells, inside: Bools) -> GridManifold:
+    def cut(self, samples: CellIndex, inside: Bools) -> GridManifold:
         """Cut out a part without its colours, see `GridGeometry.cut`."""
         return self._part_of(self.geometry.cut(samples, inside), lambda stack: pick(stack, samples))
 

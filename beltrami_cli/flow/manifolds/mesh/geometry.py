@@ -34,7 +34,7 @@ from beltrami_cli.surface.incidence import RowsOfSamples
 from beltrami_cli.surface.large_arrays import kept
 from beltrami_cli.surface.records import SampledSurface
 
-Core: TypeAlias = SegmentManifold | TriangulatedManifold
+KernelSolver: TypeAlias = SegmentManifold | TriangulatedManifold
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ class MeshGeometry(Geometry, Regions):
     """Vertices, triangles and edges; stacks have one row per vertex."""
 
     axis: ClassVar[int] = 1
-    width, noise, side = 4.0, 1.0, 1
+    width, noise_ratio, side = 4.0, 1.0, 1
 
     order: Int32s  # the caller's number of each sample
     positions: Float64s
@@ -65,7 +65,7 @@ class MeshGeometry(Geometry, Regions):
     threads: int
     gain: float | None = None  # of the regularised metric of the whole surface; None: its own
 
-    _core: tuple[Core, MeshMetric | None] | None = field(default=None, init=False)
+    _solver: tuple[KernelSolver, MeshMetric | None] | None = field(default=None, init=False)
 
     @classmethod
     def of(cls, surface: SampledSurface, parameters: KernelParameters) -> MeshGeometry:
@@ -103,27 +103,27 @@ class MeshGeometry(Geometry, Regions):
     def kind(self) -> Uint8s:
         return np.broadcast_to(np.uint8(OWNED), (self.size, 1))
 
-    def core_with(self, metric: MeshMetric, threads: int) -> Core:
-        """Return the compiled core's manifold, which has one metric at a time, set to this metric."""
+    def solver_with(self, metric: MeshMetric, threads: int) -> KernelSolver:
+        """Return the solver of the compiled core, which has one metric at a time, set to this metric."""
         kind = SegmentManifold if self.is_along_segments else TriangulatedManifold
-        core, last = self._core or (kind(self.faces, self.size), None)
+        solver, last = self._solver or (kind(self.faces, self.size), None)
         if last is not metric:
-            core.update_metric(metric.positions, metric.features, metric.beta, self.scales, threads)
-            self._core = core, metric
-        return core
+            solver.update_metric(metric.positions, metric.features, metric.beta, self.scales, threads)
+            self._solver = solver, metric
+        return solver
 
     def refresh(self, stack: Stack) -> None:
         """No sample of a mesh repeats another."""
 
     def drop_distances(self) -> None:
-        self._core = None
+        self._solver = None
 
     def drop_samples(self) -> None:
         """Their order is not computed again."""
 
     def __getstate__(self) -> dict[str, object]:
         fields = {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
-        return {**fields, "_core": None}
+        return {**fields, "_solver": None}
 
     def graph(self, colours: Stack, resources: Resources) -> Graph:
         """Return the graph of the samples, with priorities from the colours."""
@@ -169,10 +169,10 @@ class MeshGeometry(Geometry, Regions):
     def take(self, stack: Stack, samples: Indices) -> Float32s:
         return stack[samples]
 
-    def steps(self, stack: Stack) -> Float32s:
+    def differences(self, stack: Stack) -> Float32s:
         low, high = self.edges[:: 1 + len(self.edges) // ENOUGH_STEPS].T
-        steps: Float32s = stack[low] - stack[high]
-        return steps
+        differences: Float32s = stack[low] - stack[high]
+        return differences
 
     def isolated(self, marked: Bools) -> Bools:
         isolated = marked.copy()

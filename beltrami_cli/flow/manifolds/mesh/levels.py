@@ -41,7 +41,7 @@ class Clusters(CoarseLevel):
 
     def __init__(self, samples: Graph, level: Level, relative: Float32s) -> None:
         self._samples, self._level, self._graph = samples, level, level.graph
-        self._counts, self.noise, self.relative = level.counts, level.noise, relative
+        self._counts, self.noise_ratio, self.relative = level.counts, level.noise, relative
 
     def means(self, stack: Stack) -> Float32s:
         return self._level.means(stack)
@@ -55,12 +55,12 @@ class Clusters(CoarseLevel):
         shared: bool = False,
     ) -> Stack:  # fmt: skip
         """Estimate means from patches of clusters; `shared` noise does not fall with their size."""
-        relative = self.relative if shared else self.relative / (self._counts * np.float32(self.noise))
+        relative = self.relative if shared else self.relative / (self._counts * np.float32(self.noise_ratio))
         return collaborate_on_graph(self._graph, noisy, pilot, mixing, relative, progress, is_whole=shared)
 
     def add_enlarged_in_place(self, stack: Stack, changes: Stack) -> None:
         """Add changes of clusters to their samples, smoothed like bilinear interpolation of squares."""
-        variance = 1 / (12 * self.noise)
+        variance = 1 / (12 * self.noise_ratio)
         rows = large_arrays.empty(stack.shape, np.float32)
         for block in large_arrays.blocks(len(rows)):
             rows[block] = changes[self._level.members[block]]
@@ -74,5 +74,5 @@ class Clusters(CoarseLevel):
         return np.asarray(np.sum(planes * self._counts, axis=1, dtype=np.float64))
 
     def spread(self, planes: Float32s) -> Float32s:
-        rows = np.ascontiguousarray((planes * (self._counts * np.float32(self.noise))).T)
+        rows = np.ascontiguousarray((planes * (self._counts * np.float32(self.noise_ratio))).T)
         return np.ascontiguousarray(self._graph.smoothed(rows, self.width**2).T)

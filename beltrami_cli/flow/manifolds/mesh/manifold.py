@@ -25,11 +25,11 @@ from beltrami_cli.flow.manifolds.iteration import (
 )
 from beltrami_cli.flow.manifolds.manifold import Manifold, SampleTrial, StabilisedColours
 from beltrami_cli.flow.manifolds.mesh.fingerprints import fingerprints, quantised
-from beltrami_cli.flow.manifolds.mesh.geometry import Core, MeshGeometry, MeshMetric, rank_in
+from beltrami_cli.flow.manifolds.mesh.geometry import KernelSolver, MeshGeometry, MeshMetric, rank_in
 from beltrami_cli.flow.manifolds.mesh.kernel_work import without_hubs
 from beltrami_cli.flow.manifolds.mesh.levels import Clusters, clusters_for
 from beltrami_cli.flow.manifolds.mesh.patches import collaborate_on_graph
-from beltrami_cli.flow.manifolds.mesh.trial import choose_patches, draw_perturbations
+from beltrami_cli.flow.manifolds.mesh.trial import choose_discs, draw_perturbations
 from beltrami_cli.flow.manifolds.metric_channels import gaussian_for, joined_channels
 from beltrami_cli.flow.manifolds.moving_positions import GeometryParameters, MovingPositions
 from beltrami_cli.flow.manifolds.new_colours import NewColours
@@ -159,16 +159,16 @@ class MeshManifold(Manifold):
         """Average some rows of stacks, in one pass; return also the numbers of samples and of truncated kernels."""
         parameters, widths = at_step(self.parameters, metric.step), [stack.shape[1] for stack in stacks]
         channels = stacks[0] if len(stacks) == 1 else np.concatenate(stacks, axis=1)
-        smoothed, samples, truncated = self.core_with(metric).smooth(
+        smoothed, samples, truncated = self.solver_with(metric).smooth(
             channels, self.geometry.weights, parameters.t, parameters.radius, parameters.max_samples,
             parameters.thread_count, progress, rows.start, rows.stop,
         )  # fmt: skip
         parts = np.split(smoothed[rows], np.cumsum(widths)[:-1], axis=1)
         return [np.ascontiguousarray(part) for part in parts], KernelCounts(samples, truncated)
 
-    def core_with(self, metric: Metric) -> Core:
+    def solver_with(self, metric: Metric) -> KernelSolver:
         assert isinstance(metric, MeshMetric)
-        return self.geometry.core_with(metric, self.parameters.thread_count)
+        return self.geometry.solver_with(metric, self.parameters.thread_count)
 
     @property
     def _whole(self) -> MeshManifold:
@@ -221,8 +221,8 @@ class MeshManifold(Manifold):
     def distances_at(self, step: Step) -> Callable[[int], tuple[Int32s, Float32s]]:
         """Return a function from a sample to the samples in its kernel, nearest first, and their distances."""
         parameters = at_step(self.parameters, step)
-        core = self.core_with(self._whole.measure(self.colours, step))
-        return lambda source: core.distances(source, parameters.radius, parameters.max_samples)
+        solver = self.solver_with(self._whole.measure(self.colours, step))
+        return lambda source: solver.distances(source, parameters.radius, parameters.max_samples)
 
     def collaborate(
         self, noisy: Stack, pilot: Stack, mixing: Mixing, progress: Callable[[int], None] | None, *,
@@ -247,14 +247,14 @@ class MeshManifold(Manifold):
     def trial(self) -> SampleTrial:
         colours, edges, size = self.colours, self.geometry.edges, self.geometry.size
         around = fingerprints(colours, edges)
-        # A patch that reached a hub would contain all vertices around it.
-        patches = choose_patches(colours, around, without_hubs(size, edges))
-        count = wanted_probes(int(np.count_nonzero(patches.scored)))
+        # A disc that reached a hub would contain all vertices around it.
+        discs = choose_discs(colours, around, without_hubs(size, edges))
+        count = wanted_probes(int(np.count_nonzero(discs.scored)))
         signs = draw_perturbations(self.graph, self.noise, colours, around, count)
-        part, samples = self._whole, patches.samples
+        part, samples = self._whole, discs.samples
         if len(samples) < size:
             part, colours, signs = self.cut(samples), colours[samples], signs[:, samples]
-        scored = np.flatnonzero(patches.scored) if not patches.scored.all() else None
+        scored = np.flatnonzero(discs.scored) if not discs.scored.all() else None
         return SampleTrial(part, colours, signs, scored)
 
     def cut(self, samples: Array) -> MeshManifold:

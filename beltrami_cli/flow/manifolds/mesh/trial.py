@@ -1,4 +1,4 @@
-"""Patches of a mesh on which parameters are tried, each with a rim, and random perturbations of their colours."""
+"""Discs of a mesh on which parameters are tried, each with a rim, and random perturbations of their colours."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from beltrami_cli.flow.noise.drawing import draw_on_clusters
 from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.flow.vertex_graph import Graph, levels_of, sums_around
 
-# Below this ratio of all samples to those wanted, patches with their rims would cover nearly the whole surface.
+# Below this ratio of all samples to those wanted, discs with their rims would cover nearly the whole surface.
 _WHOLE_SURFACE = 1.2
 
-# Rings of a patch that are evaluated, and rings of its rim, which only supply colours.
+# Rings of a disc that are evaluated, and rings of its rim, which only supply colours.
 _SCORED_RINGS, _RIM_RINGS = 7, 3
 
-# Patches are small on small components, and overlap. Share of the wanted samples that suffices, and maximum number of
-# rounds in which patches are added.
+# Discs are small on small components, and overlap. Share of the wanted samples that suffices, and maximum number of
+# rounds in which discs are added.
 _SUFFICIENT_SHARE, _MAX_EXTENSIONS = 0.75, 3
 
-# Rings over which detail is averaged to rank patches.
+# Rings over which detail is averaged to rank discs.
 _RINGS_OF_DETAIL = 5
 
 
@@ -37,41 +37,41 @@ class TrialSamples:
     scored: Bools
 
 
-def choose_patches(colours: Float32s, around: NDArray[np.uint64], edges: Int32s) -> TrialSamples:
-    """Choose random patches by the `fingerprints` of colours, independently of the order of samples."""
+def choose_discs(colours: Float32s, around: NDArray[np.uint64], edges: Int32s) -> TrialSamples:
+    """Choose random discs by the `fingerprints` of colours, independently of the order of samples."""
     joined = np.bincount(edges.ravel(), minlength=len(around)) > 0
     connected = np.flatnonzero(joined)
     budget = BUDGET_ON_MESHES.of(len(connected))
     if len(connected) <= _WHOLE_SURFACE * budget:
         return TrialSamples(connected, np.ones(len(connected), bool))
     ranked = _ranked(colours, around, edges, connected) if budget == BUDGET_ON_MESHES.least else None
-    of_patch = 3 * (_SCORED_RINGS + _RIM_RINGS) ** 2  # each ring has six samples more than the last
-    count = max(1, budget // of_patch)
+    of_disc = 3 * (_SCORED_RINGS + _RIM_RINGS) ** 2  # each ring has six samples more than the last
+    count = max(1, budget // of_disc)
     for _ in range(_MAX_EXTENSIONS):
         middles = np.zeros(len(around), bool)
         if ranked is None:
             middles[connected[np.argpartition(around[connected], count - 1)[:count]]] = True
         else:
             middles[[part[np.argmin(around[part])] for part in np.array_split(ranked, count)]] = True
-        patches = _grow_patches(middles, edges)
-        if len(patches.samples) >= _SUFFICIENT_SHARE * budget:
+        discs = _grow_discs(middles, edges)
+        if len(discs.samples) >= _SUFFICIENT_SHARE * budget:
             break
-        count = min(len(connected), 1 + count * budget // len(patches.samples))
-    return patches
+        count = min(len(connected), 1 + count * budget // len(discs.samples))
+    return discs
 
 
 def _ranked(colours: Float32s, around: NDArray[np.uint64], edges: Int32s, connected: Int64s) -> Int64s:
     """Sort samples by the detail around them.
 
-    A few random patches may miss all detail, or contain nothing else. One patch from each part of this order does
+    A few random discs may miss all detail, or contain nothing else. One disc from each part of this order does
     neither.
     """
     detail = _detail_around(colours, edges)[connected]
     return connected[np.lexsort((around[connected], detail))]
 
 
-def _grow_patches(middles: Bools, edges: Int32s) -> TrialSamples:
-    """Grow patches around some samples, ring by ring."""
+def _grow_discs(middles: Bools, edges: Int32s) -> TrialSamples:
+    """Grow discs around some samples, ring by ring."""
     reached, scored = middles.copy(), middles
     low, high = np.ascontiguousarray(edges.T)
     for ring in range(_SCORED_RINGS + _RIM_RINGS):
