@@ -27,7 +27,7 @@ from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.noise import noise_file
 from beltrami_cli.jobs.settings import NoiseSettings
 from harness import SAMPLES, Row, arguments, extra_models, psnr, show
-from images import PHOTOGRAPHS, SIDE, on_sphere, photograph
+from images import PHOTOGRAPHS, WINDOW, on_sphere, photograph
 from textures import TexturedScene
 from vertices import Scene, icosphere, write_ply
 
@@ -82,7 +82,7 @@ def judge_textures(sigma: float, name: str) -> list[Judged]:
     ours = {method: smoothed_images(scene, noisy, patches) for method, patches in OURS.items()}
     judged = []
     for number in textures.judged_images(scene):
-        where = textures.part(scene, number, SIDE)
+        where = textures.part(scene, number, WINDOW)
         clean = scene.clean[number][where]
         masks = scene.covered[number][where], scene.near_seams[number][where]
         results = {

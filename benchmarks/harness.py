@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike
 
 ROOT = Path(__file__).resolve().parents[1]
 SAMPLES = ROOT / "sample_data"
-sys.path.insert(0, str(ROOT / "tests"))
+sys.path.insert(0, str(ROOT / "tests"))  # for oracles and scenes
 
 SIGMA = 20 / 255  # noise of the generated scenes
 

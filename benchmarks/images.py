@@ -19,7 +19,7 @@ from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.surface.records import Cells
 from peers import needed
 
-SIDE = 224  # pixels per side of windows of images
+WINDOW = 224  # pixels per side of windows of images
 # Top and left of the window of a photograph.
 CORNERS = {
     "astronaut": (20, 130), "coffee": (100, 150), "chelsea": (40, 110), "immunohistochemistry": (150, 150),
@@ -74,11 +74,11 @@ def windows(paths: Sequence[Path]) -> Iterator[tuple[str, Float32s]]:
     """Yield names and windows of images, float32, shape (R, C, 3), in [0, 1]."""
     for name, (top, left) in CORNERS.items():
         whole = getattr(needed("skimage.data"), name)()[..., :3] / np.float32(255)
-        yield name, whole[top : top + SIDE, left : left + SIDE]
+        yield name, whole[top : top + WINDOW, left : left + WINDOW]
     for path in paths:
         whole = colours_of(path.read_bytes())[..., :3]
-        top, left = ((size - SIDE) // 2 for size in whole.shape[:2])
-        yield path.stem, whole[top : top + SIDE, left : left + SIDE]
+        top, left = ((size - WINDOW) // 2 for size in whole.shape[:2])
+        yield path.stem, whole[top : top + WINDOW, left : left + WINDOW]
 
 
 def with_noise(image: Array, kind: Literal["camera", "grain"], **wanted: Any) -> Array:

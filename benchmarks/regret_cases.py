@@ -21,7 +21,7 @@ from beltrami_cli.jobs.noise_kinds import jpeg_file
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from harness import rms
 from images import PHOTOGRAPHS, Smoothed, colours_of, on_sphere, photograph, smoothed, stored, with_noise
-from regret_images import SIDE, crops_of, halved, label, paint, pixel_art, plaster, rendered, weave
+from regret_images import CROP, crops_of, halved, label, paint, pixel_art, plaster, rendered, weave
 from vertices import icosphere, mosaic
 
 SIGMAS = tuple(sigma / 255 for sigma in (6, 12, 20))
@@ -63,19 +63,19 @@ def kinds(folders: Sequence[Path]) -> dict[str, Iterator[Case]]:
         for count in OF_FOLDER.values()
     )
     photographs = {name: halved(photograph(name)) for name in PHOTOGRAPHS}
-    generated = {"paint": paint(), "label": label(0)}
-    bases = dict(interleaved(photographs, generated, noisy))
+    bases = dict(interleaved(photographs, {"paint": paint(), "label": label(0)}, noisy))
     found = {kind: on_images(kind, noise, bases) for kind, noise in NOISES.items()}
     found |= {kind: of_cameras(kind, bases, **camera) for kind, camera in CAMERAS.items()}
-    found |= {"chequers on vertices": chequers(), "vertices": coloured("vertices", photographs, faces=True)}
-    found |= {"cloud": coloured("cloud", photographs, faces=False)}
+    found["chequers on vertices"] = chequers()
+    found["vertices"] = noisy_spheres("vertices", photographs, faces=True)
+    found["cloud"] = noisy_spheres("cloud", photographs, faces=False)
     found |= {"light": light("light", 0), "light with fireflies": light("light with fireflies", 0.002)}
     found["clean: photographs"] = untouched(photographs)
     found["clean: textures"] = untouched({"weave": weave(), "plaster": plaster(), **clean})
     found["clean: labels"] = untouched({str(seed): label(seed) for seed in range(4)})
     found["clean: pixel art"] = untouched({str(seed): pixel_art(seed) for seed in range(4)})
     found["clean: paint"] = untouched({"grid": paint()})
-    found["clean: vertices"] = (on_mesh(name, colours) for name, colours in surfaces(photographs))
+    found["clean: vertices"] = (of_sphere(name, colours) for name, colours in spheres(photographs))
     found["clean: light"] = (of_light(str(seed), *2 * [rendered(seed)]) for seed in range(3))
     return found
 
@@ -203,7 +203,7 @@ NOISES: dict[str, Noise] = {
 }  # fmt: skip
 
 
-def on_mesh(name: str, clean: Array, noise: Array | float = 0.0, *, faces: bool = True) -> Case:
+def of_sphere(name: str, clean: Array, noise: Array | float = 0.0, *, faces: bool = True) -> Case:
     sphere = icosphere(SUBDIVISIONS)
 
     def smooth(colours: Array, **parameters: Any) -> Smoothed:
@@ -221,7 +221,7 @@ def chequered(squares: int) -> Array:
     return np.where(odd[:, None] > 0, [0.75, 0.6, 0.35], [0.2, 0.25, 0.4])
 
 
-def surfaces(photographs: Images) -> Iterator[tuple[str, Array]]:
+def spheres(photographs: Images) -> Iterator[tuple[str, Array]]:
     positions = icosphere(SUBDIVISIONS).positions
     yield "paint", mosaic(positions)
     for name, image in photographs.items():
@@ -233,15 +233,15 @@ def surfaces(photographs: Images) -> Iterator[tuple[str, Array]]:
 def chequers() -> Iterator[Case]:
     for number in range(len(SQUARES) * len(SIGMAS)):
         squares = SQUARES[number // 3]
-        name, clean = f"{squares} squares", chequered(squares)
-        yield on_mesh(name, clean, strength(number) * seeded("chequers", number).standard_normal(clean.shape))
+        clean = chequered(squares)
+        noise = strength(number) * seeded("chequers", number).standard_normal(clean.shape)
+        yield of_sphere(f"{squares} squares", clean, noise)
 
 
-def coloured(kind: str, photographs: Images, *, faces: bool) -> Iterator[Case]:
-    """Yield spheres under paint and photographs with independent noise."""
-    for number, (name, clean) in enumerate(islice(surfaces(photographs), 1 + len(photographs))):
+def noisy_spheres(kind: str, photographs: Images, *, faces: bool) -> Iterator[Case]:
+    for number, (name, clean) in enumerate(islice(spheres(photographs), 1 + len(photographs))):
         noise = strength(number) * seeded(kind, name).standard_normal(clean.shape)
-        yield on_mesh(name, clean, noise, faces=faces)
+        yield of_sphere(name, clean, noise, faces=faces)
 
 
 def of_light(name: str, given: Array, truth: Array, counted: Any = ...) -> Case:
@@ -256,8 +256,8 @@ def light(kind: str, fireflies: float) -> Iterator[Case]:
     for seed in range(4):
         random, truth = seeded(kind, seed), rendered(seed)
         # One ray has a relative noise of 2, as the gamma distribution of shape 1/4 has.
-        size = (SIDE, SIDE, 3) if seed % 2 else (SIDE, SIDE, 1)
+        size = (CROP, CROP, 3) if seed % 2 else (CROP, CROP, 1)
         noisy = truth * random.gamma(RAYS / 4, 4 / RAYS, size)
-        hit = random.random((SIDE, SIDE)) < fireflies
+        hit = random.random((CROP, CROP)) < fireflies
         noisy[hit] = random.uniform(10, 100, (hit.sum(), 1))
         yield of_light(f"{seed}, {'independent' if seed % 2 else 'equal'}", noisy, truth, ~hit)

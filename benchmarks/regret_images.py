@@ -11,7 +11,7 @@ from beltrami_cli.arrays import Array, Float32s
 from images import images_of
 from vertices import mosaic
 
-SIDE, MIN_SIDE = 192, 128  # texels per side of crops
+CROP, MIN_CROP = 192, 128  # texels per side of crops
 
 
 def halved(image: Array) -> Array:
@@ -21,8 +21,8 @@ def halved(image: Array) -> Array:
 
 
 def cropped(image: Array) -> Array:
-    top, left = (max(0, (size - SIDE) // 2) for size in image.shape[:2])
-    return image[top : top + SIDE, left : left + SIDE]
+    top, left = (max(0, (size - CROP) // 2) for size in image.shape[:2])
+    return image[top : top + CROP, left : left + CROP]
 
 
 def crops_of(folder: Path, count: int) -> Iterator[tuple[str, Array]]:
@@ -32,7 +32,7 @@ def crops_of(folder: Path, count: int) -> Iterator[tuple[str, Array]]:
         image = cropped(pixels / 255)
         opaque = image.shape[2] % 2 or (image[..., -1] == 1).all()
         colours = np.repeat(image[..., :1], 3, axis=2) if image.shape[2] < 3 else image[..., :3]
-        if opaque and min(image.shape[:2]) >= MIN_SIDE and colours.std() > 0.02:
+        if opaque and min(image.shape[:2]) >= MIN_CROP and colours.std() > 0.02:
             yield path.name, colours
             found += 1
         if found == count:
@@ -41,20 +41,20 @@ def crops_of(folder: Path, count: int) -> Iterator[tuple[str, Array]]:
 
 def paint() -> Array:
     """Return cells of flat colours with slow gradients."""
-    side = np.linspace(-0.8, 0.8, SIDE)
-    directions = np.stack([*np.meshgrid(side, side), np.ones((SIDE, SIDE))], axis=2).reshape(-1, 3)
-    return mosaic(directions / np.linalg.norm(directions, axis=1, keepdims=True)).reshape(SIDE, SIDE, 3)
+    side = np.linspace(-0.8, 0.8, CROP)
+    directions = np.stack([*np.meshgrid(side, side), np.ones((CROP, CROP))], axis=2).reshape(-1, 3)
+    return mosaic(directions / np.linalg.norm(directions, axis=1, keepdims=True)).reshape(CROP, CROP, 3)
 
 
 def label(seed: int) -> Array:
     """Return words and bars in a few colours."""
     random = np.random.default_rng(seed)
     colours = [tuple(map(int, random.integers(0, 256, 3))) for _ in range(5)]
-    image = Image.new("RGB", (SIDE, SIDE), colours[0])
+    image = Image.new("RGB", (CROP, CROP), colours[0])
     draw = ImageDraw.Draw(image)
     for row, size in enumerate(random.integers(10, 40, 6)):
         top, left = 30 * row + 4, int(random.integers(4, 60))
-        draw.rectangle((left, top + 22, SIDE - left, top + 26), fill=colours[1 + row % 4])
+        draw.rectangle((left, top + 22, CROP - left, top + 26), fill=colours[1 + row % 4])
         draw.text((left, top - 4), "Nº 48 Fragile", colours[1 + (row + 1) % 4], ImageFont.load_default(size))
     return np.asarray(image) / 255
 
@@ -62,7 +62,7 @@ def label(seed: int) -> Array:
 def pixel_art(seed: int) -> Array:
     """Return sprites of eight colours, symmetric, on a dithered ground, with texels of 4 x 4 pixels."""
     random = np.random.default_rng(seed)
-    palette, side = random.integers(0, 256, (8, 3)) / 255, SIDE // 4
+    palette, side = random.integers(0, 256, (8, 3)) / 255, CROP // 4
     column, row = np.meshgrid(np.arange(side), np.arange(side))
     ground = (column + row) % 2 * (row > side // 2)
     sprite = np.round(gaussian_filter(random.uniform(-30, 30, (side, side)), 2)).astype(int)
@@ -73,8 +73,8 @@ def pixel_art(seed: int) -> Array:
 def weave() -> Array:
     """Return threads that pass over and under each other."""
     random = np.random.default_rng(1)
-    tones = random.uniform(0.5, 1, (2, SIDE // 6))
-    x, y = np.meshgrid(np.arange(SIDE), np.arange(SIDE))
+    tones = random.uniform(0.5, 1, (2, CROP // 6))
+    x, y = np.meshgrid(np.arange(CROP), np.arange(CROP))
     over = (x // 6 + y // 6) % 2 == 0
     across, along = (
         tones[k][each // 6] * np.sin(np.pi * (each % 6 + 0.5) / 6) for k, each in enumerate((x, y))
@@ -84,7 +84,7 @@ def weave() -> Array:
 
 def plaster() -> Array:
     """Return smooth bumps of several sizes."""
-    random, found = np.random.default_rng(2), np.zeros((SIDE, SIDE))
+    random, found = np.random.default_rng(2), np.zeros((CROP, CROP))
     for width in (2, 4, 8, 16):
         bumps = gaussian_filter(random.standard_normal(found.shape), width)
         found += np.sqrt(width) * bumps / bumps.std()
@@ -94,8 +94,8 @@ def plaster() -> Array:
 def rendered(seed: int) -> Float32s:
     """Return linear light of three lamps with penumbrae on a wall of several materials."""
     random = np.random.default_rng(seed)
-    place = np.stack(np.mgrid[:SIDE, :SIDE], axis=2) / SIDE
-    found = np.full((SIDE, SIDE, 3), 0.03)
+    place = np.stack(np.mgrid[:CROP, :CROP], axis=2) / CROP
+    found = np.full((CROP, CROP, 3), 0.03)
     for _ in range(3):
         lamp, edge, angle = random.uniform(0, 1, 2), random.uniform(0.2, 0.8), random.uniform(0, 2 * np.pi)
         falloff = (1 + np.square((place - lamp) / 0.35).sum(axis=2, keepdims=True)) ** -1.5

@@ -28,7 +28,7 @@ _CONTRASTS = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)
 _MAX_BEFORE_PATCHES = 2.0
 
 # Weight of smoothness for noise that neighbours share. Low quantiles underestimate such noise, and kernels keep its
-# coarse steps as if they were edges. Enlarged pictures gain 0.9 dB by this weight, and JPEG pictures 0.5 dB.
+# coarse steps as if they were edges. Enlarged images gain 0.9 dB by this weight, and JPEG images 0.5 dB.
 _SHARED_NOISE_WEIGHT = 1.5
 
 _LOG = logging.getLogger(__name__)

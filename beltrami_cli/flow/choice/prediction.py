@@ -27,7 +27,7 @@ from beltrami_cli.flow.choice.risk import Risk
 from beltrami_cli.flow.noise.model import NoiseModel
 
 # Error of predictions in dB with a certainty of 90 %, if the noise is known. Together with the uncertainty of the noise
-# it makes intervals that hold 70 of 74 results of `benchmarks/bench_regret.py`, and 94 of 126 with pictures of four
+# it makes intervals that hold 70 of 74 results of `benchmarks/bench_regret.py`, and 94 of 126 with images of four
 # packages. A larger value would make most intervals wider than `_MAX_INTERVAL_WIDTH`.
 _PREDICTION_ERROR = 2.5
 

@@ -246,7 +246,7 @@ class _Search:
         return (
             self._have_chance_neighbours(samples, is_visible)
             and self._are_evenly_spread(samples, is_visible)
-            and _are_alike(self.sampled.medians[:, is_visible], chosen.compared.medians)
+            and _have_same_distribution(self.sampled.medians[:, is_visible], chosen.compared.medians)
         )
 
     def _have_chance_neighbours(self, samples: Int64s, is_visible: Bools) -> bool:
@@ -308,7 +308,7 @@ def _connected(neighbours: Int64s) -> Int64s:
     return label
 
 
-def _are_alike(all_colours: Float32s, some: Float32s) -> bool:
+def _have_same_distribution(all_colours: Float32s, some: Float32s) -> bool:
     """Whether two sets of colours, shape (N, n), have the same distribution, by a Kolmogorov-Smirnov test."""
     levels = [each.mean(axis=0) for each in (all_colours, some)]
     places = np.concatenate(levels)
