@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Literal
 
-from beltrami_cli.flow.noise_amount import noise_size
 from beltrami_cli.jobs.settings import BakeSettings
+from beltrami_cli.layers.reported_noise import noise_size
 
 if TYPE_CHECKING:
     from beltrami_cli.layers.settings import SmoothSettings

@@ -92,31 +92,31 @@ def choose_parameters(
     light. Their mean radiance is preserved, unless beta is given. `can_stay`: plan no iteration, except that outliers
     are replaced, for colours that `should_stay`.
     """
-    light, moves = None, manifold.moving is not None
+    light = None
     if light_in is not None and manifold.parameters.stabilises_noise:
         light = MeanLight.of(manifold, light_in)
         # Texels that no light path has reached are black; their noise was not clipped.
         manifold = manifold.with_parameters(clipping="keep")
-    if moves:
+    if manifold.moving is not None:
         if manifold.resources.chunking is not None:
             raise UsageError("vertices are not moved in pieces; leave out --pieces, or --smooth-geometry")
         # Positions share the iterations, and the best parameters of colours are too strong for them.
         manifold = manifold.with_parameters(free=())
-    noisy_manifold, parameters, noise = manifold, manifold.parameters, manifold.noise
-    noisy = is_noisy(noise.of_input)
-    takes_patches = parameters.takes_patches and noisy and not moves
+    parameters, noise, planned = manifold.parameters, manifold.noise, manifold
+    has_noise = is_noisy(noise.of_input)
+    takes_patches = parameters.takes_patches and has_noise and manifold.moving is None
     if takes_patches and noise.is_shared:
-        manifold, chosen, choice = _choose_without_shared_noise(manifold, tick)
+        planned, chosen, choice = _choose_without_shared_noise(manifold, tick)
     else:
-        chosen, choice = tune(manifold, noisy=noisy, tick=tick)
+        chosen, choice = tune(manifold, noisy=has_noise, tick=tick)
     if can_stay and should_stay(choice, parameters):
-        manifold, chosen = noisy_manifold, dataclasses.replace(chosen, iterations=0, clipping="keep")
+        planned, chosen = manifold, dataclasses.replace(chosen, iterations=0, clipping="keep")
     work = manifold.geometry.work(manifold.unit)
     chosen = work.bounded(chosen)
     work.announce(chosen)
     noise_as_read = noise.as_read()
     return Plan(
-        manifold=dataclasses.replace(manifold, parameters=chosen), noise=noise_as_read.of_input,
+        manifold=dataclasses.replace(planned, parameters=chosen), noise=noise_as_read.of_input,
         described_noise=noise_as_read.described(), reading=noise.reading, choice=choice,
         takes_patches=takes_patches and chosen.iterations > 0, light=light,
     )  # fmt: skip
@@ -136,8 +136,8 @@ def _choose_without_shared_noise(
     """Remove the noise that neighbours share, and choose parameters for the rest, with one iteration at least."""
     variance = float(np.mean(np.square(manifold.noise.of_input)))
     is_free = "iterations" in manifold.parameters.free
-    manifold, error = without_shared_noise(manifold, tick)
-    chosen, choice = tune(manifold, noisy=True, tick=tick)
+    filtered, error = without_shared_noise(manifold, tick)
+    chosen, choice = tune(filtered, noisy=True, tick=tick)
     if is_free:
         chosen = dataclasses.replace(chosen, iterations=max(1, chosen.iterations))
     if choice is not None:
@@ -145,4 +145,4 @@ def _choose_without_shared_noise(
         if choice.psnr is not None:
             # So far the gain is relative to colours without shared noise.
             choice = dataclasses.replace(choice, gain=choice.psnr + 10 * math.log10(variance))
-    return manifold, chosen, choice
+    return filtered, chosen, choice

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from beltrami_cli.flow.noise_amount import NEGLIGIBLE, VISIBLE, noise_size, root_mean_square
+from beltrami_cli.flow.noise_amount import NEGLIGIBLE, VISIBLE
+from beltrami_cli.layers.reported_noise import noise_size, root_mean_square
 from beltrami_cli.quantities import BYTE_STEP, of_255, show_amount
 
 NO_NOISE_FOUND = "no noise detected"

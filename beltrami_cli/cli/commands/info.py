@@ -14,8 +14,8 @@ from beltrami_cli.cli.command import command
 from beltrami_cli.cli.console import Messages, printable, show_table
 from beltrami_cli.cli.phrases import NO_AREA, counted, lines_on, outliers_in_words
 from beltrami_cli.errors import BeltramiError, InputError
-from beltrami_cli.flow.noise_amount import noise_size
 from beltrami_cli.formats.files.paths import is_url
+from beltrami_cli.layers.reported_noise import noise_size
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.quantities import show_amount
 from beltrami_cli.view.noise_in_words import (

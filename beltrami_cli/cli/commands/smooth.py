@@ -18,7 +18,7 @@ from beltrami_cli.cli.phrases import (
     outliers_in_words,
     output_name,
 )
-from beltrami_cli.flow.noise_amount import noise_size
+from beltrami_cli.layers.reported_noise import noise_size
 from beltrami_cli.quantities import show_amount, show_size
 from beltrami_cli.view.noise_in_words import advice_in_words, doubt_in_words, noise_of, reason_in_words
 

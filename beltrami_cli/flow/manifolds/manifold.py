@@ -65,7 +65,11 @@ class StabilisedColours:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Manifold(ABC):
-    """An image manifold or a part of it, ready to be measured and averaged."""
+    """An image manifold or a part of it.
+
+    An iteration is `measure`, then `average` or `average_in_place`; `kernel_at` shows one of its kernels. The choice of
+    parameters needs a `trial`, the patches need `collaborate`, `perturbation`, `levels` and `regions`.
+    """
 
     geometry: Geometry
     colours: Stack  # stabilised, see `StabilisedColours`; before or after iterations

@@ -99,7 +99,7 @@ def _guide_on_canvas(guide: Guide, grid: GridGeometry) -> Stack:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GridManifold(Manifold):
-    """The image manifold of an atlas; iterations change its colours on the canvas in place."""
+    """The image manifold of an atlas."""
 
     plain_levels = 3, 2
     search_range, rule = ON_GRIDS, RULE_ON_GRIDS
@@ -156,15 +156,15 @@ class GridManifold(Manifold):
         rows, columns = self.geometry.atlas.kind.shape
         around = slice(max(0, block.start - margin), min(rows, block.stop + margin))
         core = slice(block.start - around.start, block.stop - around.start)
-        inside = np.zeros((around.stop - around.start, 1), bool)
-        inside[core] = True
+        share = (block.stop - block.start) / (around.stop - around.start)
+        part, _ = self._part((..., around, slice(0, columns)), (..., core, slice(None)))
         gaussian = cast("GridGaussian | None", metric.gaussian)
         if gaussian is not None:
             gaussian = gaussian.from_row(around.start)
-        planes, samples = self.cut((..., around, slice(0, columns)), inside)._apply_kernel(
+        planes, samples = part._apply_kernel(
             [stack[:, around] for stack in stacks],
             dataclasses.replace(metric, gaussian=gaussian),
-            _scaled_progress(progress, block.start * columns, (block.stop - block.start) / len(inside)),
+            _scaled_progress(progress, block.start * columns, share),
         )
         return planes[:, core], samples
 
