@@ -18,8 +18,9 @@ from beltrami_cli.formats.files.edits import new_colours, renumbered, without_to
 from beltrami_cli.formats.files.tokens import number_lines
 from beltrami_cli.formats.meshes.mesh_contents import not_converted
 from beltrami_cli.formats.points.cloud import Layout, PointsDocument
-from beltrami_cli.formats.points.columns import NORMAL, RGB, Columns, find_columns
+from beltrami_cli.formats.points.columns import Columns, find_columns
 from beltrami_cli.formats.points.text_table import TextTable, read_table
+from beltrami_cli.formats.points.unnamed_columns import NORMAL, RGB
 from beltrami_cli.surface.precision import shortest_type
 from beltrami_cli.surface.records import MeshContents
 

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from beltrami_cli.arrays import Float64s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.files.tokens import Lines, read_numbers, without_comments
-from beltrami_cli.formats.points.columns import column_names, example_of, is_header
+from beltrami_cli.formats.points.columns import column_names, is_header
+from beltrami_cli.formats.points.unnamed_columns import example_of
 
 _SEPARATORS = bytes.maketrans(b",;", b"  ")
 _COMMENT = re.compile(rb"(?:#|//)([^\r\n]*)")
