@@ -10,7 +10,8 @@ import numpy as np
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image.decoded_image import DecodedImage, new_image, without_alpha
+from beltrami_cli.formats.image.alpha import without_alpha
+from beltrami_cli.formats.image.decoded_image import DecodedImage, new_image
 from beltrami_cli.formats.image.reading import read_texture
 from beltrami_cli.formats.image.sample_types import full_scale_one
 from beltrami_cli.formats.image.sizes import measure_image

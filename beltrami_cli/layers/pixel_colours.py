@@ -11,13 +11,8 @@ import numpy as np
 from beltrami_cli.arrays import Array, Bools, Float32s, Indices, Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.parameters import Space
-from beltrami_cli.formats.image.decoded_image import (
-    DecodedImage,
-    is_associated,
-    require_colours,
-    supplies_colour,
-    without_alpha,
-)
+from beltrami_cli.formats.image.alpha import is_associated, supplies_colour, without_alpha
+from beltrami_cli.formats.image.decoded_image import DecodedImage, require_colours
 from beltrami_cli.formats.image.sample_types import full_scale_one
 from beltrami_cli.layers.channels import COLOURS, ChosenChannels, choose_channels, further_channels
 from beltrami_cli.layers.settings import COLOUR_SLOTS, SmoothSettings

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Float32s, Float64s, Uint8s
-from beltrami_cli.formats.image.decoded_image import DecodedImage, is_associated, without_alpha
+from beltrami_cli.formats.image.alpha import is_associated, without_alpha
+from beltrami_cli.formats.image.decoded_image import DecodedImage
 from beltrami_cli.formats.image.sample_types import full_scale_one
 from beltrami_cli.surface.colour_map import as_bytes
 from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear

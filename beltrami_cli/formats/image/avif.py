@@ -22,13 +22,13 @@ _SLOWEST_SPEED = 6
 _DECODING_ERRORS = (OSError, ValueError, RuntimeError, SyntaxError, MemoryError)  # of damaged files
 
 
-def measured(data: bytes, name: str) -> tuple[int, int, int]:
+def measure(data: bytes, name: str) -> tuple[int, int, int]:
     with _opened(data, name) as image:
         width, height = image.size
         return width, height, 4 if image.mode == "RGBA" else 3
 
 
-def decoded(data: bytes, name: str) -> tuple[Uint8s, tuple[str, ...], bytes | None]:
+def decode(data: bytes, name: str) -> tuple[Uint8s, tuple[str, ...], bytes | None]:
     with _opened(data, name) as image:
         try:
             pixels = np.array(image.convert(image.mode if image.mode == "RGBA" else "RGB"))
@@ -47,7 +47,7 @@ def encoding_bytes(texels: int, source: bytes) -> int:
     return 64 * texels
 
 
-def encoded(pixels: Uint8s, quality: int, source: bytes, *, as_data: bool) -> bytes:
+def encode(pixels: Uint8s, quality: int, source: bytes, *, as_data: bool) -> bytes:
     from PIL import Image
 
     kept = _metadata(source) if source else {}

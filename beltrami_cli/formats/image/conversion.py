@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.arrays import Array
+from beltrami_cli.formats.image.alpha import is_associated, without_alpha
 from beltrami_cli.formats.image.containers import jpeg
-from beltrami_cli.formats.image.decoded_image import ROWS, DecodedImage, is_associated, without_alpha
+from beltrami_cli.formats.image.decoded_image import ROWS, DecodedImage
 from beltrami_cli.formats.image.file_formats import FORMATS, FORMATS_WITH_EXIF, format_of_suffix, label_of
 from beltrami_cli.formats.image.sample_types import TYPES, as_stored, full_scale_one
 from beltrami_cli.surface import large_arrays

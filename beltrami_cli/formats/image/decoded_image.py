@@ -1,4 +1,4 @@
-"""A decoded image, and its colours without alpha."""
+"""A decoded image, as a file holds it or as it is made of pixels."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Bools, Float32s
+from beltrami_cli.arrays import Array
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image.channels import (
     channel_names,
@@ -19,13 +19,11 @@ from beltrami_cli.formats.image.channels import (
     named_colours,
 )
 from beltrami_cli.formats.image.file_formats import suffix_for
-from beltrami_cli.formats.image.sample_types import STORED, TYPES, full_scale_one
+from beltrami_cli.formats.image.sample_types import STORED, TYPES
 from beltrami_cli.surface.large_arrays import blocks
 from beltrami_cli.surface.records import Encoding
 
 ROWS = 64  # of an image that are looked at together, since copies of the whole are large
-_MIN_OPACITY = 1 / 1024  # that colours are divided by
-_MIN_STEPS = 16  # of opacity, for colours of 4 bits
 
 
 @dataclass(frozen=True)
@@ -133,33 +131,6 @@ def array_image(pixels: Array, name: str, encoding: Encoding, stored: str) -> De
     if channels == 2:  # which OpenImageIO calls red and green
         spec.channelnames = ("Y", "A")
     return replace(image_from(b"", name, "array", spec, pixels), encoding=encoding)
-
-
-def is_associated(image: DecodedImage) -> bool:
-    """Whether alpha is multiplied into the stored colours, as it is in EXR files and may be in TIFF files."""
-    if image.alpha is None or image.format not in ("openexr", "tiff"):
-        return False
-    return not (image.format == "tiff" and image.spec.get_int_attribute("oiio:UnassociatedAlpha"))
-
-
-def without_alpha(image: DecodedImage, values: Float32s) -> Float32s:
-    """Return channels of full scale 1, shape (..., C), with colours divided by alpha, except where it is nearly 0."""
-    if not is_associated(image):
-        return values
-    straight = values.copy()
-    opacity = values[..., image.alpha]
-    for channel in image.colour:
-        np.divide(values[..., channel], opacity, out=straight[..., channel], where=opacity >= _MIN_OPACITY)
-    return straight
-
-
-def supplies_colour(image: DecodedImage, opacity: Array) -> Bools:
-    """Return from their stored opacity which pixels have a colour: all but transparent ones."""
-    if not is_associated(image):
-        return np.asarray(opacity != 0)
-    steps = np.inf if opacity.dtype.kind == "f" else np.iinfo(opacity.dtype).max
-    share = full_scale_one(opacity)
-    return np.asarray((share >= max(_MIN_OPACITY, _MIN_STEPS / steps)) & np.isfinite(share))
 
 
 def is_unchanged(image: DecodedImage, pixels: Array) -> bool:

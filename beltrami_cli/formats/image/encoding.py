@@ -34,7 +34,7 @@ _RGBE_STEP = 2.0**-7
 _ENDS = {"png": b"IEND\xaeB`\x82", "targa": targa.END}
 
 
-def encoded(
+def encode(
     spec: Any,
     pixels: Array,
     file_format: str,

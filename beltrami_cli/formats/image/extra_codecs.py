@@ -28,16 +28,16 @@ class Codec(Protocol):
 
     DECODING_BYTES: int  # per texel, at most
 
-    def measured(self, data: bytes, name: str) -> tuple[int, int, int]:
+    def measure(self, data: bytes, name: str) -> tuple[int, int, int]:
         """Return width, height and channels by the header; InputError if it promises what cannot be."""
 
-    def decoded(self, data: bytes, name: str) -> tuple[Uint8s, tuple[str, ...], bytes | None]:
-        """Decode an image whose header `measured` has accepted: pixels (H, W, 3 or 4), notices, and an ICC profile."""
+    def decode(self, data: bytes, name: str) -> tuple[Uint8s, tuple[str, ...], bytes | None]:
+        """Decode an image whose header `measure` has accepted: pixels (H, W, 3 or 4), notices, and an ICC profile."""
 
     def encoding_bytes(self, texels: int, source: bytes) -> int:
-        """Return how much memory `encoded` takes at most."""
+        """Return how much memory `encode` takes at most."""
 
-    def encoded(self, pixels: Uint8s, quality: int, source: bytes, *, as_data: bool) -> bytes:
+    def encode(self, pixels: Uint8s, quality: int, source: bytes, *, as_data: bool) -> bytes:
         """Encode pixels as decoded ones are; `source` is the file that they came from if it is of the format."""
 
     def metadata_names(self, data: bytes) -> dict[str, bool]:
@@ -58,26 +58,26 @@ def missing_package(file_format: str) -> str | None:
     return None
 
 
-def measured(data: bytes, file_format: str, name: str) -> tuple[int, int, int]:
-    """Measure as `Codec.measured`; InputError also if its package is not installed."""
+def measure(data: bytes, file_format: str, name: str) -> tuple[int, int, int]:
+    """Measure as `Codec.measure`; InputError also if its package is not installed."""
     package = missing_package(file_format)
     if package is not None:
         raise InputError(
             name, f"{file_format.upper()} images need the package {package}", install_hint(EXTRA)
         )
-    return EXTRA_CODECS[file_format].measured(data, name)
+    return EXTRA_CODECS[file_format].measure(data, name)
 
 
-def decoded(data: bytes, file_format: str, name: str) -> tuple[Uint8s, tuple[str, ...], bytes | None]:
-    width, height, _ = measured(data, file_format, name)
+def decode(data: bytes, file_format: str, name: str) -> tuple[Uint8s, tuple[str, ...], bytes | None]:
+    width, height, _ = measure(data, file_format, name)
     _require_memory(width * height * EXTRA_CODECS[file_format].DECODING_BYTES)
-    return EXTRA_CODECS[file_format].decoded(data, name)
+    return EXTRA_CODECS[file_format].decode(data, name)
 
 
-def encoded(file_format: str, pixels: Uint8s, quality: int, source: bytes, *, as_data: bool) -> bytes:
+def encode(pixels: Uint8s, file_format: str, quality: int, source: bytes, *, as_data: bool) -> bytes:
     codec = EXTRA_CODECS[file_format]
     _require_memory(codec.encoding_bytes(pixels.shape[0] * pixels.shape[1], source))
-    return codec.encoded(pixels, quality, source, as_data=as_data)
+    return codec.encode(pixels, quality, source, as_data=as_data)
 
 
 def _require_memory(size: int) -> None:

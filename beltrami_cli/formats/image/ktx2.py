@@ -28,7 +28,7 @@ _TGA_HEADER = 18  # bytes
 _BEST_QUALITY, _FASTEST_EFFORT, _ZSTANDARD_LEVEL = 100, 2, 9
 
 
-def measured(data: bytes, name: str) -> tuple[int, int, int]:
+def measure(data: bytes, name: str) -> tuple[int, int, int]:
     if len(data) < _HEADER.size:
         raise damaged_image(name, "ktx2", "no header")
     vk, _, width, height, depth, layers, faces, levels, scheme, *_ = _HEADER.unpack_from(data)
@@ -60,7 +60,7 @@ def _inspected(data: bytes, name: str) -> Any:
         raise damaged_image(name, "ktx2", error) from None
 
 
-def decoded(data: bytes, name: str) -> tuple[Uint8s, tuple[str, ...], bytes | None]:
+def decode(data: bytes, name: str) -> tuple[Uint8s, tuple[str, ...], bytes | None]:
     import alktx2
 
     about = _inspected(data, name)
@@ -85,7 +85,7 @@ def encoding_bytes(texels: int, source: bytes) -> int:
     return min(352 * texels, 170 * texels + (96 << 20))
 
 
-def encoded(pixels: Uint8s, quality: int, source: bytes, *, as_data: bool) -> bytes:
+def encode(pixels: Uint8s, quality: int, source: bytes, *, as_data: bool) -> bytes:
     """Keep codec, transfer function, mip levels and supercompression of a source; else UASTC for sRGB, with mips."""
     import alktx2
 

@@ -13,7 +13,7 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image.containers import bmp, png, targa, webp
 from beltrami_cli.formats.image.containers.text_headers import has_usual_scale
 from beltrami_cli.formats.image.decoded_image import DecodedImage, image_from
-from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, decoded, measured
+from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, decode, measure
 from beltrami_cli.formats.image.file_formats import READABLE, damaged_image, format_of, label_of, plugin_of
 from beltrami_cli.formats.image.opening import error_of, opened, seek_colours
 from beltrami_cli.formats.image.sample_types import STORED
@@ -120,9 +120,9 @@ def _readable_format(data: bytes, name: str) -> str:
 def _read_extra(data: bytes, name: str, file_format: str) -> DecodedImage:
     import OpenImageIO
 
-    spec = OpenImageIO.ImageSpec(*measured(data, file_format, name), "uint8")
+    spec = OpenImageIO.ImageSpec(*measure(data, file_format, name), "uint8")
     _require_decodable(spec, file_format, file_format, name)
-    pixels, notices, profile = decoded(data, file_format, name)
+    pixels, notices, profile = decode(data, file_format, name)
     if profile:
         kind = OpenImageIO.TypeDesc(f"uint8[{len(profile)}]")
         spec.attribute("ICCProfile", kind, np.frombuffer(profile, np.uint8))

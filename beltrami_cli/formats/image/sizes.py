@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, measured
+from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, measure
 from beltrami_cli.formats.image.file_formats import format_of
 from beltrami_cli.formats.image.opening import UNNAMED, error_of, opened, seek_colours
 
@@ -40,7 +40,7 @@ def measure_image(data: bytes, name: str = UNNAMED) -> ImageSize | None:
     file_format = format_of(data, name)
     if file_format is not None and file_format in EXTRA_CODECS:
         try:
-            return ImageSize(*measured(data, file_format, name), 1)
+            return ImageSize(*measure(data, file_format, name), 1)
         except InputError:
             return None
     head = data[:_HEAD] if data.startswith(_SIZE_FIRST) else data

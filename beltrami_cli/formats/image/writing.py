@@ -15,7 +15,7 @@ from beltrami_cli.formats.image import extra_codecs
 from beltrami_cli.formats.image.containers import bmp, png, tiff, webp
 from beltrami_cli.formats.image.conversion import converted
 from beltrami_cli.formats.image.decoded_image import ROWS, DecodedImage
-from beltrami_cli.formats.image.encoding import LOSSY_EXR, encoded, reading_back, unwritten
+from beltrami_cli.formats.image.encoding import LOSSY_EXR, encode, reading_back, unwritten
 from beltrami_cli.formats.image.file_formats import FORMATS, FORMATS_WITH_EXIF, format_of_suffix, label_of
 from beltrami_cli.formats.image.jpeg_tables import is_progressive
 from beltrami_cli.formats.image.metadata import DAMAGED, carry_over, lost_metadata, with_descriptions
@@ -76,7 +76,7 @@ def _write_converted(
     image: DecodedImage, pixels: Array, file_format: str, quality: int, *, small: bool, as_data: bool
 ) -> ImageFile:
     values, spec = converted(image, pixels, file_format, as_data=as_data)
-    data = encoded(spec, values, file_format, image.name, quality, small=small)
+    data = encode(spec, values, file_format, image.name, quality, small=small)
     if file_format == "png":
         data = png.without_additions(data)
     if file_format in FORMATS_WITH_EXIF:  # OpenImageIO writes some fields of it
@@ -97,13 +97,13 @@ def _write_in_own_format(image: DecodedImage, pixels: Array, quality: int, *, sm
     if file_format == "png" and png.has_palette(image.source):
         notices = (f"{image.name} has a palette, which becomes full colours.",)
     spec = _bare_spec(image) if file_format in _KEEPING_BYTES else _kept_spec(image)
-    encode = partial(
-        encoded, spec, file_format=file_format, name=image.name, quality=quality, small=small, lossless=exact
+    encode_pixels = partial(
+        encode, spec, file_format=file_format, name=image.name, quality=quality, small=small, lossless=exact
     )
-    data = encode(pixels)
+    data = encode_pixels(pixels)
     if file_format == "targa" and (data[17] ^ image.source[17]) & _FROM_TOP:
         # OpenImageIO puts the top row first in runs, and last otherwise; engines may expect one order of all files.
-        turned = bytearray(encode(pixels[::-1]))
+        turned = bytearray(encode_pixels(pixels[::-1]))
         turned[17] ^= _FROM_TOP
         data = bytes(turned)
     if not exact:
@@ -187,11 +187,11 @@ def _write_extra(
         source, values = b"", converted(image, pixels, file_format, as_data=as_data)[0]
     quality = min(max(quality, 1), 100)
     try:
-        data = extra_codecs.encoded(file_format, values, quality, source, as_data=as_data)
+        data = extra_codecs.encode(values, file_format, quality, source, as_data=as_data)
     except extra_codecs.FAILURES as error:
         raise unwritten(image.name, file_format, str(error)) from None
     with reading_back():
-        again = extra_codecs.decoded(data, file_format, image.name)[0]
+        again = extra_codecs.decode(data, file_format, image.name)[0]
     cost = _encoding_cost(file_format, values, again, image.name)
     lost = lost_metadata(image, data, file_format)
     return ImageFile(data, FORMATS[file_format].suffixes[0], (*cost, *lost))

@@ -2,7 +2,7 @@
 
 References
 ----------
-.. [1] ITU-T T.81 (JPEG), annex B: marker segments and tables; annexes C and F: codes.
+.. [1] ITU-T T.81 (JPEG), annex B: marker segments.
 .. [2] CIPA DC-007, Multi-Picture Format, section 5.2: MP Index IFD.
 """
 
@@ -61,7 +61,7 @@ def _index_of_images(segment: bytes, shift: int, growth: int) -> bytes:
 
 
 def _markers(data: bytes | memoryview) -> Iterator[tuple[int, int, int]]:
-    """Yield every marker of the first image in a JPEG file, and where its segment and scan start and end."""
+    """Yield every marker [1]_ of the first image in a JPEG file, and where its segment and scan start and end."""
     at = 2
     while at + 2 <= len(data) and data[at] == 0xFF:
         marker, end = data[at + 1], at + 2
