@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from beltrami_cli.jobs.job import Job as Job
     from beltrami_cli.jobs.level import LevelFileReport as LevelFileReport
     from beltrami_cli.jobs.level import level_file as level_file
-    from beltrami_cli.jobs.noise import NoiseReport as NoiseReport
-    from beltrami_cli.jobs.noise import noise_file as noise_file
+    from beltrami_cli.jobs.noise.file import NoiseReport as NoiseReport
+    from beltrami_cli.jobs.noise.file import noise_file as noise_file
     from beltrami_cli.jobs.settings import BakeSettings as BakeSettings
     from beltrami_cli.jobs.settings import Limits as Limits
     from beltrami_cli.jobs.settings import NoiseSettings as NoiseSettings
@@ -68,7 +68,7 @@ _NAMES_IN = {
     "jobs.inspect": "inspect_file",
     "jobs.job": "Job",
     "jobs.level": "LevelFileReport level_file",
-    "jobs.noise": "NoiseReport noise_file",
+    "jobs.noise.file": "NoiseReport noise_file",
     "jobs.settings": "BakeSettings Limits NoiseSettings",
     "jobs.smooth": "smooth_file",
     "jobs.smooth_report": "SmoothReport",

@@ -13,7 +13,7 @@ import numpy as np
 
 import peers
 from beltrami_cli.arrays import Array, Float32s
-from beltrami_cli.jobs.noise_kinds import jpeg_file
+from beltrami_cli.jobs.noise.kinds import jpeg_file
 from harness import arguments, psnr, rms, show
 from images import colours_of, smoothed, stored, windows, with_noise
 

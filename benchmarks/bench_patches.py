@@ -24,7 +24,7 @@ from beltrami_cli.arrays import Array, Bools
 from beltrami_cli.flow.parameters import parameters_from
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.job import Job
-from beltrami_cli.jobs.noise import noise_file
+from beltrami_cli.jobs.noise.file import noise_file
 from beltrami_cli.jobs.settings import NoiseSettings
 from harness import SAMPLES, Row, arguments, extra_models, psnr, show
 from images import PHOTOGRAPHS, WINDOW, on_sphere, photograph

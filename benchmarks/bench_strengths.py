@@ -13,7 +13,7 @@ import numpy as np
 
 import beltrami_cli
 from beltrami_cli.arrays import Array, Float32s
-from beltrami_cli.jobs.noise_kinds import as_jpeg
+from beltrami_cli.jobs.noise.kinds import as_jpeg
 from harness import arguments, psnr, rms, show
 from images import stored, windows, with_noise
 

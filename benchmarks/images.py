@@ -14,7 +14,7 @@ import beltrami_cli
 from beltrami_cli.arrays import Array, Float32s
 from beltrami_cli.errors import BeltramiError
 from beltrami_cli.formats.image.reading import read_image
-from beltrami_cli.jobs.noise_kinds import NumberedSamples, add_grain, seen_by_camera
+from beltrami_cli.jobs.noise.kinds import NumberedSamples, add_grain, seen_by_camera
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.surface.records import Cells
 from peers import needed

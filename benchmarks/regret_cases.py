@@ -17,7 +17,7 @@ from scipy.ndimage import gaussian_filter
 
 import beltrami_cli
 from beltrami_cli.arrays import Array
-from beltrami_cli.jobs.noise_kinds import jpeg_file
+from beltrami_cli.jobs.noise.kinds import jpeg_file
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from harness import rms
 from images import PHOTOGRAPHS, Smoothed, colours_of, on_sphere, photograph, smoothed, stored, with_noise

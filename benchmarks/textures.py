@@ -21,7 +21,7 @@ from beltrami_cli.formats.image.sample_types import full_scale_one
 from beltrami_cli.formats.image.writing import write_image
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.job import Job
-from beltrami_cli.jobs.noise import noise_file
+from beltrami_cli.jobs.noise.file import noise_file
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from harness import SAMPLES, SIGMA, extra_models

@@ -16,7 +16,7 @@ from beltrami_cli.formats.changes import Naming
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.compare.files import compare_files
 from beltrami_cli.jobs.compare.limits import check_limits
-from beltrami_cli.jobs.noise import noise_file
+from beltrami_cli.jobs.noise.file import noise_file
 from beltrami_cli.jobs.settings import Limits, NoiseSettings
 from cli.commands import COMMAND, SAMPLES, beltrami
 from formats.image_files import encode, stored

@@ -7,7 +7,7 @@ from beltrami_cli.flow.manifolds.mesh.manifold import ColouredMesh, mesh_manifol
 from beltrami_cli.flow.noise.grid_squares import Grid
 from beltrami_cli.flow.noise.reading import read_noise
 from beltrami_cli.flow.parameters import parameters_from
-from beltrami_cli.jobs.noise_kinds import NumberedSamples, add_grain, seen_by_camera
+from beltrami_cli.jobs.noise.kinds import NumberedSamples, add_grain, seen_by_camera
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.surface.records import Cells, SampledSurface
 

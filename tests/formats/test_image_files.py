@@ -23,7 +23,7 @@ from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.image.sample_types import full_scale_one
 from beltrami_cli.formats.image.sizes import ImageSize, measure_image
 from beltrami_cli.formats.image.writing import check_writable, write_image
-from beltrami_cli.jobs.noise_kinds import jpeg_file
+from beltrami_cli.jobs.noise.kinds import jpeg_file
 from beltrami_cli.layers.storing import store
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from formats.image_files import (

@@ -13,7 +13,7 @@ from beltrami_cli.formats.loading import document_class, mesh_writer
 from beltrami_cli.formats.output_format import sidecar_names
 from beltrami_cli.formats.registry import FORMATS, OUTPUT_FORMATS, open_bytes, recognised
 from beltrami_cli.jobs.job import Job
-from beltrami_cli.jobs.noise import noise_file
+from beltrami_cli.jobs.noise.file import noise_file
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.layers.settings import SmoothSettings, TextureSettings

@@ -15,7 +15,7 @@ import pytest
 from beltrami_cli.errors import OutputError
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.jobs.job import Job
-from beltrami_cli.jobs.noise import noise_file
+from beltrami_cli.jobs.noise.file import noise_file
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.jobs.writing import locks
 from beltrami_cli.jobs.writing.file_set import FileSet

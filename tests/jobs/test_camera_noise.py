@@ -8,7 +8,7 @@ import pytest
 from scipy.ndimage import convolve
 
 from beltrami_cli.formats.image.reading import read_image
-from beltrami_cli.jobs.noise import noise_file
+from beltrami_cli.jobs.noise.file import noise_file
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.surface.colour_values import srgb_to_linear
 from cli.commands import SAMPLES

@@ -12,7 +12,7 @@ from beltrami_cli.formats.registry import open_bytes, open_document
 from beltrami_cli.jobs.bake import bake_file
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.job import Job
-from beltrami_cli.jobs.noise import noise_file
+from beltrami_cli.jobs.noise.file import noise_file
 from beltrami_cli.jobs.settings import BakeSettings, NoiseSettings
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.settings import SmoothSettings, TextureSettings

@@ -13,7 +13,7 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import override
 from beltrami_cli.flow.parameters import PRESETS, KernelParameters
 from beltrami_cli.jobs.job import Job
-from beltrami_cli.jobs.kernel import kernel_file
+from beltrami_cli.jobs.kernel.file import kernel_file
 from beltrami_cli.layers.settings import DEFAULTS, ImageSettings, SmoothSettings
 from formats.image_files import encode
 from oracles import surfaces

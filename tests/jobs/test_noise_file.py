@@ -6,8 +6,8 @@ from scipy.stats import kstest
 
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.jobs.check import check_files
-from beltrami_cli.jobs.noise import noise_file
-from beltrami_cli.jobs.noise_kinds import NumberedSamples, add_noise
+from beltrami_cli.jobs.noise.file import noise_file
+from beltrami_cli.jobs.noise.kinds import NumberedSamples, add_noise
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
 from beltrami_cli.quantities import amount_in, unambiguous_amount_in

@@ -9,7 +9,7 @@ from beltrami_cli import SmoothSettings, smooth_file
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.compare.files import compare_files
-from beltrami_cli.jobs.noise import noise_file
+from beltrami_cli.jobs.noise.file import noise_file
 from beltrami_cli.jobs.settings import NoiseSettings
 from cli.commands import refused
 from formats.image_files import encode, phantom

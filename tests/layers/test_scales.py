@@ -8,7 +8,7 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.jobs.inspect import inspect_file
 from beltrami_cli.jobs.job import Job
-from beltrami_cli.jobs.kernel import kernel_file
+from beltrami_cli.jobs.kernel.file import kernel_file
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.settings import ImageSettings, SmoothSettings
 from formats.image_files import encode, stored

@@ -12,7 +12,7 @@ import pytest
 import beltrami_cli
 from beltrami_cli._native import sweep_instruction_set
 from beltrami_cli.flow.parameters import PRESETS
-from beltrami_cli.jobs.noise_kinds import NumberedSamples, add_grain
+from beltrami_cli.jobs.noise.kinds import NumberedSamples, add_grain
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.layers.image_surface import ImageSurface
 from oracles import surfaces

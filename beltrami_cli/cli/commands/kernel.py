@@ -35,7 +35,7 @@ _OF_WRITING = (
 def kernel(source: str, target: str, at: str, iteration: int, messages: Messages, **smoothing: Any) -> None:
     """Write the geodesic distances and the weights of one kernel of FILE as a mesh, an image or a table."""
     settings = options.settings_from(smoothing)
-    from beltrami_cli.jobs.kernel import kernel_file
+    from beltrami_cli.jobs.kernel.file import kernel_file
 
     with options.job_from(smoothing, source, messages) as job:
         shown = kernel_file(source, target, at, settings, iteration=iteration, job=job)

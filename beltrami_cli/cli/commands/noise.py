@@ -22,7 +22,7 @@ def noise(source: str, target: str, messages: Messages, **values: Any) -> None:
     """Add noise to the colours of INPUT, and write OUTPUT with nothing else changed: for tests and demonstrations."""
     settings = record_from(SmoothSettings, values)
     noise = record_from(NoiseSettings, values)
-    from beltrami_cli.jobs.noise import noise_file
+    from beltrami_cli.jobs.noise.file import noise_file
 
     report = outputs.run_and_write(
         values, (source, target), messages, partial(noise_file, source, target, noise, settings)

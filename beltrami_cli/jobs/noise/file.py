@@ -12,8 +12,8 @@ from beltrami_cli.arrays import Float32s
 from beltrami_cli.errors import ProcessingError
 from beltrami_cli.jobs.file_job import FileReport
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
-from beltrami_cli.jobs.noise_kinds import add_grain, add_noise, seen_by_camera
-from beltrami_cli.jobs.noise_samples import LayerSamples, samples_of
+from beltrami_cli.jobs.noise.kinds import add_grain, add_noise, seen_by_camera
+from beltrami_cli.jobs.noise.samples import LayerSamples, samples_of
 from beltrami_cli.jobs.recolour import ColourFilter, FilterResult, recolour
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.layers.layer import Layer

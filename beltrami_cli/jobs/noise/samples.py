@@ -14,7 +14,7 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.manifolds.grid.canvas import on_canvas
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.formats.image.writing import noise_losses
-from beltrami_cli.jobs.noise_kinds import NumberedSamples, as_jpeg
+from beltrami_cli.jobs.noise.kinds import NumberedSamples, as_jpeg
 from beltrami_cli.layers.image_layer import ImageLayer
 from beltrami_cli.layers.layer import Layer
 from beltrami_cli.layers.pixel_layer import PixelLayer
