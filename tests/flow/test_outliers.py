@@ -20,7 +20,7 @@ SIDE = 128
 PLAIN = KernelParameters(threads=1)
 
 
-def picture(side=SIDE):
+def gradient(side=SIDE):
     """A slow gradient with a soft spot and a step, in 8 bits."""
     y, x = np.mgrid[:side, :side] / side
     grey = 0.85 - 0.3 * y - 0.35 * (x + y > 1.2) - 0.3 * np.exp(-((x - 0.3) ** 2 + (y - 0.6) ** 2) / 0.01)
@@ -54,7 +54,7 @@ def found_in(image, mode="auto", *, is_light=False):
 @pytest.mark.parametrize("value", [None, (220, 20, 20)])
 @pytest.mark.parametrize("share", [0.02, 0.1])
 def test_wrong_pixels_of_one_value_are_replaced_and_all_others_keep_their_bits(share, value):
-    truth = picture()
+    truth = gradient()
     image, where = salted(truth, share, value=value)
     result = beltrami_cli.smooth_image(image, threads=1)
     assert 0.98 * where.sum() <= result.wrong_samples["count"] <= where.sum()
@@ -64,7 +64,7 @@ def test_wrong_pixels_of_one_value_are_replaced_and_all_others_keep_their_bits(s
 
 
 def test_noise_is_read_and_removed_as_if_they_had_not_been_there():
-    truth = picture()
+    truth = gradient()
     noisy = np.clip(truth + np.random.default_rng(2).normal(0, 10, truth.shape), 0, 255)
     noisy = np.rint(noisy).astype(np.uint8)
     with_outliers, without = (
@@ -88,7 +88,7 @@ def test_wrong_vertices_and_points_are_replaced(kind):
 
 def test_fireflies_of_light_are_replaced_and_its_mean_stays_without_them():
     rng = np.random.default_rng(3)
-    truth = np.broadcast_to(0.2 + picture()[..., :1] / 255.0, (SIDE, SIDE, 3))
+    truth = np.broadcast_to(0.2 + gradient()[..., :1] / 255.0, (SIDE, SIDE, 3))
     light = (truth * np.exp(rng.normal(-0.03, 0.25, (SIDE, SIDE, 1)))).astype(np.float32)
     where = rng.random((SIDE, SIDE)) < 0.005
     image = light.copy()
@@ -102,13 +102,13 @@ def test_fireflies_of_light_are_replaced_and_its_mean_stays_without_them():
 @pytest.mark.parametrize("shape", [0.25, 1.0])
 def test_the_long_tail_of_light_stays(shape):
     light = (
-        0.2 + np.random.default_rng(4).gamma(shape, 1 / shape, (SIDE, SIDE, 1)) * picture()[..., :1] / 255.0
+        0.2 + np.random.default_rng(4).gamma(shape, 1 / shape, (SIDE, SIDE, 1)) * gradient()[..., :1] / 255.0
     )
     assert found_in(light.astype(np.float32), is_light=True)[0] is None
 
 
 def test_only_the_channel_that_is_wrong_changes():
-    image = np.concatenate([picture(), picture()[:, ::-1, :2]], axis=2)
+    image = np.concatenate([gradient(), gradient()[:, ::-1, :2]], axis=2)
     image[..., 4:], where = salted(image[..., 4:], 0.03)
     outliers, new = found_in((image / 255).astype(np.float32))
     assert np.array_equal(outliers.channels, np.tile([False] * 4 + [True], (where.sum(), 1)))
@@ -117,8 +117,8 @@ def test_only_the_channel_that_is_wrong_changes():
 
 
 def test_clumps_that_resampling_leaves_are_replaced():
-    truth = picture(64).repeat(2, axis=0).repeat(2, axis=1)
-    image, where = picture(64), np.zeros((64, 64), bool)
+    truth = gradient(64).repeat(2, axis=0).repeat(2, axis=1)
+    image, where = gradient(64), np.zeros((64, 64), bool)
     image[::2, ::2], where[::2, ::2] = salted(image[::2, ::2], 0.06)  # clumps that do not touch
     image, where = image.repeat(2, axis=0).repeat(2, axis=1), where.repeat(2, axis=0).repeat(2, axis=1)
     result = beltrami_cli.smooth_image(image, threads=1)
@@ -135,7 +135,7 @@ def stars():
 
 
 def rivets():
-    image = picture().astype(float)
+    image = gradient().astype(float)
     image[4::8, 4::8] = 255
     return image
 
@@ -151,7 +151,7 @@ def highlights():
 
 
 def error_diffusion():
-    grey, image = 0.8 + 0.2 * picture()[..., 0] / 255.0, np.zeros((SIDE, SIDE))
+    grey, image = 0.8 + 0.2 * gradient()[..., 0] / 255.0, np.zeros((SIDE, SIDE))
     for row in range(SIDE - 1):
         for column in range(1, SIDE - 1):
             image[row, column] = grey[row, column] > 0.5
@@ -164,11 +164,11 @@ def error_diffusion():
 def halftone():
     y, x = np.mgrid[:SIDE, :SIDE]
     screen = 0.5 + 0.25 * (np.cos(np.pi * (x + y) / 4.3) + np.cos(np.pi * (x - y) / 4.3))
-    return 255.0 * (0.75 + 0.25 * picture()[..., 0] / 255 > screen)
+    return 255.0 * (0.75 + 0.25 * gradient()[..., 0] / 255 > screen)
 
 
 def dashed_lines():
-    rng, image = np.random.default_rng(7), picture().astype(float)
+    rng, image = np.random.default_rng(7), gradient().astype(float)
     for row in rng.integers(0, SIDE, 30):
         image[row, rng.random(SIDE) < 0.7] = 10
     return image
@@ -181,7 +181,7 @@ def scattered_points():
 
 
 def few_dead_looking_texels():
-    image = picture().astype(float)
+    image = gradient().astype(float)
     image[np.random.default_rng(9).random((SIDE, SIDE)) < 0.0006] = 255
     return image
 
@@ -210,13 +210,13 @@ def test_replace_takes_what_stands_out_however_it_is_spread():
     image = (rivets() / 255).astype(np.float32)
     outliers, new = found_in(image, "replace")
     assert len(outliers.samples) == (SIDE // 8) ** 2
-    assert np.abs(new - picture() / 255).max() < 0.05
+    assert np.abs(new - gradient() / 255).max() < 0.05
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fast", [False, True])
 def test_kept_outliers_keep_their_bits_and_do_not_change_the_others(fast):
-    noisy = picture() + np.random.default_rng(2).normal(0, 8, (SIDE, SIDE, 3))
+    noisy = gradient() + np.random.default_rng(2).normal(0, 8, (SIDE, SIDE, 3))
     image, where = salted(np.rint(np.clip(noisy, 0, 255)).astype(np.uint8))
     kept, replaced = (
         beltrami_cli.smooth_image(image, threads=1, fast=fast, outliers=mode) for mode in ("keep", "auto")
@@ -240,7 +240,7 @@ def test_kept_vertices_keep_their_bits():
 def test_outliers_are_found_across_seams():
     places = [(0, 0, 0, False), (0, 1, 1, False), (1, 0, 2, True), (1, 1, 3, False)]
     board = Board(cells=4, texels=24, block=2, slot=64, slots=2, places=places)
-    truth = (picture(96) / 255.0).astype(np.float32)
+    truth = (gradient(96) / 255.0).astype(np.float32)
     phantom, where = salted(truth, 0.03)
     phantom[where] /= 255
     y, x = board.texel_places()
@@ -256,7 +256,7 @@ def test_outliers_are_found_across_seams():
 
 @pytest.mark.slow
 def test_the_result_does_not_depend_on_threads_and_chunks():
-    noisy = picture() + np.random.default_rng(2).normal(0, 8, (SIDE, SIDE, 3))
+    noisy = gradient() + np.random.default_rng(2).normal(0, 8, (SIDE, SIDE, 3))
     image, _ = salted(np.rint(np.clip(noisy, 0, 255)).astype(np.uint8), 0.05)
     one = beltrami_cli.smooth_image(image, threads=1)
     assert np.array_equal(one.colours, beltrami_cli.smooth_image(image, threads=3).colours)
@@ -273,7 +273,7 @@ def test_the_result_does_not_depend_on_threads_and_chunks():
 
 
 def test_no_iterations_leave_every_bit():
-    image, _ = salted(picture())
+    image, _ = salted(gradient())
     result = beltrami_cli.smooth_image(image, iterations=0)
     assert np.array_equal(result.colours, image)
     assert not result.wrong_samples

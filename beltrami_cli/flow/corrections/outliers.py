@@ -16,7 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
+from beltrami_cli.flow.corrections.clumps import small_clumps
 from beltrami_cli.flow.corrections.comparison import ColouredSamples, Compared, Surroundings, medians_of
+from beltrami_cli.flow.corrections.spread import are_spread_at_random
 from beltrami_cli.flow.manifolds.manifold import Outliers
 from beltrami_cli.flow.noise_amount import COLOURS
 from beltrami_cli.flow.parameters import KernelParameters
@@ -164,7 +166,7 @@ class _Search:
         # Bright light needs twice the contrast, since its noise has a longer tail.
         contrasts = sign * contrasts / np.float32(2 if self.is_light and sign > 0 else 1)
         rows, contrasts = rows[contrasts > 1], contrasts[contrasts > 1]
-        clumps = self._small_clumps(rows.samples, _distances(rows.colours, rows.medians) / 2)
+        clumps = small_clumps(self.surface, rows.samples, _distances(rows.colours, rows.medians) / 2)
         return _Candidates(rows, contrasts, sign, clumps)
 
     def _outliers_among(self, candidates: _Candidates) -> Int64s:
@@ -208,65 +210,14 @@ class _Search:
             contrasts = _contrasts(rows.colours, rows, self.range)
             parts.append(rows.samples[np.abs(contrasts) > _WEAK_LIMIT])
         samples = np.concatenate(parts)
-        return samples[self._small_clumps(samples, np.full(len(samples), spread)) >= 0]
-
-    def _small_clumps(self, samples: Int64s, limits: Array) -> Int64s:
-        """Return the small isolated clump that each sample belongs to; -1: none.
-
-        A clump is isolated if no sample around it has a similar colour, within `limits`. It is small if it is no larger
-        than clumps that form by chance.
-        """
-        if not len(samples):
-            return samples
-        around = self.surface.surroundings.around(samples, 1)
-        index = np.searchsorted(samples, around).clip(0, len(samples) - 1)
-        stands_out = (around >= 0) & (samples[index] == around)
-        away = np.abs(self.surface.at(around) - self.surface.at(samples)[..., None]).max(axis=0)
-        has_similar = ((away <= limits[:, None]) & (around >= 0) & ~stands_out).any(axis=1)
-        clumps = _connected(np.where(stands_out, index, np.arange(len(samples))[:, None]))
-        is_isolated = np.bincount(clumps, has_similar)[clumps] == 0
-        return np.where(self._are_chance_clumps(np.bincount(clumps)[clumps], is_isolated), clumps, -1)
-
-    def _are_chance_clumps(self, sizes: Int64s, is_isolated: Bools) -> Bools:
-        """Mark the samples of isolated clumps that are no larger than clumps that form by chance."""
-        small = np.zeros(len(sizes), bool)
-        for _ in range(5):  # the share converges
-            # Four samples, since images may have been enlarged by two. On a lattice with eight neighbours the mean
-            # size of random clumps is 1 / (1 - 8 share) for small shares, and the largest clumps grow faster.
-            share = np.count_nonzero(small) / self.surface.count
-            small = is_isolated & (sizes <= 4 / max(1 - 8 * share, 0.1) ** 2)
-        return small
+        return samples[small_clumps(surface, samples, np.full(len(samples), spread)) >= 0]
 
     def _are_random(self, chosen: _Candidates, is_visible: Bools) -> bool:
         """Whether candidates are spread at random over the samples on which they would be visible, `is_visible`."""
         # If most contrasts are near the threshold, these are the tails of texture or noise.
         if len(chosen) < _MIN_CLUMPS or np.mean(chosen.contrasts < 2) > _MAJORITY or not is_visible.any():
             return False
-        samples = np.sort(chosen.compared.samples)
-        return (
-            self._have_chance_neighbours(samples, is_visible)
-            and self._are_evenly_spread(samples, is_visible)
-            and _have_same_distribution(self.sampled.medians[:, is_visible], chosen.compared.medians)
-        )
-
-    def _have_chance_neighbours(self, samples: Int64s, is_visible: Bools) -> bool:
-        """Whether about as many of the samples are within two steps of each other as by chance."""
-        around = self.surface.surroundings.around(samples, 2)
-        pairs = np.count_nonzero(np.isin(around, samples))
-        expected = np.count_nonzero(around >= 0) * len(samples) / (self.surface.count * is_visible.mean())
-        error = 3 * np.sqrt(2 * expected) + 2  # each pair counts twice
-        return bool(expected / 4 - error <= pairs <= 2 * expected + error)
-
-    def _are_evenly_spread(self, samples: Int64s, is_visible: Bools) -> bool:
-        """Whether runs of successive samples contain about equal shares, by a chi-squared test."""
-        where, runs = self.surface.surroundings, 2 * _MIN_CLUMPS
-        counts = np.bincount(
-            np.searchsorted(where.samples, samples) * runs // self.surface.count, minlength=runs
-        )
-        visible = np.bincount(np.flatnonzero(is_visible) * runs // len(is_visible), minlength=runs)
-        expected = visible * (len(samples) / np.count_nonzero(is_visible))
-        excess = float((np.square(counts - expected) / np.maximum(expected, 1)).sum()) - runs
-        return bool(excess <= 3 * np.sqrt(2 * runs) + 0.1 * len(samples))
+        return are_spread_at_random(self.surface, chosen.compared, self.sampled, is_visible)
 
 
 def _contrasts(colours: Float32s, compared: Compared, size: float) -> Float32s:
@@ -296,24 +247,6 @@ def _is_on_plain_ground(rows: Compared) -> bool:
     """Whether the colours around samples are almost equal. There, samples of one value may be a pattern."""
     contrast = np.median(_distances(rows.colours, rows.medians))
     return bool(rows.medians.std(axis=1).max() < _SAME_VALUE * contrast)
-
-
-def _connected(neighbours: Int64s) -> Int64s:
-    """Return the least index in the clump of each sample, given the indices of its neighbours, shape (n, W)."""
-    # SciPy has this, but importing it takes longer.
-    label, before = np.arange(len(neighbours)), np.zeros(0, np.int64)
-    while not np.array_equal(label, before):
-        before, label = label, np.minimum(label, label[neighbours].min(axis=1))
-        label = label[label]
-    return label
-
-
-def _have_same_distribution(all_colours: Float32s, some: Float32s) -> bool:
-    """Whether two sets of colours, shape (N, n), have the same distribution, by a Kolmogorov-Smirnov test."""
-    levels = [each.mean(axis=0) for each in (all_colours, some)]
-    places = np.concatenate(levels)
-    ranks = [np.searchsorted(np.sort(each), places, "right") / len(each) for each in levels]
-    return bool(np.abs(ranks[0] - ranks[1]).max() <= 0.1 + 1.2 / np.sqrt(len(levels[1])))
 
 
 def _fill_in_place(surface: ColouredSamples, samples: Int64s, wrong: Bools) -> None:
