@@ -139,7 +139,7 @@ class UsdDocument(Document):
             maps=maps,
             uv=lambda slot: arrays.get("uv" if slot is None else f"uv {slot}", bare),
             tiles=self._layers.folder.tiles,
-            read=self._layers.image,
+            read=self._layers.folder.content,
             has_factors=True,
         )
 
@@ -201,7 +201,7 @@ class UsdDocument(Document):
 
     def fingerprint(self) -> Fingerprint:
         parts = {"root layer": self._layers.text(self._contents).encode()}
-        parts |= {f"layer {name}": self._layers.contents[name] for name in self._layers.others}
+        parts |= {f"layer {name}": self._layers.data[name] for name in self._layers.others}
         named = self._images.files()
         package = self._layers.package
         if package is not None:
@@ -210,12 +210,12 @@ class UsdDocument(Document):
             parts |= {f"file {name}": package.read(name) for name in further}
         colours = {"vertex colours": self._coloured_vertices.colours} if self.has_vertex_colours() else {}
         faults = package.faults() if package is not None else ()
-        return Fingerprint(parts, colours, labelled(named, self._layers.image), faults)
+        return Fingerprint(parts, colours, labelled(named, self._layers.folder.content), faults)
 
     def facts(self) -> dict[str, object]:
         contents = self._contents
         return {
-            "layers": list(self._layers.contents),
+            "layers": list(self._layers.data),
             "meshes": len(contents.meshes),
             "polygons": len(self._contents.arrays.get("sizes", ())),
             "coloured meshes": len(contents.blocks),

@@ -32,7 +32,7 @@ class Images:
         self.obstacles: dict[str, Obstacle] = {}  # why other images are not read, by name
         for file in dict.fromkeys([*(use.file for use in contents.uses), *contents.images.values()]):
             try:
-                self.paths[file] = layers.locate(file)
+                self.paths[file] = layers.folder.locate_any(file)
             except UnfitReferenceError as error:
                 self.obstacles[file] = error.obstacle
 
@@ -89,26 +89,30 @@ class Images:
         renamed: dict[str, str] = {}
         for (path, changed), slots in self._replaced(images).items():
             attributes = self._attributes(path, slots)
-            is_replaced = attributes == self._attributes(path)
-            for attribute in sorted(self._attributes(path) - {use.attribute for use in self._contents.uses}):
-                names.note_stale_use(attribute, path)
-            new = self._new_path(path, dict(changed), names, is_replaced=is_replaced)
-            new_of = new_paths(path, new, self._layers.folder.tiles)
-            names.sidecars |= {new_of.pop(file): image.content for file, image in changed}
-            names.copied |= {file: old for old, file in new_of.items() if file != old}
+            new = self._add_new(path, dict(changed), names, is_replaced=attributes == self._attributes(path))
             if new != path:
                 start = posixpath.dirname(self._layers.root) or "."
                 renamed |= dict.fromkeys(attributes, "./" + posixpath.relpath(new, start))
         if self._layers.package is not None:
-            names.sidecars |= {new: self._layers.image(old) for new, old in names.copied.items()}
+            names.sidecars |= {new: self._layers.folder.content(old) for new, old in names.copied.items()}
         return names.written(), renamed
+
+    def _add_new(self, path: str, new: Mapping[str, ImageFile], names: NewFiles, *, is_replaced: bool) -> str:
+        """Add the files of a new image or tile set to the new files, and return its path."""
+        for attribute in sorted(self._attributes(path) - {use.attribute for use in self._contents.uses}):
+            names.note_stale_use(attribute, path)
+        new_path = self._new_path(path, new, names, is_replaced=is_replaced)
+        new_of = new_paths(path, new_path, self._layers.folder.tiles)
+        names.sidecars |= {new_of.pop(file): image.content for file, image in new.items()}
+        names.copied |= {file: old for old, file in new_of.items() if file != old}
+        return new_path
 
     def _new_path(
         self, path: str, new: Mapping[str, ImageFile], names: NewFiles, *, is_replaced: bool
     ) -> str:
         """Return the path of a new image or tile set: in a package the old path, if the type is the same."""
         suffixes = {image.suffix for image in new.values()}
-        formats = {format_of(self._layers.image(file), file) for file in new}
+        formats = {format_of(self._layers.folder.content(file), file) for file in new}
         stays = {format_of_suffix(suffix) for suffix in suffixes} == formats
         if self._layers.package is not None and is_replaced and stays:
             return path

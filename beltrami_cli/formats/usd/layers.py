@@ -6,7 +6,7 @@ import posixpath
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import numpy as np
 
@@ -14,8 +14,7 @@ from beltrami_cli.arrays import Array, Float32s
 from beltrami_cli.errors import InputError, MemoryLimitError, Obstacle
 from beltrami_cli.formats.files.access import Access
 from beltrami_cli.formats.files.foreign_library import ForeignLibrary
-from beltrami_cli.formats.sidecars.model_folder import ModelFolder, UnfitReferenceError, is_outside
-from beltrami_cli.formats.sidecars.tile_names import found_tiles, has_token
+from beltrami_cli.formats.sidecars.model_folder import ModelFolder, UnfitReferenceError
 from beltrami_cli.formats.usd.contents import (
     ColourBlock,
     EditRequest,
@@ -23,6 +22,7 @@ from beltrami_cli.formats.usd.contents import (
     SceneRequest,
     TextRequest,
 )
+from beltrami_cli.formats.usd.folders import PackageFolder, UsdFolder
 from beltrami_cli.formats.usd.package import LAYERS, Package
 from beltrami_cli.surface.temporary_files import temporary_folder, writing_temporary_files
 from beltrami_cli.surface.worker_process import Message
@@ -43,26 +43,25 @@ class Layers:
     package: Package | None
     folder: ModelFolder
     root: str
-    contents: dict[str, bytes]  # by path relative to the folder of the root layer, which comes first
+    data: dict[str, bytes]  # by path relative to the folder of the root layer, which comes first
     # Why paths of layers are left out, by the layer that has the path.
     refused: dict[tuple[str, str], Obstacle] = field(default_factory=dict)
 
     @classmethod
     def of(cls, data: bytes, name: str, folder: Path | None, access: Access) -> Layers:
         """Open a package, or a root layer with the folder of the others."""
-        around = ModelFolder(folder, access)
         if data.startswith(b"PK"):
             package = Package(data, name, access)
-            contents = {layer: package.read(layer) for layer in package.layers}
-            return cls(name, access, package, around, package.layers[0], contents)
+            layers = {layer: package.read(layer) for layer in package.layers}
+            return cls(name, access, package, PackageFolder(package), package.layers[0], layers)
         suffix = ".usd" if name.lower().endswith(".usd") else ".usdc" if data.startswith(_CRATE) else ".usda"
         root = _UNFIT.sub("_", Path(name).stem).strip(". ") + suffix
-        return cls(name, access, None, around, root, {root: data})
+        return cls(name, access, None, UsdFolder(folder, access), root, {root: data})
 
     @property
     def others(self) -> list[str]:
         """The paths of all layers but the root."""
-        return [layer for layer in self.contents if layer != self.root]
+        return [layer for layer in self.data if layer != self.root]
 
     def scene(self) -> SceneContents:
         """Read the scene, with all layers that it needs."""
@@ -103,53 +102,32 @@ class Layers:
             if not wanted.lower().endswith(LAYERS):
                 remedy = "write the scene as one layer (usdcat --flatten), and give that"
                 raise UnfitReferenceError("is not a USD layer; only .usd, .usda and .usdc are read", remedy)
-            if wanted in self.contents:
+            if wanted in self.data:
                 raise UnfitReferenceError("names a layer in a way that is not understood")
-            file = self.locate(wanted)
-            if self.package is None and file not in self.contents:
-                self.contents[file] = self.folder.read(file)
+            file = self.folder.locate_any(wanted)
+            if file not in self.data:
+                self.data[file] = self.folder.read(file)
         except UnfitReferenceError as error:
             self.refused[layer, path] = error.obstacle
         except OSError as error:
             self.refused[layer, path] = Obstacle(f"cannot be read ({error.strerror})")
-        most, size = self.access.memory, sum(map(len, self.contents.values()))
-        if len(self.contents) > _MAX_LAYERS or (most is not None and size > most):
+        most, size = self.access.memory, sum(map(len, self.data.values()))
+        if len(self.data) > _MAX_LAYERS or (most is not None and size > most):
             raise MemoryLimitError(self.name, "it has more layers than fit into memory", "raise --max-memory")
-
-    def locate(self, path: str) -> str:
-        """Return the path of a file or tile set that the scene refers to; UnfitReferenceError if it cannot be used."""
-        if self.package is None:
-            located = self.folder.locate_any(path)
-            if is_outside(located):
-                cause = "lies outside the model's folder, and USD files there are not read"
-                remedy = "copy all files of the scene into one folder, or write it as one package (usdzip)"
-                raise UnfitReferenceError(cause, remedy)
-            return located
-        if has_token(path):
-            pattern, names = PurePosixPath(path), map(PurePosixPath, self.package.members)
-            tiles = found_tiles(pattern.name, [each.name for each in names if each.parent == pattern.parent])
-            self.folder.tiles[path] = {tile: str(pattern.with_name(file)) for tile, file in tiles.items()}
-        if path not in self.package.members and not self.folder.tiles.get(path):
-            raise UnfitReferenceError("is not in the package")
-        return path
-
-    def image(self, file: str) -> bytes:
-        """Return the content of a file at a path of `locate`; InputError if it cannot be read."""
-        return self.folder.content(file) if self.package is None else self.package.read(file)
 
     @property
     def _request(self) -> SceneRequest:
-        return {"root": self.root, "layers": list(self.contents), "refused": list(self.refused)}
+        return {"root": self.root, "layers": list(self.data), "refused": list(self.refused)}
 
     def _ask(self, task: str, request: SceneRequest, arrays: dict[str, Array]) -> Message:
         """Send a request to usd-core, with all layers in a folder, and return its answer."""
         with writing_temporary_files(), temporary_folder() as folder:
-            for name, data in self.contents.items():
+            for name, data in self.data.items():
                 path = folder / name
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_bytes(data)
             question = {**request, "task": task, "folder": str(folder)}, arrays
-            size = sum(map(len, self.contents.values()))
+            size = sum(map(len, self.data.values()))
             return _USD_CORE.ask(question, self.name, size, self.access.memory)
 
 

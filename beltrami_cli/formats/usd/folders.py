@@ -1,0 +1,45 @@
+"""Where the files of a USD scene are: in the folder of its root layer, or in its package."""
+
+from __future__ import annotations
+
+from pathlib import PurePosixPath
+
+from beltrami_cli.formats.sidecars.model_folder import ModelFolder, UnfitReferenceError, is_outside
+from beltrami_cli.formats.sidecars.tile_names import found_tiles, has_token
+from beltrami_cli.formats.usd.package import Package
+
+_TOP = PurePosixPath()
+
+
+class UsdFolder(ModelFolder):
+    """A folder; files outside of it are refused, since usd-core gets the layers in a folder of their own."""
+
+    def locate_any(self, pattern: str, within: PurePosixPath = _TOP) -> str:
+        located = super().locate_any(pattern, within)
+        if is_outside(located):
+            cause = "lies outside the model's folder, and USD files there are not read"
+            remedy = "copy all files of the scene into one folder, or write it as one package (usdzip)"
+            raise UnfitReferenceError(cause, remedy)
+        return located
+
+
+class PackageFolder(ModelFolder):
+    """The files of a package, by their paths in it."""
+
+    def __init__(self, package: Package) -> None:
+        super().__init__(None)
+        self._package = package
+
+    def locate_any(self, pattern: str, within: PurePosixPath = _TOP) -> str:
+        path = within / pattern
+        if has_token(pattern):
+            members = map(PurePosixPath, self._package.members)
+            names = [member.name for member in members if member.parent == path.parent]
+            tiles = found_tiles(path.name, names)
+            self.tiles[pattern] = {tile: str(path.with_name(file)) for tile, file in tiles.items()}
+        if pattern not in self._package.members and not self.tiles.get(pattern):
+            raise UnfitReferenceError("is not in the package")
+        return pattern
+
+    def read(self, path: str, most: int = -1) -> bytes:
+        return self._package.read(path)
