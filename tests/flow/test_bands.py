@@ -7,6 +7,7 @@ import pytest
 from beltrami_cli.flow.beltrami_flow import smooth_in_place
 from beltrami_cli.flow.manifolds.grid import manifold as grid_manifold
 from beltrami_cli.flow.manifolds.grid.margins import kernel_margin
+from beltrami_cli.flow.manifolds.iteration import Step
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
 from flow.split_surfaces import (
     FIXED,
@@ -45,6 +46,18 @@ def test_row_blocks_have_the_bits_of_the_whole(make, name, low_blocks):
     )
     low_blocks()
     assert same_bits(outcome(plan), whole)
+
+
+def test_only_averages_in_place_change_their_stacks(low_blocks):
+    low_blocks()
+    manifold = image_plan(KernelParameters(**FIXED)).manifold
+    before = manifold.colours.copy()
+    metric = manifold.measure(before, Step(4.0, 1.0, regularised=False))
+    (average,) = manifold.average([manifold.colours], metric).stacks
+    assert same_bits([manifold.colours], [before])
+    (in_place,) = manifold.average_in_place([manifold.colours], metric).stacks
+    assert in_place is manifold.colours
+    assert same_bits([in_place], [average])
 
 
 @pytest.mark.parametrize("make", ["pixels", "pixels with patches", "mesh with patches"])

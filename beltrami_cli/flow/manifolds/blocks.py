@@ -36,7 +36,7 @@ def in_parallel(work: Callable[..., object], threads: int, blocks: Iterable[tupl
     """Call `work` with the arguments of each block, in parallel threads, this one included.
 
     Pools of the standard library wait forever for a thread that could not begin for lack of memory. Here, only threads
-    that have taken a block are waited for, and nothing is allocated to tell that one failed.
+    that have taken a block are waited for, and nothing is allocated to report that one failed.
     """
     left, lock = iter(blocks), Lock()
     idle = [Lock() for _ in range(threads)]

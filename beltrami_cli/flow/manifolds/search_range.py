@@ -46,7 +46,7 @@ class Rule:
     growth: float  # of beta
     step: float  # time step
     regularised: int  # regularised iterations
-    iterations: int  # all iterations at noise of up to 5 of 255, where more would cost detail of the picture
+    iterations: int  # all iterations at noise of up to 5 of 255, where more would cost detail of the image
     more: int  # further iterations each time the noise doubles ...
     max_iterations: int  # ... up to this many
 

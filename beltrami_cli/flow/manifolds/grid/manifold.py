@@ -13,7 +13,7 @@ from typing import cast
 
 import numpy as np
 
-from beltrami_cli._native import FURTHEST_SUPPORT, SWEEP_TILE_ROWS, grid_distances, smooth_grid
+from beltrami_cli._native import SWEEP_TILE_ROWS
 from beltrami_cli.arrays import Array, Bools, Float32s, Int64s
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunk, KernelCounts, Resources
 from beltrami_cli.flow.cuts import Rectangle, chunks_of_canvas
@@ -21,6 +21,7 @@ from beltrami_cli.flow.manifolds.geometry import Gaussian, Stack
 from beltrami_cli.flow.manifolds.grid.canvas import canvas_colours, on_canvas
 from beltrami_cli.flow.manifolds.grid.gaussian import GridGaussian, gaussian_reach
 from beltrami_cli.flow.manifolds.grid.geometry import CellIndex, GridGeometry, pick
+from beltrami_cli.flow.manifolds.grid.kernel import average_planes, distances_in_window
 from beltrami_cli.flow.manifolds.grid.levels import Squares, largest_side
 from beltrami_cli.flow.manifolds.grid.margins import kernel_margin
 from beltrami_cli.flow.manifolds.grid.patches import collaborate_on_canvas
@@ -47,9 +48,6 @@ from beltrami_cli.surface.atlas import EMPTY, OWNED, Atlas, refresh_halo
 # Cells of a row block for each thread, and the number of threads for which it has cells at least. A cell takes some 90
 # bytes.
 _CELLS_PER_THREAD, _MIN_THREADS = 1 << 16, 4
-
-# Widest window that the sweeps support; wider windows use fast marching with a heap.
-_WIDEST_SWEEP = 15
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -181,23 +179,20 @@ class GridManifold(Manifold):
         self, stacks: Sequence[Stack], metric: Metric, progress: Callable[[int], None] | None
     ) -> tuple[Float32s, int]:
         """Average stacks, colours first, in one pass; return also the number of samples in all kernels."""
-        parameters, grid = at_step(self.parameters, metric.step), self.geometry
-        distances, beta = joined_channels(self, stacks[0], metric.step, metric.gaussian)
+        metric_channels = joined_channels(self, stacks[0], metric.step, metric.gaussian)
         planes = [plane for stack in stacks for plane in stack]
-        return smooth_grid(
-            grid.atlas.kind, grid.atlas.squared_lengths, grid.scale, grid.repeats, distances, planes, beta,
-            parameters.t, parameters.radius, parameters.window // 2, scheme_of(parameters),
-            parameters.thread_count, progress,
-        )  # fmt: skip
+        return average_planes(
+            self.geometry, at_step(self.parameters, metric.step), metric_channels, planes, progress
+        )
 
     def kernel_at(self, sample: int, step: Step) -> SampledKernel:
         """Return the kernel of an owned cell, in which halo cells count as their nearest owned cells."""
         gaussian = self.measure(self.colours, step).gaussian
-        metric, beta = joined_channels(self, self.colours, step, gaussian)
+        metric_channels = joined_channels(self, self.colours, step, gaussian)
         parameters, atlas = at_step(self.parameters, step), self.geometry.atlas
         columns, reach = atlas.kind.shape[1], parameters.window // 2
         row, column = divmod(int(atlas.owned_cells[sample]), columns)
-        window = self._distances(metric, beta, parameters, (row, column))
+        window = distances_in_window(self.geometry, parameters, metric_channels, (row, column))
         offsets = np.argwhere(np.isfinite(window)) - reach
         distances = window[tuple(offsets.T + reach)]
         # Coincident samples have the distance 0 too, and the cell itself comes first.
@@ -212,24 +207,6 @@ class GridManifold(Manifold):
         cells[is_halo] = atlas.halo.nearest[np.searchsorted(atlas.halo.cells, cells[is_halo])]
         samples = np.searchsorted(atlas.owned_cells, cells)
         return SampledKernel(samples, distances, weights, self.noise.to_input(colours), offsets)
-
-    def _distances(
-        self, metric: Float32s, beta: float, parameters: KernelParameters, centre: tuple[int, int]
-    ) -> Float32s:
-        """Distances within the window of a cell, infinite beyond the kernel's radius."""
-        grid, reach = self.geometry, parameters.window // 2
-        # Include supports, and the neighbours that determine the metric and its scale. Stencils of a whole canvas take
-        # long.
-        around = reach + FURTHEST_SUPPORT + 2
-        top, left = (max(0, place - around) for place in centre)
-        part = np.s_[..., top : centre[0] + around + 1, left : centre[1] + around + 1]
-        kind = np.ascontiguousarray(grid.atlas.kind[part])
-        return grid_distances(
-            kind, np.ascontiguousarray(grid.atlas.squared_lengths[part]),
-            None if grid.scale is None else np.ascontiguousarray(grid.scale[part]),
-            np.ascontiguousarray(metric[part]), beta, parameters.radius, reach, scheme_of(parameters),
-            (centre[0] - top) * kind.shape[1] + centre[1] - left,
-        )  # fmt: skip
 
     def collaborate(
         self, noisy: Stack, pilot: Stack, mixing: Mixing, progress: Callable[[int], None] | None, *,
@@ -313,12 +290,6 @@ def row_blocks(shape: tuple[int, ...], margin: int, cells: int) -> list[slice]:
     rows, columns = shape
     height = -(-max(cells // max(1, columns), margin, 1) // SWEEP_TILE_ROWS) * SWEEP_TILE_ROWS
     return [slice(top, min(rows, top + height)) for top in range(0, rows, height)]
-
-
-def scheme_of(parameters: KernelParameters) -> str:
-    if parameters.scheme == "metric":
-        return "metric"
-    return "sweep" if parameters.window <= _WIDEST_SWEEP else "triangles"
 
 
 def _split(planes: Float32s, like: Sequence[Float32s]) -> list[Float32s]:

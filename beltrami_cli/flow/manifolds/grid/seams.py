@@ -67,7 +67,7 @@ def _steps_over_seams(atlas: Atlas, planes: Float32s) -> tuple[Int32s, Float32s,
 def _is_patterned(steps: Float32s, nearby: Float32s, noise: float) -> bool:
     """Detect a jump that changes its sign along the seam: steps across it have more energy than steps next to it.
 
-    Neighbours may share noise, as in JPEG pictures, but not across a seam, which adds to the energy there.
+    Neighbours may share noise, as in JPEG images, but not across a seam, which adds to the energy there.
     """
     if len(steps) < _MIN_STEPS:
         return False

@@ -194,7 +194,7 @@ class MeshManifold(Manifold):
         chunks = []
         for first, last in runs(mesh.size, count):
             near = np.isfinite(neighbours.distances(first, last, reach))
-            # Sort samples by index, so that the core groups them as in the whole mesh.
+            # Sort samples by index, so that the compiled core groups them as in the whole mesh.
             missing = -int(np.count_nonzero(near[:first])) % PATCH_BLOCK_SIZE
             near[np.flatnonzero(~near[:first])[:missing]] = True
             samples = np.flatnonzero(near).astype(np.int32)
