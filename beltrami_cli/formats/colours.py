@@ -133,11 +133,10 @@ def as_in_file(vertices: ColouredVertices, colours: Float32s) -> Float32s:
 
 def display_colours(contents: MeshContents) -> tuple[Float32s, list[str]]:
     """Return sRGB values of full scale 1, shape (V, 3), and a notice for each conversion."""
-    colours, notices = contents.colours, []
-    if contents.encoding == "linear":
-        colours = linear_to_srgb(colours).astype(np.float32)
-        notices.append("Linear colours are written as sRGB, which the format's colours are by custom.")
-    return _three_channels(colours, notices, _GREY), notices
+    if contents.encoding == "srgb":
+        return _three_channels(contents.colours, [], _GREY)
+    notices = ["Linear colours are written as sRGB, which the format's colours are by custom."]
+    return _three_channels(linear_to_srgb(contents.colours).astype(np.float32), notices, _GREY)
 
 
 def display_colour(linear: Sequence[float]) -> tuple[float, ...]:
@@ -162,17 +161,13 @@ def clipped_factor(value: float) -> float:
     return min(max(value, 0.0), 1.0)
 
 
-def linear_colours(contents: MeshContents, notices: list[str], reason: str, grey: str = _GREY) -> Float32s:
-    """Return colours in linear light, shape (V, 3), and add notices; `reason`: why the format needs them."""
-    colours = contents.colours
-    if contents.encoding == "srgb":
-        colours = srgb_to_linear(colours).astype(np.float32)
-        notices.append(f"Colours are turned from sRGB into linear light, as {reason}.")
-    return _three_channels(colours, notices, grey)
+def linear_colours(contents: MeshContents, reason: str, grey: str = _GREY) -> tuple[Float32s, list[str]]:
+    """Return colours in linear light, shape (V, 3), and notices as above; `reason`: why the format needs them."""
+    if contents.encoding == "linear":
+        return _three_channels(contents.colours, [], grey)
+    notices = [f"Colours are turned from sRGB into linear light, as {reason}."]
+    return _three_channels(srgb_to_linear(contents.colours).astype(np.float32), notices, grey)
 
 
-def _three_channels(colours: Float32s, notices: list[str], grey: str) -> Float32s:
-    if colours.shape[1] > 1:
-        return colours
-    notices.append(grey)
-    return np.repeat(colours, 3, axis=1)
+def _three_channels(colours: Float32s, notices: list[str], grey: str) -> tuple[Float32s, list[str]]:
+    return (colours, notices) if colours.shape[1] > 1 else (np.repeat(colours, 3, axis=1), [*notices, grey])

@@ -16,13 +16,13 @@ A format is a subclass of `Document`, in a folder of its own, and a line of `for
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import ClassVar, Self
+from typing import Self
 
 import numpy as np
 
@@ -30,8 +30,8 @@ from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError, NoColoursError, Obstacle
 from beltrami_cli.formats.changes import NO_IMAGES, Changes, Naming, NewImages, PlannedImages, Written
 from beltrami_cli.formats.colours import BYTE, holds_bytes
-from beltrami_cli.formats.comparison import Fingerprint
 from beltrami_cli.formats.files.access import DEFAULT_ACCESS, Access
+from beltrami_cli.formats.fingerprint import Fingerprint
 from beltrami_cli.formats.image.decoded_image import DecodedImage
 from beltrami_cli.formats.image.reading import KeptImage
 from beltrami_cli.formats.meshes.scene import Scene
@@ -44,10 +44,10 @@ from beltrami_cli.surface.records import ColouredVertices
 class Document(ABC):
     """An opened file. It is never changed: `patch` makes new bytes."""
 
-    format: ClassVar[str]
+    format: str
     """The name of its line in the registry."""
 
-    kind: ClassVar[str] = "model"
+    kind = "model"
     """What it holds: a "model", an "image", or a "volume"."""
 
     forms: tuple[str, ...] = ()
@@ -268,28 +268,28 @@ class Document(ABC):
         self, vertices: ColouredVertices | None, images: Mapping[tuple[records.Slot, str], bytes]
     ) -> Self:
         """Return a copy to look at, but not to patch, with other vertex colours (None: the same) and image files."""
-        made = copy(self)
-        made._textured = {**self._textured}
-        if vertices is not None:
-            made._coloured_vertices = vertices  # in place of what the property would cache
-        for slot in dict.fromkeys(slot for slot, _ in images):
-            surface = self.textured(slot)
-            made._textured[slot] = replace(
-                surface,
-                textures=tuple(
-                    replace(each, content=images.get((slot, each.key), each.content))
-                    for each in surface.textures
-                ),
-            )
-        return made
+        surfaces = {slot: self.textured(slot) for slot, _ in images}
+        for slot, surface in surfaces.items():
+            contents = (images.get((slot, each.key), each.content) for each in surface.textures)
+            surfaces[slot] = _with_contents(surface, contents)
+        return self._showing(surfaces, vertices)
 
     def keeping_images(self) -> Self:
         """Return the same document, which decodes each texture only once, for work on it again and again."""
+        surfaces = {slot: self.textured(slot) for slot in self.readable(self.slots())}
+        for slot, surface in surfaces.items():
+            surfaces[slot] = _with_contents(surface, map(KeptImage, surface.textures))
+        return self._showing(surfaces)
+
+    def _showing(
+        self,
+        surfaces: Mapping[records.Slot, records.TexturedSurface],
+        vertices: ColouredVertices | None = None,
+    ) -> Self:
         made = copy(self)
-        made._textured = {slot: self.textured(slot) for slot in self.readable(self.slots())}
-        for slot, surface in made._textured.items():
-            textures = tuple(replace(each, content=KeptImage(each)) for each in surface.textures)
-            made._textured[slot] = replace(surface, textures=textures)
+        made._textured = {**self._textured, **surfaces}
+        if vertices is not None:
+            made._coloured_vertices = vertices  # in place of what the property would cache
         return made
 
     def fingerprint(self) -> Fingerprint:
@@ -299,3 +299,10 @@ class Document(ABC):
     @abstractmethod
     def facts(self) -> dict[str, object]:
         """Return facts about the file for `beltrami info`, in JSON types, in the order to be shown."""
+
+
+def _with_contents(
+    surface: records.TexturedSurface, contents: Iterable[bytes | Callable[[], bytes]]
+) -> records.TexturedSurface:
+    pairs = zip(surface.textures, contents, strict=True)
+    return replace(surface, textures=tuple(replace(each, content=content) for each, content in pairs))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import ClassVar, NoReturn
+from typing import NoReturn
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.changes import Changes, Naming, Written
@@ -15,8 +15,8 @@ from beltrami_cli.formats.image.reading import read_image
 class ImageDocument(Document):
     """An image file, decoded on demand."""
 
-    format: ClassVar[str] = "image"
-    kind: ClassVar[str] = "image"
+    format = "image"
+    kind = "image"
 
     @cached_property
     def _image(self) -> DecodedImage:

@@ -10,7 +10,7 @@ from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.file_formats import FORMATS, WRITABLE, format_of, format_of_suffix
 from beltrami_cli.formats.loading import mesh_writer
-from beltrami_cli.formats.meshes.mesh_contents import image_names, with_slots
+from beltrami_cli.formats.meshes.writing import image_names, with_slots
 from beltrami_cli.formats.registry import KEPT_FORMATS, OUTPUT_FORMATS, READ_ONLY, WRITERS, Format
 from beltrami_cli.surface.records import MeshContents
 

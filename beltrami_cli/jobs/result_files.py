@@ -16,7 +16,7 @@ from beltrami_cli.formats.colours import as_in_file
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.file_formats import suffix_for
 from beltrami_cli.formats.image_document import ImageDocument
-from beltrami_cli.formats.meshes.mesh_contents import with_images, with_suffixes
+from beltrami_cli.formats.meshes.writing import with_images, with_suffixes
 from beltrami_cli.formats.output_format import OutputFormat
 from beltrami_cli.layers.selection import Selection
 from beltrami_cli.layers.storing import StoredColours, all_images

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 
@@ -32,8 +31,8 @@ _BYTES_OF_VOXEL = 16  # value in double precision, colour, and memory of marchin
 class LevelSetDocument(Document):
     """The triangulated surface of a volume; vertices of unknown colour are white and are not changed."""
 
-    format: ClassVar[str] = "level set"
-    kind: ClassVar[str] = "volume"
+    format = "level set"
+    kind = "volume"
 
     def __init__(
         self, name: str, folder: Path | None, access: Access, *,

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from beltrami_cli.formats.image.reading import read_image
-from beltrami_cli.formats.meshes.mesh_contents import triangulated
+from beltrami_cli.formats.meshes.writing import triangulated
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.smooth import smooth_file
 from cli.commands import SAMPLES

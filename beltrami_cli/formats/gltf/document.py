@@ -12,8 +12,8 @@ import numpy as np
 from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.errors import Obstacle
 from beltrami_cli.formats.changes import Changes, Naming, PlannedImages, Written
-from beltrami_cli.formats.comparison import Fingerprint
 from beltrami_cli.formats.document import Document
+from beltrami_cli.formats.fingerprint import Fingerprint
 from beltrami_cli.formats.gltf.accessors import Accessors
 from beltrami_cli.formats.gltf.buffers import Buffers
 from beltrami_cli.formats.gltf.container import read_container
@@ -43,7 +43,6 @@ _MARK_NOTICE = "The JSON starts with a byte order mark, which glTF does not allo
 class GltfDocument(Document):
     """An opened glTF file, in either form."""
 
-    format: str  # type: ignore[misc]  # one class reads both forms, so only an instance knows its format
     forms = ("glb", "gltf", "vrm")
 
     def _open(self, folder: Path | None) -> None:

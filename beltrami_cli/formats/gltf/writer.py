@@ -23,7 +23,7 @@ from beltrami_cli.formats.gltf.entries import Tree
 from beltrami_cli.formats.gltf.images import MEDIA, WRAPS
 from beltrami_cli.formats.gltf.materials import EMISSIVE_STRENGTH, SLOT_PATHS
 from beltrami_cli.formats.gltf.primitives import OWN_COLOURS
-from beltrami_cli.formats.meshes.mesh_contents import (
+from beltrami_cli.formats.meshes.writing import (
     bare_polygons,
     image_names,
     normals_of_corners,
@@ -142,8 +142,9 @@ class Arrays:
 
 def _coloured(contents: MeshContents, stem: str, arrays: Arrays) -> Model:
     """Make a mesh with colours of vertices, which become linear, as glTF demands; `stem` is its name."""
-    positions = _single_precision(contents.positions, stem, arrays.notices)
-    colours = _stored_colours(contents, arrays.notices)
+    positions, rounding = _single_precision(contents.positions, stem)
+    colours, conversions = _stored_colours(contents)
+    arrays.notices += [*rounding, *conversions]
     attributes = {"POSITION": arrays.add(positions, bounds=True), "COLOR_0": arrays.add(colours)}
     if contents.normals is not None:
         attributes["NORMAL"] = arrays.add(_unit_normals(contents.normals))
@@ -158,28 +159,26 @@ def _coloured(contents: MeshContents, stem: str, arrays: Arrays) -> Model:
     return [{"primitives": [primitive], "name": stem}], {"materials": [material]}, {}
 
 
-def _single_precision(exact: Float64s, stem: str, notices: list[str]) -> Stored:
-    """Return positions as glTF stores them; a notice is added if that rounds them."""
+def _single_precision(exact: Float64s, stem: str) -> tuple[Stored, list[str]]:
+    """Return positions as glTF stores them, and a notice if that rounds them."""
     with np.errstate(over="ignore"):
         positions = exact.astype("<f4")
     if not np.isfinite(positions).all():
         raise InputError(
             stem, "positions are too large for glTF, which stores float32", "scale the mesh down"
         )
-    if np.any(positions != exact):
-        notices.append("Positions are rounded to single precision.")
-    return positions
+    return positions, ["Positions are rounded to single precision."] if np.any(positions != exact) else []
 
 
-def _stored_colours(contents: MeshContents, notices: list[str]) -> Stored:
-    """Return COLOR_0 as stored, shape (V, 3), or (V, 4) with alpha."""
-    colours = linear_colours(contents, notices, "glTF demands", "Grey values become three equal channels.")
+def _stored_colours(contents: MeshContents) -> tuple[Stored, list[str]]:
+    """Return COLOR_0 as stored, shape (V, 3), or (V, 4) with alpha, and notices."""
+    colours, notices = linear_colours(contents, "glTF demands", "Grey values become three equal channels.")
     if np.any((colours < 0) | (colours > 1)):
         colours = np.clip(colours, 0, 1)
         notices.append("Colours outside [0, 1] are clipped, since glTF does not allow them.")
     if contents.alpha is not None:
         colours = np.concatenate([colours, np.clip(contents.alpha, 0, 1)[:, None]], axis=1)
-    return quantised(colours, _STORED_AS.get((contents.encoding, contents.stored), "<f4"))
+    return quantised(colours, _STORED_AS.get((contents.encoding, contents.stored), "<f4")), notices
 
 
 def _unit_normals(normals: Float32s) -> Stored:
@@ -192,8 +191,9 @@ def _unit_normals(normals: Float32s) -> Stored:
 def _textured(mesh: MeshContents, stem: str, arrays: Arrays) -> Model:
     """Make a mesh with its textures; vertices are split where their corners differ."""
     mesh = _with_bare_materials(mesh)
-    positions = _single_precision(mesh.positions, stem, arrays.notices)
-    colours = _stored_colours(mesh, arrays.notices) if mesh.colours.shape[1] else None
+    positions, rounding = _single_precision(mesh.positions, stem)
+    colours, conversions = _stored_colours(mesh) if mesh.colours.shape[1] else (None, [])
+    arrays.notices += [*rounding, *conversions]
     meshes: list[Tree] = []
     for number in np.unique(mesh.group_numbers).tolist():
         faces = np.flatnonzero(mesh.group_numbers == number)
@@ -235,7 +235,9 @@ def _primitive(
     assert mesh.uv is not None
     corners, uv = mesh.corners, mesh.uv.astype("<f4")
     tables: dict[str, Array] = {"TEXCOORD_0": uv} if np.isfinite(uv).all() else {}
-    if (normals := normals_of_corners(mesh, arrays.notices)) is not None:
+    normals, lost = normals_of_corners(mesh)
+    arrays.notices += lost
+    if normals is not None:
         tables["NORMAL"] = normals
     vertex_of, first = group_equal_rows(corners, *(column for table in tables.values() for column in table.T))
     attributes = {"POSITION": arrays.add(positions[corners[first]], bounds=True)}

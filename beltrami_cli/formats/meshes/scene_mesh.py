@@ -15,8 +15,8 @@ from beltrami_cli.formats.colours import clipped_factor
 from beltrami_cli.formats.image.file_formats import suffix_for
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.image.sizes import measure_image
-from beltrami_cli.formats.meshes.mesh_contents import MaterialMaps, bare_polygons, shown_materials
 from beltrami_cli.formats.meshes.scene import Scene
+from beltrami_cli.formats.meshes.writing import MaterialMaps, bare_polygons, shown_materials
 from beltrami_cli.formats.sidecars.tile_names import tile_name
 from beltrami_cli.surface import tiling
 from beltrami_cli.surface.polygons import polygons_of

@@ -7,7 +7,7 @@ import dataclasses
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,7 +15,6 @@ from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, NoColoursError, Obstacle
 from beltrami_cli.formats.changes import Changes, Naming, PlannedImages, Written
 from beltrami_cli.formats.colours import BYTE, full_scale, opacity
-from beltrami_cli.formats.comparison import Fingerprint, labelled
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.files.edits import (
     PLACEHOLDER,
@@ -26,6 +25,7 @@ from beltrami_cli.formats.files.edits import (
     shifted,
     without_tokens,
 )
+from beltrami_cli.formats.fingerprint import Fingerprint, labelled
 from beltrami_cli.formats.meshes.scene import Scene
 from beltrami_cli.formats.obj.materials import Materials
 from beltrami_cli.formats.obj.polypaint import with_entries, without_entries
@@ -54,7 +54,7 @@ class _Read(NamedTuple):
 class ObjDocument(Document):
     """A Wavefront OBJ file with colours behind the positions of its vertices."""
 
-    format: ClassVar[str] = "obj"
+    format = "obj"
 
     def _open(self, folder: Path | None) -> None:
         if self.data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):

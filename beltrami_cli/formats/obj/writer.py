@@ -14,7 +14,7 @@ from beltrami_cli.arrays import Array, Int64s
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.colours import display_colours
 from beltrami_cli.formats.files.tokens import number_lines
-from beltrami_cli.formats.meshes.mesh_contents import (
+from beltrami_cli.formats.meshes.writing import (
     image_names,
     lost_repetition,
     material_names,

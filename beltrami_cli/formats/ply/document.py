@@ -6,7 +6,6 @@ import dataclasses
 from collections.abc import Collection, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 
@@ -14,9 +13,9 @@ from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, Obstacle
 from beltrami_cli.formats.changes import Changes, Naming, PlannedImages, Written
 from beltrami_cli.formats.colours import quantised
-from beltrami_cli.formats.comparison import Fingerprint, labelled
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.files import edits
+from beltrami_cli.formats.fingerprint import Fingerprint, labelled
 from beltrami_cli.formats.meshes.coloured_polygons import ColouredPolygons, colours_of_vertices
 from beltrami_cli.formats.meshes.scene import Scene
 from beltrami_cli.formats.meshes.scene_mesh import textured_mesh
@@ -44,7 +43,7 @@ _MEANS = "Vertices get the mean of the colours of their faces."
 class PlyDocument(Document):
     """A PLY file, text or binary."""
 
-    format: ClassVar[str] = "ply"
+    format = "ply"
 
     def _open(self, folder: Path | None) -> None:
         self._folder = ModelFolder(folder, self.access)

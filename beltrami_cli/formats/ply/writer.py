@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Uint8s
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.colours import display_colours, quantised
-from beltrami_cli.formats.meshes.mesh_contents import (
+from beltrami_cli.formats.meshes.writing import (
     bare_polygons,
     image_names,
     lost_repetition,

@@ -23,7 +23,7 @@ import io
 import math
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -31,9 +31,9 @@ from beltrami_cli.arrays import Array, Int32s
 from beltrami_cli.errors import InputError, NoColoursError
 from beltrami_cli.formats.changes import Changes, Naming, Written
 from beltrami_cli.formats.colours import display_colours, quantised
-from beltrami_cli.formats.comparison import Fingerprint
 from beltrami_cli.formats.files.numpy_files import POSITION_KEYS, NpzArchive
-from beltrami_cli.formats.meshes.mesh_contents import not_converted
+from beltrami_cli.formats.fingerprint import Fingerprint
+from beltrami_cli.formats.meshes.writing import not_converted
 from beltrami_cli.formats.points.cloud import Layout, PointsDocument
 from beltrami_cli.surface.polygons import triangulate
 from beltrami_cli.surface.precision import shortest_type
@@ -51,7 +51,7 @@ _NAMES = "save them as positions and colours"
 class NpzPointsDocument(PointsDocument[str]):
     """An archive of positions and colours; InputError if it is not an archive of arrays."""
 
-    format: ClassVar[str] = "npz"
+    format = "npz"
 
     def _open(self, folder: Path | None) -> None:
         self._archive = NpzArchive(self.data, self.name)

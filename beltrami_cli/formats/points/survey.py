@@ -14,8 +14,8 @@ import numpy as np
 from beltrami_cli.arrays import Array
 from beltrami_cli.errors import NoColoursError
 from beltrami_cli.formats.changes import Changes, Naming, Written
-from beltrami_cli.formats.comparison import Fingerprint
 from beltrami_cli.formats.files.foreign_library import ForeignLibrary, serve_files
+from beltrami_cli.formats.fingerprint import Fingerprint
 from beltrami_cli.formats.points.cloud import Layout, PointsDocument
 from beltrami_cli.formats.points.e57 import E57
 from beltrami_cli.formats.points.las import Las, has_index, is_laz
@@ -36,14 +36,8 @@ class SurveyDocument(PointsDocument[str]):
     def _open(self, folder: Path | None) -> None:
         (shape, self._tables) = self._ask(None, {})
         self._shape = tuple(shape)
-
-    @property
-    def format(self) -> str:  # type: ignore[override]
-        return _format_of(self.data)
-
-    @property
-    def forms(self) -> tuple[str, ...]:  # type: ignore[override]
-        return ("las", "laz") if _SCANS[self.format] is Las else (self.format,)
+        self.format = _format_of(self.data)
+        self.forms = ("las", "laz") if _SCANS[self.format] is Las else (self.format,)
 
     @cached_property
     def _layout(self) -> Layout[str]:

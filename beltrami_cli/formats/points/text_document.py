@@ -12,11 +12,11 @@ from beltrami_cli.arrays import Array, Int64s
 from beltrami_cli.errors import InputError, NoColoursError
 from beltrami_cli.formats.changes import Changes, Naming, Written
 from beltrami_cli.formats.colours import display_colours, quantised
-from beltrami_cli.formats.comparison import Fingerprint
 from beltrami_cli.formats.files.access import Access
 from beltrami_cli.formats.files.edits import new_colours, renumbered, without_tokens
 from beltrami_cli.formats.files.tokens import number_lines
-from beltrami_cli.formats.meshes.mesh_contents import not_converted
+from beltrami_cli.formats.fingerprint import Fingerprint
+from beltrami_cli.formats.meshes.writing import not_converted
 from beltrami_cli.formats.points.cloud import Layout, PointsDocument
 from beltrami_cli.formats.points.columns import Columns, find_columns
 from beltrami_cli.formats.points.text_table import TextTable, read_table
@@ -28,10 +28,9 @@ from beltrami_cli.surface.records import MeshContents
 class TextPointsDocument(PointsDocument[tuple[int, ...]]):
     """Lines of coordinates and colours, or intensities, under any of their suffixes."""
 
-    @property
-    def format(self) -> str:  # type: ignore[override]
+    def _open(self, folder: Path | None) -> None:
         suffix = Path(self.name).suffix.lower()
-        return suffix[1:] if suffix in (".pts", ".csv") else "xyz"
+        self.format = suffix[1:] if suffix in (".pts", ".csv") else "xyz"
 
     @property
     def _type(self) -> str:

@@ -48,8 +48,6 @@ def kind_of(data: bytes, name: str) -> str | None:
 
 
 class ReadOnlyDocument(Document):
-    format: str  # type: ignore[misc]  # one class reads all formats, so only an instance knows its own
-
     def _open(self, folder: Path | None) -> None:
         kind = kind_of(self.data, self.name)
         assert kind is not None

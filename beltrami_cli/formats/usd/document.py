@@ -12,8 +12,8 @@ import numpy as np
 from beltrami_cli.arrays import Float32s, Int32s, Int64s
 from beltrami_cli.errors import InputError, NoColoursError, Obstacle
 from beltrami_cli.formats.changes import Changes, Naming, PlannedImages, Written
-from beltrami_cli.formats.comparison import Fingerprint, labelled
 from beltrami_cli.formats.document import Document
+from beltrami_cli.formats.fingerprint import Fingerprint, labelled
 from beltrami_cli.formats.meshes.scene import Scene, ShownMap
 from beltrami_cli.formats.meshes.scene_mesh import textured_mesh
 from beltrami_cli.formats.sidecars.model_folder import IGNORED
@@ -44,8 +44,6 @@ _VARIANTS_NOTICE = (
 
 class UsdDocument(Document):
     """An opened scene."""
-
-    format: str  # type: ignore[misc]  # one class reads all forms, so only an instance knows its format
 
     def _open(self, folder: Path | None) -> None:
         self._layers = Layers.of(self.data, self.name, folder, self.access)

@@ -15,7 +15,7 @@ import numpy as np
 from beltrami_cli.arrays import Array, Int32s
 from beltrami_cli.formats.changes import Written
 from beltrami_cli.formats.colours import linear_colours
-from beltrami_cli.formats.meshes.mesh_contents import (
+from beltrami_cli.formats.meshes.writing import (
     image_names,
     material_names,
     normals_of_corners,
@@ -107,7 +107,10 @@ def _mesh(mesh: MeshContents, shown: list[bytes], notices: list[str]) -> Iterato
         yield from _array("int[] primvars:st:indices", index_of[:, None])
     if mesh.normals is not None:
         yield from _array("normal3f[] normals", mesh.normals[used], 3, 'interpolation = "vertex"')
-    elif (normals := normals_of_corners(mesh, notices)) is not None:
+        return
+    normals, lost = normals_of_corners(mesh)
+    notices += lost
+    if normals is not None:
         yield from _array("normal3f[] normals", normals, 3, on)
 
 
@@ -181,7 +184,8 @@ def _shader(name: str, lines: Sequence[str]) -> str:
 
 def _colours(contents: MeshContents, notices: list[str]) -> list[bytes]:
     """Return the lines of vertex colours, in linear light, and their opacity."""
-    colours = linear_colours(contents, notices, "USD has them")
+    colours, conversions = linear_colours(contents, "USD has them")
+    notices += conversions
     on = 'interpolation = "vertex"'
     lines = [*_array("color3f[] primvars:displayColor", colours, 3, on)]
     if contents.alpha is not None:

@@ -1,4 +1,4 @@
-"""Meshes for writers: what the target format cannot hold, and names of image files and materials."""
+"""What writers of meshes share: losses of the target format, names of image files and materials, other images."""
 
 from __future__ import annotations
 
@@ -51,14 +51,13 @@ def lost_repetition(mesh: MeshContents, *kept: Wrap) -> list[str]:
     return [] if is_within or is_kept else ["how textures are repeated"]
 
 
-def normals_of_corners(mesh: MeshContents, notices: list[str]) -> Float32s | None:
-    """Return the normals of corners, (K, 3); None, with a notice, unless all have one."""
+def normals_of_corners(mesh: MeshContents) -> tuple[Float32s | None, list[str]]:
+    """Return the normals of corners, (K, 3), or None unless all have one; and a notice if only some have."""
     normals = mesh.corner_normals if mesh.normals is None else mesh.normals[mesh.corners]
     if normals is None or np.isfinite(normals).all():
-        return normals
-    if np.isfinite(normals).any():
-        notices.append("Not converted: normals of parts that have them at some corners only.")
-    return None
+        return normals, []
+    lost = "Not converted: normals of parts that have them at some corners only."
+    return None, [lost] if np.isfinite(normals).any() else []
 
 
 def triangulated(mesh: MeshContents) -> MeshContents:
