@@ -10,9 +10,9 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Self, TypeVar
+from typing import Self, TypeVar
 
 Progress = Callable[[str, float, float], None]  # a label, the work done and the whole work
 Expected = tuple[str, float]  # a phase, and the seconds that it is expected to take
@@ -58,82 +58,98 @@ def phases_of(kinds: Sequence[str], samples: int) -> list[Expected]:
     return [(kind, _SECONDS[kind][0] + 1e-6 * _SECONDS[kind][1] * samples) for kind in kinds]
 
 
-@dataclass
+@dataclass(frozen=True)
+class _Phase:
+    """The current phase."""
+
+    name: str
+    seconds: float  # that it is expected to take
+    start_share: float  # of the whole, when it began
+    start_seconds: float  # left when it began
+    done: float = 0.0  # fraction of it
+
+
+@dataclass(frozen=True)
+class _Report:
+    """A report as it was made."""
+
+    share: float  # of the whole
+    seconds: float  # left
+    at: float
+
+
 class Work:
     """A progress callback that combines the phases of a job into one fraction of the whole.
 
     Between reports the share comes ever closer to 1, at the pace of the seconds that are left.
     """
 
-    _coming: list[Expected] = field(default_factory=list)  # announced phases
-    _unannounced: float = _UNANNOUNCED_REST  # expected seconds of unannounced phases
-    _announced_at: float = field(default_factory=time.process_time)
-    _announced_seconds: float = _UNANNOUNCED_REST  # left when phases were announced
-    _label: str | None = None  # of the current phase
-    _phase_seconds: float = 0.0  # which the current phase is expected to take
-    _phase_done: float = 0.0  # fraction of the current phase
-    _start_share: float = 0.0  # of the whole, when the current phase began
-    _start_seconds: float = 1.0  # left when it began
-    _last_share: float = 0.0  # of the whole, at the last report
-    _last_seconds: float = 0.0  # left at the last report
-    _last_at: float = 0.0
-    _lock: Any = field(default_factory=threading.RLock, repr=False)  # a terminal is drawn by another thread
+    def __init__(self) -> None:
+        self._lock = threading.RLock()  # a terminal is drawn by another thread
+        self._label = ""
+        self._phase: _Phase | None = None
+        self._coming = list[Expected]()  # announced phases
+        self._unannounced = _UNANNOUNCED_REST  # expected seconds of unannounced phases
+        self._announced_at, self._announced_seconds = time.process_time(), _UNANNOUNCED_REST  # left then
+        self._last = _Report(share=0.0, seconds=0.0, at=0.0)
 
     def expect(self, phases: Iterable[Expected]) -> None:
         """End the current phase, and announce the next; where no times are known, seconds may be any unit."""
         with self._lock:
             self._coming, self._unannounced = list(phases), 0.0
-            self._label, self._phase_seconds = None, 0.0
+            self._label, self._phase = "", None
             self._announced_at, self._announced_seconds = time.process_time(), self._seconds_left()
 
     def __call__(self, label: str, done: float, total: float) -> None:
         """Report work of a phase; a new phase ends the previous one."""
         with self._lock:
-            shown = self.share()
-            if self._label is None or phase_of(label) != phase_of(self._label):
-                self._start(phase_of(label), shown)
+            shown, phase = self.share(), self._phase
+            if phase is None or phase.name != phase_of(label):
+                phase = self._begun(phase_of(label), shown)
             self._label = label
-            self._phase_done = max(self._phase_done, min(1.0, done / max(1.0, total)))
+            self._phase = replace(phase, done=max(phase.done, min(1.0, done / max(1.0, total))))
             left = self._seconds_left()
-            progress = 1 - left / self._start_seconds if self._start_seconds else 1.0
-            self._last_share = max(shown, self._start_share + (1 - self._start_share) * progress)
+            progress = 1 - left / phase.start_seconds if phase.start_seconds else 1.0
+            share = max(shown, phase.start_share + (1 - phase.start_share) * progress)
             now = time.process_time()
             expected = max(0.0, self._announced_seconds - left)
             slowness = (_PRIOR + now - self._announced_at) / (_PRIOR + expected)
-            self._last_seconds, self._last_at = slowness * left, now
+            self._last = _Report(share, slowness * left, now)
 
-    def _start(self, phase: str, shown: float) -> None:
-        names = [name for name, _ in self._coming]
-        self._phase_seconds, self._phase_done = _UNANNOUNCED_PHASE, 0.0
-        if phase in names:
-            number = names.index(phase)
-            self._phase_seconds = self._coming[number][1]
+    def _begun(self, name: str, share: float) -> _Phase:
+        """Return a phase that begins, and drop it from the announced ones with those before it."""
+        names, seconds = [name for name, _ in self._coming], _UNANNOUNCED_PHASE
+        if name in names:
+            number = names.index(name)
+            seconds = self._coming[number][1]
             del self._coming[: number + 1]
-        self._start_share, self._start_seconds = shown, self._seconds_left()
+        self._phase = None
+        return _Phase(name, seconds, share, seconds + self._seconds_left())
 
     def _seconds_left(self) -> float:
-        coming = sum(seconds for _, seconds in self._coming)
-        return self._phase_seconds * (1 - self._phase_done) + coming + self._unannounced
+        now = 0.0 if self._phase is None else self._phase.seconds * (1 - self._phase.done)
+        return now + sum(seconds for _, seconds in self._coming) + self._unannounced
 
     @property
     def label(self) -> str:
-        return self._label or ""
+        return self._label
 
     def share(self) -> float:
         with self._lock:
-            left, since = self._last_seconds, time.process_time() - self._last_at
-            return 1 - (1 - self._last_share) * left / (left + since) if left > 0 else self._last_share
+            left, since = self._last.seconds, time.process_time() - self._last.at
+            return 1 - (1 - self._last.share) * left / (left + since) if left > 0 else self._last.share
 
 
-@dataclass
 class Share(Work):
     """Progress of a part of a job; `forward` is called with a label, the completed fraction of the part, and 1."""
 
-    forward: Progress = lambda label, done, total: None
+    def __init__(self, forward: Progress) -> None:
+        super().__init__()
+        self._forward = forward
 
     def __call__(self, label: str, done: float, total: float) -> None:
         super().__call__(label, done, total)
-        self.forward(label, self.share(), 1.0)
+        self._forward(label, self.share(), 1.0)
 
 
 def each_with_progress(

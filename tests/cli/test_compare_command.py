@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from beltrami_cli.cli.console import table_lines
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.changes import Naming
 from beltrami_cli.formats.registry import open_document
@@ -225,3 +226,17 @@ def test_formats_and_encodings_may_differ(name, noise, psnr, tmp_path):
     source = sphere_file(tmp_path, 0.25) if name == "volume" else SAMPLES / name
     noise_file(source, tmp_path / "c.glb", NoiseSettings(noise))
     assert compare_files(source, tmp_path / "c.glb", Limits(min_psnr=psnr)).passed
+
+
+@pytest.mark.parametrize("width", [30, 60, 70, 80, 100, 200, None])
+def test_a_table_breaks_no_number_and_no_name(width):
+    head = ("part", "samples", "PSNR dB", "dE 95 %", *["jump /255"] * 5)
+    first = ["baseColor a-very-long-name.png", "1234567", "33.44", "12.50", *["+21.87"] * 5]
+    rows = [first, ["all", *"12345678"]]
+    lines = [*table_lines(head, rows, width)]
+    words = [word for line in lines for word in line.split()]
+    for row in rows:
+        assert row[0] in "\n".join(lines)
+        assert all(words.count(cell) >= row.count(cell) for cell in row[1:])
+    names = [row[0] for row in rows]
+    assert width is None or all(len(line) <= width for line in lines if line not in names)

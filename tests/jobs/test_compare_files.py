@@ -6,7 +6,6 @@ import shutil
 import numpy as np
 import pytest
 
-from beltrami_cli.cli.console import table_lines
 from beltrami_cli.errors import InputError
 from beltrami_cli.jobs.compare.files import compare_files
 from beltrami_cli.jobs.settings import Limits
@@ -175,17 +174,3 @@ def test_textures_of_one_name_are_kept_apart(tmp_path):
             shutil.copy(model.parent / "colour.png", model.parent / folder / "skin.png")
     names = [part["name"] for part in compare_files(*models).parts]
     assert names == ["vertex colours", "baseColor one/skin.png", "baseColor two/skin.png"]
-
-
-@pytest.mark.parametrize("width", [30, 60, 70, 80, 100, 200, None])
-def test_a_table_breaks_no_number_and_no_name(width):
-    head = ("part", "samples", "PSNR dB", "dE 95 %", *["jump /255"] * 5)
-    first = ["baseColor a-very-long-name.png", "1234567", "33.44", "12.50", *["+21.87"] * 5]
-    rows = [first, ["all", *"12345678"]]
-    lines = [*table_lines(head, rows, width)]
-    words = [word for line in lines for word in line.split()]
-    for row in rows:
-        assert row[0] in "\n".join(lines)
-        assert all(words.count(cell) >= row.count(cell) for cell in row[1:])
-    names = [row[0] for row in rows]
-    assert width is None or all(len(line) <= width for line in lines if line not in names)

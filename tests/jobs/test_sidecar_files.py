@@ -77,7 +77,7 @@ def test_names_beyond_a_link_are_not_given_away(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["ply", "gltf"])
-def test_what_comes_through_a_pipe_has_no_files_beside_it(kind, tmp_path):
+def test_what_comes_through_a_pipe_has_no_sidecar_files(kind, tmp_path):
     data = write_model(tmp_path, kind, "skin.png").read_bytes()
     with pytest.raises(InputError, match="which is not known; give the model as a file"):
         open_bytes(data, "<stdin>", None).textured("baseColor")
