@@ -44,7 +44,7 @@ _INTENSITY_KEYS = ("intensity", "intensities")
 _NORMAL_KEYS = ("normals", "normal")
 _FACE_KEYS = ("faces", "triangles")
 
-_CHANNELS = 4
+_MAX_CHANNELS = 4
 _NAMES = "save them as positions and colours"
 
 
@@ -119,17 +119,12 @@ def _find_layout(archive: NpzArchive) -> Layout[str]:
     shape = archive.header(positions).shape
     cause = f"the array {positions} is of shape {shape}, not (..., 3)"
     _require(len(shape) >= 2 and shape[-1] == 3, archive, cause)
-    points, found = shape[:-1], archive.header(colours).shape
-    wide = found[len(points) :]
-    fits = found[: len(points)] == points and len(wide) <= 1 and 1 <= math.prod(wide) <= _CHANNELS
-    _require(fits, archive, f"the array {colours} is of shape {found}, and the positions of {shape}")
-    _require(archive.header(colours).dtype.kind != "b", archive, f"the array {colours} is of booleans")
+    points, channels = shape[:-1], _channels_of(archive, colours, shape)
     normals, faces = archive.first(_NORMAL_KEYS), archive.first(_FACE_KEYS)
     if normals is not None and archive.header(normals).shape != shape:
         normals = None
     used = {positions, colours, normals, faces}
     along = {key: key for key in archive.names if key not in used and _goes_along(archive, key, points)}
-    channels = math.prod(wide)
     has_alpha = channels in (2, 4)
     return Layout(
         positions, colours, normals, along, points, channels - has_alpha, has_alpha,
@@ -144,6 +139,18 @@ def _required(archive: NpzArchive, keys: tuple[str, ...], what: str) -> str:
         cause = f"it has no array of {what} ({', '.join(keys)}), but {there}"
         raise NoColoursError(archive.name, cause, _NAMES)
     return key
+
+
+def _channels_of(archive: NpzArchive, colours: str, positions: tuple[int, ...]) -> int:
+    """Return the channels of an array of colours, opacity included, for positions of some shape."""
+    header, points = archive.header(colours), positions[:-1]
+    further = header.shape[len(points) :]
+    fits = header.shape[: len(points)] == points and len(further) <= 1
+    channels = math.prod(further)
+    cause = f"the array {colours} is of shape {header.shape}, and the positions of {positions}"
+    _require(fits and 1 <= channels <= _MAX_CHANNELS, archive, cause)
+    _require(header.dtype.kind != "b", archive, f"the array {colours} is of booleans")
+    return channels
 
 
 def _goes_along(archive: NpzArchive, key: str, points: tuple[int, ...]) -> bool:
