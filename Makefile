@@ -27,7 +27,7 @@ help:
 	@echo "make fuzz      fuzz every reader and the core, FUZZ_SECONDS=60 each; needs clang++"
 	@echo "make survey    try all models in FOLDERS, and print a table of the results, with MUTATIONS of each"
 	@echo "make samples   make sample_data/ again, bit for bit"
-	@echo "make noise-model  train the network that reads noise again, on pictures of Debian packages, and judge it"
+	@echo "make noise-model  train the networks that read noise again, on images of Debian packages, and judge them"
 	@echo "make viewer    bundle the three.js of the pages again"
 	@echo "make clean     remove what was built"
 	@echo "make x.clean.ply   smooth x.ply (likewise .obj, .glb); make -j smooths many at once"
@@ -266,22 +266,22 @@ survey: $(VENV)/.installed-test
 samples: $(VENV)/.installed-samples
 	$(BIN)/python sample_data/make.py
 
-# Pictures come from Debian packages, which are unpacked and not installed. The environment is one of its own.
+# Images come from Debian packages, which are unpacked and not installed. The environment is one of its own.
 NOISE_PACKAGES := supertuxkart-data plasma-workspace-wallpapers gnome-backgrounds mate-backgrounds trigger-rally-data
-NOISE_PICTURES := build/noise-model/pictures
-# Of noise_model/train.py, such as "--observations 500 --epochs 2" for a trial.
+NOISE_IMAGES := build/noise-model/images
+# Of the first training, such as "--observations 500 --epochs 2" for a trial.
 NOISE_OPTIONS ?=
 
 noise-model:
 	$(MAKE) --no-print-directory VENV=$(VENV)-noise run-noise-model
 
-run-noise-model: $(VENV)/.installed-noise | $(NOISE_PICTURES)
-	$(BIN)/python noise_model/train.py $(NOISE_PICTURES) $(NOISE_OPTIONS)
-	$(BIN)/python -m pip install --no-deps --force-reinstall --quiet . # with the weights that the next part reads
-	$(BIN)/python noise_model/train_sizes.py $(NOISE_PICTURES)
-	$(BIN)/python noise_model/stamp.py --trained
+run-noise-model: $(VENV)/.installed-noise | $(NOISE_IMAGES)
+	$(BIN)/python noise_model train $(NOISE_IMAGES) $(NOISE_OPTIONS)
+	$(BIN)/python noise_model train-sizes $(NOISE_IMAGES)
+	$(BIN)/python -m pip install --no-deps --force-reinstall --quiet . # with the weights that the stamp reads
+	$(BIN)/python noise_model stamp --new
 
-$(NOISE_PICTURES):
+$(NOISE_IMAGES):
 	@mkdir -p build/noise-model/packages $@.part
 	cd build/noise-model/packages && apt-get download $(NOISE_PACKAGES)
 	for package in build/noise-model/packages/*.deb; do dpkg-deb --extract "$$package" $@.part || exit 1; done

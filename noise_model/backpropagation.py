@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -15,32 +15,35 @@ DECAY = 0.1  # of the weights, relative to the rate
 class Node:
     """A value of the network, and the gradient of the loss with respect to it."""
 
-    def __init__(self, value):
-        self.value, self.gradient = value, None
+    def __init__(self, value: np.ndarray) -> None:
+        self.value = value
+        self.gradient: np.ndarray | None = None
 
-    def add(self, gradient):
+    def add(self, gradient: np.ndarray) -> None:
         self.gradient = gradient if self.gradient is None else self.gradient + gradient
 
 
 class Tape(Layers):
     """The operations of the network, recorded for backpropagation."""
 
-    def __init__(self, weights):
+    def __init__(self, weights: dict[str, np.ndarray]) -> None:
         super().__init__(weights)
-        self.steps, self.gradients = [], {}
+        self._steps: list[tuple[Node, Callable[[np.ndarray], None]]] = []
+        self.gradients: dict[str, np.ndarray] = {}
 
-    def _record(self, value, back):
+    def _record(self, value: np.ndarray, back: Callable[[np.ndarray], None]) -> Node:
+        """Return a node, whose gradient `back` will propagate."""
         node = Node(value)
-        self.steps.append(lambda: None if node.gradient is None else back(node.gradient))
+        self._steps.append((node, back))
         return node
 
-    def product(self, rows, matrix):
+    def product(self, rows: np.ndarray, matrix: np.ndarray) -> np.ndarray:
         return rows @ matrix
 
-    def dense(self, rows, name, *, is_last=False):
+    def dense(self, rows: Node, name: str, *, is_last: bool = False) -> Node:
         value = super().dense(rows.value, name, is_last=is_last)
 
-        def back(gradient):
+        def back(gradient: np.ndarray) -> None:
             gradient = gradient if is_last else gradient * (value > 0)
             self.gradients[f"{name}.matrix"] = rows.value.T @ gradient
             self.gradients[f"{name}.bias"] = gradient.sum(axis=0)
@@ -48,16 +51,16 @@ class Tape(Layers):
 
         return self._record(value, back)
 
-    def dropped(self, rows, is_dropped):
+    def dropped(self, rows: Node, is_dropped: np.ndarray) -> Node:
         """Apply dropout: set values to 0, and scale the others up to preserve the mean."""
         kept = (~is_dropped / (1 - np.mean(is_dropped))).astype(np.float32)
         return self._record(rows.value * kept, lambda gradient: rows.add(gradient * kept))
 
-    def pool(self, rows, counts):
+    def pool(self, rows: Node, counts: np.ndarray) -> Node:
         value, starts = super().pool(rows.value, counts), starts_of(counts)
         _, most, least = np.split(value, 3, axis=1)
 
-        def back(gradient):
+        def back(gradient: np.ndarray) -> None:
             of_mean, of_most, of_least = np.split(gradient, 3, axis=1)
             total = np.repeat(of_mean / counts[:, None], counts, axis=0)
             for extreme, of_extreme in ((most, of_most), (least, of_least)):
@@ -68,23 +71,24 @@ class Tape(Layers):
 
         return self._record(value, back)
 
-    def spread(self, rows, counts):
+    def spread(self, rows: Node, counts: np.ndarray) -> Node:
         value = super().spread(rows.value, counts)
         return self._record(value, lambda gradient: rows.add(np.add.reduceat(gradient, starts_of(counts))))
 
-    def join(self, parts):
+    def join(self, parts: Sequence[Node]) -> Node:
         ends = np.cumsum([part.value.shape[1] for part in parts])[:-1]
 
-        def back(gradient):
+        def back(gradient: np.ndarray) -> None:
             for part, gradient_of_part in zip(parts, np.split(gradient, ends, axis=1), strict=True):
                 part.add(gradient_of_part)
 
         return self._record(super().join([part.value for part in parts]), back)
 
-    def go_back(self):
+    def go_back(self) -> None:
         """Propagate the gradients of the outputs back to the weights."""
-        for step in reversed(self.steps):
-            step()
+        for node, back in reversed(self._steps):
+            if node.gradient is not None:
+                back(node.gradient)
 
 
 def shuffled(rng: np.random.Generator, count: int, size: int) -> Iterator[np.ndarray]:

@@ -10,6 +10,8 @@ import numpy as np
 from beltrami_cli.flow.noise.network import Weights, candidates_of, starts_of
 from observations import Observation
 
+Arrays = dict[str, np.ndarray]
+
 ROWS = 100_000  # of features that are standardised at a time
 
 
@@ -18,11 +20,11 @@ class Batch:
     """Concatenated observations; the features of squares are in half precision."""
 
     counts: np.ndarray  # squares of each observation
-    parts: dict[str, np.ndarray]
+    parts: Arrays
 
     @classmethod
     def of(cls, observations: list[Observation]) -> Batch:
-        parts = {
+        parts: Arrays = {
             "squares": np.concatenate([each.features.squares for each in observations]).astype(np.float16),
             "quiet": np.concatenate([each.features.quiet for each in observations]).astype(np.float16),
             "places": np.concatenate([each.by_square for each in observations]).astype(np.float32)[:, None],
@@ -44,7 +46,7 @@ class Batch:
         """The first square of each observation, and the number of all squares."""
         return np.append(0, np.cumsum(self.counts))
 
-    def standard(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    def standard(self) -> tuple[Arrays, Arrays]:
         """Return the means and standard deviations of features."""
         some = self.parts["squares"][:: max(1, len(self.parts["squares"]) // 200_000)].astype(np.float32)
         kinds = {"squares": some, "even": self.parts["even"]}
@@ -58,11 +60,15 @@ class Batch:
             block = squares[first : first + ROWS]
             block[:] = weights.standardised("squares", block.astype(np.float32))
 
-    def take(self, chosen: np.ndarray, weights: Weights) -> tuple[tuple, dict, dict]:
+    def take(self, chosen: np.ndarray, weights: Weights) -> tuple[Arrays, Arrays, Arrays]:
         """Return the arguments of `forward` for some observations, the truths, and the candidates."""
         rows = np.concatenate([np.arange(self.starts[each], self.starts[each + 1]) for each in chosen])
         counts, even = self.counts[chosen], self.parts["even"][chosen]
-        given = self.parts["squares"][rows].astype(np.float32), counts, weights.standardised("even", even)
+        given = {
+            "squares": self.parts["squares"][rows].astype(np.float32),
+            "counts": counts,
+            "even": weights.standardised("even", even),
+        }
         quiet = self.parts["quiet"][rows].astype(np.float32)
         candidates = candidates_of(self.parts["even_deviations"][chosen], quiet, counts)
         truths = {name: self.parts[name][chosen] for name in ("total", "deviations", "correlations")}

@@ -19,8 +19,8 @@ def _in(folder: str, *names: str) -> tuple[str, ...]:
 
 
 NETWORK = (
-    *_in("noise_model", "backpropagation.py", "batches.py", "crops.py", "losses.py", "noises.py"),
-    *_in("noise_model", "observations.py", "pictures.py", "recipes.py", "surfaces.py", "train.py"),
+    *_in("noise_model", "backpropagation.py", "batches.py", "crops.py", "grids.py", "images.py", "losses.py"),
+    *_in("noise_model", "noises.py", "observations.py", "recipes.py", "surfaces.py", "train.py"),
     *_in(
         "beltrami_cli/flow/noise", "cells.py", "clusters.py", "components.py", "even_cells.py", "features.py"
     ),
@@ -41,15 +41,26 @@ def configuration(files: tuple[str, ...]) -> str:
 
 
 def code_of(text: str, suffix: str) -> str:
-    """Return source text without comments, docstrings and white space; it does not depend on the version of Python."""
-    if suffix != ".py":
-        return re.sub(r"\s+|//.*", "", text)
-    lines = text.splitlines()
-    for node in ast.walk(ast.parse(text)):
-        value = node.value if isinstance(node, ast.Expr) else None
-        if isinstance(value, ast.Constant) and isinstance(value.value, str):
-            lines[node.lineno - 1 : node.end_lineno] = [""] * (node.end_lineno - node.lineno + 1)
-    return re.sub(r"\s+|#.*", "", "\n".join(lines))
+    """Return the code of a source without comments, docstrings and layout."""
+    if suffix == ".py":
+        return repr(_outline(ast.parse(text)))
+    return re.sub(r"\s+", " ", re.sub(r"//.*", "", text)).strip()
+
+
+def _outline(node: Any) -> Any:
+    """Return a syntax tree as nested tuples and lists, which are the same for all versions of Python."""
+    if isinstance(node, list):
+        return [_outline(each) for each in node if not _is_docstring(each)]
+    if not isinstance(node, ast.AST):
+        return node
+    fields = [(name, _outline(value)) for name, value in ast.iter_fields(node)]
+    # The fields that newer versions add are empty.
+    return type(node).__name__, [(name, value) for name, value in fields if value not in (None, [])]
+
+
+def _is_docstring(node: Any) -> bool:
+    is_constant = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+    return is_constant and isinstance(node.value.value, str)
 
 
 def hashes(folder: Path) -> dict[str, Any]:

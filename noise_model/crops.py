@@ -1,14 +1,13 @@
-"""Crops of clean pictures, which are files of Debian and Python packages.
+"""Crops of clean images, which are files of Debian and Python packages.
 
 Photographs are downsampled two to four times, which removes their own noise. Textures are used unchanged. Files are
-split into training, validation and test by a hash of their names, which keeps variants of one picture together.
+split into training, validation and test by a hash of their names, which keeps variants of one image together.
 """
 
 from __future__ import annotations
 
 import hashlib
 import importlib.util
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,27 +16,18 @@ from PIL import Image
 Image.MAX_IMAGE_PIXELS = None
 
 SUFFIXES = ".png", ".jpg", ".jpeg", ".webp"
-FEWEST = 16  # texels per side of a picture
+FEWEST = 16  # texels per side of an image
 SIDE = 288  # of crops, in texels
 CROPS = {"photograph": 10, "texture": 1}  # of each file
 PHOTOGRAPHS = "wallpapers", "backgrounds", "sklearn", "skimage"
-# Pictures of scikit-image that count as textures; and pictures that are excluded, since the benchmarks use them.
-SURFACES = {"brick", "grass", "gravel", "text", "page", "logo", "color", "phantom", "horse"}
+# Images of scikit-image that count as textures; and images that are excluded, since the benchmarks use them.
+NO_PHOTOGRAPHS = {"brick", "grass", "gravel", "text", "page", "logo", "color", "phantom", "horse"}
 BENCHMARKED = {"astronaut", "coffee", "chelsea", "ihc", "motorcycle_right"}
 PARTS = {8: "validation", 9: "test"}  # last digit of the hash; all others: "training"
 
 
-@dataclass(frozen=True)
-class Crop:
-    """A clean 8-bit crop of a file, shape (R, C, 3)."""
-
-    name: str
-    kind: str
-    pixels: np.ndarray
-
-
 def folders_of_packages() -> list[Path]:
-    """Return the folders of pictures that scikit-image and scikit-learn ship."""
+    """Return the folders of images that scikit-image and scikit-learn ship."""
     found = [
         (importlib.util.find_spec(name), part)
         for name, part in (("skimage", "data"), ("sklearn", "datasets/images"))
@@ -52,35 +42,37 @@ def part_of(path: Path) -> str:
     return PARTS.get(int(hashlib.sha256(name.encode()).hexdigest(), 16) % 10, "training")
 
 
-def clean_crops(roots: list[Path], part: str, seed: int) -> list[Crop]:
+def clean_crops(roots: list[Path], part: str, seed: int) -> list[np.ndarray]:
+    """Return clean 8-bit crops of files, shape (R, C, 3) each."""
     rng, crops = np.random.default_rng(seed), []
     for root in roots:
         for path in sorted(own for own in root.rglob("*") if own.suffix.lower() in SUFFIXES):
             if part_of(path.relative_to(root)) != part or path.is_symlink() or path.stem in BENCHMARKED:
                 continue
-            is_photograph = any(word in str(path) for word in PHOTOGRAPHS) and path.stem not in SURFACES
+            is_photograph = any(word in str(path) for word in PHOTOGRAPHS) and path.stem not in NO_PHOTOGRAPHS
             kind = "photograph" if is_photograph else "texture"
             pixels = _clean_pixels(path, is_photograph, rng)
             if pixels is None or min(pixels.shape[:2]) < FEWEST:
                 continue
             for _ in range(CROPS[kind] * (1 + (min(pixels.shape[:2]) > 2 * SIDE))):
                 top, left = (int(rng.integers(max(1, size - SIDE + 1))) for size in pixels.shape[:2])
-                crop = pixels[top : top + SIDE, left : left + SIDE].copy()
-                crops.append(Crop(str(path.relative_to(root)), kind, crop))
+                crops.append(pixels[top : top + SIDE, left : left + SIDE].copy())
     return crops
 
 
 def _clean_pixels(path: Path, is_photograph: bool, rng: np.random.Generator) -> np.ndarray | None:
-    """Decode a picture, and downsample a photograph; None if it cannot be decoded."""
+    """Decode an image, and downsample a photograph; None if it cannot be decoded."""
     try:
-        picture = Image.open(path)
-        picture.draft("RGB", (2400, 2400))
-        picture = picture.convert("RGB")
+        file = Image.open(path)
+        file.draft("RGB", (2400, 2400))
+        image = file.convert("RGB")
     except (OSError, ValueError, SyntaxError):
         return None
-    shorter = min(picture.size)
+    shorter = min(image.size)
     if is_photograph and shorter >= 400:
         factor = rng.uniform(2, min(4, shorter / 200)) if shorter > 400 else 2
-        size = [max(1, int(side / factor)) for side in picture.size]
-        picture = picture.resize(size, Image.Resampling.BOX if factor > 3 else Image.Resampling.HAMMING)
-    return np.asarray(picture)
+        width, height = (max(1, int(side / factor)) for side in image.size)
+        image = image.resize(
+            (width, height), Image.Resampling.BOX if factor > 3 else Image.Resampling.HAMMING
+        )
+    return np.asarray(image)

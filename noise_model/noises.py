@@ -1,4 +1,4 @@
-"""The steps of a recipe, applied to a clean picture."""
+"""The steps of a recipe, applied to a clean image."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from PIL import Image
 from scipy.ndimage import convolve, gaussian_filter, median_filter, uniform_filter
 
 from recipes import Recipe
+
+ONE_CHANNEL = 0.12  # share of the images that have one channel, or are grey
 
 # Kernels of resampling, by number.
 KERNELS = (
@@ -27,15 +29,15 @@ _WIENER_SIDE, _NOISE_SIDE = 5, 25
 
 
 @dataclass(frozen=True)
-class Sample:
-    """A noisy picture, its noise before clipping, and the error of compression alone."""
+class NoisyColours:
+    """A noisy image, its noise before clipping, and the error of compression alone."""
 
     noisy: np.ndarray  # (R, C, 3)
     noise: np.ndarray
     loss: np.ndarray  # error of the same compression without noise
 
-    def mapped(self, change: Callable[[np.ndarray], np.ndarray]) -> Sample:
-        return Sample(*map(change, (self.noisy, self.noise, self.loss)))
+    def mapped(self, change: Callable[[np.ndarray], np.ndarray]) -> NoisyColours:
+        return NoisyColours(*map(change, (self.noisy, self.noise, self.loss)))
 
 
 def to_linear(x: np.ndarray) -> np.ndarray:
@@ -55,8 +57,8 @@ def of_one_channel(clean: np.ndarray, recipe: Recipe) -> tuple[np.ndarray, Recip
     return np.repeat(clean[..., :1], 3, axis=2), shared
 
 
-def degrade(rng: np.random.Generator, clean: np.ndarray, recipe: Recipe) -> Sample:
-    """Apply a recipe to a clean picture. The noise is the difference from the same steps without noise."""
+def degrade(rng: np.random.Generator, clean: np.ndarray, recipe: Recipe) -> NoisyColours:
+    """Apply a recipe to a clean image. The noise is the difference from the same steps without noise."""
     pair = np.stack([clean, clean])  # with noise, without
     is_linear = recipe.is_linear or bool(recipe.mosaic and recipe.power)
     if is_linear:
@@ -109,14 +111,14 @@ def _denoised_in_camera(pair: np.ndarray, recipe: Recipe) -> np.ndarray:
     return (chroma + (mean + kept * (luma - mean))[..., None]).astype(np.float32)
 
 
-def _stored(pair: np.ndarray, recipe: Recipe) -> Sample:
+def _stored(pair: np.ndarray, recipe: Recipe) -> NoisyColours:
     """Clip, quantise and compress a pair."""
     stored = pair.clip(0, 1) if recipe.bits else pair.clip(0, None)
     if recipe.bits:
         stored = np.rint(stored * 255).astype(np.float32) / 255
     if not recipe.codec:
         # The noise is taken before clipping and rounding.
-        return Sample(stored[0], pair[0] - pair[1], np.zeros_like(pair[0]))
+        return NoisyColours(stored[0], pair[0] - pair[1], np.zeros_like(pair[0]))
     coded, reference = np.stack([_coded(each, recipe) for each in stored]), stored[1]
     if recipe.second_quality:
         coded, reference = (each[..., recipe.shifted :, recipe.shifted :, :] for each in (coded, reference))
@@ -125,7 +127,7 @@ def _stored(pair: np.ndarray, recipe: Recipe) -> Sample:
         coded = np.stack([_resized(each, recipe.after_codec, 1).clip(0, 1) for each in coded])
         reference = _resized(reference, recipe.after_codec, 1).clip(0, 1)
         coded = np.rint(coded * 255).astype(np.float32) / 255
-    return Sample(coded[0], coded[0] - reference, coded[1] - reference)
+    return NoisyColours(coded[0], coded[0] - reference, coded[1] - reference)
 
 
 def _noise(rng: np.random.Generator, clean: np.ndarray, recipe: Recipe) -> np.ndarray:
@@ -203,7 +205,7 @@ def _mask(rng: np.random.Generator, shape: tuple[int, ...], kind: str) -> np.nda
         angle = rng.uniform(0, 2 * np.pi)
         middle = rng.uniform(0.2, 0.8) * shape[0], rng.uniform(0.2, 0.8) * shape[1]
         mask = (y - middle[0]) * np.sin(angle) + (x - middle[1]) * np.cos(angle) > 0
-    elif kind == "part":  # a rectangle of 5 to 60 % of the picture
+    elif kind == "part":  # a rectangle of 5 to 60 % of the image
         sides = np.sqrt(np.exp(rng.uniform(*np.log((0.05, 0.6))))) * np.exp(
             rng.uniform(-0.7, 0.7) * np.array([1, -1])
         )
@@ -235,7 +237,7 @@ _ACROSS = np.array(
 
 
 def _demosaiced(colours: np.ndarray, method: str) -> np.ndarray:
-    """Sample colours with a Bayer mosaic, and interpolate the missing channels."""
+    """NoisyColours colours with a Bayer mosaic, and interpolate the missing channels."""
     shape = colours.shape[:2]
     seen = np.zeros((3, *shape), bool)
     seen[0, ::2, ::2] = seen[2, 1::2, 1::2] = seen[1, ::2, 1::2] = seen[1, 1::2, ::2] = True
@@ -260,7 +262,8 @@ def _demosaiced(colours: np.ndarray, method: str) -> np.ndarray:
 
 
 def _resized(colours: np.ndarray, factor: float, kernel: int) -> np.ndarray:
-    return to_size(colours, *(max(8, round(size * factor)) for size in colours.shape[1::-1]), kernel)
+    height, width = (max(8, round(size * factor)) for size in colours.shape[:2])
+    return to_size(colours, width, height, kernel)
 
 
 def to_size(colours: np.ndarray, width: int, height: int, kernel: int) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Recipe:
-    """The steps from a clean picture to a noisy one, in order; amplitudes are of full scale 1."""
+    """The steps from a clean image to a noisy one, in order; amplitudes are of full scale 1."""
 
     sigma: float = 0.0
     power: float = 0.0  # the variance is proportional to this power of the level
@@ -45,8 +46,11 @@ class Recipe:
     bits: int = 8  # 0: floating point
 
 
+DrawRecipe = Callable[[np.random.Generator], Recipe]
+
+
 def draw_recipe(rng: np.random.Generator) -> Recipe:
-    """Draw the steps of one picture. A quarter have no noise, and half of the others at most one further step."""
+    """Draw the steps of one image. A quarter have no noise, and half of the others at most one further step."""
     chance = rng.random
     recipe = Recipe(bits=8 if chance() < 0.9 else 0)
     if chance() < 0.76:

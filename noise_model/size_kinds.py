@@ -1,4 +1,4 @@
-"""Further noise and pictures, which only the second network is trained on."""
+"""Further noise and images, which only the second network is trained on."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ from functools import partial
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
+from images import MakeImage, random_image, varied
 from noises import to_size
-from observations import Draw
-from pictures import Picture, random_picture, varied
-from recipes import Recipe, draw_recipe, draw_recipe_of_textures
+from recipes import DrawRecipe, Recipe, draw_recipe, draw_recipe_of_textures
 
 Kind = Callable[[np.random.Generator, Recipe], Recipe]
 
@@ -42,7 +41,7 @@ def draw_recipe_of_sizes(rng: np.random.Generator) -> Recipe:
 def draw_recipe_of_cameras(rng: np.random.Generator) -> Recipe:
     """Draw weak noise as in files of cameras: denoised, sharpened, compressed, often downsampled or compressed twice.
 
-    It ranges from base sensitivity to ISO 6400; a seventh of the pictures have none.
+    It ranges from base sensitivity to ISO 6400; a seventh of the images have none.
     """
     shot, read = (float(np.exp(rng.uniform(*np.log(ends)))) for ends in ((2e-4, 0.02), (7e-4, 0.012)))
     sigma = float(np.sqrt(shot / 2 + read**2))  # at half the light
@@ -57,13 +56,13 @@ def draw_recipe_of_cameras(rng: np.random.Generator) -> Recipe:
         sharpened=float(rng.choice([0, rng.uniform(0.2, 1.2)])),
         resampled=float(rng.choice([1, 1, 1, rng.uniform(0.4, 1)])), kernel=int(rng.integers(4)),
         codec="JPEG", quality=int(rng.integers(85, 99)), subsampling=int(rng.integers(3)),
-        second_quality=int(rng.choice([0, rng.integers(70, 97)])), shifted=int(rng.integers(8)),
+        second_quality=int(rng.choice([0, int(rng.integers(70, 97))])), shifted=int(rng.integers(8)),
         after_codec=float(rng.choice([1, 1, 1, 2 ** rng.uniform(-1, 0.3)])),
     )  # fmt: skip
 
 
 def draw_recipe_on_slopes(rng: np.random.Generator) -> Recipe:
-    """Draw noise for pictures without detail, on which its size can be read exactly."""
+    """Draw noise for images without detail, on which its size can be read exactly."""
     kinds: dict[Kind, float] = {
         _shared_by_channels: 0.2, _opposite: 0.25, _of_chroma: 0.2, _in_parts: 0.1, _by_level: 0.075, _photons: 0.075,
         _none: 0.1,
@@ -77,18 +76,19 @@ def _one_of(kinds: dict[Kind, float], rng: np.random.Generator) -> Recipe:
 
 
 def photographed(rng: np.random.Generator, pixels: np.ndarray) -> np.ndarray:
-    """Draw a picture whose finest detail spans several texels, as lenses and mosaics leave it."""
+    """Draw an image whose finest detail spans several texels, as lenses and mosaics leave it."""
     blur = rng.uniform(0, 1.5)
-    return gaussian_filter(random_picture(rng, pixels), (blur, blur, 0))
+    return gaussian_filter(random_image(rng, pixels), (blur, blur, 0))
 
 
 def slopes(rng: np.random.Generator, pixels: np.ndarray) -> np.ndarray:
-    """Draw a picture without detail: light that changes slowly, or plain colours."""
+    """Draw an image without detail: light that changes slowly, or plain colours."""
     sides = rng.integers(1, 6, 2)
     coarse = rng.random((*sides, 3), np.float32)
     grey = rng.choice([0, rng.uniform(0, 1)])
     coarse = (1 - grey) * coarse + grey * coarse.mean(axis=2, keepdims=True)
-    return varied(rng, to_size(coarse.astype(np.float32), *pixels.shape[1::-1], kernel=1).clip(0, 1))
+    height, width = pixels.shape[:2]
+    return varied(rng, to_size(coarse.astype(np.float32), width, height, kernel=1).clip(0, 1))
 
 
 def _none(rng: np.random.Generator, plain: Recipe) -> Recipe:
@@ -155,22 +155,22 @@ def _shared_by_channels(rng: np.random.Generator, plain: Recipe) -> Recipe:
 
 @dataclass(frozen=True)
 class Family:
-    """A kind of noise on a kind of pictures, and its number of training rows."""
+    """A kind of noise on a kind of images, and its number of training rows."""
 
-    draw: Draw
-    picture: Picture
+    draw: DrawRecipe
+    make_image: MakeImage
     rows: int
 
 
 # Each family has its own seeds, so that a family added at the end does not change the rows of the others.
 FAMILIES = {
     "grid": (
-        Family(draw_recipe_of_sizes, partial(random_picture, paint=0.06), 20_000),
+        Family(draw_recipe_of_sizes, partial(random_image, paint=0.06), 20_000),
         Family(draw_recipe_of_cameras, photographed, 10_000),
         Family(draw_recipe_on_slopes, slopes, 3_000),
     ),
     "cluster": (  # vertices are painted more often
-        Family(draw_recipe_of_sizes, partial(random_picture, paint=0.2), 12_000),
+        Family(draw_recipe_of_sizes, partial(random_image, paint=0.2), 12_000),
         Family(draw_recipe_of_cameras, photographed, 2_000),
         Family(draw_recipe_on_slopes, slopes, 2_000),
     ),

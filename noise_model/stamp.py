@@ -1,16 +1,15 @@
-"""Stamp the weights with the code that they belong to, which a test compares with the repository.
+"""A stamp of the weights with the code that they belong to, which a test compares with the repository.
 
-After a change that alters no value of training, ``python noise_model/stamp.py`` stamps the weights. It compares the
-first rows and gradients of training on synthetic pictures with those that the stamp records. `make noise-model` stamps
-new weights with ``--trained``, which records these values.
+The stamp also records the first rows and gradients of training on synthetic images, which show whether a change of the
+code alters values of training.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -19,7 +18,7 @@ from beltrami_cli.flow.noise import network
 from beltrami_cli.flow.noise.network import Weights
 from configuration import ROOT, SIZES, WEIGHTS, hashes
 from size_kinds import FAMILIES
-from train import SAMPLES, initial, make_observations, slopes_of
+from train import CHANNELS, initial, make_observations, slopes_of
 from train_sizes import make_rows
 
 STAMP = ROOT / "noise_model/stamp.json"
@@ -33,11 +32,11 @@ def training_values() -> dict[str, list[float]]:
     rng = np.random.default_rng(0)
     with TemporaryDirectory() as folder:
         for name in ("backgrounds", "textures"):
-            path = Path(folder, name, "smooth.png")  # by its name a picture for training, see `crops.part_of`
+            path = Path(folder, name, "smooth.png")  # by its name an image for training, see `crops.part_of`
             path.parent.mkdir()
             coarse = Image.fromarray(rng.integers(256, size=(40, 40, 3), dtype=np.uint8))
             coarse.resize((640, 640), Image.Resampling.BICUBIC).save(path)
-        return {kind: values_of_kind(kind, [Path(folder)]) for kind in SAMPLES}
+        return {kind: values_of_kind(kind, [Path(folder)]) for kind in CHANNELS}
 
 
 def values_of_kind(kind: str, roots: list[Path]) -> list[float]:
@@ -46,7 +45,7 @@ def values_of_kind(kind: str, roots: list[Path]) -> list[float]:
     means, scales = data.standard()
     columns = {name: len(mean) for name, mean in means.items()}
     weights = Weights(initial(np.random.default_rng(0), columns, network.WIDTHS[kind]), means, scales)
-    parts = [np.nan_to_num(part) for part in data.parts.values()]
+    parts: list[Any] = [np.nan_to_num(part) for part in data.parts.values()]
     data.standardise_in_place(weights)
     losses, gradients = slopes_of(np.arange(OBSERVATIONS), data, weights)
     parts += [*losses.values(), *gradients.values()]
@@ -64,12 +63,11 @@ def check_installed() -> None:
             raise SystemExit(f"the installed {name} differs from the source: install the package")
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description="Stamp the weights with the code that they belong to.")
-    parser.add_argument("--trained", action="store_true", help="this code trained them: record its values")
+def stamp(*, are_new: bool) -> None:
+    """Stamp the weights; unless they are new, only if training still computes the values that the stamp records."""
     check_installed()
-    is_trained, now, values = parser.parse_args().trained, hashes(WEIGHTS), training_values()
-    if not is_trained:
+    now, values = hashes(WEIGHTS), training_values()
+    if not are_new:
         stamp = json.loads(STAMP.read_text(encoding="utf-8"))
         if now["weights"] != stamp["weights"]:
             raise SystemExit("the weights differ from the stamped ones: run `make noise-model`")
@@ -80,7 +78,3 @@ def main() -> None:
                 raise SystemExit(f"values of training changed for {kind}: run `make noise-model`")
         values = stamp["values"]
     STAMP.write_text(json.dumps({**now, "values": values}, indent=1) + "\n", encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,9 +1,10 @@
-"""Noisy colours of vertices for training: pictures sampled at the vertices of flat meshes and point clouds."""
+"""Noisy colours of vertices for training: images sampled at the vertices of flat meshes and point clouds."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from typing import Literal
 
 import numpy as np
 from scipy.ndimage import map_coordinates
@@ -11,18 +12,17 @@ from scipy.spatial import Delaunay, cKDTree
 
 from beltrami_cli.flow.noise.clusters import VertexClusters
 from beltrami_cli.flow.vertex_graph import Graph
-from crops import Crop
-from noises import Sample, degrade, of_one_channel
-from observations import ONE_CHANNEL, Draw, NoisyChannels, cut_into
-from pictures import Picture, random_picture
-from recipes import Recipe
+from images import MakeImage, random_image
+from noises import ONE_CHANNEL, NoisyColours, degrade, of_one_channel
+from observations import NoisyChannels, cut_into
+from recipes import DrawRecipe, Recipe
 
 SIZES = 250, 20_000  # range of samples per surface
-SURFACES = 96  # number of surfaces that pictures are sampled on
+SURFACES = 96  # number of surfaces that images are sampled on
 DENSITIES = 0.1, 3.0  # range of samples per texel
-SIDES = 12, 280  # range of texels per side of a picture
+SIDES = 12, 280  # range of texels per side of an image
 STRETCHED, MOST_STRETCHED = 0.4, 5.0  # share of surfaces, and the ratio of the densities along their axes
-ON_VERTICES = 0.6  # share of surfaces whose noise was added to samples instead of pictures
+ON_VERTICES = 0.6  # share of surfaces whose noise was added to samples instead of images
 SEED = 51
 
 
@@ -31,11 +31,11 @@ def surface(number: int) -> tuple[VertexClusters, np.ndarray]:
     """Return a surface, and the positions of its samples in the unit square, ascending along the first axis."""
     rng = np.random.default_rng([SEED, number])
     count = int(np.exp(rng.uniform(*np.log(SIZES))))
-    kind = rng.choice(["jittered", "jittered", "random", "triangles", "squares", "cloud"])
+    kind = str(rng.choice(["jittered", "jittered", "random", "triangles", "squares", "cloud"]))
     side = int(np.sqrt(count)) + 1
     places = _places(rng, kind, side)
     if kind == "cloud":
-        nearest = cKDTree(places).query(places, k=int(rng.integers(6, 11)))[1]
+        nearest = np.asarray(cKDTree(places).query(places, k=int(rng.integers(6, 11)))[1])
         pairs = np.stack([np.repeat(nearest[:, 0], nearest.shape[1] - 1), nearest[:, 1:].ravel()], axis=1)
     else:
         corners = Delaunay(places).simplices
@@ -48,7 +48,7 @@ def surface(number: int) -> tuple[VertexClusters, np.ndarray]:
 
 def _places(rng: np.random.Generator, kind: str, side: int) -> np.ndarray:
     """Draw positions in a square of a side, one per unit of area, ascending along the first axis."""
-    places = np.stack(np.mgrid[:side, :side], axis=-1).reshape(-1, 2).astype(float)
+    places = np.moveaxis(np.mgrid[:side, :side], 0, -1).reshape(-1, 2).astype(float)
     if kind in ("random", "cloud"):
         places = rng.uniform(0, side, places.shape)
     elif kind == "triangles":
@@ -61,13 +61,13 @@ def _places(rng: np.random.Generator, kind: str, side: int) -> np.ndarray:
     return places[np.argsort(places[:, 0], kind="stable")]
 
 
-def random_samples(
-    rng: np.random.Generator, crops: list[Crop], draw: Draw, picture: Picture = random_picture
+def random_channels(
+    rng: np.random.Generator, crops: list[np.ndarray], draw: DrawRecipe, make_image: MakeImage = random_image
 ) -> NoisyChannels | None:
     """Draw noisy colours at vertices."""
     clusters, places = surface(int(rng.integers(SURFACES)))
     density = np.exp(rng.uniform(*np.log(DENSITIES)))
-    pixels = crops[rng.integers(len(crops))].pixels
+    pixels = crops[rng.integers(len(crops))]
     side = np.clip(np.sqrt(len(places) / density), SIDES[0], min(SIDES[1], *pixels.shape[:2]))
     recipe, is_on_vertices = draw(rng), rng.random() < ON_VERTICES
     # Samples may be denser along one axis than along the other, as on tubes and planks.
@@ -77,35 +77,36 @@ def random_samples(
     )
     height, width = (int(each) for each in np.minimum(sides + 8, pixels.shape[:2]))
     top, left = int(rng.integers(len(pixels) - height + 1)), int(rng.integers(pixels.shape[1] - width + 1))
-    clean = picture(rng, pixels[top : top + height, left : left + width])
+    clean = make_image(rng, pixels[top : top + height, left : left + width])
     if rng.random() < ONE_CHANNEL:
         clean, recipe = of_one_channel(clean, recipe)
-    sample = degrade_at_vertices(rng, clean, places, recipe, is_on_vertices=is_on_vertices)
-    return cut_into(clusters, sample.mapped(lambda colours: colours.reshape(-1, 3)))
+    colours = degrade_at_vertices(rng, clean, places, recipe, is_on_vertices=is_on_vertices)
+    return cut_into(clusters, colours.mapped(lambda planes: planes.reshape(-1, 3)))
 
 
 def degrade_at_vertices(
     rng: np.random.Generator,
-    picture: np.ndarray,
+    image: np.ndarray,
     places: np.ndarray,
     recipe: Recipe,
     *,
     is_on_vertices: bool,
-) -> Sample:
-    """Degrade a picture and sample it by nearest or bilinear lookups, or add the noise to the samples."""
-    of_picture = replace(recipe, sigma=0.0, impulses=0.0) if is_on_vertices else recipe
-    sample, order = degrade(rng, picture, of_picture), int(rng.integers(2))
-    at = places.T * (np.array(sample.noisy.shape[:2])[:, None] - 1)
-    sample = sample.mapped(lambda planes: _looked_up(planes, at, order))
+) -> NoisyColours:
+    """Degrade an image and sample it by nearest or bilinear lookups, or add the noise to the samples."""
+    of_image = replace(recipe, sigma=0.0, impulses=0.0) if is_on_vertices else recipe
+    colours = degrade(rng, image, of_image)
+    order: Literal[0, 1] = 1 if rng.integers(2) else 0
+    at = places.T * (np.array(colours.noisy.shape[:2])[:, None] - 1)
+    colours = colours.mapped(lambda planes: _looked_up(planes, at, order))
     if is_on_vertices:
-        return degrade(rng, sample.noisy[:, None], without_filters(recipe))
-    return replace(sample, noisy=np.rint(sample.noisy * 255) / np.float32(255)) if recipe.bits else sample
+        return degrade(rng, colours.noisy[:, None], without_filters(recipe))
+    return replace(colours, noisy=np.rint(colours.noisy * 255) / np.float32(255)) if recipe.bits else colours
 
 
-def _looked_up(picture: np.ndarray, at: np.ndarray, order: int) -> np.ndarray:
-    if not picture.any():
+def _looked_up(image: np.ndarray, at: np.ndarray, order: Literal[0, 1]) -> np.ndarray:
+    if not image.any():
         return np.zeros((at.shape[1], 3), np.float32)
-    planes = np.moveaxis(picture, 2, 0)
+    planes = np.moveaxis(image, 2, 0)
     return np.stack([map_coordinates(each, at, order=order, mode="nearest") for each in planes], axis=-1)
 
 

@@ -1,14 +1,12 @@
-"""Measure the error of the network by kind of noise, on pictures that it was not trained on.
+"""The error of the network by kind of noise, as a table, on images that it was not trained on.
 
-``python noise_model/table.py FOLDER...`` prints, for each kind, the mean absolute log2 of the ratio of reading and
-truth, and the share of readings within 30 %; of clean pictures, how many are read as more than 4 of 255, and the
-largest reading. Kinds are judged on grids, and some on surfaces. The truth is the RMS noise before
-clipping.
+Cells have the mean absolute log2 of the ratio of reading and truth, and the share of readings within 30 %; of clean
+images, how many are read as more than 4 of 255, and the largest reading. Kinds are judged on grids, and some on
+surfaces. The truth is the RMS noise before clipping.
 """
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -19,13 +17,13 @@ from beltrami_cli.flow.noise.grid_squares import Grid
 from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods
 from beltrami_cli.flow.noise.network import OFFSET, Weights
 from beltrami_cli.flow.noise.reading import read_noise
-from crops import Crop, clean_crops, folders_of_packages
-from noises import Sample, degrade
+from crops import clean_crops
+from noises import NoisyColours, degrade
 from recipes import Recipe
 from surfaces import degrade_at_vertices, surface
 
-SIDE, CASES, SEED = 192, 44, 7  # texels per side, and noisy pictures of each kind
-FALSE_POSITIVE = 4 / 255  # reading from which a clean picture counts as misread
+SIDE, CASES, SEED = 192, 44, 7  # texels per side, and noisy images of each kind
+FALSE_POSITIVE = 4 / 255  # reading from which a clean image counts as misread
 
 
 def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
@@ -60,7 +58,7 @@ KINDS: dict[str, Callable[[np.random.Generator], Recipe]] = {
     "two exposures blended": lambda rng: Recipe(
         _log_uniform(rng, 4, 40) / 255, places="blend", place_gain=rng.uniform(0.1, 0.6)
     ),
-    "half of the picture noisy": lambda rng: Recipe(
+    "half of the image noisy": lambda rng: Recipe(
         _log_uniform(rng, 4, 40) / 255, places="halves", place_gain=0.2
     ),
     "residue of a low-pass filter": lambda rng: Recipe(
@@ -71,13 +69,13 @@ KINDS: dict[str, Callable[[np.random.Generator], Recipe]] = {
 }
 
 
-# Kinds of noise on surfaces, and whether noise is added to vertices instead of the picture they sample.
+# Kinds of noise on surfaces, and whether noise is added to vertices instead of the image that they sample.
 KINDS_ON_SURFACES = {
     "white, sigma 2 to 50": True,
     "white, equal in all channels": True,
     "white, channels correlated by 0.7": True,
     "baked light: heavy tails, grows with light, equal": True,
-    "half of the picture noisy": True,
+    "half of the image noisy": True,
     "camera (shot and read noise, mosaic, sRGB)": False,
     "grain of 1.3 to 5 texels": False,
     "white, then JPEG 60 to 98": False,
@@ -89,38 +87,40 @@ KINDS_ON_SURFACES = {
 SURFACES = range(1000, 1024)
 
 
-def pictures_of(crops: list[Crop], kind: str) -> Iterator[tuple[np.random.Generator, np.ndarray, Recipe]]:
-    """Yield clean pictures and the recipes of noise of a kind."""
+def images_of(crops: list[np.ndarray], kind: str) -> Iterator[tuple[np.random.Generator, np.ndarray, Recipe]]:
+    """Yield clean images and the recipes of noise of a kind."""
     rng = np.random.default_rng([SEED, list(KINDS).index(kind)])
-    large = [crop for crop in crops if min(crop.pixels.shape[:2]) >= SIDE]
+    large = [crop for crop in crops if min(crop.shape[:2]) >= SIDE]
     for number in rng.permutation(len(large))[: CASES * (4 if kind.startswith("none") else 1)]:
-        yield rng, large[number].pixels[:SIDE, :SIDE] / np.float32(255), KINDS[kind](rng)
+        yield rng, large[number][:SIDE, :SIDE] / np.float32(255), KINDS[kind](rng)
 
 
-def cases(crops: list[Crop], kind: str) -> Iterator[tuple[Neighbourhoods, np.ndarray, Sample]]:
+def cases(crops: list[np.ndarray], kind: str) -> Iterator[tuple[Neighbourhoods, np.ndarray, NoisyColours]]:
     """Yield noisy grids of a kind: where they are read, their channels, and their noise."""
-    for rng, clean, recipe in pictures_of(crops, kind):
-        sample = degrade(rng, clean, recipe).mapped(lambda planes: planes[:SIDE, :SIDE])
-        yield Grid.of(np.ones(sample.noisy.shape[:2], bool)), np.moveaxis(sample.noisy, 2, 0), sample
+    for rng, clean, recipe in images_of(crops, kind):
+        colours = degrade(rng, clean, recipe).mapped(lambda planes: planes[:SIDE, :SIDE])
+        yield Grid.of(np.ones(colours.noisy.shape[:2], bool)), np.moveaxis(colours.noisy, 2, 0), colours
 
 
-def cases_on_surfaces(crops: list[Crop], kind: str) -> Iterator[tuple[Neighbourhoods, np.ndarray, Sample]]:
+def cases_on_surfaces(
+    crops: list[np.ndarray], kind: str
+) -> Iterator[tuple[Neighbourhoods, np.ndarray, NoisyColours]]:
     """Yield noisy surfaces of a kind, with one sample per texel."""
-    for number, (rng, clean, recipe) in enumerate(pictures_of(crops, kind)):
+    for number, (rng, clean, recipe) in enumerate(images_of(crops, kind)):
         clusters, places = surface(SURFACES[number % len(SURFACES)])
         side = int(np.clip(np.sqrt(len(places)), 16, SIDE))
         on_vertices = KINDS_ON_SURFACES[kind]
-        sample = degrade_at_vertices(rng, clean[:side, :side], places, recipe, is_on_vertices=on_vertices)
-        yield clusters, sample.noisy.reshape(-1, 3).T, sample
+        colours = degrade_at_vertices(rng, clean[:side, :side], places, recipe, is_on_vertices=on_vertices)
+        yield clusters, colours.noisy.reshape(-1, 3).T, colours
 
 
-def truth_of(sample: Sample) -> float:
+def truth_of(colours: NoisyColours) -> float:
     """Return the RMS noise, without the error of compression alone."""
-    return float(np.sqrt(max(0.0, np.mean(sample.noise**2) - np.mean(sample.loss**2))))
+    return float(np.sqrt(max(0.0, np.mean(colours.noise**2) - np.mean(colours.loss**2))))
 
 
 def judged(readings: np.ndarray, truths: np.ndarray, is_clean: bool) -> str:
-    """Return a cell of the table: errors of readings, or false readings of clean pictures."""
+    """Return a cell of the table: errors of readings, or false readings of clean images."""
     if is_clean:
         return f"{np.mean(readings > FALSE_POSITIVE):.1%}; {255 * readings.max():.1f}"
     ratio = np.log2((255 * readings + OFFSET) / (255 * truths + OFFSET))
@@ -129,15 +129,17 @@ def judged(readings: np.ndarray, truths: np.ndarray, is_clean: bool) -> str:
     )
 
 
-def main(roots: list[Path], part: str, kind: str, weights: Weights | None = None) -> None:
+def judge(roots: list[Path], part: str, kind: str, weights: Weights | None = None) -> None:
+    """Print the table of a kind of neighbourhoods; `weights`: those of the package by default."""
     crops, everything = clean_crops(roots, part, SEED), []
     make, kinds = (cases, KINDS) if kind == "grid" else (cases_on_surfaces, KINDS_ON_SURFACES)
     print(f"| kind of noise on a {kind} | cases | model | 90 % interval holds |\n|---|---|---|---|")
     for name in kinds:
         rows = []
-        for neighbourhoods, planes, sample in make(crops, name):
+        for neighbourhoods, planes, colours in make(crops, name):
             model = read_noise(np.ascontiguousarray(planes, np.float32), neighbourhoods, weights=weights)
-            truth = truth_of(sample)
+            truth = truth_of(colours)
+            assert model.reading is not None
             holds = model.reading.low - OFFSET / 255 <= truth <= model.reading.high + OFFSET / 255
             rows.append((truth, model.overall, holds))
         truths, readings, holds = np.array(rows).T
@@ -150,12 +152,3 @@ def main(roots: list[Path], part: str, kind: str, weights: Weights | None = None
             everything += rows
     truths, readings, holds = np.array(everything).T
     print(f"| all noisy kinds | {len(everything)} | {judged(readings, truths, False)} | {holds.mean():.0%} |")
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description="Judge the network that reads noise.")
-    parser.add_argument("folders", nargs="+", type=Path, help="with pictures")
-    parser.add_argument("--part", default="test", choices=["validation", "test"])
-    options = parser.parse_args()
-    for kind in ("grid", "cluster"):
-        main([*options.folders, *folders_of_packages()], options.part, kind)

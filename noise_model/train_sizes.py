@@ -1,19 +1,11 @@
-"""Train the network that reads the size of noise from the removal curve, and judge it.
-
-``python noise_model/train_sizes.py FOLDER...`` needs the weights of `train.py`, whose readings are a part of the
-evidence. It prints the PSNR lost by misreadings, for several limits of the probability of no noise.
-"""
+"""Training of the network that reads the size of noise, whose evidence is the reading of the first network."""
 
 from __future__ import annotations
 
-import argparse
-import os
 import time
 from collections.abc import Iterable
 from multiprocessing import Pool
 from pathlib import Path
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 from scipy.special import ndtr
@@ -22,9 +14,8 @@ import observations
 from backpropagation import Adam, Node, Tape, initial_layer, shuffled
 from beltrami_cli.flow.noise.network import OFFSET, NetworkReading, Weights
 from beltrami_cli.flow.noise.size import EDGES, LAYERS, WIDTHS, evidence, sizes_of
-from crops import folders_of_packages
 from size_kinds import FAMILIES
-from train import SAMPLES, crops_of, parser_of, save
+from train import CHANNELS, crops_of, save
 
 TEST_ROWS = 1_000  # per family
 CHUNK = 500  # rows that are made together
@@ -40,12 +31,13 @@ NONE, SOME = 0.2, 0.8
 def make_rows(
     kind: str, part: str, number: int, seed: int, count: int, roots: list[Path], weights: Weights
 ) -> list[np.ndarray]:
-    """Draw samples of a family; return evidence, readings by weights, and the true RMS noise in 8-bit steps."""
+    """Draw noisy colours of a family; return evidence, first readings, and the true RMS noise in 8-bit steps."""
     family = FAMILIES[kind][number]
     crops = crops_of(tuple(roots), part)
-    rng, rows = np.random.default_rng([SEED, seed, part == "training", number]), []
+    rng = np.random.default_rng([SEED, seed, part == "training", number])
+    rows: list[tuple[np.ndarray, float, float]] = []
     while len(rows) < count:
-        drawn = SAMPLES[kind](rng, crops, family.draw, family.picture)
+        drawn = CHANNELS[kind](rng, crops, family.draw, family.make_image)
         if drawn is None or drawn.noisy.where.scales[0].freedom.sum() < observations.FEWEST_DETAILS:
             continue
         noise, loss = (
@@ -68,7 +60,7 @@ def labels_of(truth: np.ndarray, first: np.ndarray) -> np.ndarray:
 def train(rows: np.ndarray, first: np.ndarray, truth: np.ndarray) -> Weights:
     rng, labels = np.random.default_rng(SEED), labels_of(truth, first)
     sizes = rows.shape[1], *WIDTHS, labels.shape[1]
-    layers = {}
+    layers: dict[str, np.ndarray] = {}
     for name, inputs, outputs in zip(LAYERS, sizes, sizes[1:], strict=False):
         layers |= initial_layer(rng, name, inputs, outputs)
     means, scales = {"evidence": rows.mean(axis=0)}, {"evidence": rows.std(axis=0) + np.float32(1e-3)}
@@ -94,12 +86,12 @@ def train(rows: np.ndarray, first: np.ndarray, truth: np.ndarray) -> Weights:
 # 26 crops of photographs and a game's atlas.
 RATIOS = (-6, -2, -1.2, -0.62, -0.23, 0, 0.26, 0.49, 0.77, 1.32, 2.5)
 COSTS = (5.4, 4.5, 3.2, 1.8, 0.5, 0.05, 0, 0.6, 1.4, 3, 6)
-# Harmless PSNR to a clean input in dB, and the share of the given noise that kernels remove from clean pictures.
+# Harmless PSNR to a clean input in dB, and the share of the given noise that kernels remove from clean images.
 HARMLESS, TAKEN = 42, 0.45
 
 
 def judge(weights: Weights, rows: np.ndarray, first: np.ndarray, truth: np.ndarray) -> None:
-    """Print the PSNR lost by misreadings, and how often noise is missed or found in clean pictures."""
+    """Print the PSNR lost by misreadings, and how often noise is missed or found in clean images."""
     sizes = sizes_of(weights, rows, first)
     median, low, high = (np.array([size.quantile(share) for size in sizes]) for share in (0.5, 0.05, 0.95))
     none = np.array([size.none for size in sizes])
@@ -110,7 +102,7 @@ def judge(weights: Weights, rows: np.ndarray, first: np.ndarray, truth: np.ndarr
         lost = np.interp(ratios, RATIOS, COSTS) * np.clip(truth / 6, 0.2, 1)  # little noise costs less
         harm = np.maximum(0, HARMLESS - 20 * np.log10(255 / np.maximum(TAKEN * assumed, 1e-3)))
         print(
-            f"none above {most}: noisy pictures lose {lost[noisy].mean():.2f} dB, clean ones {harm[clean].mean():.2f};"
+            f"none above {most}: noisy images lose {lost[noisy].mean():.2f} dB, clean ones {harm[clean].mean():.2f};"
             f" noise above 4 is not found in {np.mean(assumed[truth > 4] == 0):.1%},"
             f" clean is touched in {np.mean(assumed[clean] > 2):.1%}"
         )
@@ -119,16 +111,17 @@ def judge(weights: Weights, rows: np.ndarray, first: np.ndarray, truth: np.ndarr
     print(f"90 % interval holds for {holds[noisy].mean():.1%}; within 25 % are {near[truth > 3].mean():.1%}")
 
 
-def train_kind(kind: str, roots: list[Path], options: argparse.Namespace) -> None:
+def train_kind(kind: str, roots: list[Path], folder: Path, *, count: int | None, processes: int) -> None:
+    """Write the weights of a kind to a folder that has those of `train`; `count`: of rows of each family."""
     began, families = time.monotonic(), range(len(FAMILIES[kind]))
-    first = Weights.load(options.weights / f"{kind}_weights.npz")
+    first = Weights.load(folder / f"{kind}_weights.npz")
     jobs = [
         (kind, part, number, seed, CHUNK, roots, first)
         for number in families
-        for part, count in (("training", options.rows or FAMILIES[kind][number].rows), ("test", TEST_ROWS))
-        for seed in range(count // CHUNK)
+        for part, rows in (("training", count or FAMILIES[kind][number].rows), ("test", TEST_ROWS))
+        for seed in range(rows // CHUNK)
     ]
-    with Pool(options.processes) as pool:
+    with Pool(processes) as pool:
         made = list(zip(jobs, pool.starmap(make_rows, jobs, chunksize=1), strict=True))
 
     def rows_of(part: str, numbers: Iterable[int]) -> list[np.ndarray]:
@@ -141,13 +134,5 @@ def train_kind(kind: str, roots: list[Path], options: argparse.Namespace) -> Non
     for number in families:
         print(FAMILIES[kind][number].draw.__name__)
         judge(weights, *rows_of("test", [number]))
-    save(weights, options.weights / f"{kind}_sizes.npz")
+    save(weights, folder / f"{kind}_sizes.npz")
     print(f"written after {time.monotonic() - began:.0f} s", flush=True)
-
-
-if __name__ == "__main__":
-    parser = parser_of("Train the network that reads the size of noise.")
-    parser.add_argument("--rows", type=int, help="of each family")
-    options = parser.parse_args()
-    for kind in options.kinds:
-        train_kind(kind, [*options.folders, *folders_of_packages()], options)

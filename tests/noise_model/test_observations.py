@@ -1,11 +1,12 @@
-"""What the network is trained on: noisy pictures, and the noise that was put in."""
+"""What the network is trained on: noisy images, and the noise that was put in."""
 
 import numpy as np
 import pytest
 
 from beltrami_cli.flow.noise.network import OFFSET
-from noises import Sample, degrade
-from observations import in_squares, observation_of
+from grids import in_squares
+from noises import NoisyColours, degrade
+from observations import observation_of
 from recipes import Recipe, draw_recipe, draw_recipe_of_textures
 from size_kinds import draw_recipe_of_cameras, draw_recipe_on_slopes
 
@@ -36,17 +37,17 @@ def test_what_compression_alone_does_is_no_noise():
 
 
 @pytest.mark.parametrize("shape", [(0, 8, 3), (8, 0, 3), (4, 4, 3)])
-def test_pictures_without_enough_cells_are_left_out(shape):
+def test_images_without_enough_cells_are_left_out(shape):
     none = np.zeros(shape, np.float32)
-    assert observe(Sample(none, none, none)) is None
+    assert observe(NoisyColours(none, none, none)) is None
 
 
 @pytest.mark.parametrize(
     "draw", [draw_recipe, draw_recipe_of_textures, draw_recipe_of_cameras, draw_recipe_on_slopes]
 )
 def test_all_recipes_make_finite_observations(draw):
-    rng, picture = np.random.default_rng(2), clean()
+    rng, image = np.random.default_rng(2), clean()
     for _ in range(20):
-        made = observe(degrade(rng, picture, draw(rng)))
+        made = observe(degrade(rng, image, draw(rng)))
         assert all(np.isfinite(own).all() for own in (made.features.squares, made.features.even))
         assert np.isfinite(made.total)

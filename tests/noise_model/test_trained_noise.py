@@ -15,7 +15,7 @@ from beltrami_cli.flow.noise.reading import read_noise
 from flow.noisy_surfaces import by_camera
 from oracles.pictures import photograph
 
-SHAPE = (128, 192)  # of whole squares, so that turning the picture keeps them
+SHAPE = (128, 192)  # of whole squares, so that turning the image keeps them
 
 
 def estimate(planes, filled=None, **given):
@@ -67,7 +67,7 @@ def dots():
     [np.full((3, *SHAPE), 0.4), ramp(), rounded(ramp()), dots()],
     ids=["constant", "real", "8 bits", "dots"],
 )
-def test_plain_pictures_have_no_noise(clean):
+def test_plain_images_have_no_noise(clean):
     assert not estimate(clean).covariances.any()
 
 
@@ -214,7 +214,7 @@ def as_kept(image, quality):
 @pytest.mark.parametrize("quality", [85, 92])
 @pytest.mark.parametrize("shot", [0.002, 0.006])
 def test_weak_noise_that_a_camera_denoised_and_compressed_is_found(quality, shot):
-    """Within a factor of 2, on a picture whose finest detail spans some texels."""
+    """Within a factor of 2, on an image whose finest detail spans some texels."""
     clean = gaussian_filter(photograph(256, contrast=0.1), (1, 1, 0)).astype(np.float32)
     noisy, without = (as_kept(by_camera(clean, *noise), quality) for noise in ((shot, 0.004), (1e-9, 1e-6)))
     truth = np.sqrt(np.mean(np.square(noisy - without)))
@@ -227,7 +227,7 @@ def test_the_size_of_opposite_noise_is_read_on_slopes_of_light(seed):
     assert model.overall == pytest.approx(12 / 255 * np.sqrt(2.03 / 3), rel=0.1)
 
 
-def test_large_pictures_are_read_in_some_squares():
+def test_large_images_are_read_in_some_squares():
     filled = np.ones((2048, 3000), bool)
     corners = choose_corners(filled, MAX_SQUARES)
     assert len(corners) == MAX_SQUARES

@@ -34,7 +34,7 @@ _MAX_CORRELATION_OF_NEIGHBOURS = 0.12
 # deviation.
 _DETAILS_OF_READING = 26
 
-# Number of samples of the smallest training pictures; with fewer, hard-edged paint is not distinguishable from noise.
+# Number of samples of the smallest training images; with fewer, hard-edged paint is not distinguishable from noise.
 _MIN_SAMPLES = 256
 
 # If values exceed full scale, as with light, this quantile becomes full scale. If the opposite quantile is outside

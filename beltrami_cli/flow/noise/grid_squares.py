@@ -16,7 +16,7 @@ from beltrami_cli.flow.noise.even_cells import EvenScale
 from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, Scale, ThreeChannels
 from beltrami_cli.surface import large_arrays
 
-# Maximum number of squares that are read from a grid. Training pictures have at most half as many.
+# Maximum number of squares that are read from a grid. Training images have at most half as many.
 MAX_SQUARES = 128
 
 # Cells per side of a square: the smallest side with 2 x 2 cells at the coarsest scale.
@@ -258,7 +258,7 @@ def _scales_of(squares: Bools) -> list[SquareScale]:
 
 def choose_corners(filled: Bools, most: int) -> Int64s:
     """Choose the squares to read; return row and column of their first cells, shape (P, 2)."""
-    # Squares are aligned with the first filled cell, as the blocks of a JPEG picture are.
+    # Squares are aligned with the first filled cell, as the blocks of a JPEG image are.
     first = [int(filled.any(axis=axis).argmax()) for axis in (1, 0)]
     filled = filled[first[0] :, first[1] :]
     down, across = (np.arange(0, size, SIDE) for size in filled.shape)

@@ -32,7 +32,7 @@ from beltrami_cli.flow.parameters import STRENGTHS
 # of cameras, and loses 0.04 dB on clean ones.
 MAX_NO_NOISE_PROBABILITY, _CERTAINLY_NO_NOISE = 0.3, 0.95
 
-# Ratio of the removed noise to its median. Noisy pictures lost 0.53 dB against a known noise, and 0.72 dB with a
+# Ratio of the removed noise to its median. Noisy images lost 0.53 dB against a known noise, and 0.72 dB with a
 # factor of 1, by benchmarks/bench_regret.py: underestimated noise is kept as edges.
 _REMOVED_PER_MEDIAN = 1.1
 

@@ -154,9 +154,9 @@ def _candidates_of_even(even: Float32s) -> dict[str, Array]:
     return {"total": log_of(total[:, None]), "deviations": log_of(by_component)}
 
 
-def log_of(variance: Array) -> Array:
+def log_of(variance: Array | float) -> Array:
     """Return log2(deviation + OFFSET) for a variance in squared 8-bit steps."""
-    return np.log2(np.sqrt(np.maximum(variance, 0)) + OFFSET)
+    return np.asarray(np.log2(np.sqrt(np.maximum(variance, 0)) + OFFSET))
 
 
 @dataclass(frozen=True)

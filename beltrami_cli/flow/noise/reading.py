@@ -1,7 +1,7 @@
 """Estimation of the noise: its size by the trained networks, its structure from residuals of a pilot.
 
 Three colours are read together, and all other channels one by one. A limited number of neighbourhoods is read, so that
-the cost does not grow with the picture.
+the cost does not grow with the image.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ _MIN_RELATIVE_VARIANCE = 1e-3
 # Relative variance that is added to energies, since these are rounded.
 _RELATIVE_ROUNDING = 0.01
 
-# Ratio of deviations above which levels or places differ. Between places, it reaches 1.12 on twelve pictures with white
+# Ratio of deviations above which levels or places differ. Between places, it reaches 1.12 on twelve images with white
 # noise, and is 1.25 to 2.4 for blends of two exposures.
 _MIN_RATIO = 1.25
 
@@ -41,7 +41,7 @@ _MAX_DEVIANCE_RATIO = 2 / 3
 _MIN_SHARE = 0.1
 
 # Ratio of variances of the noisiest and the quietest adjacent neighbourhood above which noise ends there. With the
-# square of `_MIN_RATIO`, ramps in pictures of 180 texels lose 0.4 dB by benchmarks/bench_regret.py.
+# square of `_MIN_RATIO`, ramps in images of 180 texels lose 0.4 dB by benchmarks/bench_regret.py.
 _MIN_RATIO_AT_BORDER = 25
 
 # Exponent of the share of energy in quiet tiles or even cells that is trusted as noise. With 1, texture is taken for

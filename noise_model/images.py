@@ -1,4 +1,4 @@
-"""Clean training pictures, drawn from crops of files."""
+"""Clean training images, drawn from crops of files."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ import numpy as np
 from PIL import Image, ImageDraw
 from scipy.spatial import cKDTree
 
-Picture = Callable[[np.random.Generator, np.ndarray], np.ndarray]  # makes a clean picture from a crop
+MakeImage = Callable[[np.random.Generator, np.ndarray], np.ndarray]  # makes a clean image from a crop
 
 PAINTED = 5, 40  # range of texels between edges of paint
 
 
-def random_picture(rng: np.random.Generator, pixels: np.ndarray, paint: float = 0.0) -> np.ndarray:
-    """Draw a clean picture from a crop; a share of the pictures is hard-edged paint."""
+def random_image(rng: np.random.Generator, pixels: np.ndarray, paint: float = 0.0) -> np.ndarray:
+    """Draw a clean image from a crop; a share of the images is hard-edged paint."""
     if paint and rng.random() < paint:
         return painted(rng, *pixels.shape[:2])
     return varied(rng, drawn(rng, pixels))
 
 
 def drawn(rng: np.random.Generator, pixels: np.ndarray) -> np.ndarray:
-    """Return the crop itself, or a picture made from it of another kind that games and scans contain."""
+    """Return the crop itself, or an image made from it of another kind that games and scans contain."""
     choice = rng.random()
     return next(make for limit, make in KINDS if choice < limit)(rng, pixels)
 
@@ -46,12 +46,12 @@ def _random_colour(rng: np.random.Generator) -> tuple[int, ...]:
 
 
 def _quantised(rng: np.random.Generator, pixels: np.ndarray) -> np.ndarray:
-    """Reduce a picture to few colours, dithered or not, or replace them by random ones."""
+    """Reduce an image to few colours, dithered or not, or replace them by random ones."""
     method = Image.Dither.FLOYDSTEINBERG if rng.random() < 0.6 else Image.Dither.NONE
-    picture = Image.fromarray(pixels).quantize(int(rng.integers(2, 64)), dither=method)
+    image = Image.fromarray(pixels).quantize(int(rng.integers(2, 64)), dither=method)
     if rng.random() < 0.4:
-        picture.putpalette([int(level) for level in rng.integers(0, 256, 768)])
-    return _colours_of(picture.convert("RGB"))
+        image.putpalette([int(level) for level in rng.integers(0, 256, 768)])
+    return _colours_of(image.convert("RGB"))
 
 
 def _with_ordered_dither(rng: np.random.Generator, pixels: np.ndarray) -> np.ndarray:
@@ -94,24 +94,24 @@ def _one_channel(rng: np.random.Generator, pixels: np.ndarray) -> np.ndarray:
 
 
 def _partly_constant(rng: np.random.Generator, pixels: np.ndarray) -> np.ndarray:
-    """Draw constant shapes on a picture, like the unlit parts of light maps."""
+    """Draw constant shapes on an image, like the unlit parts of light maps."""
     height, width = pixels.shape[:2]
-    picture = Image.fromarray(pixels)
-    pen = ImageDraw.Draw(picture)
-    shade = int(rng.choice([0, 255, rng.integers(256)]))
+    image = Image.fromarray(pixels)
+    pen = ImageDraw.Draw(image)
+    shade = int(rng.choice([0, 255, int(rng.integers(256))]))
     for _ in range(int(rng.integers(1, 8))):
         (x0, x1), (y0, y1) = np.sort(rng.integers(0, width, 2)), np.sort(rng.integers(0, height, 2))
         draw = pen.ellipse if rng.random() < 0.5 else pen.rectangle
         draw((int(x0), int(y0), int(x1), int(y1)), fill=(shade, shade, shade))
-    return _colours_of(picture)
+    return _colours_of(image)
 
 
-def _colours_of(picture: Image.Image) -> np.ndarray:
-    return np.asarray(picture, np.float32) / 255
+def _colours_of(image: Image.Image) -> np.ndarray:
+    return np.asarray(image, np.float32) / 255
 
 
-# Kinds of pictures, each with the limit below which a random number from 0 to 1 chooses it.
-KINDS: tuple[tuple[float, Picture], ...] = (
+# Kinds of images, each with the limit below which a random number from 0 to 1 chooses it.
+KINDS: tuple[tuple[float, MakeImage], ...] = (
     (0.66, _unchanged), (0.69, _text), (0.72, _quantised), (0.74, _with_ordered_dither), (0.77, _pixel_art),
     (0.83, _normal_map), (0.88, _gradient), (0.94, _one_channel), (1.0, _partly_constant),
 )  # fmt: skip
@@ -132,14 +132,14 @@ def painted(rng: np.random.Generator, height: int, width: int) -> np.ndarray:
         middles = rng.uniform(0, 1, (count, 2)) * (height, width)
         places = cKDTree(middles).query(np.stack([y, x], axis=-1).reshape(-1, 2))[1].reshape(height, width)
     else:
-        picture = Image.new("L", (width, height))
-        pen = ImageDraw.Draw(picture)
+        image = Image.new("L", (width, height))
+        pen = ImageDraw.Draw(image)
         for _ in range(count):
             left, top = rng.integers(0, width), rng.integers(0, height)
             right, low = (np.array([left, top]) + rng.uniform(0, 3 * size, 2)).astype(int)
             draw = pen.ellipse if rng.random() < 0.5 else pen.rectangle
             draw((int(left), int(top), int(right), int(low)), fill=int(rng.integers(255)))
-        places = np.asarray(picture)
+        places = np.asarray(image)
     found = colours[places.astype(int) % len(colours)]
     if rng.random() < 0.3:  # shaded
         found = found * (0.7 + 0.3 * np.sin(along / rng.uniform(20, 100)))[..., None]
