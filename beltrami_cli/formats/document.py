@@ -29,9 +29,9 @@ import numpy as np
 from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError, NoColoursError, Obstacle
 from beltrami_cli.formats.changes import NO_IMAGES, Changes, Naming, NewImages, PlannedImages, Written
-from beltrami_cli.formats.colours import BYTE, holds_bytes
 from beltrami_cli.formats.files.access import DEFAULT_ACCESS, Access
 from beltrami_cli.formats.fingerprint import Fingerprint
+from beltrami_cli.formats.full_scale import BYTE, holds_bytes
 from beltrami_cli.formats.image.decoded_image import DecodedImage
 from beltrami_cli.formats.image.reading import KeptImage
 from beltrami_cli.formats.meshes.scene import Scene
@@ -75,6 +75,12 @@ class Document(ABC):
         """Why colours are not used; `notices` has them, too."""
         return ()
 
+    @abstractmethod
+    def facts(self) -> dict[str, object]:
+        """Return facts about the file for `beltrami info`, in JSON types, in the order to be shown."""
+
+    # Vertices with colours
+
     def coloured_vertices(self) -> ColouredVertices:
         """Return the vertex colours and their surface, always the same record; InputError without usable ones."""
         try:
@@ -84,6 +90,14 @@ class Document(ABC):
                 raise
             remedy = "smooth these, or move them into vertices by beltrami bake --to vertices"
             raise NoColoursError(self.name, "it has textures, but no vertex colours", remedy) from error
+
+    def has_vertex_colours(self) -> bool:
+        """Whether `coloured_vertices` has anything to return, without checking all of it."""
+        try:
+            self.coloured_vertices()
+        except InputError:
+            return False
+        return True
 
     @cached_property
     def _coloured_vertices(self) -> ColouredVertices:
@@ -103,10 +117,6 @@ class Document(ABC):
     def _channels(self) -> tuple[str, ...]:
         return ("red", "green", "blue")
 
-    def image(self) -> DecodedImage:
-        """Return the image that it holds, always the same record; InputError if it is none."""
-        raise InputError(self.name, "it is a model, and no image")
-
     @property
     def _scale(self) -> float | None:
         """The number that is full scale of the vertex colours; None: as their type says."""
@@ -124,14 +134,6 @@ class Document(ABC):
     def grid(self) -> Int64s | None:
         """Return the rows of `coloured_vertices()` on a range image's grid, (H, W), -1: none; None without a grid."""
         return None
-
-    def has_vertex_colours(self) -> bool:
-        """Whether `coloured_vertices` has anything to return, without checking all of it."""
-        try:
-            self.coloured_vertices()
-        except InputError:
-            return False
-        return True
 
     def attributes(self) -> tuple[str, ...]:
         """Return the names of what vertices have besides positions and colours; "normal" if they have normals."""
@@ -152,17 +154,7 @@ class Document(ABC):
     def _attribute(self, name: str) -> Float64s:
         raise NotImplementedError
 
-    def access_to_copies(self) -> Access:
-        """Return how to open copies with other colours, so that these are found where they are here."""
-        return self.access
-
-    def has_normals_by_vertex(self) -> bool:
-        """Whether `patch` puts normals into the document when vertices move."""
-        return "normal" in self.attributes()
-
-    def require_movable(self) -> None:
-        """Raise InputError if `patch` cannot take new positions: the format or their storage does not allow it."""
-        raise InputError(self.name, f"the positions of a {self.format} file cannot be replaced")
+    # Textures, and the image of an image file
 
     def slots(self) -> tuple[records.Slot, ...]:
         """Return the material slots that have textures, the base colour first."""
@@ -197,6 +189,12 @@ class Document(ABC):
         """Return why a material may have no textures that can be known, or None."""
         return None
 
+    def image(self) -> DecodedImage:
+        """Return the image that it holds, always the same record; InputError if it is none."""
+        raise InputError(self.name, "it is a model, and no image")
+
+    # The file with new colours
+
     def patch(
         self,
         colours: Float32s | None,
@@ -222,6 +220,16 @@ class Document(ABC):
     def references(self) -> Sequence[str]:
         """Return relative paths of existing unchanged files that the model refers to ("/" separates)."""
         return ()
+
+    def require_movable(self) -> None:
+        """Raise InputError if `patch` cannot take new positions: the format or their storage does not allow it."""
+        raise InputError(self.name, f"the positions of a {self.format} file cannot be replaced")
+
+    def has_normals_by_vertex(self) -> bool:
+        """Whether `patch` puts normals into the document when vertices move."""
+        return "normal" in self.attributes()
+
+    # Meshes for other formats
 
     def contents(self) -> records.MeshContents:
         """Return the mesh of the coloured vertices as the file has it; InputError as `coloured_vertices`."""
@@ -264,6 +272,8 @@ class Document(ABC):
             mesh, colours=shown.colours, alpha=shown.alpha, encoding=shown.encoding, stored=shown.stored
         )
 
+    # Copies to look at, and comparison
+
     def with_colours(
         self, vertices: ColouredVertices | None, images: Mapping[tuple[records.Slot, str], bytes]
     ) -> Self:
@@ -292,13 +302,13 @@ class Document(ABC):
             made._coloured_vertices = vertices  # in place of what the property would cache
         return made
 
+    def access_to_copies(self) -> Access:
+        """Return how to open copies with other colours, so that these are found where they are here."""
+        return self.access
+
     def fingerprint(self) -> Fingerprint:
         """Take the file apart for comparison with another; InputError if that is not possible or it is damaged."""
         raise InputError(self.name, f"a {self.format} file cannot be compared with another")
-
-    @abstractmethod
-    def facts(self) -> dict[str, object]:
-        """Return facts about the file for `beltrami info`, in JSON types, in the order to be shown."""
 
 
 def _with_contents(

@@ -9,9 +9,9 @@ import numpy as np
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.changes import Changes, Naming, Written
-from beltrami_cli.formats.colours import full_scale, integer_scale
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.files.access import Access, read_source
+from beltrami_cli.formats.full_scale import full_scale, integer_scale
 from beltrami_cli.formats.registry import open_bytes
 from beltrami_cli.formats.sidecars.model_folder import ModelFolder
 from beltrami_cli.formats.volume import read_colours, read_volume

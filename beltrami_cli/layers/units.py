@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Int64s
-from beltrami_cli.formats.colours import BYTE, INTEGER_SCALES, holds_bytes
+from beltrami_cli.formats.full_scale import BYTE, INTEGER_SCALES, holds_bytes
 from beltrami_cli.formats.image.decoded_image import DecodedImage
 from beltrami_cli.surface.records import ColouredVertices
 

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from beltrami_cli.formats.colours import full_scale, intensity_scale
 from beltrami_cli.formats.files.edits import exchange_tokens
 from beltrami_cli.formats.files.tokens import find_tokens, read_numbers
+from beltrami_cli.formats.full_scale import full_scale, intensity_scale
 from beltrami_cli.formats.ply.document import PlyDocument
 from beltrami_cli.formats.registry import open_bytes
 from cli.commands import beltrami

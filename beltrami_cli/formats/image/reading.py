@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.image.containers import bmp, png, targa, webp
+from beltrami_cli.formats.image.containers import bmp
 from beltrami_cli.formats.image.containers.text_headers import has_usual_scale
 from beltrami_cli.formats.image.decoded_image import DecodedImage, image_from
 from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, decode, measure
 from beltrami_cli.formats.image.file_formats import READABLE, damaged_image, format_of, label_of, plugin_of
 from beltrami_cli.formats.image.opening import error_of, opened, seek_colours
+from beltrami_cli.formats.image.reading_notices import PALETTE_IN_TIFF, reading_notices
 from beltrami_cli.formats.image.sample_types import STORED
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.records import Texture
@@ -24,11 +25,7 @@ _MAX_PIXELS = 1 << 28  # pixels: 16384 x 16384, the largest texture that graphic
 _MAX_CHANNELS = 64
 _MAX_MEGABYTES = 8192  # of decoded pixels
 _NOT_BUILT_IN = ("support is not configured", "is not implemented")  # of a compression, as libtiff says
-_COLOURED = 3  # channels
 _INKS = ("CMYK", "YCbCrK")  # as OpenImageIO calls them in JPEG files
-_PALETTE_IN_TIFF = 3  # its photometric interpretation
-_COMPRESSIONS_OF_TIFF = ("", "none", "lzw", "zip", "packbits")  # that OpenImageIO writes
-_WHOLE_BYTES = (8, 16, 32)
 _EXPORT = "export it as RGB or grey with 8 or 16 bits, or as floats"
 
 
@@ -77,7 +74,7 @@ def read_image(data: bytes, name: str, *, finite: bool = True) -> DecodedImage:
         error = error_of(file)
         if pixels is None or error:
             raise _damaged(name, file_format, error, path)
-        notices = _reading_notices(file, part or 0, data, file_format, name)
+        notices = reading_notices(file, part or 0, data, file_format, name)
     pixels = pixels.reshape(spec.height, spec.width, spec.nchannels)
     is_alpha_empty = (
         file_format in ("bmp", "targa") and spec.nchannels in (2, 4) and not pixels[..., -1].any()
@@ -149,7 +146,7 @@ def _require_decodable(spec: Any, format_name: str, file_format: str, name: str)
     if "CMYK" in colour_space.upper() or spec.get_string_attribute("jpeg:ColorSpace") in _INKS:
         raise InputError(name, "its colours are the inks of print (CMYK)", "convert it to RGB")
     if (
-        spec.get_int_attribute("tiff:PhotometricInterpretation") == _PALETTE_IN_TIFF
+        spec.get_int_attribute("tiff:PhotometricInterpretation") == PALETTE_IN_TIFF
         and spec.alpha_channel >= 0
     ):
         raise InputError(name, "it has a palette with an alpha channel", "convert it to RGBA")
@@ -164,55 +161,3 @@ def _damaged(name: str, file_format: str, error: str, path: Path) -> InputError:
         cause = f"this build of OpenImageIO does not read how the {label_of(file_format)} image is compressed"
         return InputError(name, f"{cause} ({shown})", "save it without compression, or with another one")
     return damaged_image(name, file_format, shown)
-
-
-def _reading_notices(file: Any, part: int, data: bytes, file_format: str, name: str) -> tuple[str, ...]:
-    """Return notices of what an opened OpenImageIO.ImageInput holds that is changed or left out."""
-    notices, spec = list[str](), file.spec().copy()
-    if file_format == "psd":  # whose first image is all its layers together
-        notices.append(f"{name} is taken as it is shown, its layers together.")
-    elif file_format != "openexr" and (_is_animated(data, file_format) or file.seek_subimage(1, 0)):
-        notices.append(f"{name} holds several images; only the first is read and kept.")
-    if file.seek_subimage(part, 1):
-        notices.append(f"{name} holds smaller copies of itself (mip levels), which are left out.")
-    in_tiff = spec.get_int_attribute("tiff:PhotometricInterpretation") == _PALETTE_IN_TIFF
-    # In a palette of greys alone OpenImageIO sees grey, and so writes it.
-    palette = in_tiff or _has_palette(data, file_format)
-    if palette and file_format != "png" and spec.nchannels >= _COLOURED:
-        notices.append(f"{name} has a palette, which becomes full colours.")
-    if file_format == "targa" and spec.nchannels in (1, 3) and data[17] & 0x0F:
-        notices.append(f"{name} has an alpha of few bits, which is dropped.")
-    if file_format == "png" and not palette and any(kind == b"tRNS" for kind, _ in png.chunks(data)):
-        notices.append(f"{name} has a colour that is transparent, which becomes an alpha channel.")
-    bits = int(spec.get_int_attribute("oiio:BitsPerSample"))  # 0: unknown
-    if file_format == "png":
-        bits = data[24]
-    if bits and not palette and bits not in _WHOLE_BYTES:
-        notices.append(f"{name} has {bits}-bit samples, which become {8 * spec.format.size()}-bit ones.")
-    if file_format != "tiff":
-        return tuple(notices)
-    if spec.get_string_attribute("tiff:ColorSpace") == "YCbCr":
-        notices.append(f"{name} stores brightness and hues (YCbCr), which become red, green and blue.")
-    compression = spec.get_string_attribute("compression")
-    if compression not in _COMPRESSIONS_OF_TIFF:
-        by = f"{name} is compressed by {compression}"
-        notices.append(f"{by}; TIFF files are written with zip compression.")
-    return tuple(notices)
-
-
-def _is_animated(data: bytes, file_format: str) -> bool:
-    if file_format == "webp":
-        return webp.is_animated(data)
-    return file_format == "png" and png.is_animated(data)
-
-
-def _has_palette(data: bytes, file_format: str) -> bool:
-    """Whether a PNG, BMP, TGA or GIF file stores indices into a palette."""
-    match file_format:
-        case "png":
-            return png.has_palette(data)
-        case "bmp":
-            return bmp.has_palette(data)
-        case "targa":
-            return targa.has_palette(data)
-    return file_format == "gif"

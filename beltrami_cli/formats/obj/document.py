@@ -14,7 +14,6 @@ import numpy as np
 from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, NoColoursError, Obstacle
 from beltrami_cli.formats.changes import Changes, Naming, PlannedImages, Written
-from beltrami_cli.formats.colours import BYTE, full_scale, opacity
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.files.edits import (
     PLACEHOLDER,
@@ -26,6 +25,7 @@ from beltrami_cli.formats.files.edits import (
     without_tokens,
 )
 from beltrami_cli.formats.fingerprint import Fingerprint, labelled
+from beltrami_cli.formats.full_scale import BYTE, full_scale, opacity
 from beltrami_cli.formats.meshes.scene import Scene
 from beltrami_cli.formats.obj.materials import Materials
 from beltrami_cli.formats.obj.polypaint import with_entries, without_entries

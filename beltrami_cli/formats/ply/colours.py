@@ -10,7 +10,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s
 from beltrami_cli.errors import InputError, NoColoursError
-from beltrami_cli.formats.colours import full_scale, integer_scale, intensity_scale
+from beltrami_cli.formats.full_scale import full_scale, integer_scale, intensity_scale
 from beltrami_cli.formats.ply.header import POSITION, Header
 from beltrami_cli.formats.ply.polygons import POLYGONS
 from beltrami_cli.formats.ply.tables import COLOUR_PROPERTIES, Table, plain

@@ -14,14 +14,9 @@ from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, MemoryLimitError
-from beltrami_cli.formats.colours import (
-    integer_scale,
-    intensity_scale,
-    opacity,
-    point_colour_scale,
-    quantised,
-)
+from beltrami_cli.formats.colours import quantised
 from beltrami_cli.formats.document import Document
+from beltrami_cli.formats.full_scale import integer_scale, intensity_scale, opacity, point_colour_scale
 from beltrami_cli.surface.precision import require_single
 from beltrami_cli.surface.records import MeshContents
 

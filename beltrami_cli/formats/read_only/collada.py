@@ -80,13 +80,13 @@ def _answer(_: object, question: dict[str, Array]) -> Message:
             colours.append(_colours_of(primitive))
     if document.errors and not positions:
         raise document.errors[0]
-    there = {
+    losses = {
         "what could not be read": document.errors,
         "skins": document.controllers,
         "materials": document.materials,
         "textures": document.images,
     }
-    left |= {what for what, found in there.items() if found}
+    left |= {what for what, found in losses.items() if found}
     arrays = {
         "positions": np.concatenate([np.empty((0, 3)), *positions]),
         "colours": np.concatenate([np.empty((0, 4), np.float32), *colours]),

@@ -15,8 +15,8 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.colours import full_scale
 from beltrami_cli.formats.files.tokens import Lines, without_comments
+from beltrami_cli.formats.full_scale import full_scale
 from beltrami_cli.formats.meshes.coloured_polygons import ColouredPolygons
 from beltrami_cli.surface.polygons import polygons_of
 from beltrami_cli.surface.precision import require_single

@@ -78,16 +78,16 @@ class _Model:
 
     objects: dict[str, _Object] = field(default_factory=dict)
     colours: dict[str, list[Rgba]] = field(default_factory=dict)
-    built: list[_Part] = field(default_factory=list)
-    others: set[str] = field(default_factory=set)  # kinds of groups that are not colours
+    items: list[_Part] = field(default_factory=list)  # of the build
+    unread_groups: set[str] = field(default_factory=set)  # kinds of groups that are not colours
     unit: float = _UNITS["millimeter"]  # metres
 
 
 def read_3mf(data: bytes, name: str, access: Access) -> ColouredPolygons:
     building = _Building(Archive(data, name, access, MEMORY_PER_BYTE), name, access)
-    for part in building.model(building.root).built:
+    for part in building.model(building.root).items:
         building.add(part, np.eye(4), building.root, 0)
-    return building.whole()
+    return building.polygons()
 
 
 def _read_model(text: bytes, name: str) -> _Model:
@@ -131,7 +131,7 @@ class _Reading:
             case "component":
                 self._object.parts.append(_part(known))
             case "item":
-                self.model.built.append(_part(known))
+                self.model.items.append(_part(known))
             case "colorgroup" | "basematerials":
                 self._group = self.model.colours[known["id"]] = []
             case "color":
@@ -139,7 +139,7 @@ class _Reading:
             case "base":
                 self._group.append(_colour(known["displaycolor"]))
             case other if other in _OTHER_GROUPS:
-                self.model.others.add(_OTHER_GROUPS[other])
+                self.model.unread_groups.add(_OTHER_GROUPS[other])
 
 
 def _part(known: Attributes) -> _Part:
@@ -171,8 +171,8 @@ def _colours_of(model: _Model, solid: _Object) -> Float32s:
         palette = np.append(palette, [[np.nan] * 4], axis=0)
         rows = np.flatnonzero(names == group)
         indices = np.where(table[rows, 3:] == _NONE, solid.index, table[rows, 3:])
-        there = (indices >= 0) & (indices < len(palette) - 1)
-        result[rows] = palette[np.where(there, indices, -1)]
+        is_valid = (indices >= 0) & (indices < len(palette) - 1)
+        result[rows] = palette[np.where(is_valid, indices, -1)]
     return result
 
 
@@ -233,15 +233,15 @@ class _Building:
         for inner in solid.parts:
             self.add(inner, matrix, path, depth + 1)
 
-    def whole(self) -> ColouredPolygons:
+    def polygons(self) -> ColouredPolygons:
         corners = np.concatenate([np.empty(0, np.int64), *self._corners])
-        other_groups = set().union(*(model.others for model in self._models.values()))
+        unread = set().union(*(model.unread_groups for model in self._models.values()))
         return ColouredPolygons(
             positions=np.concatenate([np.empty((0, 3)), *self._positions]),
             corners=corners,
             offsets=3 * np.arange(len(corners) // 3 + 1),
             colours=np.concatenate([np.empty((0, 4), np.float32), *self._colours]),
             stored="uint8",
-            left_out=(*sorted(other_groups), "names, metadata and settings of printers"),
+            left_out=(*sorted(unread), "names, metadata and settings of printers"),
             frame=Frame("Z", self.model(self.root).unit),
         )

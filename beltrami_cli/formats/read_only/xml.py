@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from xml.parsers import expat
 
-MEMORY_PER_BYTE = 16  # bytes that an XML document takes while it is read, for each of its own
+# Bytes that an XML document takes while it is read, for each of its own. Measured as the growth of VmHWM, lxml takes 2
+# for arrays of numbers, 11 for elements of 24 bytes, and 32 for elements of 8 bytes, which are rare.
+MEMORY_PER_BYTE = 16
 
 
 def safe_parser(namespace_separator: str | None = None) -> expat.XMLParserType:
