@@ -25,7 +25,7 @@ class Naming:
 
     stem: str  # of the output, without folder and extension
     in_place: bool = False  # whether the output replaces the source, and its sidecar files theirs
-    copies: bool = False  # whether the output is in another folder and needs copies of unchanged files
+    is_moved: bool = False  # whether the output is in another folder, and needs copies of unchanged files
     # Whether a path in the output's folder belongs to another model.
     is_taken: Callable[[str], bool] = lambda _: False
 

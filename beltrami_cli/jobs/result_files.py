@@ -33,7 +33,7 @@ def files_with_new_colours(
     colours = next((each.colours for each in stored if each.colours is not None), None)
     places = next((each.positions for each in stored if each.positions is not None), None)
     moved = None if places is None else _moved_vertices(document, places)
-    if not naming.copies:  # in the source's folder, the output refers to the unchanged images of the source
+    if not naming.is_moved:  # in the source's folder, the output refers to the unchanged images of the source
         images = {key: image for key, image in images.items() if _is_new(document, *key, image)}
     if kind.is_patched:
         return document.patch(colours, naming, images=images, places=moved, form=kind.name)

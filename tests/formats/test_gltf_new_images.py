@@ -85,7 +85,7 @@ def test_only_the_asked_images_of_the_asked_slots_change(tmp_path_factory, model
     for images in ({}, present):
         unchanged = document.patch(None, Naming("out"), images=images)
         assert (joined(unchanged), unchanged.sidecars) == (source.read_bytes(), {})
-    written = document.patch(None, Naming("out", copies=moved), images=wanted)
+    written = document.patch(None, Naming("out", is_moved=moved), images=wanted)
     folder = tmp_path_factory.mktemp("target") if moved else source.parent
     path = save(written, "out" + source.suffix, folder, source)
     assert {file: file.read_bytes() for file in before} == before
@@ -249,7 +249,7 @@ def test_repeated_patches_do_not_grow_the_file_without_bound(tmp_path, form, eve
         }
         folder = tmp_path / str(run)
         folder.mkdir()
-        written = document.patch(None, Naming("m", copies=True), images=images)
+        written = document.patch(None, Naming("m", is_moved=True), images=images)
         path = save(written, "m" + path.suffix, folder, path)
         after = opened(path)[0]
         assert {file.data for file in images.values()} <= {data for data, _ in shown(path).values()}

@@ -54,7 +54,7 @@ def place_files(edit: Edit, naming: Naming, form: str, source: SidecarFiles) -> 
     taken = {path for _, path, new in files if new is None}
     new_of: dict[tuple[str, ImageFile | None], str] = {}
     for entry, path, new in files:
-        if new is None and (not names.copies or path in source.missing):
+        if new is None and (not names.is_moved or path in source.missing):
             continue
         if new is None and is_outside(path):
             names.leave(entry["uri"])
@@ -70,7 +70,7 @@ def place_files(edit: Edit, naming: Naming, form: str, source: SidecarFiles) -> 
             new_of[path, image] = name
             taken.add(path)
             if new is None:
-                names.copied[name] = path
+                names.copies[name] = path
             else:
                 names.sidecars[name] = new.data if isinstance(new, ImageFile) else new
         if new_of[path, image] != path:

@@ -32,7 +32,7 @@ class Renaming:
 
     @property
     def sidecar_names(self) -> list[str]:
-        return [*self.files.sidecars, *self.libraries, *self.files.copied]
+        return [*self.files.sidecars, *self.libraries, *self.files.copies]
 
     def written(self) -> Written:
         """Return the sidecar files."""
@@ -65,7 +65,7 @@ def _take_images(materials: Materials, images: NewImages, names: NewFiles) -> di
         new = names.image(path, suffix, is_replaced=is_replaced, tiles=materials.folder.tiles.get(path, ()))
         new_of = new_paths(path, new, materials.folder.tiles)
         names.sidecars |= {new_of.pop(file): image.content for file, image in files}
-        names.copied |= {file: old for old, file in new_of.items() if file != old}
+        names.copies |= {file: old for old, file in new_of.items() if file != old}
         for library, shown in affected.values():
             edits.setdefault(library.path, {})[shown.start, shown.end] = _spelled(shown, path, new, library)
     return edits
@@ -86,7 +86,7 @@ def _rename_others(materials: Materials, names: NewFiles, edits: dict[str, Spans
     new_of: dict[str, str] = {}
     for library in materials.libraries:
         moves_inside = is_outside(library.path)
-        if not (edits.get(library.path) if moves_inside else names.copies):
+        if not (edits.get(library.path) if moves_inside else names.is_moved):
             continue
         edits_of_file = edits.setdefault(library.path, {})
         for shown, path in library.maps:
@@ -96,7 +96,7 @@ def _rename_others(materials: Materials, names: NewFiles, edits: dict[str, Spans
                 names.leave(shown.name)
                 continue
             if path not in new_of:
-                moves = is_outside(path) or names.copies
+                moves = is_outside(path) or names.is_moved
                 new_of[path] = _copied(materials, names, path) if moves else path
             edits_of_file[shown.start, shown.end] = _spelled(shown, path, new_of[path], library)
 
@@ -109,7 +109,7 @@ def _copied(materials: Materials, names: NewFiles, path: str) -> str:
         if is_outside(old):
             names.sidecars[copy] = materials.folder.content(old)
         else:
-            names.copied[copy] = old
+            names.copies[copy] = old
     return new
 
 
@@ -124,7 +124,7 @@ def _name_libraries(materials: Materials, names: NewFiles, edits: Mapping[str, S
         if not is_new and outside:
             for name, _, _ in library.mentions:
                 names.leave(name)
-        if not is_new and (outside or not names.copies):
+        if not is_new and (outside or not names.is_moved):
             continue
         new = names.other(library.path, ".mtl")
         spans |= {
@@ -133,7 +133,7 @@ def _name_libraries(materials: Materials, names: NewFiles, edits: Mapping[str, S
         if is_new:
             changed[new] = library, new_names
         else:
-            names.copied[new] = library.path
+            names.copies[new] = library.path
     return Renaming(names, spans, changed)
 
 

@@ -202,14 +202,14 @@ def renamed_images(
     for (_, path), image in images.items():
         new_of[path] = names.image(path, image.suffix)
         names.sidecars[new_of[path]] = image.data
-    for comment in comments if names.copies else ():
+    for comment in comments if names.is_moved else ():
         if comment.path is None or comment.path in new_of:
             continue
         if model_folder.is_outside(comment.path):
             names.leave(comment.name)
         else:
             new_of[comment.path] = names.image(comment.path)
-            names.copied[new_of[comment.path]] = comment.path
+            names.copies[new_of[comment.path]] = comment.path
     spans: Spans = {}
     for comment in comments:
         if comment.path is not None and comment.path in new_of and new_of[comment.path] != comment.path:

@@ -33,13 +33,13 @@ class NewFiles:
 
     def __init__(self, naming: Naming, source: str, present: Iterable[str], missing: Iterable[str]) -> None:
         """`source`: name of the model; `present` and `missing`: the files that it refers to."""
-        self.copies = naming.copies
+        self.is_moved = naming.is_moved
         self.notices: dict[str, None] = {}  # on files outside of the folder, and old images that stay in use
         self.sidecars: dict[str, Bytes] = {}  # as in `Written`
-        self.copied: dict[str, str] = {}  # as `Written.copies`
+        self.copies: dict[str, str] = {}  # as `Written.copies`
         self._naming, self._source = naming, PurePath(source).stem
         # In another folder present files are renamed, and references to missing files stay.
-        self._taken = {path.casefold() for path in (*missing, *(() if naming.copies else present))}
+        self._taken = {path.casefold() for path in (*missing, *(() if naming.is_moved else present))}
 
     def image(
         self, path: str, suffix: str | None = None, *, is_replaced: bool = True, tiles: Iterable[Tile] = ()
@@ -65,7 +65,7 @@ class NewFiles:
 
     def leave(self, name: str) -> None:
         """Leave a file outside of the folder in place; the output refers to it as before."""
-        if self.copies:
+        if self.is_moved:
             self.notices[f"'{name}' {_NOT_COPIED}"] = None
 
     def note_stale_use(self, what: str, path: str) -> None:
@@ -74,7 +74,7 @@ class NewFiles:
 
     def written(self, main: Sequence[Bytes] = (), notices: Iterable[str] = ()) -> Written:
         """Return the collected files, with a main file if it is given."""
-        return Written(main, self.sidecars, (*notices, *self.notices), self.copied)
+        return Written(main, self.sidecars, (*notices, *self.notices), self.copies)
 
     def _reserve(self, path: str, *, may_stay: bool = False, tiles: tuple[Tile, ...] = ()) -> str:
         whole, number = PurePosixPath(path), 2

@@ -61,7 +61,7 @@ class Images:
 
     def _copied(self, images: NewImages, naming: Naming) -> list[str]:
         """Return the files that an output in another folder needs copies of: other layers, and images that stay."""
-        if not naming.copies or self._layers.package is not None:
+        if not naming.is_moved or self._layers.package is not None:
             return []
         slots_of: dict[str, list[Slot]] = defaultdict(list)
         for (path, _), slots in self._replaced(images).items():
@@ -85,7 +85,7 @@ class Images:
         copied = self._copied(images, naming)
         present = self._layers.package.members if self._layers.package else self.references()
         names = NewFiles(naming, self._name, present, [*self.obstacles, *copied])
-        names.copied |= {file: file for file in copied}
+        names.copies |= {file: file for file in copied}
         renamed: dict[str, str] = {}
         for (path, changed), slots in self._replaced(images).items():
             attributes = self._attributes(path, slots)
@@ -94,7 +94,7 @@ class Images:
                 start = posixpath.dirname(self._layers.root) or "."
                 renamed |= dict.fromkeys(attributes, "./" + posixpath.relpath(new, start))
         if self._layers.package is not None:
-            names.sidecars |= {new: self._layers.folder.content(old) for new, old in names.copied.items()}
+            names.sidecars |= {new: self._layers.folder.content(old) for new, old in names.copies.items()}
         return names.written(), renamed
 
     def _add_new(self, path: str, new: Mapping[str, ImageFile], names: NewFiles, *, is_replaced: bool) -> str:
@@ -104,7 +104,7 @@ class Images:
         new_path = self._new_path(path, new, names, is_replaced=is_replaced)
         new_of = new_paths(path, new_path, self._layers.folder.tiles)
         names.sidecars |= {new_of.pop(file): image.content for file, image in new.items()}
-        names.copied |= {file: old for old, file in new_of.items() if file != old}
+        names.copies |= {file: old for old, file in new_of.items() if file != old}
         return new_path
 
     def _new_path(
