@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import struct
+from typing import Any
 
 import numpy as np
 
@@ -49,20 +50,13 @@ class Las:
             require_room(header.point_count, header.point_format.size, room)
             # Not as `LasData`, which has no place for fields with the names of its members, such as "header".
             self._points = reader.read_points(-1).array
-        self._data = data
         self._fields = {name: self._points[name] for name in self._points.dtype.names}
         self._colour_fields = colour_fields(self._fields, ("red", "green", "blue"), "intensity")
-        # Fields with the addresses of data behind the points: waveforms and extended records.
-        self._address_fields = (_AT_WAVEFORMS, _AT_RECORDS)[: max(0, header.version.minor - 2)]
-        start = header.offset_to_point_data
-        self._end = start + self._points.nbytes
-        if is_laz(data):
-            behind = (int.from_bytes(data[at : at + 8], "little") for at in self._address_fields)
-            self._end = min((place for place in behind if place > start), default=len(data))
+        self._envelope = _Envelope(data, header, self._points.nbytes)
 
     def contents(self) -> ScanContents:
-        head, tail = self._head_and_tail(b"")
-        for at in self._address_fields:  # compressed points may differ in length
+        head, tail = self._envelope.packed(b"")
+        for at in self._envelope.address_fields:  # compressed points may differ in length
             head[at : at + 8] = bytes(8)
         stored = np.column_stack([self._fields[axis] for axis in "XYZ"])
         used = {"X", "Y", "Z", *self._colour_fields}
@@ -73,8 +67,49 @@ class Las:
             rest={"header": np.frombuffer(head + tail, np.uint8)},
         )
 
-    def _head_and_tail(self, packing: bytes) -> tuple[bytearray, bytes]:
-        """Return the bytes before and behind the points, with a record that describes how LAZ packs them."""
+    def written(self, new: Array | None, form: str) -> bytes:
+        if new is not None:
+            for name, column in zip(self._colour_fields, new.T, strict=True):
+                self._fields[name][:] = column
+        made, points = io.BytesIO(), np.frombuffer(self._points, np.uint8)
+        if form == "laz":
+            import lazrs
+
+            known = self._header.point_format
+            packing = lazrs.LazVlr.new_for_compression(known.id, known.num_extra_bytes)
+            head, tail = self._envelope.packed(packing.record_data())
+            made.write(head)
+            packer = lazrs.ParLasZipCompressor(made, packing)
+            packer.compress_many(points)
+            packer.done()
+        else:
+            head, tail = self._envelope.packed(b"")
+            made.write(head)
+            made.write(points.data)
+        end = made.seek(0, io.SEEK_END)
+        made.write(tail)
+        for at, address in self._envelope.addresses(head, end).items():
+            made.seek(at)
+            made.write(struct.pack("<Q", address))
+        return made.getvalue()
+
+
+class _Envelope:
+    """The bytes of a file before and behind its points."""
+
+    def __init__(self, data: bytes, header: Any, size: int) -> None:
+        """Find them around points of so many bytes, unless they are compressed."""
+        self._data, self._header = data, header
+        # Fields of the header with the addresses of data behind the points: waveforms and extended records.
+        self.address_fields = (_AT_WAVEFORMS, _AT_RECORDS)[: max(0, header.version.minor - 2)]
+        start = header.offset_to_point_data
+        self._end = start + size
+        if is_laz(data):
+            behind = (int.from_bytes(data[at : at + 8], "little") for at in self.address_fields)
+            self._end = min((place for place in behind if place > start), default=len(data))
+
+    def packed(self, packing: bytes) -> tuple[bytearray, bytes]:
+        """Return both, with the record that describes how LAZ packs the points (b"": they are not packed)."""
         data, header = self._data, self._header
         size, start, count = struct.unpack_from("<HII", data, _AT_SIZES)
         records, gap = _records(data[size:start], count, 2)
@@ -93,32 +128,10 @@ class Las:
             struct.pack_into("<I", head, _AT_RECORDS + 8, len(kept))
         return head, tail
 
-    def written(self, new: Array | None, form: str) -> bytes:
-        if new is not None:
-            for name, column in zip(self._colour_fields, new.T, strict=True):
-                self._fields[name][:] = column
-        made, points = io.BytesIO(), np.frombuffer(self._points, np.uint8)
-        if form == "laz":
-            import lazrs
-
-            known = self._header.point_format
-            packing = lazrs.LazVlr.new_for_compression(known.id, known.num_extra_bytes)
-            head, tail = self._head_and_tail(packing.record_data())
-            made.write(head)
-            packer = lazrs.ParLasZipCompressor(made, packing)
-            packer.compress_many(points)
-            packer.done()
-        else:
-            head, tail = self._head_and_tail(b"")
-            made.write(head)
-            made.write(points.data)
-        shift = made.seek(0, io.SEEK_END) - self._end
-        made.write(tail)
-        for at in self._address_fields:
-            (place,) = struct.unpack_from("<Q", head, at)
-            made.seek(at)
-            made.write(struct.pack("<Q", place + shift if place >= self._end else place))
-        return made.getvalue()
+    def addresses(self, head: bytearray, end: int) -> dict[int, int]:
+        """Return the addresses in a header, by their places in it, where points end at `end` instead."""
+        found = {at: struct.unpack_from("<Q", head, at)[0] for at in self.address_fields}
+        return {at: place + end - self._end if place >= self._end else place for at, place in found.items()}
 
 
 def _records(data: bytes, count: int, width: int) -> tuple[list[bytes], bytes]:

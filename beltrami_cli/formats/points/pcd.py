@@ -71,25 +71,34 @@ class Pcd:
         )
 
     def written(self, new: Array | None, form: str) -> bytes:
-        old, points = self._points, self._points.copy()
-        if new is not None and self._packed:
-            packed = np.ascontiguousarray(points[self._packed])
-            packed.view(np.uint8).reshape(-1, 4)[:, 2::-1] = new
-            points[self._packed] = packed
-        elif new is not None:
-            for name, column in zip(self._colour_fields, new.T, strict=True):
-                points[name] = column
+        points = self._points if new is None else self._recoloured(new)
         head, body = self._data[: self._body], self._data[self._body :]
         if self._about.data == "binary":
             records: bytes = points.tobytes()
             return head + records + body[len(records) :]
         if self._about.data == "ascii":
-            count = old.size * len(self._names)
-            starts, ends = (each[:count].reshape(old.size, -1) for each in find_tokens(body))
-            changes = [(n, points[name] != old[name], points[name]) for n, name in enumerate(self._names)]
-            numbers = [NewNumbers(starts[at, n], ends[at, n], values[at]) for n, at, values in changes]
-            return head + b"".join(renumbered(body, numbers))
+            return head + b"".join(renumbered(body, self._new_numbers(points, body)))
         return head + _compressed(b"".join(points[name].tobytes() for name in self._names))
+
+    def _recoloured(self, new: Array) -> Array:
+        points = self._points.copy()
+        if self._packed:
+            packed = np.ascontiguousarray(points[self._packed])
+            packed.view(np.uint8).reshape(-1, 4)[:, 2::-1] = new
+            points[self._packed] = packed
+            return points
+        for name, column in zip(self._colour_fields, new.T, strict=True):
+            points[name] = column
+        return points
+
+    def _new_numbers(self, points: Array, body: bytes) -> list[NewNumbers]:
+        """Return where lines of numbers differ from new points."""
+        count = points.size * len(self._names)
+        starts, ends = (each[:count].reshape(points.size, -1) for each in find_tokens(body))
+        changes = [
+            (n, points[name] != self._points[name], points[name]) for n, name in enumerate(self._names)
+        ]
+        return [NewNumbers(starts[at, n], ends[at, n], values[at]) for n, at, values in changes]
 
 
 def _compressed(data: bytes) -> bytes:
