@@ -38,7 +38,7 @@ def plan_on_canvas(
 ) -> Plan[GridManifold]:
     """Estimate the noise, decode JPEG images again if all have compressed white noise, and choose parameters."""
     colours = estimate_on_canvas(canvas)
-    sigma = _sigma_before(images, colours, canvas.parameters)
+    sigma = _sigma_for_decoding(images, colours, canvas.parameters)
     if sigma is not None:
         reading = colours.noise.reading
         colours, stored_noise = _decode_in_place(canvas, colours, images, sigma, tick)
@@ -54,7 +54,7 @@ def decodes_again(parameters: KernelParameters) -> bool:
     return parameters.stabilises_noise and not parameters.fast
 
 
-def _sigma_before(
+def _sigma_for_decoding(
     images: Sequence[JpegImage], colours: CanvasColours, parameters: KernelParameters
 ) -> float | None:
     """Estimate sigma of the white noise before compression; None if images are not decoded again."""

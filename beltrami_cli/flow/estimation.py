@@ -8,8 +8,8 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s
 from beltrami_cli.flow.corrections.outliers import fill_outliers
+from beltrami_cli.flow.manifolds.blocks import SUMMED_ROWS
 from beltrami_cli.flow.manifolds.grid.canvas import fill_canvas, on_canvas
-from beltrami_cli.flow.manifolds.grid.gaussian import SUMMED_ROWS
 from beltrami_cli.flow.manifolds.grid.manifold import CanvasColours, ColouredCanvas
 from beltrami_cli.flow.manifolds.grid.seams import find_colour_jumps, halo_beyond
 from beltrami_cli.flow.manifolds.grid.surroundings import CanvasSurroundings

@@ -2,8 +2,8 @@
 
 Everything outside of this package that smooths works with any `Manifold`. There are two kinds, in a folder each:
 `mesh.manifold` for triangulated surfaces and point clouds, `grid.manifold` for the canvases of textures and images.
-Both folders have the same files: `geometry`, similar `patches`, coarse `levels`, `trial` with the parts on which
-parameters are tried, and `surroundings`, among which outliers are found.
+Both folders have these files: `geometry`, similar `patches`, coarse `levels`, `trial` with the parts on which
+parameters are tried, `perturbations` for estimated errors, and `surroundings`, among which outliers are found.
 
 What both kinds share:
 

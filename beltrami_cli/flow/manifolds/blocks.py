@@ -13,6 +13,9 @@ import numpy as np
 from beltrami_cli.arrays import Array
 from beltrami_cli.surface import large_arrays
 
+# Rows of a canvas per block for steps that need temporary memory. The rounding of sums depends on it.
+SUMMED_ROWS = 64
+
 
 def in_blocks(axis: int, *stacks: Array) -> Iterator[tuple[Array, ...]]:
     """Yield blocks of several stacks together, with the channels moved from `axis` to the front."""

@@ -13,8 +13,9 @@ from beltrami_cli._native import halo_repeats as count_repeats
 from beltrami_cli._native import local_scale
 from beltrami_cli.arrays import Array, Bools, Float32s, Indices, Int64s, Uint8s
 from beltrami_cli.flow.cuts import Rectangle
+from beltrami_cli.flow.manifolds.blocks import SUMMED_ROWS
 from beltrami_cli.flow.manifolds.geometry import ENOUGH_STEPS, Geometry, Stack
-from beltrami_cli.flow.manifolds.grid.gaussian import SUMMED_ROWS, GridGaussian
+from beltrami_cli.flow.manifolds.grid.gaussian import GridGaussian
 from beltrami_cli.flow.manifolds.kernel_work import KernelWork
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface import large_arrays

@@ -25,8 +25,9 @@ from beltrami_cli.flow.manifolds.grid.kernel import average_planes, distances_in
 from beltrami_cli.flow.manifolds.grid.levels import Squares, largest_side
 from beltrami_cli.flow.manifolds.grid.margins import kernel_margin
 from beltrami_cli.flow.manifolds.grid.patches import collaborate_on_canvas
+from beltrami_cli.flow.manifolds.grid.perturbations import draw_perturbations
 from beltrami_cli.flow.manifolds.grid.seams import end_at_seams_in_place
-from beltrami_cli.flow.manifolds.grid.trial import choose_blocks, draw_perturbations, with_halo
+from beltrami_cli.flow.manifolds.grid.trial import choose_blocks, with_halo
 from beltrami_cli.flow.manifolds.guides import Guide, GuideStack
 from beltrami_cli.flow.manifolds.iteration import (
     Averaged,

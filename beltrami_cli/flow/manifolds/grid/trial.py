@@ -1,4 +1,4 @@
-"""Blocks of a canvas on which parameters are tried, and random perturbations of their colours."""
+"""Blocks of a canvas on which parameters are tried, each with a rim."""
 
 from __future__ import annotations
 
@@ -6,11 +6,8 @@ import dataclasses
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Bools, Indices, Int64s
-from beltrami_cli.flow.noise.drawing import draw_on_grid, draw_signs
-from beltrami_cli.flow.noise.model import NoiseModel
-from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import EMPTY, OWNED, Atlas, Halo, refresh_halo
+from beltrami_cli.arrays import Bools, Indices, Int64s
+from beltrami_cli.surface.atlas import EMPTY, OWNED, Atlas, Halo
 
 # Side of the core of a block in cells; only the core is evaluated.
 _CORE_SIDE = 64
@@ -18,9 +15,6 @@ _CORE_SIDE = 64
 # Width of the rim in cells. Iterations spread errors inwards from a block's border; most of a kernel's weight lies
 # within this distance.
 _RIM_CELLS = 8
-
-# An arbitrary seed; a fixed one makes the choice reproducible.
-_SEED = 20
 
 
 def choose_blocks(atlas: Atlas, budget: int, reach: int) -> tuple[Int64s, Bools]:
@@ -68,19 +62,3 @@ def _rank(ascending: Indices, numbers: Indices) -> Int64s:
         return np.full(numbers.shape, -1, np.int64)
     rank = np.minimum(np.searchsorted(ascending, numbers), len(ascending) - 1)
     return np.where(ascending[rank] == numbers, rank, -1)
-
-
-def draw_perturbations(atlas: Atlas, noise: NoiseModel, count: int) -> list[Array]:
-    """Draw random planes like the noise: independent signs as bytes, or correlated noise."""
-    random, shape = np.random.default_rng(_SEED), atlas.kind.shape
-    if noise.is_independent:
-        drawn = [*draw_signs((count, len(noise.sigma), *shape), random)]
-    else:
-        drawn = [draw_on_grid(noise.covariances, shape, random) for _ in range(count)]
-    for planes in drawn:
-        for rows in large_arrays.blocks(len(atlas.kind), large_arrays.ROWS):
-            if not noise.is_independent:
-                planes[:, rows] /= np.float32(noise.rms_sigma)
-            planes[:, rows][:, atlas.kind[rows] == EMPTY] = 0
-        refresh_halo(planes, atlas)
-    return drawn

@@ -29,7 +29,8 @@ from beltrami_cli.flow.manifolds.mesh.geometry import KernelSolver, MeshGeometry
 from beltrami_cli.flow.manifolds.mesh.kernel_work import without_hubs
 from beltrami_cli.flow.manifolds.mesh.levels import Clusters, clusters_for
 from beltrami_cli.flow.manifolds.mesh.patches import collaborate_on_graph
-from beltrami_cli.flow.manifolds.mesh.trial import choose_discs, draw_perturbations
+from beltrami_cli.flow.manifolds.mesh.perturbations import draw_perturbations
+from beltrami_cli.flow.manifolds.mesh.trial import choose_discs
 from beltrami_cli.flow.manifolds.metric_channels import gaussian_for, joined_channels
 from beltrami_cli.flow.manifolds.moving_positions import GeometryParameters, MovingPositions
 from beltrami_cli.flow.manifolds.new_colours import NewColours

@@ -1,19 +1,15 @@
-"""Discs of a mesh on which parameters are tried, each with a rim, and random perturbations of their colours."""
+"""Discs of a mesh on which parameters are tried, each with a rim."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-from beltrami_cli.flow.manifolds.mesh.fingerprints import random_signs
 from beltrami_cli.flow.manifolds.search_range import BUDGET_ON_MESHES
-from beltrami_cli.flow.noise.drawing import draw_on_clusters
-from beltrami_cli.flow.noise.model import NoiseModel
-from beltrami_cli.flow.vertex_graph import Graph, levels_of, sums_around
+from beltrami_cli.flow.vertex_graph import sums_around
 
 # Below this ratio of all samples to those wanted, discs with their rims would cover nearly the whole surface.
 _WHOLE_SURFACE = 1.2
@@ -94,17 +90,3 @@ def _detail_around(colours: Float32s, edges: Int32s) -> Float64s:
     for _ in range(_RINGS_OF_DETAIL):
         detail = (detail + sums_around(detail, edges)) / size
     return detail[:, 0]
-
-
-def draw_perturbations(
-    graph: Graph, noise: NoiseModel, colours: Float32s, around: NDArray[np.uint64], count: int
-) -> Float32s:
-    """Draw random stacks like the noise, from nearby colours: independent signs, or correlated noise."""
-    if noise.is_independent:
-        return random_signs(colours, around, count)
-    covariances = noise.covariances
-    levels = list(islice(levels_of(graph), len(covariances) + 1))
-    signs = np.split(random_signs(colours, around, count * len(levels)), count)
-    drawn = np.stack([draw_on_clusters(covariances, levels, of_levels) for of_levels in signs])
-    drawn /= np.float32(noise.rms_sigma)
-    return drawn
