@@ -15,7 +15,7 @@ import peers
 from beltrami_cli.arrays import Array, Float32s
 from beltrami_cli.jobs.noise.kinds import jpeg_file
 from harness import arguments, psnr, rms, show
-from images import colours_of, smoothed, stored, windows, with_noise
+from pixels import colours_of, smoothed, stored, windows, with_noise
 
 CAMERAS = ((0.002, 0.005), (0.01, 0.01), (0.03, 0.02))  # A and B
 GRAINS = ((2, 6), (2, 12), (3, 6), (3, 12), (4, 6), (4, 12))  # size in pixels, sigma of 255

@@ -14,7 +14,7 @@ import beltrami_cli
 from beltrami_cli.arrays import Array
 from beltrami_cli.formats.image.reading import read_image
 from harness import arguments, psnr, show
-from images import images_of
+from pixels import images_of
 
 
 def main() -> None:

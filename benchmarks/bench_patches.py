@@ -27,7 +27,7 @@ from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.noise.file import noise_file
 from beltrami_cli.jobs.settings import NoiseSettings
 from harness import SAMPLES, Row, arguments, extra_models, psnr, show
-from images import PHOTOGRAPHS, WINDOW, on_sphere, photograph
+from pixels import PHOTOGRAPHS, WINDOW, on_sphere, photograph
 from textures import TexturedScene
 from vertices import Scene, icosphere, write_ply
 
@@ -147,7 +147,8 @@ def judge(image: Array, clean: Array, masks: tuple[Bools, Bools]) -> Figures:
     color = peers.needed("skimage.color")
     chosen = slice(None, None, max(1, int(masks[0].sum()) // MAX_COMPARED))
     shown = (color.rgb2lab(colours[masks[0]][chosen]) for colours in (image / 255, clean))
-    return *(psnr_within(mask, image, clean) for mask in masks), float(color.deltaE_ciede2000(*shown).mean())
+    covered, near_seams = (psnr_within(mask, image, clean) for mask in masks)
+    return covered, near_seams, float(color.deltaE_ciede2000(*shown).mean())
 
 
 def judge_vertices(sigma: float, path: Path) -> Judged:

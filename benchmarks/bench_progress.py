@@ -2,6 +2,7 @@
 
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +19,7 @@ from harness import arguments, show
 CORNERS = np.array([[[0, 0, 0], [1, 0, 0], [1, 1, 0]], [[0, 0, 0], [1, 1, 0], [0, 1, 0]]], float)
 
 
-class Times:
-    """A progress callback that sums the processor time of phases."""
-
+class PhaseTimes:  # a progress callback
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
         self._label, self._last = "", time.process_time()
@@ -45,14 +44,14 @@ def measured(side: int) -> dict[str, dict[str, float]]:
     with tempfile.TemporaryDirectory() as name:
         folder, found = Path(name), {}
         clean, noisy = write(folder / "clean.obj", side, 0.0), write(folder / "noisy.obj", side, 0.04)
-        commands = {
+        commands: dict[str, Callable[[Job], object]] = {
             "info": lambda job: inspect_file(noisy, job=job),
             "smooth": lambda job: smooth_file(noisy, folder / "out.obj", job=job),
             "compare": lambda job: compare_files(clean, noisy, job=job),
             "report": lambda job: report_file(str(clean), str(noisy), str(folder / "x.html"), job=job),
         }
         for command, run in commands.items():
-            times = Times()
+            times = PhaseTimes()
             run(Job(progress=times))
             times("", 1, 1)
             found[command] = times.seconds

@@ -22,7 +22,7 @@ from itertools import chain, islice
 import numpy as np
 
 from harness import arguments, rms, show
-from images import Interval
+from pixels import Interval
 from regret_cases import Case, kinds
 
 CLEAN_PSNR = 42.0  # dB from which on a clean image counts as unchanged

@@ -15,7 +15,7 @@ import beltrami_cli
 from beltrami_cli.arrays import Array, Float32s
 from beltrami_cli.jobs.noise.kinds import as_jpeg
 from harness import arguments, psnr, rms, show
-from images import stored, windows, with_noise
+from pixels import stored, windows, with_noise
 
 BEST = 60.0  # dB, above which differences are invisible
 STRENGTHS = ("gentle", "normal", "strong")

@@ -1,7 +1,7 @@
 """Shared by the scenarios: paths, options, tables, and running the command in its own process.
 
 ``python benchmarks/bench_*.py`` runs a scenario; each prints a table and, with ``--json FILE``, writes its rows.
-Inputs are in `vertices.py`, `textures.py` (texels) and `images.py` (images and their noise), other programs
+Inputs are in `vertices.py`, `textures.py` (texels) and `pixels.py` (images and their noise), other programs
 in `peers.py`. The scenarios measure what tests cannot:
 
 - `regret`: the PSNR lost because the noise is estimated; `clean`: changes of images without noise.

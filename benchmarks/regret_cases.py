@@ -20,7 +20,7 @@ from beltrami_cli.arrays import Array
 from beltrami_cli.jobs.noise.kinds import jpeg_file
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from harness import rms
-from images import PHOTOGRAPHS, Smoothed, colours_of, on_sphere, photograph, smoothed, stored, with_noise
+from pixels import PHOTOGRAPHS, Smoothed, colours_of, on_sphere, photograph, smoothed, stored, with_noise
 from regret_images import CROP, crops_of, halved, label, paint, pixel_art, plaster, rendered, weave
 from vertices import icosphere, mosaic
 

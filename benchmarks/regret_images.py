@@ -8,7 +8,7 @@ from PIL import Image, ImageDraw, ImageFont
 from scipy.ndimage import gaussian_filter
 
 from beltrami_cli.arrays import Array, Float32s
-from images import images_of
+from pixels import images_of
 from vertices import mosaic
 
 CROP, MIN_CROP = 192, 128  # texels per side of crops
@@ -94,7 +94,7 @@ def plaster() -> Array:
 def rendered(seed: int) -> Float32s:
     """Return linear light of three lamps with penumbrae on a wall of several materials."""
     random = np.random.default_rng(seed)
-    place = np.stack(np.mgrid[:CROP, :CROP], axis=2) / CROP
+    place = np.moveaxis(np.mgrid[:CROP, :CROP], 0, 2) / CROP
     found = np.full((CROP, CROP, 3), 0.03)
     for _ in range(3):
         lamp, edge, angle = random.uniform(0, 1, 2), random.uniform(0.2, 0.8), random.uniform(0, 2 * np.pi)

@@ -25,7 +25,7 @@ from beltrami_cli.jobs.noise.file import noise_file
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from harness import SAMPLES, SIGMA, extra_models
-from images import PHOTOGRAPHS, on_sphere, photograph
+from pixels import PHOTOGRAPHS, on_sphere, photograph
 from vertices import chequer
 
 NEAR = 4  # maximum distance in texels of a texel near a seam
@@ -272,7 +272,7 @@ def halved(scene: TexturedScene) -> TexturedScene:
         height, width = image.shape[0] // step, image.shape[1] // step
         blocks = image.reshape(height, step, width, step, 3).mean(axis=(1, 3))
         clean.append((np.rint(blocks * 255) / 255).astype(np.float32))
-        visible.append(seen.reshape(height, step, width, step).all(axis=(1, 3)))
+        visible.append(np.asarray(seen.reshape(height, step, width, step).all(axis=(1, 3))))
     return replace(scene, clean=clean, visible=visible)
 
 
