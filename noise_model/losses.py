@@ -15,27 +15,37 @@ def losses(
     truths: dict[str, np.ndarray],
     candidates: dict[str, np.ndarray],
 ) -> tuple[dict[str, float], dict[str, np.ndarray]]:
-    """Return the loss of each head and its gradient: pinball losses of quantiles, squared errors of correlations."""
+    """Return the loss of each head, and the gradient of its outputs; truths that are unknown are NaN."""
     values, gradients = {}, {}
     for name, given in all_outputs.items():
-        truth, known = truths[name], np.isfinite(truths[name])
-        count, outputs = max(1, known.sum()), given.reshape(*truth.shape, -1)
+        outputs = given.reshape(*truths[name].shape, -1)
         if name == "correlations":
-            read_as = np.tanh(outputs)
-            error = np.where(known[..., None], np.nan_to_num(truth)[..., None] - read_as, 0)
-            slope, parts = 2 * error * (1 - read_as**2), 1
-            values[name] = float(np.square(error).sum() / count)
+            values[name], gradient = _squared_error(outputs, truths[name])
         else:
-            read_as = mixed(outputs, candidates[name]) if name in candidates else outputs
-            error = np.nan_to_num(truth)[..., None] - read_as
             shares = np.array(TOTAL_QUANTILES if name == "total" else QUANTILES, np.float32)
-            slope, parts = np.where(error > 0, shares, shares - 1) * known[..., None], len(shares)
-            values[name] = float((slope * error).sum() / count / parts)
-        gradient = -COUNTED[name] * slope / count / parts
-        if name in candidates:
-            gradient = _through_mixture(gradient, read_as, outputs, candidates[name])
-        gradients[name] = gradient.reshape(given.shape).astype(np.float32)
+            values[name], gradient = _pinball(outputs, truths[name], candidates[name], shares)
+        gradients[name] = (COUNTED[name] * gradient).reshape(given.shape).astype(np.float32)
     return values, gradients
+
+
+def _squared_error(outputs: np.ndarray, truth: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return the mean squared error of correlations, of which outputs are the inverse hyperbolic tangents."""
+    known = np.isfinite(truth)
+    count, read_as = max(1, known.sum()), np.tanh(outputs)
+    error = np.where(known[..., None], np.nan_to_num(truth)[..., None] - read_as, 0)
+    return float(np.square(error).sum() / count), -2 * error * (1 - read_as**2) / count
+
+
+def _pinball(
+    outputs: np.ndarray, truth: np.ndarray, candidates: np.ndarray, shares: np.ndarray
+) -> tuple[float, np.ndarray]:
+    """Return the mean pinball loss of quantiles at some shares."""
+    known, read_as = np.isfinite(truth), mixed(outputs, candidates)
+    count = max(1, known.sum()) * len(shares)
+    error = np.nan_to_num(truth)[..., None] - read_as
+    slope = np.where(error > 0, shares, shares - 1) * known[..., None]
+    gradient = _through_mixture(-slope / count, read_as, outputs, candidates)
+    return float((slope * error).sum() / count), gradient
 
 
 def _through_mixture(

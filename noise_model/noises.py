@@ -10,6 +10,7 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import convolve, gaussian_filter, median_filter, uniform_filter
 
+from beltrami_cli.flow.noise.jpeg_traces import LUMA
 from recipes import Recipe
 
 ONE_CHANNEL = 0.12  # share of the images that have one channel, or are grey
@@ -22,9 +23,7 @@ KERNELS = (
     Image.Resampling.BOX,
 )
 
-# Weights of red, green and blue in luma; texels per side of the window of a Wiener filter, and of the window in which
-# the noise that it assumes is measured.
-_LUMA = np.array([0.299, 0.587, 0.114], np.float32)
+# Texels per side of the window of a Wiener filter, and of the window in which the noise that it assumes is measured.
 _WIENER_SIDE, _NOISE_SIDE = 5, 25
 
 
@@ -102,7 +101,7 @@ def _saturated(pair: np.ndarray, factor: float) -> np.ndarray:
 
 def _denoised_in_camera(pair: np.ndarray, recipe: Recipe) -> np.ndarray:
     """Blur chroma, and apply a Wiener filter to luma, which leaves noise near edges and on texture."""
-    luma = pair @ _LUMA
+    luma = pair @ LUMA
     chroma = gaussian_filter(pair - luma[..., None], (0, recipe.chroma, recipe.chroma, 0))
     noise = recipe.luma * uniform_filter(np.square(luma[0] - luma[1]), _NOISE_SIDE)
     mean = uniform_filter(luma, (0, _WIENER_SIDE, _WIENER_SIDE))

@@ -59,7 +59,7 @@ def observation_of(channels: NoisyChannels) -> Observation | None:
     products = [0.0 * own.products for own in cells]
     for part, sign in ((noise, 1), (loss, -1)):
         if part is not None:
-            triples = zip(products, part.where.scales, part.products, strict=False)
+            triples = zip(products, part.scales, part.products, strict=False)
             products = [total + sign * scale.padded(own) for total, scale, own in triples]
     truths = [dataclasses.replace(own, products=part) for own, part in zip(cells, products, strict=True)]
     covariances = np.stack([covariance_of(own) for own in truths])

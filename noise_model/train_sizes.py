@@ -38,7 +38,7 @@ def make_rows(
     rows: list[tuple[np.ndarray, float, float]] = []
     while len(rows) < count:
         drawn = CHANNELS[kind](rng, crops, family.draw, family.make_image)
-        if drawn is None or drawn.noisy.where.scales[0].freedom.sum() < observations.FEWEST_DETAILS:
+        if drawn is None or drawn.noisy.scales[0].freedom.sum() < observations.FEWEST_DETAILS:
             continue
         noise, loss = (
             0.0 if part is None else float(np.mean(np.square(part.colours, dtype=np.float64)))

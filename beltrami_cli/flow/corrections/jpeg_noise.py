@@ -125,7 +125,7 @@ class _Covariances:
         """Add details of noise, shape (R, C, 1 or 3), full scale 255, in squares of used cells."""
         planes = np.broadcast_to(np.moveaxis(noise / np.float32(255), 2, 0), (3, *used.shape))
         seen = Grid.of(used, most=used.size).cut(planes, np.arange(3))
-        for number, scale in enumerate(seen.where.scales[:SCALES]):
+        for number, scale in enumerate(seen.scales[:SCALES]):
             self._sums[number] += seen.products[number] @ scale.freedom
             self._counted[number] += scale.freedom.sum()
 

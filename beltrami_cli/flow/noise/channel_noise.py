@@ -8,12 +8,12 @@ from functools import cached_property
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
-from beltrami_cli.flow.noise.components import COMPONENTS, PAIRS, SCALES, STEPS, covariance_of_cells
+from beltrami_cli.arrays import Float32s, Float64s, Int64s
+from beltrami_cli.flow.noise.components import COMPONENTS, SCALES, STEPS, covariance_of_cells
 from beltrami_cli.flow.noise.even_cells import even_covariances
 from beltrami_cli.flow.noise.model import MAX_NO_NOISE_PROBABILITY
-from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, ThreeChannels
-from beltrami_cli.flow.noise.network import OFFSET, QUANTILES, NetworkReading, Weights, weights_of
+from beltrami_cli.flow.noise.neighbourhoods import MIN_SAMPLES, Neighbourhoods, ThreeChannels
+from beltrami_cli.flow.noise.network import NetworkReading, Weights, weights_of
 from beltrami_cli.flow.noise.residual import Residual
 from beltrami_cli.flow.noise.size import Size, evidence, sizes_of
 from beltrami_cli.flow.noise.structure import MAX_CLIPPED_SHARE, Structure, shares_of_noise
@@ -34,9 +34,6 @@ _MAX_CORRELATION_OF_NEIGHBOURS = 0.12
 # deviation.
 _DETAILS_OF_READING = 26
 
-# Number of samples of the smallest training images; with fewer, hard-edged paint is not distinguishable from noise.
-_MIN_SAMPLES = 256
-
 # If values exceed full scale, as with light, this quantile becomes full scale. If the opposite quantile is outside
 # of [0, 1], values are not levels, and are shifted by it.
 _FULL_SCALE_QUANTILE = 0.99
@@ -48,26 +45,25 @@ class ChannelNoise:
 
     channels: ThreeChannels
     order: Int64s  # of the channels, shape (K,)
+    reading: NetworkReading
     size: Size
     sigma: float  # RMS of the channels; 0: no noise
-    components: Float64s  # covariances by scale as read, shape (SCALES, 3, 3)
-    place_logs: Float64s  # log2 of the relative deviations of neighbourhoods, shape (P,)
     full_scale: float
     are_levels: bool
 
     @classmethod
-    def read(cls, planes: Float32s, where: Neighbourhoods, weights: Weights) -> ChannelNoise:
+    def read(cls, planes: Float32s, neighbourhoods: Neighbourhoods, weights: Weights) -> ChannelNoise:
         """Read the noise of three channels, or of one channel, which is repeated three times."""
-        channels = where.cut(np.broadcast_to(planes, (COLOURS, *planes.shape[1:])))
+        channels = neighbourhoods.cut(np.broadcast_to(planes, (COLOURS, *planes.shape[1:])))
         channels, full_scale, are_levels = _in_full_scale(channels)
         reading = NetworkReading.of(channels, weights)
         inputs, first = evidence(channels, reading)
-        (size,) = sizes_of(weights_of(where.kind, "sizes"), inputs[None], np.array([first]))
-        if len(where.of_samples) < _MIN_SAMPLES:
+        (size,) = sizes_of(weights_of(neighbourhoods.kind, "sizes"), inputs[None], np.array([first]))
+        if len(neighbourhoods.of_samples) < MIN_SAMPLES:
             size = dataclasses.replace(size, none=1.0)
         sigma = size.quantile(0.5) if size.none <= MAX_NO_NOISE_PROBABILITY else 0.0
-        order, places = np.argsort(channels.order)[: len(planes)], _medians(reading.places)
-        return cls(channels, order, size, sigma, _components(reading), places, full_scale, are_levels)
+        order = np.argsort(channels.order)[: len(planes)]
+        return cls(channels, order, reading, size, sigma, full_scale, are_levels)
 
     @property
     def step(self) -> float:
@@ -108,7 +104,7 @@ class ChannelNoise:
             residual, sigma = residual.stabilised(stabiliser, self.step), sigma * stabiliser.scale
         of_singles = residual.even_covariance(structure.place_variances)
         is_shared = self._is_shared(residual)
-        covariances = self.components if is_shared else np.repeat(of_singles[None], SCALES, axis=0)
+        covariances = self.reading.covariances if is_shared else np.repeat(of_singles[None], SCALES, axis=0)
         total = float(np.trace(covariance_of_cells(covariances)))
         if not of_singles.any() or not total:
             return nothing, 1.0
@@ -125,7 +121,7 @@ class ChannelNoise:
 
     def _is_shared(self, residual: Residual) -> bool:
         """Whether neighbours share noise, by the network or, if it is uncertain, by the residual."""
-        difference = difference_of_scales(self.components)
+        difference = difference_of_scales(self.reading.covariances)
         if difference > _CERTAIN_DIFFERENCE_OF_SCALES:
             return True
         shares = residual.correlation_of_neighbours > _MAX_CORRELATION_OF_NEIGHBOURS
@@ -153,23 +149,6 @@ def difference_of_scales(covariances: Float64s) -> float:
     fine, coarse = covariances[:2]
     least = min(float(np.linalg.norm(fine)), float(np.linalg.norm(coarse)))
     return float(np.linalg.norm(coarse - fine)) / max(1e-12, least)
-
-
-def _components(reading: NetworkReading) -> Float64s:
-    """Return the covariances of components by scale, shape (SCALES, 3, 3)."""
-    deviations = np.maximum(2.0 ** _medians(reading.deviations) - OFFSET, 1e-3)
-    correlations = np.tanh(reading.correlations.astype(np.float64))
-    mixed = np.stack([np.eye(COLOURS)] * SCALES)
-    for number, (one, other) in enumerate(PAIRS[3:]):
-        mixed[:, one, other] = mixed[:, other, one] = correlations[:, number]
-    values, vectors = np.linalg.eigh(mixed * deviations[:, :, None] * deviations[:, None])
-    roots = vectors * np.sqrt(np.maximum(values, 0))[:, None]
-    covariances: Float64s = np.einsum("lkm,ljm->lkj", roots, roots)
-    return covariances
-
-
-def _medians(quantiles: Array) -> Float64s:
-    return np.sort(quantiles, axis=-1)[..., QUANTILES.index(0.5)].astype(np.float64)
 
 
 def _in_full_scale(channels: ThreeChannels) -> tuple[ThreeChannels, float, bool]:

@@ -14,7 +14,13 @@ from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
 from beltrami_cli.flow.noise.cells import KindStatistics
 from beltrami_cli.flow.noise.components import PAIRS, SCALES, in_components
 from beltrami_cli.flow.noise.even_cells import EvenCells, EvenScale
-from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, Scale, ThreeChannels, ranks_within
+from beltrami_cli.flow.noise.neighbourhoods import (
+    MIN_SAMPLES,
+    Neighbourhoods,
+    Scale,
+    ThreeChannels,
+    ranks_within,
+)
 from beltrami_cli.flow.vertex_graph import Graph, levels_of
 
 # Maximum number of blocks of consecutive samples that are read from a large surface, and samples per block.
@@ -23,9 +29,6 @@ _MAX_BLOCKS, _BLOCK = 16, 4096
 # A neighbourhood has at least `_ENOUGH` samples, or half as many as the largest one if that is less, but never fewer
 # than `_LEAST`.
 _ENOUGH, _LEAST = 64, 16
-
-# Number of samples of the smallest training surfaces. With fewer, hard-edged paint is not distinguishable from noise.
-_FEWEST = 256
 
 # Number of scales whose residuals, which are free of slopes, are features. At coarser scales slopes are not larger than
 # other details.
@@ -242,7 +245,7 @@ def _some_samples(graph: Graph) -> tuple[Int64s, Graph]:
 def _large_ones(counts: Float32s) -> Int64s:
     """Assign consecutive numbers to the clusters with enough samples, and -1 to others."""
     is_large = counts >= max(_LEAST, min(_ENOUGH, counts.max(initial=0) / 2))
-    return _numbered(is_large & (counts[is_large].sum() >= _FEWEST))
+    return _numbered(is_large & (counts[is_large].sum() >= MIN_SAMPLES))
 
 
 def _numbered(mask: Bools) -> Int64s:

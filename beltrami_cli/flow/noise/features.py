@@ -50,8 +50,8 @@ class Features:
             squares += _of_scale(cells)
         scales = [EvenScale.of(cells) for cells in channels.cells]
         even = [
-            np.log2([channels.where.count]),
-            *(column for scale in scales for column in channels.where.even_features(scale)),
+            np.log2([channels.neighbourhoods.count]),
+            *(column for scale in scales for column in channels.neighbourhoods.even_features(scale)),
             *(scale.by_neighbourhood.ravel() for scale in scales),
         ]
         return cls(
@@ -64,11 +64,11 @@ class Features:
 
 def _without_scale(channels: ThreeChannels) -> Float32s:
     """Return features of each neighbourhood that do not depend on the scale: levels, clipping, variance."""
-    where, colours = channels.where, channels.colours
-    levels = where.means(colours)
-    variance = where.means(np.square(colours - levels[:, where.of_samples]))
-    low, high = where.means(colours <= 0), where.means(colours >= STEPS)
-    rows = [*levels / 64, *low, *high, *log_deviation(variance), *where.features(channels)]
+    neighbourhoods, colours = channels.neighbourhoods, channels.colours
+    levels = neighbourhoods.means(colours)
+    variance = neighbourhoods.means(np.square(colours - levels[:, neighbourhoods.of_samples]))
+    low, high = neighbourhoods.means(colours <= 0), neighbourhoods.means(colours >= STEPS)
+    rows = [*levels / 64, *low, *high, *log_deviation(variance), *neighbourhoods.features(channels)]
     return np.stack(rows, axis=1).astype(np.float32)
 
 

@@ -23,6 +23,9 @@ from beltrami_cli.flow.noise.components import PAIRS, STEPS, in_components
 from beltrami_cli.flow.noise.even_cells import EvenScale
 from beltrami_cli.surface import large_arrays
 
+# Number of samples of the smallest training surfaces. With fewer, hard-edged paint is not distinguishable from noise.
+MIN_SAMPLES = 256
+
 # Number of neighbourhoods that are compared at one place: 3 x 3 squares on a grid.
 _AROUND = 9
 
@@ -164,9 +167,13 @@ class ThreeChannels:
     They are sorted by the energy of their finest details, so that features do not depend on the order of the input.
     """
 
-    where: Neighbourhoods
+    neighbourhoods: Neighbourhoods
     colours: Float32s  # shape (3, n), in steps of 8 bits
     order: Int64s  # index of each channel in the input
+
+    @property
+    def scales(self) -> Sequence[Scale]:
+        return self.neighbourhoods.scales
 
     @property
     def is_clipped(self) -> Bools:
@@ -175,14 +182,14 @@ class ThreeChannels:
 
     def clipped_shares(self) -> Float32s:
         """Return the share of clipped samples in each neighbourhood, in the worst channel, shape (P,)."""
-        shares: Float32s = self.where.means(self.is_clipped).max(axis=0)
+        shares: Float32s = self.neighbourhoods.means(self.is_clipped).max(axis=0)
         return shares
 
     @cached_property
     def means(self) -> list[Array]:
         """The means of the parts of each scale by channel, shape (3, n)."""
         means: list[Array] = [self.colours]
-        for scale in self.where.scales:
+        for scale in self.scales:
             means.append(scale.means(means[-1]))
         return means
 
@@ -192,14 +199,14 @@ class ThreeChannels:
         # Details are computed by channel first, so that equal colours have details of exactly 0.
         return [
             in_components(scale.details(*means))
-            for scale, means in zip(self.where.scales, pairwise(self.means), strict=True)
+            for scale, means in zip(self.scales, pairwise(self.means), strict=True)
         ]
 
     @cached_property
     def products(self) -> list[Array]:
         """The mean products of the components' details in each cell of each scale, shape (6, cells)."""
         found = []
-        for scale, details in zip(self.where.scales, self.details, strict=True):
+        for scale, details in zip(self.scales, self.details, strict=True):
             sums = np.stack([scale.sums_of_details(details[k] * details[m]) for k, m in PAIRS])
             found.append(sums / np.maximum(scale.freedom, 1))
         return found
@@ -208,7 +215,7 @@ class ThreeChannels:
     def cells(self) -> list[CellStatistics]:
         """The statistics of the cells of each scale but the coarsest."""
         cells = []
-        for number, (scale, above) in enumerate(pairwise(self.where.scales)):
+        for number, (scale, above) in enumerate(pairwise(self.scales)):
             products = self.products[number]
             blocks = above.sums(scale.freedom * products[:3]) / np.maximum(above.sums(scale.freedom), 1)
             cells.append(
@@ -217,14 +224,14 @@ class ThreeChannels:
                     freedom=scale.padded(scale.freedom),
                     blocks=above.padded(np.where(above.is_whole, blocks, np.inf), np.inf),
                     unevenness=scale.padded(self.unevenness(number), np.inf),
-                    of_kind=self.where.statistics(self, number),
+                    of_kind=self.neighbourhoods.statistics(self, number),
                 )
             )
         return cells
 
     def unevenness(self, number: int) -> Array:
         """Return the energy of the next two scales around each cell of a scale; infinite where it is unknown."""
-        above, *further = self.where.scales[number + 1 : number + 3]
+        above, *further = self.scales[number + 1 : number + 3]
         totals = [3 * products[:3].sum(axis=0) for products in self.products[number + 1 : number + 3]]
         if further:
             totals[0] = totals[0] + further[0].spread(totals[1])

@@ -11,14 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Float32s, Int64s
-from beltrami_cli.flow.noise.components import FLOOR, SCALES, covariance_of_cells
+from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
+from beltrami_cli.flow.noise.components import FLOOR, PAIRS, SCALES, covariance_of_cells
 from beltrami_cli.flow.noise.even_cells import EVEN_SHARES
 from beltrami_cli.flow.noise.features import Features
 from beltrami_cli.flow.noise.neighbourhoods import ThreeChannels
@@ -173,7 +173,7 @@ class Weights:
         return np.asarray(np.clip(result, -MAX_STANDARDISED, MAX_STANDARDISED), np.float32)
 
     @classmethod
-    def load(cls, path: Any) -> Weights:
+    def load(cls, path: Path) -> Weights:
         """Read a file of weights that training wrote."""
         parts: dict[str, dict[str, Float32s]] = {"layer": {}, "mean": {}, "scale": {}}
         with path.open("rb") as stream, np.load(stream) as arrays:
@@ -203,7 +203,7 @@ class NetworkReading:
 
     @classmethod
     def of(cls, channels: ThreeChannels, weights: Weights) -> NetworkReading:
-        features, counts = Features.of(channels), np.array([channels.where.count])
+        features, counts = Features.of(channels), np.array([channels.neighbourhoods.count])
         squares = weights.standardised("squares", features.squares)
         even = weights.standardised("even", features.even[None])
         outputs = forward(Layers(weights.layers), squares, counts, even)
@@ -220,3 +220,25 @@ class NetworkReading:
             candidates=candidates["total"][0, 0],
             context=outputs["context"][0],
         )
+
+    @property
+    def place_logs(self) -> Float64s:
+        """Medians of log2 of the relative deviations of squares, shape (P,)."""
+        return _medians(self.places)
+
+    @cached_property
+    def covariances(self) -> Float64s:
+        """Covariances of components by scale, shape (SCALES, 3, 3)."""
+        deviations = np.maximum(2.0 ** _medians(self.deviations) - OFFSET, 1e-3)
+        correlations = np.tanh(self.correlations.astype(np.float64))
+        matrices = np.stack([np.eye(3)] * SCALES)
+        for number, (one, other) in enumerate(PAIRS[3:]):
+            matrices[:, one, other] = matrices[:, other, one] = correlations[:, number]
+        values, vectors = np.linalg.eigh(matrices * deviations[:, :, None] * deviations[:, None])
+        roots = vectors * np.sqrt(np.maximum(values, 0))[:, None]
+        covariances: Float64s = np.einsum("lkm,ljm->lkj", roots, roots)
+        return covariances
+
+
+def _medians(quantiles: Array) -> Float64s:
+    return np.sort(quantiles, axis=-1)[..., QUANTILES.index(0.5)].astype(np.float64)

@@ -57,7 +57,7 @@ class NoiseOfSamples:
 
 def estimate_noise(
     channels: Float32s,
-    where: Neighbourhoods,
+    neighbourhoods: Neighbourhoods,
     given: GivenNoise | None,
     *,
     varies: bool,
@@ -69,19 +69,19 @@ def estimate_noise(
     With `varies`, its dependence on level and place is estimated too. A higher strength assumes more noise.
     """
     if of_samples is not None:
-        return _with_given_colours(read_noise(channels, where, varies=False), of_samples)
+        return _with_given_colours(read_noise(channels, neighbourhoods, varies=False), of_samples)
     if given is None:
-        return _assumed(channels, where, strength, varies=varies)
+        return _assumed(channels, neighbourhoods, strength, varies=varies)
     if given.is_by_level:
         stabiliser = VarianceStabiliser.of_camera(given.shot, given.read)
         # Stabilised colours have the same noise at all levels.
         stable = stabiliser.stabilised(channels)
-        noise = read_noise(stable, where, varies=False, sigma=stabiliser.scale).scaled_to(stabiliser.scale)
-        return dataclasses.replace(noise, stabiliser=stabiliser, reading=None)
+        noise = read_noise(stable, neighbourhoods, varies=False, sigma=stabiliser.scale)
+        return dataclasses.replace(noise.scaled_to(stabiliser.scale), stabiliser=stabiliser, reading=None)
     if given.source:
         cause = f"noise is {given.source}, but several textures have no such file in common; choose one"
         raise UsageError(cause)
-    noise = read_noise(channels, where, varies=varies, sigma=given.sigma)
+    noise = read_noise(channels, neighbourhoods, varies=varies, sigma=given.sigma)
     return dataclasses.replace(noise.scaled_to(given.sigma), reading=None)
 
 
@@ -96,21 +96,23 @@ def _with_given_colours(noise: NoiseModel, given: NoiseOfSamples) -> NoiseModel:
     return dataclasses.replace(NoiseModel.independent(sigma), relative=given.relative)
 
 
-def _assumed(channels: Float32s, where: Neighbourhoods, strength: float, *, varies: bool) -> NoiseModel:
+def _assumed(
+    channels: Float32s, neighbourhoods: Neighbourhoods, strength: float, *, varies: bool
+) -> NoiseModel:
     """Read the noise, and scale it to the size that a strength assumes."""
-    noise = read_noise(channels, where, varies=varies)
+    noise = read_noise(channels, neighbourhoods, varies=varies)
     if noise.reading is None:
         return noise
     sigma = noise.reading.assumed(strength)
     if sigma and not noise.overall:
-        again = read_noise(channels, where, varies=varies, sigma=sigma)
+        again = read_noise(channels, neighbourhoods, varies=varies, sigma=sigma)
         noise = dataclasses.replace(again, reading=noise.reading)
     return noise.scaled_to(sigma)
 
 
 def read_noise(
     planes: Float32s,
-    where: Neighbourhoods,
+    neighbourhoods: Neighbourhoods,
     *,
     varies: bool = True,
     sigma: float | None = None,
@@ -121,18 +123,18 @@ def read_noise(
     With `varies`, its dependence on level and place is read too. `sigma` is the RMS noise of the colours, if known.
     `weights`: of the network; by default the ones of the package.
     """
-    weights, count = weights or weights_of(where.kind), len(planes)
-    if not where.count:
+    weights, count = weights or weights_of(neighbourhoods.kind), len(planes)
+    if not neighbourhoods.count:
         return NoiseModel.independent(np.zeros(count))
     singles = [slice(channel, channel + 1) for channel in range(count)]
     groups = [slice(0, COLOURS), *singles[COLOURS:]] if count >= COLOURS else singles
-    noises = [ChannelNoise.read(planes[group], where, weights) for group in groups]
+    noises = [ChannelNoise.read(planes[group], neighbourhoods, weights) for group in groups]
     # Number of groups of colours; further channels, such as opacity, are not levels.
     colour_groups = 1 if count >= COLOURS else count
     if sigma is not None:
         noises[:colour_groups] = [noise.with_sigma(sigma) for noise in noises[:colour_groups]]
     colours = noises[:colour_groups]
-    structure = _common_structure(colours) if varies else Structure.even(where)
+    structure = _common_structure(colours) if varies else Structure.even(neighbourhoods)
     covariances, ratios = np.zeros((SCALES, count, count)), []
     for number, (group, noise) in enumerate(zip(groups, noises, strict=True)):
         of_group = structure if number < colour_groups else structure.without_levels()
@@ -141,7 +143,7 @@ def read_noise(
     # Even cells may show no noise where some was read.
     is_refuted = any(noise.sigma for noise in colours) and not covariances.any()
     if is_refuted or all(noise.is_constant for noise in colours):
-        return NoiseModel(covariances[:1], reading=Reading(1.0, 0.0, 0.0, 0.0))
+        return NoiseModel(covariances[:1], reading=Reading(none=1.0, low=0.0, median=0.0, high=0.0))
     return NoiseModel(
         _simplified(covariances),
         structure.stabiliser(colours[0].full_scale),
@@ -154,9 +156,9 @@ def _common_structure(colours: Sequence[ChannelNoise]) -> Structure:
     """Find the structure of the noise of the colours; of two channels, which are read separately, that of the first."""
     first, are_levels = colours[0], all(noise.are_levels for noise in colours)
     if not all(noise.sigma for noise in colours):
-        return Structure.even(first.channels.where)
+        return Structure.even(first.channels.neighbourhoods)
     return structure_of(
-        first.residual, first.sigma, first.place_logs, len(first.order), are_levels=are_levels
+        first.residual, first.sigma, first.reading.place_logs, len(first.order), are_levels=are_levels
     )
 
 

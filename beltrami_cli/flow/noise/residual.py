@@ -59,7 +59,7 @@ class Residual:
     @classmethod
     def of(cls, channels: ThreeChannels, variances: Float32s) -> Residual:
         """Compute the pilot that removes noise of some variances, in squared steps of 8 bits."""
-        colours = channels.where.pilot(channels.colours, np.float32(_ASSUMED_NOISE**2) * variances)
+        colours = channels.neighbourhoods.pilot(channels.colours, np.float32(_ASSUMED_NOISE**2) * variances)
         return cls(channels, dataclasses.replace(channels, colours=colours))
 
     @cached_property
@@ -71,7 +71,7 @@ class Residual:
         """Correlation of the residual between neighbouring samples; near 0 for white noise."""
         removed = self.removed.colours
         variance = float(np.mean(np.square(removed, dtype=np.float64)))
-        return self.channels.where.product_of_neighbours(removed) / max(1e-9, variance)
+        return self.channels.neighbourhoods.product_of_neighbours(removed) / max(1e-9, variance)
 
     def stabilised(self, stabiliser: VarianceStabiliser, step: float) -> Residual:
         """Return the residual of stabilised colours; `step`: a step of 8 bits, of the stabiliser's full scale."""
@@ -83,7 +83,7 @@ class Residual:
         return Residual(*parts)
 
     def blocks(self) -> Blocks:
-        fine, coarse, *above = self.channels.where.scales[:4]
+        fine, coarse, *above = self.channels.scales[:4]
         freedom = coarse.freedom + coarse.sums(fine.freedom)
         energies = coarse.sums(fine.sums(_squares_in_blocks(self.removed))) / np.maximum(freedom, 1)
         within = coarse.sums(fine.sums(_squares_in_blocks(self.pilot).sum(axis=0))) / np.maximum(freedom, 1)
@@ -102,7 +102,7 @@ class Residual:
 
         It is divided by the relative variance of each neighbourhood, shape (P,). Quiet neighbourhoods are ignored.
         """
-        finest = self.channels.where.scales[0]
+        finest = self.channels.scales[0]
         unevenness = self.pilot.unevenness(0) + self.pilot.products[0][:3].sum(axis=0)
         uneven = finest.padded(np.where(finest.is_whole & (finest.freedom > 0), unevenness, np.inf), np.inf)
         known = np.isfinite(uneven) & (variances > _MAX_QUIET_VARIANCE)[:, None]
@@ -122,12 +122,12 @@ def _squares_in_blocks(channels: ThreeChannels) -> Array:
 
     In each block they have the same sum as the squared details of the finest two scales.
     """
-    fine, coarse = channels.where.scales[:2]
+    fine, coarse = channels.scales[:2]
     return np.asarray(np.square(channels.means[0] - fine.spread(coarse.spread(channels.means[2]))))
 
 
 def _energies(channels: ThreeChannels, number: int) -> Array:
     """Return the mean squared detail in each cell of a scale, summed over the channels."""
-    scale = channels.where.scales[number]
+    scale = channels.scales[number]
     squares = np.square(scale.details(*channels.means[number : number + 2])).sum(axis=0)
     return np.asarray(scale.sums_of_details(squares) / np.maximum(scale.freedom, 1))

@@ -40,18 +40,19 @@ def _removal_curve(channels: ThreeChannels) -> Float32s:
     These are log2 of deviations relative to the assumed noise, for components and for quiet, usual and loud cells; the
     correlation of neighbours; and a measure of heavy tails.
     """
-    where, rows = channels.where, []
+    neighbourhoods, rows = channels.neighbourhoods, []
     for assumed in LADDER:
-        removed = channels.colours - where.pilot(channels.colours, np.full(1, assumed**2, np.float32))
+        pilot = neighbourhoods.pilot(channels.colours, np.full(1, assumed**2, np.float32))
+        removed = channels.colours - pilot
         components = np.square(in_components(removed)).mean(axis=1)
         squares = np.square(removed).mean(axis=0)
         total, cells = squares.mean(), squares
-        for scale in where.scales[:3]:
+        for scale in channels.scales[:3]:
             cells = scale.means(cells)
-        is_whole = where.scales[2].is_whole
+        is_whole = channels.scales[2].is_whole
         quantiles = np.quantile(cells[is_whole] if is_whole.any() else cells, _QUANTILES)
         deviations = np.log2(np.concatenate([components, quantiles]) + FLOOR) / 2 - np.log2(assumed)
-        shared = where.product_of_neighbours(removed) / (total + FLOOR)
+        shared = neighbourhoods.product_of_neighbours(removed) / (total + FLOOR)
         tails = np.log2(np.mean(np.square(squares)) / max(1e-9, total**2) + 1e-3) / 4
         rows.append([*deviations, shared, tails])
     return np.array(rows, np.float32)
@@ -75,7 +76,7 @@ def evidence(channels: ThreeChannels, reading: NetworkReading) -> tuple[Float32s
     share, curve = (place - below)[:, None], _removal_curve(channels)
     described = (1 - share) * curve[below] + share * curve[below + 1]
     columns = [reading.context, quantiles - log, candidates - log, [log], described.ravel()]
-    return np.concatenate([*columns, [np.log2(channels.where.count)]]).astype(np.float32), first
+    return np.concatenate([*columns, [np.log2(channels.neighbourhoods.count)]]).astype(np.float32), first
 
 
 @dataclass(frozen=True)

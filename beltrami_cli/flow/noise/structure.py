@@ -101,8 +101,8 @@ class Structure:
     place_variances: Float64s  # relative variance of each neighbourhood, of mean 1, shape (P,)
 
     @classmethod
-    def even(cls, where: Neighbourhoods) -> Structure:
-        return cls(None, np.ones(where.count))
+    def even(cls, neighbourhoods: Neighbourhoods) -> Structure:
+        return cls(None, np.ones(neighbourhoods.count))
 
     @property
     def is_by_place(self) -> bool:
@@ -125,7 +125,7 @@ class Structure:
         """Return the residual of a pilot that follows the structure, given that of one that assumes even noise."""
         if self.curve is None and not self.is_by_place:
             return even
-        relative = self.place_variances[even.channels.where.of_samples].astype(np.float32)
+        relative = self.place_variances[even.channels.neighbourhoods.of_samples].astype(np.float32)
         relative *= self.at_levels(even.pilot.colours)
         relative = np.asarray(relative / max(1e-9, float(relative.mean())), np.float32)
         return Residual.of(even.channels, np.float32(sigma**2) * relative)
@@ -134,7 +134,7 @@ class Structure:
         """Return the variance by place at each sample relative to its mean, a stack of one channel, if it differs."""
         if not self.is_by_place:
             return None
-        return residual.channels.where.over_samples(self.place_variances, self._in_parts(residual))
+        return residual.channels.neighbourhoods.over_samples(self.place_variances, self._in_parts(residual))
 
     def _in_parts(self, residual: Residual) -> Float64s:
         """Return the relative variances of the parts of neighbourhoods at which noise ends; NaN for other parts.
@@ -142,14 +142,15 @@ class Structure:
         If the energy of a part is between the energies of adjacent neighbourhoods, its variance is interpolated.
         Texture counts as quiet, and the quiet neighbourhood with the most energy represents all quiet ones.
         """
-        where, squares = residual.channels.where, np.square(residual.removed.colours).mean(axis=0)
+        squares = np.square(residual.removed.colours).mean(axis=0)
         squares /= self.at_levels(residual.pilot.colours)
         parts: Array = np.stack([squares, np.ones_like(squares)])
-        for scale in where.scales[:-1]:
+        *finer, last = residual.channels.scales
+        for scale in finer:
             parts = scale.means(parts)
-        last = where.scales[-1]
         energies, inner = (each[0] / np.maximum(each[1], 1e-9) for each in (last.means(parts), parts))
-        places, energies = self.place_variances[where.around], energies[where.around]
+        around = residual.channels.neighbourhoods.around
+        places, energies = self.place_variances[around], energies[around]
         least, most = places.min(axis=1), places.max(axis=1)
         loud = np.take_along_axis(energies, places.argmax(axis=1)[:, None], axis=1)[:, 0]
         quiet = np.where(places <= np.sqrt(least * most)[:, None], energies, 0).max(axis=1)
@@ -176,8 +177,8 @@ def structure_of(
     them better by a margin. `residual` is that of a pilot that assumes even noise; `places` are log2 of the deviations
     of neighbourhoods as read by the network; `sigma` is the RMS noise, in steps of 8 bits.
     """
-    where = residual.channels.where
-    even, blocks = Structure.even(where), residual.blocks()
+    neighbourhoods = residual.channels.neighbourhoods
+    even, blocks = Structure.even(neighbourhoods), residual.blocks()
     curve = LevelCurve.of(blocks, count) if are_levels else None
     if curve is not None and not curve.differs:
         curve = None
@@ -192,7 +193,7 @@ def structure_of(
     if curve is not None:
         best = min(best, fit(Structure(curve, even.place_variances)), key=lambda each: each.deviance)
     by_place = fit(Structure(None, _with_quiet_tiles(residual, 4.0**places, sigma)))
-    low, high = np.quantile(np.median(places[where.around], axis=1), (_MIN_SHARE, 1 - _MIN_SHARE))
+    low, high = np.quantile(np.median(places[neighbourhoods.around], axis=1), (_MIN_SHARE, 1 - _MIN_SHARE))
     is_wide = high - low > np.log2(_MIN_RATIO)
     is_much_better = by_place.deviance < _MAX_DEVIANCE_RATIO * best.deviance
     if is_much_better or (is_wide and by_place.deviance <= best.deviance):
@@ -218,7 +219,7 @@ def _with_quiet_tiles(residual: Residual, variances: Float64s, sigma: float) -> 
     shape = np.diag(residual.even_covariance(variances))
     if not shape.any():
         return variances
-    energies = channels.where.quiet_energies(channels, shape * (sigma**2 / shape.mean()))
+    energies = channels.neighbourhoods.quiet_energies(channels, shape * (sigma**2 / shape.mean()))
     if energies is None:
         return variances
     # Clipped squares show less noise than there is.
