@@ -8,8 +8,11 @@ import pytest
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.output_format import write_mesh
 from beltrami_cli.formats.registry import open_document
+from beltrami_cli.formats.usd.preview_surface import SURFACE_SLOTS
 from beltrami_cli.jobs.smooth import smooth_file
-from beltrami_cli.surface.records import Material, MeshContents
+from beltrami_cli.layers.settings import COLOUR_SLOTS
+from beltrami_cli.surface.records import ImageFile, Material, MaterialMap, MeshContents, MeshImage
+from beltrami_cli.surface.slots import SLOTS
 
 pytest.importorskip("pxr", reason="usd-core is not installed")
 
@@ -229,3 +232,19 @@ def test_every_mesh_and_material_that_is_written_is_a_prim_of_its_own(names):
     text = b"".join(map(bytes, write_mesh(contents, "usda", "model").main)).decode()
     prims = re.findall(r'^    def \w+ "(\w+)"', text, re.MULTILINE)
     assert len(set(prims)) == len(prims) == 1 + len(names)
+
+
+@pytest.mark.parametrize("slot", SLOTS)
+def test_images_are_written_as_colours_in_the_slots_of_colours_and_their_scale_stands_for_factors(slot):
+    described = SURFACE_SLOTS[slot]
+    factors = {each.name: [0.25, 0.5, 3.0] if each.channel == "rgb" else 0.25 for each in described.inputs}
+    kept = described.values(described.scale(factors))
+    assert kept == (factors if described.fixed_scale is None else {})
+    image = MeshImage(ImageFile(PICTURE, ".png"), "a.png", "a.png")
+    contents = MeshContents(
+        positions=np.eye(3), corners=np.arange(3, dtype=np.int32), offsets=np.array([0, 3]),
+        colours=np.zeros((3, 0), np.float32), uv=np.zeros((3, 2)),
+        materials=(Material(maps={slot: MaterialMap(image)}),),
+    )  # fmt: skip
+    text = b"".join(map(bytes, write_mesh(contents, "usda", "model").main)).decode()
+    assert re.findall(r'sourceColorSpace = "(\w+)"', text) == ["sRGB" if slot in COLOUR_SLOTS else "raw"]

@@ -51,11 +51,8 @@ def _written(suffix: str, mesh: MeshContents, stem: str) -> Written:
         polygons = np.flatnonzero(mesh.group_numbers == number)
         if len(mesh.groups) > 1 and not len(polygons):
             continue
-        bound = f" (\n{_BOUND}    )" if names else ""
-        text += [f'    def Mesh "mesh_{number}"{bound}\n    {{\n{_PLAIN}'.encode()]
-        if shown_name := plain_name(group).replace("\\", "\\\\").replace('"', '\\"'):
-            text += [f'        string ui:displayName = "{shown_name}"\n'.encode()]
         part = mesh.polygons(polygons)
+        text += [_mesh_head(number, group, is_bound=bool(names))]
         text += _mesh(part, [] if is_divided else shown, notices)
         text += _subsets(part.material_numbers, names, root) if names else []
         text += [b"    }\n"]
@@ -86,6 +83,13 @@ def _header(name: str, frame: Frame) -> bytes:
         f'def Xform "{name}" (\n    kind = "component"\n)\n{{\n',
     ]
     return "\n".join(lines).encode()
+
+
+def _mesh_head(number: int, group: str, *, is_bound: bool) -> bytes:
+    bound = f" (\n{_BOUND}    )" if is_bound else ""
+    name = plain_name(group).replace("\\", "\\\\").replace('"', '\\"')
+    shown_name = f'        string ui:displayName = "{name}"\n' if name else ""
+    return f'    def Mesh "mesh_{number}"{bound}\n    {{\n{_PLAIN}{shown_name}'.encode()
 
 
 def _mesh(mesh: MeshContents, shown: list[bytes], notices: list[str]) -> Iterator[bytes]:
