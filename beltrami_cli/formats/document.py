@@ -146,6 +146,8 @@ class Document(ABC):
         the format says that they are fractions. Normals are of unit length or 0, in the space of the positions.
         """
         fits = [known for known in self.attributes() if known.lower() == name.lower()]
+        if name in fits:
+            return self._attribute(name)
         if not fits:
             known = ", ".join(self.attributes()) or "nothing"
             raise InputError(self.name, f"its vertices have no {name}, but {known} besides colours")

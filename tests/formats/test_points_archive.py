@@ -14,7 +14,10 @@ from beltrami_cli.errors import InputError, NoColoursError
 from beltrami_cli.formats.files.access import Access
 from beltrami_cli.formats.files.numpy_files import NpzArchive
 from beltrami_cli.formats.points.npz import NpzPointsDocument
+from beltrami_cli.formats.points.unnamed_columns import RGB
+from beltrami_cli.formats.registry import open_document
 from formats.gltf_files import patched
+from formats.ply_files import Table, build
 from formats.volume_files import npz
 
 POSITIONS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.5]])
@@ -206,3 +209,27 @@ def test_of_a_member_no_more_is_unpacked_than_it_announces(checksum):
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < HELD / 8
+
+
+def scalars_of_ply(scalars):
+    tables = [(name, "float", column) for name, column in zip("xyz", POSITIONS.T, strict=True)]
+    tables += [(name, "uchar", column) for name, column in zip(RGB, COLOURS.T, strict=True)]
+    tables += [(name, "float", column) for name, column in scalars.items()]
+    names, kinds, columns = zip(*tables, strict=True)
+    rows = [list(row) for row in zip(*(column.tolist() for column in columns), strict=True)]
+    return build(
+        [Table("vertex", [*zip(names, kinds, strict=True)], rows)], encoding="binary_little_endian"
+    ).data
+
+
+@pytest.mark.parametrize("form", ["ply", "npz"])
+def test_a_scalar_may_be_called_normal_and_capital_letters_tell_scalars_apart(form, tmp_path):
+    scalars = {"normal": np.arange(4.0), "Quality": np.arange(4.0) + 1, "quality": np.arange(4.0) + 2}
+    arrays = (
+        npz(positions=POSITIONS, colours=COLOURS, **scalars) if form == "npz" else scalars_of_ply(scalars)
+    )
+    (tmp_path / f"a.{form}").write_bytes(arrays)
+    document = open_document(str(tmp_path / f"a.{form}"))
+    for name, values in scalars.items():
+        assert np.array_equal(document.attribute(name)[:, 0], values)
+    assert np.array_equal(document.attribute("QUALITY"), document.attribute("Quality"))

@@ -148,9 +148,9 @@ class PlyDocument(Document):
         return (*(["normal"] if self._has_real_normals else []), *scalars)
 
     def _attribute(self, name: str) -> Float64s:
-        names = NORMAL if name == "normal" else (name,)
-        values = self._vertices.columns(names, name)
-        return unit_vectors(values) if name == "normal" else values
+        if name == "normal" and self._has_real_normals:
+            return unit_vectors(self._vertices.columns(NORMAL, name))
+        return self._vertices.columns((name,), name)
 
     def require_movable(self) -> None:
         if self._has_face_colours:
