@@ -21,7 +21,7 @@ from beltrami_cli.flow.manifolds.mesh.manifold import (
     mean_samples_per_kernel,
     mesh_manifold,
 )
-from beltrami_cli.flow.manifolds.moving_positions import GeometryParameters
+from beltrami_cli.flow.manifolds.moving_positions import PositionParameters
 from beltrami_cli.flow.plan import Plan, choose_parameters
 from beltrami_cli.layers.layer import SampledVertices
 from beltrami_cli.layers.levelled_charts import level_photographs
@@ -88,11 +88,11 @@ class MeshLayer(VertexLayer):
         return surface if levelled is None else dataclasses.replace(surface, colours=levelled)
 
     def plan(self, tick: Callable[[], None] | None = None) -> Plan[MeshManifold]:
-        embedding, sampling, geometry = self.settings.embedding, self.sampling, None
+        embedding, sampling, moving = self.settings.embedding, self.sampling, None
         if embedding.smooth_geometry:
-            geometry = GeometryParameters(sampling.place_of, embedding.normal_beta)
+            moving = PositionParameters(sampling.place_of, embedding.normal_beta)
         mesh = ColouredMesh.of(
-            self.surface(), self.kernel, metric_channels=self.channels.metric, geometry=geometry,
+            self.surface(), self.kernel, metric_channels=self.channels.metric, moving=moving,
             guides=[Guide(guide.name, sampling.means(guide.values), guide.beta) for guide in self.guides],
             deviations=None if self.deviations is None else sampling.means(self.deviations), is_light=self._is_light,
             resources=self.resources,

@@ -16,7 +16,7 @@ from beltrami_cli.flow.decoding import plan_on_canvas
 from beltrami_cli.flow.manifolds.guides import Guide
 from beltrami_cli.flow.manifolds.iteration import Step
 from beltrami_cli.flow.manifolds.mesh.manifold import mean_samples_per_kernel
-from beltrami_cli.flow.manifolds.moving_positions import GeometryParameters
+from beltrami_cli.flow.manifolds.moving_positions import PositionParameters
 from beltrami_cli.flow.parameters import KernelParameters, parameters_from
 from beltrami_cli.layers.image_surface import ImageSurface, canvas_of_image
 from flow.split_surfaces import (
@@ -149,10 +149,10 @@ def test_parameters_are_chosen_on_the_whole(cut):
 
 
 def test_vertices_are_not_moved_in_chunks():
-    geometry = GeometryParameters(np.arange(len(SURFACE.positions), dtype=np.int32))
+    moving = PositionParameters(np.arange(len(SURFACE.positions), dtype=np.int32))
     cut = Resources(Chunking(2, in_turn))
     with pytest.raises(UsageError, match="not moved in pieces"):
-        smooth_mesh(SURFACE, KernelParameters(**FIXED), geometry=geometry, resources=cut)
+        smooth_mesh(SURFACE, KernelParameters(**FIXED), moving=moving, resources=cut)
 
 
 def test_nothing_to_do_is_nothing_in_chunks_too():

@@ -31,9 +31,20 @@ from beltrami_cli.surface.geometry import normal_tensors, on_boundary, vertex_no
 
 Average = Callable[[Float32s], Float32s]
 
+# Length of the noise of normals in sample spacings (beta sigma): the flat optimum of the remaining error in smooth
+# parts and at creases, on noisy cubes, cylinders, spheres and a head.
+_NORMAL_BETA_SIGMA = 1.5
+
+# Minimum number of neighbours for the residual of a normal: at a border, their mean is biased to one side.
+_NEIGHBOURS = 3
+
+# Maximum length, in sample spacings, of the usual turn of the normal between neighbours. At this value curved parts are
+# still smoothed and creases preserved, on a capped cylinder and on a head.
+_TURN_COUNTS = 0.8
+
 
 @dataclass(frozen=True)
-class GeometryParameters:
+class PositionParameters:
     """Parameters of the smoothing of positions; samples with one place number, shape (S,), move together."""
 
     places: Int32s
@@ -66,7 +77,7 @@ class MovingPositions:
         *,
         spacing: float,
         unit: float,
-        parameters: GeometryParameters,
+        parameters: PositionParameters,
     ) -> MovingPositions:
         """Measure the normals; `unit`: unit of length in sample spacings."""
         places = parameters.places
@@ -99,18 +110,6 @@ class MovingPositions:
         positions = self.positions + moves
         normals = vertex_normals(positions, self.faces, self.places)
         return dataclasses.replace(self, positions=positions, normals=normals)
-
-
-# Length of the noise of normals in sample spacings (beta sigma): the flat optimum of the remaining error in smooth
-# parts and at creases, on noisy cubes, cylinders, spheres and a head.
-_NORMAL_BETA_SIGMA = 1.5
-
-# Minimum number of neighbours for the residual of a normal: at a border, their mean is biased to one side.
-_NEIGHBOURS = 3
-
-# Maximum length, in sample spacings, of the usual turn of the normal between neighbours. At this value curved parts are
-# still smoothed and creases preserved, on a capped cylinder and on a head.
-_TURN_COUNTS = 0.8
 
 
 def estimate_normal_sigma(normals: Float32s, edges: Int32s) -> float:

@@ -32,7 +32,7 @@ from beltrami_cli.flow.manifolds.mesh.patches import collaborate_on_graph
 from beltrami_cli.flow.manifolds.mesh.perturbations import draw_perturbations
 from beltrami_cli.flow.manifolds.mesh.trial import choose_discs
 from beltrami_cli.flow.manifolds.metric_channels import gaussian_for, joined_channels
-from beltrami_cli.flow.manifolds.moving_positions import GeometryParameters, MovingPositions
+from beltrami_cli.flow.manifolds.moving_positions import MovingPositions, PositionParameters
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.manifolds.search_range import ON_MESHES, RULE_ON_MESHES, wanted_probes
 from beltrami_cli.flow.mixing import Mixing
@@ -70,22 +70,22 @@ class ColouredMesh:
     def of(
         cls, surface: SampledSurface, parameters: KernelParameters, *,
         guides: Sequence[Guide] = (), metric_channels: Sequence[int] | None = None,
-        geometry: GeometryParameters | None = None, deviations: Float32s | None = None, is_light: bool = False,
+        moving: PositionParameters | None = None, deviations: Float32s | None = None, is_light: bool = False,
         resources: Resources = IN_ONE_PIECE,
     ) -> ColouredMesh:  # fmt: skip
-        """Sort the samples of a surface; with `geometry`, positions are smoothed too."""
+        """Sort the samples of a surface; with `moving`, positions are smoothed, too."""
         mesh = MeshGeometry.of(surface, parameters)
-        order, moving = mesh.order, None
-        if geometry is not None:
-            moving = MovingPositions.of(
+        order, positions = mesh.order, None
+        if moving is not None:
+            positions = MovingPositions.of(
                 mesh.positions, rank_in(order)[surface.faces], mesh.edges, spacing=mesh.spacing or 1.0,
                 unit=mesh.unit(parameters),
-                parameters=GeometryParameters(geometry.places[order], geometry.normal_beta),
+                parameters=PositionParameters(moving.places[order], moving.normal_beta),
             )  # fmt: skip
         return cls(
             geometry=mesh, colours=kept(surface.colours[order]), parameters=parameters,
             deviations=None if deviations is None else deviations[order], is_light=is_light,
-            guides=guides, metric_channels=metric_channels, moving=moving, resources=resources,
+            guides=guides, metric_channels=metric_channels, moving=positions, resources=resources,
         )  # fmt: skip
 
 
