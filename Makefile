@@ -219,7 +219,7 @@ SANITIZED = $(filter-out %/test_units.py %/test_paper_figures.py,$(wildcard test
 
 # The tests of the core, most of them in Python, with a copy of the package whose core is instrumented.
 sanitize: $(TOOLS)/.installed $(VENV)/.needs-test
-	$(CMAKE) -S beltrami_cli/native -B build/sanitize -DCMAKE_CXX_FLAGS="-O1 -g1" -DBELTRAMI_TESTS=ON \
+	$(CMAKE) -S beltrami_cli/native -B build/sanitize -DCMAKE_CXX_FLAGS=-O1 -DBELTRAMI_TESTS=ON \
 	  -DBELTRAMI_SANITIZE=ON -DBELTRAMI_WARNINGS_FAIL=ON -DPython_EXECUTABLE=$(abspath $(TOOLS)/bin/python) \
 	  -Dnanobind_DIR=$$($(TOOLS)/bin/python -m nanobind --cmake_dir)
 	MAKEFLAGS= $(CMAKE) --build build/sanitize --parallel 2

@@ -1,7 +1,7 @@
 """The command `level`, and `smooth --level`: what they write, say and refuse."""
 
 import json
-from functools import partial
+from functools import cache, partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -45,6 +45,7 @@ def exposed_as(path, source):
     return path
 
 
+@cache
 def step(path):
     job = beltrami_cli.Job(dry_run=True)
     return beltrami_cli.level_file(path, "none.glb", job=job).levelled[0].before
@@ -56,7 +57,6 @@ def test_level_takes_steps_out_and_changes_nothing_but_colours(exposed, tmp_path
     done = beltrami("level", exposed, target, "--report", run)
     assert "median step" in done.stderr
     assert check_files(str(exposed), str(target)).faithful
-    assert beltrami_cli.inspect_file(exposed, PLAIN)["textures"][0]["exposure"]["is_exposure"]
     assert step(target) < 0.1 * step(exposed)
     (report,) = json.loads(run.read_text())["levelled"]
     assert report["levelled"]

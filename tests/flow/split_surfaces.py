@@ -54,9 +54,9 @@ def image_plan(parameters, resources=IN_ONE_PIECE):
     return plan_on_canvas(dataclasses.replace(canvas, resources=resources))
 
 
-def wavy_surface(side, seed=0):
+def wavy_surface(side):
     """Vertices in an order without meaning, with edges of many lengths, walls, and a fin of three sheets."""
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     flat, faces = surfaces.lattice(side, side)
     shaken = flat[:, :2] + 0.2 * random.standard_normal((len(flat), 2))
     positions = np.column_stack([shaken, 3 * np.sin(flat[:, 0] / 7)])

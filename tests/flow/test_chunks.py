@@ -1,13 +1,11 @@
 """A surface that is smoothed in chunks has the bits of one that is smoothed as a whole."""
 
 import dataclasses
+import itertools
 import pickle
 
 import numpy as np
 import pytest
-from hypothesis import example, given
-from hypothesis import settings as run_with
-from hypothesis import strategies as st
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow import cuts
@@ -29,7 +27,6 @@ from flow.split_surfaces import (
     same_bits,
     smooth_mesh,
     textured_plan,
-    wavy_surface,
 )
 from properties.textured_planes import smoothed
 
@@ -75,19 +72,16 @@ def is_kept(one, other):
     return steps.max() <= 0.5 and np.count_nonzero(steps > 0.1) <= 1e-4 * len(steps)
 
 
-# Some runs of half a second each, since the surface must have several blocks.
+# Half a second each, since the surface must have several blocks.
 @pytest.mark.slow
-@run_with(max_examples=10)
-@example("patches", 3, 0)
-@given(st.sampled_from([*ON_MESHES]), st.integers(2, 12), st.integers(0, 99))
-def test_a_mesh_in_chunks_has_the_bits_of_the_whole(name, count, seed):
-    surface = wavy_surface(94, seed)
+@pytest.mark.parametrize(("name", "count"), [*zip(ON_MESHES, itertools.cycle([3, 2, 12])), ("patches", 2)])
+def test_a_mesh_in_chunks_has_the_bits_of_the_whole(name, count):
     parameters = KernelParameters(**{**FIXED, **ON_MESHES[name]})
-    guides = [Guide("guide", surface.colours[:, ::-1].copy(), 2.0)]
-    whole = smooth_mesh(surface, parameters, guides=guides, metric_channels=[0, 1])
-    assert not np.array_equal(whole.colours, surface.colours)
+    guides = [Guide("guide", SURFACE.colours[:, ::-1].copy(), 2.0)]
+    whole = smooth_mesh(SURFACE, parameters, guides=guides, metric_channels=[0, 1])
+    assert not np.array_equal(whole.colours, SURFACE.colours)
     cut = Resources(Chunking(count, runner := Sent()))
-    parts = smooth_mesh(surface, parameters, guides=guides, metric_channels=[0, 1], resources=cut)
+    parts = smooth_mesh(SURFACE, parameters, guides=guides, metric_channels=[0, 1], resources=cut)
     assert runner.counts[0] == min(count, 3)  # blocks
     if name == "patches":  # sums in another order, and groups that reach further at a corner of the surface
         assert is_kept(parts.colours, whole.colours)
@@ -97,8 +91,8 @@ def test_a_mesh_in_chunks_has_the_bits_of_the_whole(name, count, seed):
 
 
 @pytest.mark.slow
-@run_with(max_examples=20)
-@given(st.sampled_from([textured_plan, image_plan]), st.sampled_from([*ON_GRIDS]), st.integers(2, 9))
+@pytest.mark.parametrize("make", [textured_plan, image_plan])
+@pytest.mark.parametrize(("name", "count"), [*zip(ON_GRIDS, itertools.cycle([2, 9, 5]))])
 def test_a_grid_in_chunks_has_the_bits_of_the_whole(make, name, count):
     """The result and the gutter are the same as of the whole, and samples are counted exactly."""
     parameters = KernelParameters(**{**FIXED, **ON_GRIDS[name]})
@@ -119,33 +113,31 @@ def picture(shape, parameters, relative=None, resources=IN_ONE_PIECE):
 
 # Patches go tile by tile, so that a canvas of several chunks has some hundred thousand cells.
 @pytest.mark.slow
-@pytest.mark.parametrize("differs", [False, True])
-def test_patches_and_their_coarse_levels_take_part(differs):
+@pytest.mark.parametrize(("differs", "count"), [(False, 2), (True, 7)])
+def test_patches_and_their_coarse_levels_take_part(differs, count):
     shape = 520, 390
     relative = np.linspace(10, 30, shape[0] * shape[1])[:, None].astype(np.float32) / 255 if differs else None
     parameters = KernelParameters(**{**FIXED, "patches": "on"})
     whole = outcome(picture(shape, parameters, relative))
-    kernel = outcome(picture(shape, KernelParameters(**FIXED), relative))
-    assert not same_bits(whole, kernel)
-    for count in (2, 7):
-        cut = Resources(Chunking(count, runner := Sent()))
-        parts = outcome(picture(shape, parameters, relative, cut))
-        assert min(runner.counts) > 1
-        assert len(runner.counts) > 2 * FIXED["iterations"] + 4  # the kernel, the patches, and levels
-        assert same_bits(parts, whole)
+    cut = Resources(Chunking(count, runner := Sent()))
+    parts = outcome(picture(shape, parameters, relative, cut))
+    assert min(runner.counts) > 1
+    assert len(runner.counts) > 2 * FIXED["iterations"] + 4  # the kernel, the patches, and levels
+    assert same_bits(parts, whole)
 
 
+# 4 s: parameters are chosen three times on a surface of several blocks.
 @pytest.mark.slow
-@pytest.mark.parametrize("cut", [Resources(Chunking(3, in_turn)), Resources(chunk_memory=1 << 20)])
-def test_parameters_are_chosen_on_the_whole(cut):
+def test_parameters_are_chosen_on_the_whole():
     free = parameters_from({"threads": 1})
     whole = smooth_mesh(SURFACE, free)
     in_kernel = mean_samples_per_kernel(whole.manifold, 9, Step(1.0, 1.0, False))
-    assert cut.chunking_of_mesh(len(SURFACE.positions), 1).count > 2
-    parts = smooth_mesh(SURFACE, free, resources=cut)
-    assert mean_samples_per_kernel(parts.manifold, 9, Step(1.0, 1.0, False)) == in_kernel
-    assert parts.choice.chosen == whole.choice.chosen
-    assert np.array_equal(parts.colours, whole.colours)
+    for cut in (Resources(Chunking(3, in_turn)), Resources(chunk_memory=1 << 20)):
+        assert cut.chunking_of_mesh(len(SURFACE.positions), 1).count > 2
+        parts = smooth_mesh(SURFACE, free, resources=cut)
+        assert mean_samples_per_kernel(parts.manifold, 9, Step(1.0, 1.0, False)) == in_kernel
+        assert parts.choice.chosen == whole.choice.chosen
+        assert np.array_equal(parts.colours, whole.colours)
 
 
 def test_vertices_are_not_moved_in_chunks():

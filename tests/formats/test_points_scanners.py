@@ -103,9 +103,11 @@ def pcd(path, *, point_format, colours):
     path.write_bytes(head.encode() + body)
 
 
+# Of LAS records of the old and the new kind, with colours, with places for colours that are all 0, and without.
 KINDS = [
-    *((las, "las", form, colours, ["laspy"]) for form, colours in ((3, True), (6, False), (7, False))),
-    *((las, "laz", form, colours, ["laspy", "lazrs"]) for form, colours in ((1, False), (7, True))),
+    (las, "las", 3, True, ["laspy"]),
+    (las, "las", 7, False, ["laspy"]),
+    (las, "laz", 1, False, ["laspy", "lazrs"]),
     (copc, "laz", 7, True, ["laspy", "lazrs"]),
     *((e57, "e57", None, colours, ["pye57"]) for colours in (True, False)),
     (pcd, "pcd", "ascii", True, ["pypcd4"]),

@@ -12,7 +12,7 @@ from fuzz.targets import TARGETS, attempt
 
 CORPUS = Path(__file__).with_name("corpus")
 SEEDS = sorted(path for path in CORPUS.rglob("*") if path.is_file() and path.parent.name != "core")
-MUTATIONS = 80
+MUTATIONS = 40
 FEW = {"usd": 1}  # by target, where each takes some processes of 0.3 s
 
 

@@ -1,6 +1,7 @@
 """Small files that promise huge contents, or images too large for memory, cost no more than a refusal in one line."""
 
 import base64
+import functools
 import gzip
 import io
 import json
@@ -143,6 +144,7 @@ def with_library(text):
     return make
 
 
+@functools.cache
 def zeros(count):
     """As much as can be compressed to next to nothing."""
     return zlib.compress(bytes(count), 9)

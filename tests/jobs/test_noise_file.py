@@ -104,7 +104,6 @@ def test_the_gutter_can_be_kept(tmp_path):
         ("sphere-exr-clean.obj", "gaussian"),
         ("nonmanifold-clean.ply", "camera"),
         ("nonmanifold-clean.ply", "grain"),
-        pytest.param("tiled-clean.glb", "camera", marks=pytest.mark.slow),
         pytest.param("tiled-clean.glb", "grain", marks=pytest.mark.slow),
     ],
 )

@@ -199,11 +199,11 @@ def grid(across, pattern, seed, gains=None, step=0.0):
 
 @pytest.mark.slow
 def test_steps_that_charts_do_not_explain_pass_no_more_often_than_the_test_says():
-    """Of 16 models, at most 2 pass with a probability of 0.99 if 1 - CONFIDENCE of them do. Takes 4 s."""
+    """Of 8 models, at most one passes with a probability of 0.98 if 1 - CONFIDENCE of them do. Takes 2 s."""
     steps = (0.5 / 255, 10 / 255)  # which rounding hides, and of the size that exposures have
-    passed = [judge(grid(3, 0.1, seed, step=steps[seed % 2])).confidence >= CONFIDENCE for seed in range(16)]
+    passed = [judge(grid(3, 0.1, seed, step=steps[seed % 2])).confidence >= CONFIDENCE for seed in range(8)]
     assert CONFIDENCE >= 0.975
-    assert sum(passed) <= 2
+    assert sum(passed) <= 1
 
 
 @pytest.mark.slow

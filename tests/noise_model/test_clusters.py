@@ -79,7 +79,7 @@ def test_vertices_without_edges_are_no_neighbourhoods(size):
 
 @pytest.mark.slow
 def test_large_surfaces_are_read_in_some_blocks():
-    clusters = VertexClusters.of(lattice(700, 500))
+    clusters = VertexClusters.of(lattice(400, 300))
     assert 2**15 < len(clusters.chosen) <= 2**16
     share = len(clusters.chosen) / clusters.graph.size
     counts = np.histogram(clusters.chosen, bins=8, range=(0, clusters.graph.size))[0]

@@ -10,7 +10,7 @@ from beltrami_cli.formats.image.reading import read_image
 from cli.commands import COMMAND
 
 RED, BLUE, WHITE = (255, 0, 0), (0, 0, 255), (255, 255, 255)
-WIDTHS = (320, 1280)  # on either side of the width at which pages are laid out otherwise
+NARROW, WIDE = 320, 1280  # on either side of the width at which pages are laid out otherwise
 
 
 class Served:

@@ -24,7 +24,7 @@ from formats.gltf_comparison import issues, needs_validator
 from formats.image_files import encode
 from oracles import surfaces
 from small_models import textured_squares
-from view.browsing import BLUE, RED, WHITE, WIDTHS, Page, Served, Viewer
+from view.browsing import BLUE, NARROW, RED, WHITE, WIDE, Page, Served, Viewer
 
 pytestmark = pytest.mark.slow
 
@@ -356,16 +356,29 @@ def pages(tmp_path_factory):
     live.end()
 
 
-@pytest.mark.parametrize("width", WIDTHS)
 @pytest.mark.parametrize("name", ["report", "sweep", "view"])
-def test_a_page_fits_bars_nobody_and_shows_names_as_text(browser, pages, name, width):
-    kind = Page if name == "sweep" else Viewer
-    shown = kind(browser, pages[name], width=width, color_scheme="dark" if width == 320 else "light")
+def test_a_page_fits_bars_nobody_and_shows_names_as_text(browser, pages, name):
+    shown = (Page if name == "sweep" else Viewer)(browser, pages[name])
     assert NAME in shown.page.locator("h1").inner_text()
     assert shown.page.locator("main b").count() == 0
     assert shown.page.locator("img[src=x]").count() == 0
+    for width, scheme in ((NARROW, "dark"), (WIDE, "light")):
+        shown.page.emulate_media(color_scheme=scheme)
+        shown.page.set_viewport_size({"width": width, "height": 700})
+        assert_operable(shown)
+        open_all_of(name, shown, width)
+        assert_operable(shown)
+        shown.page.keyboard.press("Escape")  # closes the dialog of a sweep
+    assert shown.errors == []
+
+
+def assert_operable(shown):
     assert shown.overflow() <= 0
     assert shown.violations() == []
+
+
+def open_all_of(name, shown, width):
+    """Show what a page shows only when it is asked for."""
     if name == "report":
         assert 0.6 * width < shown.part("place").bounding_box()["width"] <= width
         for part in ("lit", "wires", "charts", "seams", "texels"):
@@ -376,6 +389,3 @@ def test_a_page_fits_bars_nobody_and_shows_names_as_text(browser, pages, name, w
     else:
         save = shown.page.get_by_role("button", name="Save", exact=True)
         assert 0 <= save.bounding_box()["x"] <= width - save.bounding_box()["width"]
-    assert shown.overflow() <= 0
-    assert shown.violations() == []
-    assert shown.errors == []

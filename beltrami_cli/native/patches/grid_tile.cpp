@@ -15,9 +15,9 @@ using namespace beltrami::lanes::BELTRAMI_VARIANT;
 using Index = std::ptrdiff_t;
 
 constexpr Index side = tile_side + 2 * margin, area = side * side;
-constexpr Index candidates = (2 * rows_beside + 1) * candidate_columns;
+constexpr Index candidate_count = (2 * rows_beside + 1) * candidate_columns;
 constexpr int patch_side = 2 * patch_reach + 1, patch_cells = patch_side * patch_side;
-static_assert(candidates <= 1024 && candidate_columns % lane_count == 0);
+static_assert(candidate_count <= 1024 && candidate_columns % lane_count == 0);
 
 // Lower bound of distances, far below those of colours.
 constexpr float least_distance = 1e-30F;
@@ -33,8 +33,8 @@ class TilePlanes {
     scratch_.estimates.assign(all, 0);
     scratch_.weights.assign(all, 0);
     scratch_.counts.assign(static_cast<std::size_t>(area), enough_estimates);
-    scratch_.distances.resize(static_cast<std::size_t>(candidates));
-    scratch_.keys.resize(static_cast<std::size_t>(candidates));
+    scratch_.distances.resize(static_cast<std::size_t>(candidate_count));
+    scratch_.keys.resize(static_cast<std::size_t>(candidate_count));
     if (canvas.relative != nullptr) scratch_.relative.assign(static_cast<std::size_t>(area), 1);
     each_row([&](Index local, Index cell, Index count) { read(local, cell, count); });
   }
@@ -135,7 +135,7 @@ static_assert((2 * rows_beside + 1) % rows_at_once == 0 && (2 * rows_beside_few 
 // Sums of squared differences of the pilot between the patch at `centre` and all candidates; large beyond the window.
 void compare(const float* pilot, std::size_t channels, const Shape& shape, Index centre, bool has_pilot, float* distances) {
   const Index rows = has_pilot ? rows_beside : rows_beside_few;
-  if (!has_pilot) std::fill_n(distances, candidates, 2 * too_far);
+  if (!has_pilot) std::fill_n(distances, candidate_count, 2 * too_far);
   for (Index y = -rows; y <= rows; y += rows_at_once)
     for (Index x = 0; x < candidate_columns; x += Index{lane_count}) {
       const Index first = centre + y * side + x - columns_before;
@@ -179,7 +179,7 @@ float noise_of(const Colours& colours, const Shape& shape, Index centre) {
 // Number of candidates whose key, the bits of a positive float, is below a bound.
 std::size_t count_below(const float* keys, std::uint32_t bound) {
   Lanes counts{};
-  for (std::size_t first = 0; first < candidates; first += lane_count)
+  for (std::size_t first = 0; first < candidate_count; first += lane_count)
     counts += select(load(keys + first) < splat(std::bit_cast<float>(bound)), splat(1), splat(0));
   std::array<float, lane_count> each;
   store(each.data(), counts);
@@ -196,7 +196,7 @@ std::size_t choose(std::vector<float>& distances, std::vector<std::uint32_t>& ch
   constexpr std::uint32_t itself = rows_beside * candidate_columns + columns_before;
   // Keys are normal numbers, which order like their bits on any processor, unlike subnormal ones.
   near = std::max(near, least_distance);
-  for (std::uint32_t i = 0; i < candidates; ++i) {
+  for (std::uint32_t i = 0; i < candidate_count; ++i) {
     const auto bits = std::bit_cast<std::uint32_t>(std::max(distances[i], near));
     distances[i] = std::bit_cast<float>((bits & ~low) | ((i - itself) * shuffling & low));
   }
@@ -210,7 +210,7 @@ std::size_t choose(std::vector<float>& distances, std::vector<std::uint32_t>& ch
     if (here >= size) below = here;
   }
   std::size_t found = 0;
-  for (std::uint32_t first = 0; first < candidates; first += lane_count) {
+  for (std::uint32_t first = 0; first < candidate_count; first += lane_count) {
     if (std::bit_cast<std::uint32_t>(least_lane(load(distances.data() + first))) >= bound) continue;
     for (std::uint32_t i = first; i < first + lane_count; ++i) {
       chosen[found] = i;
