@@ -53,7 +53,7 @@ def test_the_true_value_follows_from_mean_and_share_of_a_censored_normal():
 
 
 @pytest.mark.parametrize("in_rows", [False, True])
-def test_what_was_cut_off_is_told_by_the_formulas_in_any_layout_on_any_number_of_threads(in_rows):
+def test_what_was_cut_off_follows_the_formulas_in_any_layout_on_any_number_of_threads(in_rows):
     random = np.random.default_rng(4)
     found = ClippedChannels((ClippedChannel(0.1, True, True), ClippedChannel(0.05, False, True)))
     shape = (20_000, 2) if in_rows else (2, 20_000)

@@ -102,7 +102,7 @@ class ClippedChannels:
         return [k for k, channel in enumerate(self.channels) if channel.low or channel.high]
 
     def marks_of(self, colours: Float32s) -> Float32s:
-        return np.stack([self.channels[k].marks_of(colours[k]) for k in self.clipped])
+        return np.concatenate([self.channels[k].marks_of(colours[k : k + 1]) for k in self.clipped])
 
     def restore_in_place(
         self, means: Float32s, marks: Float32s, relative: Float32s, threads: int = 1

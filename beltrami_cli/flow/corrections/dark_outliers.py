@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from beltrami_cli.arrays import Float32s, Float64s
+from beltrami_cli.arrays import Bools, Float32s, Float64s
 from beltrami_cli.flow.corrections.clipping import MIN_SHARE
 from beltrami_cli.flow.manifolds.blocks import in_blocks
 from beltrami_cli.flow.manifolds.domain import CoarseLevel
@@ -33,19 +33,24 @@ def fill_dark_outliers_in_place(manifold: Manifold, level: CoarseLevel, sigma: F
     colours, relative = (
         np.moveaxis(each, geometry.axis, 0) for each in (manifold.colours, manifold.relative_variance)
     )
-    are_far = np.zeros(colours.shape[1:], bool)
     shares = np.maximum(level.spread(np.ones((1, *level.shape), np.float32)), np.float32(MIN_SHARE))
     for _ in range(_ROUNDS):
         for channel, deviation in zip(colours, sigma, strict=True):
-            planes = _local_moments(geometry, level, channel, shares)
-            for colour, variance, (mean, spread), is_far in in_blocks(
-                0, channel[None], relative, planes, are_far[None]
-            ):
-                noise, below = np.float32(deviation**2) * variance[0], mean - colour[0]
-                is_far[0] = (below > 0) & (np.square(below) > _OUTLIER**2 * noise) & (spread < _PLAIN * noise)
-            single = geometry.isolated(are_far)
-            channel[single] = planes[0][single]
+            moments = _local_moments(geometry, level, channel, shares)
+            single = geometry.isolated(_are_far_below(channel, moments, deviation, relative))
+            channel[single] = moments[0][single]
     geometry.refresh(manifold.colours)
+
+
+def _are_far_below(channel: Float32s, moments: Float32s, sigma: float, relative: Float32s) -> Bools:
+    """Mark the samples in plain places that are too far below the local mean for noise."""
+    are_far = np.zeros(channel.shape, bool)
+    for colour, (mean, spread), variance, is_far in in_blocks(
+        0, channel[None], moments, relative, are_far[None]
+    ):
+        noise, below = np.float32(sigma**2) * variance[0], mean - colour[0]
+        is_far[0] = (below > 0) & (np.square(below) > _OUTLIER**2 * noise) & (spread < _PLAIN * noise)
+    return are_far
 
 
 def _local_moments(geometry: Geometry, level: CoarseLevel, channel: Float32s, shares: Float32s) -> Float32s:
