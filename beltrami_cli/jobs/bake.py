@@ -14,7 +14,7 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.decoded_image import DecodedImage
 from beltrami_cli.formats.image.reading import read_texture
 from beltrami_cli.formats.output_format import write_mesh
-from beltrami_cli.jobs.file_job import FileReport, begin
+from beltrami_cli.jobs.file_job import FileReport, open_file_job
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.new_texture import as_rgba, texture_description, texture_from_vertices
 from beltrami_cli.jobs.settings import BakeSettings, BakeTo
@@ -57,7 +57,7 @@ def bake_file(
     job: Job = PLAIN_JOB,
 ) -> BakeReport:
     """Write a new file whose colours are in a texture, or in the vertices."""
-    file = begin(os.fspath(source), os.fspath(target), DEFAULTS, job, models_only=True)
+    file = open_file_job(os.fspath(source), os.fspath(target), DEFAULTS, job, models_only=True)
     document, kind = file.document, file.format.name
     with file.watch.stage("read"):
         job.check_document(document)

@@ -127,7 +127,7 @@ class FileJob:
         return notices
 
 
-def begin(
+def open_file_job(
     source: str, target: str, settings: SmoothSettings, job: Job, *, models_only: bool = False
 ) -> FileJob:
     """Open a source, and choose where the output goes in which format; UsageError or OutputError if it cannot."""

@@ -8,7 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from beltrami_cli.formats.files.access import DEFAULT_ACCESS, Access
-from beltrami_cli.jobs.progress import Expected, Progress, Work
+from beltrami_cli.jobs.progress import Expected, PhaseProgress, Progress, Work
 
 if TYPE_CHECKING:
     from beltrami_cli.flow.chunks import Chunking
@@ -61,7 +61,7 @@ class Job:
         if self.progress is not None:
             self.progress(label, 0, 1)
 
-    def progress_of(self, label: str) -> Callable[[int, int], None] | None:
+    def progress_of(self, label: str) -> PhaseProgress | None:
         return None if self.progress is None else partial(self.progress, label)
 
 

@@ -15,6 +15,7 @@ from functools import partial
 from typing import Self, TypeVar
 
 Progress = Callable[[str, float, float], None]  # a label, the work done and the whole work
+PhaseProgress = Callable[[int, int], None]  # of one phase: the work done and the whole work
 Expected = tuple[str, float]  # a phase, and the seconds that it is expected to take
 Item = TypeVar("Item")
 # Seconds of processor time that a phase takes in any case, and microseconds per texel, as

@@ -16,7 +16,7 @@ from typing import ClassVar, Generic, TypeVar
 from beltrami_cli.flow.chunks import Resources
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.output_format import OutputFormat
-from beltrami_cli.jobs.file_job import FileReport, begin
+from beltrami_cli.jobs.file_job import FileReport, open_file_job
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.progress import phases_of
 from beltrami_cli.jobs.result_files import files_with_new_colours, sidecar_names, with_new_colours
@@ -77,7 +77,7 @@ def recolour(
     parameters: dict[str, object],
 ) -> tuple[FileReport, list[AnyResult]]:  # fmt: skip
     """Recolour the selected parts of a file, and write it with everything else unchanged; `parameters`: to report."""
-    file = begin(source, target, settings, job)
+    file = open_file_job(source, target, settings, job)
     document, kind, watch = file.document, file.format, file.watch
     with watch.stage("read"):
         selection = select(document, settings)

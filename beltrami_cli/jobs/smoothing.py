@@ -16,7 +16,7 @@ from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.plan import should_stay
 from beltrami_cli.formats.output_format import OutputFormat
 from beltrami_cli.jobs.job import Job
-from beltrami_cli.jobs.progress import Label
+from beltrami_cli.jobs.progress import Label, PhaseProgress
 from beltrami_cli.jobs.recolour import ColourFilter, FilterResult
 from beltrami_cli.layers.layer import Layer, Part
 from beltrami_cli.layers.reports import LayerReport, LevelReport
@@ -39,7 +39,7 @@ class Smoothed(FilterResult):
 
 def smooth_layer(
     layer: Layer,
-    progress: Callable[[int, int], None] | None = None,
+    progress: PhaseProgress | None = None,
     tick: Callable[[], None] | None = None,
 ) -> Smoothed:
     """Choose parameters, calling `tick`, run the flow on a layer, and put the colours back.

@@ -11,7 +11,7 @@ from beltrami_cli.fields import require_effect
 from beltrami_cli.flow.chunks import Resources
 from beltrami_cli.formats.image.sizes import measure_image
 from beltrami_cli.formats.output_format import write_mesh
-from beltrami_cli.jobs.file_job import FileJob, begin
+from beltrami_cli.jobs.file_job import FileJob, open_file_job
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.new_texture import (
     NewTexture,
@@ -36,7 +36,7 @@ def smooth_unwrapped(
 ) -> SmoothReport:
     """Smooth the base colour, or else the vertex colours, in a new texture, and write a new file with that."""
     _check(settings)
-    file = begin(source, target, settings, job, models_only=True)
+    file = open_file_job(source, target, settings, job, models_only=True)
     with file.watch.stage("read"):
         selection = _selected(file, settings)
         require_effect(file.document.access.typed, [*selection.kinds, "textures"], file.document.name)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, get_args
 
 import numpy as np
@@ -16,8 +16,6 @@ from beltrami_cli.formats.colours import quantised
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.precision import require_single
 from beltrami_cli.surface.records import Encoding
-
-Progress = Callable[[int, int], None]  # called with the work done and the work to do
 
 ARRAYS = "the arrays"  # as messages call them
 

@@ -12,7 +12,6 @@ from beltrami_cli.arrays import Array, Float32s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.choice.choice import Choice
 from beltrami_cli.jobs.arrays.arguments import (
-    Progress,
     colour_table,
     image_array,
     in_type_of,
@@ -20,6 +19,7 @@ from beltrami_cli.jobs.arrays.arguments import (
     require_choice,
     settings_for,
 )
+from beltrami_cli.jobs.progress import PhaseProgress
 from beltrami_cli.jobs.smoothing import smooth_layer
 from beltrami_cli.layers.grid_layer import GridLayer
 from beltrami_cli.layers.image_surface import ImageSurface
@@ -73,7 +73,7 @@ def smooth_image(
     surface: ImageSurface | None = None,
     encoding: Encoding = "srgb",
     guide: ArrayLike | None = None,
-    progress: Progress | None = None,
+    progress: PhaseProgress | None = None,
     **overrides: Any,
 ) -> ImageResult:
     """Smooth an image on its plane, or on a surface, with the short-time Beltrami kernel.

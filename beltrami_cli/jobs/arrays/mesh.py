@@ -13,7 +13,6 @@ from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.choice.choice import Choice
 from beltrami_cli.jobs.arrays.arguments import (
     ARRAYS,
-    Progress,
     array_of,
     colour_table,
     face_table,
@@ -23,6 +22,7 @@ from beltrami_cli.jobs.arrays.arguments import (
     settings_for,
 )
 from beltrami_cli.jobs.arrays.mesh_arrays import MeshArrays, mesh_arrays
+from beltrami_cli.jobs.progress import PhaseProgress
 from beltrami_cli.jobs.smoothing import Smoothed, smooth_layer
 from beltrami_cli.layers.mesh_layer import MeshLayer
 from beltrami_cli.layers.reports import VertexReport
@@ -102,7 +102,7 @@ def smooth(
     *,
     encoding: Encoding = "srgb",
     guide: ArrayLike | None = None,
-    progress: Progress | None = None,
+    progress: PhaseProgress | None = None,
     **overrides: Any,
 ) -> SmoothResult:
     """Smooth the colours of a triangle mesh, or of a cloud of points, with the short-time Beltrami kernel.

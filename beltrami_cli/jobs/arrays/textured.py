@@ -15,7 +15,6 @@ from beltrami_cli.fields import override
 from beltrami_cli.formats.image.decoded_image import DecodedImage, array_image
 from beltrami_cli.jobs.arrays.arguments import (
     ARRAYS,
-    Progress,
     array_of,
     colour_table,
     face_table,
@@ -26,6 +25,7 @@ from beltrami_cli.jobs.arrays.arguments import (
     require_choice,
 )
 from beltrami_cli.jobs.arrays.mesh_arrays import MeshArrays, mesh_arrays
+from beltrami_cli.jobs.progress import PhaseProgress
 from beltrami_cli.jobs.smoothing import smooth_layer
 from beltrami_cli.layers.reports import SlotReport
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings
@@ -63,7 +63,7 @@ def smooth_textured(
     origin: Literal["lower", "upper"] = "lower",
     slot: Slot = "baseColor",
     encoding: Encoding = "srgb",
-    progress: Progress | None = None,
+    progress: PhaseProgress | None = None,
     **overrides: Any,
 ) -> TexturedResult:
     """Smooth the textures of a mesh over its surface, across their seams, with the short-time Beltrami kernel.
