@@ -30,7 +30,7 @@ _DEFAULTS = BakeSettings()
 _INVISIBLE_STEP = 8 / 255
 _SIGMAS = 4 * np.sqrt(2)  # of the difference of two noisy values
 _MEDIAN = 1.4826  # from the median magnitude to the standard deviation
-_FINENESS = ("uint8", "uint16", "float16", "float32")
+_FINENESS = ("uint8", "uint16", "float16", "float32")  # types of stored colours, the coarsest first
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -86,7 +86,7 @@ class FileJob:
     def reserve(self, sidecars: Iterable[str]) -> None:
         """Check the names of sidecar files before anything is computed; OutputError if one is refused."""
         if self.output is not None:
-            self.output.check_sidecars(sidecars)
+            self.output.reserve_sidecars(sidecars)
 
     def reserve_new(self, image_suffix: str | None) -> str:
         """Return an unused stem for the sidecar files of a new mesh with one texture or no texture."""

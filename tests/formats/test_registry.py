@@ -194,13 +194,13 @@ TARGETS = sorted({*OUTPUT_FORMATS.values()} - {"usd", "usdc"})
 def announced(monkeypatch):
     """The names of the sidecar files, as they are checked before the computation and before writing."""
     found = []
-    check = Output.check_sidecars
+    check = Output.reserve_sidecars
 
     def noted(output, names):
         found.append({*names})
         check(output, names)
 
-    monkeypatch.setattr(Output, "check_sidecars", noted)
+    monkeypatch.setattr(Output, "reserve_sidecars", noted)
     return found
 
 

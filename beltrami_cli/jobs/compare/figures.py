@@ -29,7 +29,7 @@ class SeamFigures(TypedDict):
 
 
 class JumpFigures(TypedDict):
-    """Mean steps of the colours over seams, and how much larger those of the test are."""
+    """Mean steps of the colours over seams in both files, and how much they grow from the reference to the test."""
 
     steps: int
     reference: float

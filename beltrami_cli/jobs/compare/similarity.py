@@ -33,7 +33,7 @@ _HALF_TURN = 180 + 1e-9
 # Section III-C of [4]: a Gaussian window of 11 x 11 with a deviation of 1.5, K1 and K2; full scale is 1.
 _RADIUS, _DEVIATION = 5, 1.5
 _C1, _C2 = 0.01**2, 0.03**2
-# The side of a square of windows that are worked on at a time; the limits are those of `_BLOCK` in `measured.py`.
+# The side of a square of windows that are worked on at a time, for the same reasons as `_BLOCK` in `measured.py`.
 _SQUARE = 88
 
 

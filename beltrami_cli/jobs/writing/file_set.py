@@ -32,7 +32,7 @@ class PlannedFile:
 
 
 class FileSet:
-    """The files that one run writes; as a context manager it removes those that were not moved into place.
+    """The files that one run writes; as a context manager it removes what was not moved into place.
 
     `reads`: inputs, which only the result may replace: OUTPUT may be INPUT, but a report may not.
     """

@@ -54,7 +54,7 @@ class Journal:
     def __init__(self, folder: Path) -> None:
         self._path = folder / f".beltrami-{os.urandom(6).hex()}.tmp"
         self._files, self._is_needed = list[TemporaryFile](), False
-        self._staged: dict[Path, TemporaryFile] = {}  # those that are moved into place, by path
+        self._staged: dict[Path, TemporaryFile] = {}  # files that are moved into place, by path
         self._made_folders: list[Path] = []  # innermost first
         self._descriptor = os.open(self._path, _OPEN_FLAGS | os.O_CREAT | os.O_EXCL, 0o600)
         self._lock = contextlib.ExitStack()

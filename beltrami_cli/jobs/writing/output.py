@@ -82,8 +82,8 @@ class Output:
         what = f"a sidecar file of {self._what}"
         return PlannedFile(path, self._named(path), what, self._main.is_result, is_sidecar=True)
 
-    def check_sidecars(self, names: Iterable[str]) -> None:
-        """Check that sidecar files, by paths relative to the output's folder, may be written; OutputError if not."""
+    def reserve_sidecars(self, names: Iterable[str]) -> None:
+        """Add sidecar files, by paths relative to its folder, to the planned files; OutputError if one is refused."""
         for name in names:
             if self.folder is None:
                 cause = "there is no folder for its sidecar files"
@@ -110,7 +110,7 @@ class Output:
         self.overwrite = True  # the existing file is its own
 
     def _stage(self, written: Written, sidecars: SidecarNames) -> None:
-        self.check_sidecars(written.sidecars)
+        self.reserve_sidecars(written.sidecars)
         if self.folder is None:
             self.files.add_stream(lambda: self._write_stream(written.main))
             return

@@ -1,4 +1,4 @@
-"""Sidecar files in OUTPUT's folder: those of the existing OUTPUT may be replaced, those of other models may not."""
+"""Sidecar files in OUTPUT's folder: the existing OUTPUT's may be replaced, other models' may not."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 
 class SidecarNames:
-    """The names of sidecar files in a folder: those to which the existing OUTPUT refers, and those that are taken.
+    """The names of sidecar files in a folder: which the existing OUTPUT refers to, and which are taken.
 
     `read` reads the names of the existing OUTPUT; `read_first`, if given, does so the first time. Later another run may
     have replaced it.
