@@ -6,12 +6,13 @@ intensities alone.
 
 from __future__ import annotations
 
+import io
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
-from beltrami_cli.arrays import Array
+from beltrami_cli.arrays import Array, Float32s
 from beltrami_cli.errors import NoColoursError
 from beltrami_cli.formats.changes import Changes, Naming, Written
 from beltrami_cli.formats.files.foreign_library import ForeignLibrary, serve_files
@@ -69,12 +70,11 @@ class SurveyDocument(PointsDocument[str]):
         return Written([made.tobytes()], notices=notices)
 
     def fingerprint(self) -> Fingerprint:
-        tables = dict(self._tables)
-        if not self.has_vertex_colours():
-            return Fingerprint({name: _described(table) for name, table in tables.items()})
-        tables["colours"] = self._stored_without_colours()
-        parts = {name: _described(table) for name, table in tables.items()}
-        return Fingerprint(parts, {"point colours": self._colours})
+        tables, colours = dict(self._tables), dict[str, Float32s]()
+        if self.has_vertex_colours():
+            tables["colours"] = self._stored_without_colours()
+            colours["point colours"] = self._colours
+        return Fingerprint({name: _stored(table) for name, table in tables.items()}, colours)
 
     def facts(self) -> dict[str, object]:
         return {
@@ -90,8 +90,11 @@ class SurveyDocument(PointsDocument[str]):
         return _LIBRARY.ask(question, self.name, len(self.data), self.access.memory)
 
 
-def _described(table: Array) -> bytes:
-    return f"{table.dtype.str} {table.shape}\n".encode() + table.tobytes()
+def _stored(table: Array) -> bytes:
+    """Return a table with its type and shape, as NumPy stores it."""
+    buffer = io.BytesIO()
+    np.save(buffer, table)
+    return buffer.getvalue()
 
 
 def _format_of(data: bytes) -> str:
