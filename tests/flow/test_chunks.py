@@ -3,20 +3,26 @@
 import dataclasses
 import itertools
 import pickle
+from functools import partial
 
 import numpy as np
 import pytest
 
+from beltrami_cli._native import PATCH_TILE_SIDE
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow import cuts
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunking, Resources, in_turn
 from beltrami_cli.flow.decoding import plan_on_canvas
+from beltrami_cli.flow.manifolds.grid.patches import collaborate_on_canvas
 from beltrami_cli.flow.manifolds.guides import Guide
 from beltrami_cli.flow.manifolds.iteration import Step
 from beltrami_cli.flow.manifolds.mesh.manifold import mean_samples_per_kernel
 from beltrami_cli.flow.manifolds.moving_positions import PositionParameters
+from beltrami_cli.flow.mixing import Mixing
 from beltrami_cli.flow.parameters import KernelParameters, parameters_from
 from beltrami_cli.layers.image_surface import ImageSurface, canvas_of_image
+from beltrami_cli.surface import large_arrays
+from beltrami_cli.surface.atlas import EMPTY, OWNED
 from flow.split_surfaces import (
     FIXED,
     ON_GRIDS,
@@ -145,6 +151,18 @@ def test_vertices_are_not_moved_in_chunks():
     cut = Resources(Chunking(2, in_turn))
     with pytest.raises(UsageError, match="not moved in pieces"):
         smooth_mesh(SURFACE, KernelParameters(**FIXED), moving=moving, resources=cut)
+
+
+def test_cells_beyond_all_chunks_are_those_of_the_whole(monkeypatch):
+    """The second of two chunks has no owned cell, since chunks begin at multiples of two tiles."""
+    kind = np.full((2 * PATCH_TILE_SIDE, 6 * PATCH_TILE_SIDE), EMPTY, np.uint8)
+    kind[8:-8, 8 : 2 * PATCH_TILE_SIDE] = OWNED
+    planes = np.where(kind == OWNED, np.random.default_rng(2).random((1, *kind.shape)), 0).astype(np.float32)
+    mixing = Mixing.of(np.zeros((1, 1), np.float32), np.eye(1))
+    estimate = partial(collaborate_on_canvas, kind, [planes, planes], mixing, 1)
+    whole = estimate()
+    monkeypatch.setattr(large_arrays, "empty", lambda shape, dtype: np.full(shape, np.nan, dtype))
+    assert same_bits([estimate(chunking=Chunking(2, in_turn))], [whole])
 
 
 def test_nothing_to_do_is_nothing_in_chunks_too():

@@ -15,8 +15,8 @@ from beltrami_cli.flow.parameters import KernelParameters
 
 Stack = Float32s
 
-# Number of steps between neighbours whose median is within 0.3 % of that of all.
-ENOUGH_STEPS = 200_000
+# Number of differences between neighbours whose median is within 0.3 % of that of all.
+ENOUGH_DIFFERENCES = 200_000
 
 
 class Gaussian(Protocol):

@@ -14,7 +14,7 @@ from beltrami_cli._native import local_scale
 from beltrami_cli.arrays import Array, Bools, Float32s, Indices, Int64s, Uint8s
 from beltrami_cli.flow.cuts import Rectangle
 from beltrami_cli.flow.manifolds.blocks import SUMMED_ROWS
-from beltrami_cli.flow.manifolds.geometry import ENOUGH_STEPS, Geometry, Stack
+from beltrami_cli.flow.manifolds.geometry import ENOUGH_DIFFERENCES, Geometry, Stack
 from beltrami_cli.flow.manifolds.grid.gaussian import GridGaussian
 from beltrami_cli.flow.manifolds.kernel_work import KernelWork
 from beltrami_cli.flow.parameters import KernelParameters
@@ -105,7 +105,7 @@ class GridGeometry(Geometry):
     def differences(self, stack: Stack) -> Float32s:
         """Differences between neighbours along rows, in evenly spread rows, shape (K, G)."""
         owned = self.atlas.kind == OWNED
-        rows = np.arange(0, len(owned), max(1, int(np.count_nonzero(owned)) // ENOUGH_STEPS))
+        rows = np.arange(0, len(owned), max(1, int(np.count_nonzero(owned)) // ENOUGH_DIFFERENCES))
         both = owned[rows, :-1] & owned[rows, 1:]
         return (stack[:, rows, 1:] - stack[:, rows, :-1])[:, both].T
 

@@ -20,9 +20,6 @@ from beltrami_cli.flow.mixing import Mixing
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import HALO, OWNED
 
-# Seed of random means; an arbitrary number.
-_SEED = 21
-
 
 def collaborate_on_canvas(
     kind: Uint8s,
@@ -44,7 +41,7 @@ def collaborate_on_canvas(
         estimates = pilot if replaces_pilot else large_arrays.empty(noisy.shape, np.float32)
         _write_estimates(kind, stacks, mixing, threads, estimates, progress)
         return estimates
-    estimates = large_arrays.empty(noisy.shape, np.float32)
+    estimates = large_arrays.zeros(noisy.shape, np.float32)  # where no chunk has owned cells
     # Groups start tile by tile. The order in which tiles add to a cell has a period of two tiles.
     before, after = 2 * PATCH_TILE_SIDE, PATCH_TILE_SIDE + PATCH_TILE_MARGIN
     cut, operation = partial(_part_for_patches, kind), partial(_estimate_part, mixing=mixing)

@@ -14,7 +14,7 @@ from beltrami_cli._native import SegmentManifold, TriangulatedManifold, vertex_o
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Indices, Int32s, Uint8s
 from beltrami_cli.flow.chunks import Resources
 from beltrami_cli.flow.manifolds.domain import Regions
-from beltrami_cli.flow.manifolds.geometry import ENOUGH_STEPS, Geometry, Stack
+from beltrami_cli.flow.manifolds.geometry import ENOUGH_DIFFERENCES, Geometry, Stack
 from beltrami_cli.flow.manifolds.iteration import Metric
 from beltrami_cli.flow.manifolds.mesh.fingerprints import fingerprints, quantised
 from beltrami_cli.flow.manifolds.mesh.kernel_work import MeshWork
@@ -170,7 +170,7 @@ class MeshGeometry(Geometry, Regions):
         return stack[samples]
 
     def differences(self, stack: Stack) -> Float32s:
-        low, high = self.edges[:: 1 + len(self.edges) // ENOUGH_STEPS].T
+        low, high = self.edges[:: 1 + len(self.edges) // ENOUGH_DIFFERENCES].T
         differences: Float32s = stack[low] - stack[high]
         return differences
 
