@@ -19,7 +19,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Float32s, Float64s
+from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.flow.corrections.clipping import impute_clipped_in_place
 from beltrami_cli.flow.corrections.dark_outliers import fill_dark_outliers_in_place
 from beltrami_cli.flow.manifolds.domain import CoarseLevel
@@ -73,31 +73,28 @@ def _estimate_in_place(
     level: CoarseLevel, manifold: Manifold, noise: Float64s, tick: Callable[[], None] | None
 ) -> float:
     """Estimate means; return their mean square error by SURE, see `risk`."""
-    first, means = (
-        Mixing.of(manifold.geometry.differences(manifold.colours), noise),
-        level.means(manifold.colours),
-    )
+    estimate, means = _estimator(level, manifold, noise, tick), level.means(manifold.colours)
+    estimated = estimate(means)
+    probe, size = level.probe(means, noise), np.float32(PATCH_PERTURBATION)
+    response = estimate(means + size * probe)
+    response -= estimated
+    response *= probe / size
+    change = np.subtract(estimated, means, out=estimated)
+    level.add_enlarged_in_place(manifold.colours, change)
+    squares = np.moveaxis(np.square(change) + 2 * response, level.axis, 0)
+    mean = level.total(squares) / level.total(np.ones_like(squares[:1]))
+    return float(np.mean(mean - np.diag(noise)))
+
+
+def _estimator(
+    level: CoarseLevel, manifold: Manifold, noise: Float64s, tick: Callable[[], None] | None
+) -> Callable[[Float32s], Float32s]:
+    """Return the estimation of noisy means by patches: without a pilot, and again with the result as the pilot."""
+    first = Mixing.of(manifold.geometry.differences(manifold.colours), noise)
     second = first.with_pilot(manifold.parameters.strength, is_shared=manifold.noise.is_shared)
     progress = None if tick is None else lambda _: tick()
     collaborate = partial(level.collaborate, progress=progress, shared=True)
-
-    def estimate(noisy: Float32s) -> Float32s:
-        return collaborate(noisy, collaborate(noisy, noisy, first), second)
-
-    after = estimate(means)
-    probe = level.probe(means, noise)
-    size = np.float32(PATCH_PERTURBATION)
-    response = estimate(means + size * probe)
-    response -= after
-    response *= probe / size
-    after -= means
-    level.add_enlarged_in_place(manifold.colours, after)
-    squares = np.square(after) + 2 * response
-
-    def mean(planes: Array) -> Float64s:
-        return level.total(planes) / level.total(np.ones_like(planes[:1]))
-
-    return float(np.mean(mean(np.moveaxis(squares, level.axis, 0)) - np.diag(noise)))
+    return lambda noisy: collaborate(noisy, collaborate(noisy, noisy, first), second)
 
 
 def _noise_of_level(covariances: Float64s, level: int, *, is_coarsest: bool) -> Float64s:
