@@ -9,6 +9,7 @@ A format is a subclass of `Document`, in a folder of its own, and a line of `for
   format without textures, sidecar files, range images, further attributes or movable vertices. With textures, `slots`,
   `textured_mesh` and `_scene` are required, too: `scene_surface.py` and `scene_mesh.py` in `formats/meshes/` make
   surfaces and meshes of a `Scene`.
+- `notices` and `obstacles` concern the file; records have notices of their own on how they were read.
 - `patch` with equal colours returns equal bytes. What changes is rounded once; every other byte stays.
 - Whatever is wrong with the file is an `InputError` with its name, the cause and a remedy.
 """

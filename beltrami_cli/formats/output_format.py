@@ -105,7 +105,7 @@ def sidecar_names(name: str, stem: str, image_suffix: str | None) -> list[str]:
 
 
 def _sidecar_names(line: Format, stem: str, images: list[str] | None) -> list[str]:
-    suffixes = (line.sidecars if images is None else line.textured_sidecars).split()
+    suffixes = line.sidecars if images is None else line.textured_sidecars
     return [name for suffix in suffixes for name in (images or [] if suffix == ".*" else [stem + suffix])]
 
 

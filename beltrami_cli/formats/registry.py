@@ -16,6 +16,7 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.files.access import DEFAULT_ACCESS, Access, read_source
 from beltrami_cli.formats.image.file_formats import is_image
 from beltrami_cli.formats.loading import Reader, Writer, document_class
+from beltrami_cli.formats.unread import unread_format
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
@@ -27,30 +28,6 @@ Kind = Literal["image", "volume", "model"]
 
 _ZIP = b"PK"
 _VOLUMES = (b"NRRD", b" BDV", _ZIP)  # first bytes of their files
-
-# Formats that are not read: extensions, a pattern of the first bytes, and the remedy.
-_BLENDER, _UNPACK = "open it in Blender, and export it as glTF", "unpack it, and give the model"
-_PARAVIEW = (
-    "convert it to PLY with ParaView, or with PyVista: pyvista.read(...).save('model.ply', texture='RGB')"
-)
-_TILES = "extract the model with: npx 3d-tiles-tools b3dmToGlb -i tile.b3dm -o tile.glb"
-_UNREAD: dict[str, tuple[tuple[str, ...], bytes, str]] = {
-    "FBX file": ((".fbx",), rb"Kaydara FBX Binary|; FBX", _BLENDER),
-    "Blender file": ((".blend",), rb"BLENDER", _BLENDER),
-    "VTK file": ((".vtk", ".vtp", ".vtu"), rb"# vtk DataFile|(?:<\?xml[^>]*>\s*)?<VTKFile", _PARAVIEW),
-    "3D Tiles file": ((".b3dm", ".i3dm", ".pnts", ".cmpt"), rb"b3dm|i3dm|pnts|cmpt", _TILES),
-    "material library": ((".mtl",), rb"\s*(?:#[^\n]*\n\s*)*newmtl\s", "give the .obj file that names it"),
-    "ZIP archive": ((), rb"PK\x03\x04", _UNPACK),
-    "empty ZIP archive": ((), rb"PK\x05\x06", _UNPACK),
-    "gzip archive": ((), rb"\x1f\x8b", _UNPACK),
-    "bzip2 archive": ((), rb"BZh", _UNPACK),
-    "xz archive": ((), rb"\xfd7zXZ\0", _UNPACK),
-    "Zstandard archive": ((), rb"\x28\xb5\x2f\xfd", _UNPACK),
-    "7z archive": ((), rb"7z\xbc\xaf\x27\x1c", _UNPACK),
-    "RAR archive": ((), rb"Rar!\x1a\x07", _UNPACK),
-    "tar archive": ((), rb"[\0-\xff]{257}ustar", _UNPACK),
-}
-_HEAD = 512  # bytes in which the mark of a format is looked for
 _JSON = rb"(?:\xef\xbb\xbf)?[ \t\r\n]*\{"
 _PCD = rb"# \.PCD|VERSION 0?\.7"
 _COMMON_IMAGES = (".png", ".jpg", ".jpeg")
@@ -67,8 +44,8 @@ class Format:
     reader: Reader | None  # for `document_class`; None: a volume, which becomes a document with settings
     writer: Writer | None = None  # for `mesh_writer`; None: meshes are not written in it
     has_textures: bool = False  # whether the writer writes textures
-    sidecars: str = ""  # suffixes of the sidecar files that the writer makes without textures
-    textured_sidecars: str = ""  # and with textures; ".*" is the suffix of the texture
+    sidecars: tuple[str, ...] = ()  # suffixes of the sidecar files that the writer makes without textures
+    textured_sidecars: tuple[str, ...] = ()  # and with textures; ".*" is the suffix of the texture
     images: tuple[str, ...] = ()  # suffixes of the images that the format can hold; empty: any
     slots: tuple[Slot, ...] = ()  # slots that the writer can write; empty: any
     aliases: tuple[str, ...] = ()  # further suffixes, without the dot
@@ -124,21 +101,21 @@ _textured = partial(Format, has_textures=True)
 FORMATS = (
     Format("image", is_image, "image", kind="image"),
     Format("volume", _is_volume, None, kind="volume"),
-    _textured("ply", _by_start(rb"ply[\n\r \t]"), "ply", "ply", textured_sidecars=".*", slots=("baseColor",)),
+    _textured("ply", _by_start(rb"ply[\n\r \t]"), "ply", "ply", textured_sidecars=(".*",), slots=("baseColor",)),
     _textured(
-        "obj", None, "obj", "obj", by_name=True, textured_sidecars=".mtl .*",
+        "obj", None, "obj", "obj", by_name=True, textured_sidecars=(".mtl", ".*"),
         slots=("baseColor", "emissive", "normal", "metallicRoughness"),
     ),
     _textured("glb", _by_start(rb"glTF"), "gltf", "glb", images=_COMMON_IMAGES),
     Format("vrm", None, "gltf", keeps_form=True),  # a GLB with an avatar
     _textured(
-        "gltf", _by_start(_JSON), "gltf", "gltf", sidecars=".bin", textured_sidecars=".bin .*",
+        "gltf", _by_start(_JSON), "gltf", "gltf", sidecars=(".bin",), textured_sidecars=(".bin", ".*"),
         images=_COMMON_IMAGES,
     ),
     _textured("usdz", _is_usdz, "usd", "usdz", images=_COMMON_IMAGES),
-    _textured("usda", _by_start(rb"#usda"), "usd", "usda", textured_sidecars=".*"),
-    _textured("usdc", _by_start(rb"PXR-USDC"), "usd", "usdc", textured_sidecars=".*"),
-    _textured("usd", None, "usd", "usdc", textured_sidecars=".*"),  # in one of the two forms above
+    _textured("usda", _by_start(rb"#usda"), "usd", "usda", textured_sidecars=(".*",)),
+    _textured("usdc", _by_start(rb"PXR-USDC"), "usd", "usdc", textured_sidecars=(".*",)),
+    _textured("usd", None, "usd", "usdc", textured_sidecars=(".*",)),  # in one of the two forms above
     Format("xyz", None, "text points", "xyz", aliases=("xyzrgb", "asc", "txt"), by_name=True),
     Format("pts", None, "text points", "pts", by_name=True),
     Format("csv", None, "text points", "csv", by_name=True),
@@ -206,25 +183,18 @@ def open_as(line: Format | None, data: bytes, name: str, folder: Path | None, ac
 def recognised(data: bytes, name: str) -> Format | None:
     """Return the format of a file by its bytes, or else by its name; None: unknown."""
     marked = next((line for line in FORMATS if line.mark is not None and line.mark(data, name)), None)
-    if marked is not None or not data or _unread(data, name):
+    if marked is not None or not data or unread_format(data, name) is not None:
         return marked
     named = (line for line in FORMATS if line.by_name and name.lower().endswith(line.suffixes))
     return next(named, None)
 
 
 def _refusal(data: bytes, name: str) -> InputError:
-    if known := _unread(data, name):
-        return InputError(name, f"it is a {known}, which is not read", _UNREAD[known][2])
+    if (unread := unread_format(data, name)) is not None:
+        return InputError(name, f"it is a {unread.what}, which is not read", unread.remedy)
     if not data:
         return InputError(name, "the file is empty", _READABLE)
     if not Path(name).suffix:  # standard input among them
         remedy = "give OBJ files, and points in .xyz and .pts, by their names"
         return InputError(name, "the content has no mark of a known format", remedy)
     return InputError(name, "the content is of no known format", _READABLE)
-
-
-def _unread(data: bytes, name: str) -> str | None:
-    for kind, (suffixes, start, _) in _UNREAD.items():
-        if (suffixes and name.lower().endswith(suffixes)) or re.match(start, data[:_HEAD]):
-            return kind
-    return None
