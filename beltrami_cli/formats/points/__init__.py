@@ -1,1 +1,4 @@
-"""Clouds of points: lines of text, NumPy archives, and the files of scanners, which keep their bytes."""
+"""Clouds of points: lines of text, NumPy archives, and the files of scanners (`survey`).
+
+Libraries read and write the latter in a process of its own: `process`, with `scan`, `las`, `e57` and `pcd`.
+"""

@@ -1,7 +1,7 @@
 """Point clouds of scanners: LAS, LAZ, E57 and PCD, each read by its library in a process of its own.
 
-The process returns the tables of the points, and whatever else the file holds. Written back are the colours or
-intensities alone.
+The process returns the tables of the points, and whatever else the file holds, as `process` describes. Written back
+are the colours or intensities alone.
 """
 
 from __future__ import annotations
@@ -15,34 +15,31 @@ import numpy as np
 from beltrami_cli.arrays import Array, Float32s
 from beltrami_cli.errors import NoColoursError
 from beltrami_cli.formats.changes import Changes, Naming, Written
-from beltrami_cli.formats.files.foreign_library import ForeignLibrary, serve_files
+from beltrami_cli.formats.files.foreign_library import ForeignLibrary
 from beltrami_cli.formats.fingerprint import Fingerprint
 from beltrami_cli.formats.points.cloud import Layout, PointsDocument
-from beltrami_cli.formats.points.e57 import E57
-from beltrami_cli.formats.points.las import Las, has_index, is_laz
-from beltrami_cli.formats.points.pcd import Pcd
-from beltrami_cli.formats.points.scan import Arrays, Scan, ScanContents
+from beltrami_cli.formats.points.las import has_index
+from beltrami_cli.formats.points.process import FIELD, format_of
+from beltrami_cli.formats.points.scan import Arrays
 from beltrami_cli.surface.worker_process import Message
 
 _SECONDS_PER_MEBIBYTE = 5  # LAZ: a million points of 3 MiB take a second
 _REMEDY = "convert it to PLY, for example with PDAL or CloudCompare"
-_LIBRARY = ForeignLibrary("beltrami_cli.formats.points.survey", "scans", _SECONDS_PER_MEBIBYTE, _REMEDY)
-_SCANS: dict[str, type[Scan]] = {"las": Las, "laz": Las, "e57": E57, "pcd": Pcd}
-_FIELD = "field "  # before the names of fields, so that these differ from the names of other tables
+_LIBRARY = ForeignLibrary("beltrami_cli.formats.points.process", "scans", _SECONDS_PER_MEBIBYTE, _REMEDY)
 
 
 class SurveyDocument(PointsDocument[str]):
     """A file that its library reads and writes."""
 
     def _open(self, folder: Path | None) -> None:
-        (shape, self._tables) = self._ask(None, {})
+        shape, self._tables = self._ask(None, {})
         self._shape = tuple(shape)
-        self.format = _format_of(self.data)
-        self.forms = ("las", "laz") if _SCANS[self.format] is Las else (self.format,)
+        self.format = format_of(self.data)
+        self.forms = ("las", "laz") if self.format in ("las", "laz") else (self.format,)
 
     @cached_property
     def _layout(self) -> Layout[str]:
-        fields = {key.removeprefix(_FIELD): key for key in self._tables if key.startswith(_FIELD)}
+        fields = {key.removeprefix(FIELD): key for key in self._tables if key.startswith(FIELD)}
         if "colours" not in self._tables:
             cause = f"its points have no colours and no intensity, but {', '.join(fields)[:200] or 'nothing else'}"
             raise NoColoursError(self.name, cause, "export them with colours")
@@ -95,28 +92,3 @@ def _stored(table: Array) -> bytes:
     buffer = io.BytesIO()
     np.save(buffer, table)
     return buffer.getvalue()
-
-
-def _format_of(data: bytes) -> str:
-    if data.startswith(b"LASF"):
-        return "laz" if is_laz(data) else "las"
-    return "e57" if data.startswith(b"ASTM") else "pcd"
-
-
-def _answer(form: str | None, arrays: Arrays) -> Message:
-    data = arrays["data"].tobytes()
-    scan = _SCANS[_format_of(data)](data)
-    if form is not None:
-        return None, {"made": np.frombuffer(scan.written(arrays.get("new"), form), np.uint8)}
-    contents = scan.contents()
-    return contents.shape or contents.positions.shape[:1], _tables(contents)
-
-
-def _tables(contents: ScanContents) -> Arrays:
-    tables = {"positions": contents.positions, "colours": contents.colours, "normals": contents.normals}
-    present = {name: table for name, table in tables.items() if table is not None}
-    return present | {_FIELD + name: table for name, table in contents.fields.items()} | dict(contents.rest)
-
-
-if __name__ == "__main__":
-    serve_files(_answer, "LAS, LAZ, E57 and PCD", "laspy, lazrs, pye57 or pypcd4")
