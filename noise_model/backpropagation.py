@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from beltrami_cli.flow.noise.network import Layers, starts_of
+from beltrami_cli.flow.noise.candidates import starts_of
+from beltrami_cli.flow.noise.network import Layers
 
 LARGEST_GRADIENT = 1.0  # maximum norm
 DECAY = 0.1  # of the weights, relative to the rate

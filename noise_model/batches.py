@@ -7,7 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from beltrami_cli.flow.noise.network import Weights, candidates_of, starts_of
+from beltrami_cli.flow.noise.candidates import candidates_of, starts_of
+from beltrami_cli.flow.noise.network import Weights
 from observations import Observation
 
 Arrays = dict[str, np.ndarray]

@@ -18,7 +18,7 @@ Image.MAX_IMAGE_PIXELS = None
 SUFFIXES = ".png", ".jpg", ".jpeg", ".webp"
 FEWEST = 16  # texels per side of an image
 SIDE = 288  # of crops, in texels
-CROPS = {"photograph": 10, "texture": 1}  # of each file
+CROPS_OF_PHOTOGRAPH = 10  # textures have one; images of more than two sides have twice as many
 PHOTOGRAPHS = "wallpapers", "backgrounds", "sklearn", "skimage"
 # Images of scikit-image that count as textures; and images that are excluded, since the benchmarks use them.
 NO_PHOTOGRAPHS = {"brick", "grass", "gravel", "text", "page", "logo", "color", "phantom", "horse"}
@@ -50,11 +50,11 @@ def clean_crops(roots: list[Path], part: str, seed: int) -> list[np.ndarray]:
             if part_of(path.relative_to(root)) != part or path.is_symlink() or path.stem in BENCHMARKED:
                 continue
             is_photograph = any(word in str(path) for word in PHOTOGRAPHS) and path.stem not in NO_PHOTOGRAPHS
-            kind = "photograph" if is_photograph else "texture"
             pixels = _clean_pixels(path, is_photograph, rng)
             if pixels is None or min(pixels.shape[:2]) < FEWEST:
                 continue
-            for _ in range(CROPS[kind] * (1 + (min(pixels.shape[:2]) > 2 * SIDE))):
+            count = CROPS_OF_PHOTOGRAPH if is_photograph else 1
+            for _ in range(2 * count if min(pixels.shape[:2]) > 2 * SIDE else count):
                 top, left = (int(rng.integers(max(1, size - SIDE + 1))) for size in pixels.shape[:2])
                 crops.append(pixels[top : top + SIDE, left : left + SIDE].copy())
     return crops

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from beltrami_cli.flow.noise.network import QUANTILES, TOTAL_QUANTILES, mixed, split_mixture
+from beltrami_cli.flow.noise.candidates import mixed, split_mixture
+from beltrami_cli.flow.noise.network import QUANTILES, TOTAL_QUANTILES
 
 # Weights of the heads in the loss.
 COUNTED = {"total": 3.0, "deviations": 2.0, "correlations": 2.0, "places": 0.5}

@@ -9,11 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from beltrami_cli.flow.noise.cells import CellStatistics
-from beltrami_cli.flow.noise.components import covariance_of_cells, symmetric
+from beltrami_cli.flow.noise.components import covariance_of_cells, log_reading, symmetric
 from beltrami_cli.flow.noise.features import Features
 from beltrami_cli.flow.noise.grid_squares import SIDE
 from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, ThreeChannels
-from beltrami_cli.flow.noise.network import log_of
 from noises import NoisyColours
 
 FEWEST_DETAILS = 3 * SIDE**2 / 16  # minimum number of details of the finest cells in an image
@@ -69,9 +68,12 @@ def observation_of(channels: NoisyChannels) -> Observation | None:
     total = max(0.0, float(np.trace(covariance_of_cells(known))) / 3)
     variances = np.einsum("lkk->lk", covariances).clip(0, None)
     return Observation(
-        Features.of(seen), float(log_of(total)), log_of(variances).ravel(), _correlations(covariances).ravel(),
-        _by_square(truths),
-    )  # fmt: skip
+        features=Features.of(seen),
+        total=float(log_reading(total)),
+        deviations=log_reading(variances).ravel(),
+        correlations=_correlations(covariances).ravel(),
+        by_square=_by_square(truths),
+    )
 
 
 def _correlations(covariances: np.ndarray) -> np.ndarray:
@@ -97,4 +99,4 @@ def _by_square(noise: list[CellStatistics]) -> np.ndarray:
     """Return the noise of each neighbourhood in the finest two scales, as log2(deviation + OFFSET)."""
     total = sum(np.einsum("kpn,pn->p", own.products[:3], own.freedom) for own in noise[:2])
     count = 3 * sum(own.freedom.sum(axis=1) for own in noise[:2])
-    return np.where(count > 0, log_of(total / np.maximum(count, 1)), np.nan)
+    return np.where(count > 0, log_reading(total / np.maximum(count, 1)), np.nan)

@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from beltrami_cli.flow.noise.components import OFFSET
 from beltrami_cli.flow.noise.grid_squares import Grid
 from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods
-from beltrami_cli.flow.noise.network import OFFSET, Weights
+from beltrami_cli.flow.noise.network import Weights
 from beltrami_cli.flow.noise.reading import read_noise
 from crops import clean_crops
 from noises import NoisyColours, degrade

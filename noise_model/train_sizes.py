@@ -12,7 +12,8 @@ from scipy.special import ndtr
 
 import observations
 from backpropagation import Adam, Node, Tape, initial_layer, shuffled
-from beltrami_cli.flow.noise.network import OFFSET, NetworkReading, Weights
+from beltrami_cli.flow.noise.components import OFFSET
+from beltrami_cli.flow.noise.network import NetworkReading, Weights
 from beltrami_cli.flow.noise.size import EDGES, LAYERS, WIDTHS, evidence, sizes_of
 from size_kinds import FAMILIES
 from train import CHANNELS, crops_of, save

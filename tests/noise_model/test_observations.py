@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from beltrami_cli.flow.noise.network import OFFSET
+from beltrami_cli.flow.noise.components import OFFSET
 from grids import in_squares
 from noises import NoisyColours, degrade
 from observations import observation_of

@@ -1,13 +1,15 @@
 """The weights of the noise model belong to the training in the repository."""
 
+import ast
 import json
 from pathlib import Path
 
 import pytest
 
+import configuration
 import stamp
 from beltrami_cli.flow.noise import network
-from configuration import FILES, code_of, hashes
+from configuration import FILES, ROOT, code_of, hashes
 
 INSTALLED = Path(network.__file__).parent
 MOST_BYTES = 400 * 1024  # of all weights
@@ -47,6 +49,30 @@ def test_changed_values_of_training_are_not_stamped(tmp_path, monkeypatch):
 def test_the_configuration_depends_on_code_and_not_on_words(suffix, code, worded, others):
     assert code_of(worded, suffix) == code_of(code, suffix)
     assert code_of(code, suffix) not in [code_of(other, suffix) for other in others]
+
+
+def imports(path):
+    """Return the modules of noise_model and flow/noise that a file imports, as paths."""
+    found = set()
+    for node in ast.walk(ast.parse((ROOT / path).read_text(encoding="utf-8"))):
+        names = [alias.name for alias in node.names] if isinstance(node, (ast.Import, ast.ImportFrom)) else []
+        if isinstance(node, ast.ImportFrom):
+            names = [node.module, *(f"{node.module}.{name}" for name in names)]
+        for name in names:
+            folder = "" if name.startswith("beltrami_cli.flow.noise.") else "noise_model/"
+            found.add(f"{folder}{name.replace('.', '/')}.py")
+    return {name for name in found if (ROOT / name).is_file()}
+
+
+@pytest.mark.parametrize(
+    ("main", "listed"), [("train.py", configuration.NETWORK), ("train_sizes.py", configuration.SIZES)]
+)
+def test_the_configuration_lists_all_modules_that_training_imports(main, listed):
+    found, new = set(), {f"noise_model/{main}"}
+    while new:
+        found |= new
+        new = {name for path in new for name in imports(path)} - found
+    assert found <= set(listed)
 
 
 def test_weights_are_small():

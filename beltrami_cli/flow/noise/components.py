@@ -30,6 +30,9 @@ STEPS = np.float32(255)
 # Energy that is added before a logarithm is taken, in squared 8-bit steps. Noise of this energy is invisible in 8 bits.
 FLOOR = 0.01
 
+# Deviation that is added before a logarithm is read, in 8-bit steps. Rounding to 8 bits has a deviation of 0.29.
+OFFSET = 0.3
+
 # Energy below which a cell is constant, in squared 8-bit steps. The smallest squared detail of 8-bit images is 1 / 4.
 CONSTANT = 0.01
 
@@ -63,6 +66,11 @@ def correlations_of_components(products: Float32s) -> Float32s:
 def log_deviation(variance: Array | float) -> Float32s:
     """Return log2 of the deviation for a variance in squared 8-bit steps, with a floor far below one step."""
     return np.asarray(np.log2(np.maximum(variance, 0) + FLOOR) / 2, np.float32)
+
+
+def log_reading(variance: Array | float) -> Array:
+    """Return log2(deviation + OFFSET), which the network reads, for a variance in squared 8-bit steps."""
+    return np.asarray(np.log2(np.sqrt(np.maximum(variance, 0)) + OFFSET))
 
 
 def log_quantiles(energies: Float32s, shares: Sequence[float]) -> list[Float32s]:

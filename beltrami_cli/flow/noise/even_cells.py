@@ -26,7 +26,10 @@ from beltrami_cli.flow.noise.components import (
 # Shares of the most even cells of a surface that are described.
 EVEN_SHARES = (0.01, 0.05, 0.25)
 
-# Share of the most even cells of which residuals are described as well.
+# Number of deviations by component: those in these shares, and three statistics over the neighbourhoods.
+STATISTICS = len(EVEN_SHARES) + 3
+
+# Share of the most even cells whose residuals are described as well.
 _SHARE_OF_RESIDUALS = 0.05
 
 # Share of the most even cells in which the covariance of the noise is measured.
@@ -111,7 +114,7 @@ class EvenScale:
 
     @property
     def deviations(self) -> list[Array]:
-        """log2 of the deviations of components: those by share, and those by neighbourhood, shape (3,) each."""
+        """`STATISTICS` of log2 of the deviations of components, shape (3,) each."""
         return [*self.by_share(lambda even: even.noise[:1]), *self.by_neighbourhood]
 
     def by_share(self, features: Callable[[EvenCells], list[Array]]) -> list[Array]:

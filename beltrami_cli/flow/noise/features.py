@@ -39,9 +39,9 @@ class Features:
     squares: Float32s  # features of each neighbourhood, shape (P, F)
     quiet: Float32s  # log2 of the deviations of channels in quiet cells of each neighbourhood, shape (P, 3)
     even: Float32s  # features of the most even cells of all neighbourhoods, shape (G,)
-    # log2 of the deviations of components in even cells: in `EVEN_SHARES` of all cells, and by three statistics over
-    # the neighbourhoods; shape (SCALES, 6, 3).
-    even_deviations: Float32s
+    even_deviations: (
+        Float32s  # log2 of the deviations of components in even cells, shape (SCALES, STATISTICS, 3)
+    )
 
     @classmethod
     def of(cls, channels: ThreeChannels) -> Features:

@@ -2,9 +2,8 @@
 
 Neighbourhoods are called squares here, whatever their kind. Each square goes through two layers; the mean, maximum and
 minimum of its outputs over all squares describe the surface, together with its most even cells. From this context the
-network reads the noise of the surface and of each square, both as quantiles of the logarithm of the deviation. The
-noise of the surface is a weighted mean of candidates, which are measured in its even cells, and of the network's own
-reading. The network chooses the weights.
+network reads the noise of the surface and of each square, both as quantiles of the logarithm of the deviation, and
+combines these with `candidates`.
 """
 
 from __future__ import annotations
@@ -18,13 +17,10 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
-from beltrami_cli.flow.noise.components import FLOOR, PAIRS, SCALES, covariance_of_cells
-from beltrami_cli.flow.noise.even_cells import EVEN_SHARES
+from beltrami_cli.flow.noise.candidates import CANDIDATES, candidates_of, mixed, starts_of
+from beltrami_cli.flow.noise.components import OFFSET, PAIRS, SCALES
 from beltrami_cli.flow.noise.features import Features
 from beltrami_cli.flow.noise.neighbourhoods import ThreeChannels
-
-# The network reads log2(deviation + OFFSET), in 8-bit steps. Rounding to 8 bits has a deviation of 0.29.
-OFFSET = 0.3
 
 # Quantiles of the noise of the surface, and of all other readings.
 TOTAL_QUANTILES = (0.05, 0.3, 0.5, 0.95)
@@ -35,13 +31,12 @@ WIDTHS = {
     "grid": {"square 1": 112, "square 2": 56, "whole 1": 112, "whole 2": 64, "place 1": 32},
     "cluster": {"square 1": 88, "square 2": 44, "whole 1": 88, "whole 2": 56, "place 1": 24},
 }
-# Number of estimates that are combined: the candidates, and the network's own reading.
-_MIXED = {"total": len(EVEN_SHARES) + 8, "deviations": len(EVEN_SHARES) + 10, "relative": 3}
+# Number of outputs: quantiles, a weight for each candidate, and one for the network's own quantiles.
 OUTPUTS = {
-    "total": len(TOTAL_QUANTILES) + _MIXED["total"],
-    "deviations": SCALES * 3 * (len(QUANTILES) + _MIXED["deviations"]),
+    "total": len(TOTAL_QUANTILES) + CANDIDATES["total"] + 1,
+    "deviations": SCALES * 3 * (len(QUANTILES) + CANDIDATES["deviations"] + 1),
     "correlations": SCALES * 3,
-    "place 2": len(QUANTILES) + _MIXED["relative"],
+    "place 2": len(QUANTILES) + CANDIDATES["places"] + 1,
 }
 
 # Limit at which standardised features are clipped, in standard deviations.
@@ -81,11 +76,6 @@ class Layers:
         return np.concatenate(parts, axis=1)
 
 
-def starts_of(counts: Int64s) -> Int64s:
-    """Return the first row of each surface, given the numbers of their rows."""
-    return np.append(0, np.cumsum(counts)[:-1])
-
-
 def forward(layers: Layers, squares: Any, counts: Int64s, even: Any) -> dict[str, Any]:
     """Return the outputs of the network for N surfaces.
 
@@ -102,61 +92,6 @@ def forward(layers: Layers, squares: Any, counts: Int64s, even: Any) -> dict[str
     place = layers.dense(layers.join([inner, layers.spread(context, counts)]), "place 1")
     outputs["places"] = layers.dense(place, "place 2", is_last=True)
     return {**outputs, "context": context}
-
-
-def mixed(outputs: Array, candidates: Array) -> Array:
-    """Combine M candidates and the network's own readings to Q readings, by weights that the network chooses.
-
-    Outputs have the shape (..., Q + M + 1): the network's own readings, then logarithms of the weights, the last one
-    for the own readings. Candidates have the shape (..., M).
-    """
-    readings, weights = split_mixture(outputs, candidates)
-    mean: Array = (weights[..., :-1] * candidates).sum(axis=-1)[..., None] + weights[..., -1:] * readings
-    return mean
-
-
-def split_mixture(outputs: Array, candidates: Array) -> tuple[Array, Array]:
-    """Return the network's own readings, shape (..., Q), and the weights, shape (..., M + 1)."""
-    count = outputs.shape[-1] - candidates.shape[-1] - 1
-    weights = np.exp(outputs[..., count:] - outputs[..., count:].max(axis=-1, keepdims=True))
-    return outputs[..., :count], weights / weights.sum(axis=-1, keepdims=True)
-
-
-def candidates_of(even: Float32s, quiet: Float32s, counts: Int64s) -> dict[str, Array]:
-    """Return candidate estimates of log2(deviation + OFFSET), along the last axis.
-
-    "total", shape (N, 1, M), and "deviations" by scale and component, shape (N, 12, M), are made from the deviations in
-    even cells, shape (N, SCALES, 6, 3); "places", shape (P, 1, M), from the deviations of quiet cells, shape (P, 3),
-    relative to the mean of their surface.
-    """
-    of_squares = log_of(4.0**quiet - FLOOR).mean(axis=1)
-    of_squares -= np.repeat(np.add.reduceat(of_squares, starts_of(counts)) / counts, counts)
-    places = np.stack([of_squares, np.zeros_like(of_squares)], axis=-1)
-    return {**_candidates_of_even(even), "places": places[:, None]}
-
-
-def _candidates_of_even(even: Float32s) -> dict[str, Array]:
-    """Return the candidates "total" and "deviations" from the deviations in even cells.
-
-    The candidates of a scale and component are its deviation by share of the cells, that of the finest scale, and those
-    of the differences of channels at its scale and at the finest. Differences of channels have the least texture, and
-    independent noise has the same deviation in all of them.
-    """
-    variances = np.maximum(4.0**even - FLOOR, 0)
-    total = covariance_of_cells(np.moveaxis(variances.mean(axis=3), 1, 0))
-    usual = variances[:, :, [len(EVEN_SHARES) - 1, len(EVEN_SHARES)]]
-    finest = np.broadcast_to(usual[:, :1], usual.shape)
-    of_differences = np.broadcast_to(usual[..., 1:].mean(axis=3, keepdims=True), usual.shape)
-    of_finest = np.broadcast_to(of_differences[:, :1], usual.shape)
-    deviations = np.concatenate([variances, finest, of_differences, of_finest], axis=2)
-    total = np.concatenate([total, of_differences[:, 0, :, 0], of_differences[:, 1, :, 0]], axis=1)
-    by_component = np.moveaxis(deviations, 2, 3).reshape(len(even), SCALES * 3, -1)
-    return {"total": log_of(total[:, None]), "deviations": log_of(by_component)}
-
-
-def log_of(variance: Array | float) -> Array:
-    """Return log2(deviation + OFFSET) for a variance in squared 8-bit steps."""
-    return np.asarray(np.log2(np.sqrt(np.maximum(variance, 0)) + OFFSET))
 
 
 @dataclass(frozen=True)

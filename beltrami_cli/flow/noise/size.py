@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s
-from beltrami_cli.flow.noise.components import FLOOR, in_components
+from beltrami_cli.flow.noise.components import FLOOR, OFFSET, in_components
 from beltrami_cli.flow.noise.neighbourhoods import ThreeChannels
-from beltrami_cli.flow.noise.network import OFFSET, Layers, NetworkReading, Weights
+from beltrami_cli.flow.noise.network import Layers, NetworkReading, Weights
 
 # Noise that pilots assume, in 8-bit steps; and the positions at which the curve is sampled, as log2 of the ratio to the
 # first reading.
