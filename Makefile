@@ -210,12 +210,11 @@ CMAKE := $(TOOLS)/bin/cmake
 
 # The runtime of the sanitizers has to come before all libraries, and that of C++ with it, whose exceptions it watches.
 RUNTIMES  = $(if $(findstring clang,$(CXX)),libclang_rt.asan-$(shell uname -m).so,libasan.so) libstdc++.so
-# Units of values are found in Python. Tests of figures call no function of the core that others do not call, and take as
-# long as all of these when instrumented.
-SANITIZED = $(filter-out %/test_units.py %/test_paper_figures.py,$(wildcard tests/properties/test_*.py)) \
-  tests/surface/test_atlas_*.py $(addprefix tests/surface/test_,baking.py colour_values.py points.py) \
+# Tests with the mark take as long as all others when they are instrumented.
+SANITIZED = tests/properties tests/surface/test_atlas_*.py \
+  $(addprefix tests/surface/test_,baking.py colour_values.py points.py) \
   $(addprefix tests/flow/test_,clipping.py core_passes.py high_valence.py moving_positions.py noise_by_level.py patches.py) \
-  -k "not (takes_seconds_by_default or frame_and_unit or order_of_channels or hardly_worse or said_by_level)"
+  -m "not uninstrumented"
 
 # The tests of the core, most of them in Python, with a copy of the package whose core is instrumented.
 sanitize: $(TOOLS)/.installed $(VENV)/.needs-test

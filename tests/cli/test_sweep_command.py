@@ -64,9 +64,9 @@ def test_without_a_reference_the_gain_is_estimated_and_goes_to_a_pipe():
 def test_a_picture_begins_the_trials_in_a_row_of_their_own(tmp_path):
     sheet, default, one = (tmp_path / f"{name}.png" for name in ("sheet", "default", "one"))
     smooth = tmp_path / "smooth.ply"
-    beltrami("sweep", NOISY, sheet, "-t", "1,2,4", "--size", 64)
+    beltrami("sweep", NOISY, sheet, "-t", "1,2,4", "--fast", "--size", 64)
     for words, picture in (((), default), (("-t", 1), one)):
-        beltrami("smooth", NOISY, smooth, *words, "--overwrite")
+        beltrami("smooth", NOISY, smooth, *words, "--fast", "--overwrite")
         beltrami("render", smooth, picture, "--size", 64)
     image = pixels(sheet)
     strip, gap = 20, 2

@@ -44,6 +44,7 @@ def noisy(count):
 
 # Up to 3 s: unbounded work shows on large tangles only.
 @pytest.mark.slow
+@pytest.mark.uninstrumented
 @pytest.mark.parametrize("mesh", [fan(4_000), book(8_000), tangle(20_000, 10_000), tangle(60_000, 1_000)])
 def test_what_is_no_surface_takes_seconds_by_default(mesh):
     positions, faces = mesh

@@ -141,6 +141,7 @@ def test_white_noise_has_the_grain_of_one_sample(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.uninstrumented
 def test_noise_of_a_camera_is_said_by_level(tmp_path):
     """Shot noise in linear light is, in sRGB, strongest in the dark; within a third of what was made."""
     levels = np.broadcast_to(np.linspace(0.05, 0.95, SIDE)[None, :, None], (SIDE, SIDE, 3))

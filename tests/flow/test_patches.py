@@ -98,6 +98,7 @@ def test_terms_of_the_blend_are_those_of_the_closed_form(in_rows):
 
 
 @pytest.mark.slow
+@pytest.mark.uninstrumented
 @pytest.mark.parametrize(("clean", "sigma"), [(photograph, 20), (flat_areas, 5), (line_art, 10)])
 def test_the_blend_is_hardly_worse_than_kernel_or_patches_alone(clean, sigma):
     """Photographs are taken from patches, and paint from the kernel."""

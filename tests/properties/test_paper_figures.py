@@ -8,7 +8,8 @@ import pytest
 
 FIGURES = Path(__file__).parents[2] / "docs" / "figures"
 
-pytestmark = pytest.mark.slow  # 2 s for each figure, which is computed as docs/figures.md shows it
+# 2 s for each figure, which is computed as docs/figures.md shows it.
+pytestmark = [pytest.mark.slow, pytest.mark.uninstrumented]
 
 
 @pytest.fixture(scope="module")

@@ -13,6 +13,8 @@ from beltrami_cli.layers.units import value_unit
 from formats.image_files import encode, stored
 from oracles import surfaces
 
+pytestmark = pytest.mark.uninstrumented
+
 SIDE, SIGMA = 48, 0.05
 DATA, LIGHT = {"space": "data"}, {"encoding": "linear"}
 # Rounding decides which of two equally good schedules, and which patches, are chosen: where one in 1e7 is added to
