@@ -22,7 +22,7 @@ NOISY, CLEAN = SAMPLES / "head-tex-noisy.glb", SAMPLES / "head-tex-clean.glb"
 SMALL = SAMPLES / "nonmanifold-noisy.ply"
 COMMANDS = {
     "info": (["info", NOISY], {"reading", "laying out", "choosing parameters"}),
-    "infos": (["info", SMALL, NOISY], {"files"}),
+    "infos": (["info", SMALL, NOISY, "--fast"], {"files"}),
     "batch": (["batch", SMALL, "--out-dir", ".", "-j", "1", "--fast"], {"files"}),
     "smooth": (["smooth", NOISY, "x.glb"], {"reading", "laying out", "choosing parameters", "smoothing", "writing"}),
     "noise": (["noise", SMALL, "x.ply", "--sigma", "5"], {"reading", "laying out", "writing"}),
