@@ -133,6 +133,10 @@ def judged(readings: np.ndarray, truths: np.ndarray, is_clean: bool) -> str:
 def judge(roots: list[Path], part: str, kind: str, weights: Weights | None = None) -> None:
     """Print the table of a kind of neighbourhoods; `weights`: those of the package by default."""
     crops, everything = clean_crops(roots, part, SEED), []
+    if not any(min(crop.shape[:2]) >= SIDE for crop in crops):
+        raise SystemExit(
+            f"no image of the part {part} has {SIDE} texels per side: name folders with more images"
+        )
     make, kinds = (cases, KINDS) if kind == "grid" else (cases_on_surfaces, KINDS_ON_SURFACES)
     print(f"| kind of noise on a {kind} | cases | model | 90 % interval holds |\n|---|---|---|---|")
     for name in kinds:
