@@ -277,7 +277,8 @@ noise-model:
 run-noise-model: $(VENV)/.installed-noise | $(NOISE_IMAGES)
 	$(BIN)/python noise_model train $(NOISE_IMAGES) $(NOISE_OPTIONS)
 	$(BIN)/python noise_model train-sizes $(NOISE_IMAGES)
-	$(BIN)/python -m pip install --no-deps --force-reinstall --quiet . # with the weights that the stamp reads
+	$(BIN)/python -m pip install --no-deps --force-reinstall --quiet . # with the new weights
+	$(BIN)/python noise_model judge $(NOISE_IMAGES)
 	$(BIN)/python noise_model stamp --new
 
 $(NOISE_IMAGES):

@@ -20,9 +20,9 @@ from crops import folders_of_packages
 def parser() -> argparse.ArgumentParser:
     whole = argparse.ArgumentParser(prog="python noise_model", description=__doc__)
     commands = whole.add_subparsers(dest="command", required=True)
-    first = commands.add_parser("train", help="the network that reads noise, and judge it")
+    first = commands.add_parser("train", help="the network that reads noise")
     sizes = commands.add_parser("train-sizes", help="the network that reads the size, and judge it")
-    judge = commands.add_parser("judge", help="the weights of the package")
+    judge = commands.add_parser("judge", help="the weights of the installed package")
     for command in (first, sizes, judge):
         command.add_argument("folders", nargs="+", type=Path, help="with images")
         command.add_argument("--kinds", nargs="+", default=list(train.CHANNELS), choices=list(train.CHANNELS))
@@ -31,11 +31,10 @@ def parser() -> argparse.ArgumentParser:
         command.add_argument(
             "--weights", type=Path, default=WEIGHTS, help="the folder that they are written to"
         )
-    for command in (first, judge):
-        command.add_argument("--part", default="test", choices=["validation", "test"], help="that is judged")
     first.add_argument("--observations", type=int, help="of each kind")
     first.add_argument("--epochs", type=int, default=train.EPOCHS)
     sizes.add_argument("--rows", type=int, help="of each family of noise")
+    judge.add_argument("--part", default="test", choices=["validation", "test"], help="of the images")
     stamped = commands.add_parser("stamp", help="the weights with the code that they belong to")
     stamped.add_argument("--new", action="store_true", help="this code trained them: record its values")
     return whole
@@ -49,11 +48,10 @@ def main() -> None:
     roots = [*options.folders, *folders_of_packages()]
     for kind in options.kinds:
         if options.command == "train":
-            weights = train.train_kind(
+            train.train_kind(
                 kind, roots, options.weights,
                 count=options.observations, epochs=options.epochs, processes=options.processes,
             )  # fmt: skip
-            table.judge(roots, options.part, kind, weights)
         elif options.command == "train-sizes":
             train_sizes.train_kind(
                 kind, roots, options.weights, count=options.rows, processes=options.processes

@@ -94,6 +94,8 @@ class Tape(Layers):
 
 def shuffled(rng: np.random.Generator, count: int, size: int) -> Iterator[np.ndarray]:
     """Yield batches of indices for an epoch; a smaller one at the end is left out."""
+    if count < size:
+        raise SystemExit(f"{count} rows do not fill a batch of {size}: ask for more")
     order = rng.permutation(count)
     for first in range(0, count - size + 1, size):
         yield order[first : first + size]

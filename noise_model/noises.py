@@ -236,7 +236,7 @@ _ACROSS = np.array(
 
 
 def _demosaiced(colours: np.ndarray, method: str) -> np.ndarray:
-    """NoisyColours colours with a Bayer mosaic, and interpolate the missing channels."""
+    """Sample colours with a Bayer mosaic, and interpolate the missing channels."""
     shape = colours.shape[:2]
     seen = np.zeros((3, *shape), bool)
     seen[0, ::2, ::2] = seen[2, 1::2, 1::2] = seen[1, ::2, 1::2] = seen[1, 1::2, ::2] = True

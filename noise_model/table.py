@@ -16,7 +16,6 @@ import numpy as np
 from beltrami_cli.flow.noise.components import OFFSET
 from beltrami_cli.flow.noise.grid_squares import Grid
 from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods
-from beltrami_cli.flow.noise.network import Weights
 from beltrami_cli.flow.noise.reading import read_noise
 from crops import clean_crops
 from noises import NoisyColours, degrade
@@ -130,8 +129,8 @@ def judged(readings: np.ndarray, truths: np.ndarray, is_clean: bool) -> str:
     )
 
 
-def judge(roots: list[Path], part: str, kind: str, weights: Weights | None = None) -> None:
-    """Print the table of a kind of neighbourhoods; `weights`: those of the package by default."""
+def judge(roots: list[Path], part: str, kind: str) -> None:
+    """Print the table of a kind of neighbourhoods."""
     crops, everything = clean_crops(roots, part, SEED), []
     if not any(min(crop.shape[:2]) >= SIDE for crop in crops):
         raise SystemExit(
@@ -142,7 +141,7 @@ def judge(roots: list[Path], part: str, kind: str, weights: Weights | None = Non
     for name in kinds:
         rows = []
         for neighbourhoods, planes, colours in make(crops, name):
-            model = read_noise(np.ascontiguousarray(planes, np.float32), neighbourhoods, weights=weights)
+            model = read_noise(np.ascontiguousarray(planes, np.float32), neighbourhoods)
             truth = truth_of(colours)
             assert model.reading is not None
             holds = model.reading.low - OFFSET / 255 <= truth <= model.reading.high + OFFSET / 255

@@ -124,11 +124,11 @@ def save(weights: Weights, path: Path) -> None:
 
 def train_kind(
     kind: str, roots: list[Path], folder: Path, *, count: int | None, epochs: int, processes: int
-) -> Weights:
-    """Write the weights of a kind to a folder, and return them; `count`: of observations, by default `OBSERVATIONS`."""
+) -> None:
+    """Write the weights of a kind to a folder; `count`: of observations, by default `OBSERVATIONS`."""
     began, count = time.monotonic(), count or OBSERVATIONS[kind]
     size = min(CHUNK, count)
-    jobs = [(kind, "training", FIRST_SEED + number, size, roots) for number in range(max(1, count // size))]
+    jobs = [(kind, "training", FIRST_SEED + number, size, roots) for number in range(count // size)]
     jobs.append((kind, "validation", 0, min(count, OBSERVATIONS["validation"]), roots))
     with Pool(processes) as pool:
         *parts, validation = pool.starmap(make_observations, jobs, chunksize=1)
@@ -139,4 +139,3 @@ def train_kind(
     path = folder / f"{kind}_weights.npz"
     save(rounded(train(kind, training, validation, epochs)), path)
     print(f"{path.stat().st_size / 1024:.0f} KB written after {time.monotonic() - began:.0f} s", flush=True)
-    return Weights.load(path)

@@ -13,12 +13,13 @@ from scipy.special import ndtr
 import observations
 from backpropagation import Adam, Node, Tape, initial_layer, shuffled
 from beltrami_cli.flow.noise.components import OFFSET
+from beltrami_cli.flow.noise.neighbourhoods import ThreeChannels
 from beltrami_cli.flow.noise.network import NetworkReading, Weights
 from beltrami_cli.flow.noise.size import EDGES, LAYERS, WIDTHS, evidence, sizes_of
 from size_kinds import FAMILIES
 from train import CHANNELS, crops_of, save
 
-TEST_ROWS = 1_000  # per family
+TEST_ROWS = 1_000  # maximum per family
 CHUNK = 500  # rows that are made together
 EPOCHS, BATCH, RATE = 40, 128, 2e-3  # of Adam; the rate is its maximum
 WARM_UP = 200  # steps until the rate is at its height
@@ -41,13 +42,13 @@ def make_rows(
         drawn = CHANNELS[kind](rng, crops, family.draw, family.make_image)
         if drawn is None or drawn.noisy.scales[0].freedom.sum() < observations.FEWEST_DETAILS:
             continue
-        noise, loss = (
-            0.0 if part is None else float(np.mean(np.square(part.colours, dtype=np.float64)))
-            for part in (drawn.noise, drawn.loss)
-        )
-        truth = np.sqrt(max(0.0, noise - loss))
+        truth = np.sqrt(max(0.0, _mean_square(drawn.noise) - _mean_square(drawn.loss)))
         rows.append((*evidence(drawn.noisy, NetworkReading.of(drawn.noisy, weights)), truth))
     return [np.stack(column) for column in zip(*rows, strict=True)]
+
+
+def _mean_square(channels: ThreeChannels | None) -> float:
+    return 0.0 if channels is None else float(np.mean(np.square(channels.colours, dtype=np.float64)))
 
 
 def labels_of(truth: np.ndarray, first: np.ndarray) -> np.ndarray:
@@ -116,12 +117,12 @@ def train_kind(kind: str, roots: list[Path], folder: Path, *, count: int | None,
     """Write the weights of a kind to a folder that has those of `train`; `count`: of rows of each family."""
     began, families = time.monotonic(), range(len(FAMILIES[kind]))
     first = Weights.load(folder / f"{kind}_weights.npz")
-    jobs = [
-        (kind, part, number, seed, CHUNK, roots, first)
-        for number in families
-        for part, rows in (("training", count or FAMILIES[kind][number].rows), ("test", TEST_ROWS))
-        for seed in range(rows // CHUNK)
-    ]
+    jobs = []
+    for number in families:
+        wanted = count or FAMILIES[kind][number].rows
+        for part, rows in (("training", wanted), ("test", min(wanted, TEST_ROWS))):
+            size = min(CHUNK, rows)
+            jobs += [(kind, part, number, seed, size, roots, first) for seed in range(rows // size)]
     with Pool(processes) as pool:
         made = list(zip(jobs, pool.starmap(make_rows, jobs, chunksize=1), strict=True))
 

@@ -13,7 +13,7 @@ from beltrami_cli.flow.noise.components import COMPONENTS, SCALES, STEPS, covari
 from beltrami_cli.flow.noise.even_cells import even_covariances
 from beltrami_cli.flow.noise.model import MAX_NO_NOISE_PROBABILITY
 from beltrami_cli.flow.noise.neighbourhoods import MIN_SAMPLES, Neighbourhoods, ThreeChannels
-from beltrami_cli.flow.noise.network import NetworkReading, Weights, weights_of
+from beltrami_cli.flow.noise.network import NetworkReading, weights_of
 from beltrami_cli.flow.noise.residual import Residual
 from beltrami_cli.flow.noise.size import Size, evidence, sizes_of
 from beltrami_cli.flow.noise.structure import MAX_CLIPPED_SHARE, Structure, shares_of_noise
@@ -52,11 +52,11 @@ class ChannelNoise:
     are_levels: bool
 
     @classmethod
-    def read(cls, planes: Float32s, neighbourhoods: Neighbourhoods, weights: Weights) -> ChannelNoise:
+    def read(cls, planes: Float32s, neighbourhoods: Neighbourhoods) -> ChannelNoise:
         """Read the noise of three channels, or of one channel, which is repeated three times."""
         channels = neighbourhoods.cut(np.broadcast_to(planes, (COLOURS, *planes.shape[1:])))
         channels, full_scale, are_levels = _in_full_scale(channels)
-        reading = NetworkReading.of(channels, weights)
+        reading = NetworkReading.of(channels, weights_of(neighbourhoods.kind))
         inputs, first = evidence(channels, reading)
         (size,) = sizes_of(weights_of(neighbourhoods.kind, "sizes"), inputs[None], np.array([first]))
         if len(neighbourhoods.of_samples) < MIN_SAMPLES:

@@ -23,7 +23,6 @@ from beltrami_cli.flow.noise.channel_noise import (
 from beltrami_cli.flow.noise.components import SCALES, covariance_of_cells, sigma_of_covariances
 from beltrami_cli.flow.noise.model import NoiseModel, Reading
 from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods
-from beltrami_cli.flow.noise.network import Weights, weights_of
 from beltrami_cli.flow.noise.stabiliser import VarianceStabiliser
 from beltrami_cli.flow.noise.structure import Structure, structure_of
 from beltrami_cli.flow.noise_amount import COLOURS
@@ -116,19 +115,17 @@ def read_noise(
     *,
     varies: bool = True,
     sigma: float | None = None,
-    weights: Weights | None = None,
 ) -> NoiseModel:
     """Read the noise of channels on a grid, shape (N, R, C), or of vertices, shape (N, S).
 
     With `varies`, its dependence on level and place is read too. `sigma` is the RMS noise of the colours, if known.
-    `weights`: of the network; by default the ones of the package.
     """
-    weights, count = weights or weights_of(neighbourhoods.kind), len(planes)
+    count = len(planes)
     if not neighbourhoods.count:
         return NoiseModel.independent(np.zeros(count))
     singles = [slice(channel, channel + 1) for channel in range(count)]
     groups = [slice(0, COLOURS), *singles[COLOURS:]] if count >= COLOURS else singles
-    noises = [ChannelNoise.read(planes[group], neighbourhoods, weights) for group in groups]
+    noises = [ChannelNoise.read(planes[group], neighbourhoods) for group in groups]
     # Number of groups of colours; further channels, such as opacity, are not levels.
     colour_groups = 1 if count >= COLOURS else count
     if sigma is not None:
