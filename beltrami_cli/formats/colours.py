@@ -12,6 +12,7 @@ from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
 from beltrami_cli.surface.records import ColouredVertices, MeshContents
 
 _GREY = "Grey is written as equal red, green and blue."
+_BRIGHTEST = float(np.finfo(np.float32).max)
 
 
 def quantised(values: Float32s, kind: DTypeLike, scale: float | None = None) -> Array:
@@ -53,8 +54,10 @@ def display_colour(linear: Sequence[float]) -> tuple[float, ...]:
 
 def emission_and_strength(light: Sequence[float]) -> tuple[list[float], float]:
     """Return emitted light as a colour whose channels are at most 1, and its strength, which is at least 1."""
-    strength = max(1.0, *light)
-    return [channel / strength for channel in light], strength
+    # A finite factor times a finite strength may be infinite, which files cannot hold.
+    finite = [min(channel, _BRIGHTEST) for channel in light]
+    strength = max(1.0, *finite)
+    return [channel / strength for channel in finite], strength
 
 
 def linear_colour(display: Sequence[float]) -> list[float]:

@@ -73,8 +73,8 @@ def read_level_set(
         "level": level,
         "unknown_voxels": int(known.size - np.count_nonzero(known)),
     }
-    vertices, faces = _triangulated(volume, known, level, settings.inside, name)
-    positions = volume.lattice.in_space(vertices)
+    corners, faces = _triangulated(volume, known, level, settings.inside, name)
+    positions = volume.lattice.in_space(corners)
     source, where = _find_colours(volume, settings.colours, name, access, max_voxels)
     values = _colours_at(source, volume.lattice, known, positions, threads)
     is_coloured = level_sets.has_colour(values)
@@ -89,16 +89,13 @@ def read_level_set(
     # Triangles whose corners have colours.
     whole = np.ascontiguousarray(faces[is_coloured[faces].all(axis=1)])
     offsets = np.arange(0, faces.size + 1, 3, dtype=np.int64)
-    return LevelSetDocument(
-        name,
-        folder,
-        access,
-        vertices=ColouredVertices(
-            positions, whole, colours, names, encoding, stored, needs_triangles=True, notices=tuple(notices)
-        ),
-        contents=MeshContents(positions, faces.ravel(), offsets, colours, encoding, stored, alpha),
-        facts=facts,
+    vertices = ColouredVertices(
+        positions, whole, colours, names, encoding, stored, needs_triangles=True, notices=notices
     )
+    contents = MeshContents(
+        positions, faces.ravel(), offsets, colours, encoding, stored, alpha, notices=notices
+    )
+    return LevelSetDocument(name, folder, access, vertices=vertices, contents=contents, facts=facts)
 
 
 def _triangulated(
@@ -159,7 +156,7 @@ def _colours_at(
 
 def _scaled(
     source: Source, stored: Float64s, is_coloured: Bools, name: str
-) -> tuple[Float32s, Float32s | None, list[str]]:
+) -> tuple[Float32s, Float32s | None, tuple[str, ...]]:
     """Return colours and opacity of full scale 1, white where there are none, and notices."""
     width = 3 if stored.shape[1] >= 3 else 1
     samples = source.samples.reshape(-1, source.samples.shape[-1])
@@ -183,7 +180,7 @@ def _scaled(
         bare = int(len(is_coloured) - np.count_nonzero(is_coloured))
         far = f"{bare} of {len(is_coloured)} vertices have no colour nearby"
         notices.append(f"{far}; they are white and lend none.")
-    return colours, alpha, notices
+    return colours, alpha, tuple(notices)
 
 
 def _range(values: Array, known: Bools) -> tuple[float, float]:

@@ -279,6 +279,16 @@ def test_emission_brighter_than_white_is_kept(tmp_path, usd_core_here):
         source = target
 
 
+def test_emission_that_overflows_stays_finite(tmp_path):
+    model, strength = Textured(), "KHR_materials_emissive_strength"
+    model.texture(model.image(IMAGES["skin"]))
+    material = model.tree["materials"][model.material("sun", baseColor=0)]
+    material |= {"emissiveFactor": [1, 100, 0], "extensions": {strength: {"emissiveStrength": 1e308}}}
+    model.triangles(2 * np.eye(3, dtype="f4"), 2 * np.eye(3, 2, dtype="f4"), 0)
+    (sun,) = model.document().textured_mesh().materials
+    assert np.isfinite([*sun.emission, np.float32(sun.emission_strength)]).all()
+
+
 FACTORS = ("colour", "emission", "opacity", "metalness", "roughness")
 
 

@@ -75,6 +75,7 @@ def test_vertices_without_a_colour_stay_white_and_do_not_count(tmp_path):
     vertices = document.coloured_vertices()
     bare = (vertices.colours == 1).all(axis=1)
     assert f"{bare.sum()} of {len(bare)} vertices have no colour" in vertices.notices[0]
+    assert document.vertex_mesh().notices == vertices.notices  # whatever is made of it
     assert vertices.positions[bare, 0].min() > 0.1
     after = smooth(vertices.positions, vertices.faces, vertices.colours).colours
     assert (after[bare] == 1).all()
