@@ -15,10 +15,11 @@ from beltrami_cli.formats.image.alpha import is_associated, supplies_colour, wit
 from beltrami_cli.formats.image.decoded_image import DecodedImage, require_colours
 from beltrami_cli.formats.image.sample_types import full_scale_one
 from beltrami_cli.layers.channels import COLOURS, ChosenChannels, choose_channels, further_channels
-from beltrami_cli.layers.settings import COLOUR_SLOTS, SmoothSettings
+from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.layers.units import unit_of_images
 from beltrami_cli.surface.colour_values import from_space, to_space, unit_in_space
 from beltrami_cli.surface.records import Slot
+from beltrami_cli.surface.slots import COLOUR_SLOTS
 
 # Channels of a data slot; other channels of the same image belong to another slot.
 _SLOT_CHANNELS = {"occlusion": {"red", "grey"}, "metallicRoughness": {"green", "blue", "grey"}}

@@ -31,7 +31,6 @@ Target = Literal["auto", "vertices", "texture", "both"]
 AlphaMode = Literal["keep", "smooth"]
 Inside = Literal["below", "above"]
 
-COLOUR_SLOTS = ("baseColor", "emissive")  # the other slots are data
 # Values of --format besides extensions; names of outputs may have the extension of any writable format.
 IMAGE_FORMATS = ("png", "jpg", "webp", "tif", "exr", "tga", "bmp", "hdr", "jxl", "ppm")
 IMAGE_SUFFIXES = (

@@ -13,10 +13,11 @@ from beltrami_cli.formats.image.conversion import losses
 from beltrami_cli.formats.image.decoded_image import DecodedImage, is_unchanged
 from beltrami_cli.formats.image.sample_types import as_stored
 from beltrami_cli.formats.image.writing import write_image
-from beltrami_cli.layers.settings import COLOUR_SLOTS, TextureSettings
+from beltrami_cli.layers.settings import TextureSettings
 from beltrami_cli.surface.colour_values import store_integers
 from beltrami_cli.surface.large_arrays import blocks, kept_bytes
 from beltrami_cli.surface.records import ImageFile, Slot
+from beltrami_cli.surface.slots import COLOUR_SLOTS
 
 
 @dataclass(frozen=True)

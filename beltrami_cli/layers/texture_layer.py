@@ -32,13 +32,14 @@ from beltrami_cli.layers.pixel_colours import PixelColours
 from beltrami_cli.layers.pixel_layer import PixelLayer
 from beltrami_cli.layers.reports import SlotReport, describe_reading, named
 from beltrami_cli.layers.sample_files import noise_of_pixels
-from beltrami_cli.layers.settings import COLOUR_SLOTS, LevelSettings, SmoothSettings
+from beltrami_cli.layers.settings import LevelSettings, SmoothSettings
 from beltrami_cli.layers.storing import Change, SharedImage, StoredColours, rewritten
 from beltrami_cli.layers.texture_groups import only_textures
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas, build_atlas, without_owned
 from beltrami_cli.surface.gutters import fill_gutter, keep_foreign_texels, within
 from beltrami_cli.surface.records import Cells, ImageFile, Slot, TexturedSurface
+from beltrami_cli.surface.slots import COLOUR_SLOTS
 
 _UNCOVERED_NOTICE = (
     "no texel is covered by the surface, so nothing was changed; `smooth --unwrap` makes a new atlas"

@@ -4,3 +4,4 @@ from typing import Literal, get_args
 
 Slot = Literal["baseColor", "emissive", "normal", "occlusion", "metallicRoughness"]
 SLOTS: tuple[Slot, ...] = get_args(Slot)
+COLOUR_SLOTS: tuple[Slot, ...] = ("baseColor", "emissive")  # the other slots are data

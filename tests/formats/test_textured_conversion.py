@@ -1,13 +1,18 @@
 """Textured models in another format: what both formats have a place for is kept, and the rest is said in one line."""
 
+import io
+
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
 from beltrami_cli.formats.image.reading import read_image
+from beltrami_cli.formats.image.sample_types import full_scale_one
 from beltrami_cli.formats.meshes.writing import triangulated
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.smooth import smooth_file
+from beltrami_cli.surface.colour_values import linear_to_srgb
 from cli.commands import SAMPLES
 from formats.gltf_comparison import issues, needs_validator
 from formats.gltf_files import Textured, opened
@@ -211,6 +216,24 @@ def test_images_that_gltf_cannot_hold_become_png_with_the_same_pixels(tmp_path):
     assert image.file.suffix == ".png"
     assert np.array_equal(read_image(image.file.data, "x.png").pixels, pixels)
     assert any("written as PNG" in line for line in said)
+
+
+def test_images_that_become_png_keep_data_as_numbers_and_name_what_they_lose(tmp_path):
+    half, frames = np.full((8, 8, 3), 0.5, np.float32), io.BytesIO()
+    Image.new("RGB", (8, 8)).save(
+        frames, "gif", save_all=True, append_images=[Image.new("RGB", (8, 8), "red")]
+    )
+    mtl = (
+        MTL.replace("skin.png", "skin.gif").replace("glow.png", "glow.exr").replace("bumps.png", "bumps.exr")
+    )
+    glow, bumps = (encode(value * half, "openexr") for value in (1.0, 0.9))
+    files = {"m.mtl": mtl, "skin.gif": frames.getvalue(), "glow.exr": glow, "bumps.exr": bumps}
+    mesh, said = converted(write(tmp_path / "in", {**FILES, **files}) / "model.obj", tmp_path / "out.glb")
+    maps = next(m for m in mesh.materials if m.maps).maps
+    values = {slot: full_scale_one(read_image(maps[slot].image.file.data, slot).pixels) for slot in maps}
+    np.testing.assert_allclose(values["normal"], 0.45, atol=1e-4)
+    np.testing.assert_allclose(values["emissive"], linear_to_srgb(half), atol=1e-4)
+    assert any("skin.gif holds several images" in line for line in said)
 
 
 @pytest.mark.parametrize(

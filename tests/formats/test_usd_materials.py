@@ -10,9 +10,8 @@ from beltrami_cli.formats.output_format import write_mesh
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.formats.usd.preview_surface import SURFACE_SLOTS
 from beltrami_cli.jobs.smooth import smooth_file
-from beltrami_cli.layers.settings import COLOUR_SLOTS
 from beltrami_cli.surface.records import ImageFile, Material, MaterialMap, MeshContents, MeshImage
-from beltrami_cli.surface.slots import SLOTS
+from beltrami_cli.surface.slots import COLOUR_SLOTS, SLOTS
 
 pytest.importorskip("pxr", reason="usd-core is not installed")
 

@@ -21,6 +21,7 @@ from beltrami_cli.surface.records import (
     Slot,
     Wrap,
 )
+from beltrami_cli.surface.slots import COLOUR_SLOTS
 
 MaterialMaps = Mapping[Slot, MaterialMap]
 _UNNAMED = "painted"  # name of materials without one
@@ -140,12 +141,14 @@ def with_suffixes(mesh: MeshContents, suffixes: Collection[str]) -> tuple[MeshCo
     from beltrami_cli.formats.image.writing import write_image
 
     new_of, notices = dict[MeshImage, MeshImage](), list[str]()
+    maps = [each for material in mesh.materials for each in material.maps.items()]
+    colours = {shown.image for slot, shown in maps if slot in COLOUR_SLOTS}
     for image in mesh.images:
         if suffixes and image.file.suffix not in suffixes:
-            decoded = read_image(image.file.data, image.name)
-            file = write_image(decoded, decoded.pixels, suffix=_FALLBACK_SUFFIX)
+            decoded, as_data = read_image(image.file.data, image.name), image not in colours
+            file = write_image(decoded, decoded.pixels, suffix=_FALLBACK_SUFFIX, as_data=as_data)
             new_of[image] = dataclasses.replace(image, file=file)
-            notices += losses(decoded, _FALLBACK_SUFFIX)
+            notices += [*decoded.notices, *file.notices, *losses(decoded, _FALLBACK_SUFFIX)]
     if new_of:
         held = ", ".join(suffix[1:] for suffix in suffixes)
         notices.append(f"Textures written as PNG, since the format holds {held} only: {len(new_of)}.")

@@ -13,9 +13,10 @@ from beltrami_cli.formats.image.reading import read_texture
 from beltrami_cli.formats.image.sizes import measure_image
 from beltrami_cli.jobs.opening import open_input
 from beltrami_cli.jobs.progress import Progress, tracked
-from beltrami_cli.layers.settings import COLOUR_SLOTS, DEFAULTS, SmoothSettings
+from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.surface.geometry import triangle_areas
 from beltrami_cli.surface.records import Slot
+from beltrami_cli.surface.slots import COLOUR_SLOTS
 from beltrami_cli.view.drawing.cameras import within_reach
 from beltrami_cli.view.drawing.cloud_view import CloudView
 from beltrami_cli.view.drawing.image_view import ImageView

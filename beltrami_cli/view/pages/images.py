@@ -11,8 +11,8 @@ from beltrami_cli.arrays import Uint8s
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.decoded_image import DecodedImage
 from beltrami_cli.formats.image.reading import read_image, read_texture
-from beltrami_cli.layers.settings import COLOUR_SLOTS
 from beltrami_cli.surface.records import Slot, Texture
+from beltrami_cli.surface.slots import COLOUR_SLOTS
 from beltrami_cli.view.light import displayed_pixels
 from beltrami_cli.view.pages.rendering import png_of
 
