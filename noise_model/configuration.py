@@ -28,7 +28,7 @@ NETWORK = (
 )
 SIZES = (
     *NETWORK,
-    *_in("noise_model", "size_kinds.py", "train_sizes.py"),
+    *_in("noise_model", "families.py", "train_sizes.py"),
     *_in("beltrami_cli/flow/noise", "size.py"),
     *_in("beltrami_cli/native/noise", "pilot.cpp", "pilot.hpp", "pilot_of_squares.cpp"),
 )

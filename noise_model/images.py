@@ -23,7 +23,7 @@ def random_image(rng: np.random.Generator, pixels: np.ndarray, paint: float = 0.
 def drawn(rng: np.random.Generator, pixels: np.ndarray) -> np.ndarray:
     """Return the crop itself, or an image made from it of another kind that games and scans contain."""
     choice = rng.random()
-    return next(make for limit, make in KINDS if choice < limit)(rng, pixels)
+    return next(make for limit, make in IMAGES if choice < limit)(rng, pixels)
 
 
 def _unchanged(rng: np.random.Generator, pixels: np.ndarray) -> np.ndarray:
@@ -111,7 +111,7 @@ def _colours_of(image: Image.Image) -> np.ndarray:
 
 
 # Kinds of images, each with the limit below which a random number from 0 to 1 chooses it.
-KINDS: tuple[tuple[float, MakeImage], ...] = (
+IMAGES: tuple[tuple[float, MakeImage], ...] = (
     (0.66, _unchanged), (0.69, _text), (0.72, _quantised), (0.74, _with_ordered_dither), (0.77, _pixel_art),
     (0.83, _normal_map), (0.88, _gradient), (0.94, _one_channel), (1.0, _partly_constant),
 )  # fmt: skip

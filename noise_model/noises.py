@@ -11,7 +11,7 @@ from PIL import Image
 from scipy.ndimage import convolve, gaussian_filter, median_filter, uniform_filter
 
 from beltrami_cli.flow.noise.jpeg_traces import LUMA
-from recipes import Recipe
+from recipes import MEDIAN, Recipe
 
 ONE_CHANNEL = 0.12  # share of the images that have one channel, or are grey
 
@@ -67,9 +67,7 @@ def degrade(rng: np.random.Generator, clean: np.ndarray, recipe: Recipe) -> Nois
     if recipe.sigma:
         pair[0] += _noise(rng, pair[1], recipe)
     if recipe.impulses:
-        hit = rng.random(clean.shape[:2]) < abs(recipe.impulses)
-        value = rng.uniform(0.5, 1, hit.sum()) if recipe.impulses < 0 else rng.integers(0, 2, hit.sum())
-        pair[0][hit] = np.maximum(pair[0][hit], value[:, None]) if recipe.impulses < 0 else value[:, None]
+        _add_impulses_in_place(rng, pair[0], recipe)
     if recipe.mosaic:
         pair = np.stack([_demosaiced(each.clip(0, None), recipe.mosaic) for each in pair])
     if recipe.saturation:
@@ -82,15 +80,23 @@ def degrade(rng: np.random.Generator, clean: np.ndarray, recipe: Recipe) -> Nois
         pair = np.stack([_resized(each, recipe.resampled, recipe.kernel) for each in pair])
     if recipe.luma or recipe.chroma:
         pair = _denoised_in_camera(pair, recipe)
-    if recipe.denoised > 0:
-        pair = gaussian_filter(pair, (0, recipe.denoised, recipe.denoised, 0))
-    elif recipe.denoised < 0:
+    if recipe.denoised == MEDIAN:
         pair = median_filter(pair, (1, 3, 3, 1))
+    elif recipe.denoised:
+        pair = gaussian_filter(pair, (0, recipe.denoised, recipe.denoised, 0))
     if recipe.sharpened:
         pair = pair + np.float32(recipe.sharpened) * (pair - gaussian_filter(pair, (0, 1, 1, 0)))
     if recipe.transfer:
         pair = (to_linear if recipe.transfer == "to linear" else to_srgb)(pair)
     return _stored(pair, recipe)
+
+
+def _add_impulses_in_place(rng: np.random.Generator, noisy: np.ndarray, recipe: Recipe) -> None:
+    hit = rng.random(noisy.shape[:2]) < recipe.impulses
+    if recipe.are_impulses_bright:
+        noisy[hit] = np.maximum(noisy[hit], rng.uniform(0.5, 1, hit.sum())[:, None])
+    else:
+        noisy[hit] = rng.integers(0, 2, hit.sum())[:, None]
 
 
 def _saturated(pair: np.ndarray, factor: float) -> np.ndarray:
@@ -172,10 +178,10 @@ def _field(rng: np.random.Generator, shape: tuple[int, ...], recipe: Recipe) -> 
     field = field.astype(np.float32)
     if recipe.grain > 1:
         field = to_size(field, shape[1], shape[0], recipe.kernel)
-    elif recipe.spectrum:
+    elif recipe.cut_off:
         down, across = np.fft.fftfreq(height)[:, None] * 2, np.fft.rfftfreq(width) * 2
-        passed = np.exp(-(down**2 + across**2) / (2 * recipe.spectrum**2))
-        passed = passed if recipe.spectrum > 0 else 1 - passed
+        passed = np.exp(-(down**2 + across**2) / (2 * recipe.cut_off**2))
+        passed = 1 - passed if recipe.is_high_pass else passed
         field = np.fft.irfft2(
             np.fft.rfft2(field, axes=(0, 1)) * passed[..., None], (height, width), axes=(0, 1)
         )

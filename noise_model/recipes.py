@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+MEDIAN = -1.0  # in place of a Gaussian: the median of 3 x 3 samples
+
 
 @dataclass(frozen=True)
 class Recipe:
@@ -18,24 +20,27 @@ class Recipe:
     correlation: float = 0.0  # of the channels; at -0.5 their mean has no noise
     gains: tuple[float, float, float] = (1.0, 1.0, 1.0)
     tail: str = "normal"  # or "student", "gamma", "laplace", "binomial", "poisson"
-    # Degrees of freedom, the shape of the gamma distribution, or log2 of the number of rays or photons.
+    # Degrees of freedom, four times the shape of the gamma distribution, or log2 of the number of rays or photons.
     shape: float = 4.0
     is_linear: bool = False  # whether noise is added to linear light
     grain: float = 1.0  # factor by which the noise is enlarged
-    # Cut-off frequency of the noise relative to the grid's; 0: none; below 0: high pass.
-    spectrum: float = 0.0
+    cut_off: float = 0.0  # frequency relative to the grid's at which the noise is filtered; 0: not filtered
+    is_high_pass: bool = False
     places: str = ""  # "halves", "chess", "blob", "blend", "part", "tiles"
     place_gain: float = 1.0
-    impulses: float = 0.0  # share of samples that are black or white; below 0: only brighter
+    impulses: float = 0.0  # share of samples that are black or white
+    are_impulses_bright: bool = (
+        False  # between half and full scale instead, and nowhere darker than the image
+    )
     saturation: float = 0.0  # increase of the differences between channels after demosaicing
     contrast: float = 0.0  # of the tone curve, from 0 to 1
     luma: float = 0.0  # noise variance that a Wiener filter of luma assumes, relative to the true one
     chroma: float = 0.0  # standard deviation of a Gaussian for chroma
     mosaic: str = ""  # "bilinear", "malvar"
-    resampled: float = 1.0
-    kernel: int = 0
+    resampled: float = 1.0  # factor of the size
+    kernel: int = 0  # of resampling, in `noises.KERNELS`; it also enlarges grain
     sharpened: float = 0.0
-    denoised: float = 0.0  # standard deviation of a Gaussian; below 0: a median of 3 x 3
+    denoised: float = 0.0  # standard deviation of a Gaussian, or `MEDIAN`
     transfer: str = ""  # "to linear", "to srgb": what the file stores
     codec: str = ""  # "JPEG", "WEBP", "BC1"
     quality: int = 90
@@ -60,9 +65,10 @@ def draw_recipe(rng: np.random.Generator) -> Recipe:
         recipe = _filtered(rng, recipe) if chance() < 0.42 else recipe
         recipe = _in_places(rng, recipe) if chance() < 0.12 else recipe
         if chance() < 0.07:
-            recipe = replace(recipe, denoised=float(rng.choice([-1, rng.uniform(0.4, 1.2)])))
+            recipe = replace(recipe, denoised=float(rng.choice([MEDIAN, rng.uniform(0.4, 1.2)])))
     if chance() < 0.05:
-        recipe = replace(recipe, impulses=float(rng.choice([1, -1]) * 10 ** rng.uniform(-3, -1.3)))
+        are_bright = bool(rng.choice([False, True]))
+        recipe = replace(recipe, impulses=float(10 ** rng.uniform(-3, -1.3)), are_impulses_bright=are_bright)
     recipe = _resampled(rng, recipe) if chance() < 0.14 else recipe
     recipe = _sharpened(rng, recipe) if chance() < 0.14 else recipe
     if chance() < 0.1:
@@ -126,12 +132,13 @@ def _noise_of(rng: np.random.Generator, recipe: Recipe) -> Recipe:
 
 
 def _filtered(rng: np.random.Generator, recipe: Recipe) -> Recipe:
-    """Enlarge the noise, shape its spectrum, or sample colours with a Bayer mosaic."""
+    """Enlarge the noise, filter its spectrum, or sample colours with a Bayer mosaic."""
     kind = rng.choice(["grain", "spectrum", "mosaic"], p=[0.33, 0.24, 0.43])
     if kind == "grain":
         return replace(recipe, grain=float(rng.uniform(1.2, 5)), kernel=int(rng.integers(4)))
     if kind == "spectrum":
-        return replace(recipe, spectrum=float(rng.choice([-1, 1, 1]) * rng.uniform(0.08, 0.8)))
+        is_high_pass = bool(rng.choice([True, False, False]))
+        return replace(recipe, cut_off=float(rng.uniform(0.08, 0.8)), is_high_pass=is_high_pass)
     return replace(recipe, mosaic=str(rng.choice(["bilinear", "malvar"])), is_linear=rng.random() < 0.8)
 
 

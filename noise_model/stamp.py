@@ -17,8 +17,8 @@ from PIL import Image
 from beltrami_cli.flow.noise import network
 from beltrami_cli.flow.noise.network import Weights
 from configuration import ROOT, SIZES, WEIGHTS, hashes
-from size_kinds import FAMILIES
-from train import CHANNELS, initial, make_observations, slopes_of
+from families import FAMILIES
+from train import CHANNELS, initial_layers, losses_and_gradients, make_observations
 from train_sizes import make_rows
 
 STAMP = ROOT / "noise_model/stamp.json"
@@ -44,10 +44,10 @@ def values_of_kind(kind: str, roots: list[Path]) -> list[float]:
     data = make_observations(kind, "training", 0, OBSERVATIONS, roots)
     means, scales = data.standard()
     columns = {name: len(mean) for name, mean in means.items()}
-    weights = Weights(initial(np.random.default_rng(0), columns, network.WIDTHS[kind]), means, scales)
+    weights = Weights(initial_layers(np.random.default_rng(0), columns, network.WIDTHS[kind]), means, scales)
     parts: list[Any] = [np.nan_to_num(part) for part in data.parts.values()]
     data.standardise_in_place(weights)
-    losses, gradients = slopes_of(np.arange(OBSERVATIONS), data, weights)
+    losses, gradients = losses_and_gradients(np.arange(OBSERVATIONS), data, weights)
     parts += [*losses.values(), *gradients.values()]
     for number in range(len(FAMILIES[kind])):
         parts += make_rows(kind, "training", number, 0, ROWS, roots, network.weights_of(kind))

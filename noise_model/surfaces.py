@@ -113,7 +113,8 @@ def _looked_up(image: np.ndarray, at: np.ndarray, order: Literal[0, 1]) -> np.nd
 def without_filters(recipe: Recipe) -> Recipe:
     """Return a recipe of only those steps that do not need a grid."""
     return Recipe(
-        recipe.sigma, recipe.power, recipe.floor, recipe.correlation, recipe.gains, recipe.tail, recipe.shape,
-        recipe.is_linear, places=recipe.places, place_gain=recipe.place_gain, impulses=recipe.impulses,
+        sigma=recipe.sigma, power=recipe.power, floor=recipe.floor, correlation=recipe.correlation, gains=recipe.gains,
+        tail=recipe.tail, shape=recipe.shape, is_linear=recipe.is_linear, places=recipe.places,
+        place_gain=recipe.place_gain, impulses=recipe.impulses, are_impulses_bright=recipe.are_impulses_bright,
         bits=recipe.bits,
     )  # fmt: skip

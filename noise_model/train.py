@@ -50,7 +50,7 @@ def make_observations(kind: str, part: str, seed: int, count: int, roots: list[P
     return Batch.of(observations)
 
 
-def initial(rng: np.random.Generator, columns: dict[str, int], width: dict[str, int]) -> Arrays:
+def initial_layers(rng: np.random.Generator, columns: dict[str, int], width: dict[str, int]) -> Arrays:
     """Draw weights, by the number of features of each kind and the units of layers."""
     inner, context = width["square 2"], width["whole 2"]
     inputs = {
@@ -65,7 +65,9 @@ def initial(rng: np.random.Generator, columns: dict[str, int], width: dict[str, 
     return layers
 
 
-def slopes_of(chosen: np.ndarray, data: Batch, weights: Weights) -> tuple[dict[str, float], Arrays]:
+def losses_and_gradients(
+    chosen: np.ndarray, data: Batch, weights: Weights
+) -> tuple[dict[str, float], Arrays]:
     """Return the losses of some observations, and the gradients of the weights."""
     given, truths, candidates = data.take(chosen, weights)
     tape = Tape(weights.layers)
@@ -83,7 +85,7 @@ def train(kind: str, training: Batch, validation: Batch, epochs: int) -> Weights
     rng = np.random.default_rng(SEED)
     means, scales = training.standard()
     columns = {name: len(mean) for name, mean in means.items()}
-    weights = Weights(initial(rng, columns, network.WIDTHS[kind]), means, scales)
+    weights = Weights(initial_layers(rng, columns, network.WIDTHS[kind]), means, scales)
     for data in (training, validation):
         data.standardise_in_place(weights)
     adam = Adam(weights.layers, RATE, epochs * (len(training.counts) // BATCH), WARM_UP)
@@ -91,11 +93,11 @@ def train(kind: str, training: Batch, validation: Batch, epochs: int) -> Weights
     for epoch in range(epochs):
         sums = []
         for chosen in shuffled(rng, len(training.counts), BATCH):
-            values, gradients = slopes_of(chosen, training, weights)
+            values, gradients = losses_and_gradients(chosen, training, weights)
             sums.append(values)
             adam.step(gradients)
         if epoch % 5 == 4 or epoch == epochs - 1:
-            valued, _ = slopes_of(np.arange(len(validation.counts)), validation, weights)
+            valued, _ = losses_and_gradients(np.arange(len(validation.counts)), validation, weights)
             line = ", ".join(
                 f"{name} {np.mean([values[name] for values in sums]):.4f} / {value:.4f}"
                 for name, value in valued.items()

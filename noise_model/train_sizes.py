@@ -16,7 +16,7 @@ from beltrami_cli.flow.noise.components import OFFSET
 from beltrami_cli.flow.noise.neighbourhoods import ThreeChannels
 from beltrami_cli.flow.noise.network import NetworkReading, Weights
 from beltrami_cli.flow.noise.size import EDGES, LAYERS, WIDTHS, evidence, sizes_of
-from size_kinds import FAMILIES
+from families import FAMILIES
 from train import CHANNELS, crops_of, save
 
 TEST_ROWS = 1_000  # maximum per family

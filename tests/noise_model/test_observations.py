@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from beltrami_cli.flow.noise.components import OFFSET
+from families import draw_recipe_of_cameras, draw_recipe_on_slopes
 from grids import in_squares
 from noises import NoisyColours, degrade
 from observations import observation_of
 from recipes import Recipe, draw_recipe, draw_recipe_of_textures
-from size_kinds import draw_recipe_of_cameras, draw_recipe_on_slopes
 
 SHAPE = (96, 128, 3)
 

@@ -1,4 +1,4 @@
-"""Further noise and images, which only the second network is trained on."""
+"""Families of noise and images that the second network is trained on, most of them unknown to the first."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from scipy.ndimage import gaussian_filter
 
 from images import MakeImage, random_image, varied
 from noises import to_size
-from recipes import DrawRecipe, Recipe, draw_recipe, draw_recipe_of_textures
+from recipes import MEDIAN, DrawRecipe, Recipe, draw_recipe, draw_recipe_of_textures
 
-Kind = Callable[[np.random.Generator, Recipe], Recipe]
+# Draws a kind of noise, from the recipe of independent noise of a random size.
+Variation = Callable[[np.random.Generator, Recipe], Recipe]
 
 
 def draw_recipe_of_sizes(rng: np.random.Generator) -> Recipe:
@@ -31,7 +32,7 @@ def draw_recipe_of_sizes(rng: np.random.Generator) -> Recipe:
         return recipe
     if choice < 0.6:
         return draw_recipe_of_textures(rng)
-    kinds: dict[Kind, float] = {
+    kinds: dict[Variation, float] = {
         _photons: 0.1, _in_parts: 0.125, _opposite: 0.1, _of_chroma: 0.075, _by_level: 0.075, _of_camera: 0.1,
         _in_blocks: 0.075, _of_light: 0.075, _shared_by_channels: 0.175, _none: 0.1,
     }  # fmt: skip
@@ -52,7 +53,7 @@ def draw_recipe_of_cameras(rng: np.random.Generator) -> Recipe:
         saturation=float(rng.uniform(0, 0.7)), contrast=float(rng.uniform(0, 0.6)),
         luma=float(rng.choice([0, rng.uniform(0.2, 2)])),
         chroma=float(rng.choice([0, rng.uniform(0.5, 3), rng.uniform(0.5, 3)])),
-        denoised=float(rng.choice([0, 0, 0, -1, rng.uniform(0.4, 0.9)])),
+        denoised=float(rng.choice([0, 0, 0, MEDIAN, rng.uniform(0.4, 0.9)])),
         sharpened=float(rng.choice([0, rng.uniform(0.2, 1.2)])),
         resampled=float(rng.choice([1, 1, 1, rng.uniform(0.4, 1)])), kernel=int(rng.integers(4)),
         codec="JPEG", quality=int(rng.integers(85, 99)), subsampling=int(rng.integers(3)),
@@ -63,14 +64,14 @@ def draw_recipe_of_cameras(rng: np.random.Generator) -> Recipe:
 
 def draw_recipe_on_slopes(rng: np.random.Generator) -> Recipe:
     """Draw noise for images without detail, on which its size can be read exactly."""
-    kinds: dict[Kind, float] = {
+    kinds: dict[Variation, float] = {
         _shared_by_channels: 0.2, _opposite: 0.25, _of_chroma: 0.2, _in_parts: 0.1, _by_level: 0.075, _photons: 0.075,
         _none: 0.1,
     }  # fmt: skip
     return _one_of(kinds, rng)
 
 
-def _one_of(kinds: dict[Kind, float], rng: np.random.Generator) -> Recipe:
+def _one_of(kinds: dict[Variation, float], rng: np.random.Generator) -> Recipe:
     plain = Recipe(float(2 ** rng.uniform(0.5, 5.5)) / 255)
     return list(kinds)[rng.choice(len(kinds), p=list(kinds.values()))](rng, plain)
 
@@ -126,7 +127,8 @@ def _of_camera(rng: np.random.Generator, plain: Recipe) -> Recipe:
     sigma = float(np.sqrt(shot / 2 + read**2))  # at half the light
     return replace(
         plain, sigma=sigma, power=1.0, floor=read / sigma, is_linear=True,
-        mosaic=str(rng.choice(["bilinear", "malvar"])), denoised=float(rng.choice([0, 0, -1, rng.uniform(0.4, 0.9)])),
+        mosaic=str(rng.choice(["bilinear", "malvar"])),
+        denoised=float(rng.choice([0, 0, MEDIAN, rng.uniform(0.4, 0.9)])),
         sharpened=float(rng.choice([0, 0, rng.uniform(0.2, 1)])), codec="JPEG", quality=int(rng.integers(75, 99)),
         subsampling=int(rng.choice([0, 2])),
     )  # fmt: skip
