@@ -50,15 +50,16 @@ class Selection:
     vertices: bool = False
     slots: tuple[Slot, ...] = ()
     image: bool = False
-    left_out: tuple[
-        str, ...
-    ] = ()  # notices of what was asked for and is not there, or is there and not selected
+    # Notices of what was asked for and is not there, or is there and not selected.
+    left_out: tuple[str, ...] = ()
 
     @property
     def notices(self) -> list[str]:
-        """What users should know of the selected parts, besides `Document.notices`."""
+        """What users should know of the selected parts and their guides, besides `Document.notices`."""
         found = [*self.document.coloured_vertices().notices] if self.vertices else []
-        for slot in self.slots:
+        guides = {name.lower() for name in self.settings.embedding.guides} if self.slots else set()
+        guiding = [slot for slot in self.document.slots() if slot.lower() in guides]
+        for slot in (*self.slots, *guiding):
             found += self.document.textured(slot).notices
         return [*dict.fromkeys([*found, *self.left_out])]
 

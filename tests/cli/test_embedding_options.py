@@ -1,5 +1,6 @@
 """--guide, --guide-beta, --metric-channels, --smooth-geometry and --normal-beta do what their help says."""
 
+import dataclasses
 import json
 import shutil
 
@@ -8,9 +9,12 @@ import pytest
 
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.registry import open_document
+from beltrami_cli.layers.selection import select
 from beltrami_cli.layers.settings import DEFAULTS
 from beltrami_cli.layers.texture_layer import TextureLayer
 from cli.commands import SAMPLES, beltrami, copy_samples
+from formats.image_files import encode, noise
+from hostile.folders import write
 from oracles import surfaces
 from small_models import ply
 
@@ -64,6 +68,20 @@ def test_the_normal_map_of_a_material_guides_its_base_colour(textured):
     apart = covered(textured, "slot.png") - covered(textured, "file.png")
     assert np.mean(apart**2) < 0.01 * errors["none"]
     assert (textured / "clean.png").read_bytes() == (SAMPLES / "head-tex-clean.png").read_bytes()
+
+
+def test_notices_on_the_images_of_a_guiding_slot_are_shown_where_it_guides(tmp_path):
+    library = b"newmtl a\nmap_Kd a.png\nnorm a.png\nnewmtl b\nmap_Kd a.png\nnorm -clamp on a.png\n"
+    lines = b"mtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\n"
+    faces = b"usemtl a\nf 1/1 2/2 3/3\nusemtl b\nf 3/1 2/2 1/3\n"
+    write(tmp_path, {"m.mtl": library, "a.png": encode(noise("uint8", 3), "png"), "x.obj": lines + faces})
+    for guides in ((), ("Normal",)):
+        embedding = dataclasses.replace(DEFAULTS.embedding, guides=guides)
+        settings = dataclasses.replace(DEFAULTS, embedding=embedding)
+        notices = select(open_document(str(tmp_path / "x.obj")), settings).notices
+        assert any(
+            "normal image 'a.png' is used with several wrap modes" in each for each in notices
+        ) == bool(guides)
 
 
 @pytest.mark.slow
