@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Indices
-from beltrami_cli.formats.image.conversion import losses
 from beltrami_cli.formats.image.decoded_image import DecodedImage, is_unchanged
 from beltrami_cli.formats.image.sample_types import as_stored
 from beltrami_cli.formats.image.writing import write_image
@@ -121,9 +120,8 @@ def rewritten(
         return ImageFile(image.source, image.suffix), []
     quality, small = wanted.jpeg_quality, wanted.small
     file = write_image(image, pixels, suffix=suffix, jpeg_quality=quality, small=small, as_data=as_data)
-    lost = losses(image, suffix) if suffix is not None else ()
     file = dataclasses.replace(file, content=kept_bytes(file.data), is_chosen=suffix is not None)
-    return file, [*image.notices, *file.notices, *lost]
+    return file, [*image.notices, *file.notices]
 
 
 def all_images(

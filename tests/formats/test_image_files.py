@@ -17,7 +17,7 @@ from PIL import Image
 
 from beltrami_cli import smooth_file
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.formats.image.conversion import losses
+from beltrami_cli.formats.image.conversion import conversion_losses
 from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.image.sample_types import full_scale_one
@@ -189,7 +189,7 @@ def test_every_format_can_be_written_as_every_other(known, kind, channels, targe
     assert written.suffix == target
     again = read_image(written.data, "x" + target)
     assert again.pixels.shape[:2] == image.pixels.shape[:2]
-    said = " ".join(losses(image, target))
+    said = " ".join(conversion_losses(image, target))
     assert any("PSNR" in notice for notice in written.notices) == (target == ".webp" != SUFFIXES[known])
     assert ("no alpha" in said) == (image.alpha is not None and again.alpha is None)
     assert ("equal red" in said) == (len(again.colour) > len(image.colour))
@@ -249,7 +249,7 @@ def test_no_opacity_at_all_counts_as_full_opacity(known):
 def test_a_format_that_multiplies_colours_by_alpha_says_what_it_loses():
     pixels = with_alpha(noise("uint8", 4))
     for hidden in (pixels, np.where(pixels[..., 3:] == 0, 0, pixels)):
-        lost = losses(read_image(encode(hidden, "png"), "x.png"), ".exr")
+        lost = conversion_losses(read_image(encode(hidden, "png"), "x.png"), ".exr")
         assert any("under an alpha of 0 are lost" in notice for notice in lost) == (hidden is pixels)
 
 

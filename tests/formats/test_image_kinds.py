@@ -14,7 +14,7 @@ from PIL import Image, ImageCms
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.image import extra_codecs
-from beltrami_cli.formats.image.conversion import losses
+from beltrami_cli.formats.image.conversion import conversion_losses
 from beltrami_cli.formats.image.decoded_image import new_image
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.image.sizes import measure_image
@@ -319,7 +319,7 @@ def test_values_that_are_not_finite_can_be_asked_for_and_stay():
     picture = read_image(encode(pixels, "openexr", "float"), "x.exr", finite=False)
     again = read_image(write_image(picture, picture.pixels).data, "x.exr", finite=False)
     np.testing.assert_array_equal(again.pixels, pixels)
-    assert any("NaN becomes 0" in loss for loss in losses(picture, ".png"))
+    assert any("NaN becomes 0" in loss for loss in conversion_losses(picture, ".png"))
     png = read_image(write_image(picture, picture.pixels, suffix=".png").data, "x.png")
     assert png.pixels[0, 0].tolist() == [0, 0, 0]
 

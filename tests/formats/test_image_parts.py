@@ -16,7 +16,7 @@ from PIL import Image
 
 from beltrami_cli import smooth_file
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.image.conversion import losses
+from beltrami_cli.formats.image.conversion import conversion_losses
 from beltrami_cli.formats.image.jpeg_tables import read_jpeg_tables
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.image.sizes import measure_image
@@ -165,7 +165,9 @@ def test_another_format_gets_the_colours_of_the_layer(target):
     full = 1 if target == ".tif" else np.iinfo(again.pixels.dtype).max
     if target not in (".jpg", ".webp"):
         np.testing.assert_allclose(again.pixels[..., :3] / full, expected, atol=0.5 / 255 + 1e-6)
-    assert any("other channels are dropped" in loss for loss in losses(image, target)) == (target != ".tif")
+    assert any("other channels are dropped" in loss for loss in conversion_losses(image, target)) == (
+        target != ".tif"
+    )
 
 
 def parts_file(path, parts):
@@ -219,7 +221,9 @@ def test_other_parts_are_copied(tmp_path):
     assert not new.seek_subimage(len(PARTS), 0)
     image = json.loads(beltrami("info", str(source), "--json").stdout)["image"]
     assert (image["part"], image["colours"]) == ("rgba", ["R", "G", "B"])
-    assert "all but rgba are dropped" in " ".join(losses(read_image(source.read_bytes(), "x.exr"), ".png"))
+    assert "all but rgba are dropped" in " ".join(
+        conversion_losses(read_image(source.read_bytes(), "x.exr"), ".png")
+    )
 
 
 def test_parts_of_which_several_are_pictures_are_refused_by_their_names(tmp_path):
@@ -356,10 +360,12 @@ def test_the_index_finds_all_pictures_again(order, quality):
 @pytest.mark.parametrize("suffix", [".png", ".tif", ".exr", ".webp"])
 def test_other_formats_report_the_loss_and_claim_no_gain_map(suffix):
     image = read_image(ultra_hdr(), "x.jpg")
-    assert any("what follows it in the JPEG file is dropped" in notice for notice in losses(image, suffix))
+    assert any(
+        "what follows it in the JPEG file is dropped" in notice for notice in conversion_losses(image, suffix)
+    )
     new = write_image(image, image.pixels, suffix=suffix).data
     assert not any(word in new for word in (b"hdrgm", b"GainMap", _ISO))
-    assert not losses(read_image(encode(phantom(side=64), "jpeg"), "x.jpg"), ".png")
+    assert not conversion_losses(read_image(encode(phantom(side=64), "jpeg"), "x.jpg"), ".png")
 
 
 @pytest.mark.parametrize("damage", [b"MPF\0II*\0\xff\xff\xff\xff", b"MPF\0", b"MPF\0II*\0\x08\0\0\0\0\0"])

@@ -75,8 +75,8 @@ class _Target:
         return "RGB"[image.colour.index(channel)] if len(image.colour) == 3 else "Y"
 
 
-def losses(image: DecodedImage, suffix: str) -> tuple[str, ...]:
-    """Return notices of losses and changes when an image is written with the suffix of another format."""
+def conversion_losses(image: DecodedImage, suffix: str) -> tuple[str, ...]:
+    """Return notices of losses and changes when an image is written with a suffix; none in its own format."""
     file_format = format_of_suffix(suffix)
     if file_format is None or file_format == image.format:
         return ()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import partial
 from pathlib import PurePosixPath
 from typing import Any
@@ -13,7 +14,7 @@ from beltrami_cli.arrays import Array, Uint8s
 from beltrami_cli.errors import InputError, UsageError, install_hint
 from beltrami_cli.formats.image import extra_codecs
 from beltrami_cli.formats.image.containers import bmp, png, tiff, webp
-from beltrami_cli.formats.image.conversion import converted
+from beltrami_cli.formats.image.conversion import conversion_losses, converted
 from beltrami_cli.formats.image.decoded_image import ROWS, DecodedImage
 from beltrami_cli.formats.image.encoding import LOSSY_EXR, encode, reading_back, unwritten
 from beltrami_cli.formats.image.file_formats import FORMATS, FORMATS_WITH_EXIF, format_of_suffix, label_of
@@ -63,13 +64,15 @@ def write_image(
     small: bool = False,  # spend time on a smaller file
     as_data: bool = False,  # normals and the like, whose numbers no change of encoding may touch
 ) -> ImageFile:
-    """Encode new pixels of an image as the file that it came from, or in another format."""
+    """Encode new pixels of an image as the file that it came from, or in another format; with notices of all losses."""
     file_format = check_writable(image, suffix)
     if file_format in extra_codecs.EXTRA_CODECS:
-        return _write_extra(image, pixels, file_format, jpeg_quality, as_data=as_data)
-    if file_format != image.format:
-        return _write_converted(image, pixels, file_format, jpeg_quality, small=small, as_data=as_data)
-    return _write_in_own_format(image, pixels, jpeg_quality, small=small)
+        file = _write_extra(image, pixels, file_format, jpeg_quality, as_data=as_data)
+    elif file_format == image.format:
+        file = _write_in_own_format(image, pixels, jpeg_quality, small=small)
+    else:
+        file = _write_converted(image, pixels, file_format, jpeg_quality, small=small, as_data=as_data)
+    return replace(file, notices=(*file.notices, *conversion_losses(image, suffix or image.suffix)))
 
 
 def _write_converted(

@@ -136,7 +136,6 @@ def _with_maps(mesh: MeshContents, change: Callable[[MaterialMaps], MaterialMaps
 
 def with_suffixes(mesh: MeshContents, suffixes: Collection[str]) -> tuple[MeshContents, list[str]]:
     """Convert images with other suffixes to PNG; return also notices. No suffixes: any are kept."""
-    from beltrami_cli.formats.image.conversion import losses
     from beltrami_cli.formats.image.reading import read_image
     from beltrami_cli.formats.image.writing import write_image
 
@@ -148,7 +147,7 @@ def with_suffixes(mesh: MeshContents, suffixes: Collection[str]) -> tuple[MeshCo
             decoded, as_data = read_image(image.file.data, image.name), image not in colours
             file = write_image(decoded, decoded.pixels, suffix=_FALLBACK_SUFFIX, as_data=as_data)
             new_of[image] = dataclasses.replace(image, file=file)
-            notices += [*decoded.notices, *file.notices, *losses(decoded, _FALLBACK_SUFFIX)]
+            notices += [*decoded.notices, *file.notices]
     if new_of:
         held = ", ".join(suffix[1:] for suffix in suffixes)
         notices.append(f"Textures written as PNG, since the format holds {held} only: {len(new_of)}.")
