@@ -181,15 +181,15 @@ class Document(ABC):
         return tuple(found) if found or self.has_vertex_colours() else slots
 
     def _gathered(self, slot: records.Slot) -> records.TexturedSurface:
-        return textured_surface(self._scene, slot, self._undefined())
+        return textured_surface(self._scene, slot, self._why_untextured())
 
     @property
     def _scene(self) -> Scene:
         """Its polygons and materials; InputError if it has no textures."""
         raise InputError(self.name, "it has no textures")
 
-    def _undefined(self) -> Obstacle | None:
-        """Return why a material may have no textures that can be known, or None."""
+    def _why_untextured(self) -> Obstacle | None:
+        """Return why polygons may have no texture besides missing images; None if nothing is known."""
         return None
 
     def image(self) -> DecodedImage:

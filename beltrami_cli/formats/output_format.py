@@ -68,11 +68,11 @@ def _image_format(document: Document, target: str, chosen: str | None) -> Output
     return OutputFormat(suffix.lower()[1:], is_patched=True, suffix=suffix)
 
 
-def _writer(name: str) -> Format:
-    if name not in WRITERS:
-        cause = f".{name} files are not made from a new mesh"
+def _writer(form: str) -> Format:
+    if form not in WRITERS:
+        cause = f".{form} files are not made from a new mesh"
         raise UsageError(f"{cause}; end the name of the output in .glb, .obj or .ply")
-    return WRITERS[name]
+    return WRITERS[form]
 
 
 def _fitted(mesh: MeshContents, line: Format) -> MeshContents:
@@ -80,27 +80,27 @@ def _fitted(mesh: MeshContents, line: Format) -> MeshContents:
     return with_slots(mesh, line.slots) if line.slots else mesh
 
 
-def write_mesh(mesh: MeshContents, name: str, stem: str) -> Written:
+def write_mesh(mesh: MeshContents, form: str, stem: str) -> Written:
     """Write a mesh as a new file; UsageError if the format cannot hold its textures."""
-    line = require_textures(name) if mesh.materials else _writer(name)
+    line = require_textures(form) if mesh.materials else _writer(form)
     mesh = _fitted(mesh, line)
     for image in mesh.images:
-        require_textures(name, image.file.suffix)
+        require_textures(form, image.file.suffix)
     assert line.writer is not None  # or else `_writer` had refused it
     written = mesh_writer(line.writer)(mesh, stem)
     return replace(written, notices=(*mesh.notices, *written.notices))
 
 
-def sidecars_of(mesh: MeshContents, name: str, stem: str) -> list[str]:
+def sidecars_of_mesh(mesh: MeshContents, form: str, stem: str) -> list[str]:
     """Return the names of the sidecar files of `write_mesh`; images have the suffixes of `with_suffixes`."""
-    line = _writer(name)
+    line = _writer(form)
     images = image_names(_fitted(mesh, line), stem, line.images) if mesh.materials else None
     return _sidecar_names(line, stem, images)
 
 
-def sidecar_names(name: str, stem: str, image_suffix: str | None) -> list[str]:
+def usual_sidecars(form: str, stem: str, image_suffix: str | None) -> list[str]:
     """Return the names of the sidecar files of `write_mesh` for a mesh with one image, or without."""
-    line = _writer(name) if image_suffix is None else require_textures(name, image_suffix)
+    line = _writer(form) if image_suffix is None else require_textures(form, image_suffix)
     return _sidecar_names(line, stem, None if image_suffix is None else [stem + image_suffix])
 
 
@@ -109,18 +109,18 @@ def _sidecar_names(line: Format, stem: str, images: list[str] | None) -> list[st
     return [name for suffix in suffixes for name in (images or [] if suffix == ".*" else [stem + suffix])]
 
 
-def image_suffixes(name: str) -> tuple[str, ...] | None:
+def image_suffixes(form: str) -> tuple[str, ...] | None:
     """Return the suffixes of the textures that a format can hold, empty for any; None: it has no textures."""
-    line = _writer(name)
+    line = _writer(form)
     return line.images if line.has_textures else None
 
 
-def require_textures(name: str, image_suffix: str | None = None) -> Format:
+def require_textures(form: str, image_suffix: str | None = None) -> Format:
     """Return a format; UsageError if it cannot hold textures, or textures with this suffix."""
-    line = _writer(name)
+    line = _writer(form)
     if not line.has_textures:
-        raise UsageError(f"a .{name} file has no textures; end the name of the output in .glb, .obj or .ply")
+        raise UsageError(f"a .{form} file has no textures; end the name of the output in .glb, .obj or .ply")
     if line.images and image_suffix is not None and image_suffix not in line.images:
-        cause = f"a .{name} file takes PNG and JPEG textures, not {image_suffix}"
+        cause = f"a .{form} file takes PNG and JPEG textures, not {image_suffix}"
         raise UsageError(f"{cause}; choose --texture-format png or jpg")
     return line

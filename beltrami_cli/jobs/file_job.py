@@ -90,7 +90,7 @@ class FileJob:
 
     def reserve_new(self, image_suffix: str | None) -> str:
         """Return an unused stem for the sidecar files of a new mesh with one texture or no texture."""
-        names = partial(output_format.sidecar_names, self.format.name, image_suffix=image_suffix)
+        names = partial(output_format.usual_sidecars, self.format.name, image_suffix=image_suffix)
         stem = self.naming.free_stem(names)
         self.reserve(names(stem))
         return stem

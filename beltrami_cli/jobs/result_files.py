@@ -45,7 +45,7 @@ def files_with_new_colours(
         cause = "positions that --smooth-geometry moves cannot be converted together with textures"
         raise UsageError(f"{cause}; give the output the extension .{document.format}", document.name)
     mesh, notices = with_suffixes(mesh, output_format.image_suffixes(kind.name) or ())
-    stem = naming.free_stem(partial(output_format.sidecars_of, mesh, kind.name))
+    stem = naming.free_stem(partial(output_format.sidecars_of_mesh, mesh, kind.name))
     written = output_format.write_mesh(mesh, kind.name, stem)
     return replace(written, notices=(*notices, *written.notices))
 
@@ -104,12 +104,12 @@ def sidecar_names(selection: Selection, kind: OutputFormat, naming: Naming) -> l
     if _has_textures(document, kind):
         output_format.require_textures(kind.name, chosen)
         mesh = with_images(document.textured_mesh(), images)
-        names = partial(output_format.sidecars_of, mesh, kind.name)
+        names = partial(output_format.sidecars_of_mesh, mesh, kind.name)
     elif images or (document.slots() and not document.has_vertex_colours()):
         remedy = "end the name of the output in .glb, .gltf, .obj or .ply"
         raise UsageError(f"a .{kind.name} file has no textures; {remedy}")
     else:
-        names = partial(output_format.sidecar_names, kind.name, image_suffix=None)
+        names = partial(output_format.usual_sidecars, kind.name, image_suffix=None)
     return names(naming.free_stem(names))
 
 

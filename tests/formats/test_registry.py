@@ -10,7 +10,7 @@ import pytest
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.loading import document_class, mesh_writer
-from beltrami_cli.formats.output_format import sidecar_names
+from beltrami_cli.formats.output_format import usual_sidecars
 from beltrami_cli.formats.registry import FORMATS, OUTPUT_FORMATS, open_bytes, recognised
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.noise.file import noise_file
@@ -117,12 +117,12 @@ def test_an_image_is_called_one_whatever_its_name(suffix):
 
 
 def test_sidecars_follow_from_the_format():
-    assert sidecar_names("obj", "a", ".png") == ["a.mtl", "a.png"]
-    assert sidecar_names("gltf", "a", ".png") == ["a.bin", "a.png"]
-    assert sidecar_names("gltf", "a", None) == ["a.bin"]
-    assert sidecar_names("glb", "a", ".png") == sidecar_names("ply", "a", None) == []
+    assert usual_sidecars("obj", "a", ".png") == ["a.mtl", "a.png"]
+    assert usual_sidecars("gltf", "a", ".png") == ["a.bin", "a.png"]
+    assert usual_sidecars("gltf", "a", None) == ["a.bin"]
+    assert usual_sidecars("glb", "a", ".png") == usual_sidecars("ply", "a", None) == []
     with pytest.raises(UsageError, match="no textures"):
-        sidecar_names("xyz", "a", ".png")
+        usual_sidecars("xyz", "a", ".png")
 
 
 def test_the_registry_loads_no_format():

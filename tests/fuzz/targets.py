@@ -23,7 +23,7 @@ from beltrami_cli.formats.changes import Naming
 from beltrami_cli.formats.files.access import Access
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.image.writing import write_image
-from beltrami_cli.formats.output_format import image_suffixes, sidecars_of, write_mesh
+from beltrami_cli.formats.output_format import image_suffixes, sidecars_of_mesh, write_mesh
 from beltrami_cli.formats.registry import FORMATS, open_bytes
 from beltrami_cli.formats.sidecars.model_folder import ModelFolder
 from beltrami_cli.formats.usd.package import Package
@@ -91,7 +91,7 @@ def _convert(document):
     if document.slots():
         mesh = document.textured_mesh()
         for form in (line.name for line in TEXTURED if line.reader != "usd"):  # which is slow to write
-            held, names = image_suffixes(form), sidecars_of(mesh, form, "out")
+            held, names = image_suffixes(form), sidecars_of_mesh(mesh, form, "out")
             assert held is not None
             assert len({*names}) == len(names)
             if not held or all(image.file.suffix in held for image in mesh.images):

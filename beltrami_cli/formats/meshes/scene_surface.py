@@ -35,8 +35,8 @@ def no_texture(
     return NoColoursError(name, f"{cause}, because {why.cause}", why.remedy)
 
 
-def textured_surface(scene: Scene, slot: Slot, undefined: Obstacle | None = None) -> TexturedSurface:
-    """Return all triangles with the images of one slot; `undefined`: why a material is unknown."""
+def textured_surface(scene: Scene, slot: Slot, why: Obstacle | None = None) -> TexturedSurface:
+    """Return all triangles with the images of one slot; InputError if it shows none, see `no_texture`."""
     cut, polygon = triangulate_corners(scene.positions, scene.corners, scene.offsets)
     is_whole = scene.is_whole[polygon]
     if not is_whole.all():
@@ -47,7 +47,7 @@ def textured_surface(scene: Scene, slot: Slot, undefined: Obstacle | None = None
     lost = int(np.count_nonzero(bare & is_textured))
     if not (is_textured & ~bare).any():
         is_bare = len(shown.textures) > 0
-        raise no_texture(slot, scene.name, shown.missing, is_bare=is_bare, why=undefined)
+        raise no_texture(slot, scene.name, shown.missing, is_bare=is_bare, why=why)
     texture_of[bare] = set_of[bare] = -1
     uv[bare | ~is_textured] = 0
     surface = TexturedSurface(

@@ -92,7 +92,7 @@ class ObjDocument(Document):
     def _scene(self) -> Scene:
         return read_scene(self._scan, self._coordinates, self._materials, self.name)
 
-    def _undefined(self) -> Obstacle | None:
+    def _why_untextured(self) -> Obstacle | None:
         defined = set[str]().union(*(library.materials for library in self._materials.libraries))
         unknown = next((name for name in self._coordinates.names if name not in defined), None)
         if unknown is None:

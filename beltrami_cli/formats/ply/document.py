@@ -96,7 +96,7 @@ class PlyDocument(Document):
         has_textures = self._images and self._header.vertex and texturing.find_coordinates(self._tables)
         return ("baseColor",) if has_textures else ()
 
-    def _undefined(self) -> Obstacle:
+    def _why_untextured(self) -> Obstacle:
         return next(iter(self.obstacles), Obstacle("no face shows one"))
 
     @cached_property

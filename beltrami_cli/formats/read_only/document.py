@@ -31,7 +31,7 @@ _READERS: dict[str, Callable[[bytes, str, Access], ColouredPolygons]] = {
     "dae": read_collada,
     "zae": read_collada,
 }
-_READ_ONLY = (
+_NEW_FILE_NOTICE = (
     "{} files are read, but not written: OUTPUT holds the polygons and their colours, and nothing else."
 )
 
@@ -55,7 +55,7 @@ class ReadOnlyDocument(Document):
 
     @property
     def notices(self) -> tuple[str, ...]:
-        return (_READ_ONLY.format(self.format.upper()),)
+        return (_NEW_FILE_NOTICE.format(self.format.upper()),)
 
     @cached_property
     def _mesh(self) -> MeshContents:

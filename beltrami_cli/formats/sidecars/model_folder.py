@@ -49,7 +49,12 @@ def _missing(hint: str) -> UnfitReferenceError:
 
 
 class ModelFolder:
-    """The folder of a model (None: it has none); references outside of it are refused unless `access` allows them."""
+    """The folder of a model (None: it has none); references outside of it are refused unless `access` allows them.
+
+    `locate` finds a file by the name that the model has for it, `locate_any` tile sets as well, and `locate_similar`
+    both, also where the name is not quite right. Each returns a path, by which `read` and `content` read the file, or
+    raises UnfitReferenceError; `find` returns None instead.
+    """
 
     def __init__(self, folder: Path | None, access: Access = DEFAULT_ACCESS) -> None:
         self._folder = None if folder is None else folder.resolve()

@@ -1,4 +1,7 @@
-"""Level sets and their colours, from NRRD files and NumPy archives."""
+"""Level sets and their colours, from NRRD files and NumPy archives.
+
+`nrrd` and `npz` read them; `lattice` checks what both must hold, and `extra` imports optional packages.
+"""
 
 from __future__ import annotations
 
