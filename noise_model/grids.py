@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from beltrami_cli.flow.noise.grid_squares import Grid
+from beltrami_cli.flow.noise.grid_squares import GridSquares
 from images import MakeImage, random_image
 from noises import ONE_CHANNEL, NoisyColours, degrade, of_one_channel
 from observations import NoisyChannels, cut_into
@@ -51,4 +51,4 @@ def in_squares(colours: NoisyColours, filled: np.ndarray) -> NoisyChannels | Non
     """Cut noisy colours into squares; None if no square is filled."""
     rows, columns = colours.noisy.shape[:2]
     filled = filled[:rows, :columns]
-    return cut_into(Grid.of(filled, MAX_SQUARES), colours) if filled.any() else None
+    return cut_into(GridSquares.of(filled, MAX_SQUARES), colours) if filled.any() else None

@@ -33,42 +33,42 @@ def surface(number: int) -> tuple[VertexClusters, np.ndarray]:
     count = int(np.exp(rng.uniform(*np.log(SIZES))))
     kind = str(rng.choice(["jittered", "jittered", "random", "triangles", "squares", "cloud"]))
     side = int(np.sqrt(count)) + 1
-    places = _places(rng, kind, side)
+    positions = _positions(rng, kind, side)
     if kind == "cloud":
-        nearest = np.asarray(cKDTree(places).query(places, k=int(rng.integers(6, 11)))[1])
+        nearest = np.asarray(cKDTree(positions).query(positions, k=int(rng.integers(6, 11)))[1])
         pairs = np.stack([np.repeat(nearest[:, 0], nearest.shape[1] - 1), nearest[:, 1:].ravel()], axis=1)
     else:
-        corners = Delaunay(places).simplices
+        corners = Delaunay(positions).simplices
         pairs = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
     edges = np.unique(np.sort(pairs, axis=1), axis=0).astype(np.int32)
-    priorities = rng.integers(0, 2**63, len(places), dtype=np.uint64)
-    positions = np.column_stack([places, np.zeros(len(places))])
-    return VertexClusters.of(Graph(positions, edges, priorities)), (places / side).clip(0, 1)
+    priorities = rng.integers(0, 2**63, len(positions), dtype=np.uint64)
+    in_space = np.column_stack([positions, np.zeros(len(positions))])
+    return VertexClusters.of(Graph(in_space, edges, priorities)), (positions / side).clip(0, 1)
 
 
-def _places(rng: np.random.Generator, kind: str, side: int) -> np.ndarray:
+def _positions(rng: np.random.Generator, kind: str, side: int) -> np.ndarray:
     """Draw positions in a square of a side, one per unit of area, ascending along the first axis."""
-    places = np.moveaxis(np.mgrid[:side, :side], 0, -1).reshape(-1, 2).astype(float)
+    positions = np.moveaxis(np.mgrid[:side, :side], 0, -1).reshape(-1, 2).astype(float)
     if kind in ("random", "cloud"):
-        places = rng.uniform(0, side, places.shape)
+        positions = rng.uniform(0, side, positions.shape)
     elif kind == "triangles":
-        places[:, 1] += places[:, 0] % 2 / 2
+        positions[:, 1] += positions[:, 0] % 2 / 2
     elif kind == "jittered":
-        places += rng.uniform(-1, 1, places.shape) * rng.uniform(0.05, 0.5)
-    places += rng.normal(0, 1e-6, places.shape)
+        positions += rng.uniform(-1, 1, positions.shape) * rng.uniform(0.05, 0.5)
+    positions += rng.normal(0, 1e-6, positions.shape)
     if kind != "triangles" and rng.random() < 0.3:  # denser on one side
-        places[:, 1] = side * (places[:, 1].clip(0) / side) ** rng.uniform(1, 2)
-    return places[np.argsort(places[:, 0], kind="stable")]
+        positions[:, 1] = side * (positions[:, 1].clip(0) / side) ** rng.uniform(1, 2)
+    return positions[np.argsort(positions[:, 0], kind="stable")]
 
 
 def random_channels(
     rng: np.random.Generator, crops: list[np.ndarray], draw: DrawRecipe, make_image: MakeImage = random_image
 ) -> NoisyChannels | None:
     """Draw noisy colours at vertices."""
-    clusters, places = surface(int(rng.integers(SURFACES)))
+    clusters, positions = surface(int(rng.integers(SURFACES)))
     density = np.exp(rng.uniform(*np.log(DENSITIES)))
     pixels = crops[rng.integers(len(crops))]
-    side = np.clip(np.sqrt(len(places) / density), SIDES[0], min(SIDES[1], *pixels.shape[:2]))
+    side = np.clip(np.sqrt(len(positions) / density), SIDES[0], min(SIDES[1], *pixels.shape[:2]))
     recipe, is_on_vertices = draw(rng), rng.random() < ON_VERTICES
     # Samples may be denser along one axis than along the other, as on tubes and planks.
     stretch = np.exp(rng.uniform(-1, 1) * np.log(MOST_STRETCHED)) if rng.random() < STRETCHED else 1.0
@@ -80,14 +80,14 @@ def random_channels(
     clean = make_image(rng, pixels[top : top + height, left : left + width])
     if rng.random() < ONE_CHANNEL:
         clean, recipe = of_one_channel(clean, recipe)
-    colours = degrade_at_vertices(rng, clean, places, recipe, is_on_vertices=is_on_vertices)
+    colours = degrade_at_vertices(rng, clean, positions, recipe, is_on_vertices=is_on_vertices)
     return cut_into(clusters, colours.mapped(lambda planes: planes.reshape(-1, 3)))
 
 
 def degrade_at_vertices(
     rng: np.random.Generator,
     image: np.ndarray,
-    places: np.ndarray,
+    positions: np.ndarray,
     recipe: Recipe,
     *,
     is_on_vertices: bool,
@@ -96,7 +96,7 @@ def degrade_at_vertices(
     of_image = replace(recipe, sigma=0.0, impulses=0.0) if is_on_vertices else recipe
     colours = degrade(rng, image, of_image)
     order: Literal[0, 1] = 1 if rng.integers(2) else 0
-    at = places.T * (np.array(colours.noisy.shape[:2])[:, None] - 1)
+    at = positions.T * (np.array(colours.noisy.shape[:2])[:, None] - 1)
     colours = colours.mapped(lambda planes: _looked_up(planes, at, order))
     if is_on_vertices:
         return degrade(rng, colours.noisy[:, None], without_filters(recipe))

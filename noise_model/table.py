@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from beltrami_cli.flow.noise.components import OFFSET
-from beltrami_cli.flow.noise.grid_squares import Grid
+from beltrami_cli.flow.noise.grid_squares import GridSquares
 from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods
 from beltrami_cli.flow.noise.reading import read_noise
 from crops import clean_crops
@@ -134,7 +134,11 @@ def on_grids(crops: list[np.ndarray], row: Row) -> Iterator[tuple[Neighbourhoods
     """Yield noisy grids: where they are read, their channels, and their noise."""
     for rng, clean, recipe in images_of(crops, row):
         colours = degrade(rng, clean, recipe).mapped(lambda planes: planes[:SIDE, :SIDE])
-        yield Grid.of(np.ones(colours.noisy.shape[:2], bool)), np.moveaxis(colours.noisy, 2, 0), colours
+        yield (
+            GridSquares.of(np.ones(colours.noisy.shape[:2], bool)),
+            np.moveaxis(colours.noisy, 2, 0),
+            colours,
+        )
 
 
 def on_surfaces(
@@ -142,10 +146,10 @@ def on_surfaces(
 ) -> Iterator[tuple[Neighbourhoods, np.ndarray, NoisyColours]]:
     """Yield noisy surfaces, with one sample per texel."""
     for number, (rng, clean, recipe) in enumerate(images_of(crops, row)):
-        clusters, places = surface(SURFACES[number % len(SURFACES)])
-        side = int(np.clip(np.sqrt(len(places)), 16, SIDE))
+        clusters, positions = surface(SURFACES[number % len(SURFACES)])
+        side = int(np.clip(np.sqrt(len(positions)), 16, SIDE))
         colours = degrade_at_vertices(
-            rng, clean[:side, :side], places, recipe, is_on_vertices=row.on_surfaces == "vertices"
+            rng, clean[:side, :side], positions, recipe, is_on_vertices=row.on_surfaces == "vertices"
         )
         yield clusters, colours.noisy.reshape(-1, 3).T, colours
 

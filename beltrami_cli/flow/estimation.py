@@ -17,7 +17,7 @@ from beltrami_cli.flow.manifolds.manifold import Outliers
 from beltrami_cli.flow.manifolds.mesh.manifold import ColouredMesh, MeshColours
 from beltrami_cli.flow.manifolds.mesh.surroundings import MeshSurroundings
 from beltrami_cli.flow.noise.clusters import VertexClusters
-from beltrami_cli.flow.noise.grid_squares import Grid
+from beltrami_cli.flow.noise.grid_squares import GridSquares
 from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.flow.noise.reading import NoiseOfSamples, estimate_noise
 from beltrami_cli.surface import large_arrays
@@ -55,7 +55,7 @@ def estimate_on_canvas(canvas: ColouredCanvas) -> CanvasColours:
         relative[relative == 0] = 1  # empty cells
         of_samples = dataclasses.replace(of_samples, relative=relative)
     noise = estimate_noise(
-        planes, Grid.of(atlas.is_owned), parameters.given_noise, varies=parameters.stabilises_noise,
+        planes, GridSquares.of(atlas.is_owned), parameters.given_noise, varies=parameters.stabilises_noise,
         strength=parameters.strength, of_samples=of_samples,
     )  # fmt: skip
     if noise.stabiliser is not None:

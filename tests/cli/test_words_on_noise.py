@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from batch.batches import batch
-from beltrami_cli.flow.noise import channel_noise
+from beltrami_cli.flow.noise import size
 from beltrami_cli.flow.noise.model import Reading
 from beltrami_cli.flow.noise.size import sizes_of
 from beltrami_cli.layers.reports import describe_reading
@@ -36,9 +36,9 @@ def suppose(monkeypatch):
 
     def set_none(none):
         def sizes(*evidence):
-            return [dataclasses.replace(size, none=none) for size in sizes_of(*evidence)]
+            return [dataclasses.replace(each, none=none) for each in sizes_of(*evidence)]
 
-        monkeypatch.setattr(channel_noise, "sizes_of", sizes)
+        monkeypatch.setattr(size, "sizes_of", sizes)
 
     return set_none
 

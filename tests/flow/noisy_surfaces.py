@@ -4,7 +4,7 @@ import numpy as np
 
 from beltrami_cli.flow.estimation import estimate_on_mesh
 from beltrami_cli.flow.manifolds.mesh.manifold import ColouredMesh, mesh_manifold
-from beltrami_cli.flow.noise.grid_squares import Grid
+from beltrami_cli.flow.noise.grid_squares import GridSquares
 from beltrami_cli.flow.noise.reading import read_noise
 from beltrami_cli.flow.parameters import parameters_from
 from beltrami_cli.jobs.noise.kinds import NumberedSamples, add_grain, seen_by_camera
@@ -15,7 +15,7 @@ from beltrami_cli.surface.records import Cells, SampledSurface
 def noise_of_image(image, **options):
     """Return the noise model of an image of shape (R, C, N)."""
     planes = np.ascontiguousarray(np.moveaxis(image, 2, 0), np.float32)
-    return read_noise(planes, Grid.of(np.ones(planes.shape[1:], bool)), **options)
+    return read_noise(planes, GridSquares.of(np.ones(planes.shape[1:], bool)), **options)
 
 
 def manifold_of(positions, faces, colours, parameters=None):

@@ -13,7 +13,7 @@ import pytest
 from beltrami_cli.errors import InputError, OutputError, UsageError
 from beltrami_cli.flow.beltrami_flow import smooth_in_place
 from beltrami_cli.flow.decoding import plan_on_canvas
-from beltrami_cli.flow.noise.grid_squares import Grid
+from beltrami_cli.flow.noise.grid_squares import GridSquares
 from beltrami_cli.flow.noise.reading import read_noise
 from beltrami_cli.flow.parameters import KernelParameters, parameters_from
 from beltrami_cli.formats.files.access import Access
@@ -79,7 +79,7 @@ def test_the_result_is_the_same(model, photograph_as_jpeg, tmp_path, monkeypatch
 
 def test_reading_noise_takes_no_memory_for_each_texel():
     def peak(side):
-        planes, grid = np.zeros((3, side, side), np.float32), Grid.of(np.ones((side, side), bool))
+        planes, grid = np.zeros((3, side, side), np.float32), GridSquares.of(np.ones((side, side), bool))
         tracemalloc.start()
         try:
             read_noise(planes, grid)

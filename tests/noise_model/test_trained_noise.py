@@ -10,7 +10,7 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 from beltrami_cli.flow.noise.drawing import draw_on_grid
-from beltrami_cli.flow.noise.grid_squares import MAX_SQUARES, SIDE, Grid, choose_corners
+from beltrami_cli.flow.noise.grid_squares import MAX_SQUARES, SIDE, GridSquares, choose_corners
 from beltrami_cli.flow.noise.reading import read_noise
 from flow.noisy_surfaces import by_camera
 from oracles.pictures import photograph
@@ -20,7 +20,7 @@ SHAPE = (128, 192)  # of whole squares, so that turning the image keeps them
 
 def estimate(planes, filled=None, **given):
     filled = np.ones(planes.shape[1:], bool) if filled is None else filled
-    return read_noise(np.ascontiguousarray(planes, np.float32), Grid.of(filled), **given)
+    return read_noise(np.ascontiguousarray(planes, np.float32), GridSquares.of(filled), **given)
 
 
 def ramp():

@@ -9,7 +9,7 @@ import numpy as np
 from beltrami_cli.arrays import Bools, Float32s, Float64s
 from beltrami_cli.flow.corrections.jpeg_image import YCC, JpegImage, compressed, expected_pixels
 from beltrami_cli.flow.noise.components import COMPONENTS, SCALES, STEPS, sigma_of_covariances, symmetric
-from beltrami_cli.flow.noise.grid_squares import Grid
+from beltrami_cli.flow.noise.grid_squares import GridSquares
 from beltrami_cli.flow.noise.model import NoiseModel, Reading
 
 # Neighbours share noise if its standard deviation grows by this factor up to the third scale.
@@ -124,7 +124,7 @@ class _Covariances:
     def add(self, noise: Float32s, used: Bools) -> None:
         """Add details of noise, shape (R, C, 1 or 3), full scale 255, in squares of used cells."""
         planes = np.broadcast_to(np.moveaxis(noise / np.float32(255), 2, 0), (3, *used.shape))
-        seen = Grid.of(used, most=used.size).cut(planes, np.arange(3))
+        seen = GridSquares.of(used, most=used.size).cut(planes, np.arange(3))
         for number, scale in enumerate(seen.scales[:SCALES]):
             self._sums[number] += seen.products[number] @ scale.freedom
             self._counted[number] += scale.freedom.sum()

@@ -15,7 +15,7 @@ from beltrami_cli.flow.noise.model import MAX_NO_NOISE_PROBABILITY
 from beltrami_cli.flow.noise.neighbourhoods import MIN_SAMPLES, Neighbourhoods, ThreeChannels
 from beltrami_cli.flow.noise.network import NetworkReading, weights_of
 from beltrami_cli.flow.noise.residual import Residual
-from beltrami_cli.flow.noise.size import Size, evidence, sizes_of
+from beltrami_cli.flow.noise.size import Size
 from beltrami_cli.flow.noise.structure import MAX_CLIPPED_SHARE, Structure, shares_of_noise
 from beltrami_cli.flow.noise_amount import COLOURS
 
@@ -57,8 +57,7 @@ class ChannelNoise:
         channels = neighbourhoods.cut(np.broadcast_to(planes, (COLOURS, *planes.shape[1:])))
         channels, full_scale, are_levels = _in_full_scale(channels)
         reading = NetworkReading.of(channels, weights_of(neighbourhoods.kind))
-        inputs, first = evidence(channels, reading)
-        (size,) = sizes_of(weights_of(neighbourhoods.kind, "sizes"), inputs[None], np.array([first]))
+        size = Size.of(channels, reading, weights_of(neighbourhoods.kind, "sizes"))
         if len(neighbourhoods.of_samples) < MIN_SAMPLES:
             size = dataclasses.replace(size, none=1.0)
         sigma = size.quantile(0.5) if size.none <= MAX_NO_NOISE_PROBABILITY else 0.0
@@ -86,7 +85,7 @@ class ChannelNoise:
 
     @cached_property
     def residual(self) -> Residual:
-        """The residual of a pilot that assumes even noise."""
+        """The residual of a pilot that assumes uniform noise."""
         return Residual.of(self.channels, np.full(1, self.sigma**2, np.float32))
 
     def covariances(self, structure: Structure) -> tuple[Float64s, float]:

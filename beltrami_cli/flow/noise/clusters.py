@@ -21,7 +21,7 @@ from beltrami_cli.flow.noise.neighbourhoods import (
     ThreeChannels,
     ranks_within,
 )
-from beltrami_cli.flow.vertex_graph import Graph, levels_of
+from beltrami_cli.flow.vertex_graph import Graph, Level, levels_of
 
 # Maximum number of blocks of consecutive samples that are read from a large surface, and samples per block.
 _MAX_BLOCKS, _BLOCK = 16, 4096
@@ -123,28 +123,11 @@ class VertexClusters(Neighbourhoods):
         candidates, part = _some_samples(graph)
         levels = list(islice(levels_of(part), SCALES + 2))
         large = _large_ones(levels[-1].counts)
-        # The neighbourhood of each cluster by level, -1 if it is not read, and consecutive numbers of those read.
-        of_clusters = [large[levels[-1].members[level.centres]] for level in levels]
-        numbers = [_numbered(own >= 0) for own in of_clusters]
-        scales = []
-        for place, (fine, coarse) in enumerate(pairwise(levels)):
-            used, of_cells = of_clusters[place] >= 0, of_clusters[place + 1][of_clusters[place + 1] >= 0]
-            parents = numbers[place + 1][coarse.members[fine.centres]][used]
-            edges = numbers[place][fine.graph.edges]
-            scale = ClusterScale(
-                counts=fine.counts[used].astype(np.float64),
-                freedom=(np.bincount(parents, minlength=len(of_cells)) - 1).astype(np.float64),
-                is_whole=np.ones(len(of_cells), bool),
-                parents=parents,
-                of_cells=of_cells,
-                slot=ranks_within(of_cells, np.argsort(of_cells, kind="stable")),
-                edges=edges[(edges >= 0).all(axis=1)],
-            )
-            scales.append(scale)
-        is_chosen = of_clusters[0] >= 0
-        chosen, of_samples = candidates[is_chosen], of_clusters[0][is_chosen]
+        parts = [_PartOfLevel(level, large[levels[-1].members[level.centres]]) for level in levels]
+        chosen, of_samples = candidates[parts[0].is_read], parts[0].neighbourhoods_read
         sums = [np.bincount(of_samples, own) for own in graph.positions[chosen].T]
         centres = np.stack(sums, axis=1) / np.bincount(of_samples)[:, None]
+        scales = [_scale_between(fine, coarse) for fine, coarse in pairwise(parts)]
         return cls(scales, of_samples, centres, graph, chosen)
 
     def sampled(self, planes: Float32s) -> Float32s:
@@ -227,6 +210,43 @@ class VertexClusters(Neighbourhoods):
         whole[self.chosen] = np.where(np.isnan(parts), whole[self.chosen], parts)
         blended = self.graph.smoothed(whole[:, None], _SPREAD**2)
         return np.asarray(blended / blended.mean(dtype=np.float64), np.float32)
+
+
+@dataclass(frozen=True)
+class _PartOfLevel:
+    """A level, and the neighbourhood of each of its clusters; -1: it is not read."""
+
+    level: Level
+    neighbourhoods: Int64s
+
+    @property
+    def is_read(self) -> Bools:
+        return self.neighbourhoods >= 0
+
+    @property
+    def neighbourhoods_read(self) -> Int64s:
+        return self.neighbourhoods[self.is_read]
+
+    @cached_property
+    def numbers(self) -> Int64s:
+        """Consecutive numbers of the clusters that are read; -1: not read."""
+        return _numbered(self.is_read)
+
+
+def _scale_between(fine: _PartOfLevel, coarse: _PartOfLevel) -> ClusterScale:
+    """Return the scale whose parts are the clusters of a level, and whose cells are those of the next one."""
+    of_cells = coarse.neighbourhoods_read
+    parents = coarse.numbers[coarse.level.members[fine.level.centres]][fine.is_read]
+    edges = fine.numbers[fine.level.graph.edges]
+    return ClusterScale(
+        counts=fine.level.counts[fine.is_read].astype(np.float64),
+        freedom=(np.bincount(parents, minlength=len(of_cells)) - 1).astype(np.float64),
+        is_whole=np.ones(len(of_cells), bool),
+        parents=parents,
+        of_cells=of_cells,
+        slot=ranks_within(of_cells, np.argsort(of_cells, kind="stable")),
+        edges=edges[(edges >= 0).all(axis=1)],
+    )
 
 
 def _some_samples(graph: Graph) -> tuple[Int64s, Graph]:

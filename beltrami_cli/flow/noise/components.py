@@ -77,8 +77,8 @@ def log_quantiles(energies: Float32s, shares: Sequence[float]) -> list[Float32s]
     """Return quantiles of the finite energies along the last axis, as logarithms of deviations."""
     ordered = np.sort(energies, axis=-1)
     last = np.isfinite(ordered).sum(axis=-1, keepdims=True) - 1
-    places = np.maximum(np.rint(np.array(shares) * last), 0).astype(np.intp)
-    picked = np.take_along_axis(ordered, places, axis=-1)
+    ranks = np.maximum(np.rint(np.array(shares) * last), 0).astype(np.intp)
+    picked = np.take_along_axis(ordered, ranks, axis=-1)
     return list(np.moveaxis(log_deviation(np.where(np.isfinite(picked), picked, 0)), -1, 0))
 
 

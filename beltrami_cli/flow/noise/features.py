@@ -39,9 +39,8 @@ class Features:
     squares: Float32s  # features of each neighbourhood, shape (P, F)
     quiet: Float32s  # log2 of the deviations of channels in quiet cells of each neighbourhood, shape (P, 3)
     even: Float32s  # features of the most even cells of all neighbourhoods, shape (G,)
-    even_deviations: (
-        Float32s  # log2 of the deviations of components in even cells, shape (SCALES, STATISTICS, 3)
-    )
+    # log2 of the deviations of components in even cells, shape (SCALES, STATISTICS, 3)
+    even_deviations: Float32s
 
     @classmethod
     def of(cls, channels: ThreeChannels) -> Features:

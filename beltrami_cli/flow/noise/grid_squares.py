@@ -95,7 +95,7 @@ def laid_out(values: Array, present: Bools | None, side: int) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Grid(Neighbourhoods):
+class GridSquares(Neighbourhoods):
     """Squares of a grid."""
 
     kind: ClassVar[str] = "grid"
@@ -106,7 +106,7 @@ class Grid(Neighbourhoods):
     squares: Bools  # mask of the filled cells in each square, shape (P, SIDE, SIDE)
 
     @classmethod
-    def of(cls, filled: Bools, most: int = MAX_SQUARES) -> Grid:
+    def of(cls, filled: Bools, most: int = MAX_SQUARES) -> GridSquares:
         """Choose at most `most` squares."""
         corners = choose_corners(filled, most)
         squares = _cut_out(filled, corners)

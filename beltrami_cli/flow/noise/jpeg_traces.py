@@ -50,9 +50,9 @@ def coefficients(luma: Float32s, filled: Bools) -> list[Float32s]:
         of_band = np.where(is_whole[:, None], of_band, np.inf).reshape(len(luma), -1)
         ordered, known = np.sort(of_band, axis=1), np.isfinite(of_band).sum(axis=1)
         zeros = (of_band < _ZERO_WAVE).sum(axis=1)
-        for place in (known // 2, zeros + (known - zeros) // 10):
-            at = np.minimum(place, of_band.shape[1] - 1)[:, None]
-            picked = np.take_along_axis(ordered, at, axis=1)[:, 0]
+        for rank in (known // 2, zeros + (known - zeros) // 10):
+            ranks = np.minimum(rank, of_band.shape[1] - 1)[:, None]
+            picked = np.take_along_axis(ordered, ranks, axis=1)[:, 0]
             features.append(log_deviation(np.square(np.where(np.isfinite(picked), picked, 0))))
         features.append(zeros / np.maximum(known, 1))
     return features

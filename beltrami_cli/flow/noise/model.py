@@ -76,8 +76,8 @@ class Reading:
     @property
     def visible(self) -> float:
         """Probability of visible noise."""
-        places = np.log(np.maximum((self.low, self.median, self.high), 1e-9))
-        return (1 - self.none) * float(np.interp(math.log(VISIBLE), places, (0.95, 0.5, 0.05)))
+        logs = np.log(np.maximum((self.low, self.median, self.high), 1e-9))
+        return (1 - self.none) * float(np.interp(math.log(VISIBLE), logs, (0.95, 0.5, 0.05)))
 
 
 @dataclass(frozen=True)

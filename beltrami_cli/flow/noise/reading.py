@@ -131,7 +131,7 @@ def read_noise(
     if sigma is not None:
         noises[:colour_groups] = [noise.with_sigma(sigma) for noise in noises[:colour_groups]]
     colours = noises[:colour_groups]
-    structure = _common_structure(colours) if varies else Structure.even(neighbourhoods)
+    structure = _common_structure(colours) if varies else Structure.uniform(neighbourhoods)
     covariances, ratios = np.zeros((SCALES, count, count)), []
     for number, (group, noise) in enumerate(zip(groups, noises, strict=True)):
         of_group = structure if number < colour_groups else structure.without_levels()
@@ -153,7 +153,7 @@ def _common_structure(colours: Sequence[ChannelNoise]) -> Structure:
     """Find the structure of the noise of the colours; of two channels, which are read separately, that of the first."""
     first, are_levels = colours[0], all(noise.are_levels for noise in colours)
     if not all(noise.sigma for noise in colours):
-        return Structure.even(first.channels.neighbourhoods)
+        return Structure.uniform(first.channels.neighbourhoods)
     return structure_of(
         first.residual, first.sigma, first.reading.place_logs, len(first.order), are_levels=are_levels
     )

@@ -16,12 +16,14 @@ import numpy as np
 from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.flow.noise.components import FLOOR, OFFSET, in_components
 from beltrami_cli.flow.noise.neighbourhoods import ThreeChannels
-from beltrami_cli.flow.noise.network import Layers, NetworkReading, Weights
+from beltrami_cli.flow.noise.network import TOTAL_QUANTILES, Layers, NetworkReading, Weights
 
-# Noise that pilots assume, in 8-bit steps; and the positions at which the curve is sampled, as log2 of the ratio to the
-# first reading.
-LADDER = 2.0 ** np.arange(0, 6.01, 0.75)
-PLACES = np.array([-2, -1.25, -0.5, 0, 0.5, 1.25, 2, 3])
+# Noise that pilots assume, in 8-bit steps, and its log2.
+_LADDER_LOGS = np.arange(0, 6.01, 0.75)
+_LADDER = 2.0**_LADDER_LOGS
+
+# Noise at which the removal curve is sampled, as log2 of the ratio to the first reading.
+_SAMPLED_LOGS = np.array([-2, -1.25, -0.5, 0, 0.5, 1.25, 2, 3])
 
 # Edges of the bins of log2 of the strength relative to the first reading.
 EDGES = np.concatenate([np.arange(-6, -2, 0.5), np.arange(-2, 2.01, 0.2), np.arange(2.5, 6.01, 0.5)])
@@ -35,13 +37,13 @@ WIDTHS = (96, 48)
 
 
 def _removal_curve(channels: ThreeChannels) -> Float32s:
-    """Return statistics of what pilots remove, by the noise that they assume, shape (len(LADDER), 8).
+    """Return statistics of what pilots remove, by the noise that they assume, shape (len(_LADDER), 8).
 
     These are log2 of deviations relative to the assumed noise, for components and for quiet, usual and loud cells; the
     correlation of neighbours; and a measure of heavy tails.
     """
     neighbourhoods, rows = channels.neighbourhoods, []
-    for assumed in LADDER:
+    for assumed in _LADDER:
         pilot = neighbourhoods.pilot(channels.colours, np.full(1, assumed**2, np.float32))
         removed = channels.colours - pilot
         components = np.square(in_components(removed)).mean(axis=1)
@@ -59,24 +61,38 @@ def _removal_curve(channels: ThreeChannels) -> Float32s:
 
 
 def evidence(channels: ThreeChannels, reading: NetworkReading) -> tuple[Float32s, float]:
-    """Return the input of the second network, shape (F,), and the first reading, in 8-bit steps.
-
-    The first reading is the median of the first network. If it exceeds the noise of rounding, it is raised to the
-    smallest candidate: even cells show noise that the network was not trained on, such as noise of opposite sign in two
-    channels.
-    """
-    quantiles, candidates = np.sort(reading.total), reading.candidates
-    logs = np.array([quantiles[len(quantiles) // 2], candidates.min()], np.float64)
-    median, least = np.maximum(2.0**logs - OFFSET, 0)
-    first = float(max(median, least) if median > OFFSET else median)
+    """Return the input of the second network, shape (F,), and the first reading, in 8-bit steps."""
+    first = _first_reading(reading)
     log = np.log2(first + OFFSET)
-    place = np.clip(np.log2(max(first, OFFSET)) + PLACES, 0, np.log2(LADDER[-1]))
-    place *= (len(LADDER) - 1) / np.log2(LADDER[-1])
-    below = np.minimum(place.astype(np.intp), len(LADDER) - 2)
-    share, curve = (place - below)[:, None], _removal_curve(channels)
-    described = (1 - share) * curve[below] + share * curve[below + 1]
-    columns = [reading.context, quantiles - log, candidates - log, [log], described.ravel()]
-    return np.concatenate([*columns, [np.log2(channels.neighbourhoods.count)]]).astype(np.float32), first
+    columns = [
+        reading.context,
+        np.sort(reading.total) - log,
+        reading.candidates - log,
+        [log],
+        _sampled(_removal_curve(channels), first).ravel(),
+        [np.log2(channels.neighbourhoods.count)],
+    ]
+    return np.concatenate(columns).astype(np.float32), first
+
+
+def _first_reading(reading: NetworkReading) -> float:
+    """Return the median of the first network.
+
+    If it exceeds the noise of rounding, it is raised to the smallest candidate: even cells show noise that the network
+    was not trained on, such as noise of opposite sign in two channels.
+    """
+    log = np.sort(reading.total)[TOTAL_QUANTILES.index(0.5)]
+    median, least = np.maximum(2.0 ** np.array([log, reading.candidates.min()], np.float64) - OFFSET, 0)
+    return float(max(median, least) if median > OFFSET else median)
+
+
+def _sampled(curve: Float32s, first: float) -> Float64s:
+    """Interpolate a removal curve at noise relative to the first reading."""
+    logs = np.clip(np.log2(max(first, OFFSET)) + _SAMPLED_LOGS, 0, _LADDER_LOGS[-1])
+    rungs = logs * ((len(_LADDER) - 1) / _LADDER_LOGS[-1])
+    below = np.minimum(rungs.astype(np.intp), len(_LADDER) - 2)
+    share = (rungs - below)[:, None]
+    return np.asarray((1 - share) * curve[below] + share * curve[below + 1], np.float64)
 
 
 @dataclass(frozen=True)
@@ -87,6 +103,11 @@ class Size:
     none: float  # probability that there is no noise
     shares: Float64s  # probabilities of the bins between `EDGES`, given that there is noise
 
+    @classmethod
+    def of(cls, channels: ThreeChannels, reading: NetworkReading, weights: Weights) -> Size:
+        row, first = evidence(channels, reading)
+        return sizes_of(weights, row[None], np.array([first]))[0]
+
     def quantile(self, share: float) -> float:
         """Return a quantile of the size, given that there is noise."""
         sums = np.append(0, np.cumsum(self.shares))
@@ -94,7 +115,7 @@ class Size:
 
 
 def sizes_of(weights: Weights, rows: Float32s, first: Float64s) -> list[Size]:
-    """Read the distributions from the results of `evidence`."""
+    """Read the distributions from rows of `evidence`, and their first readings."""
     values: Any = weights.standardised("evidence", rows)
     layers = Layers(weights.layers)
     for name in LAYERS:

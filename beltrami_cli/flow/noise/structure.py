@@ -101,7 +101,7 @@ class Structure:
     place_variances: Float64s  # relative variance of each neighbourhood, of mean 1, shape (P,)
 
     @classmethod
-    def even(cls, neighbourhoods: Neighbourhoods) -> Structure:
+    def uniform(cls, neighbourhoods: Neighbourhoods) -> Structure:
         return cls(None, np.ones(neighbourhoods.count))
 
     @property
@@ -121,14 +121,15 @@ class Structure:
             return np.ones(levels.shape[1:], np.float32)
         return np.asarray(self.curve.at(levels).mean(axis=0))
 
-    def residual(self, even: Residual, sigma: float) -> Residual:
-        """Return the residual of a pilot that follows the structure, given that of one that assumes even noise."""
+    def residual(self, of_uniform: Residual, sigma: float) -> Residual:
+        """Return the residual of a pilot that follows the structure, given that of one that assumes uniform noise."""
         if self.curve is None and not self.is_by_place:
-            return even
-        relative = self.place_variances[even.channels.neighbourhoods.of_samples].astype(np.float32)
-        relative *= self.at_levels(even.pilot.colours)
+            return of_uniform
+        channels = of_uniform.channels
+        relative = self.place_variances[channels.neighbourhoods.of_samples].astype(np.float32)
+        relative *= self.at_levels(of_uniform.pilot.colours)
         relative = np.asarray(relative / max(1e-9, float(relative.mean())), np.float32)
-        return Residual.of(even.channels, np.float32(sigma**2) * relative)
+        return Residual.of(channels, np.float32(sigma**2) * relative)
 
     def over_samples(self, residual: Residual) -> Float32s | None:
         """Return the variance by place at each sample relative to its mean, a stack of one channel, if it differs."""
@@ -142,22 +143,28 @@ class Structure:
         If the energy of a part is between the energies of adjacent neighbourhoods, its variance is interpolated.
         Texture counts as quiet, and the quiet neighbourhood with the most energy represents all quiet ones.
         """
+        spread, around = residual.channels.scales[-1].spread, residual.channels.neighbourhoods.around
+        energies, of_parts = self._energies(residual)
+        variances, energies = self.place_variances[around], energies[around]
+        least, most = variances.min(axis=1), variances.max(axis=1)
+        loud = np.take_along_axis(energies, variances.argmax(axis=1)[:, None], axis=1)[:, 0]
+        quiet = np.where(variances <= np.sqrt(least * most)[:, None], energies, 0).max(axis=1)
+        shares = (of_parts - spread(quiet)) / np.maximum(spread(loud - quiet), 1e-9)
+        ends = spread(most > _MIN_RATIO_AT_BORDER * least)
+        interpolated = spread(least) + shares.clip(0, 1) * spread(most - least)
+        return np.asarray(np.where(ends, interpolated, np.nan), np.float64)
+
+    def _energies(self, residual: Residual) -> tuple[Array, Array]:
+        """Return the energies of neighbourhoods and of their parts, by level; NaN for parts without samples."""
         squares = np.square(residual.removed.colours).mean(axis=0)
         squares /= self.at_levels(residual.pilot.colours)
+        # Means count missing samples as 0. Those of ones are the shares of the samples that exist.
         parts: Array = np.stack([squares, np.ones_like(squares)])
         *finer, last = residual.channels.scales
         for scale in finer:
             parts = scale.means(parts)
-        energies, inner = (each[0] / np.maximum(each[1], 1e-9) for each in (last.means(parts), parts))
-        around = residual.channels.neighbourhoods.around
-        places, energies = self.place_variances[around], energies[around]
-        least, most = places.min(axis=1), places.max(axis=1)
-        loud = np.take_along_axis(energies, places.argmax(axis=1)[:, None], axis=1)[:, 0]
-        quiet = np.where(places <= np.sqrt(least * most)[:, None], energies, 0).max(axis=1)
-        shares = (inner - last.spread(quiet)) / np.maximum(last.spread(loud - quiet), 1e-9)
-        variances = last.spread(least) + shares.clip(0, 1) * last.spread(most - least)
-        is_even = last.spread(most <= _MIN_RATIO_AT_BORDER * least) | (parts[1] == 0)
-        return np.asarray(np.where(is_even, np.nan, variances), np.float64)
+        energies, of_parts = (each[0] / np.maximum(each[1], 1e-9) for each in (last.means(parts), parts))
+        return energies, np.where(parts[1] > 0, of_parts, np.nan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,21 +174,21 @@ class _Fit:
     structure: Structure
     deviance: float
 
+    def explains_more_than(self, other: _Fit) -> bool:
+        return self.deviance < _MAX_DEVIANCE_RATIO * other.deviance
+
 
 def structure_of(
-    residual: Residual, sigma: float, places: Float64s, count: int, *, are_levels: bool
+    residual: Residual, sigma: float, place_logs: Float64s, count: int, *, are_levels: bool
 ) -> Structure:
     """Find the dependence of the noise of the first `count` channels on level and place.
 
-    The structure is chosen that best explains the energies left by its own pilot; one with more freedom must explain
-    them better by a margin. `residual` is that of a pilot that assumes even noise; `places` are log2 of the deviations
-    of neighbourhoods as read by the network; `sigma` is the RMS noise, in steps of 8 bits.
+    The structure is chosen that best explains the energies left by its own pilot. Places that are read to be similar
+    must explain them better by a margin, and so must level and place together.
+
+    `residual` is that of a pilot that assumes uniform noise; `place_logs` are log2 of the deviations of neighbourhoods
+    as read by the network; `sigma` is the RMS noise, in steps of 8 bits.
     """
-    neighbourhoods = residual.channels.neighbourhoods
-    even, blocks = Structure.even(neighbourhoods), residual.blocks()
-    curve = LevelCurve.of(blocks, count) if are_levels else None
-    if curve is not None and not curve.differs:
-        curve = None
 
     def fit(structure: Structure) -> _Fit:
         left = structure.residual(residual, sigma).blocks()
@@ -189,21 +196,31 @@ def structure_of(
         structure = structure if again is None else dataclasses.replace(structure, curve=again)
         return _Fit(structure, _deviance(left, structure))
 
-    best = _Fit(even, _deviance(blocks, even))
+    neighbourhoods, blocks = residual.channels.neighbourhoods, residual.blocks()
+    uniform = Structure.uniform(neighbourhoods)
+    best = _Fit(uniform, _deviance(blocks, uniform))
+    curve = LevelCurve.of(blocks, count) if are_levels else None
+    if curve is not None and not curve.differs:
+        curve = None
     if curve is not None:
-        best = min(best, fit(Structure(curve, even.place_variances)), key=lambda each: each.deviance)
-    by_place = fit(Structure(None, _with_quiet_tiles(residual, 4.0**places, sigma)))
-    low, high = np.quantile(np.median(places[neighbourhoods.around], axis=1), (_MIN_SHARE, 1 - _MIN_SHARE))
-    is_wide = high - low > np.log2(_MIN_RATIO)
-    is_much_better = by_place.deviance < _MAX_DEVIANCE_RATIO * best.deviance
-    if is_much_better or (is_wide and by_place.deviance <= best.deviance):
+        best = min(best, fit(Structure(curve, uniform.place_variances)), key=lambda each: each.deviance)
+    by_place = fit(Structure(None, _with_quiet_tiles(residual, 4.0**place_logs, sigma)))
+    is_as_good = by_place.deviance <= best.deviance and _differ(place_logs, neighbourhoods)
+    if is_as_good or by_place.explains_more_than(best):
         best = by_place
     if curve is not None:
-        relative = _of_mean_1(4.0 ** (places - _logs_of_level(blocks, curve)))
-        both = fit(Structure(curve, relative))
-        if both.deviance < _MAX_DEVIANCE_RATIO * best.deviance:
-            best = both
+        relative = _of_mean_1(4.0 ** (place_logs - _logs_of_level(blocks, curve)))
+        by_both = fit(Structure(curve, relative))
+        if by_both.explains_more_than(best):
+            best = by_both
     return best.structure
+
+
+def _differ(place_logs: Float64s, neighbourhoods: Neighbourhoods) -> bool:
+    """Whether places have different noise: a tenth of them much less than another tenth."""
+    medians = np.median(place_logs[neighbourhoods.around], axis=1)
+    low, high = np.quantile(medians, (_MIN_SHARE, 1 - _MIN_SHARE))
+    return bool(high - low > np.log2(_MIN_RATIO))
 
 
 def _logs_of_level(blocks: Blocks, curve: LevelCurve) -> Float64s:

@@ -6,7 +6,7 @@ import numpy as np
 
 from beltrami_cli._native import nearest_marked
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Indices, Int32s
-from beltrami_cli.flow.noise.grid_squares import Grid
+from beltrami_cli.flow.noise.grid_squares import GridSquares
 from beltrami_cli.flow.noise.reading import read_noise
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import OWNED, Atlas
@@ -124,7 +124,7 @@ def _sides_of_seams(atlas: Atlas, reached: Int32s) -> Int32s:
 
 def end_at_seams_in_place(planes: Float32s, atlas: Atlas, threads: int) -> None:
     """Extend a guide as a constant over the seams whose sides differ."""
-    sigma = read_noise(planes, Grid.of(atlas.is_owned), varies=False).sigma
+    sigma = read_noise(planes, GridSquares.of(atlas.is_owned), varies=False).sigma
     beyond = atlas.halo.cells[halo_beyond(atlas, find_colour_jumps(atlas, planes, sigma))]
     if len(beyond):
         is_beyond = np.zeros(atlas.kind.shape, bool)
