@@ -50,6 +50,29 @@ one = smooth_image(colours, threads=1, **kernel).colours  # whose stack is kept 
 print(outcome(lambda: np.array_equal(smooth_image(colours, threads=8, **kernel).colours, one), 4))
 """
 
+FIRST_EXCEPTION = """
+import ctypes
+from beltrami_cli import _native
+libc = ctypes.CDLL(None)
+libc.malloc.restype, libc.malloc.argtypes, libc.free.argtypes = ctypes.c_void_p, [ctypes.c_size_t], [ctypes.c_void_p]
+samples = 1 << 14
+arguments = (
+    np.zeros((samples, 3), np.uint8), np.arange(samples, dtype=np.int32), np.zeros((samples, 3), np.float32),
+    np.arange(3, dtype=np.int32), 1,
+)
+_native.store_colours(*arguments)  # The stack of its thread is kept for the next one.
+small = range(24, 1024, 16)
+blocks = [libc.malloc(size) for size in small]
+def starved():
+    for size in (1 << 20, 1 << 16, 1 << 12, *reversed(small)):
+        while libc.malloc(size):
+            pass
+    for block in blocks:
+        libc.free(block)  # for this thread, to start another; the others see nothing of it
+    return _native.store_colours(*arguments)
+print(outcome(starved, 0))
+"""
+
 
 def printed(program):
     # -P: the checkout, where tests run, has no compiled part if the package is installed elsewhere.
@@ -75,3 +98,7 @@ def test_codecs_without_memory_raise_what_the_command_reports(codec, suffix):
 
 def test_threads_that_cannot_be_started_leave_the_work_to_others():
     assert printed(THREADS) == ["True"]
+
+
+def test_a_thread_left_without_any_memory_raises_an_exception_instead_of_ending_the_process():
+    assert printed(FIRST_EXCEPTION) == ["MemoryError"]
