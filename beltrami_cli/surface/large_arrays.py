@@ -2,6 +2,9 @@
 
 Files behave like arrays. The system reads and writes pages as they are accessed, so code that processes such arrays
 sequentially, block by block, only needs memory for blocks.
+
+The limit is a context and not a parameter: memory belongs to the whole run, and functions that make or pass over such
+arrays are reached from every package.
 """
 
 from __future__ import annotations
@@ -45,25 +48,25 @@ _SHARE = 3 / 4
 # takes 18 s of system time instead of 10.
 _MMAP_BYTES = 1 << 22
 _M_MMAP_THRESHOLD = -3  # of mallopt, in <malloc.h> of glibc
-SMALLEST = 1 << 16
-"""Bytes; smaller arrays stay in memory, and do not count: a file costs some pages."""
+MIN_COUNTED_BYTES = 1 << 16
+"""Smaller arrays stay in memory, and do not count: a file costs some pages."""
 
 
 @dataclass
 class _Limit:
-    """Limit above which arrays are put into files."""
+    """Limit above which arrays are put into files, and what counts towards it."""
 
     folder: Path | None  # None: for temporary files
-    most: int
-    in_memory: int = 0  # bytes of arrays in memory
+    max_in_memory: int  # bytes
+    in_memory: int = 0  # bytes of arrays that live
     maps: weakref.WeakSet[mmap.mmap] = field(default_factory=weakref.WeakSet)
 
     def has_room(self, size: int) -> bool:
-        return size < SMALLEST or self.in_memory + size <= self.most
+        return size < MIN_COUNTED_BYTES or self.in_memory + size <= self.max_in_memory
 
     def count(self, array: Array) -> None:
         """Count the bytes of an array during its lifetime."""
-        if array.nbytes >= SMALLEST:
+        if array.nbytes >= MIN_COUNTED_BYTES:
             self.in_memory += array.nbytes
             weakref.finalize(array, self._release, array.nbytes).atexit = False
 
@@ -104,15 +107,15 @@ def _return_freed_memory() -> None:
 
 def zeros(shape: int | Sequence[int], dtype: DTypeLike) -> Array:
     """Return an array of zeros, like `numpy.zeros`; OutputError if the disk is full."""
-    return _made(np.zeros, shape, dtype)
+    return _allocate(np.zeros, shape, dtype)
 
 
 def empty(shape: int | Sequence[int], dtype: DTypeLike) -> Array:
     """Return an uninitialised array, like `numpy.empty`; OutputError if the disk is full."""
-    return _made(np.empty, shape, dtype)
+    return _allocate(np.empty, shape, dtype)
 
 
-def _made(make: Callable[..., Array], shape: int | Sequence[int], dtype: DTypeLike) -> Array:
+def _allocate(make: Callable[..., Array], shape: int | Sequence[int], dtype: DTypeLike) -> Array:
     limit = _LIMIT.get()
     if limit is None:
         return make(shape, dtype)

@@ -41,7 +41,7 @@ def smoothed(model, folder, memory, settings=DEFAULTS):
 @pytest.fixture
 def on_disk(monkeypatch):
     """All arrays, however small, are in files where memory is limited; returns the bytes that these take."""
-    monkeypatch.setattr(large_arrays, "SMALLEST", 1)
+    monkeypatch.setattr(large_arrays, "MIN_COUNTED_BYTES", 1)
     monkeypatch.setattr(large_arrays, "_SHARE", 0)
     sizes = []
     take = os.posix_fallocate
@@ -126,7 +126,7 @@ def test_a_map_of_noise_is_for_one_tile_whose_result_memory_does_not_change(tmp_
     settings = dataclasses.replace(GIVEN, kernel=dataclasses.replace(GIVEN.kernel, noise=str(noise)))
     with pytest.raises(UsageError, match=r"is the noise of one of 16 textures; choose it by --texture"):
         smoothed(model, tmp_path / "all", None, settings)
-    monkeypatch.setattr(large_arrays, "SMALLEST", 1)
+    monkeypatch.setattr(large_arrays, "MIN_COUNTED_BYTES", 1)
     one = dataclasses.replace(settings, textures=TextureSettings(names=("skin.1023.png",)))
     files, report = smoothed(model, tmp_path / "one", None, one)
     assert smoothed(model, tmp_path / "little", 50_000, one) == (files, report)
@@ -226,7 +226,7 @@ def test_arrays_in_files_are_like_others(tmp_path, on_disk):
 
 
 def test_arrays_are_in_memory_up_to_a_share_of_it(tmp_path):
-    size = large_arrays.SMALLEST
+    size = large_arrays.MIN_COUNTED_BYTES
     with large_arrays.arrays_in_files(4 * size, tmp_path):  # for three of them
         kept = [large_arrays.empty(size, np.uint8), large_arrays.kept(np.ones(size, np.uint8))]
         freed = large_arrays.zeros(size, np.uint8)
