@@ -56,6 +56,14 @@ _PRIOR_OF_SAMPLES, _PRIOR_OF_MEANS = _Prior(1.0, 0.025), _Prior(0.5, 0.02)
 _TRUSTED_WITHIN = (0.64, 0.84)
 
 
+class _Weights(NamedTuple):
+    """The weights w over a domain, one plane, and sums over its samples."""
+
+    plane: Float32s
+    share: float  # sum of w
+    gain: float  # sum of the reduction of the squared error
+
+
 class Pair(NamedTuple):
     """The result of the noisy colours, and that of the perturbed ones."""
 
@@ -125,10 +133,13 @@ class BlendNoise:
         tables = normal_tables()
         self.for_core = channels, tables.furthest, tables.lost, tables.share
 
-    def terms(
+    def terms_of_means(
         self, residual: Float32s, probe: Array, difference: Float32s, moved: Float32s, relative: Float32s
     ) -> Float32s:
-        """Return the terms of w, summed over channels; `difference`, `moved`: Q - P without and with perturbation."""
+        """Return the terms of w over a level, as `blend_terms` does for samples, from the residual P - z of means.
+
+        `difference`, `moved`: Q - P without and with perturbation.
+        """
         variances = self._variances[:, *[None] * (residual.ndim - 1)]
         slope = residual * difference - variances * relative * probe * (moved - difference)
         return np.stack([slope.sum(axis=0), np.square(difference).sum(axis=0)])
@@ -144,24 +155,24 @@ def blend_samples_in_place(
         for stack in (noisy.colours, noisy.signs, manifold.relative_variance, *kernel, *patches)
     )
 
-    def terms(rows: slice) -> Float32s:
-        sums: Float32s = np.empty((2, *z[0, rows].shape), np.float32)
+    def terms_of(rows: slice) -> Float32s:
+        terms: Float32s = np.empty((2, *z[0, rows].shape), np.float32)
         estimates = tuple(stack[:, rows] for stack in (p, q, p_perturbed, q_perturbed))
         probe: Array = signs[:, rows] / noisy.divisors
-        blend_terms(z[:, rows], probe, estimates, (*noise.for_core, relative[:, rows]), sums, 1)
-        return sums
+        blend_terms(z[:, rows], probe, estimates, (*noise.for_core, relative[:, rows]), terms, 1)
+        return terms
 
     def move(rows: slice) -> None:
-        weight = regions.enlarged(weights, rows)
+        weight = regions.enlarged(weights.plane, rows)
         for of_kernel, of_patches in ((p, q), (p_perturbed, q_perturbed)):
             of_kernel[:, rows] += weight * (of_patches[:, rows] - of_kernel[:, rows])
 
-    sums = regions.gathered(2, terms, z, threads)
-    weights, share, gain = _weigh(regions, sums, noise.variance, _PRIOR_OF_SAMPLES)
+    terms = regions.gathered(2, terms_of, z, threads)
+    weights = _weigh(regions, terms, noise.variance, _PRIOR_OF_SAMPLES)
     in_parallel(move, threads, ((rows,) for rows in block_rows(z, regions.side)))
     for stack in kernel:
         manifold.geometry.refresh(stack)
-    return share, gain
+    return weights.share, weights.gain
 
 
 def blend_means_in_place(
@@ -171,23 +182,23 @@ def blend_means_in_place(
     means = noisy.means(level)
     residuals, within = _means_of_residuals(level, manifold, noise, noisy.colours, results.plain)
     changes = _changes_by_patches(level, mixing, means, within, results)
-    sums = np.empty((2, *level.shape), np.float32)
+    terms = np.empty((2, *level.shape), np.float32)
 
     def write_terms(
-        q: Array, q_perturbed: Array, residual: Array, signs: Array, within: Array, relative: Array, terms: Array
+        q: Array, q_perturbed: Array, residual: Array, signs: Array, within: Array, relative: Array, block: Array
     ) -> None:  # fmt: skip
-        terms[:] = noise.terms(
+        block[:] = noise.terms_of_means(
             residual, signs / means.divisors, within * q, within * q_perturbed, within * relative
         )
 
     for_blocks(
         write_terms, 1, level.axis, *changes, residuals, means.signs, within,
-        np.expand_dims(level.relative, level.axis), np.moveaxis(sums, 0, level.axis),
+        np.expand_dims(level.relative, level.axis), np.moveaxis(terms, 0, level.axis),
     )  # fmt: skip
-    weights, _, gain = _weigh(level, sums, noise.variance, _PRIOR_OF_MEANS)
+    weights = _weigh(level, terms, noise.variance, _PRIOR_OF_MEANS)
     for stack, change in zip(results, changes, strict=True):
-        level.add_enlarged_in_place(stack, change * np.moveaxis(weights, 0, level.axis))
-    return gain
+        level.add_enlarged_in_place(stack, change * np.moveaxis(weights.plane, 0, level.axis))
+    return weights.gain
 
 
 def _means_of_residuals(
@@ -231,17 +242,16 @@ def _changes_by_patches(
     return changes
 
 
-def _weigh(
-    domain: Domain, sums: Float32s, variance: float, expected: _Prior
-) -> tuple[Float32s, float, float]:
-    """Solve for w from its terms; return w, its sum, and the sum of the reduction of the squared error."""
-    slope, square = domain.total(sums)
-    overall = min(1.0, max(0.0, slope / square)) ** expected.power if square > 0 else 0.0
+def _weigh(domain: Domain, terms: Float32s, variance: float, expected: _Prior) -> _Weights:
+    """Solve for w from two planes of terms: the numerator, a slope of the error, and the square of d."""
+    total_slope, total_square = domain.total(terms)
+    ratio = total_slope / total_square if total_square > 0 else 0.0
+    overall = min(1.0, max(0.0, ratio)) ** expected.power
     # The variance of w is sigma^2 over the sum of squares; a mean by a Gaussian stands for this many samples.
     prior = np.float32(variance * domain.noise_ratio / (4 * np.pi * domain.width**2) / expected.variance)
-    means = domain.spread(sums)
-    for mean, terms in in_blocks(0, means, sums):
-        weight = np.clip((mean[0] + prior * overall) / (mean[1] + prior), 0, 1)
-        mean[0], mean[1] = weight, weight * (2 * terms[0] - weight * terms[1])
-    share, gain = domain.total(means)
-    return means[:1], float(share), float(gain)
+    weights_and_gains = domain.spread(terms)  # takes the memory of the means
+    for (mean_slope, mean_square), (slope, square) in in_blocks(0, weights_and_gains, terms):
+        weight = np.clip((mean_slope + prior * overall) / (mean_square + prior), 0, 1)
+        mean_slope[:], mean_square[:] = weight, weight * (2 * slope - weight * square)
+    share, gain = domain.total(weights_and_gains)
+    return _Weights(weights_and_gains[:1], float(share), float(gain))

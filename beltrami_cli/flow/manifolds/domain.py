@@ -18,9 +18,6 @@ from beltrami_cli.surface import large_arrays
 class Domain(ABC):
     """Samples over which per-sample scalars are summed and averaged."""
 
-    axis: ClassVar[int]
-    """The axis of the channels in a stack."""
-
     width: float
     """Standard deviation of `spread`, in sample spacings."""
 
@@ -69,6 +66,9 @@ class Regions(Domain):
 
 class CoarseLevel(Domain):
     """Means of groups of neighbouring samples, which are the samples of a coarser surface."""
+
+    axis: ClassVar[int]
+    """The axis of the channels in a stack."""
 
     relative: Float32s
     """Variance of the noise of each mean, relative to `noise_ratio`."""

@@ -247,17 +247,17 @@ class SampleTrial:
         """The variance of the noise relative to its mean."""
         return 1.0 if self.part.noise.relative is None else self.scored(self.part.noise.relative)
 
-    def step(self, state: Stack, step: Step) -> Stack:
-        metric = self.part.measure(state, step, self._gaussian if step.regularised else None)
-        return self.part.average([state], metric).stacks[0]
+    def step(self, colours: Stack, step: Step) -> Stack:
+        metric = self.part.measure(colours, step, self._gaussian if step.regularised else None)
+        return self.part.average([colours], metric).stacks[0]
 
     @cached_property
     def _gaussian(self) -> Gaussian:
         return self.part.geometry.gaussian(self.part.parameters.metric_scale)
 
-    def scored(self, state: Stack) -> Float32s:
-        """Return the colours of the evaluated samples, shape (S, N)."""
-        return state if self.scored_samples is None else self.part.geometry.take(state, self.scored_samples)
+    def scored(self, stack: Stack) -> Float32s:
+        """Return the channels of the evaluated samples, shape (S, N)."""
+        return stack if self.scored_samples is None else self.part.geometry.take(stack, self.scored_samples)
 
 
 def _average_chunk_in_place(

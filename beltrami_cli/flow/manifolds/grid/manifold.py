@@ -180,20 +180,20 @@ class GridManifold(Manifold):
         self, stacks: Sequence[Stack], metric: Metric, progress: Callable[[int], None] | None
     ) -> tuple[Float32s, int]:
         """Average stacks, colours first, in one pass; return also the number of samples in all kernels."""
-        metric_channels = joined_channels(self, stacks[0], metric.step, metric.gaussian)
+        channels = joined_channels(self, stacks[0], metric.step, metric.gaussian)
         planes = [plane for stack in stacks for plane in stack]
         return average_planes(
-            self.geometry, at_step(self.parameters, metric.step), metric_channels, planes, progress
+            self.geometry, at_step(self.parameters, metric.step), channels, planes, progress
         )
 
     def kernel_at(self, sample: int, step: Step) -> SampledKernel:
         """Return the kernel of an owned cell, in which halo cells count as their nearest owned cells."""
         gaussian = self.measure(self.colours, step).gaussian
-        metric_channels = joined_channels(self, self.colours, step, gaussian)
+        channels = joined_channels(self, self.colours, step, gaussian)
         parameters, atlas = at_step(self.parameters, step), self.geometry.atlas
         columns, reach = atlas.kind.shape[1], parameters.window // 2
         row, column = divmod(int(atlas.owned_cells[sample]), columns)
-        window = distances_in_window(self.geometry, parameters, metric_channels, (row, column))
+        window = distances_in_window(self.geometry, parameters, channels, (row, column))
         offsets = np.argwhere(np.isfinite(window)) - reach
         distances = window[tuple(offsets.T + reach)]
         # Coincident samples have the distance 0 too, and the cell itself comes first.

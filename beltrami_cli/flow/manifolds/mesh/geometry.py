@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import ClassVar, TypeAlias
@@ -13,12 +12,11 @@ import numpy as np
 from beltrami_cli._native import SegmentManifold, TriangulatedManifold, vertex_order
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Indices, Int32s, Uint8s
 from beltrami_cli.flow.chunks import Resources
-from beltrami_cli.flow.manifolds.domain import Regions
 from beltrami_cli.flow.manifolds.geometry import ENOUGH_DIFFERENCES, Geometry, Stack
 from beltrami_cli.flow.manifolds.iteration import Metric
 from beltrami_cli.flow.manifolds.mesh.fingerprints import fingerprints, quantised
 from beltrami_cli.flow.manifolds.mesh.kernel_work import MeshWork
-from beltrami_cli.flow.mesh_gaussian import PASS_SCALE, PASS_VARIANCE, MeshGaussian
+from beltrami_cli.flow.mesh_gaussian import MeshGaussian
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.vertex_graph import Graph
 from beltrami_cli.surface import large_arrays
@@ -47,11 +45,10 @@ class MeshMetric(Metric):
 
 
 @dataclass(kw_only=True, eq=False)
-class MeshGeometry(Geometry, Regions):
+class MeshGeometry(Geometry):
     """Vertices, triangles and edges; stacks have one row per vertex."""
 
     axis: ClassVar[int] = 1
-    width, noise_ratio, side = 4.0, 1.0, 1
 
     order: Int32s  # the caller's number of each sample
     positions: Float64s
@@ -185,25 +182,6 @@ class MeshGeometry(Geometry, Regions):
 
     def gaussian(self, scale: float) -> MeshGaussian:
         return MeshGaussian.of(self.size, self.edges, self.lengths, scale, self.gain, self.threads)
-
-    def means_of_rows(self, planes: Float32s, rows: slice) -> tuple[slice, Float32s]:
-        return rows, planes  # each sample is its own mean
-
-    def enlarged(self, planes: Float32s, rows: slice) -> Float32s:
-        return planes[:, rows]
-
-    def total(self, planes: Float32s) -> Float64s:
-        return np.asarray(planes.sum(axis=1, dtype=np.float64))
-
-    def spread(self, planes: Float32s) -> Float32s:
-        """Average rows over the surface, in passes over the neighbours of each sample."""
-        means = MeshGaussian.of(
-            self.size, self.edges, self.lengths, PASS_SCALE, gain=1.0, threads=self.threads
-        )
-        rows = np.ascontiguousarray(planes.T)
-        for _ in range(math.ceil(self.width**2 / PASS_VARIANCE)):
-            rows = means.smooth(rows)
-        return np.ascontiguousarray(rows.T)
 
     def _is_joined(self) -> Bools:
         joined = np.zeros(self.size, bool)

@@ -30,8 +30,9 @@ from beltrami_cli.flow.manifolds.mesh.kernel_work import without_hubs
 from beltrami_cli.flow.manifolds.mesh.levels import Clusters, clusters_for
 from beltrami_cli.flow.manifolds.mesh.patches import collaborate_on_graph
 from beltrami_cli.flow.manifolds.mesh.perturbations import draw_perturbations
+from beltrami_cli.flow.manifolds.mesh.regions import SingleSamples
 from beltrami_cli.flow.manifolds.mesh.trial import choose_discs
-from beltrami_cli.flow.manifolds.metric_channels import gaussian_for, joined_channels
+from beltrami_cli.flow.manifolds.metric_channels import MetricChannels, gaussian_for, joined_channels
 from beltrami_cli.flow.manifolds.moving_positions import MovingPositions, PositionParameters
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.manifolds.search_range import ON_MESHES, RULE_ON_MESHES, wanted_probes
@@ -126,7 +127,7 @@ class MeshManifold(Manifold):
             return Metric(step, None)
         mesh, moving = self.geometry, self.moving
         positions = mesh.positions if moving is None else moving.positions
-        features = () if moving is None else ((moving.normals, moving.beta),)
+        features = () if moving is None else (MetricChannels(moving.normals, moving.beta),)
         gaussian = gaussian_for(self, step, gaussian)
         channels, beta = joined_channels(self, colours, step, gaussian, features=features)
         return MeshMetric(step, gaussian, positions, channels, beta)
@@ -242,8 +243,8 @@ class MeshManifold(Manifold):
         return clusters_for(self.graph, most, self.noise.relative)
 
     @property
-    def regions(self) -> MeshGeometry:
-        return self.geometry
+    def regions(self) -> SingleSamples:
+        return SingleSamples(self.geometry)
 
     def trial(self) -> SampleTrial:
         colours, edges, size = self.colours, self.geometry.edges, self.geometry.size
