@@ -136,7 +136,7 @@ class BlendNoise:
     def terms_of_means(
         self, residual: Float32s, probe: Array, difference: Float32s, moved: Float32s, relative: Float32s
     ) -> Float32s:
-        """Return the terms of w over a level, as `blend_terms` does for samples, from the residual P - z of means.
+        """Return the terms of w over a level, as `blend_terms` does for samples, from the residual z - P of means.
 
         `difference`, `moved`: Q - P without and with perturbation.
         """
