@@ -16,7 +16,7 @@ from PIL import Image
 Image.MAX_IMAGE_PIXELS = None
 
 SUFFIXES = ".png", ".jpg", ".jpeg", ".webp"
-FEWEST = 16  # texels per side of an image
+MIN_SIDE = 16  # texels per side of an image
 SIDE = 288  # of crops, in texels
 CROPS_OF_PHOTOGRAPH = 10  # textures have one; images of more than two sides have twice as many
 PHOTOGRAPHS = "wallpapers", "backgrounds", "sklearn", "skimage"
@@ -51,7 +51,7 @@ def clean_crops(roots: list[Path], part: str, seed: int) -> list[np.ndarray]:
                 continue
             is_photograph = any(word in str(path) for word in PHOTOGRAPHS) and path.stem not in NO_PHOTOGRAPHS
             pixels = _clean_pixels(path, is_photograph, rng)
-            if pixels is None or min(pixels.shape[:2]) < FEWEST:
+            if pixels is None or min(pixels.shape[:2]) < MIN_SIDE:
                 continue
             count = CROPS_OF_PHOTOGRAPH if is_photograph else 1
             for _ in range(2 * count if min(pixels.shape[:2]) > 2 * SIDE else count):

@@ -15,9 +15,9 @@ from beltrami_cli.flow.noise.grid_squares import SIDE
 from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, ThreeChannels
 from noises import NoisyColours
 
-FEWEST_DETAILS = 3 * SIDE**2 / 16  # minimum number of details of the finest cells in an image
+MIN_DETAILS = 3 * SIDE**2 / 16  # minimum number of details of the finest cells in an image
 # Minimum noise of the loudest and of the quietest component whose correlation is trained, in 8-bit steps.
-CORRELATED, MIN_DEVIATION = 1.0, 0.05
+MIN_LOUDEST, MIN_QUIETEST = 1.0, 0.05
 
 
 class NoisyChannels(NamedTuple):
@@ -62,7 +62,7 @@ def observation_of(channels: NoisyChannels) -> Observation | None:
             products = [total + sign * scale.padded(own) for total, scale, own in triples]
     truths = [dataclasses.replace(own, products=part) for own, part in zip(cells, products, strict=True)]
     covariances = np.stack([covariance_of(own) for own in truths])
-    if np.isnan(covariances[0]).any() or cells[0].freedom.sum() < FEWEST_DETAILS:
+    if np.isnan(covariances[0]).any() or cells[0].freedom.sum() < MIN_DETAILS:
         return None
     known = np.where(np.isnan(covariances), covariances[0], covariances)
     total = max(0.0, float(np.trace(covariance_of_cells(known))) / 3)
@@ -83,7 +83,7 @@ def _correlations(covariances: np.ndarray) -> np.ndarray:
         covariances[:, a, b] / np.maximum(deviations[:, a] * deviations[:, b], 1e-6)
         for a, b in ((0, 1), (0, 2), (1, 2))
     ]
-    is_known = (deviations.max(axis=1) > CORRELATED) & (deviations.min(axis=1) > MIN_DEVIATION)
+    is_known = (deviations.max(axis=1) > MIN_LOUDEST) & (deviations.min(axis=1) > MIN_QUIETEST)
     return np.where(is_known[:, None], np.stack(pairs, axis=1).clip(-1, 1), np.nan)
 
 

@@ -40,7 +40,7 @@ def make_rows(
     rows: list[tuple[np.ndarray, float, float]] = []
     while len(rows) < count:
         drawn = CHANNELS[kind](rng, crops, family.draw, family.make_image)
-        if drawn is None or drawn.noisy.scales[0].freedom.sum() < observations.FEWEST_DETAILS:
+        if drawn is None or drawn.noisy.scales[0].freedom.sum() < observations.MIN_DETAILS:
             continue
         truth = np.sqrt(max(0.0, _mean_square(drawn.noise) - _mean_square(drawn.loss)))
         rows.append((*evidence(drawn.noisy, NetworkReading.of(drawn.noisy, weights)), truth))

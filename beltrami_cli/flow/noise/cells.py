@@ -11,7 +11,9 @@ from beltrami_cli.arrays import Bools, Float32s
 class KindStatistics:
     """Statistics that each kind of neighbourhoods computes in its own way."""
 
-    fourth: Float32s  # mean fourth power of the details by component, shape (P, 3)
+    mean_squares: (
+        Float32s  # of the energies of details or cells by component, large for heavy tails, shape (P, 3)
+    )
     others: Float32s  # features that only this kind of neighbourhood has, shape (P, F)
     clipped: Float32s | None = None  # share of clipped samples around each cell, shape (P, n), if it is used
     # Mean products of residuals, which are free of slopes, in each cell, shape (6, P, n), if they are used.

@@ -97,26 +97,25 @@ class ChannelNoise:
         nothing = np.zeros((SCALES, len(self.order), len(self.order)))
         if not self.sigma:
             return nothing, 1.0
-        residual, sigma, ratio = structure.residual(self.residual, self.sigma), self.sigma, 1.0
+        residual, sigma = structure.residual(self.residual, self.sigma), self.sigma
         stabiliser = structure.stabiliser(self.full_scale)
         if stabiliser is not None:
             residual, sigma = residual.stabilised(stabiliser, self.step), sigma * stabiliser.scale
         of_singles = residual.even_covariance(structure.place_variances)
-        is_shared = self._is_shared(residual)
-        covariances = self.reading.covariances if is_shared else np.repeat(of_singles[None], SCALES, axis=0)
-        total = float(np.trace(covariance_of_cells(covariances)))
-        if not of_singles.any() or not total:
+        if not of_singles.any():
             return nothing, 1.0
-        covariances = covariances * (COLOURS * sigma**2 / total)
-        if is_shared:
-            is_whole = self.channels.clipped_shares() < MAX_CLIPPED_SHARE
-            cells = residual.channels.cells
-            covariances = _combined(
-                covariances, *even_covariances(cells, is_whole, structure.place_variances)
-            )
-            ratio = float(np.sqrt(np.trace(covariance_of_cells(covariances)) / COLOURS) / sigma)
+        if not self._is_shared(residual):
+            return self._of_channels(_scaled(np.repeat(of_singles[None], SCALES, axis=0), sigma)), 1.0
+        is_whole = self.channels.clipped_shares() < MAX_CLIPPED_SHARE
+        of_even = even_covariances(residual.channels.cells, is_whole, structure.place_variances)
+        covariances = _combined(_scaled(self.reading.covariances, sigma), *of_even)
+        ratio = np.sqrt(np.trace(covariance_of_cells(covariances)) / COLOURS) / sigma
+        return self._of_channels(covariances), float(ratio)
+
+    def _of_channels(self, components: Float64s) -> Float64s:
+        """Return the covariances of the channels from those of components."""
         mixing = COMPONENTS.astype(np.float64)[:, self.order] * self.step
-        return np.asarray(np.einsum("kc,lkm,md->lcd", mixing, covariances, mixing), np.float64), ratio
+        return np.asarray(np.einsum("kc,lkm,md->lcd", mixing, components, mixing), np.float64)
 
     def _is_shared(self, residual: Residual) -> bool:
         """Whether neighbours share noise, by the network or, if it is uncertain, by the residual."""
@@ -125,6 +124,11 @@ class ChannelNoise:
             return True
         shares = residual.correlation_of_neighbours > _MAX_CORRELATION_OF_NEIGHBOURS
         return shares and difference > MIN_DIFFERENCE_OF_SCALES
+
+
+def _scaled(components: Float64s, sigma: float) -> Float64s:
+    """Scale covariances of components to an RMS noise of the channels."""
+    return components * (COLOURS * sigma**2 / float(np.trace(covariance_of_cells(components))))
 
 
 def _combined(components: Float64s, of_even: Float64s, counts: Float64s) -> Float64s:

@@ -147,11 +147,11 @@ class VertexClusters(Neighbourhoods):
         def of_cells(cells: EvenCells) -> list[Array]:
             return [*cells.noise, cells.scatter, cells.surroundings, *cells.noise_of_residuals]
 
-        return [even.count, even.unclipped_share, *even.by_share(of_cells), *even.energies_of_blocks]
+        return [even.count, even.usable_share, *even.by_share(of_cells), *even.energies_of_blocks]
 
     def statistics(self, channels: ThreeChannels, number: int) -> KindStatistics:
         return KindStatistics(
-            fourth=self._mean_squares(channels, number),
+            mean_squares=self._mean_squares(channels, number),
             others=self._correlations(self.scales[number], channels.details[number]),
             clipped=self._clipped_around(channels, number),
             residuals=self._residuals(channels, number) if number < _SCALES_OF_RESIDUALS else None,

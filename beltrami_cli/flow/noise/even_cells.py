@@ -83,12 +83,12 @@ class EvenScale:
     """The cells of one scale that may be even, and features of the most even ones."""
 
     cells: CellStatistics
-    known: Bools  # mask of the cells with a known unevenness, shape (P, n)
-    unclipped: Bools  # mask of the unclipped ones among them, shape (P, n)
+    known: Bools  # mask of the cells with a known unevenness, or of all if there are none, shape (P, n)
+    usable: Bools  # mask of the unclipped ones among them, or of all if too few are unclipped, shape (P, n)
 
     @classmethod
     def of(cls, cells: CellStatistics, chosen: Bools | bool = True) -> EvenScale:
-        """Choose among the cells in a mask. A condition that too few cells meet is dropped."""
+        """Choose among the cells in a mask."""
         valid = cells.is_valid & chosen
         known = valid & np.isfinite(cells.unevenness)
         known = known if known.any() else valid
@@ -100,11 +100,11 @@ class EvenScale:
 
     @property
     def count(self) -> Array:
-        return np.log2([1 + self.unclipped.sum()])
+        return np.log2([1 + self.usable.sum()])
 
     @property
-    def unclipped_share(self) -> Array:
-        return np.array([self.unclipped.sum() / max(1, self.known.sum())])
+    def usable_share(self) -> Array:
+        return np.array([self.usable.sum() / max(1, self.known.sum())])
 
     @property
     def energies_of_blocks(self) -> list[Array]:
@@ -120,14 +120,14 @@ class EvenScale:
     def by_share(self, features: Callable[[EvenCells], list[Array]]) -> list[Array]:
         """Return features of each of the `EVEN_SHARES`; if there are no cells, all have the value of no noise."""
         columns = [column for even in self._shares for column in features(even)]
-        if self.unclipped.any():
+        if self.usable.any():
             return columns
         return [np.full_like(column, log_deviation(0), np.float32) for column in columns]
 
     @cached_property
     def _shares(self) -> list[EvenCells]:
         # Without cells, features of any cells show how many columns there are.
-        mask = self.unclipped if self.unclipped.any() else np.ones_like(self.unclipped)
+        mask = self.usable if self.usable.any() else np.ones_like(self.usable)
         return [self._most_even(mask, share) for share in EVEN_SHARES]
 
     def _most_even(self, mask: Bools, share: float) -> EvenCells:
@@ -148,10 +148,10 @@ class EvenScale:
         They are the mean, median and lower quartile of the energy of components over the neighbourhoods, as logarithms
         of deviations, shape (3, 3).
         """
-        has_even = self.unclipped.any(axis=1)
+        has_even = self.usable.any(axis=1)
         if not has_even.any():
             return np.full((3, 3), log_deviation(0))
-        cells, mask = self.cells, self.unclipped[has_even]
+        cells, mask = self.cells, self.usable[has_even]
         uneven = np.where(mask, cells.unevenness[has_even], np.inf)
         last = (_SHARE_OF_COVARIANCES * (mask.sum(axis=1) - 1)).astype(np.intp)
         limit = np.take_along_axis(np.sort(uneven, axis=1), last[:, None], axis=1)
@@ -171,7 +171,7 @@ def even_covariances(
     """
     covariances, counts = np.zeros((SCALES, 3, 3)), np.zeros(SCALES)
     for number, cells in enumerate(scales):
-        mask = EvenScale.of(cells, chosen[:, None]).unclipped
+        mask = EvenScale.of(cells, chosen[:, None]).usable
         if not mask.any():
             continue
         even = _are_most_even((cells.unevenness / variances[:, None])[mask], _SHARE_OF_COVARIANCES)

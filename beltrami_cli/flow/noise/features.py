@@ -80,7 +80,7 @@ def _of_scale(cells: CellStatistics) -> list[Float32s]:
         *log_quantiles(np.where(valid, energy, np.inf), _QUANTILES),
         *log_quantiles(np.moveaxis(cells.blocks, 0, 1), _QUANTILES_OF_BLOCKS),
         log_deviation(mean),
-        np.log2((cells.of_kind.fourth + 1e-3) / (mean**2 + 1e-3)) / 4,
+        np.log2((cells.of_kind.mean_squares + 1e-3) / (mean**2 + 1e-3)) / 4,
         np.sum(energy < CONSTANT, axis=2, where=valid) / count,
         cells.of_kind.others,
     ]

@@ -148,7 +148,7 @@ class GridSquares(Neighbourhoods):
         return [even.count, *even.by_share(lambda cells: cells.noise)]
 
     def statistics(self, channels: ThreeChannels, number: int) -> KindStatistics:
-        """Return the mean fourth power of details, and features of their anisotropy and correlation."""
+        """Return mean squares of the energies of details, and features of their anisotropy and correlation."""
         scale = self.scales[number]
         values = channels.details[number].reshape(3, 3, self.count, scale.side, scale.side)
         is_whole = scale.is_whole.reshape(values.shape[2:])
@@ -164,9 +164,9 @@ class GridSquares(Neighbourhoods):
             (right + below) / 2,
             np.abs(right - below),
         ]
-        fourth = np.square(squares).sum(axis=(1, 3, 4)) / (3 * count)
+        mean_squares = np.square(squares).sum(axis=(1, 3, 4)) / (3 * count)
         return KindStatistics(
-            fourth=fourth.T.astype(np.float32),
+            mean_squares=mean_squares.T.astype(np.float32),
             others=np.concatenate(others).T.astype(np.float32),
         )
 
