@@ -18,7 +18,7 @@ from beltrami_cli.formats.sidecars.new_files import (
     new_paths,
     new_reference,
     path_inside,
-    slots_by_path,
+    replacements,
 )
 
 
@@ -54,17 +54,18 @@ def renaming(materials: Materials, images: NewImages, source: str, naming: Namin
 def _take_images(materials: Materials, images: NewImages, names: NewFiles) -> dict[str, Spans]:
     """Put new images among the sidecars, other tiles of their sets among the copies; return new names by library."""
     edits: dict[str, Spans] = {}
-    for (path, files), slots in slots_by_path(images, lambda slot, file: materials.named(file)).items():
+    for each in replacements(images, lambda slot, file: materials.named(file)):
+        path = each.path
         # Equal images of two slots are one file; maps of the base colour may be of other slots, too.
-        maps = [each for slot in slots for each in materials.affected(slot, path)]
+        maps = [shown for slot in each.slots for shown in materials.affected(slot, path)]
         affected = {(library.path, shown.start): (library, shown) for library, shown in maps}
         _note_stale_uses(materials, names, path, affected.keys())
         # Its name is free only if no map that keeps the old image has it.
         is_replaced = len(affected) == materials.uses(path)
-        suffix = common_suffix(image.suffix for _, image in files)
+        suffix = common_suffix(image.suffix for image in each.files.values())
         new = names.image(path, suffix, is_replaced=is_replaced, tiles=materials.folder.tiles.get(path, ()))
         new_of = new_paths(path, new, materials.folder.tiles)
-        names.sidecars |= {new_of.pop(file): image.content for file, image in files}
+        names.sidecars |= {new_of.pop(file): image.content for file, image in each.files.items()}
         names.copies |= {file: old for old, file in new_of.items() if file != old}
         for library, shown in affected.values():
             edits.setdefault(library.path, {})[shown.start, shown.end] = _spelled(shown, path, new, library)

@@ -6,6 +6,7 @@ import os
 import posixpath
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import PurePath, PurePosixPath
 
 from beltrami_cli.formats.changes import Bytes, Naming, NewImages, Written
@@ -19,7 +20,6 @@ _MODEL_FOLDER = PurePosixPath()
 _NOT_COPIED = "lies outside the model's folder; the output names it as the input does, and it is not copied."
 
 TileSets = Mapping[str, Mapping[Tile, str]]  # files of each tile set, by the path of the set
-SlotsByPath = dict[tuple[str, tuple[tuple[str, ImageFile], ...]], list[Slot]]
 _LONGEST = 255  # bytes of a file name on common file systems
 
 
@@ -90,16 +90,25 @@ class NewFiles:
         return path
 
 
-def slots_by_path(images: NewImages, paths_of: Callable[[Slot, str], Iterable[str]]) -> SlotsByPath:
-    """Return the slots that replace a path (image or tile set) by the same new files, by path and files."""
+@dataclass(frozen=True)
+class Replacement:
+    """New files of an image or tile set, and all slots that show them in its place."""
+
+    path: str  # of the image or tile set
+    files: Mapping[str, ImageFile]  # by the paths of the old ones
+    slots: Sequence[Slot]
+
+
+def replacements(images: NewImages, paths_of: Callable[[Slot, str], Iterable[str]]) -> list[Replacement]:
+    """Group new images by what they replace; `paths_of`: the images and tile sets that a file is part of in a slot."""
     files: dict[tuple[str, Slot], list[tuple[str, ImageFile]]] = {}
     for (slot, file), image in images.items():
         for path in paths_of(slot, file):
             files.setdefault((path, slot), []).append((file, image))
-    slots: SlotsByPath = {}
+    slots: dict[tuple[str, tuple[tuple[str, ImageFile], ...]], list[Slot]] = {}
     for (path, slot), new in files.items():
         slots.setdefault((path, tuple(new)), []).append(slot)
-    return slots
+    return [Replacement(path, dict(new), shown) for (path, new), shown in slots.items()]
 
 
 def new_paths(path: str, new: str, sets: TileSets) -> dict[str, str]:

@@ -12,10 +12,10 @@ from beltrami_cli.formats.image.file_formats import format_of, format_of_suffix
 from beltrami_cli.formats.sidecars.model_folder import UnfitReferenceError
 from beltrami_cli.formats.sidecars.new_files import (
     NewFiles,
-    SlotsByPath,
+    Replacement,
     common_suffix,
     new_paths,
-    slots_by_path,
+    replacements,
 )
 from beltrami_cli.formats.usd.contents import SceneContents
 from beltrami_cli.formats.usd.layers import Layers
@@ -49,23 +49,21 @@ class Images:
         shown = [use for use in self._contents.uses if use.slot in slots]
         return {use.attribute for use in shown if paths.get(use.file) == path}
 
-    def _replaced(self, images: NewImages) -> SlotsByPath:
-        """Return the slots in which an image or a tile set is replaced by the same new files."""
-
+    def _replacements(self, images: NewImages) -> list[Replacement]:
         def paths_of(slot: Slot, file: str) -> list[str]:
             shown = [use.file for use in self._contents.uses if use.slot == slot]
             paths = dict.fromkeys(self.paths[name] for name in shown if name in self.paths)
             return [path for path in paths if file in self._layers.folder.files(path)]
 
-        return slots_by_path(images, paths_of)
+        return replacements(images, paths_of)
 
     def _copied(self, images: NewImages, naming: Naming) -> list[str]:
         """Return the files that an output in another folder needs copies of: other layers, and images that stay."""
         if not naming.is_moved or self._layers.package is not None:
             return []
         slots_of: dict[str, list[Slot]] = defaultdict(list)
-        for (path, _), slots in self._replaced(images).items():
-            slots_of[path] += slots
+        for each in self._replacements(images):
+            slots_of[each.path] += each.slots
         gone = [
             path
             for path, slots in slots_of.items()
@@ -87,10 +85,11 @@ class Images:
         names = NewFiles(naming, self._name, present, [*self.obstacles, *copied])
         names.copies |= {file: file for file in copied}
         renamed: dict[str, str] = {}
-        for (path, changed), slots in self._replaced(images).items():
-            attributes = self._attributes(path, slots)
-            new = self._add_new(path, dict(changed), names, is_replaced=attributes == self._attributes(path))
-            if new != path:
+        for each in self._replacements(images):
+            attributes = self._attributes(each.path, each.slots)
+            is_replaced = attributes == self._attributes(each.path)
+            new = self._add_new(each.path, each.files, names, is_replaced=is_replaced)
+            if new != each.path:
                 start = posixpath.dirname(self._layers.root) or "."
                 renamed |= dict.fromkeys(attributes, "./" + posixpath.relpath(new, start))
         if self._layers.package is not None:
