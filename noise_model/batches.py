@@ -18,24 +18,24 @@ ROWS = 100_000  # of features that are standardised at a time
 
 @dataclass(frozen=True)
 class Batch:
-    """Concatenated observations; the features of squares are in half precision."""
+    """Concatenated observations; the features of neighbourhoods are in half precision."""
 
-    counts: np.ndarray  # squares of each observation
+    counts: np.ndarray  # neighbourhoods of each observation
     parts: Arrays
 
     @classmethod
     def of(cls, observations: list[Observation]) -> Batch:
         parts: Arrays = {
-            "squares": np.concatenate([each.features.squares for each in observations]).astype(np.float16),
+            "local": np.concatenate([each.features.local for each in observations]).astype(np.float16),
             "quiet": np.concatenate([each.features.quiet for each in observations]).astype(np.float16),
-            "places": np.concatenate([each.by_square for each in observations]).astype(np.float32)[:, None],
+            "places": np.concatenate([each.places for each in observations]).astype(np.float32)[:, None],
         }
         for name in ("even", "even_deviations"):
             parts[name] = np.stack([getattr(each.features, name) for each in observations])
         for name in ("total", "deviations", "correlations"):
             parts[name] = np.stack([getattr(each, name) for each in observations]).astype(np.float32)
         parts["total"] = parts["total"][:, None]
-        return cls(np.array([len(each.features.squares) for each in observations]), parts)
+        return cls(np.array([len(each.features.local) for each in observations]), parts)
 
     @classmethod
     def joined(cls, batches: list[Batch]) -> Batch:
@@ -44,36 +44,36 @@ class Batch:
 
     @cached_property
     def starts(self) -> np.ndarray:
-        """The first square of each observation, and the number of all squares."""
+        """The first neighbourhood of each observation, and the number of all neighbourhoods."""
         return np.append(0, np.cumsum(self.counts))
 
     def standard(self) -> tuple[Arrays, Arrays]:
         """Return the means and standard deviations of features."""
-        some = self.parts["squares"][:: max(1, len(self.parts["squares"]) // 200_000)].astype(np.float32)
-        kinds = {"squares": some, "even": self.parts["even"]}
+        some = self.parts["local"][:: max(1, len(self.parts["local"]) // 200_000)].astype(np.float32)
+        kinds = {"local": some, "even": self.parts["even"]}
         means = {name: rows.mean(axis=0) for name, rows in kinds.items()}
         return means, {name: rows.std(axis=0) + 1e-3 for name, rows in kinds.items()}
 
     def standardise_in_place(self, weights: Weights) -> None:
-        """Standardise the features of squares; a copy would not fit into memory."""
-        squares = self.parts["squares"]
-        for first in range(0, len(squares), ROWS):
-            block = squares[first : first + ROWS]
-            block[:] = weights.standardised("squares", block.astype(np.float32))
+        """Standardise the features of neighbourhoods; a copy would not fit into memory."""
+        rows = self.parts["local"]
+        for first in range(0, len(rows), ROWS):
+            block = rows[first : first + ROWS]
+            block[:] = weights.standardised("local", block.astype(np.float32))
 
     def take(self, chosen: np.ndarray, weights: Weights) -> tuple[Arrays, Arrays, Arrays]:
         """Return the arguments of `forward` for some observations, the truths, and the candidates."""
         rows = np.concatenate([np.arange(self.starts[each], self.starts[each + 1]) for each in chosen])
         counts, even = self.counts[chosen], self.parts["even"][chosen]
         given = {
-            "squares": self.parts["squares"][rows].astype(np.float32),
+            "local": self.parts["local"][rows].astype(np.float32),
             "counts": counts,
             "even": weights.standardised("even", even),
         }
         quiet = self.parts["quiet"][rows].astype(np.float32)
         candidates = candidates_of(self.parts["even_deviations"][chosen], quiet, counts)
         truths = {name: self.parts[name][chosen] for name in ("total", "deviations", "correlations")}
-        # Squares are read relative to their mean, since often only the mean is uncertain.
+        # Neighbourhoods are read relative to their mean, since often only the mean is uncertain.
         places, starts = self.parts["places"][rows], starts_of(counts)
         means = np.add.reduceat(np.nan_to_num(places), starts) / np.maximum(
             np.add.reduceat(np.isfinite(places), starts, dtype=np.float32), 1

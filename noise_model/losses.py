@@ -1,4 +1,4 @@
-"""Losses of the network of squares, and their gradients."""
+"""Losses of the network that reads noise, and their gradients."""
 
 from __future__ import annotations
 

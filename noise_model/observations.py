@@ -36,7 +36,7 @@ class Observation:
     total: float
     deviations: np.ndarray  # (SCALES * 3,)
     correlations: np.ndarray  # (SCALES * 3,)
-    by_square: np.ndarray  # (P,)
+    places: np.ndarray  # of each neighbourhood, (P,)
 
 
 def cut_into(neighbourhoods: Neighbourhoods, colours: NoisyColours) -> NoisyChannels | None:
@@ -72,7 +72,7 @@ def observation_of(channels: NoisyChannels) -> Observation | None:
         total=float(log_reading(total)),
         deviations=log_reading(variances).ravel(),
         correlations=_correlations(covariances).ravel(),
-        by_square=_by_square(truths),
+        places=_by_neighbourhood(truths),
     )
 
 
@@ -95,7 +95,7 @@ def covariance_of(cells: CellStatistics) -> np.ndarray:
     return symmetric(np.einsum("kpn,pn->k", cells.products, cells.freedom, dtype=np.float64) / total)
 
 
-def _by_square(noise: list[CellStatistics]) -> np.ndarray:
+def _by_neighbourhood(noise: list[CellStatistics]) -> np.ndarray:
     """Return the noise of each neighbourhood in the finest two scales, as log2(deviation + OFFSET)."""
     total = sum(np.einsum("kpn,pn->p", own.products[:3], own.freedom) for own in noise[:2])
     count = 3 * sum(own.freedom.sum(axis=1) for own in noise[:2])

@@ -52,9 +52,9 @@ def make_observations(kind: str, part: str, seed: int, count: int, roots: list[P
 
 def initial_layers(rng: np.random.Generator, columns: dict[str, int], width: dict[str, int]) -> Arrays:
     """Draw weights, by the number of features of each kind and the units of layers."""
-    inner, context = width["square 2"], width["whole 2"]
+    inner, context = width["local 2"], width["whole 2"]
     inputs = {
-        "square 1": columns["squares"], "square 2": width["square 1"], "whole 1": 3 * inner + columns["even"],
+        "local 1": columns["local"], "local 2": width["local 1"], "whole 1": 3 * inner + columns["even"],
         "whole 2": width["whole 1"], "place 1": inner + context, "place 2": width["place 1"],
         "total": context, "deviations": context,
         "correlations": context,
@@ -71,7 +71,7 @@ def losses_and_gradients(
     """Return the losses of some observations, and the gradients of the weights."""
     given, truths, candidates = data.take(chosen, weights)
     tape = Tape(weights.layers)
-    nodes = forward(tape, Node(given["squares"]), given["counts"], Node(given["even"]))
+    nodes = forward(tape, Node(given["local"]), given["counts"], Node(given["even"]))
     del nodes["context"]  # an intermediate value without a loss
     outputs = {name: node.value for name, node in nodes.items()}
     values, gradients = losses(outputs, truths, candidates)

@@ -55,7 +55,7 @@ def test_the_order_of_vertices_does_not_matter():
     other = Graph(graph.positions[order], rank[graph.edges], graph.priorities[order])
     found = []
     for own, values in ((graph, colours), (other, colours[:, order])):
-        described = Features.of(VertexClusters.of(own).cut(values)).squares
+        described = Features.of(VertexClusters.of(own).cut(values)).local
         found.append(described[np.lexsort(described.T[:3])])
     np.testing.assert_allclose(*found, rtol=1e-3, atol=1e-3)
 
@@ -64,8 +64,8 @@ def test_the_order_of_vertices_does_not_matter():
 def test_small_surfaces_have_finite_features(rows):
     clusters = VertexClusters.of(lattice(rows, rows))
     features = Features.of(clusters.cut(white(rows**2)))
-    assert len(features.squares) == clusters.count
-    for own in (features.squares, features.quiet, features.even, features.even_deviations):
+    assert len(features.local) == clusters.count
+    for own in (features.local, features.quiet, features.even, features.even_deviations):
         assert np.isfinite(own).all()
 
 

@@ -49,5 +49,5 @@ def test_all_recipes_make_finite_observations(draw):
     rng, image = np.random.default_rng(2), clean()
     for _ in range(20):
         made = observe(degrade(rng, image, draw(rng)))
-        assert all(np.isfinite(own).all() for own in (made.features.squares, made.features.even))
+        assert all(np.isfinite(own).all() for own in (made.features.local, made.features.even))
         assert np.isfinite(made.total)

@@ -31,12 +31,9 @@ _QUANTILES_OF_BLOCKS = (0.0, 0.25)
 
 @dataclass(frozen=True)
 class Features:
-    """The input of the network for a surface with P neighbourhoods.
+    """The input of the network for a surface with P neighbourhoods."""
 
-    Layers and files of weights call neighbourhoods squares, whether they are squares of a grid or clusters.
-    """
-
-    squares: Float32s  # features of each neighbourhood, shape (P, F)
+    local: Float32s  # features of each neighbourhood, shape (P, F)
     quiet: Float32s  # log2 of the deviations of channels in quiet cells of each neighbourhood, shape (P, 3)
     even: Float32s  # features of the most even cells of all neighbourhoods, shape (G,)
     # log2 of the deviations of components in even cells, shape (SCALES, STATISTICS, 3)
@@ -44,9 +41,9 @@ class Features:
 
     @classmethod
     def of(cls, channels: ThreeChannels) -> Features:
-        squares = [_without_scale(channels)]
+        local = [_without_scale(channels)]
         for cells in channels.cells:
-            squares += _of_scale(cells)
+            local += _of_scale(cells)
         scales = [EvenScale.of(cells) for cells in channels.cells]
         even = [
             np.log2([channels.neighbourhoods.count]),
@@ -54,7 +51,7 @@ class Features:
             *(scale.by_neighbourhood.ravel() for scale in scales),
         ]
         return cls(
-            squares=np.concatenate(squares, axis=1).astype(np.float32),
+            local=np.concatenate(local, axis=1).astype(np.float32),
             quiet=log_deviation(variances_of_channels(_quiet_products(channels.cells[0]))),
             even=np.concatenate(even).astype(np.float32),
             even_deviations=np.array([scale.deviations for scale in scales], np.float32),

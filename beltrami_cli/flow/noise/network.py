@@ -1,9 +1,9 @@
 """The network that reads noise from features, and its weights.
 
-Neighbourhoods are called squares here, whatever their kind. Each square goes through two layers; the mean, maximum and
-minimum of its outputs over all squares describe the surface, together with its most even cells. From this context the
-network reads the noise of the surface and of each square, both as quantiles of the logarithm of the deviation, and
-combines these with `candidates`.
+The features of each neighbourhood go through two layers; the mean, maximum and minimum of the outputs over all
+neighbourhoods describe the surface, together with its most even cells. From this context the network reads the noise of
+the surface and of each neighbourhood, both as quantiles of the logarithm of the deviation, and combines these with
+`candidates`.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ QUANTILES = (0.05, 0.5, 0.95)
 
 # Number of units in each layer. Those for clusters are smaller, which keeps the files of weights small.
 WIDTHS = {
-    "grid": {"square 1": 112, "square 2": 56, "whole 1": 112, "whole 2": 64, "place 1": 32},
-    "cluster": {"square 1": 88, "square 2": 44, "whole 1": 88, "whole 2": 56, "place 1": 24},
+    "grid": {"local 1": 112, "local 2": 56, "whole 1": 112, "whole 2": 64, "place 1": 32},
+    "cluster": {"local 1": 88, "local 2": 44, "whole 1": 88, "whole 2": 56, "place 1": 24},
 }
 # Number of outputs: quantiles, a weight for each candidate, and one for the network's own quantiles.
 OUTPUTS = {
@@ -76,13 +76,13 @@ class Layers:
         return np.concatenate(parts, axis=1)
 
 
-def forward(layers: Layers, squares: Any, counts: Int64s, even: Any) -> dict[str, Any]:
+def forward(layers: Layers, local: Any, counts: Int64s, even: Any) -> dict[str, Any]:
     """Return the outputs of the network for N surfaces.
 
-    `squares` are the standardised features of the squares of all surfaces, `counts` the numbers of squares of each.
+    `local` are the standardised features of the neighbourhoods of all surfaces, and `counts` the numbers of these;
     `even` are the standardised features of even cells, shape (N, G).
     """
-    inner = layers.dense(layers.dense(squares, "square 1"), "square 2")
+    inner = layers.dense(layers.dense(local, "local 1"), "local 2")
     whole = layers.join([layers.pool(inner, counts), even])
     context = layers.dense(layers.dense(whole, "whole 1"), "whole 2")
     # One layer suffices: where noise is obvious, readings are nearly linear in the features of even cells.
@@ -103,7 +103,7 @@ class Weights:
     scales: dict[str, Float32s]
 
     def standardised(self, name: str, features: Array) -> Float32s:
-        """Standardise features of a kind: "squares", "even", or the "evidence" of `size`."""
+        """Standardise features of a kind: "local", "even", or the "evidence" of `size`."""
         result = (features - self.means[name]) / self.scales[name]
         return np.asarray(np.clip(result, -MAX_STANDARDISED, MAX_STANDARDISED), np.float32)
 
@@ -132,16 +132,16 @@ class NetworkReading:
     total: Array  # size of all noise by `TOTAL_QUANTILES`, shape (Q,)
     deviations: Array  # size by scale, component and `QUANTILES`, shape (SCALES, 3, 3)
     correlations: Array  # of components, as their inverse hyperbolic tangents, shape (SCALES, 3)
-    places: Array  # size in each square relative to the surface, by `QUANTILES`, shape (P, 3)
+    places: Array  # size in each neighbourhood relative to the surface, by `QUANTILES`, shape (P, 3)
     candidates: Array  # sizes that the total is combined from, shape (M,)
     context: Array  # outputs of the last layer that describes the surface, shape (C,)
 
     @classmethod
     def of(cls, channels: ThreeChannels, weights: Weights) -> NetworkReading:
         features, counts = Features.of(channels), np.array([channels.neighbourhoods.count])
-        squares = weights.standardised("squares", features.squares)
+        local = weights.standardised("local", features.local)
         even = weights.standardised("even", features.even[None])
-        outputs = forward(Layers(weights.layers), squares, counts, even)
+        outputs = forward(Layers(weights.layers), local, counts, even)
         candidates = candidates_of(features.even_deviations[None], features.quiet, counts)
         read = {
             name: mixed(outputs[name].reshape(*given.shape[:-1], -1), given)
@@ -158,7 +158,7 @@ class NetworkReading:
 
     @property
     def place_logs(self) -> Float64s:
-        """Medians of log2 of the relative deviations of squares, shape (P,)."""
+        """Medians of log2 of the relative deviations of neighbourhoods, shape (P,)."""
         return _medians(self.places)
 
     @cached_property
