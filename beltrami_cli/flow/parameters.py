@@ -240,22 +240,22 @@ class KernelParameters(Checked):
     @property
     def stabilises_noise(self) -> bool:
         """Whether the noise variance may be stabilised: not if beta is given, which refers to the input's colours."""
-        return self.is_open and self.beta is None and "beta" in self.free
+        return self.chooses_from_data and self.beta is None and "beta" in self.free
 
     @property
     def takes_patches(self) -> bool:
         """Whether patches follow the kernel if there is noise."""
         if self.patches == "auto":
-            return {"iterations", "t", "beta"} <= set(self.free) and self.is_open and not self.fast
+            return {"iterations", "t", "beta"} <= set(self.free) and self.chooses_from_data and not self.fast
         return self.patches == "on" and self.iterations > 0
 
     @property
     def looks_for_outliers(self) -> bool:
         """Whether outliers are searched for: only if any step may change colours."""
-        return self.iterations > 0 or self.is_open
+        return self.iterations > 0 or self.chooses_from_data
 
     @property
-    def is_open(self) -> bool:
+    def chooses_from_data(self) -> bool:
         """Whether any parameter is to be chosen from the data."""
         return bool(self.free) and self.beta != 0 and (self.iterations > 0 or "iterations" in self.free)
 

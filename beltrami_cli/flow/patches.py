@@ -87,7 +87,7 @@ def blend_with_patches_in_place(
 def _run_kernels(
     manifold: Manifold, run_kernel_in_place: Callable[[Stack], Averaged]
 ) -> tuple[Probed, Averaged, Pair]:
-    """Run the kernel on copies of the colours: without and with a perturbation, whose averages are returned, too."""
+    """Run the kernel without and with a perturbation of the colours; return also what it averaged in the second run."""
     noisy = manifold.colours
     # Chunked kernels do not overwrite the colours.
     plain = run_kernel_in_place(large_arrays.copy_of(noisy) if manifold.chunking is None else noisy)

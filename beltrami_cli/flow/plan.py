@@ -17,7 +17,7 @@ from beltrami_cli.flow.corrections.coarse_levels import without_shared_noise
 from beltrami_cli.flow.corrections.mean_light import MeanLight
 from beltrami_cli.flow.manifolds.iteration import Step
 from beltrami_cli.flow.manifolds.manifold import Manifold
-from beltrami_cli.flow.noise.model import Reading
+from beltrami_cli.flow.noise.model import Reading, scaled_description
 from beltrami_cli.flow.parameters import KernelParameters, Space, growth_at
 
 AnyManifold = TypeVar("AnyManifold", bound=Manifold)
@@ -64,16 +64,14 @@ class Plan(Generic[AnyManifold]):
     def with_noise(self, sigma: Float64s, reading: Reading | None) -> Plan[AnyManifold]:
         """Return the plan for another noise: `sigma` is the RMS error by channel, without a predicted PSNR."""
         ratio = float(np.sqrt(np.mean(np.square(sigma)) / np.mean(np.square(self.noise))))
-        described = {
-            name: value if name == "grain" else ratio * value for name, value in self.described_noise.items()
-        }
         choice = self.choice
         if choice is not None and choice.gain is not None:
             gain = choice.gain + 20 * float(np.log10(ratio))
             choice = dataclasses.replace(choice, gain=gain, predicted=None)
         return dataclasses.replace(
-            self, noise=sigma, described_noise=described, choice=choice, reading=reading
-        )
+            self, noise=sigma, described_noise=scaled_description(self.described_noise, ratio),
+            choice=choice, reading=reading,
+        )  # fmt: skip
 
     def stopped_before(self, iteration: int) -> Plan[AnyManifold]:
         """Return a plan of the iterations before this one, counted from 0, and of no later step."""

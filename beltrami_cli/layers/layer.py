@@ -20,6 +20,7 @@ from beltrami_cli.flow.beltrami_flow import FlowResult
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Resources
 from beltrami_cli.flow.manifolds.guides import Guide
 from beltrami_cli.flow.manifolds.new_colours import NewColours
+from beltrami_cli.flow.noise.model import scaled_description
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.plan import Plan
 from beltrami_cli.layers.channels import ChosenChannels
@@ -149,13 +150,9 @@ class Layer(ABC):
         }
 
     def _noise(self, plan: Plan[Any]) -> dict[str, Any]:
-        model = {
-            name: value if name == "grain" else self.unit * value
-            for name, value in plan.described_noise.items()
-        }
         return {
             "noise": named(self.names, self.unit * plan.noise),
-            "noise_model": model,
+            "noise_model": scaled_description(plan.described_noise, self.unit),
             "reading": describe_reading(plan.reading, self.unit),
             "wrong_samples": plan.outliers,
         }

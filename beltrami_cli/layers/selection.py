@@ -136,7 +136,9 @@ class Selection:
         counts = Counter(texture.key for surface in self.surfaces for texture in surface.textures)
         shared = frozenset(key for key, count in counts.items() if count > 1)
         for slot, surface in zip(self.slots, self.surfaces, strict=True):
-            parts = separate_surfaces(surface) if in_groups and settings.kernel.is_open else [surface]
+            parts = (
+                separate_surfaces(surface) if in_groups and settings.kernel.chooses_from_data else [surface]
+            )
             for number, part in enumerate(parts, 1):
                 name = f"part {number} of {len(parts)}" if len(parts) > 1 else ""
                 yield TextureLayer.read(part, slot, settings, guided=document, shared=shared, group=name)

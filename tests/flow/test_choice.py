@@ -194,10 +194,10 @@ def test_what_is_given_is_kept_and_what_is_reported_was_used(fast, given):
     assert np.array_equal(partly.colours, reported.colours)
 
 
-def test_parameters_know_what_is_open():
-    assert CHOSEN.is_open
-    assert not KernelParameters().is_open
-    assert not dataclasses.replace(CHOSEN, beta=0.0).is_open
+def test_parameters_know_whether_any_is_chosen_from_the_data():
+    assert CHOSEN.chooses_from_data
+    assert not KernelParameters().chooses_from_data
+    assert not dataclasses.replace(CHOSEN, beta=0.0).chooses_from_data
 
 
 def predicted(noise, read=None, *, none=0.0, shared=False, patches=True):

@@ -80,7 +80,7 @@ def tune(
     """Choose the free parameters of a manifold; without noise, no iterations. The choice is None if there is none."""
     parameters = manifold.parameters
     closed = dataclasses.replace(parameters, free=())
-    if not parameters.is_open:
+    if not parameters.chooses_from_data:
         return closed, None
     unchanged = dataclasses.replace(closed, iterations=0) if "iterations" in parameters.free else closed
     if not noisy:
@@ -100,7 +100,7 @@ def _choose_by_rule(manifold: Manifold) -> tuple[KernelParameters, Choice]:
     if "beta" in parameters.free:
         beta = manifold.beta_at(rule.contrast) / math.sqrt(parameters.strength)
     plain = rule.count(overall_noise(manifold.metric_sigma)) - rule.regularised
-    chosen, values = _with_schedule(manifold, Schedule(beta, rule.growth, rule.step, rule.regularised, plain))
+    chosen, values = _with_schedule(manifold, Schedule(beta, rule.growth, rule.t, rule.regularised, plain))
     return chosen, Choice(values)
 
 

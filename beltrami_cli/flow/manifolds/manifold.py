@@ -154,7 +154,7 @@ class Manifold(ABC):
     def average_core_in_place(
         self, stacks: list[Stack], step: Step, core: Any
     ) -> tuple[list[Stack], KernelCounts]:
-        """Average stacks of a chunk at the samples with the index `core`; return only these."""
+        """Average stacks of a part; return the averages of the chunk's own samples, which have the index `core`."""
 
     @property
     def chunking(self) -> Chunking | None:

@@ -44,7 +44,7 @@ class Rule:
 
     contrast: float  # beta times the noise
     growth: float  # of beta
-    step: float  # time step
+    t: float  # time step
     regularised: int  # regularised iterations
     iterations: int  # all iterations at noise of up to 5 of 255, where more would cost detail of the image
     more: int  # further iterations each time the noise doubles ...

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -214,3 +215,8 @@ class NoiseModel:
                 "loud": self.overall * float(np.sqrt(loud)),
             }
         return {**facts, "grain": self.grain}
+
+
+def scaled_description(described: Mapping[str, float], factor: float) -> dict[str, float]:
+    """Multiply all sigmas of `NoiseModel.described` by a factor; the grain is in samples, and stays."""
+    return {name: value if name == "grain" else factor * value for name, value in described.items()}

@@ -1,6 +1,7 @@
 """The image manifold of colours on a regular grid: the canvas of a texture atlas, or one image.
 
-Large canvases are averaged in place, row block by row block, which needs little more memory than the colours.
+Canvases are averaged in chunks, if they are cut (`Manifold.average_in_place`). Each chunk, or else the whole canvas, is
+averaged in place, row block by row block (`_average_block`), which needs little more memory than the colours.
 """
 
 from __future__ import annotations
@@ -156,7 +157,7 @@ class GridManifold(Manifold):
         around = slice(max(0, block.start - margin), min(rows, block.stop + margin))
         core = slice(block.start - around.start, block.stop - around.start)
         share = (block.stop - block.start) / (around.stop - around.start)
-        part, _ = self._part((..., around, slice(0, columns)), (..., core, slice(None)))
+        part, _ = self._cut_chunk((..., around, slice(0, columns)), (..., core, slice(None)))
         gaussian = cast("GridGaussian | None", metric.gaussian)
         if gaussian is not None:
             gaussian = gaussian.from_row(around.start)
@@ -169,9 +170,10 @@ class GridManifold(Manifold):
 
     def _cut_for_kernels(self, count: int) -> list[Chunk]:
         owned, margin = self.geometry.atlas.kind == OWNED, kernel_margin(self.parameters)
-        return chunks_of_canvas(self._part, owned, count, SWEEP_TILE_ROWS, margin, margin)
+        return chunks_of_canvas(self._cut_chunk, owned, count, SWEEP_TILE_ROWS, margin, margin)
 
-    def _part(self, around: Rectangle, core: Rectangle) -> tuple[GridManifold, Rectangle]:
+    def _cut_chunk(self, around: Rectangle, core: Rectangle) -> tuple[GridManifold, Rectangle]:
+        """Return a part, and the index of the chunk's own cells within it."""
         inside = np.zeros_like(self.geometry.atlas.kind[around], bool)
         inside[core] = True
         return self.cut(around, inside), core

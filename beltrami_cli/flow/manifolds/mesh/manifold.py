@@ -201,10 +201,11 @@ class MeshManifold(Manifold):
             near[np.flatnonzero(~near[:first])[:missing]] = True
             samples = np.flatnonzero(near).astype(np.int32)
             core = slice(*np.searchsorted(samples, [first, last]).tolist())
-            chunks.append(Chunk(partial(whole._part, samples, core), samples, slice(first, last)))
+            chunks.append(Chunk(partial(whole._cut_chunk, samples, core), samples, slice(first, last)))
         return chunks
 
-    def _part(self, samples: Array, core: slice) -> tuple[MeshManifold, slice]:
+    def _cut_chunk(self, samples: Array, core: slice) -> tuple[MeshManifold, slice]:
+        """Return a part and the index of the chunk's own samples within it."""
         part = self.cut(samples)
         # A worker may have fewer threads than this process.
         return dataclasses.replace(part, geometry=dataclasses.replace(part.geometry, threads=1)), core
