@@ -7,8 +7,8 @@
 2. `features` describes each neighbourhood, and the most even cells of all of them (`even_cells`).
 3. Two networks read the noise from these features (`network`, `candidates`) and from what pilots remove (`size`). A
    pilot is a quick estimate of the clean colours.
-4. Covariances (`channel_noise`) and the dependence on level and place (`structure`) are measured on the residual of a
-   pilot that removes this noise (`residual`).
+4. Covariances (`channel_noise`) and the dependence on level and place (`structure`, `structure_search`) are measured
+   on the residual of a pilot that removes this noise (`residual`).
 
 `stabiliser` makes noise the same at all levels, and `drawing` draws it.
 """

@@ -14,9 +14,9 @@ from beltrami_cli.flow.noise.even_cells import even_covariances
 from beltrami_cli.flow.noise.model import MAX_NO_NOISE_PROBABILITY
 from beltrami_cli.flow.noise.neighbourhoods import MIN_SAMPLES, Neighbourhoods, ThreeChannels
 from beltrami_cli.flow.noise.network import NetworkReading, weights_of
-from beltrami_cli.flow.noise.residual import Residual
+from beltrami_cli.flow.noise.residual import Residual, shares_of_noise
 from beltrami_cli.flow.noise.size import Size
-from beltrami_cli.flow.noise.structure import MAX_CLIPPED_SHARE, Structure, shares_of_noise
+from beltrami_cli.flow.noise.structure import Structure
 from beltrami_cli.flow.noise_amount import COLOURS
 
 # Relative difference of the covariances of the finest two scales above which neighbours share noise. It is at most 0.29
@@ -106,8 +106,9 @@ class ChannelNoise:
             return nothing, 1.0
         if not self._is_shared(residual):
             return self._of_channels(_scaled(np.repeat(of_singles[None], SCALES, axis=0), sigma)), 1.0
-        is_whole = self.channels.clipped_shares() < MAX_CLIPPED_SHARE
-        of_even = even_covariances(residual.channels.cells, is_whole, structure.place_variances)
+        of_even = even_covariances(
+            residual.channels.cells, self.channels.is_unclipped, structure.place_variances
+        )
         covariances = _combined(_scaled(self.reading.covariances, sigma), *of_even)
         ratio = np.sqrt(np.trace(covariance_of_cells(covariances)) / COLOURS) / sigma
         return self._of_channels(covariances), float(ratio)

@@ -26,6 +26,9 @@ from beltrami_cli.surface import large_arrays
 # Number of samples of the smallest training surfaces. With fewer, hard-edged paint is not distinguishable from noise.
 MIN_SAMPLES = 256
 
+# Share of clipped samples from which on the noise of a neighbourhood is underestimated.
+_MAX_CLIPPED_SHARE = 0.01
+
 # Number of neighbourhoods that are compared at one place: 3 x 3 squares on a grid.
 _AROUND = 9
 
@@ -182,10 +185,10 @@ class ThreeChannels:
         """Mask of clipped samples, which are at a limit of the colours."""
         return (self.colours <= 0) | (self.colours >= STEPS)
 
-    def clipped_shares(self) -> Float32s:
-        """Return the share of clipped samples in each neighbourhood, in the worst channel, shape (P,)."""
-        shares: Float32s = self.neighbourhoods.means(self.is_clipped).max(axis=0)
-        return shares
+    @property
+    def is_unclipped(self) -> Bools:
+        """Mask of neighbourhoods with hardly any clipped samples, in the worst channel, shape (P,)."""
+        return np.asarray(self.neighbourhoods.means(self.is_clipped).max(axis=0) < _MAX_CLIPPED_SHARE)
 
     @cached_property
     def means(self) -> list[Array]:

@@ -24,7 +24,8 @@ from beltrami_cli.flow.noise.components import SCALES, covariance_of_cells, sigm
 from beltrami_cli.flow.noise.model import NoiseModel, Reading
 from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods
 from beltrami_cli.flow.noise.stabiliser import VarianceStabiliser
-from beltrami_cli.flow.noise.structure import Structure, structure_of
+from beltrami_cli.flow.noise.structure import Structure
+from beltrami_cli.flow.noise.structure_search import find_structure
 from beltrami_cli.flow.noise_amount import COLOURS
 
 # Correlation of channels above which they share noise. It is up to 0.1 for readings of independent noise, or 0.2 where
@@ -154,7 +155,7 @@ def _common_structure(colours: Sequence[ChannelNoise]) -> Structure:
     first, are_levels = colours[0], all(noise.are_levels for noise in colours)
     if not all(noise.sigma for noise in colours):
         return Structure.uniform(first.channels.neighbourhoods)
-    return structure_of(
+    return find_structure(
         first.residual, first.sigma, first.reading.place_logs, len(first.order), are_levels=are_levels
     )
 

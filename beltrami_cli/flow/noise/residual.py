@@ -26,6 +26,10 @@ _EVEN_SHARE = 0.5
 # Maximum share of clipped samples in a block whose noise is measured.
 _MAX_CLIPPED_IN_BLOCK = 0.05
 
+# Exponent of the share of energy in quiet tiles or even cells that is trusted as noise. With 1, texture is taken for
+# white noise, which costs 0.2 dB of PSNR.
+_TRUST_EXPONENT = 3
+
 # Relative variance below which a neighbourhood is quiet, and its residual mostly texture.
 _MAX_QUIET_VARIANCE = 0.25
 
@@ -131,3 +135,9 @@ def _energies(channels: ThreeChannels, number: int) -> Array:
     scale = channels.scales[number]
     squares = np.square(scale.details(*channels.means[number : number + 2])).sum(axis=0)
     return np.asarray(scale.sums_of_details(squares) / np.maximum(scale.freedom, 1))
+
+
+def shares_of_noise(variances: Float64s, energies: Float64s) -> Float64s:
+    """Return the share of energies that is trusted to be noise, given the variances read."""
+    most = np.maximum(np.maximum(variances, energies), np.finfo(np.float64).tiny)
+    return np.asarray((variances / most) ** _TRUST_EXPONENT, np.float64)
