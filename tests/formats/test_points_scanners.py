@@ -6,7 +6,7 @@ import struct
 import numpy as np
 import pytest
 
-from beltrami_cli.errors import NoColoursError
+from beltrami_cli.errors import InputError, NoColoursError
 from beltrami_cli.formats.registry import open_document
 from cli.commands import beltrami, refused
 from formats.gltf_files import patched
@@ -18,6 +18,8 @@ XYZ = np.array([[n % SIDE, n // SIDE, np.sin(n % SIDE / 5)] for n in range(COUNT
 SHADES = np.rint(120 + 15 * RNG.standard_normal((COUNT, 3))).astype(np.uint8)
 INTENSITY = np.rint(3000 + 200 * RNG.standard_normal(COUNT)).astype(np.uint16)
 LABELS = np.arange(COUNT)
+PACKED = (SHADES.astype(np.uint32) << np.array([16, 8, 0], np.uint32)).sum(axis=1, dtype=np.uint32)
+OPACITY = LABELS.astype(np.uint32) % 256
 
 
 def needs(*modules):
@@ -82,9 +84,8 @@ def e57(path, *, point_format, colours):
 
 def pcd(path, *, point_format, colours):
     """Fields with padding; compressed ones are runs of literal bytes, as LZF allows."""
-    packed = (SHADES.astype(np.uint32) << np.array([16, 8, 0], np.uint32)).sum(axis=1, dtype=np.uint32)
     fields = [("x", "<f4", XYZ[:, 0]), ("y", "<f4", XYZ[:, 1]), ("z", "<f4", XYZ[:, 2]), ("_", "<u4", LABELS)]
-    fields += [("rgb", "<f4", packed.view("<f4"))] if colours else [("intensity", "<u2", INTENSITY)]
+    fields += [("rgb", "<f4", PACKED.view("<f4"))] if colours else [("intensity", "<u2", INTENSITY)]
     records = np.array([*zip(*(each[2] for each in fields), strict=True)], [(n, k) for n, k, _ in fields])
     names, sizes, kinds = zip(*((n, k[2], k[1].upper()) for n, k, _ in fields), strict=True)
     head = f"# .PCD v0.7 - by a test\nVERSION 0.7\nFIELDS {' '.join(names)}\nSIZE {' '.join(sizes)}\n"
@@ -204,12 +205,9 @@ def test_the_names_of_fields_may_be_in_capital_letters(tmp_path):
     normals = dict(
         zip(("Normal_X", "Normal_Y", "Normal_Z"), np.outer([1.0, 0, 0], np.ones(COUNT)), strict=True)
     )
-    packed = {
-        "RGB": (SHADES.astype(np.uint32) << np.array([16, 8, 0], np.uint32)).sum(axis=1, dtype=np.uint32)
-    }
     apart = dict(zip(("Red", "Green", "Blue"), shades, strict=True))
     for colours, expected in (
-        (packed, SHADES / 255), (apart, SHADES / 255), ({"Intensity": INTENSITY}, INTENSITY[:, None] / 4095),
+        ({"RGB": PACKED}, SHADES / 255), (apart, SHADES / 255), ({"Intensity": INTENSITY}, INTENSITY[:, None] / 4095),
     ):  # fmt: skip
         path = tmp_path / "a.pcd"
         path.write_bytes(text_pcd(axes | colours | normals))
@@ -220,6 +218,52 @@ def test_the_names_of_fields_may_be_in_capital_letters(tmp_path):
     new[:] = 1
     path.write_bytes(patched(document, new))
     assert (open_document(str(path)).coloured_vertices().colours == 1).all()
+
+
+@pytest.mark.slow  # three times a library in a process of its own
+@needs("pypcd4")
+def test_opacity_that_is_packed_with_colours_stays_and_can_be_a_guide(tmp_path):
+    path = tmp_path / "a.pcd"
+    path.write_bytes(text_pcd(dict(zip("xyz", XYZ.T, strict=True)) | {"rgba": PACKED | OPACITY << 24}))
+    document = open_document(str(path))
+    path.write_bytes(patched(document, np.ones_like(document.coloured_vertices().colours)))
+    for each in (document, open_document(str(path))):
+        assert np.array_equal(each.attribute("opacity")[:, 0], OPACITY)
+    assert np.loadtxt(path, skiprows=10)[:, 3].tolist() == (0xFFFFFF | OPACITY << 24).tolist()
+
+
+@pytest.mark.slow  # twice a library in a process of its own
+@needs("pypcd4")
+def test_points_without_a_place_keep_their_spelling(tmp_path):
+    path, places = tmp_path / "a.pcd", XYZ.copy()
+    places[7] = np.nan
+    numbers = text_pcd(dict(zip("xyz", places.T, strict=True)) | {"rgb": PACKED})
+    path.write_bytes(numbers.replace(b"\nnan nan nan ", b"\nNaN -nan NAN "))
+    document = open_document(str(path))
+    colours = document.coloured_vertices().colours
+    assert len(colours) == COUNT - 1
+    assert b"\nNaN -nan NAN " in patched(document, np.ones_like(colours))
+
+
+@pytest.mark.slow  # twice a library in a process of its own
+@needs("pypcd4")
+def test_colours_that_text_cannot_hold_are_refused(tmp_path):
+    """Of opaque colours as floats: with red above 127 they are not numbers."""
+    path, dark = tmp_path / "a.pcd", (PACKED & 0x7FFFFF | 0xFF << 24).astype(np.uint32).view(np.float32)
+    path.write_bytes(text_pcd(dict(zip("xyz", XYZ.T, strict=True)) | {"rgba": dark}))
+    document = open_document(str(path))
+    with pytest.raises(InputError, match="text cannot hold"):
+        patched(document, np.ones_like(document.coloured_vertices().colours))
+
+
+@pytest.mark.slow  # three times a library in a process of its own
+@needs("pypcd4")
+@pytest.mark.parametrize("size", [b"1", b"2", b"8"])
+def test_only_fields_of_four_bytes_hold_packed_colours(tmp_path, size):
+    numbers = text_pcd(dict(zip("xyz", XYZ.T, strict=True)) | {"rgb": OPACITY})
+    (tmp_path / "a.pcd").write_bytes(numbers.replace(b"SIZE 4 4 4 4", b"SIZE 4 4 4 " + size))
+    with pytest.raises(NoColoursError, match="but rgb"):
+        open_document(str(tmp_path / "a.pcd")).coloured_vertices()
 
 
 @pytest.mark.slow  # a library in a process of its own

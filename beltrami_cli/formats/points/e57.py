@@ -55,6 +55,8 @@ class E57:
         path.write_bytes(data)
         self._file = pye57.E57(str(path))
         self._scans = [self._file.get_header(number) for number in range(self._file.scan_count)]
+        if not self._scans:
+            raise ValueError("it has no scans")
         names = [{child.elementName() for child in self._children(scan.points)} for scan in self._scans]
         choices = (self._RGB, ("intensity",))
         common = set.intersection(*names)

@@ -42,9 +42,11 @@ class Pcd:
         known = {name.lower(): name for name in self._names} | {name: name for name in self._names}
         self._axes = [known[axis] for axis in "xyz"]
         self._normal = [known[name] for name in self._NORMAL] if known.keys() >= {*self._NORMAL} else []
-        self._packed = known.get("rgb", known.get("rgba", ""))
-        rgb = next((names for names in self._RGB if known.keys() >= {*names}), self._RGB[0])
         fields = {name: self._points[known[name]] for name in known}
+        # Of another size than in [1]_ nothing is known.
+        packed = [known[name] for name in ("rgb", "rgba") if name in fields and fields[name].itemsize == 4]
+        self._packed = packed[0] if packed else ""
+        rgb = next((names for names in self._RGB if known.keys() >= {*names}), self._RGB[0])
         chosen = () if self._packed else colour_fields(fields, rgb, "intensity")
         self._colour_fields = [known[name] for name in chosen]
 
@@ -55,17 +57,20 @@ class Pcd:
             f"padding {number}": points[name] for number, name in enumerate(self._names) if name in padding
         }
         rest["header"] = np.frombuffer(self._data[: self._body], np.uint8)
+        used = {*self._axes, *self._normal, *self._colour_fields, self._packed, *padding}
+        fields = {name: each for name, each in points.items() if name not in used}
         colours = joined(points, self._colour_fields)
         if self._packed:
             octets = points[self._packed].view(np.uint8).reshape(-1, 4)
-            colours, rest["opacity"] = octets[:, 2::-1], octets[:, 3]
-        used = {*self._axes, *self._normal, *self._colour_fields, self._packed, *padding}
+            colours = octets[:, 2::-1]
+            # A field, so that it can be a guide, unless the file has one of that name.
+            (rest if "opacity" in fields else fields)["opacity"] = octets[:, 3]
         rows, width = self._about.height, self._about.width
         return ScanContents(
             positions=np.column_stack([points[axis] for axis in self._axes]),
             normals=joined(points, self._normal),
             colours=colours,
-            fields={name: each for name, each in points.items() if name not in used},
+            fields=fields,
             rest=rest,
             shape=(rows, width) if rows > 1 and rows * width == len(self._points) else (),
         )
@@ -85,20 +90,30 @@ class Pcd:
         if self._packed:
             packed = np.ascontiguousarray(points[self._packed])
             packed.view(np.uint8).reshape(-1, 4)[:, 2::-1] = new
+            self._require_writable(packed)
             points[self._packed] = packed
             return points
         for name, column in zip(self._colour_fields, new.T, strict=True):
             points[name] = column
         return points
 
+    def _require_writable(self, packed: Array) -> None:
+        """Raise ValueError if text cannot hold new colours: opaque ones with red above 127 are not finite as floats."""
+        old = np.ascontiguousarray(self._points[self._packed])
+        is_new = packed.view(np.uint32) != old.view(np.uint32)
+        if self._about.data == "ascii" and not np.isfinite(packed[is_new]).all():
+            raise ValueError(f"text cannot hold colours that are packed as the floats of {self._packed}")
+
     def _new_numbers(self, points: Array, body: bytes) -> list[NewNumbers]:
         """Return where lines of numbers differ from new points."""
         count = points.size * len(self._names)
         starts, ends = (each[:count].reshape(points.size, -1) for each in find_tokens(body))
-        changes = [
-            (n, points[name] != self._points[name], points[name]) for n, name in enumerate(self._names)
-        ]
-        return [NewNumbers(starts[at, n], ends[at, n], values[at]) for n, at, values in changes]
+        numbers = []
+        for n, name in enumerate(self._names):
+            old, new = self._points[name], points[name]
+            at = (new != old) & ~(np.isnan(new) & np.isnan(old))
+            numbers.append(NewNumbers(starts[at, n], ends[at, n], new[at]))
+        return numbers
 
 
 def _compressed(data: bytes) -> bytes:
