@@ -53,7 +53,7 @@ _PRIOR_OF_SAMPLES, _PRIOR_OF_MEANS = _Prior(1.0, 0.025), _Prior(0.5, 0.02)
 
 # Shares of unclipped samples from which on a mean is trusted at all, and fully. Errors of samples at a limit (black,
 # white) have one sign, and the kernel does not make them.
-_TRUSTED_WITHIN = (0.64, 0.84)
+_TRUSTED_SHARES = (0.64, 0.84)
 
 
 class _Weights(NamedTuple):
@@ -180,21 +180,19 @@ def blend_means_in_place(
 ) -> float:
     """Blend the means of results over a level with estimates of them by patches; return the sum of the gain."""
     means = noisy.means(level)
-    residuals, within = _means_of_residuals(level, manifold, noise, noisy.colours, results.plain)
-    changes = _changes_by_patches(level, mixing, means, within, results)
+    residuals, unclipped = _means_of_residuals(level, manifold, noise, noisy.colours, results.plain)
+    changes = _changes_by_patches(level, mixing, means, unclipped, results)
     terms = np.empty((2, *level.shape), np.float32)
 
-    def write_terms(
-        q: Array, q_perturbed: Array, residual: Array, signs: Array, within: Array, relative: Array, block: Array
-    ) -> None:  # fmt: skip
-        block[:] = noise.terms_of_means(
-            residual, signs / means.divisors, within * q, within * q_perturbed, within * relative
-        )
-
-    for_blocks(
-        write_terms, 1, level.axis, *changes, residuals, means.signs, within,
+    blocks = in_blocks(
+        level.axis, *changes, residuals, means.signs, unclipped,
         np.expand_dims(level.relative, level.axis), np.moveaxis(terms, 0, level.axis),
     )  # fmt: skip
+    for d, d_perturbed, residual, signs, share, relative, block in blocks:
+        # The mean of colours with clipped noise moves by the unclipped share of a change: its derivative.
+        block[:] = noise.terms_of_means(
+            residual, signs / means.divisors, share * d, share * d_perturbed, share * relative
+        )
     weights = _weigh(level, terms, noise.variance, _PRIOR_OF_MEANS)
     for stack, change in zip(results, changes, strict=True):
         level.add_enlarged_in_place(stack, change * np.moveaxis(weights.plane, 0, level.axis))
@@ -224,21 +222,18 @@ def _means_of_residuals(
 
 
 def _changes_by_patches(
-    level: CoarseLevel, mixing: Mixing, noisy: Probed, within: Stack, results: Pair
+    level: CoarseLevel, mixing: Mixing, noisy: Probed, unclipped: Stack, results: Pair
 ) -> Pair:
     """Estimate the means of results by patches; return the changes, which are less where many samples are clipped."""
     # The means of the results are used as the pilot directly: a first estimate without a pilot would bring back noise.
     mixing = dataclasses.replace(mixing, variances=mixing.variances * level.noise_ratio)
-    pilots, (least, enough) = Pair(*map(level.means, results)), _TRUSTED_WITHIN
+    pilots, (least, enough) = Pair(*map(level.means, results)), _TRUSTED_SHARES
     plain = level.collaborate(noisy.colours, pilots.plain, mixing)
     with noisy.perturbed_in_place():
         changes = Pair(plain, level.collaborate(noisy.colours, pilots.perturbed, mixing))
-
-    def subtract_and_trust(q: Array, p: Array, within: Array) -> None:
-        q[:] = np.clip((within - least) / (enough - least), 0, 1) * (q - p)
-
     for change, pilot in zip(changes, pilots, strict=True):
-        for_blocks(subtract_and_trust, 1, level.axis, change, pilot, within)
+        for q, p, share in in_blocks(level.axis, change, pilot, unclipped):
+            q[:] = np.clip((share - least) / (enough - least), 0, 1) * (q - p)
     return changes
 
 
