@@ -129,7 +129,7 @@ class Valleys:
     """An estimate of errors that falls towards two places among contrasts and growths, the deeper one far away."""
 
     def __init__(self, deeper):
-        self.start, self.noise = (0.0, 1.0, 0), 1.0
+        self.start, self.mean_variance = (0.0, 1.0, 0), 1.0
         self._deeper = deeper
 
     def step(self, state, step):

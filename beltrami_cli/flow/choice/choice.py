@@ -113,12 +113,12 @@ def _choose_by_risk(
     risks = RiskEstimate.on(trial, noise.sigma, noise.stabiliser)
     search = Search(risks, _candidates(manifold), weight, tick)
     best = search.run()
-    psnr, error, gain = _decibels(search.tried[best], risks.noise)
+    psnr, error, gain = _decibels(search.tried[best], risks.mean_variance)
     chosen, values = _with_schedule(manifold, best)
     return chosen, Choice(
         values, psnr=psnr, error=error, gain=gain, candidates=len(search.tried), samples=trial.samples,
         correlated=noise.is_shared,
-        predicted=predict(search.tried[best], risks.noise, noise, patches=parameters.takes_patches),
+        predicted=predict(search.tried[best], risks.mean_variance, noise, patches=parameters.takes_patches),
     )  # fmt: skip
 
 
@@ -166,13 +166,14 @@ def _in_decibels(relative: float) -> float:
     return 10 * relative / math.log(10)
 
 
-def _decibels(risk: Risk, noise: float) -> tuple[float | None, float | None, float | None]:
-    if not np.isfinite(risk.error) or noise <= 0:  # a single sample, or all noise was clipped
+def _decibels(risk: Risk, variance: float) -> tuple[float | None, float | None, float | None]:
+    """Return the PSNR, its standard error, and the gain over noise of a variance; None where they are unknown."""
+    if not np.isfinite(risk.error) or variance <= 0:  # a single sample, or all noise was clipped
         return None, None, None
     # An estimate of a small error may be negative; it is reported as its standard error.
     value = max(risk.value, risk.error, 1e-12)
     error = _in_decibels(risk.error / value)
-    return -10 * float(np.log10(value)), float(error), 10 * float(np.log10(noise / value))
+    return -10 * float(np.log10(value)), float(error), 10 * float(np.log10(variance / value))
 
 
 def _with_schedule(manifold: Manifold, schedule: Schedule) -> tuple[KernelParameters, dict[str, Any]]:

@@ -89,8 +89,8 @@ class RiskEstimate:
         return cls(trial, noisy, variance, to_input, weights, np.float32(size))
 
     @property
-    def noise(self) -> float:
-        """Mean variance of the noise."""
+    def mean_variance(self) -> float:
+        """Mean variance of the noise, in squared units of the input's colours."""
         return float(np.mean(np.broadcast_to(self.variance, self.noisy.shape) * self.to_input))
 
     @property

@@ -74,7 +74,7 @@ class Search:
     ) -> None:
         self.tried: dict[Schedule, Risk] = {}
         self._estimate, self._candidates, self._tick = estimate, candidates, tick
-        self._gain, self._weight = _MIN_IMPROVEMENT * estimate.noise, weight
+        self._gain, self._weight = _MIN_IMPROVEMENT * estimate.mean_variance, weight
         self._least: dict[Place, float] = {}
         self._regularised_states: dict[Schedule, State] = {}
 

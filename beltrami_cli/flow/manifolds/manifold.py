@@ -235,7 +235,7 @@ class SampleTrial:
 
     part: Manifold
     start: Stack  # the noisy colours
-    signs: Float32s  # stacks like `start`
+    signs: Float32s  # perturbations, each a stack like `start`
     scored_samples: Int64s | None
 
     @property
