@@ -44,10 +44,10 @@ def store_colours(
     threads: int,
 ) -> tuple[int, int, int]: ...
 def interpolate(places: NDArray[np.float32], at: NDArray[np.float64], table: NDArray[np.float64]) -> None: ...
-def restore_cut_off(
+def restore_clipped(
     averages: NDArray[np.float32],
     share: NDArray[np.float32],
-    cut_off: tuple[float, bool, bool],
+    clipping: tuple[float, bool, bool],
     trusted: float,
     at: NDArray[np.float64],
     alpha: NDArray[np.float64],
@@ -55,10 +55,10 @@ def restore_cut_off(
     relative: NDArray[np.float32],
     threads: int,
 ) -> None: ...
-def impute_cut_off(
+def impute_clipped(
     colours: NDArray[np.float32],
     estimate: NDArray[np.float32],
-    cut_off: tuple[float, bool, bool],
+    clipping: tuple[float, bool, bool],
     at: NDArray[np.float64],
     beyond: NDArray[np.float64],
     relative: NDArray[np.float32],

@@ -104,7 +104,7 @@ def test_decoding_keeps_every_coefficient_in_its_interval(tmp_path):
     image = coded(stored(CLEAN, 10), 80, "4:4:4", tmp_path)
     result = np.full(image.pixels.shape, 0.5, np.float32)
     decode_in_place(image, result, 10 / 255)
-    planes = image.planes(image.pixels), image.planes(255 * result), image.tables
+    planes = image.planes_of(image.pixels), image.planes_of(255 * result), image.tables
     for before, after, steps in zip(*planes, strict=True):
         middle = np.rint(coefficients_of(before) / steps) * steps
         # The other planes move a pixel's rounding only, and single precision has seven digits.
@@ -115,7 +115,7 @@ def test_decoding_keeps_every_coefficient_in_its_interval(tmp_path):
 def test_chroma_is_known_although_decoders_interpolate_it(subsampling, tmp_path):
     image = coded(stored(CLEAN, 10), 98, subsampling, tmp_path)
     bands = [image.stored_planes(rows) for rows in image.bands]
-    whole = image.decoded_planes(image.pixels)
+    whole = image.uninterpolated_planes_of(image.pixels)
     for number, (plane, steps) in enumerate(zip(whole, image.tables, strict=True)):
         # Four samples beyond a band of rows are seen, by 0.17 less each, of at most 128.
         np.testing.assert_allclose(np.concatenate([band[number] for band in bands]), plane, atol=0.1)

@@ -27,7 +27,7 @@ AT = np.linspace(0, 1, 5)
 TABLE = np.linspace(0, 1, 5).astype(F32)
 MIXING = (np.eye(3, dtype=F32), np.eye(3, dtype=F32), np.ones(3, F32), np.ones(3, F32), 0.0, 1.0)
 NOISE = (np.tile(F32([0.01, 0.1, 1, 1]), (3, 1)), 6.0, TABLE, TABLE, numbers(1, SIDE, SIDE))
-CUT_OFF = (0.1, True, True)
+CLIPPING = (0.1, True, True)
 GRID = {
     "kind": KIND, "squared_lengths": numbers(4, SIDE, SIDE), "scale": numbers(SIDE, SIDE), "metric": PLANES,
     "beta": 1.0, "radius": 3.0, "window_radius": 2, "scheme": "sweep",
@@ -45,12 +45,12 @@ CALLS = {
         "channels": np.array([0, 2], I32), "threads": 2,
     },
     "interpolate": {"places": numbers(7), "at": AT, "table": AT},
-    "restore_cut_off": {
-        "averages": ONE, "share": ONE, "cut_off": CUT_OFF, "trusted": 2.0, "at": AT, "alpha": AT, "gap": AT + 1,
+    "restore_clipped": {
+        "averages": ONE, "share": ONE, "clipping": CLIPPING, "trusted": 2.0, "at": AT, "alpha": AT, "gap": AT + 1,
         "relative": ONE, "threads": 2,
     },
-    "impute_cut_off": {
-        "colours": ONE, "estimate": ONE, "cut_off": CUT_OFF, "at": AT, "beyond": AT, "relative": ONE, "threads": 2,
+    "impute_clipped": {
+        "colours": ONE, "estimate": ONE, "clipping": CLIPPING, "at": AT, "beyond": AT, "relative": ONE, "threads": 2,
     },
     "convolve": {"planes": PLANES, "taps": numbers(3), "threads": 2},
     "means_of_squares": {"kind": KIND, "kinds": KIND[:3, :3].copy(), "planes": PLANES, "side": 2, "threads": 2},
@@ -132,13 +132,13 @@ FREE = {
         SurfacePatches.blocks SurfacePatches.priorities halo_repeats.sources halo_repeats.seams build_atlas.grids
     """,
     "another axis": """
-        restore_cut_off.averages restore_cut_off.share restore_cut_off.relative impute_cut_off.colours
-        impute_cut_off.estimate impute_cut_off.relative
+        restore_clipped.averages restore_clipped.share restore_clipped.relative impute_clipped.colours
+        impute_clipped.estimate impute_clipped.relative
     """,
     "another axis in 4": "blend_terms.noise blend_residual.noise blend_share_within.noise",
     "NaN": """
         build_atlas.uv
-        interpolate.table restore_cut_off.alpha restore_cut_off.gap impute_cut_off.beyond neighbour_means.totals
+        interpolate.table restore_clipped.alpha restore_clipped.gap impute_clipped.beyond neighbour_means.totals
     """,
 }
 

@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from beltrami_cli._native import impute_cut_off, restore_cut_off
+from beltrami_cli._native import impute_clipped, restore_clipped
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s
 from beltrami_cli.flow.corrections.normal_tables import censored_normal, normal_tables
 from beltrami_cli.flow.manifolds.blocks import block_rows, for_blocks
@@ -80,14 +80,14 @@ class ClippedChannel(NamedTuple):
         """Turn averages of clipped colours into estimates of the noise-free colours."""
         table = censored_normal()
         tables = table.share, table.alpha, table.gap
-        restore_cut_off(means, marks, self, _MAX_LOCAL_NOISE, *tables, relative, threads)
+        restore_clipped(means, marks, self, _MAX_LOCAL_NOISE, *tables, relative, threads)
 
     def impute_in_place(
         self, colours: Float32s, pilot: Float32s, relative: Float32s, threads: int = 1
     ) -> None:
         """Replace samples at a limit by the mean of noise beyond it, given the pilot."""
         tables = normal_tables()
-        impute_cut_off(colours, pilot, self, tables.limits, tables.beyond, relative, threads)
+        impute_clipped(colours, pilot, self, tables.limits, tables.beyond, relative, threads)
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ def find_clipped(channels: Float32s, sigma: Float64s, empty: int = 0) -> Clipped
             at_0[k] += np.count_nonzero(channel[block] == 0)
             at_1[k] += np.count_nonzero(channel[block] == 1)
     floor, ceiling = np.transpose([limits_of(channel) for channel in channels])
-    worth, noisy = _WORTH_RESTORING * count, np.asarray(sigma) > 0
+    worth, noisy = _WORTH_RESTORING * count, sigma > 0
     low = noisy & (floor == 0) & (at_0 - empty >= worth)
     high = noisy & (ceiling == 1) & (at_1 >= worth)
     found = ClippedChannels(

@@ -62,7 +62,7 @@ class ColouredSamples:
     def at(self, samples: Indices) -> Float32s:
         return self.planes.reshape(len(self.planes), -1)[:, samples]
 
-    def around(self, samples: Indices, reach: int) -> Float32s:
+    def colours_around(self, samples: Indices, reach: int) -> Float32s:
         """Return the colours of the samples around each sample, shape (N, B, W), padded by NaN."""
         table = self.surroundings.around(samples, reach)
         return np.where(table >= 0, self.at(table), np.float32(np.nan))
@@ -71,7 +71,7 @@ class ColouredSamples:
         """Compare samples with those within two steps. With fewer than four neighbours, the median is the colour."""
         parts = [(samples[:0], *np.zeros((3, len(self.planes), 0), np.float32))]
         for block in large_arrays.blocks(len(samples), large_arrays.SCATTERED):
-            values, centres = self.around(samples[block], 2), self.at(samples[block])
+            values, centres = self.colours_around(samples[block], 2), self.at(samples[block])
             medians, count = medians_of(values)
             deviations, _ = medians_of(np.abs(values - medians[..., None]))
             # Factor from the median absolute deviation to the standard deviation of a normal variable.

@@ -66,7 +66,7 @@ class JpegImage:
         rows = next((rows for rows in _BANDS if rows * columns <= _PIXELS), _BANDS[-1])
         return list(large_arrays.blocks(count, rows))
 
-    def planes(self, pixels: Array) -> list[Float32s]:
+    def planes_of(self, pixels: Array) -> list[Float32s]:
         """Convert rows of pixels of full scale 255 to luma and chroma."""
         if pixels.shape[2] == 1:
             return [pixels[..., 0].astype(np.float32) - np.float32(128)]
@@ -76,15 +76,15 @@ class JpegImage:
         chroma: list[Float32s] = [_means_over(plane, self.span) for plane in mixed[1:]]
         return [mixed[0], *chroma]
 
-    def decoded_planes(self, pixels: Array) -> list[Float32s]:
+    def uninterpolated_planes_of(self, pixels: Array) -> list[Float32s]:
         """Return the luma and chroma that rows of pixels were decoded from, before interpolation."""
-        luma, *chroma = self.planes(pixels)
+        luma, *chroma = self.planes_of(pixels)
         return [luma, *(_uninterpolated(plane, self.span) for plane in chroma)]
 
     def stored_planes(self, rows: slice) -> list[Float32s]:
         """Return the stored luma and chroma of some rows, computed with additional rows around."""
         first = max(0, rows.start - _CHROMA_MARGIN)
-        planes = self.decoded_planes(self.pixels[first : rows.stop + _CHROMA_MARGIN])
+        planes = self.uninterpolated_planes_of(self.pixels[first : rows.stop + _CHROMA_MARGIN])
         spans = [1, self.span[0], self.span[0]]
         return [
             plane[(rows.start - first) // span :][: (rows.stop - rows.start) // span]
@@ -127,7 +127,7 @@ def expected_pixels(
     of_planes = image.tables, image.sigma_of_planes(255 * sigma)
     darker = normal_tables().clipping_bias(pilot / np.float32(255), sigma) * np.float32(255)
     differences = []
-    for plane, near, steps, noise in zip(planes, image.planes(pilot - darker), *of_planes, strict=True):
+    for plane, near, steps, noise in zip(planes, image.planes_of(pilot - darker), *of_planes, strict=True):
         changes, means = coefficients_of(near), coefficients_of(plane)
         for mean, row in zip(changes, means, strict=True):  # one by one, as this takes many arrays
             mean[:] = _truncated_normal_mean(mean, noise, np.rint(row / steps) * steps, steps / 2) - mean
@@ -158,7 +158,7 @@ def _truncated_normal_mean(mean: Float32s, sigma: float, middle: Float64s, reach
 
 def compressed(image: JpegImage, pixels: Float32s) -> Float32s:
     """Simulate JPEG compression of pixels; beyond whole blocks only chroma is averaged."""
-    planes = image.planes(pixels)
+    planes = image.planes_of(pixels)
     for plane, steps in zip(planes, image.tables, strict=True):
         rounded = _from_coefficients(np.rint(coefficients_of(plane) / steps) * steps)
         plane[: len(rounded), : rounded.shape[1]] = rounded

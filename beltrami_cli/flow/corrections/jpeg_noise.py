@@ -72,7 +72,7 @@ def noise_after(
     squares, count = np.zeros(channels), 0
     for image, used, truth, stored in _simulated(images, pilots, sigma):
         lost.add(compressed(image, truth) - truth, used)
-        decoded = expected_pixels(image, stored, image.decoded_planes(stored), truth, sigma)
+        decoded = expected_pixels(image, stored, image.uninterpolated_planes_of(stored), truth, sigma)
         after.add(decoded - truth, used)
         errors = (np.clip(stored, 0, 255) - truth)[used] / 255
         squares += np.square(errors).sum(axis=0, dtype=np.float64)

@@ -150,15 +150,15 @@ class _Search:
 
     surface: ColouredSamples
     sampled: Compared
-    range: float  # of the colours
+    colour_range: float
     takes_all: bool  # isolated samples that stand out, however they are distributed
     is_light: bool
 
     def outliers_in(self, rows: Compared) -> Int64s:
         """Return the outliers among rows that stand out."""
-        if not self.range > 0:
+        if not self.colour_range > 0:
             return rows.samples[:0]
-        contrasts = _contrasts(rows.colours, rows, self.range)
+        contrasts = _contrasts(rows.colours, rows, self.colour_range)
         dark, bright = (self._outliers_among(self._candidates(rows, contrasts, sign)) for sign in (-1, 1))
         return np.union1d(dark, bright)
 
@@ -184,7 +184,7 @@ class _Search:
 
     def _with_common_value(self, candidates: _Candidates) -> Int64s:
         """Return the outliers that have the most frequent value, if they are spread at random."""
-        strongest, tolerance, none = candidates.strongest, _SAME_VALUE * self.range, np.zeros(0, np.int64)
+        strongest, tolerance, none = candidates.strongest, _SAME_VALUE * self.colour_range, np.zeros(0, np.int64)
         if len(strongest) < _MIN_CLUMPS:
             return none
         value = _frequent_value(strongest.compared.colours, tolerance)
@@ -194,7 +194,7 @@ class _Search:
         of_value = candidates[candidates.is_near(value, tolerance)]
         if len(of_value.isolated) < _MAJORITY * len(of_value) or _is_on_plain_ground(chosen.compared):
             return none
-        is_visible = candidates.sign * _contrasts(value, self.sampled, self.range) > 1
+        is_visible = candidates.sign * _contrasts(value, self.sampled, self.colour_range) > 1
         if not self._are_random(chosen, np.asarray(is_visible)):
             return none
         # Noise added after the outliers spreads their value.
@@ -207,7 +207,7 @@ class _Search:
         for block in large_arrays.blocks(surface.count, large_arrays.CACHED):
             samples = np.asarray(surface.surroundings.samples[block], np.int64)
             rows = surface.compared(samples[_distances(surface.at(samples), value) <= spread])
-            contrasts = _contrasts(rows.colours, rows, self.range)
+            contrasts = _contrasts(rows.colours, rows, self.colour_range)
             parts.append(rows.samples[np.abs(contrasts) > _WEAK_LIMIT])
         samples = np.concatenate(parts)
         return samples[small_clumps(surface, samples, np.full(len(samples), spread)) >= 0]
@@ -220,13 +220,13 @@ class _Search:
         return are_spread_at_random(self.surface, chosen.compared, self.sampled, is_visible)
 
 
-def _contrasts(colours: Float32s, compared: Compared, size: float) -> Float32s:
+def _contrasts(colours: Float32s, compared: Compared, colour_range: float) -> Float32s:
     """Return the largest signed difference of colours to medians, shape (C,), in units of the threshold.
 
-    `size` is the range of all colours. A single colour, shape (N,), is compared with all medians.
+    A single colour, shape (N,), is compared with all medians.
     """
     away = colours.reshape(len(colours), -1) - compared.medians
-    away /= np.float32(_MIN_DEVIATIONS) * compared.deviations + np.float32(_MIN_SHARE_OF_RANGE * size)
+    away /= np.float32(_MIN_DEVIATIONS) * compared.deviations + np.float32(_MIN_SHARE_OF_RANGE * colour_range)
     return np.asarray(np.take_along_axis(away, np.abs(away).argmax(axis=0)[None], axis=0)[0], np.float32)
 
 
@@ -256,7 +256,7 @@ def _fill_in_place(surface: ColouredSamples, samples: Int64s, wrong: Bools) -> N
         channel[samples[is_wrong]] = np.nan
     for block in large_arrays.blocks(len(samples), large_arrays.SCATTERED):
         for reach, fewest in ((2, 1), (1, 3)):
-            medians, count = medians_of(surface.around(samples[block], reach))
+            medians, count = medians_of(surface.colours_around(samples[block], reach))
             np.copyto(filled[:, block], medians, where=wrong[:, block] & (count >= fewest))
     for channel, is_wrong, values in zip(flat, wrong, filled, strict=True):
         channel[samples[is_wrong]] = values[is_wrong]

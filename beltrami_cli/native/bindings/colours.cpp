@@ -51,37 +51,37 @@ void interpolate(nb::ndarray<float, nb::ndim<1>, nb::c_contig, nb::device::cpu>&
   for (std::size_t i = 0; i < places.size(); ++i) places.data()[i] = found(places.data()[i]);
 }
 
-// How a channel was cut off: its noise, and whether at 0 and at 1.
-using CutOffParts = std::tuple<float, bool, bool>;
+// How a channel was clipped: its noise, and whether at 0 and at 1.
+using ClippingParts = std::tuple<float, bool, bool>;
 
-colours::CutOff cut_off_of(const CutOffParts& parts) {
+colours::Clipping clipping_of(const ClippingParts& parts) {
   require(std::get<0>(parts) >= 0, "the noise must be a number, 0 or more");
   return {std::get<0>(parts), std::get<1>(parts), std::get<2>(parts)};
 }
 
 // See restore; all arrays hold one channel, and `at` the places of both tables.
-void restore_cut_off(const Channels<float>& averages, const Channels<const float>& share, const CutOffParts& cut,
+void restore_clipped(const Channels<float>& averages, const Channels<const float>& share, const ClippingParts& clipping,
                      float trusted, const Vector<double>& at, const Vector<double>& alpha, const Vector<double>& gap,
                      const Channels<const float>& relative, unsigned threads) {
   const std::size_t count = samples_of(averages);
   const auto to = layout_of(averages, 1, count);
   const auto own = layout_of(share, 1, count), variances = layout_of(relative, 1, count);
   require(trusted >= 0, "the trusted noise must be a number, 0 or more");
-  const colours::CutOff how = cut_off_of(cut);
+  const colours::Clipping how = clipping_of(clipping);
   const colours::Table alphas = table_of(at, alpha), gaps = table_of(at, gap);
   const nb::gil_scoped_release unlock;
   colours::restore(to, own, how, trusted, alphas, gaps, {variances, count}, threads);
 }
 
 // See impute.
-void impute_cut_off(const Channels<float>& colours, const Channels<const float>& estimate, const CutOffParts& cut,
-                    const Vector<double>& at, const Vector<double>& beyond, const Channels<const float>& relative,
-                    unsigned threads) {
+void impute_clipped(const Channels<float>& colours, const Channels<const float>& estimate,
+                    const ClippingParts& clipping, const Vector<double>& at, const Vector<double>& beyond,
+                    const Channels<const float>& relative, unsigned threads) {
   const std::size_t count = samples_of(colours);
   const auto to = layout_of(colours, 1, count);
   const auto own = layout_of(estimate, 1, count), variances = layout_of(relative, 1, count);
   const colours::Table table = table_of(at, beyond);
-  const colours::CutOff how = cut_off_of(cut);
+  const colours::Clipping how = clipping_of(clipping);
   const nb::gil_scoped_release unlock;
   colours::impute(to, own, how, table, {variances, count}, threads);
 }
@@ -101,9 +101,9 @@ void bind_colours(nb::module_& module) {
   bind_store<std::uint8_t, std::int64_t>(module);
   bind_store<std::uint16_t, std::int32_t>(module);
   bind_store<std::uint16_t, std::int64_t>(module);
-  module.def("restore_cut_off", &restore_cut_off, "averages"_a.noconvert(), "share"_a, "cut_off"_a, "trusted"_a, "at"_a,
-             "alpha"_a, "gap"_a, "relative"_a, "threads"_a);
-  module.def("impute_cut_off", &impute_cut_off, "colours"_a.noconvert(), "estimate"_a, "cut_off"_a, "at"_a, "beyond"_a,
+  module.def("restore_clipped", &restore_clipped, "averages"_a.noconvert(), "share"_a, "clipping"_a, "trusted"_a,
+             "at"_a, "alpha"_a, "gap"_a, "relative"_a, "threads"_a);
+  module.def("impute_clipped", &impute_clipped, "colours"_a.noconvert(), "estimate"_a, "clipping"_a, "at"_a, "beyond"_a,
              "relative"_a, "threads"_a);
   module.def("interpolate", &interpolate, "places"_a.noconvert(), "at"_a, "table"_a);
 }

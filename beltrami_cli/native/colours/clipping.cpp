@@ -19,30 +19,30 @@ void each_sample(std::size_t count, unsigned threads, F f) {
 
 }  // namespace
 
-void restore(const Layout<float>& averages, const Layout<const float>& share, const CutOff& cut, float trusted,
+void restore(const Layout<float>& averages, const Layout<const float>& share, const Clipping& clipping, float trusted,
              const Table& alpha, const Table& gap, const Samples& samples, unsigned threads) {
   each_sample(samples.count, threads, [&](std::size_t i) {
     const float marked = share.at(0, i);
     if (!(marked > 0) && !(marked < 0)) return;
     float& average = averages.at(0, i);
     // For a true colour within the limits, the share is at most one half.
-    const float cut_off = std::min(std::abs(marked), 0.5F), gap_of_one = gap(cut_off);
-    const float most = cut.sigma * std::sqrt(samples.relative.at(0, i)) * trusted;
+    const float clipped = std::min(std::abs(marked), 0.5F), gap_of_one = gap(clipped);
+    const float most = clipping.sigma * std::sqrt(samples.relative.at(0, i)) * trusted;
     const float from_limit = marked > 0 ? 1 - average : average;
     const float local = std::min(from_limit / gap_of_one, most);
-    const float closer = std::max(local * (gap_of_one - alpha(cut_off)), 0.0F);
+    const float closer = std::max(local * (gap_of_one - alpha(clipped)), 0.0F);
     average = marked > 0 ? std::min(average + closer, std::max(average, 1.0F))
                          : std::max(average - closer, std::min(average, 0.0F));
   });
 }
 
-void impute(const Layout<float>& colours, const Layout<const float>& estimate, const CutOff& cut, const Table& beyond,
-            const Samples& samples, unsigned threads) {
+void impute(const Layout<float>& colours, const Layout<const float>& estimate, const Clipping& clipping,
+            const Table& beyond, const Samples& samples, unsigned threads) {
   each_sample(samples.count, threads, [&](std::size_t i) {
     float& colour = colours.at(0, i);
-    const bool high = cut.high && colour >= 1, low = cut.low && colour <= 0;
+    const bool high = clipping.high && colour >= 1, low = clipping.low && colour <= 0;
     if (!high && !low) return;
-    const float around = estimate.at(0, i), sigma = cut.sigma * std::sqrt(samples.relative.at(0, i));
+    const float around = estimate.at(0, i), sigma = clipping.sigma * std::sqrt(samples.relative.at(0, i));
     colour = high ? around + sigma * beyond((1 - around) / sigma) : around - sigma * beyond(around / sigma);
   });
 }

@@ -33,7 +33,7 @@ class Table {
 };
 
 // Clipping of a channel, see flow/corrections/clipping.py. Arrays of these functions have one value per sample.
-struct CutOff {
+struct Clipping {
   float sigma;  // of the noise
   bool low, high;
 };
@@ -46,12 +46,12 @@ struct Samples {
 // Corrects averages; a `share` of their samples is at a limit (negative: at 0). Both tables are over that share: the
 // distance of the mean to the limit before (`alpha`) and after (`gap`) clipping unit noise. Local noise is at most
 // `trusted` times the estimate.
-void restore(const Layout<float>& averages, const Layout<const float>& share, const CutOff& cut, float trusted,
+void restore(const Layout<float>& averages, const Layout<const float>& share, const Clipping& clipping, float trusted,
              const Table& alpha, const Table& gap, const Samples& samples, unsigned threads);
 
 // Replaces samples at a limit by the mean of the values beyond it, given an estimate of the colour without noise;
 // `beyond`: E[z | z > a] of a unit normal variable z.
-void impute(const Layout<float>& colours, const Layout<const float>& estimate, const CutOff& cut, const Table& beyond,
-            const Samples& samples, unsigned threads);
+void impute(const Layout<float>& colours, const Layout<const float>& estimate, const Clipping& clipping,
+            const Table& beyond, const Samples& samples, unsigned threads);
 
 }  // namespace beltrami::colours
